@@ -31,6 +31,10 @@ _MAX_BACKWARD_S = 2.0
 _HOUR_S, _HOUR_TOLERANCE_S = 3600.0, 3.0
 """Gaps of whole hours within this tolerance are jumps of the clock: one pause in 600 is as near to one."""
 
+_MIN_LOSSES, _MIN_FIX_SHARE = 5, 0.6
+"""Number of losses of the fix from which speeds are doubted if the share of samples with a fix is smaller. Assumed: the
+one known recording of a parked car with false speeds has 22 losses in 3 minutes and a share of 0.38."""
+
 _MIN_COMPARED, _COMPARED_MPS, _UNIT_TOLERANCE = 10, 3.0, 0.08
 """Number of steps, their speed in m/s, and the largest relative difference for a unit inferred from positions."""
 
@@ -45,6 +49,7 @@ def usable(track: TelemetryTrack) -> TelemetryTrack:
         raise TelemetryError("the receiver had no fix.")
     _check_clock(track)
     track = _in_order(track)
+    _check_losses(track)
     _check_positions(track)
     track = _with_unit(track)
     return _without_wild_speeds(track)
@@ -67,6 +72,17 @@ def _check_clock(track: TelemetryTrack) -> None:
     is_jump = (hours >= 1) & (np.abs(gaps_s - hours * _HOUR_S) <= _HOUR_TOLERANCE_S)
     if is_jump.any():
         raise TelemetryError(f"its clock jumps by {_duration(float(gaps_s[is_jump][0]))}.")
+
+
+def _check_losses(track: TelemetryTrack) -> None:
+    """Raise an error if the receiver keeps losing its fix: such fixes state 100 km/h in parked cars."""
+    has_fix = np.isfinite(track.speed_mps)
+    n_losses = int((has_fix[:-1] & ~has_fix[1:]).sum())
+    if n_losses >= _MIN_LOSSES and has_fix.mean() < _MIN_FIX_SHARE:
+        raise TelemetryError(
+            f"the receiver loses its fix {n_losses} times and has one in {has_fix.mean():.0%} of the samples only; "
+            "such speeds are not reliable."
+        )
 
 
 def _duration(seconds: float) -> str:

@@ -10,9 +10,11 @@ import av
 import numpy as np
 import pytest
 
+from track_range.telemetry.checks import usable
 from track_range.telemetry.containers.embedded import embedded
 from track_range.telemetry.containers.gpmf import gps_rows
 from track_range.telemetry.containers.mp4_boxes import read_movie
+from track_range.telemetry.errors import TelemetryError
 from track_range.telemetry.track import TelemetryTrack
 
 KNOT = 1852 / 3600
@@ -137,3 +139,30 @@ def test_tables_agree_with_pyav(shared_data: Path) -> None:
         assert track.sizes.tolist() == sizes.tolist()
         assert track.offsets.tolist() == offsets.tolist()
         assert track.time_s == pytest.approx(time_s, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("gopro/hero06+ble.bin", "fix"),
+        ("gopro/hero8-trimmed.mp4", "fix"),
+        ("dashcams/viofo-coldstart.mp4", "clock"),
+        ("dashcams/neoline-parked-false-speed.mp4", "loses"),
+    ],
+)
+def test_refused_recordings(shared_data: Path, name: str, reason: str) -> None:
+    with pytest.raises(TelemetryError, match=reason):
+        usable(read(shared_data, name))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("gopro/fusion.bin", "gopro/hero05.bin", "gopro/hero06.bin", "gopro/hero11.bin", "gopro/hero5-trimmed.mp4"),
+        *("gopro/max-heromode.mp4", "dashcams/70mai-a810.mp4", "dashcams/ligogps.mp4", "dashcams/novatek-2e.mp4"),
+        *("dashcams/thinkware.mp4", "dashcams/vantrue-n2x.mp4", "dashcams/viofo-a119v3.TS"),
+    ],
+)
+def test_accepted_recordings(shared_data: Path, name: str) -> None:
+    track = read(shared_data, name)
+    assert len(usable(track)) >= len(track) - 1  # one second of ligogps is twice in the file

@@ -26,6 +26,7 @@ from tests.track_range.telemetry.mp4_files import (
     tesla_frame,
     transport_stream,
 )
+from track_range.telemetry.checks import usable
 from track_range.telemetry.containers.embedded import embedded
 from track_range.telemetry.containers.free_gps import parse_free_gps
 from track_range.telemetry.containers.ligogps import parse_ligo_record
@@ -179,6 +180,18 @@ def test_free_gps_unit_from_positions(read: Callable[[bytes], TelemetryTrack | N
     assert track is not None
     assert np.median(track.speed_mps) == pytest.approx(20 * KNOT, rel=0.001)
     assert track.notes == ()
+
+
+def test_free_gps_encrypted_positions(read: Callable[[bytes], TelemetryTrack | None]) -> None:
+    blocks = [
+        struct.pack("<6I3sx4f", 15, 37, i, 21, 10, 13, b"ANE", 4000 + 97 * i % 13, 700 * (i % 5), 48.59, 7.0)
+        for i in range(9)
+    ]
+    track = read(mp4([VIDEO], top=b"".join(box(b"free", free_gps(block)[4:]) for block in blocks)))
+    assert track is not None
+    assert track.speed_mps == pytest.approx(48.59 * KNOT, abs=1e-4)
+    assert np.isnan(track.latitude_deg).all()
+    assert len(usable(track)) == 9
 
 
 def test_free_gps_between_frames(read: Callable[[bytes], TelemetryTrack | None]) -> None:

@@ -5,6 +5,7 @@ The times are those of the video at the same place in the file, or one second pe
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -17,7 +18,14 @@ from track_range.foundation.arrays import FloatArray
 from track_range.telemetry.containers.free_gps import MAX_BLOCK_BYTES, parse_free_gps
 from track_range.telemetry.containers.mp4_boxes import Movie, read_at
 from track_range.telemetry.containers.nmea_text import has_rmc, rmc_samples
-from track_range.telemetry.containers.samples import Sample, Unit, degrees, in_known_unit, track
+from track_range.telemetry.containers.samples import (
+    Sample,
+    Unit,
+    degrees,
+    has_plausible_positions,
+    in_known_unit,
+    track,
+)
 from track_range.telemetry.sidecars.units import MPS_PER_UNIT
 from track_range.telemetry.track import TelemetryTrack
 
@@ -139,6 +147,8 @@ def track_of_blocks(blocks: Sequence[bytes], times_s: FloatArray, path: Path) ->
         return None
     unit: Unit = max((record.unit for record in known), key=("known", "assumed", "unknown").index)
     samples = _timed((record.samples if record else () for record in records), times_s)
+    if not has_plausible_positions(samples):  # encrypted by some makers
+        samples = [replace(sample, latitude_deg=math.nan, longitude_deg=math.nan) for sample in samples]
     checked, notes = in_known_unit(samples, unit)
     return track(checked, "freeGPS records", notes=notes)
 

@@ -28,6 +28,9 @@ apart or more."""
 _PACE_TOLERANCE = 0.1
 """Largest relative difference between the pace of a track and that of the receiver's clock."""
 
+_MAX_SPEED_MPS = 120.0
+"""Largest plausible speed, as in the checks of telemetry."""
+
 _MIN_MOVING = 5
 """Smallest number of moving samples that confirm a unit."""
 
@@ -119,6 +122,16 @@ def on_receiver_clock(samples: Sequence[Sample]) -> list[Sample]:
     if abs(pace - 1) <= _PACE_TOLERANCE or not (steps_s > 0).all():
         return list(samples)
     return [sample.at(sample.time_s * pace) for sample in samples]
+
+
+def has_plausible_positions(samples: Sequence[Sample]) -> bool:
+    """Whether positions are on the Earth and the median of the speeds between them is possible for a vehicle."""
+    rows = np.array([(s.time_s, s.latitude_deg, s.longitude_deg) for s in samples]).reshape(-1, 3)
+    time_s, latitude_deg, longitude_deg = rows[np.isfinite(rows).all(axis=1)].T
+    if ((np.abs(latitude_deg) > 90) | (np.abs(longitude_deg) > 180)).any():
+        return False
+    moved = speed_from_positions(time_s, latitude_deg, longitude_deg, time_s, source="", clock="video")
+    return moved is None or float(np.percentile(moved.speed_mps, 90)) <= _MAX_SPEED_MPS
 
 
 def in_known_unit(samples: Sequence[Sample], unit: Unit) -> tuple[list[Sample], tuple[str, ...]]:
