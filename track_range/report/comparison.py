@@ -1,16 +1,19 @@
-"""Comparison of runs: tables with a row per run, limits of comparability, and settings that differ."""
+"""Comparison of runs: events that differ, a row per run with its results, and settings that differ."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+from track_range.events.event import Event
 from track_range.overlay.colours import OTHER_COLOURS, method_colours
 from track_range.report import tables
 from track_range.report.content.errors import band_line
-from track_range.report.sentences import flattened, run_name
+from track_range.report.event_comparison import count_grid, difference_grid, event_differences
+from track_range.report.sentences import address, flattened, run_name
 from track_range.report.tables import Cell, Column, Cost, Grid, figure, grid_of
+from track_range.results.columns import Columns
 
 _RUN_COLUMNS: tuple[tuple[str, str, str, str, Cost | None], ...] = (
     ("frames", "", "frames", "{:.0f}", None),
@@ -54,6 +57,8 @@ class ComparedRun:
         settings: section `run` of its settings.yaml.
         link: address of its report relative to the page; None = no report.
         notes: messages about missing files.
+        events: its events; None = unknown.
+        rows: its rows by column, for the places of its events.
     """
 
     name: str
@@ -61,6 +66,46 @@ class ComparedRun:
     settings: Mapping[str, Any]
     link: str | None = None
     notes: tuple[str, ...] = ()
+    events: tuple[Event, ...] | None = None
+    rows: Columns = field(default_factory=dict)
+
+
+def event_grids(runs: Sequence[ComparedRun]) -> list[Grid]:
+    """Events of each further run that differ from those of the first, then the number of events by kind.
+
+    Runs of different videos, and those without events, are not compared; equal events have no table.
+    """
+    first, grids = runs[0], []
+    for other in _comparable(runs):
+        differences = event_differences(first.events or (), first.rows, other.events or (), other.rows)
+        links = (_address(first.link), _address(other.link))
+        grids.append(difference_grid(differences, (first.name, other.name), links))
+    grids.append(count_grid([run.name for run in runs], [run.events for run in runs]))
+    return [grid for grid in grids if grid.rows]
+
+
+def _comparable(runs: Sequence[ComparedRun]) -> list[ComparedRun]:
+    """Runs with events on the same video as the first."""
+    first = runs[0]
+    if first.events is None:
+        return []
+    return [run for run in runs[1:] if run.events is not None and run_name(run.summary) == run_name(first.summary)]
+
+
+def _address(path: str | None) -> str | None:
+    return None if path is None else address(path)
+
+
+def event_sentence(runs: Sequence[ComparedRun]) -> str:
+    """Why there is no table of events that differ; "" if there is one."""
+    if runs[0].events is None:
+        return "The events of the first run are unknown."
+    others = _comparable(runs)
+    if not others:
+        return "The events were not compared: no other run is of the same video and has events."
+    if any(event_differences(runs[0].events, runs[0].rows, run.events or (), run.rows) for run in others):
+        return ""
+    return "The runs have the same events." if any(run.events for run in others) else "The runs have no events."
 
 
 def comparison_grids(runs: Sequence[ComparedRun]) -> list[Grid]:

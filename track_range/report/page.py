@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import jinja2
 import numpy as np
@@ -22,7 +21,15 @@ import numpy as np
 from track_range.events.event import Event
 from track_range.overlay.colours import colour_of_each
 from track_range.report import tables
-from track_range.report.comparison import ComparedRun, comparison_grids, comparison_notes, error_lines, settings_grid
+from track_range.report.comparison import (
+    ComparedRun,
+    comparison_grids,
+    comparison_notes,
+    error_lines,
+    event_grids,
+    event_sentence,
+    settings_grid,
+)
 from track_range.report.content.errors import calibration_curves, error_curves
 from track_range.report.content.events import event_records, hidden_events_note, shown_events
 from track_range.report.content.road import camera_of_rows, road_columns
@@ -30,7 +37,7 @@ from track_range.report.content.series import track_records
 from track_range.report.content.timeline import timeline
 from track_range.report.grids import accuracy_grids, mot_grid, speed_grids, stage_bars
 from track_range.report.headlines import headlines, run_line
-from track_range.report.sentences import cards, geometry_sentences, run_name, settings_groups, sigma_sentences
+from track_range.report.sentences import address, cards, geometry_sentences, run_name, settings_groups, sigma_sentences
 from track_range.results.columns import Columns, methods_measured
 from track_range.results.output_files import write_text
 
@@ -131,14 +138,18 @@ def report_page(summary: Mapping[str, Any], columns: Columns, events: Sequence[E
 
 def comparison_page(runs: Sequence[ComparedRun]) -> str:
     """HTML of the page that compares several runs."""
+    lines = error_lines(runs)
     return rendered(
         "comparison.html.j2",
         title=f"Comparison of {len(runs)} runs",
         runs=[{"name": run.name, "link": address(run.link) if run.link else None, "notes": run.notes} for run in runs],
         notes=comparison_notes(runs),
+        event_grids=event_grids(runs),
+        event_sentence=event_sentence(runs),
         grids=comparison_grids(runs),
         settings=settings_grid(runs),
-        content=embedded({"lines": error_lines(runs)}),
+        has_errors=bool(lines),
+        content=embedded({"lines": lines}),
     )
 
 
@@ -182,11 +193,6 @@ def video_link(summary: Mapping[str, Any]) -> str | None:
     """Address of the overlay video relative to the page; None without an overlay."""
     name = (summary.get("files") or {}).get("overlay")
     return address(str(name)) if name else None
-
-
-def address(path: str) -> str:
-    """A relative path as a URL; bytes of a file name that are not text are percent-encoded."""
-    return quote(path, errors="surrogateescape")
 
 
 def embedded(content: Mapping[str, Any]) -> str:

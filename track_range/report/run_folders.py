@@ -13,7 +13,7 @@ from track_range.events.event import Event
 from track_range.events.files import EVENTS_FILE, EVENTS_PARQUET, write_event_files
 from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.files.input_files import counted, real_path
-from track_range.report.comparison import ComparedRun, comparison_grids, comparison_notes, settings_grid
+from track_range.report.comparison import ComparedRun, comparison_grids, comparison_notes, event_grids, settings_grid
 from track_range.report.page import write_comparison, write_report
 from track_range.report.tables import Grid
 from track_range.results.folder import RunFolder, read_run_folder
@@ -66,7 +66,7 @@ def report(folders: Sequence[Path], out: Path | None = None, *, has_clips: bool 
         return WrittenReport(page, (), missing, (), clips)
     page = out or Path("comparison.html")
     compared = _compare(runs, page)
-    grids = [*comparison_grids(compared), settings_grid(compared)]
+    grids = [*event_grids(compared), *comparison_grids(compared), settings_grid(compared)]
     return WrittenReport(
         page, tuple(grid for grid in grids if grid.rows), missing, tuple(comparison_notes(compared)), clips
     )
@@ -119,6 +119,8 @@ def _compare(runs: Sequence[RunFolder], page: Path) -> list[ComparedRun]:
             settings=run.settings,
             link=_relative(run.folder / "report.html", page.parent),
             notes=run.missing,
+            events=known_events(run),
+            rows=run.columns,
         )
         for name, run in zip(short_names([run.folder for run in runs]), runs, strict=True)
     ]

@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from track_range.report import tables
 from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX
@@ -34,6 +35,11 @@ def _recording_name(value: Any) -> str:
     files = value if isinstance(value, list) else [value]
     name = "/".join(Path(str(files[0])).parts[-2:])
     return name if len(files) == 1 else f"{name} and {len(files) - 1} more"
+
+
+def address(path: str) -> str:
+    """A relative path as a URL; bytes of a file name that are not text are percent-encoded."""
+    return quote(path, errors="surrogateescape")
 
 
 def cards(summary: Summary) -> Iterator[dict[str, str]]:

@@ -14,8 +14,8 @@ from track_range.fleet.report.fleet_grids import DRIFT_TITLES, Links, fleet_sect
 from track_range.fleet.storage.location import Location
 from track_range.overlay.colours import FUSED_COLOUR, OTHER_COLOURS, method_colours
 from track_range.report.content.series import thinned
-from track_range.report.page import address, embedded, rendered
-from track_range.report.sentences import card
+from track_range.report.page import embedded, rendered
+from track_range.report.sentences import address, card
 
 _LEAD_S = 2.0
 """Time before the moment of a ranked track at which the overlay starts, s."""

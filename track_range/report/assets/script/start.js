@@ -10,6 +10,12 @@ if (content.timeline) {
     button.addEventListener("click", () => seek(Number(button.dataset.time)));
   if (video) startVideo();
   if (roadView) startRoad();
+  const follow = () => { // links such as report.html#t=12.5
+    const match = /^#t=(\d+(?:\.\d+)?)$/.exec(location.hash);
+    if (match) seek(Number(match[1]));
+  };
+  addEventListener("hashchange", follow);
+  follow();
 }
 if (tracks.length) {
   new ResizeObserver(([{ target }]) => { // keeps scroll targets clear of the bar that stays at the top
