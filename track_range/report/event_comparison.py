@@ -191,4 +191,6 @@ def count_grid(names: Sequence[str], events: Sequence[Sequence[Event] | None]) -
         for kind in kinds
     ]
     warned = [None if of_run is None else sum(math.isfinite(event.warning_s) for event in of_run) for of_run in events]
+    if not kinds:
+        return Grid("Number of events", (), ())
     return grid_of("Number of events", "run", list(names), [*columns, Column("with a warning", warned, "{:.0f}")])

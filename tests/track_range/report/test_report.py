@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import math
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from track_range.events.event import Event
 from track_range.report.comparison import ComparedRun
 from track_range.report.page import comparison_page, embedded, report_page, run_content, write_comparison, write_report
 from track_range.results.columns import column_names
@@ -181,6 +183,67 @@ def test_run_without_truth() -> None:
     assert page.content["errors"] == page.content["calibration"] == {}
     assert not {"#errors", "#sigma", "#tracking"} & set(page.addresses)
     assert "Coverage" in page.text
+
+
+def event(**changes: Any) -> Event:
+    values: dict[str, Any] = {"kind": "cut_in", "start_s": 0.2, "peak_s": 0.3, "end_s": 0.4, "warning_s": 0.25}
+    values |= {"frame": 3, "track_id": 1, "class_name": "car", "min_distance_m": 12.0, "min_distance_sigma_m": 0.5}
+    values |= {"min_ttc_s": 2.0, "closing_mps": 6.0, "ego_mps": 14.0, "probability": 0.8, "headway_s": math.nan}
+    return Event(**{**values, "reason": "A car moved into the lane.", **changes})
+
+
+def test_first_screen_precedes_tables() -> None:
+    text = report_page(summary(), columns(9, 5), [event()])
+    places = [text.index(f'id="{name}"') for name in ("stage", "timeline", "events", "tracks", "accuracy", "settings")]
+    assert places == sorted(places)
+    page = Page(text)
+    assert "cut-in warning at 0.2 s car 1" in page.text
+    assert "A car moved into the lane." in page.text
+    assert page.content["events"][0]["start_s"] == 0.2
+
+
+def test_three_headlines() -> None:
+    text = report_page(summary(), columns(9, 5), [event()])
+    assert text.count('class="headline"') == 3
+    assert "<b>1 warning</b>" in text
+    assert "<b>39.2 m</b>" in text
+
+
+def test_run_without_events() -> None:
+    assert 'id="events"' not in report_page(summary(), columns(5))
+    assert "events-heading" not in report_page(summary(), columns(5))
+    page = Page(report_page(summary(), columns(5), []))
+    assert "No event" in page.text
+    assert page.content["events"] == []
+
+
+def test_many_events_stay_small() -> None:
+    text = report_page(summary(), columns(50), [event(start_s=i / 1000, end_s=1.0) for i in range(3000)])
+    assert len(Page(text).content["events"]) == 500
+    assert "2500 more" in text
+    assert len(text) < 1_000_000
+
+
+def test_texts_of_events_are_escaped() -> None:
+    evil = "</script><img src=x onerror=alert(1)>"
+    page = Page(report_page(summary(), columns(5), [event(reason=evil, class_name=evil)]))
+    assert "img" not in page.counts
+    assert page.counts["script"] == 2
+    assert page.text.count(evil) >= 2
+
+
+def test_positions_are_in_the_page() -> None:
+    changed = columns(9)
+    left_px = np.linspace(100, 900, 9)
+    changed |= {"x1_px": left_px, "y1_px": np.full(9, 10.0), "x2_px": left_px + 50, "y2_px": np.full(9, 60.0)}
+    changed["x_m"] = (left_px + 25 - 600) / 1000 * changed["fused_m"]
+    text = report_page(summary(), changed)
+    page = Page(text)
+    assert 'id="road"' in text
+    assert page.content["camera"]["focal_px"] == pytest.approx(1000, abs=0.1)
+    assert page.content["tracks"][0]["x"].startswith("-1900,")
+    assert [method["name"] for method in page.content["methods"]] == ["mono", "stereo", "fused"]
+    assert 'id="road"' not in report_page(summary(), columns(9))
 
 
 def test_run_without_tracks_or_figures() -> None:

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
+from track_range.events.event import Event
 from track_range.overlay.colours import method_colours
 from track_range.report.comparison import ComparedRun
 from track_range.report.page import write_comparison, write_report
@@ -65,7 +66,20 @@ def rows(*lengths: int, name: str = "car", truth: bool = True, from_s: float = 0
     }
     for method, factor in (("mono", 1.1), ("stereo", 0.99), ("sgbm", 1.01)):
         changed |= {f"{method}_m": (60.0 - number) * factor, f"{method}_sigma_m": np.full(n, 1.0)}
+    u_px = 300 + 20 * number + 100 * changed["track_id"]  # at f = 1000 px and cx = 600 px
+    changed |= {"x1_px": u_px - 20, "y1_px": np.full(n, 100.0), "x2_px": u_px + 20, "y2_px": np.full(n, 140.0)}
+    changed |= {"x_m": (u_px - 600) / 1000 * changed["fused_m"], "ttc_s": np.where(number > 0, 5.0, np.nan)}
     return changed | ({"truth_m": 60.0 - number} if truth else {})
+
+
+def event(kind: Any, start_s: float, end_s: float, **changes: Any) -> Event:
+    values: dict[str, Any] = {"kind": kind, "start_s": start_s, "peak_s": end_s, "end_s": end_s, "warning_s": start_s}
+    values |= {"frame": round(end_s / STEP_S), "track_id": 1, "class_name": "car", "min_distance_m": 40.0}
+    values |= {"min_distance_sigma_m": 0.5, "min_ttc_s": 2.0, "closing_mps": 6.0, "ego_mps": 14.0}
+    return Event(**{**values, "probability": 0.8, "reason": EVIL, "headway_s": 1.5, **changes})
+
+
+EVENTS = (event("forward_collision", 0.5, 0.9), event("cut_in", 1.2, 1.6, track_id=2), event("near_miss", 2.0, 2.2))
 
 
 def summary(**more: Any) -> dict[str, Any]:
@@ -96,7 +110,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with VideoWriter(folder / "overlay.mp4", width_px=320, height_px=180, fps=1 / STEP_S) as video:
         for number in range(N_FRAMES):
             video.write(np.full((180, 320, 3), 10 * number, np.uint8), number * STEP_S)
-    write_report(folder / "report.html", summary(), rows(N_FRAMES, 12))
+    write_report(folder / "report.html", summary(), rows(N_FRAMES, 12), EVENTS)
     return folder
 
 
@@ -216,6 +230,138 @@ def test_timeline_and_play_button(page_of: Callable[..., Any], run: Path) -> Non
     page.wait_for_function("() => document.getElementById('play').textContent === 'Pause'")
     play.press("Enter")
     page.wait_for_function("() => document.getElementById('play').textContent === 'Play'")
+
+
+def shown_time(page: Any) -> float:
+    return float(page.locator("#road-view > svg").get_attribute("data-time"))
+
+
+def wait_until(page: Any, time_s: float) -> None:
+    """Wait until the video, the bird's-eye view and the timeline are at a time."""
+    page.wait_for_function(
+        f"() => Math.abs(document.getElementById('video').currentTime - {time_s}) < 0.06"
+        f" && Math.abs(document.querySelector('#road-view > svg').dataset.time - {time_s}) < 0.06"
+        f" && Math.abs(document.getElementById('timeline').ariaValueNow - {time_s}) < 0.06"
+    )
+
+
+def test_click_on_an_event_jumps_to_it(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html")
+    wait_for_video(page)
+    buttons = page.locator("#events .event")
+    assert buttons.count() == 3
+    for number, time_s in ((1, 1.2), (0, 0.5), (2, 2.0)):
+        buttons.nth(number).click()
+        wait_until(page, time_s)
+        wait_for_video(page)
+        assert abs(frame_shown(page) - time_s / STEP_S) < 0.5
+        assert buttons.nth(number).get_attribute("aria-current") == "true"
+    assert page.locator("#events .event[aria-current]").count() == 1
+    page.locator(".event-mark").nth(0).click()
+    wait_until(page, 0.5)
+    page.locator("#next").click()
+    wait_until(page, 1.2)
+    page.locator("#previous").click()
+    wait_until(page, 0.5)
+
+
+def test_keys_in_the_list_of_events(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html")
+    wait_for_video(page)
+    page.locator("#events .event").first.focus()
+    focused = "() => [...document.querySelectorAll('.event')].indexOf(document.activeElement)"
+    for key, index in (("ArrowDown", 1), ("ArrowDown", 2), ("ArrowDown", 2), ("ArrowUp", 1), ("Home", 0), ("End", 2)):
+        page.keyboard.press(key)
+        assert page.evaluate(focused) == index
+    page.keyboard.press("Enter")
+    wait_until(page, 2.0)
+    assert page.evaluate("() => document.querySelectorAll('.event[tabindex=\"0\"]').length") == 1
+
+
+def test_focus_order_and_visible_focus(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html")
+    wait_for_video(page)
+    names = []
+    for _ in range(60):
+        page.keyboard.press("Tab")
+        names.append(page.evaluate("() => document.activeElement.id || document.activeElement.classList[0] || ''"))
+        if names[-1] == "event":
+            break
+    order = [names.index(name) for name in ("skip", "theme", "headline", "zoom-in", "play", "timeline", "event")]
+    assert order == sorted(order)
+    assert page.evaluate("() => parseFloat(getComputedStyle(document.activeElement).outlineWidth)") >= 2
+
+
+def test_birds_eye_view_follows_the_video(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html")
+    wait_for_video(page)
+    dot = "() => +document.querySelector('.user[data-track=\"1\"] .dot').getAttribute('cy')"
+    wait_until(page, 0.0)
+    before = page.evaluate(dot)
+    assert page.locator(".user .sigma-area").count() == 2
+    page.evaluate("() => document.getElementById('video').play()")
+    page.wait_for_function("() => document.getElementById('video').currentTime > 0.5")
+    page.evaluate("() => document.getElementById('video').pause()")
+    page.wait_for_timeout(200)
+    assert shown_time(page) == pytest.approx(
+        page.evaluate("() => document.getElementById('video').currentTime"), abs=0.06
+    )
+    assert page.evaluate(dot) > before
+    assert page.locator(".user .course").count() > 0
+    assert page.locator(".user .trail").first.get_attribute("d").count("L") >= 4
+    assert "car 1" in page.locator("#road-view > svg").get_attribute("aria-label")
+    page.locator("#zoom-in").click()
+    nearer = page.evaluate(dot)
+    page.locator("#zoom-out").click()
+    assert page.evaluate(dot) != nearer
+    page.locator("#timeline").press("End")
+    page.wait_for_function("() => document.querySelectorAll('.user').length === 1")  # the other track has ended
+
+
+def test_link_to_a_moment(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html")
+    page.goto((run / "report.html").as_uri() + "#t=1.5")
+    wait_until(page, 1.5)
+    page.locator(".headline[data-time]").last.click()
+    page.wait_for_function("() => Math.abs(document.querySelector('#road-view > svg').dataset.time - 1.5) > 0.05")
+
+
+def test_run_without_video_plays(page_of: Callable[..., Any], tmp_path: Path) -> None:
+    write_report(tmp_path / "report.html", summary(files={}), rows(N_FRAMES, 12), EVENTS)
+    page = page_of(tmp_path / "report.html")
+    page.locator("#events .event").nth(1).click()
+    page.wait_for_function("() => document.querySelector('#road-view > svg').dataset.time === '1.200'")
+    page.locator("#play").press("Enter")
+    page.wait_for_function("() => document.querySelector('#road-view > svg').dataset.time > 1.5")
+    page.wait_for_function("() => document.getElementById('play').textContent === 'Play'")  # at the end
+    assert shown_time(page) == pytest.approx(2.5, abs=0.01)
+
+
+def test_small_video_beside_the_charts(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html")
+    wait_for_video(page)
+    mini = page.locator("#mini")
+    assert "small" not in str(mini.get_attribute("class"))
+    page.locator("#track-list figure").last.scroll_into_view_if_needed()
+    page.locator("#mini.small").wait_for()
+    page.get_by_role("button", name="Close the small video").click()
+    page.wait_for_function("() => !document.getElementById('mini').classList.contains('small')")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width_px", [360, 1280])
+def test_first_screen_contains_its_parts(page_of: Callable[..., Any], run: Path, width_px: int, scheme: Any) -> None:
+    page = page_of(run / "report.html", viewport={"width": width_px, "height": 800}, color_scheme=scheme)
+    wait_for_video(page)
+    boxes = {name: page.locator(f"#{name}").bounding_box() for name in ("video", "timeline", "road", "events")}
+    assert all(box["x"] >= 0 and box["x"] + box["width"] <= width_px for box in boxes.values())
+    assert boxes["video"]["y"] + boxes["video"]["height"] <= boxes["timeline"]["y"]
+    if width_px > 1000:
+        assert boxes["road"]["x"] > boxes["video"]["x"] + boxes["video"]["width"]
+        assert boxes["events"]["y"] < 800
+    else:
+        assert boxes["timeline"]["y"] < 800
+    assert page.evaluate("() => document.documentElement.scrollWidth") == width_px
 
 
 def test_unneeded_controls_are_hidden(page_of: Callable[..., Any], run: Path) -> None:
