@@ -28,13 +28,13 @@ MIN_IOU = 0.3
 """Smallest median IoU of the boxes of matching events."""
 
 _DISTANCE_SHARE, _DISTANCE_M = 0.2, 2.0
-"""Largest difference of the distances of matching events without common frames: a share of the larger, and metres."""
+"""Largest difference of the distances of matching events without common frames: relative, and in metres."""
 
 _CHANGED_S, _CHANGED_SIGMA = 0.2, 1.0
 """Differences that are listed: times in s, and distances in their joint standard deviation."""
 
 _CHANGED_SHARE = 0.1
-"""Difference of distances without a standard deviation that is listed, as a share of the larger."""
+"""Relative difference of distances without a standard deviation that is listed."""
 
 
 @dataclass(frozen=True, slots=True)

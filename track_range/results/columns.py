@@ -29,7 +29,7 @@ MAX_COLUMNS = 1000
 MAX_CLASS = 200
 """Largest number of characters of a class name that is read."""
 
-NOT_METHODS = ("truth", "scored_truth", "x", "y")
+NOT_METHODS = ("truth", "scored_truth", "x", "y", "path_offset")
 """Names NAME of columns NAME_m that are not the distance of a method."""
 
 ColumnKind = Literal["number", "whole", "flag", "class"]

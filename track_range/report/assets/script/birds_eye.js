@@ -2,7 +2,7 @@
 
 const EGO_HALF_WIDTH_M = 0.9; // as in the collision course of the program
 const TRAIL_S = 3, COURSE_S = 4;
-const TTC_AMBER_S = 4, TTC_RED_S = 2; // as in the overlay
+const TTC_AMBER_S = 4, TTC_RED_S = 2, AMBER_PROBABILITY = 0.25; // as in the overlay
 const RANGES_M = [15, 30, 60, 90, 120, 180];
 const MAX_ON_ROAD = 40, MAX_LABELS = 8;
 
@@ -20,16 +20,17 @@ function positionAt(track, row) {
 
 // Course of a track relative to the camera: time to collision, offset there and its sigma, and whether it may hit.
 function courseAt(track, row) {
-  const { ttc, pass, pass_s, w } = series(track);
+  const { ttc, pass, pass_s, w, p } = series(track);
   if (!ttc || !Number.isFinite(ttc[row]) || !pass || !Number.isFinite(pass[row])) return null;
   const sigma = Number.isFinite(pass_s[row]) ? pass_s[row] : 0;
-  const mayHit = Math.abs(pass[row]) <= EGO_HALF_WIDTH_M + w[row] / 2 + sigma;
+  const isKnown = p && Number.isFinite(p[row]);
+  const mayHit = isKnown ? p[row] >= AMBER_PROBABILITY : Math.abs(pass[row]) <= EGO_HALF_WIDTH_M + w[row] / 2 + sigma;
   return { ttc: ttc[row], offset: pass[row], sigma, mayHit };
 }
 
 function alarmOf(track, row, course) {
-  const { warning } = series(track);
-  if (warning) return warning[row] > 0 ? "red" : "";
+  const { warning, p } = series(track);
+  if (warning) return warning[row] > 0 ? "red" : p && p[row] >= AMBER_PROBABILITY ? "amber" : "";
   if (!course || !course.mayHit) return "";
   return course.ttc < TTC_RED_S ? "red" : course.ttc < TTC_AMBER_S ? "amber" : "";
 }

@@ -53,7 +53,7 @@ function series(track) {
     unpackedTracks.set(track, {
       t, m: inMetres(track.m), s: inMetres(track.s), truth: unpack(track.truth, 100), closing: unpack(track.closing, 10),
       x: unpack(track.x, 100), w: unpack(track.w, 100), ttc: unpack(track.ttc, 100), pass: unpack(track.pass, 100),
-      pass_s: unpack(track.pass_s, 100), warning: unpack(track.warning, 1),
+      pass_s: unpack(track.pass_s, 100), p: unpack(track.p, 100), warning: unpack(track.warning, 1),
       isBreak: (i) => i > 0 && t[i] - t[i - 1] > longest_s,
     });
   }
@@ -85,7 +85,7 @@ function detailOf(track) {
 }
 
 function wordsAt(track, row) {
-  const { t, m, s, truth, closing } = series(track);
+  const { t, m, s, truth, closing, p } = series(track);
   const words = [[`${t[row].toFixed(2)} s`, ""]];
   for (const { name } of shownMethods()) {
     const value = m[name] ? m[name][row] : NaN;
@@ -94,6 +94,7 @@ function wordsAt(track, row) {
   }
   if (truth && Number.isFinite(truth[row])) words.push(["truth", `${truth[row].toFixed(1)} m`]);
   if (closing && Number.isFinite(closing[row])) words.push(["closing", `${closing[row].toFixed(1)} m/s`]);
+  if (p && Number.isFinite(p[row]) && p[row] >= 0.01) words.push(["contact", `${(100 * p[row]).toFixed(0)} %`]);
   if (track.observed && track.observed[row] === "0") words.push(["predicted box", ""]);
   return words;
 }
