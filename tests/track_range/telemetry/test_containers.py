@@ -194,6 +194,12 @@ def test_free_gps_encrypted_positions(read: Callable[[bytes], TelemetryTrack | N
     assert len(usable(track)) == 9
 
 
+def test_free_gps_unknown_layout(read: Callable[[bytes], TelemetryTrack | None]) -> None:
+    with pytest.raises(TelemetryError, match=r"video\.mp4.*layout"):
+        read(mp4([VIDEO], between=free_gps(b"another layout" * 20)))
+    assert read(mp4([VIDEO], between=free_gps(b""))) is None
+
+
 def test_free_gps_between_frames(read: Callable[[bytes], TelemetryTrack | None]) -> None:
     track = read(mp4([VIDEO], between=free_gps(long_record())))
     assert track is not None

@@ -35,12 +35,13 @@ READERS: tuple[Callable[[BinaryIO, Movie, Path], TelemetryTrack | None], ...] = 
 
 
 def embedded(path: Path) -> TelemetryTrack | None:
-    """Telemetry inside a video file; None = it has none in a known format.
+    """Telemetry inside a video file; None = it has none.
 
     The first reader with a fix is used; without any fix, the first with samples. Damaged parts are left out.
 
     Raises:
-        TelemetryError: the file cannot be read, or a package that reads its telemetry is not installed.
+        TelemetryError: the file cannot be read, its telemetry has an unknown layout, or a package that reads it is not
+            installed.
     """
     with open_regular(path, TelemetryError, "a video") as file, readable(path, TelemetryError):
         start = read_at(file, 0, 1024)
@@ -53,13 +54,18 @@ def embedded(path: Path) -> TelemetryTrack | None:
 
 
 def _first_with_fix(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:
-    without_fix = None
+    without_fix, problem = None, None
     for read in READERS:
         try:
             telemetry = read(file, movie, path)
         except (ValueError, IndexError, OverflowError, struct.error):  # damaged in a way that no check foresees
             continue
+        except TelemetryError as error:
+            problem = problem or error
+            continue
         if telemetry and np.isfinite(telemetry.speed_mps).any():
             return telemetry
         without_fix = without_fix or telemetry
+    if without_fix is None and problem is not None:
+        raise problem
     return without_fix

@@ -91,8 +91,9 @@ class Movie:
 
     @property
     def video(self) -> Track | None:
-        """The first video track with samples."""
-        return next((track for track in self.tracks if track.handler == b"vide" and len(track)), None)
+        """The video track with most samples: thumbnails are tracks, too."""
+        videos = [track for track in self.tracks if track.handler == b"vide" and len(track)]
+        return max(videos, key=len, default=None)
 
     @property
     def start_s(self) -> float:

@@ -134,23 +134,35 @@ def _next_sync(content: bytes, start: int, n_bytes: int, offset: int) -> int:
 
 def _read(packets: npt.NDArray[np.uint8], scan: _Scan) -> None:
     """Add the frames and private data of packets to a scan."""
-    pids = (packets[:, 1].astype(np.int32) & 0x1F) << 8 | packets[:, 2]
-    is_start = (packets[:, 1] & 0x40) > 0
-    has_payload = (packets[:, 3] & 0x10) > 0
-    starts = np.where((packets[:, 3] & 0x20) > 0, 5 + packets[:, 4].astype(np.int32), 4)
-    is_pes = is_start & has_payload & (starts <= 188 - 6)
-    stream_ids = packets[np.arange(len(packets)), np.minimum(starts + 3, 187)]
-    is_private = is_pes & np.isin(stream_ids, (_PRIVATE_1, _PRIVATE_2))
-    scan.pids.update(np.unique(pids[is_private]).tolist())
-    is_video = is_pes & (stream_ids & 0xF0 == 0xE0)
-    is_own = has_payload & (starts < 188) & np.isin(pids, list(scan.pids))
-    for index in np.flatnonzero(is_video | is_own).tolist():
-        payload = packets[index, starts[index] :].tobytes()
-        is_header = is_pes[index] and payload[:3] == b"\0\0\1"
+    pids = (packets[:, 1] & 0x1F).astype(np.uint16) << 8 | packets[:, 2]
+    control = packets[:, 3]
+    has_payload = (control & 0x10) > 0
+    heads = np.flatnonzero(has_payload & ((packets[:, 1] & 0x40) > 0))
+    places = _payload_starts(packets[heads])
+    heads, places = heads[places <= 188 - 6], places[places <= 188 - 6]
+    stream_ids = packets[heads, places + 3]
+    is_private = np.isin(stream_ids, (_PRIVATE_1, _PRIVATE_2))
+    scan.pids.update(np.unique(pids[heads[is_private]]).tolist())
+    is_private_pid = np.zeros(1 << 13, bool)
+    is_private_pid[list(scan.pids)] = True
+    is_own = is_private_pid[pids]
+    is_video = np.zeros(len(packets), bool)
+    is_video[heads[stream_ids & 0xF0 == 0xE0]] = True
+    is_head = np.zeros(len(packets), bool)
+    is_head[heads] = True
+    for index in np.flatnonzero(is_video | (is_own & has_payload)).tolist():
+        start = int(_payload_starts(packets[index : index + 1])[0])
+        payload = packets[index, start:].tobytes()
+        is_header = bool(is_head[index]) and payload[:3] == b"\0\0\1"
         if is_header and is_video[index]:
             _frame(payload, scan)
         elif is_own[index]:
             _private(int(pids[index]), payload, is_header, scan)
+
+
+def _payload_starts(packets: npt.NDArray[np.uint8]) -> npt.NDArray[np.int64]:
+    """(N,) where the payloads of packets start, after the adaptation field if there is one."""
+    return np.where((packets[:, 3] & 0x20) > 0, 5 + packets[:, 4].astype(np.int64), 4)
 
 
 def _frame(payload: bytes, scan: _Scan) -> None:

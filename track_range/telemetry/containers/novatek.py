@@ -26,6 +26,7 @@ from track_range.telemetry.containers.samples import (
     in_known_unit,
     track,
 )
+from track_range.telemetry.errors import TelemetryError
 from track_range.telemetry.sidecars.units import MPS_PER_UNIT
 from track_range.telemetry.track import TelemetryTrack
 
@@ -136,6 +137,12 @@ def track_of_blocks(blocks: Sequence[bytes], times_s: FloatArray, path: Path) ->
         blocks: boxes from their 4 bytes of size on.
         times_s: (N,) times of the boxes in the video.
         path: the file, for messages.
+
+    Returns:
+        None if the boxes are empty.
+
+    Raises:
+        TelemetryError: the layout is unknown, or pynmea2 is missing.
     """
     plain = [_deciphered(block) for block in blocks]
     if any(map(has_rmc, plain)):
@@ -144,6 +151,8 @@ def track_of_blocks(blocks: Sequence[bytes], times_s: FloatArray, path: Path) ->
     records = [parse_free_gps(block) for block in blocks]
     known = [record for record in records if record]
     if not known:
+        if any(any(block[16:0x80]) for block in blocks):  # without a receiver, boxes are empty
+            raise TelemetryError(f"{path}: its freeGPS records have an unknown layout; export them as GPX.")
         return None
     unit: Unit = max((record.unit for record in known), key=("known", "assumed", "unknown").index)
     samples = _timed((record.samples if record else () for record in records), times_s)
