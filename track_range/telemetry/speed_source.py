@@ -104,6 +104,8 @@ def open_speed(
         return SpeedSource()
     reader = recording.inputs.left
     parts = () if isinstance(reader, LiveReader) else reader.parts
+    if (utc := recording.start_utc) is not None:
+        parts = tuple(replace(part, utc=utc.shifted(part.start_s)) for part in parts)
 
     def motion() -> MotionSeries:
         if isinstance(reader, LiveReader):

@@ -26,9 +26,9 @@ def gpx_text(speeds_mps, *, start_s=START_S, field=None, factor=1.0):
     )
 
 
-def rmc(second, speed_kn, *, status="A", day="030526", course="90.0"):
+def rmc(second, speed_kn, *, status="A", day="030526", course="90.0", hour=10):
     """An RMC sentence at 10:00 and some seconds, with its checksum."""
-    clock = f"10{second // 60:02d}{second % 60:02d}.00"
+    clock = f"{hour}{second // 60:02d}{second % 60:02d}.00"
     content = f"GPRMC,{clock},{status},4807.4074,N,00939.2593,E,{speed_kn},{course},{day},,,A"
     total = 0
     for character in content:
