@@ -260,6 +260,15 @@ def test_hours_of_the_summary(drive):
     assert "summary.json" in figures["notes"][0]
 
 
+def test_contacts_outside_the_processed_part(drive):
+    (drive / "drive/contacts.csv").write_text(f"{CONTACTS}0,car,3.0\n1,car,3.0\n2,truck,3.5\n2,truck,0.2\n")
+    (drive / "run/summary.json").write_text(json.dumps({"events": {"hours": 2 / 3600}, "starts_s": 0.5}))
+    figures = evaluated(drive)
+    assert [row["object_id"] for row in figures["contacts"]] == [0, 1]  # with warnings
+    assert counts(figures["overall"]) == (2, 0, 0)
+    assert any(note.startswith("2 of 4 contacts") for note in figures["notes"])
+
+
 def test_options_and_folder(drive):
     (drive / "run/tracks.csv").rename(drive / "rows.csv")
     (drive / "drive/truth.csv").rename(drive / "labels.csv")

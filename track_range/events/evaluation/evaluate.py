@@ -6,7 +6,8 @@ the run and labelled boxes with closing speeds are known, the errors of the clos
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,9 @@ import numpy as np
 
 from track_range.detection.formats.label_formats import is_blank
 from track_range.events.evaluation.closing import closing_errors
-from track_range.events.evaluation.contacts import COLUMNS, read_contacts
+from track_range.events.evaluation.contacts import COLUMNS, Contact, read_contacts
 from track_range.events.evaluation.objects import LabelledBoxes, objects_by_boxes, objects_by_time, read_boxes
-from track_range.events.evaluation.scores import Scores, contact_scores, event_scores
+from track_range.events.evaluation.scores import Scores, contact_scores, event_scores, is_warning
 from track_range.events.evaluation.settings import EventEvaluationSettings
 from track_range.events.event import Event
 from track_range.events.files import EVENTS_FILE, NEEDED_COLUMNS, EventFileError, read_events
@@ -53,14 +54,15 @@ def evaluate_events(settings: EventEvaluationSettings) -> dict[str, Any]:
     needed = NEEDED_COLUMNS if is_labelled else (*NEEDED_COLUMNS, "warning_s")
     events = read_events(path, needed=needed)
     columns = inputs.columns(settings.tracks)
-    hours = settings.hours if settings.hours is not None else inputs.hours(columns)
+    hours = inputs.hours(columns)
+    hours = hours if settings.hours is None else settings.hours
     if is_labelled:
         labelled = read_events(settings.truth)
         if hours is None:
             hours = inputs.last_hours([*events, *labelled], ())
         scores = event_scores(events, labelled, hours=hours)
         protocol = "labelled events of the same kind and class, at most 1 s apart"
-        return _figures(settings, scores, [*inputs.notes, *_beyond(events, hours, inputs.starts_s)], protocol=protocol)
+        return _figures(settings, scores, [*inputs.notes, *_beyond(events, inputs.last_s)], protocol=protocol)
     contacts = read_contacts(settings.truth)
     if hours is None:
         hours = inputs.last_hours(events, [contact.contact_s for contact in contacts])
@@ -75,8 +77,9 @@ def evaluate_events(settings: EventEvaluationSettings) -> dict[str, Any]:
     else:
         objects, protocol = objects_by_boxes(events, columns, boxes), BY_BOXES
         inputs.notes += _unlabelled(boxes, {contact.object_id for contact in contacts})
-    scores = contact_scores(events, objects, contacts, hours=hours, min_lead_s=settings.min_lead_s)
-    notes = [*inputs.notes, *_beyond(events, hours, inputs.starts_s)]
+    counted_contacts = inputs.seen(contacts, {i for event, i in zip(events, objects, strict=True) if is_warning(event)})
+    scores = contact_scores(events, objects, counted_contacts, hours=hours, min_lead_s=settings.min_lead_s)
+    notes = [*inputs.notes, *_beyond(events, inputs.last_s)]
     closing = {} if columns is None or boxes is None else {"closing": closing_errors(columns, boxes, inputs.vans())}
     return {**_figures(settings, scores, notes, protocol=protocol), "min_lead_s": settings.min_lead_s, **closing}
 
@@ -118,11 +121,10 @@ def _unlabelled(boxes: LabelledBoxes, object_ids: set[int]) -> Iterator[str]:
         )
 
 
-def _beyond(events: Sequence[Event], hours: float | None, starts_s: float) -> Iterator[str]:
+def _beyond(events: Sequence[Event], end_s: float) -> Iterator[str]:
     """Note on events after the end of the video."""
-    end_s = starts_s + 3600 * (hours or 0.0)
     n_beyond = sum(event.start_s > end_s + 1.0 for event in events)
-    if hours is not None and n_beyond:
+    if n_beyond:
         yield (
             f"{n_beyond} of {len(events)} events start after the end of the video at {end_s:.1f} s; check that the "
             "events belong to it."
@@ -138,12 +140,16 @@ class _Inputs:
         drive: folder of the ground truth.
         notes: notes for the user.
         starts_s: time of the first processed frame.
+        ends_s: end of the processed part of the video, from summary.json; inf = unknown.
+        last_s: time after which there are no events: `ends_s`, or that of the last row; inf = unknown.
     """
 
     folder: Path
     drive: Path
     notes: list[str] = field(default_factory=list)
     starts_s: float = 0.0
+    ends_s: float = math.inf
+    last_s: float = math.inf
 
     def columns(self, path: Path | None) -> Columns | None:
         """Rows of the run; None without a file that can be read.
@@ -192,13 +198,28 @@ class _Inputs:
                 hours = _number(summary, "events", "hours")
                 if hours is not None and 0 < hours < _MAX_HOURS:
                     self.starts_s = _number(summary, "starts_s") or 0.0
+                    self.ends_s = self.last_s = self.starts_s + 3600 * hours
                     return hours
         if columns is None or not len(columns["time_s"]):
             return None
         time_s = np.unique(columns["time_s"])
-        self.starts_s = float(time_s[0])
+        self.last_s = float(time_s[-1])
         step_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
         return (float(time_s[-1] - time_s[0]) + step_s) / 3600 or None
+
+    def seen(self, contacts: Sequence[Contact], warned: Container[int | None]) -> list[Contact]:
+        """Contacts in the processed part of the video, and those with a warning on their object; a note on others."""
+        chosen = [
+            contact
+            for contact in contacts
+            if self.starts_s <= contact.contact_s <= self.ends_s or contact.object_id in warned
+        ]
+        if len(chosen) < len(contacts):
+            self.notes.append(
+                f"{len(contacts) - len(chosen)} of {counted(len(contacts), 'contact')} are outside the processed part "
+                f"of the video, {self.starts_s:.1f} to {self.ends_s:.1f} s, and do not count."
+            )
+        return chosen
 
     def last_hours(self, events: Sequence[Event], times_s: Sequence[float]) -> float | None:
         """Time of the last event or contact as the smallest possible duration, with a note; None without any."""
