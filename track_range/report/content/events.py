@@ -40,7 +40,12 @@ def object_words(event: Event) -> str:
 
 
 def event_details(event: Event) -> str:
-    """Measurements of an event in one line; unknown ones are omitted."""
+    """Measurements of an event in one line."""
+    return " · ".join(measurements(event))
+
+
+def measurements(event: Event) -> list[str]:
+    """Measurements of an event in words; unknown ones are omitted."""
     distance = ""
     if math.isfinite(event.min_distance_m):
         sigma = f" ± {event.min_distance_sigma_m:.1f}" if math.isfinite(event.min_distance_sigma_m) else ""
@@ -53,7 +58,7 @@ def event_details(event: Event) -> str:
         f"ego {3.6 * event.ego_mps:.0f} km/h" if math.isfinite(event.ego_mps) else "",
         f"contact {100 * event.probability:.0f} %" if math.isfinite(event.probability) else "",
     ]
-    return " · ".join(part for part in parts if part)
+    return [part for part in parts if part]
 
 
 def time_words(time_s: float) -> str:
@@ -84,7 +89,7 @@ def event_records(events: Sequence[Event]) -> list[dict[str, Any]]:
             "end_s": round(max(event.end_s, event.start_s), 3),
             "warning_s": round(event.warning_s, 3) if math.isfinite(event.warning_s) else None,
             "track_id": event.track_id,
-            "details": event_details(event),
+            "details": measurements(event),
             "reason": event.reason,
         }
         for event in events

@@ -104,13 +104,14 @@ function startControls() {
   video.addEventListener("pointerleave", () => { video.controls = false; });
 }
 
-// While the charts of the tracks are in view and the video is not, it is shown small in a corner.
+// While the events or the charts of the tracks are in view and most of the video is not, it is shown small in a corner.
 function startMini() {
   const [mini, picture, close] = [byId("mini"), byId("picture"), byId("close-mini")];
   const inView = new Map();
   let isClosed = false;
   const update = () => {
-    const isSmall = !isClosed && hasVideo() && inView.get(byId("tracks")) === true && inView.get(picture) === false;
+    const isNeeded = inView.get(byId("tracks")) || inView.get(byId("events"));
+    const isSmall = !isClosed && hasVideo() && isNeeded && inView.get(picture) === false;
     if (isSmall === mini.classList.contains("small")) return;
     if (isSmall) picture.style.minHeight = `${picture.offsetHeight}px`;
     else picture.style.minHeight = "";
@@ -118,12 +119,11 @@ function startMini() {
     close.hidden = !isSmall;
   };
   const observer = new IntersectionObserver((entries) => {
-    for (const { target, isIntersecting } of entries) inView.set(target, isIntersecting);
+    for (const { target, isIntersecting, intersectionRatio } of entries) inView.set(target, target === picture ? intersectionRatio > 0.3 : isIntersecting);
     if (inView.get(picture)) isClosed = false;
     update();
-  });
-  observer.observe(picture);
-  observer.observe(byId("tracks"));
+  }, { threshold: [0, 0.3] });
+  for (const part of [picture, byId("tracks"), byId("events")]) if (part) observer.observe(part);
   close.addEventListener("click", () => {
     isClosed = true;
     update();
