@@ -228,12 +228,8 @@ def _innovv(block: bytes) -> FreeGps | None:
 
 
 def _seventymai(block: bytes) -> FreeGps | None:
-    """70mai A810: status at 0x1E, then coordinates in 1e-5 minutes notation and the speed in km/h; no date."""
-    if not re.match(rb".{12}.{4}\x03\0.{12}[AV].{20}V", block, re.DOTALL) or block[0x33:0x35] not in (
-        b"VV",
-        b"AV",
-        b"AA",
-    ):
+    """70mai A810: status at 0x1E, then coordinates (DDMM.MMMMM as integers) and the speed in km/h; no date."""
+    if not re.match(rb".{16}\x03\0.{12}[AV].{20}[AV][AV]", block, re.DOTALL):
         return None
     latitude, longitude = _int(block, 31) / 1e5, _int(block, 35) / 1e5
     if block[30:31] == b"V":

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from track_range.telemetry.containers.samples import Sample
 from track_range.telemetry.sidecars.nmea import fixes_in
 
-_RMC = re.compile(rb"([A-Z]{2}RMC,[ -#%-)+-~]{6,90}(?:\*[0-9A-Fa-f]{2})?)")
+_RMC = re.compile(rb"([A-Z]{2}RMC,[ -#%-)+-:<-~]{6,90}(?:\*[0-9A-Fa-f]{2})?)")
 """RMC sentence; the dollar sign is missing in some subtitles."""
 
 
