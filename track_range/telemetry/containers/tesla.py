@@ -20,7 +20,7 @@ from track_range.telemetry.containers.samples import MAX_SAMPLES, Sample, track
 from track_range.telemetry.track import TelemetryTrack
 
 SPEED_SIGMA_MPS = 0.1
-"""Standard deviation of the speed: it is that of the wheels, which differs from the true one by the wear of tyres."""
+"""Standard deviation of the speed in m/s, assumed: wheel speeds differ from the true one with the wear of the tyres."""
 
 _SEI_BYTES = 4096
 """Bytes read at the start of a frame; parameter sets and SEI messages come before the picture."""

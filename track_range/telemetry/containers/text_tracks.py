@@ -64,12 +64,12 @@ def _read_track(file: BinaryIO, movie: Movie, part: Track, path: Path) -> Teleme
             reader = _reader(text)
         if reader is None and index >= _PROBED_SAMPLES:
             return None
-        if reader is not None and (reader is not _no_own or has_rmc(text)):
+        if reader is not None and (reader is not _rmc or has_rmc(text)):
             times_s.append(float(part.time_s[index]) - movie.start_s)
             texts.append(text)
     if reader is None:
         return None
-    read = rmc_samples(texts, str(path)) if reader is _no_own else [reader(text) for text in texts]
+    read = rmc_samples(texts, str(path)) if reader is _rmc else [reader(text) for text in texts]
     samples = [sample.at(time_s) for sample, time_s in zip(read, times_s, strict=True) if sample]
     name, unit = _FORMS[reader]
     if movie.video is None:
@@ -93,11 +93,11 @@ def _plain(content: bytes) -> bytes:
 def _reader(text: bytes) -> Callable[[bytes], Sample | None] | None:
     """The reader of the form of a sample; None = unknown."""
     if has_rmc(text):
-        return _no_own
-    return next((form for form in _FORMS if form is not _no_own and form(text) is not None), None)
+        return _rmc
+    return next((form for form in _FORMS if form is not _rmc and form(text) is not None), None)
 
 
-def _no_own(_text: bytes) -> Sample | None:
+def _rmc(_text: bytes) -> Sample | None:
     """None: RMC sentences are read together, by `rmc_samples`."""
     return None
 
@@ -187,7 +187,7 @@ def _rove(text: bytes) -> Sample | None:
 
 
 _FORMS: dict[Callable[[bytes], Sample | None], tuple[str, Unit]] = {
-    _no_own: ("NMEA subtitles", "known"),
+    _rmc: ("NMEA subtitles", "known"),
     _garmin: ("Garmin dashcam", "known"),
     _dji: ("DJI subtitles", "known"),
     parse_ligo_text: ("LIGO GPS", "assumed"),
