@@ -39,6 +39,7 @@ from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.stereo.odometry.speed_filter import SpeedFilter
 
 _TUKEY = 4.685
 """Residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)."""
@@ -86,7 +87,6 @@ class StereoOdometrySettings:
         max_sigma_mps: largest standard deviation of a reliable speed.
         max_relative_sigma: the same as a fraction of the speed; one of the two suffices.
         scale_sigma: relative error of all speeds, from calibration and subpixel bias.
-        max_acceleration_mps2: largest change of the speed per second between two frames.
         max_still_mps: largest speed of a camera at rest.
         max_gap_s: longest time between two frames.
     """
@@ -107,7 +107,6 @@ class StereoOdometrySettings:
     max_sigma_mps: float = 0.5
     max_relative_sigma: float = 0.05
     scale_sigma: float = 0.005
-    max_acceleration_mps2: float = 15.0
     max_still_mps: float = 0.15
     max_gap_s: float = 0.6
 
@@ -179,7 +178,7 @@ class StereoOdometry:
         self._alignment_sigma_px = self._alignment.residual_px / (1 << self._n_halved)
         self._coarse = _CoarseMatcher(self._focal_px * rig.baseline_m / self._settings.nearest_m / 2)
         self._before: _View | None = None
-        self._last_mps: tuple[float, float] | None = None  # time and speed
+        self._filter = SpeedFilter()
         self._motion = AT_REST
         self._rng = np.random.default_rng(0)
 
@@ -246,7 +245,7 @@ class StereoOdometry:
         is_tracked[is_tracked] = ~are_masked(points[is_tracked], is_masked)
         self._motion = AT_REST
         if is_tracked.sum() < settings.min_features:
-            return EgoMotion()
+            return self._unknown(now.time_s, dt_s)
         fit = fit_motion(
             rays[is_tracked],
             inverse_depth[is_tracked],
@@ -256,28 +255,27 @@ class StereoOdometry:
             rng=self._rng,
         )
         if fit.is_static.sum() < settings.min_features or fit.is_static.mean() < settings.min_static_share:
-            return EgoMotion()
+            return self._unknown(now.time_s, dt_s)
         return self._checked(fit, now.time_s, dt_s)
 
     def _checked(self, fit: MotionFit, time_s: float, dt_s: float) -> EgoMotion:
-        """Speed and yaw rate of a motion; unknown if it is uncertain or implausible."""
+        """Filtered speed and yaw rate of a motion; unknown if it is uncertain."""
         settings = self._settings
         forward_m = -float(fit.motion.rotation[:, 2] @ fit.motion.translation_m)  # z of the displacement -R^T t
-        speed_mps = forward_m / dt_s
+        speed_mps, sigma_mps = forward_m / dt_s, math.sqrt(fit.covariance[5, 5]) / dt_s
         offset = self._alignment_sigma_px / (self._focal_px * self._rig.baseline_m)
-        sigma_mps = math.hypot(
-            math.sqrt(fit.covariance[5, 5]) / dt_s, fit.by_offset[5] * offset / dt_s, settings.scale_sigma * speed_mps
-        )
+        systematic_mps = math.hypot(fit.by_offset[5] * offset / dt_s, settings.scale_sigma * speed_mps)
         if not sigma_mps <= max(settings.max_sigma_mps, settings.max_relative_sigma * abs(speed_mps)):
-            return EgoMotion()
-        last, self._last_mps = self._last_mps, (time_s, speed_mps)
-        if last is not None and time_s - last[0] <= settings.max_gap_s:
-            limit_mps = settings.max_acceleration_mps2 * (time_s - last[0]) + 3 * sigma_mps
-            if abs(speed_mps - last[1]) > limit_mps:
-                return EgoMotion()
+            return self._unknown(time_s, dt_s)
         self._motion = fit.motion
+        filtered_mps, filtered_sigma_mps = self._filter.update(time_s, dt_s, speed_mps, sigma_mps, systematic_mps)
         yaw_rad = -float(cv2.Rodrigues(fit.motion.rotation)[0][1, 0])
-        return EgoMotion(speed_mps, sigma_mps, yaw_rad / dt_s, abs(speed_mps) <= settings.max_still_mps)
+        is_still = abs(speed_mps) <= settings.max_still_mps
+        return EgoMotion(filtered_mps, filtered_sigma_mps, yaw_rad / dt_s, is_still)
+
+    def _unknown(self, time_s: float, dt_s: float) -> EgoMotion:
+        """The motion after an interval without a measurement: the predicted speed, for a short time."""
+        return EgoMotion(*self._filter.update(time_s, dt_s, math.nan, math.nan, math.nan))
 
     def _rays(self, points: FloatArray32) -> FloatArray:
         """(N, 3) rays of points (N, 2) of the small image."""
