@@ -84,6 +84,7 @@ class StereoOdometrySettings:
         nearest_m: nearest point of the scene; sets the largest disparity.
         min_features: minimum number of static corners.
         min_static_share: minimum fraction of static corners among those tracked with a disparity.
+        max_noise_factor: largest ratio of the residuals to those expected.
         max_sigma_mps: largest standard deviation of a reliable speed.
         max_relative_sigma: the same as a fraction of the speed; one of the two suffices.
         scale_sigma: relative error of all speeds, from calibration and subpixel bias.
@@ -104,6 +105,7 @@ class StereoOdometrySettings:
     nearest_m: float = 3.2
     min_features: int = 20
     min_static_share: float = 0.35
+    max_noise_factor: float = 5.0
     max_sigma_mps: float = 0.5
     max_relative_sigma: float = 0.05
     scale_sigma: float = 0.005
@@ -142,12 +144,14 @@ class MotionFit(NamedTuple):
         covariance: (6, 6) of rotation and translation.
         by_offset: (6,) change of rotation and translation per common error of all inverse depths, in 1/m.
         is_static: (N,) which points agree with it.
+        noise_factor: ratio of the residuals to those expected, at least 1.
     """
 
     motion: RigidMotion
     covariance: FloatArray
     by_offset: FloatArray
     is_static: BoolArray
+    noise_factor: float
 
 
 class StereoOdometry:
@@ -265,6 +269,8 @@ class StereoOdometry:
         speed_mps, sigma_mps = forward_m / dt_s, math.sqrt(fit.covariance[5, 5]) / dt_s
         offset = self._alignment_sigma_px / (self._focal_px * self._rig.baseline_m)
         systematic_mps = math.hypot(fit.by_offset[5] * offset / dt_s, settings.scale_sigma * speed_mps)
+        if fit.noise_factor > settings.max_noise_factor:
+            return self._unknown(time_s, dt_s)
         if not sigma_mps <= max(settings.max_sigma_mps, settings.max_relative_sigma * abs(speed_mps)):
             return self._unknown(time_s, dt_s)
         self._motion = fit.motion
@@ -342,7 +348,9 @@ def fit_motion(
         motion = RigidMotion(_rotation(step[:3]) @ motion.rotation, motion.translation_m + step[3:])
     by_offset = np.asarray(-np.linalg.solve(information, np.einsum("ajn,an->j", weighted, by_depth)), np.float64)
     covariance = np.asarray(np.linalg.inv(information) * spread2, np.float64)
-    return MotionFit(motion, covariance, by_offset, np.asarray(distance2 <= _MAX_DISTANCE2 * spread2))
+    return MotionFit(
+        motion, covariance, by_offset, np.asarray(distance2 <= _MAX_DISTANCE2 * spread2), math.sqrt(spread2)
+    )
 
 
 def _rotation(vector: FloatArray) -> FloatArray:

@@ -16,7 +16,11 @@ from track_range.run.pipeline.pipeline import LIVE_DEPTHS, Pipeline, QueueDepths
 from track_range.run.settings import RunSettings
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.odometry.ego_motion import Odometry
+from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
+from track_range.stereo.odometry.stereo_odometry import StereoOdometry
+from track_range.telemetry.speed_source import AUTO
 from track_range.tracking.registry import create_tracker
 from track_range.tracking.tracker import Tracker
 from track_range.video.pairs.uncalibrated import ASSUMED_BASELINE_M
@@ -58,7 +62,7 @@ def open_pipeline(
         boxes: source of the detections.
         size_model: size model of the mono method.
         tracker: replaces the tracker of the settings.
-        ego_speed: speed of the camera; None = unknown.
+        ego_speed: speed of the camera; None = unknown, and measured from the images where a scale is known.
 
     Raises:
         ModelError: the re-identification or lane network cannot be used.
@@ -91,9 +95,19 @@ def open_pipeline(
         rangers=create_rangers(context),
         lane_finder=open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None,
         ego_speed=ego_speed,
+        odometry=_odometry(context) if settings.ego_speed == AUTO and ego_speed is None else None,
         image_motion=ImageMotionEstimator(source.camera),
         warning=CollisionWarning(settings.warning_settings),
         shared_sigma=context.focal_sigma,
         depths=LIVE_DEPTHS if source.inputs.live is not None else QueueDepths(),
         notes=(*appearance_notes, *method_notes()),
     )
+
+
+def _odometry(context: MethodContext) -> Odometry | None:
+    """Odometry of a calibrated pair, or of a camera at a known height; None = no scale is known."""
+    if context.rig is not None:
+        return StereoOdometry(context.rig, context.alignment)
+    if context.camera_height_m is not None:
+        return GroundOdometry(context.camera, context.camera_height_m)
+    return None

@@ -149,7 +149,7 @@ class RunSession:
     def notes(self) -> list[str]:
         """Messages for the user so far; more may follow during the run."""
         has_results = bool(self.frame_index)
-        finder, ego = self.pipeline.lane_finder, self.pipeline.ego_speed
+        finder, ego, odometry = self.pipeline.lane_finder, self.pipeline.ego_speed, self.pipeline.odometry
         lanes = () if finder is None else finder.notes
         speed = ego.note(self.last_s) if ego is not None and has_results else None
         boxes = self.boxes.notes()
@@ -170,6 +170,7 @@ class RunSession:
             *(note for note in self.pipeline.notes if note not in (*boxes, *lanes)),
             *lanes,
             *([] if speed is None else [speed]),
+            *([] if odometry is None else [f"Ego speed from {odometry.source}; --ego-speed off ignores it."]),
             *self.meter.notes,
         ]
         return [self._without_paths(note) for note in notes] if self.settings.anonymize else notes
@@ -228,7 +229,9 @@ class RunSession:
             "frames": n_frames,
             "starts_s": round(self.starts_s, 6),
             "utc": None if source.utc is None else source.utc.summary(),
-            "ego_speed": self.speed.summary(np.array(self.ego_mps)),
+            "ego_speed": self.speed.summary(
+                np.array(self.ego_mps), None if self.pipeline.odometry is None else self.pipeline.odometry.source
+            ),
             "wall_s": round(self.wall_s, 3),
             "frames_per_s": round(n_frames / self.wall_s, 3) if self.wall_s > 0 else None,
             "stages_ms": stage_times_ms(self.pipeline.clock.busy_s, n_frames),

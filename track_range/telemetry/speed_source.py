@@ -57,17 +57,18 @@ class SpeedSource:
     offset: TimeOffset | None = None
     track: TelemetryTrack | None = None
 
-    def summary(self, ego_mps: FloatArray) -> dict[str, Any] | None:
+    def summary(self, ego_mps: FloatArray, odometry: str | None = None) -> dict[str, Any] | None:
         """Section `ego_speed` of summary.json; None = the speed is unknown.
 
         Args:
             ego_mps: (N,) speed at the N frames of the run, NaN = unknown.
+            odometry: method that measured the speed from the images; None = none did.
         """
-        if self.ego is None:
+        if self.ego is None and odometry is None:
             return None
         known = ego_mps[np.isfinite(ego_mps)]
         return {
-            "source": self.ego.source,
+            "source": odometry if self.ego is None else self.ego.source,
             "offset_s": None if self.offset is None else round(self.offset.offset_s, 3),
             "offset_sigma_s": None if self.offset is None else round(self.offset.sigma_s, 3),
             "is_offset_applied": self.offset is not None and self.offset.is_certain,

@@ -36,6 +36,7 @@ from track_range.run.pipeline.prefetch import prefetch
 from track_range.run.pipeline.stage_clock import StageClock
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.ego_motion import EgoMotion, Odometry
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.tracking.registry import checked_tracks
 from track_range.tracking.tracker import Tracker
@@ -89,7 +90,8 @@ class Pipeline:
         candidates: returns all boxes of the frame passed to `detect` before; None = not needed.
         rangers: ranging methods by name, in the order of execution (`registry.create_rangers`).
         lane_finder: detects the lines of the ego lane; None = off.
-        ego_speed: speed of the camera; None = unknown.
+        ego_speed: speed of the camera from telemetry or a setting; None = unknown.
+        odometry: measures the motion of the camera, where `ego_speed` is None; None = off.
         image_motion: yaw rate of the camera, for the path of the ego vehicle; None = unknown.
         warning: collision warning.
         shared_sigma: relative error shared by all methods, from an uncalibrated focal length.
@@ -105,6 +107,7 @@ class Pipeline:
     candidates: Callable[[Frame], Detections] | None = None
     lane_finder: LaneFinder | None = None
     ego_speed: EgoSpeed | None = None
+    odometry: Odometry | None = None
     image_motion: ImageMotionEstimator | None = None
     warning: CollisionWarning = field(default_factory=CollisionWarning)
     shared_sigma: float = 0.0
@@ -146,8 +149,8 @@ class Pipeline:
         """Result of one frame from its lane lines and boxes; frames must be passed in order."""
         tracks = self._tracks(frame, detections)
         ranges = self._ranges(frame, lanes, tracks)
-        ego_mps, ego_sigma_mps = self._ego_motion(frame.time_s)
-        yaw_rad_s = self._yaw_rad_s(frame, detections)
+        ego = self._ego_motion(frame, detections)
+        ego_mps, yaw_rad_s = ego.speed_mps, ego.yaw_rad_s
         with self.clock.stage("fuse"):
             motion = self._fused_motion(frame, tracks, ranges, ego_mps)
             own_mps = motion.state.v + ego_mps if math.isfinite(ego_mps) else 0.0
@@ -173,7 +176,7 @@ class Pipeline:
                 ),
                 candidates=candidates,
                 ego_mps=ego_mps,
-                ego_sigma_mps=ego_sigma_mps,
+                ego_sigma_mps=ego.speed_sigma_mps,
             )
 
     def _with_lanes(self, frames: Iterable[Frame]) -> Iterable[tuple[Frame, LaneLines | None]]:
@@ -218,11 +221,15 @@ class Pipeline:
         self._lanes = lanes
         return ranges
 
-    def _ego_motion(self, time_s: float) -> tuple[float, float]:
-        """Speed of the camera in m/s and its standard deviation; NaN = unknown."""
-        if self.ego_speed is None:
-            return math.nan, math.nan
-        return self.ego_speed.at(time_s), self.ego_speed.sigma_at(time_s)
+    def _ego_motion(self, frame: Frame, detections: Detections) -> EgoMotion:
+        """Speed and yaw rate of the camera, NaN = unknown."""
+        if self.odometry is not None:
+            with self.clock.stage("motion"):
+                return self.odometry.update(frame, detections.xyxy_px)
+        speed, yaw_rad_s = self.ego_speed, self._yaw_rad_s(frame, detections)
+        if speed is None:
+            return EgoMotion(yaw_rad_s=yaw_rad_s)
+        return EgoMotion(speed.at(frame.time_s), speed.sigma_at(frame.time_s), yaw_rad_s)
 
     def _yaw_rad_s(self, frame: Frame, detections: Detections) -> float:
         """Yaw rate of the camera, positive = to the right; NaN = unknown."""

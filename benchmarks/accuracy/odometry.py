@@ -1,0 +1,167 @@
+"""Odometry: error of the camera's speed measured from the images, by stereo and by one camera with known height.
+
+Protocol: simulated drives at 10 frames per second with exact boxes of road users; seeds 0-9 are for settings, 100-109 for
+judgement. Real drives: KITTI 0003 with its timestamps against oxts, and KITTI odometry (grey) against its poses, without
+boxes and without alignment. The first frame has no speed. Errors are relative, at true speeds above 3 m/s; coverage is
+the fraction of these frames with a speed; ms is the median time per frame on one thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from benchmarks.inputs.drives import REAL_DATA
+from benchmarks.inputs.simulated_drives import SimulatedDrive
+from track_range.foundation.arrays import FloatArray, Image
+from track_range.ranging.ego_speed import open_ego_speed
+from track_range.simulation.world.scenario_names import SCENARIO_NAMES
+from track_range.simulation.world.truth import label_scene
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.matching.box_matchers import one_thread
+from track_range.stereo.odometry.ego_motion import Odometry
+from track_range.stereo.odometry.ground_odometry import GroundOdometry
+from track_range.stereo.odometry.stereo_odometry import StereoOdometry
+from track_range.stereo.rig_formats.registry import load_rig
+
+MIN_SPEED_MPS = 3.0
+"""Smallest true speed of a relative error."""
+
+KITTI_HEIGHT_M = 1.65
+"""Height of KITTI's cameras above the road (Geiger et al., 2013)."""
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryDrive:
+    """F frames with boxes and true speeds.
+
+    Attributes:
+        name: name in the table.
+        rig: the rectified pair.
+        height_m: height of the left camera above the road.
+        frames: the frames.
+        boxes: (N, 4) boxes of road users by frame.
+        true_mps: (F,) true speeds.
+    """
+
+    name: str
+    rig: StereoRig
+    height_m: float
+    frames: Sequence[Frame]
+    boxes: Sequence[FloatArray]
+    true_mps: FloatArray
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this workload."""
+    parser.add_argument("--scenarios", nargs="+", default=["town", "city", "highway", "night"], choices=SCENARIO_NAMES)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[100, 101], help="seeds of the simulated drives")
+    parser.add_argument("--seconds", type=float, default=4.0, help="length of the simulated drives")
+    parser.add_argument("--data", type=Path, default=REAL_DATA, help="folder with kitti_stereo and kitti_odometry")
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Figures of all drives, printed as a table."""
+    print(
+        f"{'drive':<16}{'method':<8}{'median %':>9}{'95 % below':>11}{'bias %':>8}{'coverage':>9}{'sigmas':>8}{'ms':>6}"
+    )
+    rows = []
+    with one_thread():
+        for scenario in options.scenarios:
+            for seed in options.seeds:
+                rows += _rows(_simulated(scenario, seed, options.seconds))
+        for drive in _real(options.data):
+            rows += _rows(drive)
+    return {"rows": rows}
+
+
+def _simulated(scenario: str, seed: int, seconds: float) -> OdometryDrive:
+    drive = SimulatedDrive.of(scenario, seed=seed, seconds=seconds)
+    scene, rig, times_s = drive.renderer.scene, drive.renderer.rig, drive.times_s.tolist()
+    boxes = [label_scene(scene, [time_s], camera=rig.left).xyxy_px for time_s in times_s]
+    true_mps = np.array([scene.speed_mps(time_s) for time_s in times_s])
+    return OdometryDrive(f"{scenario} {seed}", rig, scene.camera_height_m, drive.frames(), boxes, true_mps)
+
+
+def _real(data: Path) -> list[OdometryDrive]:
+    """KITTI 0003 and the grey sequence, where they are present."""
+    drives = []
+    folder = data / "kitti_stereo" / "0003"
+    if folder.is_dir():
+        ego = open_ego_speed(str(folder / "oxts"))
+        frames = _frames(folder, ego.time_s)
+        true_mps = ego.speed_mps[: len(frames)]
+        drives.append(OdometryDrive("KITTI 0003", _rig(folder, frames[0].left), KITTI_HEIGHT_M, frames, [], true_mps))
+    folder = data / "kitti_odometry" / "gray51"
+    if folder.is_dir():
+        poses = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)
+        forward_mps = (np.diff(poses[:, :, 3], axis=0) * poses[:-1, :, 2]).sum(axis=1) * 10.0
+        true_mps = np.concatenate([[0.0], (forward_mps[1:] + forward_mps[:-1]) / 2, forward_mps[-1:]])
+        frames = _frames(folder, np.arange(len(poses)) / 10.0)
+        drives.append(OdometryDrive("KITTI grey", _rig(folder, frames[0].left), KITTI_HEIGHT_M, frames, [], true_mps))
+    return drives
+
+
+def _rig(folder: Path, image: Image) -> StereoRig:
+    return load_rig(folder / "calib.txt", image_size_px=(image.shape[1], image.shape[0]))
+
+
+def _frames(folder: Path, times_s: FloatArray) -> list[Frame]:
+    pairs = zip(times_s.tolist(), _images(folder / "left.mp4"), _images(folder / "right.mp4"), strict=False)
+    return [Frame(index, time_s, left, right) for index, (time_s, left, right) in enumerate(pairs)]
+
+
+def _images(path: Path) -> list[Image]:
+    reader, images = cv2.VideoCapture(str(path)), []
+    while True:
+        is_read, image = reader.read()
+        if not is_read:
+            return images
+        images.append(np.asarray(image, np.uint8))
+
+
+def _rows(drive: OdometryDrive) -> list[dict[str, Any]]:
+    return [
+        _row(drive, "stereo", StereoOdometry(drive.rig)),
+        _row(drive, "ground", GroundOdometry(drive.rig.left, drive.height_m)),
+    ]
+
+
+def _row(drive: OdometryDrive, name: str, odometry: Odometry) -> dict[str, Any]:
+    """Figures of one method on one drive, which are printed."""
+    motions, times_s = [], []
+    for frame in drive.frames:
+        start_s = time.process_time()
+        motions.append(odometry.update(frame, drive.boxes[frame.index] if drive.boxes else np.zeros((0, 4))))
+        times_s.append(time.process_time() - start_s)
+    speed_mps = np.array([motion.speed_mps for motion in motions])[1:]
+    sigma_mps = np.array([motion.speed_sigma_mps for motion in motions])[1:]
+    true_mps = drive.true_mps[1:]
+    is_known = np.isfinite(speed_mps)
+    is_driving = true_mps > MIN_SPEED_MPS
+    use = is_known & is_driving
+    error = (speed_mps / np.where(is_driving, true_mps, np.nan) - 1.0)[use]
+    row = {
+        "drive": drive.name,
+        "method": name,
+        "median_pct": 100 * float(np.median(np.abs(error))) if use.any() else None,
+        "p95_pct": 100 * float(np.percentile(np.abs(error), 95)) if use.any() else None,
+        "bias_pct": 100 * float(np.median(error)) if use.any() else None,
+        "coverage": float(use.sum() / max(is_driving.sum(), 1)),
+        "rms_sigmas": float(np.sqrt((((speed_mps - true_mps) / sigma_mps)[is_known] ** 2).mean()))
+        if use.any()
+        else None,
+        "ms": 1e3 * float(np.median(times_s)),
+    }
+    cells = (f"{value:.2f}" if value is not None else "-" for value in list(row.values())[2:])
+    widths = (9, 11, 8, 9, 8, 6)
+    print(f"{drive.name:<16}{name:<8}" + "".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)))
+    return row

@@ -1,0 +1,171 @@
+import math
+
+import numpy as np
+import pytest
+
+from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.world.scenarios import make_scenario
+from track_range.simulation.world.truth import label_scene
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.ground_odometry import GroundOdometry
+from track_range.stereo.odometry.image_motion import ImageMotionEstimator, fit_epipolar
+from track_range.stereo.odometry.speed_filter import SpeedFilter
+from track_range.stereo.odometry.stereo_odometry import RigidMotion, StereoOdometry, fit_motion
+
+CAMERA = PinholeCamera(360.0, 360.0, 310.0, 90.0, width_px=620, height_px=188)
+NO_BOXES = np.zeros((0, 4))
+NOISE = 0.15 / 360
+
+
+def yawed(angle_rad):
+    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
+
+
+def static_scene(motion, n=200, seed=0, noise=NOISE):
+    """Rays before, inverse depths, and rays now of random points of a static scene."""
+    rng = np.random.default_rng(seed)
+    pixels = np.stack([rng.uniform(0, 620, n), rng.uniform(0, 188, n)], axis=1)
+    rays, rho = CAMERA.rays(pixels), 1 / rng.uniform(5, 60, n)
+    now = motion.moved(rays, rho)
+    now = now / now[:, 2:]
+    now[:, :2] += noise * rng.normal(size=(n, 2))
+    return rays, rho, now
+
+
+def fitted(rays, rho, now):
+    return fit_motion(
+        rays, rho, now, noise=NOISE, inverse_depth_noise=0.15 / (360 * 0.54), rng=np.random.default_rng(0)
+    )
+
+
+@pytest.mark.parametrize("speed_m", [-0.5, 0.0, 0.05, 1.0, 3.5])
+def test_motion_of_static_scene(speed_m):
+    true = RigidMotion(yawed(-0.02), np.array([0.0, 0.0, -speed_m]))
+    fit = fitted(*static_scene(true))
+    assert fit.motion.translation_m[2] == pytest.approx(-speed_m, abs=0.02 + 0.005 * abs(speed_m))
+    assert np.abs(fit.motion.rotation - true.rotation).max() < 1e-3
+    sigma_m = math.sqrt(fit.covariance[5, 5])
+    assert 0.0003 < sigma_m < 0.05
+    assert abs(fit.motion.translation_m[2] + speed_m) < 5 * sigma_m
+
+
+def test_motion_beside_large_truck():
+    """45 % of the corners are on a truck that is 3 m/s slower."""
+    rays, rho, now = static_scene(RigidMotion(np.eye(3), np.array([0.0, 0.0, -1.0])))
+    truck = slice(0, 90)
+    rho[truck] = 1 / 9.0
+    moved = RigidMotion(np.eye(3), np.array([0.0, 0.0, -0.3])).moved(rays[truck], rho[truck])
+    now[truck] = moved / moved[:, 2:]
+    fit = fitted(rays, rho, now)
+    assert fit.motion.translation_m[2] == pytest.approx(-1.0, abs=0.02)
+    assert fit.is_static[:90].mean() < 0.3
+    assert fit.is_static[90:].mean() > 0.9
+
+
+def test_common_disparity_error():
+    """`by_offset` predicts the effect of a common error of the inverse depths."""
+    rays, rho, now = static_scene(RigidMotion(np.eye(3), np.array([0.0, 0.0, -1.0])), noise=0.0)
+    fit, shifted = fitted(rays, rho, now), fitted(rays, rho + 1e-4, now)
+    change_m = shifted.motion.translation_m[2] - fit.motion.translation_m[2]
+    assert change_m == pytest.approx(1e-4 * fit.by_offset[5], rel=0.2)
+    assert change_m > 0
+
+
+@pytest.mark.parametrize("yaw_rad", [-0.03, 0.0, 0.03])
+def test_yaw_of_epipolar_fit(yaw_rad):
+    true = RigidMotion(yawed(-yaw_rad), np.array([0.0, 0.0, -1.0]))
+    rays, _, now = static_scene(true)
+    fit = fit_epipolar(rays, now, direction=np.array([0.0, 0.0, -1.0]), noise=NOISE, max_residual=5 * NOISE)
+    assert -fit.rotation[1] == pytest.approx(yaw_rad, abs=2e-3)
+    assert fit.direction[2] < -0.99
+    assert fit.is_static.mean() > 0.9
+
+
+def test_reversing_has_opposite_direction():
+    rays, _, now = static_scene(RigidMotion(np.eye(3), np.array([0.0, 0.0, 1.0])))
+    fit = fit_epipolar(rays, now, direction=np.array([0.0, 0.0, -1.0]), noise=NOISE, max_residual=5 * NOISE)
+    assert fit.direction[2] > 0.99
+
+
+def test_filter_follows_braking():
+    """Mean speeds of intervals: the filter states the speed at their ends."""
+    speeds, kalman = SpeedFilter(), []
+    for k in range(1, 31):
+        mean_mps = 20.0 - 5.0 * (k - 0.5) * 0.1
+        kalman.append(speeds.update(0.1 * k, 0.1, mean_mps, 0.05, 0.0)[0])
+    assert kalman[-1] == pytest.approx(5.0, abs=0.03)
+
+
+def test_filter_ignores_one_outlier_and_bridges_gaps():
+    speeds = SpeedFilter()
+    for k in range(10):
+        speeds.update(0.1 * k, 0.1, 10.0, 0.05, 0.0)
+    assert speeds.update(1.0, 0.1, 30.0, 0.05, 0.0)[0] == pytest.approx(10.0, abs=0.1)
+    assert speeds.update(1.1, 0.1, math.nan, math.nan, math.nan)[0] == pytest.approx(10.0, abs=0.1)
+    assert math.isnan(speeds.update(2.0, 0.1, math.nan, math.nan, math.nan)[0])
+    assert speeds.update(2.1, 0.1, 12.0, 0.05, 0.0)[0] == pytest.approx(12.0)
+
+
+def textured_pair(seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.integers(0, 255, (188, 620, 3), np.uint8)
+
+
+def test_pair_at_rest_is_still():
+    rig = kitti_like_rig(width_px=620, height_px=188)
+    odometry, motion = StereoOdometry(rig), None
+    image = np.kron(textured_pair()[:47, :155], np.ones((4, 4, 1), np.uint8))
+    right = np.roll(image, -12, axis=1)
+    for k in range(4):
+        motion = odometry.update(Frame(k, 0.1 * k, image, right), NO_BOXES)
+    assert motion is not None
+    assert motion.is_still
+    assert abs(motion.speed_mps) < 0.05
+    still = ImageMotionEstimator(rig.left)
+    still.update(image, 0.0)
+    assert still.update(image, 0.1).is_still
+
+
+@pytest.mark.parametrize("content", ["black", "one colour", "noise"])
+def test_damaged_frames_are_unknown(content):
+    rig = kitti_like_rig(width_px=620, height_px=188)
+    stereo, ground = StereoOdometry(rig), GroundOdometry(rig.left, 1.65)
+    for k in range(4):
+        images = [textured_pair(10 * k + side) for side in (0, 1)]
+        if content != "noise":
+            images = [np.full_like(image, 0 if content == "black" else 90) for image in images]
+        frame = Frame(k, 0.1 * k, *images)
+        for odometry in (stereo, ground):
+            assert math.isnan(odometry.update(frame, NO_BOXES).speed_mps)
+
+
+def test_time_gap_is_unknown():
+    image, motion = textured_pair(), ImageMotionEstimator(CAMERA)
+    motion.update(image, 0.0)
+    assert not motion.update(image, 5.0).is_known
+
+
+def test_one_image_is_refused():
+    rig = kitti_like_rig(width_px=620, height_px=188)
+    with pytest.raises(ValueError, match="pair"):
+        StereoOdometry(rig).update(Frame(0, 0.0, textured_pair(), None), NO_BOXES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", ["town", "night", "crossing"])
+def test_speed_of_rendered_drive(scenario):
+    """Stereo within 3 % and 0.15 m/s, and neither worse nor better than its sigma."""
+    scene, rig = make_scenario(scenario, seed=8, seconds=2.0), kitti_like_rig()
+    renderer, stereo = Renderer(scene, rig), StereoOdometry(rig)
+    errors = []
+    for k in range(6):
+        boxes = label_scene(scene, [k / 10], camera=rig.left).xyxy_px
+        left, right = (renderer.render(k / 10, side=side) for side in ("left", "right"))
+        motion = stereo.update(Frame(k, k / 10, left, right), boxes)
+        if k > 0:
+            error_mps, true_mps = motion.speed_mps - scene.speed_mps(k / 10), scene.speed_mps(k / 10)
+            assert abs(error_mps) < 0.15 + 0.03 * true_mps
+            errors.append(error_mps / motion.speed_sigma_mps)
+    assert 0.001 < float(np.median(np.abs(errors))) < 2.5
