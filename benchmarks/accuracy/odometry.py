@@ -1,9 +1,9 @@
 """Odometry: error of the camera's speed measured from the images, by stereo and by one camera with known height.
 
-Protocol: simulated drives at 10 frames per second with exact boxes of road users; seeds 0-9 are for settings, 100-109 for
-judgement. Real drives: KITTI 0003 with its timestamps against oxts, and KITTI odometry (grey) against its poses, without
-boxes and without alignment. The first frame has no speed. Errors are relative, at true speeds above 3 m/s; coverage is
-the fraction of these frames with a speed; ms is the median time per frame on one thread.
+Protocol: simulated drives at 10 frames per second with exact boxes of road users; seeds 0-9 are for settings, 100-109
+for judgement. Real drives: KITTI 0003 with its timestamps against oxts, and KITTI odometry (grey) against its poses,
+without boxes and without alignment. The first frame has no speed. Errors are relative, at true speeds above 3 m/s;
+coverage is the fraction of these frames with a speed; ms is the median time of the process per frame, on one thread.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from track_range.stereo.matching.box_matchers import one_thread
 from track_range.stereo.odometry.ego_motion import Odometry
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.stereo_odometry import StereoOdometry
-from track_range.stereo.rig_formats.registry import load_rig
+from track_range.stereo.rig_formats.reading import load_rig
 
 MIN_SPEED_MPS = 3.0
 """Smallest true speed of a relative error."""
@@ -106,12 +106,14 @@ def _real(data: Path) -> list[OdometryDrive]:
         forward_mps = (np.diff(poses[:, :, 3], axis=0) * poses[:-1, :, 2]).sum(axis=1) * 10.0
         true_mps = np.concatenate([[0.0], (forward_mps[1:] + forward_mps[:-1]) / 2, forward_mps[-1:]])
         frames = _frames(folder, np.arange(len(poses)) / 10.0)
-        drives.append(OdometryDrive("KITTI grey", _rig(folder, frames[0].left), KITTI_HEIGHT_M, frames, [], true_mps))
+        rig = _rig(folder, frames[0].left, is_grey=True)
+        drives.append(OdometryDrive("KITTI grey", rig, KITTI_HEIGHT_M, frames, [], true_mps))
     return drives
 
 
-def _rig(folder: Path, image: Image) -> StereoRig:
-    return load_rig(folder / "calib.txt", image_size_px=(image.shape[1], image.shape[0]))
+def _rig(folder: Path, image: Image, *, is_grey: bool = False) -> StereoRig:
+    rig, _ = load_rig(folder / "calib.txt", size_px=(image.shape[1], image.shape[0]), is_grey=is_grey)
+    return rig
 
 
 def _frames(folder: Path, times_s: FloatArray) -> list[Frame]:
@@ -120,7 +122,8 @@ def _frames(folder: Path, times_s: FloatArray) -> list[Frame]:
 
 
 def _images(path: Path) -> list[Image]:
-    reader, images = cv2.VideoCapture(str(path)), []
+    reader = cv2.VideoCapture(str(path))
+    images: list[Image] = []
     while True:
         is_read, image = reader.read()
         if not is_read:
