@@ -49,9 +49,9 @@ Read = Callable[[VideoPart], tuple[TelemetryTrack, Path] | None]
 def candidates(parts: Sequence[VideoPart]) -> Iterator[FoundTelemetry]:
     """Telemetry of a recording from each source that has any, best first; without a track where none can be used."""
     for read in (_inside, _beside):
-        found = _of_parts(parts, read)
-        if found.track is not None or found.notes:
-            yield found
+        telemetry = _of_parts(parts, read)
+        if telemetry.track is not None or telemetry.notes:
+            yield telemetry
 
 
 def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
@@ -124,10 +124,10 @@ def _of_parts(parts: Sequence[VideoPart], read: Read) -> FoundTelemetry:
     sigma_s = 0.0
     for part in parts:
         try:
-            found = read(part)
-            if found is None:
+            track_and_path = read(part)
+            if track_and_path is None:
                 continue
-            track, path = found
+            track, path = track_and_path
             clock = _checked(track, path, part)
         except TelemetryError as error:
             notes.append(f"Telemetry is not used: {error}")

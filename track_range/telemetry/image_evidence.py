@@ -73,7 +73,7 @@ def motion_of(
 
 
 def contradiction(motion: MotionSeries, ego: EgoSpeed) -> str | None:
-    """What the images show against the speed, as the end of a sentence; None = they agree, or say nothing.
+    """Contradiction between the images and the speed, as the end of a sentence; None = none is visible.
 
     A time offset of up to `MAX_OFFSET_S` is allowed.
     """
@@ -84,10 +84,10 @@ def contradiction(motion: MotionSeries, ego: EgoSpeed) -> str | None:
         is_false = claims[still, 0] > _CLAIMED_MPS
         if is_false.mean() > _MAX_CONTRADICTED:
             claimed_kmh = 3.6 * float(np.median(claims[still, 0][is_false]))
-            return f"it states {claimed_kmh:.0f} km/h while the camera stands still"
+            return f"it states {claimed_kmh:.0f} km/h while the camera is at rest"
     moving = (motion.expansion_hz > _MOVING_HZ) & ~motion.is_still & known
     if moving.sum() >= _MIN_STILL and (claims[moving, 1] < _STANDING_MPS).mean() > _MAX_CONTRADICTED:
-        return "it states that the car stands while the camera moves"
+        return "it states that the car is at rest while the camera moves"
     return None
 
 

@@ -118,8 +118,8 @@ def open_speed(
         return _named(setting, parts, motion)
     if not parts:
         return SpeedSource()
-    found = _table_beside(parts[0])
-    return found if found.ego is not None else _automatic(parts, motion, found.notes)
+    source = _table_beside(parts[0])
+    return source if source.ego is not None else _automatic(parts, motion, source.notes)
 
 
 _NO_MOTION = MotionSeries(
@@ -132,10 +132,10 @@ def _named(setting: str, parts: Sequence[VideoPart], motion: Motion) -> SpeedSou
     path = Path(setting)
     if math.isfinite(number(setting)) or not path.is_file() or not parts or _is_table(path):
         return SpeedSource(ego=open_ego_speed(setting))
-    found = named_telemetry(path, parts)
-    if found.track is None:
+    telemetry = named_telemetry(path, parts)
+    if telemetry.track is None:
         raise TelemetryError(f"{path}: expected speeds or positions with times, found none.")
-    source, problem = _with_images(found, found.track, motion())
+    source, problem = _with_images(telemetry, telemetry.track, motion())
     if problem is not None:
         raise TelemetryError(f"{path}: cannot be used as ego speed: {problem}.")
     return source
@@ -185,28 +185,30 @@ def table_places(video: Path) -> tuple[Path, ...]:
 def _automatic(parts: Sequence[VideoPart], motion: Motion, notes: tuple[str, ...]) -> SpeedSource:
     """Ego speed from the telemetry inside or beside the video files; notes on what cannot be used."""
     measured: MotionSeries | None = None
-    for found in candidates(parts):
-        notes = (*notes, *found.notes)
-        if found.track is None:
+    for telemetry in candidates(parts):
+        notes = (*notes, *telemetry.notes)
+        if telemetry.track is None:
             continue
         measured = motion() if measured is None else measured
-        source, problem = _with_images(found, found.track, measured)
+        source, problem = _with_images(telemetry, telemetry.track, measured)
         if problem is None:
             return replace(source, notes=(*notes, _note(source)))
-        notes = (*notes, f"Telemetry is not used: {found.track.source}: {problem}.")
+        notes = (*notes, f"Telemetry is not used: {telemetry.track.source}: {problem}.")
     return SpeedSource(notes=notes)
 
 
-def _with_images(found: FoundTelemetry, track: TelemetryTrack, motion: MotionSeries) -> tuple[SpeedSource, str | None]:
+def _with_images(
+    telemetry: FoundTelemetry, track: TelemetryTrack, motion: MotionSeries
+) -> tuple[SpeedSource, str | None]:
     """Ego speed with the time offset that the images show, and what they show against it; None = nothing."""
     known = np.isfinite(track.speed_mps)
     offset = estimated_offset(motion, track.time_s, track.speed_mps, track.course_rad)
-    shift_s, sigma_s = 0.0, found.sigma_s
+    shift_s, sigma_s = 0.0, telemetry.sigma_s
     if offset is not None and offset.is_certain:
         shift_s, sigma_s = offset.offset_s, offset.sigma_s
         track = replace(track, time_s=track.time_s - shift_s)
     ego = EgoSpeed(track.time_s[known], track.speed_mps[known], track.source, track.speed_sigma_mps, sigma_s)
-    source = SpeedSource(ego=ego, notes=found.notes, files=found.files, offset=offset, track=track)
+    source = SpeedSource(ego=ego, notes=telemetry.notes, files=telemetry.files, offset=offset, track=track)
     return source, contradiction(motion, ego)
 
 

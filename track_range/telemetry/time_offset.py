@@ -4,7 +4,7 @@
     yaw(t)       = q course'(t + o) + n          the yaw rate is that of the course; q absorbs the focal length
 
 The typical depth changes along the road: z is a Gauss-Markov process with the standard deviation sigma_z and the time
-constant tau, so that slow changes of the expansion say little about the speed, and fast ones much. o is searched on a
+constant tau, so that slow changes of the expansion have little weight, and fast ones much. o is searched on a
 grid, with the best k and q for each o. The likelihoods of both are multiplied; their mean and standard deviation are
 the result. The noise n of the yaw rate is estimated from its residual, with the time over which it is correlated.
 """
@@ -37,7 +37,7 @@ _MIN_SAMPLES, _MIN_FIXES = 20, 3
 """Smallest numbers of images and of samples of the telemetry for an estimate."""
 
 _INTERPOLATION_SHARE = 0.1
-"""Error of an offset from the interpolation between samples, as a share of their interval (queue, seed 2, at 1 Hz)."""
+"""Error of an offset from the interpolation between samples, relative to their interval (queue, seed 2, at 1 Hz)."""
 
 _MIN_CORRELATION = 0.9
 """Smallest correlation between image motion and telemetry at the best offset."""

@@ -134,7 +134,7 @@ def test_camera_at_rest_against_the_telemetry(cli, tmp_path, film):
     summary, _, speeds = run(cli, video)
     assert summary["ego_speed"] is None
     assert set(speeds) == {""}
-    assert any("120 km/h while the camera stands still" in note for note in summary["notes"])
+    assert any("120 km/h while the camera is at rest" in note for note in summary["notes"])
 
 
 def texts_of(folder: Path) -> str:

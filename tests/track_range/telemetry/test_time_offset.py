@@ -67,10 +67,10 @@ def test_speed_of_a_camera_at_rest_is_a_contradiction():
         return np.zeros(len(time_s))
 
     images = motion(speed=parked, has_turn=False)
-    assert "stands still" in contradiction(images, ego(33.0))
+    assert "camera is at rest" in contradiction(images, ego(33.0))
     assert contradiction(images, ego(0.5)) is None
 
 
 def test_standing_car_in_moving_images_is_a_contradiction():
-    assert "stands while" in contradiction(motion(), ego(0.0))
+    assert "car is at rest" in contradiction(motion(), ego(0.0))
     assert contradiction(motion(), ego(speed_mps(np.arange(0.0, 30)))) is None

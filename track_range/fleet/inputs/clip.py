@@ -107,12 +107,15 @@ def _telemetry(video: Location, *, is_folder: bool, stat: Callable[[Location], F
     if not is_folder:
         places += [parent.child(name) for name in sidecar_names(video.name)]
     named = [place for place in places if place.address != video.address]
-    found = [
+    existing = [
         place.address for place in named if (status := stat(place)) and status.is_folder == (place.name == OXTS_NAME)
     ]
-    if any(address == places[1].address for address in found) and _first([parent.child(_TIMESTAMPS)], stat) is not None:
-        found.append(parent.child(_TIMESTAMPS).address)
-    return {f"{TELEMETRY_ROLE}{index}": address for index, address in enumerate(found)}
+    if (
+        any(address == places[1].address for address in existing)
+        and _first([parent.child(_TIMESTAMPS)], stat) is not None
+    ):
+        existing.append(parent.child(_TIMESTAMPS).address)
+    return {f"{TELEMETRY_ROLE}{index}": address for index, address in enumerate(existing)}
 
 
 def may_be_folder(video: Location) -> bool:
