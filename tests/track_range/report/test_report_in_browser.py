@@ -318,6 +318,16 @@ def test_birds_eye_view_follows_the_video(page_of: Callable[..., Any], run: Path
     page.wait_for_function("() => document.querySelectorAll('.user').length === 1")  # the other track has ended
 
 
+def test_ended_tracks_are_not_shown(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html")
+    wait_for_video(page)
+    for time_s, n_users in ((1.1, 2), (1.2, 1)):  # the second track has twelve frames
+        page.goto((run / "report.html").as_uri() + f"#t={time_s}")
+        wait_until(page, time_s)
+        assert page.locator(".user").count() == n_users
+        assert f"{n_users} road user" in page.locator("#clock").inner_text()
+
+
 def test_link_to_a_moment(page_of: Callable[..., Any], run: Path) -> None:
     page = page_of(run / "report.html")
     page.goto((run / "report.html").as_uri() + "#t=1.5")

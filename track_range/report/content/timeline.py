@@ -20,9 +20,11 @@ _DEFAULT_FRAME_S = 0.1
 
 
 def timeline(columns: Columns, summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Data for the page: `from_s`, `to_s`; `t`, `n`: packed times and largest numbers of road users; `ego` if known.
+    """Data for the page.
 
-    Times are the starts of equal bins. The time span covers the frames of the summary and the rows.
+    Keys: `from_s`, `to_s`, `frame_s` (duration of a frame); `t`, `n`: packed times and largest numbers of road users;
+    `ego`: ego speed, if known. Times are the starts of equal bins. The time span covers the frames of the summary and
+    the rows.
     """
     time_s, frame = column(columns, "time_s"), column(columns, "frame")
     first_s, last_s, frame_s = run_span(time_s, frame, summary)
@@ -40,6 +42,7 @@ def timeline(columns: Columns, summary: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "from_s": round(first_s, 3),
         "to_s": round(first_s + span_s, 3),
+        "frame_s": round(frame_s, 4),
         "t": packed(first_s + width_s * np.arange(n_bins, dtype=np.float64), TICKS_PER_S),
         "n": packed(n_users, 1.0),
         **({"ego": packed(ego, TICKS_PER_MPS)} if known.any() else {}),

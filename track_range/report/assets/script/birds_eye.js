@@ -80,10 +80,8 @@ function drawRoad() {
 
 // Tracks at the current time, nearest first.
 function onRoad() {
-  return tracks
-    .filter((track) => track.from_s <= now_s + 0.001 && now_s <= track.to_s + 0.2)
-    .map((track) => ({ track, row: rowAt(track, now_s) }))
-    .filter(({ row }) => row >= 0)
+  return onNow()
+    .map(([track, row]) => ({ track, row }))
     .map((user) => ({ ...user, position: positionAt(user.track, user.row) }))
     .filter(({ position }) => position)
     .sort((a, b) => a.position.z - b.position.z)

@@ -8,11 +8,6 @@ let isRunning = false; // the clock that replaces a missing video
 const hasVideo = () => Boolean(video) && !video.hidden;
 const isPlaying = () => (hasVideo() ? !video.paused && !video.ended : isRunning);
 
-function frame_s() {
-  const steps = tracks.length ? series(tracks[0]).t : [];
-  return steps.length > 1 ? Math.max(0.01, (steps[steps.length - 1] - steps[0]) / (steps.length - 1)) : 0.1;
-}
-
 function seek(time_s) {
   now_s = Math.min(span.to_s, Math.max(span.from_s, time_s));
   if (hasVideo()) video.currentTime = Math.max(0, now_s - starts_s + 0.002); // inside the frame, not on its edge
@@ -61,7 +56,7 @@ const metres = (track, row) => {
 // Tracks at the current time with their rows.
 function onNow() {
   return tracks
-    .filter((track) => track.from_s <= now_s + 0.001 && now_s <= track.to_s + 0.2)
+    .filter((track) => track.from_s <= now_s + 0.001 && now_s <= track.to_s + 1)
     .map((track) => [track, rowAt(track, now_s)])
     .filter(([, row]) => row >= 0);
 }

@@ -152,7 +152,7 @@ function startTimeline() {
   });
   timelineBox.addEventListener("pointermove", (event) => { if (event.buttons === 1 && timelineBox.hasPointerCapture(event.pointerId)) point(event); });
   timelineBox.addEventListener("keydown", (event) => {
-    const step_s = event.shiftKey ? frame_s() : 1;
+    const step_s = event.shiftKey ? span.frame_s : 1;
     const targets = {
       ArrowLeft: now_s - step_s, ArrowDown: now_s - step_s, ArrowRight: now_s + step_s, ArrowUp: now_s + step_s,
       PageDown: now_s - 10, PageUp: now_s + 10, Home: span.from_s, End: span.to_s,

@@ -49,19 +49,19 @@ function series(track) {
     const inMetres = (texts) => Object.fromEntries(Object.entries(texts).map(([name, text]) => [name, unpack(text, 100)]));
     const t = unpack(track.t, 1000);
     const steps = Array.from(t.subarray(1), (value, i) => value - t[i]);
-    const longest_s = steps.length ? 3.5 * quantile(steps, 0.5) : 0;
+    const step_s = steps.length ? quantile(steps, 0.5) : content.timeline.frame_s, longest_s = 3.5 * step_s;
     unpackedTracks.set(track, {
       t, m: inMetres(track.m), s: inMetres(track.s), truth: unpack(track.truth, 100), closing: unpack(track.closing, 10),
       x: unpack(track.x, 100), w: unpack(track.w, 100), ttc: unpack(track.ttc, 100), pass: unpack(track.pass, 100),
       pass_s: unpack(track.pass_s, 100), p: unpack(track.p, 100), warning: unpack(track.warning, 1),
-      isBreak: (i) => i > 0 && t[i] - t[i - 1] > longest_s,
+      step_s, isBreak: (i) => i > 0 && t[i] - t[i - 1] > longest_s,
     });
   }
   return unpackedTracks.get(track);
 }
 
-// Last row at or before a time; -1 = the track does not exist at that time.
-function rowAt(track, time_s) {
+// Last row at or before a time; -1 = the track starts later.
+function rowBefore(track, time_s) {
   const { t } = series(track);
   if (time_s < t[0] - 0.001) return -1;
   let low = 0, high = t.length;
@@ -70,8 +70,14 @@ function rowAt(track, time_s) {
     if (t[middle] <= time_s + 0.001) low = middle;
     else high = middle;
   }
-  const step_s = t.length > 1 ? (t[t.length - 1] - t[0]) / (t.length - 1) : 0.1;
-  return time_s > t[t.length - 1] + 1.5 * step_s ? -1 : low;
+  return low;
+}
+
+// Row of the frame that is shown at a time; -1 = the track has no box in it.
+function rowAt(track, time_s) {
+  const shown_s = Math.min(time_s, span.to_s - 0.5 * span.frame_s); // at its end the video shows its last frame
+  const row = rowBefore(track, shown_s), { t, step_s } = series(track);
+  return row >= 0 && shown_s <= t[row] + 0.97 * step_s ? row : -1;
 }
 
 const titleOf = (track) => `${track.name} ${track.id}`;
@@ -210,7 +216,7 @@ class TrackChart {
 
   onKey(event) {
     const { t } = series(this.track);
-    const current = Math.max(0, rowAt(this.track, now_s));
+    const current = Math.max(0, rowBefore(this.track, now_s));
     const steps = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageDown: -10, PageUp: 10, Home: -t.length, End: t.length };
     if (event.key in steps) {
       const row = Math.min(t.length - 1, Math.max(0, current + steps[event.key]));
