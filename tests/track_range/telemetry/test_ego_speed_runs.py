@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.track_range.telemetry.telemetry_files import LATITUDE, LONGITUDE, START_S, gpx_text, rmc
+from track_range.fleet.inputs.clip import Clip
 from track_range.ranging.ego_speed import EgoSpeedError
 from track_range.telemetry.errors import TelemetryError
 from track_range.telemetry.sidecars.reading import read_sidecar
@@ -174,3 +175,13 @@ def test_missing_package(monkeypatch, tmp_path):
     (tmp_path / "a.nmea").write_text(rmc(0, 10))
     with pytest.raises(TelemetryError, match="pip install"):
         read_sidecar(tmp_path / "a.nmea", "a.mp4", 0.0)
+
+
+def test_telemetry_belongs_to_a_clip_of_a_fleet(drive):
+    clip = Clip("a", str(drive))
+    assert set(clip.files()) == {"left"}
+    (drive.parent / "drive.gpx").write_text("")
+    (drive.parent / "ego_speed.csv").write_text("")
+    files = clip.files()
+    assert [Path(files[f"telemetry_{i}"]).name for i in range(2)] == ["ego_speed.csv", "drive.gpx"]
+    assert set(Clip("a", str(drive), settings={"ego_speed": "off"}).files()) == {"left"}
