@@ -257,7 +257,8 @@ def _track(payloads: list[tuple[float, float, list[GpsRows]]], clock: str) -> Te
             samples.append(
                 Sample(
                     float(time_s[i]),
-                    float(utc_s[i]),
+                    # without a fix, the camera's clock may be years off, which is no jump of the receiver's clock
+                    float(utc_s[i]) if has_fix[i] or clock != "video" else math.nan,
                     float(speed_mps),
                     latitude_deg=float(latitude_deg),
                     longitude_deg=float(longitude_deg),
