@@ -54,7 +54,7 @@ class GroundOdometrySettings:
         max_speed_mps: largest speed that is searched.
         min_correlation: smallest mean correlation of a reliable shift.
         min_uniqueness: smallest difference from the second best maximum.
-        shift_sigma_m: standard deviation of a shift; fitted on simulated drives with seeds 0-9.
+        shift_sigma_m: standard deviation of a shift; assumed, a fifth of a cell.
         scale_sigma: relative error of all speeds, from the camera height and from a road that is not level.
         horizon_time_s: time constant with which the horizon follows the epipole.
     """

@@ -77,8 +77,8 @@ class StereoOdometrySettings:
         window_px: side of the tracked window.
         n_levels: pyramid levels above the small image for tracking over time.
         n_levels_predicted: the same with a predicted motion.
-        noise_px: standard deviation of a corner tracked over time.
-        disparity_noise_px: standard deviation of a disparity.
+        noise_px: standard deviation of a corner tracked over time; assumed.
+        disparity_noise_px: standard deviation of a disparity; assumed.
         max_row_px: largest difference of rows between left and right.
         min_disparity_px: smallest disparity.
         nearest_m: nearest point of the scene; sets the largest disparity.

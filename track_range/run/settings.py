@@ -165,7 +165,8 @@ class RunSettings(Options):
         str,
         option(
             "Speed of the camera, for the absolute speeds of objects: from GPS records in the video or in a file "
-            "beside it (auto), unknown (off), a constant in km/h, a file (CSV, GPX, NMEA, SRT, ...), or KITTI's oxts "
+            "beside it, else from the images (auto), "
+            "unknown (off), a constant in km/h, a file (CSV, GPX, NMEA, SRT, ...), or KITTI's oxts "
             "folder.",
             metavar="auto|off|KMH|FILE|DIR",
             panel=_INPUT,
