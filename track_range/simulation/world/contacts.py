@@ -75,17 +75,17 @@ class Contact:
 
 def find_contacts(scene: Scene, seconds: float) -> tuple[Contact, ...]:
     """The contacts in the first `seconds` of a scene, earliest first, as the module defines them."""
-    found: dict[int, Contact] = {}
+    contacts: dict[int, Contact] = {}
     real = first_contact(scene, seconds)
     end_s = seconds if real is None else real.contact_s
     for start_s in _brake_starts_s(scene, end_s):
         hypothetical = _unbraked_contact(scene, start_s, seconds)
         if hypothetical is not None:
-            known = found.get(hypothetical.track_id, hypothetical)
-            found[hypothetical.track_id] = min(known, hypothetical, key=lambda contact: contact.contact_s)
+            known = contacts.get(hypothetical.track_id, hypothetical)
+            contacts[hypothetical.track_id] = min(known, hypothetical, key=lambda contact: contact.contact_s)
     if real is not None:
-        found[real.track_id] = real
-    return tuple(sorted(found.values(), key=lambda contact: contact.contact_s))
+        contacts[real.track_id] = real
+    return tuple(sorted(contacts.values(), key=lambda contact: contact.contact_s))
 
 
 def first_contact(scene: Scene, seconds: float) -> Contact | None:
