@@ -12,6 +12,7 @@ from benchmarks.accuracy import (
     alignment,
     anonymization,
     appearance,
+    box_errors,
     formats,
     fusion,
     history,
@@ -20,6 +21,7 @@ from benchmarks.accuracy import (
     recall,
     stereo,
     tracking,
+    warnings,
 )
 from benchmarks.fleet import faults, throughput
 from benchmarks.speed import detection, memory, pipeline, ranging, server, startup, writers
@@ -31,6 +33,7 @@ WORKLOADS = {
     "detection": detection,
     "ablation": ablation,
     "alignment": alignment,
+    "box_errors": box_errors,
     "anonymization": anonymization,
     "fleet": throughput,
     "fleet_faults": faults,
@@ -47,6 +50,7 @@ WORKLOADS = {
     "startup": startup,
     "torture": torture,
     "stereo": stereo,
+    "warnings": warnings,
     "writers": writers,
 }
 """Module of each workload, with `add_options(parser)` and `measure(options) -> figures`, which prints its tables."""

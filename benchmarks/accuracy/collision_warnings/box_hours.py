@@ -1,0 +1,253 @@
+"""Collision warnings on drives without images: alarms, lead times, closing speeds and probabilities of contact."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.inputs.conflict_drives import COLLISIONS, FPS
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.ranging.warning.collision_warning import CollisionWarning
+from track_range.ranging.warning.settings import WarningSettings
+from track_range.ranging.warning.warnings import Warnings
+from track_range.simulation.boxes.box_drive import BoxDrive
+from track_range.simulation.boxes.box_run import IDS_PER_DRIVE, run_boxes, tracked
+from track_range.simulation.render.renderer import kitti_like_rig
+from track_range.simulation.world.contacts import find_contacts
+from track_range.simulation.world.scenarios import make_scenario
+from track_range.simulation.world.scene import STEP_S
+
+METHODS = {"mono": ("mono",), "stereo": ("stereo",), "fused": ("mono", "stereo")}
+"""Ranging methods of each configuration."""
+
+HARMLESS = ("curve-parked", "oncoming", "overhead-sign", "following", "queue", "city", "highway")
+"""Scenarios of harmless driving."""
+
+THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
+"""Thresholds of the curve, of `WarningSettings.on_probability`; that of people is lower by the default difference."""
+
+HARMLESS_S, COLLISION_S = 20.0, 8.0
+"""Length of a drive, s."""
+
+N_ERRORS = 10
+"""Number of drives with different errors in each scene."""
+
+WIDTH_PX = 620
+"""Width of the images, px: that of the fit."""
+
+SAME_ALARM_S = 3.0
+"""Longest time between two alarms on one object that count as one, s."""
+
+_BINS = np.linspace(0, 1, 11)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneFigures:
+    """Figures of the drives of one scene.
+
+    Attributes:
+        scenario, seed: the scene.
+        hours: duration of its drives.
+        alarms: (A, 5) drive, threshold index, road user (-1 = a false box), time, lead to its contact (NaN = none).
+        n_contacts: number of contacts in all drives.
+        closing: (C, 5) class, distance, error of the closing speed, its standard deviation, height of the object.
+        probability: (B, 3) by bin: number, sum of probabilities, number of contacts within the horizon.
+    """
+
+    scenario: str
+    seed: int
+    hours: float
+    alarms: FloatArray
+    n_contacts: int
+    closing: FloatArray
+    probability: FloatArray
+
+
+class WarningCurve(CollisionWarning):
+    """Collision warnings with several thresholds; returns that with the default settings.
+
+    Attributes:
+        warnings: of the last frame, by threshold, then that with the default settings.
+    """
+
+    def __init__(self, thresholds: Sequence[float]) -> None:
+        super().__init__()
+        default = WarningSettings()
+        lower = default.on_probability - default.person_probability
+        self._all = [
+            CollisionWarning(
+                replace(
+                    default,
+                    on_probability=threshold,
+                    person_probability=max(threshold - lower, 0.05),
+                    off_probability=min(default.off_probability, threshold / 2),
+                )
+            )
+            for threshold in thresholds
+        ]
+        self._all.append(CollisionWarning())
+        self.warnings: list[Warnings] = []
+
+    def update(self, *args: Any, **options: Any) -> Warnings:
+        """Warnings of this frame with the default settings."""
+        self.warnings = [warning.update(*args, **options) for warning in self._all]
+        return self.warnings[-1]
+
+
+def scene_figures(
+    scenario: str, seed: int, *, methods: str = "fused", n_errors: int = N_ERRORS, thresholds: Sequence[float] = ()
+) -> SceneFigures:
+    """Figures of drives without images in the scene of a scenario and seed."""
+    seconds = COLLISION_S if scenario in COLLISIONS else HARMLESS_S
+    scene = make_scenario(scenario, seed=seed, seconds=seconds)
+    contact_s = {contact.track_id: contact.contact_s for contact in find_contacts(scene, seconds)}
+    is_real = all(contact.is_real for contact in find_contacts(scene, seconds))
+    end_s = min(contact_s.values(), default=seconds) if is_real else seconds
+    times_s = np.arange(round(seconds * FPS)) / FPS
+    rig = kitti_like_rig(width_px=WIDTH_PX, height_px=188)
+    drives = [BoxDrive(scene, times_s, rig, seed=1000 * seed + number) for number in range(n_errors)]
+    ids = np.array([user.track_id for user in scene.road_users] + [-1])  # the last one for row -1
+    curve = WarningCurve(thresholds)
+    alarms: list[tuple[float, ...]] = []
+    closing: list[FloatArray] = []
+    probability = np.zeros((len(_BINS) - 1, 3))
+    was_active: list[set[int]] = [set() for _ in curve._all]
+    for step in run_boxes(drives, [tracked(drive) for drive in drives], methods=METHODS[methods], warning=curve):
+        result = step.result
+        if result.time_s > end_s:
+            break
+        track_id, objects = result.tracks.track_id, ids[step.user]
+        for number, warnings in enumerate(curve.warnings):
+            now = set(track_id[warnings.active].tolist())
+            for started in now - was_active[number]:
+                row = int(np.flatnonzero(track_id == started)[0])
+                lead_s = contact_s.get(int(objects[row]), math.nan) - result.time_s
+                alarms.append((started // IDS_PER_DRIVE, number, float(objects[row]), result.time_s, lead_s))
+            was_active[number] = now
+        closing.append(_closing_errors(scene, result, step.user, step.true_m))
+        if is_real and result.warnings is not None:
+            _add_probabilities(probability, result.warnings, objects, contact_s, result.time_s)
+    return SceneFigures(
+        scenario,
+        seed,
+        n_errors * end_s / 3600,
+        _merged(np.array(alarms, np.float64).reshape(-1, 5)),
+        n_errors * len(contact_s),
+        np.concatenate(closing),
+        probability,
+    )
+
+
+def _closing_errors(scene: Any, result: Any, user: IntArray, true_m: FloatArray) -> FloatArray:
+    """(C, 5) class, distance, error of the closing speed, its standard deviation, height, of road users at 5-45 m."""
+    rows = np.flatnonzero((user >= 0) & np.isfinite(result.closing_mps) & (true_m > 5) & (true_m < 45))
+    if not len(rows):
+        return np.zeros((0, 5))
+    rate = (scene.location_m(result.time_s - STEP_S) - scene.location_m(result.time_s + STEP_S))[:, 2] / (2 * STEP_S)
+    return np.stack(
+        [
+            result.tracks.class_id[rows],
+            true_m[rows],
+            result.closing_mps[rows] - rate[user[rows]],
+            result.closing_sigma_mps[rows],
+            scene.size_hwl_m()[user[rows], 0],
+        ],
+        axis=1,
+    )
+
+
+def _add_probabilities(
+    counts: FloatArray, warnings: Warnings, objects: IntArray, contact_s: dict[int, float], time_s: float
+) -> None:
+    """Add the probabilities of contact of one frame and what happened to the bins."""
+    horizon_s = WarningSettings().horizon_s
+    rows = np.flatnonzero(np.isfinite(warnings.probability) & (objects >= 0))
+    lead = np.array([contact_s.get(int(number), math.inf) - time_s for number in objects[rows]])
+    p = warnings.probability[rows]
+    index = np.clip(np.digitize(p, _BINS) - 1, 0, len(_BINS) - 2)
+    n_bins = len(_BINS) - 1
+    counts[:, 0] += np.bincount(index, minlength=n_bins)
+    counts[:, 1] += np.bincount(index, p, minlength=n_bins)
+    counts[:, 2] += np.bincount(index, lead <= horizon_s, minlength=n_bins)
+
+
+def _merged(alarms: FloatArray) -> FloatArray:
+    """The alarms without those that follow one on the same road user in the same drive within `SAME_ALARM_S`."""
+    last_s: dict[tuple[float, ...], float] = {}
+    rows = []
+    for row in alarms[np.argsort(alarms[:, 3], kind="stable")]:
+        key = tuple(row[:3])
+        if row[2] < 0 or row[3] - last_s.get(key, -math.inf) > SAME_ALARM_S:
+            rows.append(row)
+        last_s[key] = row[3]
+    return np.array(rows).reshape(-1, 5)
+
+
+def alarm_figures(scenes: Sequence[SceneFigures], threshold: int = -1) -> dict[str, Any]:
+    """Hits, lead times and false alarms per hour at one threshold (index; -1 = default settings)."""
+    n_thresholds = int(max((scene.alarms[:, 1].max(initial=0) for scene in scenes), default=0))
+    index = n_thresholds if threshold < 0 else threshold
+    leads: list[float] = []
+    n_false, n_contacts, hours = 0, 0, 0.0
+    by_scenario: dict[str, int] = {}
+    for scene in scenes:
+        part = scene.alarms[scene.alarms[:, 1] == index]
+        is_false = np.isnan(part[:, 4])
+        n_false += int(is_false.sum())
+        by_scenario[scene.scenario] = by_scenario.get(scene.scenario, 0) + int(is_false.sum())
+        hours += scene.hours
+        n_contacts += scene.n_contacts
+        first: dict[float, float] = {}
+        for drive, lead in part[~is_false][:, [0, 4]].tolist():
+            first[drive] = max(first.get(drive, -math.inf), lead)
+        leads += list(first.values())
+    leads += [0.0] * (n_contacts - len(leads))
+    return {
+        "hours": round(hours, 3),
+        "false_alarms": n_false,
+        "false_alarms_per_hour": round(n_false / hours, 2) if hours else None,
+        "false_alarms_by_scenario": by_scenario,
+        "contacts": n_contacts,
+        "median_lead_s": round(float(np.median(leads)), 2) if leads else None,
+        "lead_10_pct_s": round(float(np.quantile(leads, 0.1)), 2) if leads else None,
+        "share_with_2_1_s": round(float(np.mean(np.array(leads) >= 2.1)), 3) if leads else None,
+    }
+
+
+def closing_figures(rows: FloatArray, nearest_m: float = 10.0, farthest_m: float = 40.0) -> dict[str, Any]:
+    """Median absolute error and bias of the closing speed by class; tall vehicles are trucks and buses over 2.5 m."""
+    rows = rows[(rows[:, 1] >= nearest_m) & (rows[:, 1] <= farthest_m)]
+    groups = {name: rows[rows[:, 0] == number] for number, name in enumerate(ROAD_CLASSES[:6])}
+    groups["tall vehicles"] = rows[rows[:, 4] > 2.5]
+    return {
+        name: {
+            "n": len(part),
+            "median_abs_mps": round(float(np.median(np.abs(part[:, 2]))), 3),
+            "bias_mps": round(float(np.median(part[:, 2])), 3),
+            "within_1_sigma": round(float(np.mean(np.abs(part[:, 2]) < part[:, 3])), 3),
+        }
+        for name, part in groups.items()
+        if len(part) >= 20
+    }
+
+
+def reliability(counts: FloatArray) -> dict[str, Any]:
+    """Reliability diagram: mean probability and share of contacts by bin, and the mean error weighted by frames."""
+    n, total, hits = counts.T
+    is_used = n >= 20
+    predicted, observed = total[is_used] / n[is_used], hits[is_used] / n[is_used]
+    gap = np.abs(predicted - observed)
+    high = predicted > 0.1
+    return {
+        "bins": [
+            {"n": int(k), "predicted": round(float(p), 3), "observed": round(float(o), 3)}
+            for k, p, o in zip(n[is_used], predicted, observed, strict=True)
+        ],
+        "error": round(float((gap * n[is_used]).sum() / n[is_used].sum()), 4),
+        "error_above_0.1": round(float((gap * n[is_used])[high].sum() / max(n[is_used][high].sum(), 1)), 4),
+    }

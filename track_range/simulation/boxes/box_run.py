@@ -1,0 +1,220 @@
+"""Runs of the pipeline on drives without images: tracker, size ranging, fusion, filters, warnings and events.
+
+The tracker gets the boxes and no images, so it neither compensates the motion of the camera nor compares appearances.
+Methods that need only boxes measure as they do in a run; stereo distances come from the drive. Several drives in the
+same scene with different errors run as one, with different track ids, since the later stages take hardly longer for
+many tracks than for few.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from track_range.detection.boxes import iou
+from track_range.detection.detections import Detections
+from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.ranging.ego_speed import EgoSpeed
+from track_range.ranging.method import MethodContext
+from track_range.ranging.methods.patch_stereo import STEREO
+from track_range.ranging.methods.size_regression import MONO
+from track_range.ranging.ranger import Ranger
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_models.curve import load_curves
+from track_range.ranging.size_models.size_model import SizeModel
+from track_range.ranging.warning.collision_warning import CollisionWarning
+from track_range.run.frame_result import FrameResult
+from track_range.run.pipeline.pipeline import Pipeline
+from track_range.run.pipeline.stage_clock import StageClock
+from track_range.simulation.boxes.box_drive import BoxDrive, BoxFrame
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEstimator
+from track_range.tracking.deepsort import DeepSortSettings, DeepSortTracker
+from track_range.tracking.tracks import Tracks
+
+MIN_IOU = 0.5
+"""Smallest IoU of a track's box with the box of the drive that it was updated with."""
+
+YAW_SIGMA_RAD_S = 0.004
+"""Standard deviation of the yaw rate, rad/s: that of image motion on rendered drives."""
+
+IDS_PER_DRIVE = 100_000
+"""Difference between the track ids of two drives that run as one."""
+
+Step = tuple[BoxFrame, Tracks]
+"""A frame of a drive with its tracks."""
+
+
+@dataclass(frozen=True, slots=True)
+class BoxResult:
+    """Result of one frame of K drives.
+
+    Attributes:
+        result: of the pipeline; the drive of a track is its id // `IDS_PER_DRIVE`.
+        user: (N,) row of the scene's road users of each track; -1 = a false box, or predicted only.
+        true_m: (N,) true distance; NaN where there is no road user.
+    """
+
+    result: FrameResult
+    user: IntArray
+    true_m: FloatArray
+
+
+def tracked(drive: BoxDrive) -> list[Step]:
+    """The frames of a drive with their tracks."""
+    tracker = DeepSortTracker(DeepSortSettings(is_camera_motion_compensated=False))
+    return [(frame, tracker.update(frame.detections, frame.time_s, None)) for frame in drive]
+
+
+def run_boxes(
+    drives: Sequence[BoxDrive],
+    tracks: Sequence[Sequence[Step]],
+    *,
+    methods: Sequence[str] = ("mono", "stereo"),
+    warning: CollisionWarning | None = None,
+) -> Iterator[BoxResult]:
+    """Results of the pipeline for each frame of K drives in the same scene.
+
+    Args:
+        drives: the drives.
+        tracks: result of `tracked` for each.
+        methods: ranging methods, "mono", "stereo" or both.
+        warning: the collision warning, without tracks; None = with its default settings.
+    """
+    drive = drives[0]
+    camera, times_s = drive.rig.left, drive.times_s
+    context = MethodContext(camera=camera, rig=drive.rig, size_model=_size_model(), has_images=False)
+    source = _Source(context, len(drives))
+    rangers: dict[str, Ranger] = {}
+    if "mono" in methods:
+        rangers[MONO.name] = _Sizes(source)
+    if "stereo" in methods:
+        rangers[STEREO.name] = source
+    pipeline = Pipeline(
+        camera=camera,
+        detect=lambda frame: Detections.empty(),
+        tracker=source,
+        rangers=rangers,
+        ego_speed=EgoSpeed(
+            times_s, np.array([drive.scene.speed_mps(time_s) for time_s in times_s.tolist()]), "simulation"
+        ),
+        image_motion=_TrueYaw(camera, drive),
+        warning=warning or CollisionWarning(),
+        clock=_NoClock(),
+    )
+    image: Image = np.broadcast_to(np.zeros(3, np.uint8), (camera.height_px, camera.width_px, 3))
+    for steps in zip(*tracks, strict=True):
+        source.set(steps)
+        frame = steps[0][0]
+        result = pipeline.result(Frame(frame.index, frame.time_s, image, None), None, frame.detections)
+        yield BoxResult(result, *source.truth())
+
+
+@cache
+def _size_model() -> SizeModel:
+    return load_curves()
+
+
+class _NoClock(StageClock):
+    """Measures nothing: reading the clock takes longer than most stages."""
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Do nothing."""
+        yield
+
+
+class _TrueYaw(ImageMotionEstimator):
+    """The true yaw rate of the camera, with noise."""
+
+    def __init__(self, camera: PinholeCamera, drive: BoxDrive) -> None:
+        super().__init__(camera)
+        self._times_s = drive.times_s
+        yaw_rad = np.array([drive.scene.pose(time_s).yaw_rad for time_s in drive.times_s.tolist()])
+        noise = np.random.default_rng([drive.scene.seed, 32]).normal(0, YAW_SIGMA_RAD_S, len(yaw_rad))
+        self._yaw_rad_s = np.gradient(yaw_rad, drive.times_s) + noise
+
+    def update(self, image: Image, time_s: float, xyxy_px: FloatArray | None = None) -> ImageMotion:
+        """The motion at a time of the drive."""
+        yaw_rad_s = float(np.interp(time_s, self._times_s, self._yaw_rad_s))
+        return ImageMotion(time_s=time_s, yaw_rad_s=yaw_rad_s, yaw_sigma_rad_s=YAW_SIGMA_RAD_S)
+
+
+class _Source(Ranger):
+    """Tracker and stereo ranger that return what the drives have for the current frame."""
+
+    def __init__(self, context: MethodContext, n_drives: int) -> None:
+        self._rangers = [MONO.create(context) for _ in range(n_drives)]
+        self.tracks = Tracks.empty()
+
+    def set(self, steps: Sequence[Step]) -> None:
+        """Use these frames from now on."""
+        self._steps = steps
+        self._box: list[IntArray] = []
+        for frame, tracks in steps:
+            overlap = iou(tracks.xyxy_px, frame.detections.xyxy_px)
+            box = overlap.argmax(axis=1) if overlap.shape[1] else np.zeros(len(tracks), np.int64)
+            has_box = tracks.observed & (overlap.max(axis=1, initial=0.0) >= MIN_IOU)
+            self._box.append(np.where(has_box, box, -1))
+        self.tracks = Tracks(
+            np.concatenate([tracks.track_id + IDS_PER_DRIVE * k for k, (_, tracks) in enumerate(steps)]),
+            np.concatenate([tracks.xyxy_px for _, tracks in steps]),
+            np.concatenate([tracks.class_id for _, tracks in steps]),
+            np.concatenate([tracks.score for _, tracks in steps]),
+            np.concatenate([tracks.observed for _, tracks in steps]),
+        )
+
+    def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
+        """The tracks of the current frame."""
+        return self.tracks
+
+    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
+        """Stereo distances of the tracks."""
+        distance_m = self._of_boxes([frame.stereo_m for frame, _ in self._steps])
+        return Ranges(tracks.track_id, distance_m, self._of_boxes([frame.stereo_sigma_m for frame, _ in self._steps]))
+
+    def sizes(self, frame: Frame) -> Ranges:
+        """Distances by size, for each drive separately, since the boxes of a frame share the ground."""
+        parts = [
+            ranger.measure(tracks, frame)
+            for ranger, (_, tracks) in zip(self._rangers, self._steps, strict=True)
+            if ranger is not None
+        ]
+        systematic = [
+            np.full(len(part), np.nan) if part.sigma_systematic_m is None else part.sigma_systematic_m for part in parts
+        ]
+        return Ranges(
+            self.tracks.track_id,
+            np.concatenate([part.distance_m for part in parts]),
+            np.concatenate([part.sigma_m for part in parts]),
+            np.concatenate(systematic),
+        )
+
+    def truth(self) -> tuple[IntArray, FloatArray]:
+        """Road user and true distance of the tracks."""
+        user = self._of_boxes([frame.user.astype(np.float64) for frame, _ in self._steps])
+        true_m = self._of_boxes([frame.true_m for frame, _ in self._steps])
+        is_user = user >= 0  # false for NaN
+        return np.where(is_user, user, -1).astype(np.int64), np.where(is_user, true_m, np.nan)
+
+    def _of_boxes(self, values: Sequence[FloatArray]) -> FloatArray:
+        """(N,) values of the tracks' boxes; NaN = none."""
+        return np.concatenate(
+            [np.append(value, np.nan)[box] for value, box in zip(values, self._box, strict=True)]  # -1 = the NaN
+        )
+
+
+class _Sizes(Ranger):
+    """The size rangers of all drives as one."""
+
+    def __init__(self, source: _Source) -> None:
+        self._source = source
+
+    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
+        """Distances by size."""
+        return self._source.sizes(frame)
