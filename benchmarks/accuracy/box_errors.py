@@ -63,7 +63,7 @@ class Matched:
         class_id: (M,) true class.
         height_px, hidden_share, outside_share: (M,) of the true box.
         score: (M,) of the detection; NaN = missed.
-        found_class_id: (M,) class of the detection; -1 = missed.
+        detected_class_id: (M,) class of the detection; -1 = missed.
         errors: (M, 4) errors of centre x, centre y, log width, log height: centres relative to the height.
         false_boxes: (K, 7) drive, frame, box, score of boxes without an object.
         false_class_id: (K,) their classes.
@@ -77,7 +77,7 @@ class Matched:
     hidden_share: FloatArray
     outside_share: FloatArray
     score: FloatArray
-    found_class_id: IntArray
+    detected_class_id: IntArray
     errors: FloatArray
     false_boxes: FloatArray
     false_class_id: IntArray
@@ -93,7 +93,7 @@ def matched_boxes(scene: Scene, true: TrueBoxes, frames: Sequence[Detections], *
     """The detections of one drive, matched to its true boxes."""
     classes = np.array([ROAD_CLASSES.index(ROAD_CLASS_OF[user.kitti_type.lower()]) for user in scene.road_users])
     n = len(true.frame)
-    score, found, errors = np.full(n, np.nan), np.full(n, -1), np.full((n, 4), np.nan)
+    score, detected_class, errors = np.full(n, np.nan), np.full(n, -1), np.full((n, 4), np.nan)
     false, false_class = [], []
     ends = np.searchsorted(true.frame, np.arange(len(frames) + 1))
     for number, boxes in enumerate(frames):
@@ -107,7 +107,7 @@ def matched_boxes(scene: Scene, true: TrueBoxes, frames: Sequence[Detections], *
             if is_used[column] or np.isfinite(score[rows[row]]):
                 continue
             is_used[column] = True
-            score[rows[row]], found[rows[row]] = boxes.score[column], boxes.class_id[column]
+            score[rows[row]], detected_class[rows[row]] = boxes.score[column], boxes.class_id[column]
             errors[rows[row]] = _errors(true.xyxy_px[rows[row]], boxes.xyxy_px[column])
         covered = overlap.max(axis=0, initial=0.0) >= MIN_IOU  # a second box of an object is not a false box
         for column in np.flatnonzero(~is_used & ~covered).tolist():
@@ -121,7 +121,7 @@ def matched_boxes(scene: Scene, true: TrueBoxes, frames: Sequence[Detections], *
         true.hidden_share,
         true.outside_share,
         score,
-        found,
+        detected_class,
         errors,
         np.array(false, np.float64).reshape(-1, 7),
         np.array(false_class, np.int64),
@@ -129,10 +129,10 @@ def matched_boxes(scene: Scene, true: TrueBoxes, frames: Sequence[Detections], *
     )
 
 
-def _errors(true: FloatArray, found: FloatArray) -> FloatArray:
+def _errors(true: FloatArray, detected: FloatArray) -> FloatArray:
     width, height = true[2:] - true[:2]
-    other_width, other_height = found[2:] - found[:2]
-    centre = (found[:2] + found[2:] - true[:2] - true[2:]) / 2 / height
+    other_width, other_height = detected[2:] - detected[:2]
+    centre = (detected[:2] + detected[2:] - true[:2] - true[2:]) / 2 / height
     return np.array([*centre, np.log(other_width / width), np.log(other_height / height)])
 
 
