@@ -63,7 +63,7 @@ def test_valid_summary_is_unchanged() -> None:
 def test_invalid_values_are_omitted(part: dict[str, Any], name: str) -> None:
     summary, invalid = valid_summary(WHOLE | part)
     assert invalid == [name]
-    assert "<h2>Accuracy</h2>" in report_page(summary, no_rows())
+    assert "<h2>Settings</h2>" in report_page(summary, no_rows())
 
 
 def test_other_values_of_a_section_are_used() -> None:

@@ -38,7 +38,7 @@ function alarmOf(track, row, course) {
 // The smallest range that contains nine tenths of the positions: the scale does not change while the video plays.
 function usualRange() {
   const all = [];
-  for (const track of tracks) {
+  for (const track of tracks.slice(0, 300)) { // the longest
     const { t } = series(track);
     const step = Math.max(1, Math.floor(t.length / 50));
     for (let row = 0; row < t.length; row += step) {
