@@ -145,15 +145,17 @@ class CollisionWarning:
             manoeuvre_s=settings.manoeuvre_s,
             ego_length_m=settings.ego_length_m,
         )
-        probability = np.where(is_known & _IN_THE_WAY[tracks.class_id], probability, np.nan)
+        is_certain = motion.state.P_vv <= settings.max_closing_sigma_mps**2
+        probability = np.where(is_known & is_certain & _IN_THE_WAY[tracks.class_id], probability, np.nan)
 
         # Alarm.
         first_s = np.where(is_stale & is_known, time_s, first_s)
         is_beside = np.abs(encounter.offset.x) > encounter.half_width_m + _BESIDE_SIGMA * np.sqrt(encounter.offset.P_xx)
         beside_s = np.where(is_known & is_beside, time_s, beside_s)
-        may_start = self._is_urgent(encounter.gap) & (probability >= self._on_probability(tracks))
+        may_start = self._is_urgent(encounter) & (probability >= self._on_probability(tracks))
         may_start |= self._cuts_in(tracks, encounter, time_s - beside_s)
-        may_start &= time_s - first_s >= settings.min_track_s
+        is_person = tracks.class_id == _PERSON
+        may_start &= time_s - first_s >= np.where(is_person, settings.min_person_s, settings.min_track_s)
         may_end = ~(probability >= settings.off_probability)
         active, since_s = self._alarm(may_start, may_end, time_s, since_s, is_on > 0)
         last_s = np.where(is_known, time_s, last_s)
@@ -204,11 +206,13 @@ class CollisionWarning:
             sigma = np.where(own_mps < -_STATIC_MPS, settings.oncoming_lateral_mps, sigma)
         return np.where(tracks.class_id == _PERSON, settings.person_lateral_mps, sigma)
 
-    def _is_urgent(self, gap: ConstantVelocity) -> BoolArray:
-        """Whether objects close in fast enough for an alarm: the driver has to brake at least moderately."""
-        settings, closing_mps = self.settings, -gap.v
-        left_m = np.maximum(gap.x - settings.reaction_s * closing_mps, 0.0)
-        is_hard = closing_mps**2 >= 2 * settings.min_deceleration_mps2 * left_m
+    def _is_urgent(self, encounter: Encounter) -> BoolArray:
+        """(N,) whether the driver has to brake at least moderately after the reaction time."""
+        settings, gap, a = self.settings, encounter.gap, encounter.acceleration_mps2
+        closing_mps, t = -gap.v, settings.reaction_s
+        later_mps = np.maximum(closing_mps - a * t, 0.0)
+        left_m = np.maximum(gap.x - closing_mps * t + a * t * t / 2, 0.0)
+        is_hard = later_mps**2 >= 2 * (settings.min_deceleration_mps2 + a) * left_m
         return np.asarray((closing_mps >= settings.min_closing_mps) & is_hard)
 
     def _on_probability(self, tracks: Tracks) -> FloatArray:
@@ -221,7 +225,7 @@ class CollisionWarning:
         settings, gap, offset = self.settings, encounter.gap, encounter.offset
         if self._ego.speed_mps < _MIN_CUT_IN_SPEED_MPS:
             return np.zeros(len(tracks), np.bool_)
-        is_near = gap.x < settings.cut_in_headway_s * self._ego.speed_mps
+        is_near = (gap.x < settings.cut_in_headway_s * self._ego.speed_mps) & (gap.x > settings.min_cut_in_gap_m)
         is_along = gap.v + self._ego.speed_mps > _STATIC_MPS
         share = overlap_probability(
             offset, encounter.half_width_m, encounter.lateral_acceleration_mps2, settings.cut_in_ahead_s

@@ -17,8 +17,11 @@ class WarningSettings:
         min_on_s: shortest time above `on_probability` before an alarm.
         min_off_s: shortest time below `off_probability` before the end of an alarm.
         min_closing_mps: smallest closing speed of an alarm.
-        min_track_s: shortest time for which a track has been known.
+        min_track_s: shortest time for which a track has been known, against false boxes that last for some frames.
+        min_person_s: the same for people, who appear from behind parked cars.
+        max_closing_sigma_mps: largest standard deviation of the closing speed; above, the probability is unknown.
         cut_in_headway_s: headway below which a vehicle that cuts in starts an alarm, even if it is not slower.
+        min_cut_in_gap_m: smallest gap of a cut-in; nearer boxes beside the ego vehicle are cut by the image border.
         cut_in_ahead_s: a vehicle cuts in if it was beside the path and will be in it after this time.
         cut_in_probability: smallest probability that it will be in the path.
         max_cut_in_mps: largest speed at which it may draw away.
@@ -42,14 +45,17 @@ class WarningSettings:
     """
 
     horizon_s: float = 3.5
-    on_probability: float = 0.7
-    person_probability: float = 0.6
+    on_probability: float = 0.6
+    person_probability: float = 0.5
     off_probability: float = 0.25
     min_on_s: float = 0.2
     min_off_s: float = 0.5
     min_closing_mps: float = 1.5
-    min_track_s: float = 0.5
+    min_track_s: float = 1.0
+    min_person_s: float = 0.4
+    max_closing_sigma_mps: float = 2.0
     cut_in_headway_s: float = 0.6
+    min_cut_in_gap_m: float = 3.0
     cut_in_ahead_s: float = 1.0
     cut_in_probability: float = 0.8
     max_cut_in_mps: float = 1.5
@@ -59,7 +65,7 @@ class WarningSettings:
     manoeuvre_s: float = 3.0
     acceleration_mps2: float = 0.7
     person_acceleration_mps2: float = 0.2
-    vehicle_acceleration_mps2: float = 0.3
+    vehicle_acceleration_mps2: float = 0.15
     min_deceleration_mps2: float = 1.5
     reaction_s: float = 1.0
     yaw_sigma_rad_s: float = 0.005

@@ -1,0 +1,153 @@
+"""Alarms of the collision warning on closed-form drives: collisions, and their harmless twins."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from track_range.foundation.arrays import FloatArray
+from track_range.ranging.filtering.distance_filter import DistanceFilters
+from track_range.ranging.filtering.lateral_motion import LateralFilters
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.warning.collision_warning import CollisionWarning
+from track_range.ranging.warning.settings import WarningSettings
+from track_range.ranging.warning.warnings import Warnings
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.tracking.tracks import Tracks
+
+CAMERA = PinholeCamera(700.0, 700.0, 620.0, 187.0, 1241, 374)
+STEP_S = 0.1
+PERSON, CAR, SIGN = 0, 2, 7
+Path = Callable[[float], tuple[float, float]]
+"""x and z of the object relative to the camera at a time, m."""
+
+
+def drive(
+    path: Path,
+    *,
+    seconds: float,
+    ego_mps: float = math.nan,
+    yaw_rad_s: float = math.nan,
+    class_id: int = CAR,
+    width_m: float = 1.8,
+    settings: WarningSettings | None = None,
+) -> list[Warnings]:
+    """Warnings of all frames with one object, measured with 2 % of noise in distance and 0.5 px in the box."""
+    rng = np.random.default_rng(3)
+    filters, lateral = DistanceFilters({"fused": 0.9}), LateralFilters(CAMERA)
+    warning, ids = CollisionWarning(settings), np.array([1])
+    results = []
+    for time_s in np.arange(0, seconds, STEP_S).tolist():
+        x_m, z_m = path(time_s)
+        middle, half = 620.0 + 700.0 * x_m / z_m, 350.0 * width_m / z_m
+        box: FloatArray = np.array([[middle - half, 187.0, middle + half, 187.0 + 1000.0 / z_m]])
+        tracks = Tracks(ids, box + rng.normal(0, 0.5, (1, 4)), np.array([class_id]), np.ones(1), np.ones(1, bool))
+        distance_m = z_m * (1 + 0.01 * rng.normal())
+        measured = {"fused": Ranges(ids, np.array([distance_m]), np.array([0.01 * z_m]))}
+        motion = filters.update(measured, time_s, ego_speed_mps=ego_mps)["fused"]
+        own_mps = motion.state.v + ego_mps if math.isfinite(ego_mps) else 0.0
+        side = lateral.update(tracks, motion.ranges.distance_m, time_s, yaw_rad_s=yaw_rad_s, own_mps=own_mps)
+        results.append(warning.update(tracks, motion, side, time_s, ego_mps=ego_mps, yaw_rad_s=yaw_rad_s))
+    return results
+
+
+def first_alarm_s(results: list[Warnings]) -> float:
+    return next((STEP_S * number for number, result in enumerate(results) if result.active[0]), math.inf)
+
+
+def standing_in_a_bend(ego_mps: float, curvature: float, *, z_m: float, x_m: float) -> Path:
+    """A static object at (x, z) as seen from a camera that drives along an arc."""
+
+    def path(time_s: float) -> tuple[float, float]:
+        turned = curvature * ego_mps * time_s
+        ego_x, ego_z = (1 - math.cos(turned)) / curvature, math.sin(turned) / curvature
+        dx, dz = x_m - ego_x, z_m - ego_z
+        return dx * math.cos(turned) - dz * math.sin(turned), dx * math.sin(turned) + dz * math.cos(turned)
+
+    return path
+
+
+@pytest.mark.parametrize("ego_mps", [12.0, math.nan])
+def test_standing_car_ahead(ego_mps: float) -> None:
+    """The contact is when the front of the ego vehicle, 1.5 m before the camera, arrives: after (61.5 - 1.5) / 12 s."""
+    results = drive(lambda t: (0.2, 61.5 - 12 * t), seconds=4.9, ego_mps=ego_mps, yaw_rad_s=0.0)
+    assert 2.0 < 5.0 - first_alarm_s(results) < 3.6
+    assert results[-1].active[0]
+    assert results[-1].probability[0] > 0.95
+
+
+def test_crossing_person() -> None:
+    """Walks from the right at 1.5 m/s and is in the middle of the path when the ego vehicle arrives after 4 s."""
+    path: Path = lambda t: (6.0 - 1.5 * t, 41.5 - 10 * t)  # noqa: E731
+    results = drive(path, seconds=3.9, ego_mps=10.0, yaw_rad_s=0.0, class_id=PERSON, width_m=0.5)
+    assert 4.0 - first_alarm_s(results) > 2.0
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        lambda t: (-3.5, 90.0 - 24 * t),  # oncoming in the next lane
+        lambda t: (3.4, 40.0 - 10 * t),  # parked beside the lane
+        lambda t: (0.0, 24.0),  # the vehicle ahead at a headway of 2 s
+        lambda t: (0.0, 14.0 + 3 * t),  # draws away
+        lambda t: (5.0 - 0.2 * t, 40.0 - 10 * t),  # comes a little nearer while it is passed
+    ],
+)
+def test_harmless_motion(path: Path) -> None:
+    results = drive(path, seconds=3.5, ego_mps=12.0, yaw_rad_s=0.0)
+    assert first_alarm_s(results) == math.inf
+    assert max(float(np.nan_to_num(result.probability[0])) for result in results[10:]) < 0.5
+
+
+def test_parked_car_straight_ahead_in_a_bend() -> None:
+    """On an arc of 1 / 60 m, a car straight ahead at 25 m is 5.2 m beside the path; without the yaw rate it is not."""
+    path = standing_in_a_bend(8.0, 1 / 60, z_m=40.0, x_m=8.0)
+    known = drive(path, seconds=4.5, ego_mps=8.0, yaw_rad_s=8.0 / 60)
+    assert first_alarm_s(known) == math.inf
+
+
+def test_car_in_the_path_in_a_bend() -> None:
+    """On the same arc, a car in the path is at x = z^2 / (2 R)."""
+    path = standing_in_a_bend(8.0, 1 / 60, z_m=38.0, x_m=60 - math.sqrt(60**2 - 38**2))
+    results = drive(path, seconds=5.0, ego_mps=8.0, yaw_rad_s=8.0 / 60)
+    assert first_alarm_s(results) < math.inf
+
+
+def test_cut_in_at_a_short_headway() -> None:
+    """A car of the same speed, 9 m ahead at 25 m/s, changes into the ego lane within 2.5 s."""
+    path: Path = lambda t: (3.6 * (1 - min(max(t - 1.0, 0.0) / 2.5, 1.0)), 9.0)  # noqa: E731
+    results = drive(path, seconds=4.5, ego_mps=25.0, yaw_rad_s=0.0)
+    assert 1.0 < first_alarm_s(results) < 3.0
+    assert first_alarm_s(drive(path, seconds=4.5)) == math.inf  # not without the ego speed
+    far: Path = lambda t: (path(t)[0], 25.0)  # noqa: E731
+    assert first_alarm_s(drive(far, seconds=4.5, ego_mps=25.0, yaw_rad_s=0.0)) == math.inf
+
+
+def test_signs_have_no_probability() -> None:
+    results = drive(lambda t: (0.0, 40.0 - 10 * t), seconds=3.5, ego_mps=10.0, class_id=SIGN)
+    assert all(np.isnan(result.probability[0]) and not result.active[0] for result in results)
+
+
+def test_alarm_has_hysteresis() -> None:
+    """A new alarm needs 0.2 s above the threshold; it ends only 0.5 s after the probability has fallen."""
+    path: Path = lambda t: (0.0, 41.5 - 10 * min(t, 2.5))  # noqa: E731 - the ego vehicle stops at once after 2.5 s
+    results = drive(path, seconds=6.0)
+    active = [bool(result.active[0]) for result in results]
+    starts, ends = active.index(True), len(active) - 1 - active[::-1].index(True)
+    assert all(active[starts : ends + 1])
+    above = [i for i, result in enumerate(results) if result.probability[0] >= WarningSettings().on_probability]
+    assert starts >= above[0] + 2
+    assert ends >= above[-1] + 4
+
+
+def test_no_tracks_and_unknown_distances() -> None:
+    filters, lateral, warning = DistanceFilters({"fused": 0.9}), LateralFilters(CAMERA), CollisionWarning()
+    for tracks in (Tracks.empty(), Tracks(np.array([4]), np.ones((1, 4)), np.array([2]), np.ones(1), np.ones(1, bool))):
+        motion = filters.update({"fused": Ranges.unmeasured(tracks.track_id)}, 0.0)["fused"]
+        result = warning.update(tracks, motion, lateral.update(tracks, motion.ranges.distance_m, 0.0), 0.0)
+        assert len(result.probability) == len(tracks)
+        assert not result.active.any()
+        assert np.isnan(result.probability).all()
