@@ -42,8 +42,12 @@ _CENTRE_SIGMA_PX, _CENTRE_SIGMA_SHARE = 1.0, 0.02
 _GATE_SIGMA = 5.0
 """Gate in standard deviations of the innovation; a measurement outside restarts the track's filter."""
 
-_BORDER_PX = 2.0
-"""Distance in px from the left or right image border within which a box counts as cut by it."""
+_BORDER_PX, _BORDER_SHARE = 2.0, 0.1
+"""Distance from the left or right image border within which a box counts as cut by it: px, plus a fraction of the
+height of the box, since the edges of detected boxes are uncertain."""
+
+_LEAST_WIDTH_SHARE = 0.8
+"""Width of a box, as a fraction of the smallest width of its class, below which a part of the object is hidden."""
 
 _MAX_GAP_S = 1.0
 """Longest time without a measurement in s; after it the track's filter restarts."""
@@ -145,5 +149,7 @@ class LateralFilters:
         left_m = left * d + np.minimum(np.maximum(left, 0.0) * L, slack_m)
         right_m = right * d - np.minimum(np.maximum(-right, 0.0) * L, slack_m)
         sigma_m = (_CENTRE_SIGMA_PX + _CENTRE_SIGMA_SHARE * (right_px - left_px)) * d / self._camera.fx_px
-        is_whole = (left_px > _BORDER_PX) & (right_px < self._camera.width_px - 1 - _BORDER_PX)
+        border_px = _BORDER_PX + _BORDER_SHARE * (tracks.xyxy_px[:, 3] - tracks.xyxy_px[:, 1])
+        is_whole = (left_px > border_px) & (right_px < self._camera.width_px - 1 - border_px)
+        is_whole &= (right - left) * d > _LEAST_WIDTH_SHARE * _MIN_WIDTH_M[tracks.class_id]
         return (left_m + right_m) / 2, sigma_m, (right_m - left_m) / 2, is_whole

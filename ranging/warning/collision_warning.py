@@ -137,7 +137,9 @@ class CollisionWarning:
         a_sigma = np.hypot(np.sqrt(filtered[4]), settings.acceleration_mps2)
 
         # Probability of contact.
+        rate_variance = (motion.ranges.sigma_m / settings.drift_s) ** 2
         gap = _without_lag(motion.state, filtered[1], filtered[4])
+        gap = ConstantVelocity(gap.x, gap.v, gap.P_xx, gap.P_xv, gap.P_vv + rate_variance)
         encounter = self._encounter(tracks, gap, lateral, a, a_sigma)
         probability = contact_probability(
             encounter,

@@ -25,6 +25,7 @@ class WarningSettings:
         cut_in_ahead_s: a vehicle cuts in if it was beside the path and will be in it after this time.
         cut_in_probability: smallest probability that it will be in the path.
         max_cut_in_mps: largest speed at which it may draw away.
+        drift_s: time in which the error of a distance changes by its standard deviation; its change looks like speed.
         front_m: distance from the camera to the front of the ego vehicle.
         ego_width_m: width of the ego vehicle.
         ego_length_m: length of the ego vehicle.
@@ -50,7 +51,7 @@ class WarningSettings:
     off_probability: float = 0.25
     min_on_s: float = 0.2
     min_off_s: float = 0.5
-    min_closing_mps: float = 1.5
+    min_closing_mps: float = 2.5
     min_track_s: float = 1.0
     min_person_s: float = 0.4
     max_closing_sigma_mps: float = 2.0
@@ -59,6 +60,7 @@ class WarningSettings:
     cut_in_ahead_s: float = 1.0
     cut_in_probability: float = 0.8
     max_cut_in_mps: float = 1.5
+    drift_s: float = 1.0
     front_m: float = 1.5
     ego_width_m: float = 1.8
     ego_length_m: float = 4.2
