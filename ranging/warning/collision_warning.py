@@ -159,7 +159,10 @@ class CollisionWarning:
         is_person = tracks.class_id == _PERSON
         may_start &= time_s - first_s >= np.where(is_person, settings.min_person_s, settings.min_track_s)
         may_end = ~(probability >= settings.off_probability)
-        active, since_s = self._alarm(may_start, may_end, time_s, since_s, is_on > 0)
+        is_uncertain = motion.ranges.sigma_m > settings.certain_share * d
+        needed_s = np.where(is_uncertain, settings.uncertain_on_s, settings.min_on_s)
+        needed_s = np.where(is_on > 0, settings.min_off_s, needed_s)
+        active, since_s = _alarm(np.where(is_on > 0, may_end, may_start), needed_s, time_s, since_s, is_on > 0)
         last_s = np.where(is_known, time_s, last_s)
         new = np.vstack([filtered, np.full(len(tracks), time_s), first_s, last_s, beside_s, since_s, active])
         is_recent = time_s - self._tracks.known[7] <= _MAX_GAP_S
@@ -237,16 +240,22 @@ class CollisionWarning:
             is_near & is_along & enters & (gap.v <= settings.max_cut_in_mps) & (tracks.class_id != _PERSON)
         )
 
-    def _alarm(
-        self, may_start: BoolArray, may_end: BoolArray, time_s: float, since_s: FloatArray, is_on: BoolArray
-    ) -> tuple[BoolArray, FloatArray]:
-        """Whether each alarm is on, and since when the condition for its next change holds; NaN = it does not."""
-        settings = self.settings
-        holds = np.where(is_on, may_end, may_start)
-        since_s = np.where(holds, np.fmin(since_s, time_s), np.nan)
-        needed_s = np.where(is_on, settings.min_off_s, settings.min_on_s)
-        changes = time_s - since_s >= needed_s - 1e-9
-        return is_on ^ changes, np.where(changes, np.nan, since_s)
+
+def _alarm(
+    holds: BoolArray, needed_s: FloatArray, time_s: float, since_s: FloatArray, is_on: BoolArray
+) -> tuple[BoolArray, FloatArray]:
+    """Whether each alarm is on, and since when the condition for its next change holds; NaN = it does not.
+
+    Args:
+        holds: (N,) whether the condition holds in this frame.
+        needed_s: (N,) time for which it has to hold.
+        time_s: time of the frame.
+        since_s: (N,) since when it held before; NaN = it did not.
+        is_on: (N,) whether the alarm was on.
+    """
+    since_s = np.where(holds, np.fmin(since_s, time_s), np.nan)
+    changes = time_s - since_s >= needed_s - 1e-9
+    return is_on ^ changes, np.where(changes, np.nan, since_s)
 
 
 def _path_errors(offset_m: FloatArray, rate_mps: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 
 _N_STEPS = 16
-"""Number of steps of the integral; with 64, the probabilities of the simulated drives differ by less than 0.01."""
+"""Number of steps of the integral; with 128, 99.9 % of the probabilities of simulated drives differ by at most 0.02."""
 
 _MIN_SIGMA = 1e-3
 """Smallest standard deviation in m, against a division by zero."""
