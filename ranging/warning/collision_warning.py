@@ -9,7 +9,7 @@ Ego path: the circle of curvature k = w / V, with the yaw rate w. In its coordin
     o = x - k z^2 / 2        o' = u_x - k z (v + V)
 
 both of which are constant for static objects and for all that follow the bend. Traffic lights and signs have no
-probability of contact: they hang above the road, or stand beside it.
+probability of contact: they hang above the road, or are beside it.
 """
 
 from __future__ import annotations
