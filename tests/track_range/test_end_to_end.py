@@ -60,8 +60,9 @@ def n_frames_of(video):
 
 def test_all_files_are_complete(simulated_run):
     out, _, _ = simulated_run
-    names = {"tracks.csv", "mot.txt", "tracks.parquet", "summary.json", "settings.yaml", "overlay.mp4", "report.html"}
-    assert {file.name for file in out.iterdir()} == names
+    rows = {"tracks.csv", "mot.txt", "tracks.parquet", "events.csv", "events.parquet"}
+    names = {"summary.json", "settings.yaml", "overlay.mp4", "report.html"}
+    assert {file.name for file in out.iterdir()} == rows | names
     assert n_frames_of(out / "overlay.mp4") == 16
     with (out / "tracks.csv").open() as file:
         assert next(csv.reader(file)) == list(column_names())
@@ -97,10 +98,10 @@ def test_errors_on_the_exact_world(simulated_run):
 
 def test_truth_is_not_read_by_methods(drive, simulated_run, track_range, tmp_path):
     """The same files without the truth, in a folder where there is none: every measurement stays the same."""
-    names = ("left", "right", "rig", "detections")
+    names = ("left", "right", "rig", "detections", "ego_speed")
     for name in names:
         shutil.copy(getattr(drive, name), tmp_path)
-    left, right, rig, boxes = (tmp_path / getattr(drive, name).name for name in names)
+    left, right, rig, boxes, _ = (tmp_path / getattr(drive, name).name for name in names)
     track_range(
         "--stereo",
         left,

@@ -13,7 +13,16 @@ from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.rig_yaml import save_rig
 from track_range.video.reader import VideoReader
 
-FILES = {"left.mp4", "right.mp4", "rig.yaml", "truth.txt", "truth.csv", "ego_speed.csv", "detections.txt"}
+FILES = {
+    "left.mp4",
+    "right.mp4",
+    "rig.yaml",
+    "truth.txt",
+    "truth.csv",
+    "contacts.csv",
+    "ego_speed.csv",
+    "detections.txt",
+}
 
 
 def rig_file(path, *, width_px=310, height_px=94, baseline_m=0.54, distortion=(), rotation=None):
