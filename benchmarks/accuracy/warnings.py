@@ -47,6 +47,9 @@ SEEDS = tuple(range(100, 107))
 LEAD_S = 2.1
 """Smallest lead of a hit, s: time to react and to brake to a standstill from 50 km/h, as in ISO 15623."""
 
+DASHCAM_FOCAL_PX = 1150.0
+"""Focal length of the dashcam clips, px: assumed, for an angle of view of about 58 degrees at 1280 px."""
+
 N_COLLISION_SEEDS = 8
 """Number of scenes of each collision scenario without images."""
 
@@ -187,7 +190,7 @@ def _real(options: Namespace) -> dict[str, Any]:
             events = real_warnings(videos=(folder / "left.mp4", folder / "right.mp4"))
             figures[f"KITTI {name}"] = [f"{event.kind} at {event.warning_s:.1f} s" for event in events]
     for path in sorted((REAL_DATA / "dashcam").glob("*.mp4")):
-        events = real_warnings(videos=(path,))
+        events = real_warnings(videos=(path,), focal_px=DASHCAM_FOCAL_PX)
         figures[path.stem] = [f"{event.kind} at {event.warning_s:.1f} s" for event in events]
     table = plain_table("real drives", "recording", "warnings")
     for name, warnings in figures.items():
