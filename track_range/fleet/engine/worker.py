@@ -9,6 +9,7 @@ import platform
 import resource
 import shutil
 import sys
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,9 @@ from track_range.fleet.engine.scratch import open_scratch
 from track_range.fleet.engine.shared_files import SharedFile, with_shared_files
 
 _PAGE_BYTES = resource.getpagesize()
+
+_FREE_INTERVAL_S = 3.0
+"""Shortest time between two returns of free memory, s; one takes about 0.1 s, as long as a very short clip."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +76,7 @@ class Worker:
         self._folder = open_scratch(plan.cache_dir)
         self._plan, self._process = with_shared_files(plan, files, self._folder / "shared"), process
         self._progress = ClipProgress()
+        self._freed_s = time.monotonic()
 
     def info(self) -> WorkerInfo:
         """Process, machine and version."""
@@ -89,7 +94,9 @@ class Worker:
             return self._process(task, self._plan, self._progress)
         finally:
             self._progress = ClipProgress()
-            return_free_memory()
+            if time.monotonic() - self._freed_s > _FREE_INTERVAL_S:
+                return_free_memory()
+                self._freed_s = time.monotonic()
 
     def close(self) -> None:
         """Remove the folder of this worker, before its end."""
