@@ -60,6 +60,7 @@ def main() -> None:
     listed_s = time.perf_counter() - start_s
     settings = FleetSettings(recordings=(manifest,), out=out, workers=int(n_workers), worker_memory="1GB")
     result = run_fleet(settings, {}, clips, process=publish_stub)
+    peak_mb = _peak_mb()  # before the results are read for the times below
     counts = result.counts
     figures = {
         "clips": counts.total,
@@ -69,7 +70,7 @@ def main() -> None:
         "wall_s": time.perf_counter() - start_s,
         "driver_cpu_s": time.process_time(),
         "work_s": _work_s(Location.of(out)),
-        "driver_peak_mb": _peak_mb(),
+        "driver_peak_mb": peak_mb,
     }
     print(json.dumps(figures))
 
