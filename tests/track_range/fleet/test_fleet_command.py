@@ -117,7 +117,7 @@ def test_other_settings_repeat_the_clips(finished, cli):
     status, stdout, _ = cli(*options, "--reports", "--classes", "car", "--write", "csv")
     assert "0 of them before" in stdout
     assert {file.name for file in (out / "runs" / "clip=one").iterdir()} == {
-        *("tracks.csv", "report.html", "summary.json"),
+        *("tracks.csv", "events.csv", "report.html", "summary.json"),
     }
     after = read_clips(Location.of(out)).to_pylist()
     assert len(after) == 3
