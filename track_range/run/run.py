@@ -480,7 +480,7 @@ def _plain(name: str, value: Any) -> Any:
     """Paths, numbers and lists converted to the text that the command line takes."""
     if isinstance(value, Path):
         return str(value)
-    if name in ("min_score", "ego_speed") and isinstance(value, int | float):
+    if name in ("min_score", "ego_speed") and isinstance(value, int | float) and not isinstance(value, bool):
         return str(value)
     if name == "names" and isinstance(value, list | tuple):
         return ",".join(value)

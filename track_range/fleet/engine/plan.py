@@ -165,9 +165,9 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
     for name in options:
         if name in REFUSED:
             raise UsageError(f"{RunSettings.flag(name)}: not an option of a fleet; {REFUSED[name]}.")
-    _check_ego_speed(options)
     given = {"overlay": False, **options, "threads": settings.threads}
     checked = _validated(given)
+    _check_ego_speed(checked.ego_speed)
     files = _shared_files(checked)
     shared = {name: _sha256(path) for name, path in files.items()}
     _check_models(checked, files)
@@ -197,10 +197,8 @@ def _validated(options: Mapping[str, Any]) -> RunSettings:
     return settings_from({**options, **({"stereo": ("left.mp4", "right.mp4")} if is_pair else {"mono": "clip.mp4"})})
 
 
-def _check_ego_speed(options: Mapping[str, Any]) -> None:
-    value = options.get("ego_speed")
-    text = {True: "on", False: "off", None: AUTO}.get(value, str(value))
-    if text not in (AUTO, OFF) and math.isnan(number(text)):
+def _check_ego_speed(setting: str) -> None:
+    if setting not in (AUTO, OFF) and math.isnan(number(setting)):
         raise UsageError(
             "--ego-speed: expected auto, off, or a number of km/h for all clips; give files in the column ego_speed of "
             "a manifest."
