@@ -96,7 +96,8 @@ def is_complete(inputs: Mapping[str, float]) -> bool:
 
 
 def cost_tables(inputs: Mapping[str, float]) -> str:
-    """The inputs and the results as Markdown tables."""
+    """The inputs and the results as Markdown tables; the results are those of the inputs as they are shown."""
+    inputs = {name: float(_text(value)) for name, value in inputs.items()}
     lines = ["| input | value | source |", "|---|--:|---|"]
     has_gpu = "gpu_mono_ms" in inputs
     shown_inputs = (*INPUTS, *GPU_INPUTS) if has_gpu else INPUTS

@@ -1,6 +1,4 @@
 import math
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,8 +7,6 @@ from tests.track_range.telemetry.telemetry_files import LATITUDE, START_S, gpx_t
 from track_range.telemetry.checks import usable
 from track_range.telemetry.errors import TelemetryError
 from track_range.telemetry.sidecars.reading import read_sidecar, sidecar_names
-
-SAMPLES = Path(os.environ.get("TRACK_RANGE_DATA", "/nonexistent")) / "telemetry"
 
 
 def read(tmp_path, name, text, *, video="drive.mp4", duration_s=20.0):
@@ -172,21 +168,22 @@ def test_names_of_sidecars():
 
 
 @pytest.mark.real
-def test_real_sidecars():
-    blackvue = read_sidecar(SAMPLES / "sidecars/blackvue.gps", "a.mp4", 60.0)
+def test_real_sidecars(shared_data):
+    folder = shared_data / "telemetry/sidecars"
+    blackvue = read_sidecar(folder / "blackvue.gps", "a.mp4", 60.0)
     assert blackvue.speed_mps[0] == pytest.approx(48.0 * 0.514444, abs=1e-3)
     assert math.degrees(blackvue.course_rad[0]) == pytest.approx(145.2)
-    assert len(read_sidecar(SAMPLES / "sidecars/mivue.NMEA", "a.mp4", 60.0)) == 7
-    drawn = read_sidecar(SAMPLES / "sidecars/sf_30km_h.gpx", "a.mp4", 60.0)
+    assert len(read_sidecar(folder / "mivue.NMEA", "a.mp4", 60.0)) == 7
+    drawn = read_sidecar(folder / "sf_30km_h.gpx", "a.mp4", 60.0)
     assert np.median(drawn.speed_mps) == pytest.approx(8.33, abs=0.02)
     assert usable(drawn).speed_mps.max() < 10
-    mai = read_sidecar(SAMPLES / "sidecars/70mai-a810.txt", "NO20260712-195604-000001F.MP4", 60.0)
+    mai = read_sidecar(folder / "70mai-a810.txt", "NO20260712-195604-000001F.MP4", 60.0)
     assert len(mai) == 41
     assert mai.speed_mps.max() < 1
 
 
 @pytest.mark.real
 @pytest.mark.parametrize(("name", "n"), [("fusion", 275), ("hero05", 618), ("hero06", 417)])
-def test_real_gpx(name, n):
-    track = usable(read_sidecar(SAMPLES / f"gopro/{name}.gpx", "a.mp4", 60.0))
+def test_real_gpx(shared_data, name, n):
+    track = usable(read_sidecar(shared_data / f"telemetry/gopro/{name}.gpx", "a.mp4", 60.0))
     assert len(track) == n

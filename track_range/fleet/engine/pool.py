@@ -26,12 +26,16 @@ from track_range.fleet.engine.scratch import folder_of
 from track_range.fleet.engine.shared_files import shared_files
 from track_range.fleet.engine.worker import Worker, WorkerInfo, WorkerState
 from track_range.fleet.settings import FleetSettings
+from track_range.foundation.processes import is_running
 
 _STATE_S = 1.0
 """Time between two questions for the state of a worker, s."""
 
 _CLOSE_S = 5.0
-"""Time in which idle workers remove their folders, s."""
+"""Time in which workers without a clip remove their folders, s."""
+
+_END_S = 2.0
+"""Longest wait for the end of a killed process, s."""
 
 _BUSY_CALLS = 2
 """Threads of an actor for its state, so that one that waits for the interpreter does not block the next."""
@@ -150,8 +154,8 @@ class WorkerPool:
         self.slots[slot.number] = self._started(slot.number)
 
     def stop(self) -> None:
-        """End all workers; those that are idle remove their folders."""
-        closing = [slot.actor.close.remote() for slot in self.idle]
+        """End all workers; those without a clip, also those that are still starting, remove their folders."""
+        closing = [slot.actor.close.remote() for slot in self.slots if slot.task is None]
         if closing:
             ray.wait(closing, num_returns=len(closing), timeout=_CLOSE_S)
         for slot in self.slots:
@@ -186,6 +190,7 @@ class WorkerPool:
             if not has_ended:
                 with suppress(OSError):
                     os.kill(slot.info.pid, signal.SIGKILL)
+                _wait_for_end(slot.info.pid)  # it could write into the folder while that is removed
             shutil.rmtree(folder_of(slot.info.pid, self._cache_dir), ignore_errors=True)
 
     def _ask_states(self) -> None:
@@ -225,6 +230,13 @@ class WorkerPool:
                 yield self._lost(
                     slot, "timeout", f"not finished within the time limit of {limit_s:.0f} s (--timeout){at}."
                 )
+
+
+def _wait_for_end(pid: int) -> None:
+    """Wait until a process has ended, for at most `_END_S`."""
+    until_s = time.monotonic() + _END_S
+    while is_running(pid) and time.monotonic() < until_s:
+        time.sleep(0.01)
 
 
 def _cause(error: Exception) -> tuple[ErrorKind, str]:

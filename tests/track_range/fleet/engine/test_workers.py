@@ -230,3 +230,6 @@ class Unusable:
 
     def info(self):
         """Not reached."""
+
+    def close(self):
+        """Not reached."""
