@@ -31,6 +31,15 @@ _MAX_BACKWARD_S = 2.0
 _HOUR_S, _HOUR_TOLERANCE_S = 3600.0, 3.0
 """Gaps of whole hours within this tolerance are jumps of the clock: one pause in 600 is as near to one."""
 
+MIN_STABLE_S = 10.0
+"""Shortest time in s with a fix after which a clock that was wrong before the fix is no reason to doubt the rest."""
+
+_MIN_STABLE_SHARE = 0.9
+"""Smallest share of samples with a fix in that time and all later ones."""
+
+_FIRST_DATE_S = 1_199_145_600.0
+"""2008-01-01 in seconds since 1970: receivers without a date state 1980, 2000 or 2004, or a date 1024 weeks ago."""
+
 _MIN_LOSSES, _MIN_FIX_SHARE = 5, 0.6
 """Number of losses of the fix from which speeds are doubted if the share of samples with a fix is smaller. Assumed: the
 one known recording of a parked car with false speeds has 22 losses in 3 minutes and a share of 0.38."""
@@ -42,12 +51,21 @@ _MIN_COMPARED, _COMPARED_MPS, _UNIT_TOLERANCE = 10, 3.0, 0.08
 def usable(track: TelemetryTrack) -> TelemetryTrack:
     """The track in the order of time, without wild samples, which become NaN.
 
+    A clock that is set when the receiver gets its first fix does not matter if the fix then lasts (`MIN_STABLE_S`).
+
     Raises:
         TelemetryError: no fix, wild positions or speeds, or a clock that jumps.
     """
     if not len(track) or not np.isfinite(track.speed_mps).any():
         raise TelemetryError("the receiver had no fix.")
-    _check_clock(track)
+    try:
+        _check_clock(track)
+    except TelemetryError:
+        warm = _after_cold_start(track)
+        if warm is None:
+            raise
+        _check_clock(warm)
+        track = warm
     track = _in_order(track)
     _check_losses(track)
     _check_positions(track)
@@ -72,6 +90,21 @@ def _check_clock(track: TelemetryTrack) -> None:
     is_jump = (hours >= 1) & (np.abs(gaps_s - hours * _HOUR_S) <= _HOUR_TOLERANCE_S)
     if is_jump.any():
         raise TelemetryError(f"its clock jumps by {_duration(float(gaps_s[is_jump][0]))}.")
+
+
+def _after_cold_start(track: TelemetryTrack) -> TelemetryTrack | None:
+    """The track from its first dated sample with a fix on; None = it starts with one, or the fix is not stable."""
+    is_dated = ~(track.utc_s < _FIRST_DATE_S)
+    has_fix = np.isfinite(track.speed_mps) & is_dated
+    if has_fix[0] or not has_fix.any():
+        return None
+    first = int(np.argmax(has_fix))
+    warm = selected(track, np.arange(len(track)) >= first)
+    length_s = float(warm.time_s.max() - warm.time_s[0])
+    if length_s < MIN_STABLE_S or has_fix[first:].mean() < _MIN_STABLE_SHARE:
+        return None
+    note = f"its first {first} samples, before the receiver had a fix, have a wrong clock and are not used."
+    return replace(warm, notes=(*track.notes, note))
 
 
 def _check_losses(track: TelemetryTrack) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from track_range.telemetry.checks import selected, usable
 from track_range.telemetry.containers.embedded import embedded
 from track_range.telemetry.errors import TelemetryError
+from track_range.telemetry.exiftool import read_with_exiftool
 from track_range.telemetry.sidecars.reading import read_sidecar, sidecar_names
 from track_range.telemetry.track import TelemetryTrack
 from track_range.telemetry.video_clock import VideoClock, on_video_clock
@@ -64,7 +65,7 @@ def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
     whole_s = max(part.start_s + part.duration_s for part in parts) if first.duration_s else 0.0
     recording = replace(first, duration_s=whole_s)
     is_sidecar = path.suffix.lower() in (".gpx", ".srt", ".csv", ".nmea", ".txt", ".gps")
-    track = read_sidecar(path, first.path.name, whole_s) if is_sidecar else embedded(path)
+    track = read_sidecar(path, first.path.name, whole_s) if is_sidecar else _in_video(path)
     if track is None:
         raise TelemetryError(f"{path}: expected speeds or positions with times, found none.")
     clock = _checked(track, path, recording)
@@ -79,10 +80,27 @@ def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
 def _inside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
     if not part.path.is_file():
         return None
-    track = embedded(part.path)
+    track = _in_video(part.path)
     if track is None:
         return None
     return track, part.path
+
+
+def _in_video(path: Path) -> TelemetryTrack | None:
+    """Telemetry inside a video file: of our readers, otherwise of ExifTool.
+
+    Raises:
+        TelemetryError: the file cannot be read, or has telemetry of an unknown layout.
+    """
+    try:
+        track, problem = embedded(path), None
+    except TelemetryError as error:
+        track, problem = None, error
+    if track is None:
+        track = read_with_exiftool(path)
+    if track is None and problem is not None:
+        raise problem
+    return track
 
 
 def _beside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:

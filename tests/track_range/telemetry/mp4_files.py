@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -48,7 +49,7 @@ def _header(kind: bytes, timescale: int) -> bytes:
     return box(kind, struct.pack(">IIIII", 0, 0, 0, timescale, 0), bytes(80 if kind == b"mvhd" else 4))
 
 
-def _trak(track: MadeTrack, offsets: list[int]) -> bytes:
+def _trak(track: MadeTrack, offsets: list[int], number: int = 0) -> bytes:
     n = len(track.samples)
     table = box(
         b"stbl",
@@ -59,7 +60,38 @@ def _trak(track: MadeTrack, offsets: list[int]) -> bytes:
         box(b"stco", struct.pack(">II", 0, n), *(struct.pack(">I", offset) for offset in offsets)),
     )
     media = _header(b"mdhd", track.timescale), box(b"hdlr", bytes(8), track.handler, bytes(13)), box(b"minf", table)
-    return box(b"trak", box(b"mdia", *media))
+    return box(b"trak", box(b"tkhd", struct.pack(">IIIII", 0, 0, 0, number, 0)), box(b"mdia", *media))
+
+
+def fragmented_mp4(tracks: Sequence[MadeTrack], *, per_fragment: int = 2) -> bytes:
+    """A fragmented file: a `moof` and an `mdat` for each group of `per_fragment` samples of all tracks."""
+    empty = [dataclasses.replace(track, samples=()) for track in tracks]
+    traks = [_trak(track, [], number) for number, track in enumerate(empty, 1)]
+    defaults = [box(b"trex", struct.pack(">6I", 0, i, 1, track.ticks, 0, 0)) for i, track in enumerate(tracks, 1)]
+    content = box(b"ftyp", b"iso5\0\0\2\0iso5mp41")
+    content += box(b"moov", _header(b"mvhd", 1000), *traks, box(b"mvex", *defaults))
+    for first in range(0, max(len(track.samples) for track in tracks), per_fragment):
+        parts = [track.samples[first : first + per_fragment] for track in tracks]
+        n_bytes = len(_fragment(tracks, parts, first, [0] * len(tracks)))
+        places = [n_bytes + 8 + sum(len(b"".join(part)) for part in parts[:i]) for i in range(len(parts))]
+        content += _fragment(tracks, parts, first, places) + box(b"mdat", *(b"".join(part) for part in parts))
+    return content
+
+
+def _fragment(
+    tracks: Sequence[MadeTrack], parts: Sequence[Sequence[bytes]], first: int, places: Sequence[int]
+) -> bytes:
+    """A box `moof` with a run of each track, with the sizes of its samples and the offset of its data."""
+    runs = [
+        box(
+            b"traf",
+            box(b"tfhd", struct.pack(">II", 0x20000, number)),
+            box(b"tfdt", struct.pack(">II", 0, first * track.ticks)),
+            box(b"trun", struct.pack(">IIi", 0x201, len(part), place), *(struct.pack(">I", len(one)) for one in part)),
+        )
+        for number, (track, part, place) in enumerate(zip(tracks, parts, places, strict=True), 1)
+    ]
+    return box(b"moof", box(b"mfhd", struct.pack(">II", 0, first)), *runs)
 
 
 VIDEO = MadeTrack(b"vide", b"avc1", [b"\0\0\0\2\x41\0" * 4] * 10)

@@ -68,3 +68,37 @@ def test_invented_positions_do_not_matter():
 def test_pause_is_no_jump():
     times_s = np.concatenate([START_S + np.arange(10), START_S + 4000 + np.arange(10)])
     assert len(usable(track(clock="utc", time_s=times_s))) == 20
+
+
+def cold_start(n_void=4, n_fixed=12, stale_s=-3 * 3600):
+    """A receiver that sets its clock when it gets its fix."""
+    utc_s = START_S + np.arange(n_void + n_fixed) + np.where(np.arange(n_void + n_fixed) < n_void, stale_s, 0)
+    speed_mps = np.where(np.arange(n_void + n_fixed) < n_void, np.nan, 10.0)
+    return speed_mps, utc_s
+
+
+@pytest.mark.parametrize("clock", ["video", "utc"])
+@pytest.mark.parametrize("stale_s", [-3 * 3600, 3 * 3600, -1024 * 7 * 86400])
+def test_cold_start(clock, stale_s):
+    speed_mps, utc_s = cold_start(stale_s=stale_s)
+    times_s = utc_s if clock == "utc" else np.arange(16.0)
+    result = usable(track(speed_mps, clock=clock, time_s=times_s, utc_s=utc_s))
+    assert len(result) == 12
+    assert result.time_s[0] == times_s[4]
+    assert "first 4 samples" in result.notes[0]
+
+
+def test_default_date_of_a_receiver_with_a_fix():
+    _, utc_s = cold_start(stale_s=946_684_800 - START_S)
+    assert len(usable(track(time_s=np.arange(16.0), utc_s=utc_s))) == 12
+
+
+@pytest.mark.parametrize("change", ["short", "jump", "losses"])
+def test_cold_start_without_a_stable_fix(change):
+    speed_mps, utc_s = cold_start(n_fixed=8 if change == "short" else 20)
+    if change == "jump":
+        utc_s[12:] += 3 * 3600
+    if change == "losses":
+        speed_mps[8:12] = np.nan
+    with pytest.raises(TelemetryError, match="clock jumps by 3 h"):
+        usable(track(speed_mps, time_s=np.arange(float(len(utc_s))), utc_s=utc_s))

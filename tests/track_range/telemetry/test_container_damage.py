@@ -16,6 +16,7 @@ from tests.track_range.telemetry.mp4_files import (
     MadeTrack,
     box,
     camm_gps,
+    fragmented_mp4,
     free_gps,
     gps5_payload,
     gps9_payload,
@@ -39,6 +40,7 @@ TRAILER = b"SKIPLIGOGPSINFO     " + struct.pack(">I", 2) + (b"\0\0\0\1" + LINE.l
 SEEDS = {
     "gpmf": mp4([VIDEO, MadeTrack(b"meta", b"gpmd", [gps5_payload([1.0, 2.0]), gps9_payload(3.0)])]),
     "bare gpmf": gps5_payload([1.0]) + gps9_payload(3.0),
+    "fragments": fragmented_mp4([VIDEO, MadeTrack(b"camm", b"camm", [camm_gps(3, 4)] * 3)]),
     "camm": mp4([VIDEO, MadeTrack(b"camm", b"camm", [camm_gps(3, 4)] * 3)]),
     "free gps": mp4([VIDEO], between=free_gps(long_record(), 0x80)),
     "transport stream": transport_stream([short_record().ljust(300, b"\0")] * 4),

@@ -15,6 +15,7 @@ from track_range.telemetry.containers.camm import read_camm
 from track_range.telemetry.containers.gpmf import MAX_BARE_BYTES, read_bare_gpmf, read_gpmf
 from track_range.telemetry.containers.ligogps import read_ligogps
 from track_range.telemetry.containers.mp4_boxes import Movie, read_at, read_movie
+from track_range.telemetry.containers.mp4_fragments import with_fragments
 from track_range.telemetry.containers.mpeg_ts import packet_bytes, read_mpeg_ts
 from track_range.telemetry.containers.novatek import read_novatek
 from track_range.telemetry.containers.tesla import read_tesla
@@ -50,7 +51,7 @@ def embedded(path: Path) -> TelemetryTrack | None:
         if start[:4] == b"DEVC":
             return read_bare_gpmf(read_at(file, 0, MAX_BARE_BYTES))
         movie = read_movie(file)
-        return _first_with_fix(file, movie, path) if movie else None
+        return _first_with_fix(file, with_fragments(file, movie), path) if movie else None
 
 
 def _first_with_fix(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:

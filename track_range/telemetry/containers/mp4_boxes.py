@@ -59,6 +59,9 @@ class Track:
         offsets, sizes: (N,) where the samples are in the file, bytes.
         time_s: (N,) when a sample is shown, on the time axis of the movie.
         durations_s: (N,) how long.
+        number: the ID of the track in its file.
+        ticks_per_s: unit of its times.
+        shift_s: seconds from its time axis to that of the movie.
     """
 
     handler: bytes
@@ -68,6 +71,9 @@ class Track:
     sizes: IntArray
     time_s: FloatArray
     durations_s: FloatArray
+    number: int = 0
+    ticks_per_s: int = 1000
+    shift_s: float = 0.0
 
     def __len__(self) -> int:
         return len(self.offsets)
@@ -102,7 +108,11 @@ class Movie:
 
 
 def read_movie(file: BinaryIO) -> Movie | None:
-    """The movie in an open file; None = it is no MP4 or QuickTime file."""
+    """The movie in an open file, with the samples of its tables; None = it is no MP4 or QuickTime file.
+
+    The samples of fragments are not among them (`mp4_fragments`); tracks without samples are there only if the file has
+    fragments.
+    """
     n_bytes = os.fstat(file.fileno()).st_size
     top = tuple(_boxes_in_file(file, 0, n_bytes))
     if not any(box.kind in (b"ftyp", b"moov", b"mdat") for box in top[:8]):
@@ -122,7 +132,9 @@ def read_movie(file: BinaryIO) -> Movie | None:
                 inner.setdefault(part.kind, content[part.start : part.end])
         else:
             inner.setdefault(box.kind, content[box.start : box.end])
-    return Movie(top, inner, tuple(track for track in tracks if track is not None), n_bytes)
+    has_fragments = b"mvex" in inner
+    known = tuple(track for track in tracks if track is not None and (len(track) or has_fragments))
+    return Movie(top, inner, known, n_bytes)
 
 
 def read_at(file: BinaryIO, offset: int, n_bytes: int) -> bytes:
@@ -202,13 +214,13 @@ def _timescale(header: bytes) -> int:
 
 
 def _track(content: bytes, movie_scale: int) -> Track | None:
-    """Track of the content of a box `trak`; None = it has no samples."""
+    """Track of the content of a box `trak`; None = it has no handler."""
     media = _first(content, b"mdia")
     table = _first(media, b"minf", b"stbl")
     handler = _first(media, b"hdlr")[8:12]
     description = _first(table, b"stsd")[8:]
     sizes = _sizes(table)
-    if not handler or not len(sizes):
+    if not handler:
         return None
     offsets = _offsets(table, sizes)
     n = min(len(offsets), len(sizes))
@@ -218,8 +230,23 @@ def _track(content: bytes, movie_scale: int) -> Track | None:
     shown = ticks + _runs(_first(table, b"ctts"), n, signed=True)
     shift_s = _edit_shift_s(_first(content, b"edts", b"elst"), scale, movie_scale)
     return Track(
-        handler, description[4:8], description, offsets[:n], sizes[:n], shown / scale + shift_s, durations / scale
+        handler,
+        description[4:8],
+        description,
+        offsets[:n],
+        sizes[:n],
+        shown / scale + shift_s,
+        durations / scale,
+        number=_number(_first(content, b"tkhd")),
+        ticks_per_s=scale,
+        shift_s=shift_s,
     )
+
+
+def _number(header: bytes) -> int:
+    """ID of a track in its box `tkhd`; 0 = it states none."""
+    start = 20 if header[:1] == b"\x01" else 12
+    return int.from_bytes(header[start : start + 4], "big")
 
 
 def _sizes(table: bytes) -> IntArray:
