@@ -16,26 +16,17 @@ to 0.7 px rms; by robust similarities to 13-23 px, and without compensation to 1
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, check_shape
+from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA
-from track_range.foundation.sparse_flow import (
-    are_masked,
-    grid_corners,
-    masked_cells,
-    n_halvings_to,
-    small_grey,
-    tracked_corners,
-)
+from track_range.foundation.sparse_flow import BackgroundFlow
 
 ComplexArray = npt.NDArray[np.complex128]
-
-_MIN_SIDE_PX = 32
-"""Smallest side of a small image that has room for windows."""
 
 _N_SIMILARITY_ROUNDS, _N_ROTATION_ROUNDS = 4, 5
 """Rounds of reweighting; one more changes the result by at most 0.02 px in the median of real drives."""
@@ -52,14 +43,11 @@ _RIDGE = np.diag([1e-9, 1e-9, 1e-9, 0.01, 0.01])
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraMotionSettings:
-    """Settings of feature detection and tracking, and limits of plausible motions, in pixels of the small image.
+    """Numbers of features, and limits of plausible motions, in pixels of the small image.
 
     Attributes:
-        long_side_px: the image is halved until neither side is longer.
         n_features: largest number of tracked features.
         min_quality: minimum quality of a corner, as a fraction of the best corner's.
-        window_px: side of the tracked window, small pixels.
-        n_halvings: pyramid levels above the small image, for motions larger than the window.
         noise_px: standard deviation of a tracked feature, small pixels.
         max_residual_px: largest residual of an inlier, small pixels.
         min_inliers: minimum number of inliers of a motion.
@@ -72,11 +60,8 @@ class CameraMotionSettings:
         max_shift: largest plausible shift of the image centre, as a fraction of width and of height.
     """
 
-    long_side_px: int = 640
     n_features: int = 100
     min_quality: float = 0.01
-    window_px: int = 9
-    n_halvings: int = 4
     noise_px: float = 0.1
     max_residual_px: float = 0.5
     min_inliers: int = 12
@@ -88,23 +73,19 @@ class CameraMotionSettings:
     max_shift: float = 0.25
 
 
-@dataclass(frozen=True, slots=True)
-class _View:
-    """Size of one frame, its small grey image, and (N, 2) float32 features in small pixels."""
-
-    image_hw: tuple[int, int]
-    grey: Image
-    features: FloatArray32
-
-
 class CameraMotion:
-    """Estimates the background motion between the frames of one stream; the state belongs to the instance."""
+    """Estimates the background motion between the frames of one stream; the state belongs to the instance.
 
-    def __init__(self, settings: CameraMotionSettings | None = None) -> None:
+    Args:
+        settings: None = the defaults.
+        flow: flow of the background, which other estimators of the same stream may use too; None = a separate one.
+    """
+
+    def __init__(self, settings: CameraMotionSettings | None = None, *, flow: BackgroundFlow | None = None) -> None:
         self._settings = settings or CameraMotionSettings()
-        self._before: _View | None = None
+        self._flow = flow or BackgroundFlow()
 
-    def update(self, image: Image, xyxy_px: FloatArray) -> FloatArray:
+    def update(self, image: Image, xyxy_px: FloatArray, time_s: float = math.nan) -> FloatArray:
         """(2, 3) `now_from_before`, which maps pixels of the previous frame to pixels of this one; deterministic.
 
         The identity for the first frame, after a change of size, with too few inliers, and for an implausible motion.
@@ -112,36 +93,20 @@ class CameraMotion:
         Args:
             image: (H, W, 3) BGR.
             xyxy_px: (N, 4) boxes of road users in this frame, which are not background; invalid ones are ignored.
+            time_s: time of the frame, by which estimators with the same flow identify it; NaN = a new frame.
 
         Raises:
             ValueError: an argument has another shape.
         """
         check_shape("image", image, (None, None, 3))
         check_shape("xyxy_px", xyxy_px, (None, 4))
-        before, self._before = self._before, None
-        image_hw = (image.shape[0], image.shape[1])
-        n_halved = n_halvings_to(self._settings.long_side_px, image_hw)
-        if min(image_hw) >> n_halved < _MIN_SIDE_PX:
+        self._flow.add(image, xyxy_px, time_s)
+        frame = self._flow.now
+        if frame is None or self._flow.before is None:
             return np.eye(2, 3)
-        grey = small_grey(image, n_halved)
-        is_masked = masked_cells(xyxy_px, grey.shape, n_halved)
-        features = grid_corners(grey, is_masked, self._settings.n_features, min_quality=self._settings.min_quality)
-        self._before = _View(image_hw, grey, features)
-        if before is None or before.image_hw != image_hw:
-            return np.eye(2, 3)
-        before_px, now_px = _tracked(before, grey, is_masked, self._settings)
-        return _in_full_pixels(_motion(before_px, now_px, grey.shape, self._settings), 1 << n_halved)
-
-
-def _tracked(
-    before: _View, grey: Image, is_masked: BoolArray, settings: CameraMotionSettings
-) -> tuple[FloatArray, FloatArray]:
-    """Features tracked into an unmasked part of this frame: (N, 2) small pixels in the previous frame and this one."""
-    points, is_tracked = tracked_corners(
-        before.grey, grey, before.features, window_px=settings.window_px, n_levels=settings.n_halvings
-    )
-    is_tracked[is_tracked] = ~are_masked(points[is_tracked], is_masked)
-    return before.features[is_tracked].astype(np.float64), points[is_tracked].astype(np.float64)
+        pair = self._flow.tracked(self._settings.n_features, self._settings.min_quality)
+        before_px, now_px = (points.astype(np.float64) for points in pair)
+        return _in_full_pixels(_motion(before_px, now_px, frame.small.shape, self._settings), 1 << frame.n_halved)
 
 
 def _motion(

@@ -25,6 +25,7 @@ import numpy as np
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, IntArray
+from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.tracking import history, motion
 from track_range.tracking.appearance.embeddings import ColourLayout
 from track_range.tracking.appearance.gallery import unit_rows
@@ -125,7 +126,11 @@ class DeepSortTracker:
     """
 
     def __init__(
-        self, settings: DeepSortSettings | None = None, *, appearance_model: AppearanceModel | None = None
+        self,
+        settings: DeepSortSettings | None = None,
+        *,
+        appearance_model: AppearanceModel | None = None,
+        flow: BackgroundFlow | None = None,
     ) -> None:
         """Create a tracker without tracks.
 
@@ -133,10 +138,11 @@ class DeepSortTracker:
             settings: parameters; None = the defaults.
             appearance_model: computes embeddings where there are images and the detections have no embeddings; None =
                 no appearance in these cases.
+            flow: flow of the background, which the odometry of the same stream may use too; None = a separate one.
         """
         self._settings = settings = settings or DeepSortSettings()
         self._appearance_model = appearance_model
-        self._camera_motion = CameraMotion() if settings.is_camera_motion_compensated else None
+        self._camera_motion = CameraMotion(flow=flow) if settings.is_camera_motion_compensated else None
         self._activation_threshold = ConfidenceThreshold(settings.track_activation_threshold)
         self._noise_scale = ProcessNoiseScale(settings.process_noise)
         self._table = TrackTable(n_boxes=settings.prediction.n_kept, n_embeddings=settings.appearance.nn_budget)
@@ -220,7 +226,7 @@ class DeepSortTracker:
         """Stage 1: compensate camera motion, delete dead tracks, and predict the others to `time_s`."""
         settings, table = self._settings, self._table
         if self._camera_motion is not None and image is not None:
-            table.compensate_camera_motion(self._camera_motion.update(image, detections.xyxy_px))
+            table.compensate_camera_motion(self._camera_motion.update(image, detections.xyxy_px, time_s))
         is_alive = time_s - table.last_s <= settings.max_age_s
         is_alive &= table.filters.position_sigma <= settings.max_position_sigma
         is_alive &= table.is_confirmed | self._is_streak(time_s)
@@ -347,9 +353,10 @@ class DeepSortTracker:
 
 def deepsort(options: TrackerOptions) -> DeepSortTracker:
     """`--tracker deepsort`: appearance from the user's re-identification network, or from colour histograms."""
-    return DeepSortTracker(appearance_model=options.reid or ColourLayout())
+    return DeepSortTracker(appearance_model=options.reid or ColourLayout(), flow=options.flow)
 
 
-def sort(_options: TrackerOptions) -> DeepSortTracker:
+def sort(options: TrackerOptions) -> DeepSortTracker:
     """`--tracker sort`: the same tracker without appearance."""
-    return DeepSortTracker(DeepSortSettings(appearance=AppearanceSettings(max_cosine_distance=0.0)))
+    settings = DeepSortSettings(appearance=AppearanceSettings(max_cosine_distance=0.0))
+    return DeepSortTracker(settings, flow=options.flow)

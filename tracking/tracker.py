@@ -7,6 +7,7 @@ from typing import Protocol, runtime_checkable
 
 from track_range.detection.detections import Descriptors, Detections
 from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.tracking.tracks import Tracks
 
 
@@ -62,6 +63,8 @@ class TrackerOptions:
 
     Attributes:
         reid: the user's re-identification network (`--reid`); None = the tracker's default appearance model, if any.
+        flow: flow of the background, shared with the odometry of the run; None = none to share.
     """
 
     reid: AppearanceModel | None = None
+    flow: BackgroundFlow | None = None

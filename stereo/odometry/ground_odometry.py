@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, check_shape
-from track_range.foundation.sparse_flow import small_grey
+from track_range.foundation.sparse_flow import BackgroundFlow, small_grey
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import EgoMotion
@@ -80,14 +80,23 @@ class GroundOdometry:
         camera: the camera without distortion.
         height_m: its height above the road.
         settings: None = the defaults.
+        flow: flow of the background, which other estimators of the same stream may use too; None = a separate one.
     """
 
     source = "the motion of the road in the images"
 
-    def __init__(self, camera: PinholeCamera, height_m: float, settings: GroundOdometrySettings | None = None) -> None:
+    def __init__(
+        self,
+        camera: PinholeCamera,
+        height_m: float,
+        settings: GroundOdometrySettings | None = None,
+        *,
+        flow: BackgroundFlow | None = None,
+    ) -> None:
         self._camera, self._height_m = camera, height_m
         self._settings = settings or GroundOdometrySettings()
-        self._image_motion = ImageMotionEstimator(camera)
+        self._flow = flow or BackgroundFlow()
+        self._image_motion = ImageMotionEstimator(camera, flow=self._flow)
         self._filter = SpeedFilter()
         self._travel: FloatArray | None = None
         self._before: Image | None = None
@@ -105,7 +114,8 @@ class GroundOdometry:
         """
         check_shape("xyxy_px", xyxy_px, (None, 4))
         motion = self._image_motion.update(frame.left, frame.time_s, xyxy_px)
-        before, self._before = self._before, small_grey(frame.left, 0)
+        now = self._flow.now
+        before, self._before = self._before, small_grey(frame.left, 0) if now is None else now.grey
         boxes_before, self._boxes_before = self._boxes_before, xyxy_px
         if not motion.is_known or before is None:
             self._travel = None if math.isnan(motion.dt_s) else self._travel

@@ -27,11 +27,10 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, check_shape
 from track_range.foundation.sparse_flow import (
+    BackgroundFlow,
+    FlowFrame,
     are_masked,
-    grid_corners,
     halved,
-    masked_cells,
-    n_halvings_to,
     small_grey,
     tracked_corners,
 )
@@ -71,7 +70,6 @@ class StereoOdometrySettings:
     """Settings of feature tracking, noise, and limits of reliable motions; pixels are those of the small image.
 
     Attributes:
-        long_side_px: the images are halved until neither side is longer.
         n_features: largest number of corners.
         min_quality: minimum quality of a corner, as a fraction of the best corner's.
         window_px: side of the tracked window.
@@ -92,7 +90,6 @@ class StereoOdometrySettings:
         max_gap_s: longest time between two frames.
     """
 
-    long_side_px: int = 640
     n_features: int = 300
     min_quality: float = 0.001
     window_px: int = 9
@@ -161,6 +158,7 @@ class StereoOdometry:
         rig: the rectified pair.
         alignment: correction of its disparities; None = not measured.
         settings: None = the defaults.
+        flow: flow of the background in the left images, which other estimators may use too; None = a separate one.
 
     Raises:
         ValueError: the rig is not rectified.
@@ -169,7 +167,12 @@ class StereoOdometry:
     source = "stereo odometry"
 
     def __init__(
-        self, rig: StereoRig, alignment: Alignment | None = None, settings: StereoOdometrySettings | None = None
+        self,
+        rig: StereoRig,
+        alignment: Alignment | None = None,
+        settings: StereoOdometrySettings | None = None,
+        *,
+        flow: BackgroundFlow | None = None,
     ) -> None:
         if not rig.is_rectified:
             raise ValueError("rig: expected a rectified pair")
@@ -177,7 +180,8 @@ class StereoOdometry:
         self._alignment = alignment or Alignment()
         self._settings = settings or StereoOdometrySettings()
         self._image_hw = rig.left.height_px, rig.left.width_px
-        self._n_halved = n_halvings_to(self._settings.long_side_px, self._image_hw)
+        self._flow = flow or BackgroundFlow()
+        self._n_halved = self._flow.n_halvings(self._image_hw)
         self._focal_px = rig.left.fx_px / (1 << self._n_halved)
         self._alignment_sigma_px = self._alignment.residual_px / (1 << self._n_halved)
         self._coarse = _CoarseMatcher(self._focal_px * rig.baseline_m / self._settings.nearest_m / 2)
@@ -201,19 +205,19 @@ class StereoOdometry:
             raise ValueError("frame: expected a pair, got one image")
         check_shape("left", frame.left[:, :, 0] if frame.left.ndim == 3 else frame.left, self._image_hw)
         before, self._before = self._before, None
-        if min(self._image_hw) >> self._n_halved < _MIN_SIDE_PX:
+        self._flow.add(frame.left, xyxy_px, frame.time_s)
+        now = self._flow.now
+        if now is None or min(now.small.shape) < _MIN_SIDE_PX:
             return EgoMotion()
-        left, right = (small_grey(image, self._n_halved) for image in (frame.left, whole_image(frame.right)))
-        is_masked = masked_cells(xyxy_px, left.shape, self._n_halved)
-        self._before = self._view(frame.time_s, left, right, is_masked)
+        self._before = self._view(frame.time_s, now, small_grey(whole_image(frame.right), self._n_halved))
         if before is None or not 0 < frame.time_s - before.time_s <= self._settings.max_gap_s:
             return EgoMotion()
-        return self._ego_motion(before, self._before, is_masked)
+        return self._ego_motion(before, self._before, now.is_masked)
 
-    def _view(self, time_s: float, left: Image, right: Image, is_masked: BoolArray) -> _View:
+    def _view(self, time_s: float, frame: FlowFrame, right: Image) -> _View:
         """Corners of the left image that are also found in the right one."""
-        settings = self._settings
-        corners = grid_corners(left, is_masked, settings.n_features, min_quality=settings.min_quality)
+        settings, left = self._settings, frame.small
+        corners = frame.corners.points[: frame.corners.n_good(settings.n_features, settings.min_quality)]
         coarse_px = self._coarse.disparities(left, right, corners)
         is_known = np.isfinite(coarse_px)
         corners = corners[is_known]

@@ -40,6 +40,13 @@ def fitted(rays, rho, now):
     )
 
 
+def epipolar_fit(rays, now):
+    ahead = np.array([0.0, 0.0, -1.0])
+    return fit_epipolar(
+        rays, now, direction=ahead, direction_variance=np.full(2, 0.05**2), noise=NOISE, max_residual=5 * NOISE
+    )
+
+
 @pytest.mark.parametrize("speed_m", [-0.5, 0.0, 0.05, 1.0, 3.5])
 def test_motion_of_static_scene(speed_m):
     true = RigidMotion(yawed(-0.02), np.array([0.0, 0.0, -speed_m]))
@@ -77,7 +84,7 @@ def test_common_disparity_error():
 def test_yaw_of_epipolar_fit(yaw_rad):
     true = RigidMotion(yawed(-yaw_rad), np.array([0.0, 0.0, -1.0]))
     rays, _, now = static_scene(true)
-    fit = fit_epipolar(rays, now, direction=np.array([0.0, 0.0, -1.0]), noise=NOISE, max_residual=5 * NOISE)
+    fit = epipolar_fit(rays, now)
     assert -fit.rotation[1] == pytest.approx(yaw_rad, abs=2e-3)
     assert fit.direction[2] < -0.99
     assert fit.is_static.mean() > 0.9
@@ -85,7 +92,7 @@ def test_yaw_of_epipolar_fit(yaw_rad):
 
 def test_reversing_has_opposite_direction():
     rays, _, now = static_scene(RigidMotion(np.eye(3), np.array([0.0, 0.0, 1.0])))
-    fit = fit_epipolar(rays, now, direction=np.array([0.0, 0.0, -1.0]), noise=NOISE, max_residual=5 * NOISE)
+    fit = epipolar_fit(rays, now)
     assert fit.direction[2] > 0.99
 
 

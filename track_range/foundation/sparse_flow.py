@@ -1,12 +1,16 @@
 """Sparse optical flow on small grey images: corners in a grid, a mask of boxes, and pyramidal Lucas-Kanade.
 
-Tracking uses it to move predicted boxes with the background; odometry measures the motion of the camera with it. Pixels
-are those of the small image, with pixel centres at integers.
+Tracking uses it to move predicted boxes with the background; odometry measures the motion of the camera with it. They
+share a `BackgroundFlow`, so that the small image, the corners and their flow are computed once per frame. Pixels are
+those of the small image, with pixel centres at integers.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -77,16 +81,31 @@ def are_masked(points: FloatArray | FloatArray32, is_masked: BoolArray) -> BoolA
     return np.asarray(is_masked[cells[:, 1], cells[:, 0]])
 
 
-def grid_corners(grey: Image, is_masked: BoolArray, n_corners: int, *, min_quality: float) -> FloatArray32:
-    """(N, 2) the best corners outside masked cells, at most `n_corners` and one per square of 16 px.
+class RankedCorners(NamedTuple):
+    """The best corner of each square of 16 px, in descending order of quality.
+
+    Attributes:
+        points: (N, 2) float32 positions.
+        quality: (N,) the smaller eigenvalue of OpenCV; 0 in masked cells.
+    """
+
+    points: FloatArray32
+    quality: FloatArray32
+
+    def n_good(self, n_corners: int, min_quality: float) -> int:
+        """Number of the first corners, at most `n_corners`, with a fraction `min_quality` of the best one's quality."""
+        best = float(self.quality[0]) if len(self.quality) else 0.0
+        return int((self.quality[:n_corners] > max(min_quality * best, _MIN_EIGENVALUE)).sum())
+
+
+def ranked_corners(grey: Image, is_masked: BoolArray) -> RankedCorners:
+    """Corners outside masked cells, one per square of 16 px.
 
     They are detected at half size, because the tracked windows are large; a grid is faster than OpenCV's sorting.
 
     Args:
         grey: (H, W) small image.
         is_masked: mask of `masked_cells`.
-        n_corners: largest number of corners.
-        min_quality: minimum quality of a corner, as a fraction of the best corner's.
     """
     quality = cv2.cornerMinEigenVal(halved(grey), 3)
     n_rows, n_columns = (side // _GRID_PX for side in quality.shape)
@@ -98,9 +117,8 @@ def grid_corners(grey: Image, is_masked: BoolArray, n_corners: int, *, min_quali
     row, column = np.divmod(np.arange(len(squares)), n_columns)
     corners = 2 * np.stack([column * _GRID_PX + x, row * _GRID_PX + y], axis=1) + 0.5
     best[are_masked(corners, is_masked)] = 0.0
-    chosen = np.argsort(-best, kind="stable")[:n_corners]
-    is_corner = best[chosen] > max(min_quality * float(best.max(initial=0.0)), _MIN_EIGENVALUE)
-    return np.asarray(corners[chosen[is_corner]], np.float32)
+    order = np.argsort(-best, kind="stable")
+    return RankedCorners(np.asarray(corners[order], np.float32), np.asarray(best[order], np.float32))
 
 
 def tracked_corners(
@@ -133,3 +151,116 @@ def tracked_corners(
     height, width = now.shape
     is_inside = (now_px >= 0).all(axis=1) & (now_px[:, 0] <= width - 1) & (now_px[:, 1] <= height - 1)
     return now_px, np.asarray(is_inside & (status.reshape(-1) > 0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlowSettings:
+    """Settings of feature tracking; pixels are those of the small image.
+
+    Attributes:
+        long_side_px: the image is halved until neither side is longer.
+        window_px: side of the tracked window.
+        n_levels: pyramid levels above the small image, for motions larger than the window.
+        min_side_px: smallest side of a small image that has room for windows.
+    """
+
+    long_side_px: int = 640
+    window_px: int = 9
+    n_levels: int = 4
+    min_side_px: int = 32
+
+
+@dataclass(frozen=True, slots=True)
+class FlowFrame:
+    """Small image and corners of one frame.
+
+    Attributes:
+        time_s: time of the frame; NaN = unknown.
+        image_hw: height and width of the image.
+        n_halved: number of halvings of the small image.
+        grey: (H, W) grey image of full size.
+        small: (h, w) small image.
+        is_masked: cells of the small image with boxes of road users.
+        corners: corners of the background.
+    """
+
+    time_s: float
+    image_hw: tuple[int, int]
+    n_halved: int
+    grey: Image
+    small: Image
+    is_masked: BoolArray
+    corners: RankedCorners
+
+
+class BackgroundFlow:
+    """Corners of the background, tracked from each frame of one stream to the next, for all estimators of its motion.
+
+    The first estimator that adds a frame computes the small image and the corners. The flow of a corner is computed
+    when it is first used: an estimator that uses fewer corners than another one uses the first of them.
+
+    Attributes:
+        now: the last frame; None = there is none, or it is too small.
+        before: the frame before it; None = there is none of equal size.
+    """
+
+    def __init__(self, settings: FlowSettings | None = None) -> None:
+        """A flow without frames; `settings` None = the defaults."""
+        self._settings = settings or FlowSettings()
+        self.now: FlowFrame | None = None
+        self.before: FlowFrame | None = None
+        self._last_s = math.nan
+        self._points: FloatArray32 = np.zeros((0, 2), np.float32)
+        self._is_tracked: BoolArray = np.zeros(0, np.bool_)
+
+    def add(self, image: Image, xyxy_px: FloatArray, time_s: float = math.nan) -> None:
+        """Make an image the last frame, unless the last one has the same time.
+
+        Args:
+            image: (H, W, 3) BGR or (H, W) grey.
+            xyxy_px: (N, 4) boxes of road users, which are not background; invalid ones are ignored.
+            time_s: time of the frame; NaN = unknown, a new frame.
+        """
+        if time_s == self._last_s:
+            return
+        self._last_s = time_s
+        before, self.before, self.now = self.now, None, None
+        self._points, self._is_tracked = np.zeros((0, 2), np.float32), np.zeros(0, np.bool_)
+        image_hw = image.shape[0], image.shape[1]
+        n_halved = self.n_halvings(image_hw)
+        if min(image_hw) >> n_halved < self._settings.min_side_px:
+            return
+        grey = small_grey(image, 0)
+        small = small_grey(grey, n_halved)
+        is_masked = masked_cells(xyxy_px, small.shape, n_halved)
+        self.now = FlowFrame(time_s, image_hw, n_halved, grey, small, is_masked, ranked_corners(small, is_masked))
+        self.before = before if before is not None and before.image_hw == image_hw else None
+
+    def n_halvings(self, image_hw: tuple[int, int]) -> int:
+        """Number of halvings of the small image of an image of this size."""
+        return n_halvings_to(self._settings.long_side_px, image_hw)
+
+    def tracked(self, n_corners: int, min_quality: float) -> tuple[FloatArray32, FloatArray32]:
+        """Corners tracked from the frame before into an unmasked part of this one: (N, 2) in both frames.
+
+        Args:
+            n_corners: largest number of corners of the frame before.
+            min_quality: minimum quality of a corner, as a fraction of the best corner's.
+        """
+        if self.now is None or self.before is None:
+            return np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32)
+        corners = self.before.corners
+        n_good = corners.n_good(n_corners, min_quality)
+        if n_good > len(self._points):
+            points, is_tracked = tracked_corners(
+                self.before.small,
+                self.now.small,
+                corners.points[len(self._points) : n_good],
+                window_px=self._settings.window_px,
+                n_levels=self._settings.n_levels,
+            )
+            is_tracked[is_tracked] = ~are_masked(points[is_tracked], self.now.is_masked)
+            self._points = np.concatenate([self._points, points])
+            self._is_tracked = np.concatenate([self._is_tracked, is_tracked])
+        is_tracked = self._is_tracked[:n_good]
+        return corners.points[:n_good][is_tracked], self._points[:n_good][is_tracked]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.progress import StepProgress, no_progress
+from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.method import MethodContext
 from track_range.ranging.registry import create_rangers, method_notes
@@ -85,7 +88,8 @@ def open_pipeline(
         sgbm_options=settings.sgbm_options,
         runtime=runtime,
     )
-    tracker_options = open_tracker_options(settings.reid, runtime)
+    flow = BackgroundFlow()
+    tracker_options = replace(open_tracker_options(settings.reid, runtime), flow=flow)
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     return Pipeline(
         camera=source.camera,
@@ -95,8 +99,8 @@ def open_pipeline(
         rangers=create_rangers(context),
         lane_finder=open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None,
         ego_speed=ego_speed,
-        odometry=_odometry(context) if settings.ego_speed == AUTO and ego_speed is None else None,
-        image_motion=ImageMotionEstimator(source.camera),
+        odometry=_odometry(context, flow) if settings.ego_speed == AUTO and ego_speed is None else None,
+        image_motion=ImageMotionEstimator(source.camera, flow=flow),
         warning=CollisionWarning(settings.warning_settings),
         shared_sigma=context.focal_sigma,
         depths=LIVE_DEPTHS if source.inputs.live is not None else QueueDepths(),
@@ -104,10 +108,10 @@ def open_pipeline(
     )
 
 
-def _odometry(context: MethodContext) -> Odometry | None:
+def _odometry(context: MethodContext, flow: BackgroundFlow) -> Odometry | None:
     """Odometry of a calibrated pair, or of a camera at a known height; None = no scale is known."""
     if context.rig is not None:
-        return StereoOdometry(context.rig, context.alignment)
+        return StereoOdometry(context.rig, context.alignment, flow=flow)
     if context.camera_height_m is not None:
-        return GroundOdometry(context.camera, context.camera_height_m)
+        return GroundOdometry(context.camera, context.camera_height_m, flow=flow)
     return None

@@ -1,0 +1,91 @@
+import cv2
+import numpy as np
+import pytest
+
+from track_range.foundation.sparse_flow import BackgroundFlow, FlowSettings
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.odometry.image_motion import ImageMotionEstimator
+from track_range.tracking.camera_motion import CameraMotion
+
+NO_BOXES = np.zeros((0, 4))
+CAMERA = PinholeCamera(360.0, 360.0, 160.0, 90.0, width_px=320, height_px=180)
+
+
+def image_at(left_px):
+    texture = np.random.default_rng(0).integers(0, 255, (90, 260, 3), np.uint8)
+    wide = cv2.resize(texture, (520, 180), interpolation=cv2.INTER_CUBIC)
+    return np.ascontiguousarray(wide[:, left_px : left_px + 320])
+
+
+def shifted_flow():
+    """Two frames; the scene moves 3 px to the right."""
+    flow = BackgroundFlow()
+    flow.add(image_at(103), NO_BOXES, 0.0)
+    flow.add(image_at(100), NO_BOXES, 0.1)
+    return flow
+
+
+@pytest.mark.parametrize("counts", [(100, 20), (20, 100), (20, 60, 100)])
+def test_fewer_corners_are_the_first_ones(counts):
+    """The flow of a corner does not depend on who asked for it, or on the order."""
+    flow = shifted_flow()
+    results = {count: flow.tracked(count, 0.01) for count in counts}
+    before, now = shifted_flow().tracked(100, 0.01)
+    np.testing.assert_array_equal(results[100][0], before)
+    np.testing.assert_array_equal(results[100][1], now)
+    fewer_before, fewer_now = results[20]
+    assert 10 < len(fewer_now) <= 20
+    np.testing.assert_array_equal(fewer_before, before[: len(fewer_before)])
+    np.testing.assert_array_equal(fewer_now, now[: len(fewer_now)])
+    np.testing.assert_allclose(np.median(now - before, axis=0), [3, 0], atol=0.05)
+
+
+def test_min_quality_selects_better_corners():
+    corners = shifted_flow().now.corners
+    assert corners.n_good(1000, 0.5) < corners.n_good(1000, 0.01)
+    assert (np.diff(corners.quality) <= 0).all()
+
+
+def test_frame_of_the_same_time_is_added_once():
+    flow = shifted_flow()
+    frame, before = flow.now, flow.before
+    flow.add(image_at(0), NO_BOXES, 0.1)
+    assert flow.now is frame
+    assert flow.before is before
+    flow.add(image_at(97), NO_BOXES)
+    assert flow.before is frame
+
+
+def test_flow_restarts_after_another_size_and_a_tiny_image():
+    flow = shifted_flow()
+    flow.add(image_at(100)[:, :200], NO_BOXES, 0.2)
+    assert flow.before is None
+    assert len(flow.tracked(100, 0.01)[0]) == 0
+    flow.add(np.zeros((20, 400, 3), np.uint8), NO_BOXES, 0.3)
+    assert flow.now is None
+    flow.add(image_at(100), NO_BOXES, 0.4)
+    assert flow.before is None
+
+
+def test_small_image_has_at_most_the_long_side():
+    flow = BackgroundFlow(FlowSettings(long_side_px=100))
+    flow.add(image_at(100), NO_BOXES)
+    assert flow.now.small.shape == (45, 80)
+    assert flow.n_halvings((180, 320)) == flow.now.n_halved == 2
+
+
+def test_shared_flow_gives_equal_results():
+    """Tracker and odometry with one flow, as in a run, and with one each."""
+    boxes = np.array([[50.0, 60, 110, 120]])
+    flow = BackgroundFlow()
+    shared = CameraMotion(flow=flow), ImageMotionEstimator(CAMERA, flow=flow)
+    separate = CameraMotion(), ImageMotionEstimator(CAMERA)
+    for k in range(4):
+        image, time_s = image_at(110 - 3 * k), k / 10
+        results = []
+        for camera_motion, image_motion in (shared, separate):
+            matrix = camera_motion.update(image, boxes, time_s)
+            results.append((matrix.tobytes(), image_motion.update(image, time_s, boxes)))
+        assert results[0][0] == results[1][0]
+        assert repr(results[0][1]) == repr(results[1][1])
+    assert results[0][1].yaw_rad_s == pytest.approx(-10 * 3 / 360, abs=0.01)
