@@ -5,10 +5,10 @@ A static point has the ray p before and p' now, and moves on its epipolar line:
     p'^T [t]x R p = 0        R, t: rotation and direction of the translation, now from before
 
 Both are fitted to corners outside the boxes of road users by Gauss-Newton on Sampson's distance with Tukey weights
-(Hartley and Zisserman, 2004, section 11.4.3). Yaw and a sideways t move distant points alike; near ones separate them,
-but they deform as they approach, so that errors of the flow grow with it. Their weight is therefore lower, and t follows
-a random walk: its last estimate is the prior of the next one. With the rotation removed, points move away from the epipole e by
-(p' - e) = (1 + g) (R p - e); the expansion is the median of g per second, the forward speed over a typical depth.
+(Hartley and Zisserman, 2004, section 11.4.3). Yaw and a sideways t move distant points alike. Near points separate them,
+but they deform as they approach, and errors of their flow grow with it: their weight is lower, and t is a random walk,
+so that its last estimate is the prior of the next one. With the rotation removed, points move away from the epipole e
+by (p' - e) = (1 + g) (R p - e); the expansion is the median of g per second, the forward speed over a typical depth.
 """
 
 from __future__ import annotations
@@ -349,7 +349,10 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _sign(before: FloatArray, now: FloatArray, rotation: FloatArray, t: FloatArray) -> float:
     """1 if the points move as by the translation t, -1 if as by -t: the epipolar lines of both are the same."""
-    flow, expected = now - _turned(before, rotation), t - now * t[2]  # the flow is (t - p' t_z) / z for a point at depth z
+    flow, expected = (
+        now - _turned(before, rotation),
+        t - now * t[2],
+    )  # the flow is (t - p' t_z) / z for a point at depth z
     return -1.0 if np.median((flow * expected).sum(axis=1)) < 0 else 1.0
 
 
