@@ -9,8 +9,9 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from track_range.detection.detections import Detections
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray, FloatArray32, IntArray
 from track_range.simulation.boxes.error_model import (
+    CAMERA_MOTION_SIGMA_PX,
     CLASS_MEMORY,
     DETECTED_CLASS,
     DETECTION_MEMORY,
@@ -18,6 +19,7 @@ from track_range.simulation.boxes.error_model import (
     HEIGHTS_PX,
     HIDDEN,
     HIDDEN_SCORE,
+    HIDDEN_SIGMA,
     MAX_SCORE,
     MIN_SCORE,
     NETWORK_WIDTH_PX,
@@ -25,21 +27,23 @@ from track_range.simulation.boxes.error_model import (
     PERSON,
     SCORE_SIGMA,
     SIGN,
+    SMALLEST_HEIGHT_PX,
     VEHICLE,
+    AppearanceErrors,
     ClassErrors,
     FalseBoxes,
+    SecondBoxes,
     StereoErrors,
 )
-from track_range.simulation.boxes.true_boxes import TrueBoxes, true_boxes
+from track_range.simulation.boxes.false_boxes import BoxRows, joined_rows, scenery_boxes, second_boxes
+from track_range.simulation.boxes.true_boxes import CameraPoses, TrueBoxes, true_boxes
 from track_range.simulation.world.scene import Scene
-from track_range.simulation.world.trajectories import ego_z_m
 from track_range.stereo.geometry.rig import StereoRig
 
 _PERSONS = ("Pedestrian", "Cyclist", "Motorcycle")
 _SIGNS = ("TrafficSign", "TrafficLight")
 _FIT_WIDTH_PX = 620.0
-_PHANTOM_HEIGHT_M = {0: 1.7, 2: 1.5, 5: 3.0, 6: 0.9}
-"""Height by class id from which the distance of a phantom follows, m."""
+_VEHICLES = ("Car", "Van", "Truck", "Bus")
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +53,11 @@ class BoxFrame:
     Attributes:
         index: number of the frame.
         time_s: its time.
-        detections: K boxes.
+        detections: K boxes with embeddings.
         user: (K,) row of the scene's road users; -1 = a false box.
         true_m: (K,) distance; that of a false box is the distance of the scenery there.
         stereo_m, stereo_sigma_m: (K,) measured distance and reported standard deviation; NaN = no match.
+        shift_px: (2,) estimated motion of far objects in the image since the frame before, by the camera's rotation.
     """
 
     index: int
@@ -62,6 +67,7 @@ class BoxFrame:
     true_m: FloatArray
     stereo_m: FloatArray
     stereo_sigma_m: FloatArray
+    shift_px: FloatArray
 
 
 class BoxDrive:
@@ -75,6 +81,7 @@ class BoxDrive:
         *,
         seed: int,
         false_boxes: FalseBoxes | None = None,
+        second: SecondBoxes | None = None,
         stereo: StereoErrors | None = None,
     ) -> None:
         """Compute all frames.
@@ -85,46 +92,68 @@ class BoxDrive:
             rig: the rectified pair.
             seed: random seed of the errors.
             false_boxes: model of boxes without an object; None = the fitted one.
+            second: model of second boxes of vehicles; None = the fitted one.
             stereo: error model of stereo; None = the fitted one.
         """
         rng = np.random.default_rng([seed, 31])
         self.scene, self.times_s, self.rig = scene, times_s, rig
-        self.true = true_boxes(scene, times_s, rig.left)
-        step_s = float(times_s[1] - times_s[0])
-        real = _detected(scene, self.true, rng, rig, (len(times_s), step_s))
-        false = _phantoms(scene, times_s, rig, rng, false_boxes or FalseBoxes(), step_s)
-        rows = [np.concatenate(columns) for columns in zip(real, false, strict=True)]
-        order = np.argsort(rows[0], kind="stable")
-        self._frame, self._user, self._xyxy_px, self._score, self._class_id, self._true_m = (row[order] for row in rows)
-        keys = np.unique(self._user, return_inverse=True)[1]
-        self._stereo_m, self._stereo_sigma_m = _stereo(
-            rng, stereo or StereoErrors(), rig, (self._frame, keys, self._true_m), (len(times_s), step_s)
+        frames = (len(times_s), float(times_s[1] - times_s[0]))
+        poses = CameraPoses.of(scene, times_s)
+        self.true = true_boxes(scene, times_s, rig.left, poses=poses)
+        n_users = len(scene.road_users)
+        first, rows = _detected(scene, self.true, rng, rig, frames)
+        is_vehicle = np.array([user.kitti_type in _VEHICLES for user in scene.road_users])[first.user]
+        repeated = second_boxes(
+            rng,
+            second or SecondBoxes(),
+            first.select(is_vehicle),
+            self.true,
+            rows=rows[is_vehicle],
+            network=NETWORK_WIDTH_PX / rig.left.width_px,
+            frames=frames,
+            first_key=n_users,
         )
-        self._ends = np.searchsorted(self._frame, np.arange(len(times_s) + 1))
+        false = scenery_boxes(
+            rng,
+            false_boxes or FalseBoxes(),
+            rig.left,
+            poses,
+            camera_height_m=scene.camera_height_m,
+            step_s=frames[1],
+            first_key=2 * n_users,
+        )
+        self._boxes = boxes = joined_rows([first, repeated, false])
+        keys = np.unique(boxes.key, return_inverse=True)[1]
+        self._stereo_m, self._stereo_sigma_m = _stereo(
+            rng, stereo or StereoErrors(), rig, (boxes.frame, keys, boxes.seen_m), frames
+        )
+        objects = np.unique(np.where(boxes.user >= 0, boxes.user, boxes.key), return_inverse=True)[1]
+        self._embedding = _embeddings(rng, AppearanceErrors(), objects, boxes.frame, frames)
+        sigma_px = CAMERA_MOTION_SIGMA_PX * rig.left.width_px / _FIT_WIDTH_PX
+        self._shift_px = poses.image_shifts_px(rig.left) + sigma_px * rng.normal(size=(len(times_s), 2))
+        self._ends = np.searchsorted(boxes.frame, np.arange(len(times_s) + 1))
 
     def __iter__(self) -> Iterator[BoxFrame]:
         """The frames in order."""
         for index, time_s in enumerate(self.times_s.tolist()):
             part = slice(int(self._ends[index]), int(self._ends[index + 1]))
+            boxes = self._boxes
             yield BoxFrame(
                 index,
                 time_s,
-                Detections.of(self._xyxy_px[part], self._score[part], self._class_id[part]),
-                np.where(self._user[part] >= 0, self._user[part], -1),
-                self._true_m[part],
+                Detections(boxes.xyxy_px[part], boxes.score[part], boxes.class_id[part], self._embedding[part]),
+                boxes.user[part],
+                boxes.true_m[part],
                 self._stereo_m[part],
                 self._stereo_sigma_m[part],
+                self._shift_px[index],
             )
-
-
-Rows = tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray, FloatArray]
-"""Frame, road user (negative: number of a phantom), box, score, class, distance."""
 
 
 def _detected(
     scene: Scene, true: TrueBoxes, rng: np.random.Generator, rig: StereoRig, frames: tuple[int, float]
-) -> Rows:
-    """The detections of road users; `frames`: number and time step."""
+) -> tuple[BoxRows, IntArray]:
+    """The detections of road users, and their rows in `true`; `frames`: number and time step."""
     n_users = len(scene.road_users)
     at = (true.user, true.frame)
     network = NETWORK_WIDTH_PX / rig.left.width_px
@@ -146,14 +175,21 @@ def _detected(
         bias[rows] = errors.bias
         sigma[rows] = np.hypot(errors.sigma, np.array(errors.sigma_px) / height_px[rows, None])
     score += np.interp(true.hidden_share, HIDDEN, HIDDEN_SCORE)
+    is_vehicle = group == 1
+    for column, extra in zip((0, 2), HIDDEN_SIGMA, strict=True):
+        sigma[:, column] = np.hypot(sigma[:, column], is_vehicle * np.interp(true.hidden_share, HIDDEN, extra))
     quantile = ndtr(latent)
     rows = np.flatnonzero(quantile > 1 - rate)  # large latent values are detected, with high scores
     within = np.clip((quantile[rows] - 1 + rate[rows]) / rate[rows], 1e-6, 1 - 1e-6)
     scores = np.clip(score[rows] + SCORE_SIGMA * ndtri(within), MIN_SCORE, MAX_SCORE)
-    boxes = _moved(true.xyxy_px[rows], bias[rows] + sigma[rows] * edges[rows])
+    moves = bias[rows] + sigma[rows] * edges[rows]
+    moves[:, 2:] += (0.25 * np.log1p((SMALLEST_HEIGHT_PX / height_px[rows]) ** 4))[:, None]
+    boxes = _moved(true.xyxy_px[rows], moves)
     edge = np.array([rig.left.width_px - 1, rig.left.height_px - 1] * 2, np.float64)
     classes = _classes(scene, rng, frames)[at][rows]
-    return true.frame[rows], true.user[rows], np.clip(boxes, 0, edge), scores, classes, true.distance_m[rows]
+    user, distance_m = true.user[rows], true.distance_m[rows]
+    first = BoxRows(true.frame[rows], user, user, np.clip(boxes, 0, edge), scores, classes, distance_m, distance_m)
+    return first, rows
 
 
 def _group(kitti_type: str) -> int:
@@ -194,61 +230,17 @@ def _classes(scene: Scene, rng: np.random.Generator, frames: tuple[int, float]) 
     return classes
 
 
-def _phantoms(
-    scene: Scene,
-    times_s: FloatArray,
-    rig: StereoRig,
-    rng: np.random.Generator,
-    model: FalseBoxes,
-    step_s: float,
-) -> Rows:
-    """The boxes without an object; each phantom has a negative number."""
-    n_frames, camera = len(times_s), rig.left
-    network = NETWORK_WIDTH_PX / camera.width_px
-    n = rng.poisson(model.starts_hz * step_s * n_frames)
-    start = rng.integers(0, n_frames, n)
-    shares, means = np.array(model.mean_frames).T
-    kind = rng.choice(len(shares), n, p=shares / shares.sum())
-    length = np.maximum(np.rint(rng.geometric(1 / means[kind]) * 0.1 / step_s), 1).astype(np.int64)
-    score = MIN_SCORE + np.array(model.mean_score)[kind] * rng.exponential(size=n)
-    ids, class_shares, height, spread, centre, width = np.array(model.classes).T
-    chosen = rng.choice(len(ids), n, p=class_shares / class_shares.sum())
-    height_px = height[chosen] * np.exp(spread[chosen] * rng.normal(size=n)) / network
-    side = np.where(centre[chosen] < 0, np.where(rng.uniform(size=n) < 0.5, 1, -1), 0)
-    share = np.where(side == 0, centre[chosen], 0.5 + side * np.abs(centre[chosen])) + width[chosen] * rng.normal(
-        size=n
-    )
-    class_id = ids[chosen].astype(np.int64)
-    tall_m = np.array([_PHANTOM_HEIGHT_M[int(number)] for number in class_id.tolist()])
-    z_m = camera.fy_px * tall_m / height_px
-    x_m = (share * camera.width_px - camera.cx_px) / camera.fx_px * z_m
-    speed = np.where(rng.uniform(size=n) < model.moving_share, rng.uniform(0, 1, n), 0.0)
-    frame, number = _frames_of(start, length, n_frames)
-    ego_m = ego_z_m(scene, times_s)
-    z = z_m[number] - (1 - speed[number]) * (ego_m[frame] - ego_m[start[number]])
-    is_ahead = z > 3.0
-    frame, number, z = frame[is_ahead], number[is_ahead], z[is_ahead]
-    scale = camera.fx_px / z
-    bottom = camera.cy_px + scale * scene.camera_height_m
-    middle = camera.cx_px + scale * x_m[number]
-    high = scale * tall_m[number] * np.exp(0.06 * rng.normal(size=len(z)))
-    wide = high * np.where(class_id[number] == 0, 0.4, np.where(class_id[number] == 6, 0.4, 1.2))
-    boxes = np.stack([middle - wide / 2, bottom - high, middle + wide / 2, bottom], axis=1)
-    edge = np.array([camera.width_px - 1, camera.height_px - 1] * 2, np.float64)
-    clipped = np.clip(boxes, 0, edge)
-    area = np.prod(clipped[:, 2:] - clipped[:, :2], axis=1)
-    rows = np.flatnonzero(area > 0.5 * wide * high)
-    scores = np.clip(score[number] + 0.03 * rng.normal(size=len(number)), MIN_SCORE, MAX_SCORE)
-    return frame[rows], -1 - number[rows], clipped[rows], scores[rows], class_id[number[rows]], z[rows]
-
-
-def _frames_of(start: IntArray, length: IntArray, n_frames: int) -> tuple[IntArray, IntArray]:
-    """The frames of all phantoms, and the number of the phantom in each."""
-    number = np.repeat(np.arange(len(start)), length)
-    first = np.repeat(np.cumsum(length) - length, length)
-    frame = start[number] + np.arange(len(number)) - first
-    is_inside: BoolArray = frame < n_frames
-    return frame[is_inside], number[is_inside]
+def _embeddings(
+    rng: np.random.Generator, model: AppearanceErrors, objects: IntArray, frame: IntArray, frames: tuple[int, float]
+) -> FloatArray32:
+    """(K, 1 + n_values) embeddings of boxes of the given objects (K,) in the given frames (K,)."""
+    n_objects = int(objects.max(initial=-1)) + 1
+    values = np.ones((len(objects), 1 + model.n_values), np.float32)
+    for column in range(model.n_values):
+        mean = model.object_sigma * rng.normal(size=n_objects)
+        errors = model.sigma * model.memory.sample(rng, n_objects, *frames)
+        values[:, 1 + column] = mean[objects] + errors[objects, frame]
+    return np.asarray(values / np.linalg.norm(values, axis=1, keepdims=True))
 
 
 def _stereo(

@@ -1,9 +1,8 @@
 """Runs of the pipeline on drives without images: tracker, size ranging, fusion, filters, warnings and events.
 
-The tracker gets the boxes and no images, so it neither compensates the motion of the camera nor compares appearances.
-Methods that need only boxes measure as they do in a run; stereo distances come from the drive. Several drives in the
-same scene with different errors run as one, with different track ids, since the later stages take hardly longer for
-many tracks than for few.
+The tracker gets boxes with embeddings and the camera's rotation, as if estimated from images. Methods that need only
+boxes measure as they do in a run; stereo distances come from the drive. Several drives in the same scene with different
+errors run as one, with different track ids, since the later stages take hardly longer for many tracks than for few.
 """
 
 from __future__ import annotations
@@ -34,7 +33,9 @@ from track_range.simulation.boxes.box_drive import BoxDrive, BoxFrame
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEstimator
-from track_range.tracking.deepsort import DeepSortSettings, DeepSortTracker
+from track_range.tracking.appearance.embeddings import ColourLayoutSettings
+from track_range.tracking.camera_motion import CameraMotion
+from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker
 from track_range.tracking.tracks import Tracks
 
 MIN_IOU = 0.5
@@ -66,9 +67,10 @@ class BoxResult:
 
 
 def tracked(drive: BoxDrive) -> list[Step]:
-    """The frames of a drive with their tracks."""
-    tracker = DeepSortTracker(DeepSortSettings(is_camera_motion_compensated=False))
-    return [(frame, tracker.update(frame.detections, frame.time_s, None)) for frame in drive]
+    """The frames of a drive with their tracks, by the default tracker."""
+    tracker = _BoxTracker()
+    image = _no_image(drive.rig.left)
+    return [(frame, tracker.update_frame(frame, image)) for frame in drive]
 
 
 def run_boxes(
@@ -107,7 +109,7 @@ def run_boxes(
         warning=warning or CollisionWarning(),
         clock=_NoClock(),
     )
-    image: Image = np.broadcast_to(np.zeros(3, np.uint8), (camera.height_px, camera.width_px, 3))
+    image = _no_image(camera)
     for steps in zip(*tracks, strict=True):
         source.set(steps)
         frame = steps[0][0]
@@ -118,6 +120,41 @@ def run_boxes(
 @cache
 def _size_model() -> SizeModel:
     return load_curves()
+
+
+def _no_image(camera: PinholeCamera) -> Image:
+    """A black image that takes no memory."""
+    return np.broadcast_to(np.zeros(3, np.uint8), (camera.height_px, camera.width_px, 3))
+
+
+class _Shift(CameraMotion):
+    """The image motion of the current frame of a drive.
+
+    Attributes:
+        shift_px: (2,) motion.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.shift_px = np.zeros(2)
+
+    def update(self, image: Image, xyxy_px: FloatArray) -> FloatArray:
+        """(2, 3) `now_from_before`."""
+        return np.column_stack([np.eye(2), self.shift_px])
+
+
+class _BoxTracker(DeepSortTracker):
+    """The default tracker with the camera motion and embeddings of a drive without images."""
+
+    def __init__(self) -> None:
+        gate = AppearanceSettings(max_cosine_distance=ColourLayoutSettings().max_cosine_distance)
+        super().__init__(DeepSortSettings(appearance=gate))
+        self._camera_motion = self._shift = _Shift()
+
+    def update_frame(self, frame: BoxFrame, image: Image) -> Tracks:
+        """The tracks of a frame."""
+        self._shift.shift_px = frame.shift_px
+        return self.update(frame.detections, frame.time_s, image)
 
 
 class _NoClock(StageClock):

@@ -17,14 +17,45 @@ from track_range.simulation.world.trajectories import trajectories
 from track_range.simulation.world.truth import corners_m, projected_boxes_px
 from track_range.stereo.geometry.camera import PinholeCamera
 
-FARTHEST_M = 90.0
-"""Distance up to which road users have boxes, m; the detector finds next to none beyond."""
+FARTHEST_M = 160.0
+"""Distance up to which road users have boxes, m; the detector finds none beyond."""
 
 NEAREST_M = 1.0
 """Smallest distance of the centre of a road user, m."""
 
-SMALLEST_PX = 6.0
-"""Smallest height of a box, px; the detector finds next to none below."""
+SMALLEST_PX = 3.5
+"""Smallest height of a box, px; the detector finds none below."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraPoses:
+    """Poses of the left camera at T times.
+
+    Attributes:
+        camera_from_world: (T, 3, 3) rotations.
+        position_m: (T, 3) positions in world axes.
+        yaw_rad: (T,) directions of the road at the camera.
+    """
+
+    camera_from_world: FloatArray
+    position_m: FloatArray
+    yaw_rad: FloatArray
+
+    @classmethod
+    def of(cls, scene: Scene, times_s: FloatArray) -> CameraPoses:
+        """The poses in a scene at the given times (T,)."""
+        poses = [scene.pose(time_s) for time_s in times_s.tolist()]
+        return cls(
+            np.stack([pose.camera_from_world for pose in poses]),
+            np.stack([pose.position_m for pose in poses]),
+            np.array([pose.yaw_rad for pose in poses]),
+        )
+
+    def image_shifts_px(self, camera: PinholeCamera) -> FloatArray:
+        """(T, 2) shift of far objects since the frame before, by yaw and pitch; 0 in the first frame."""
+        before = np.concatenate([self.camera_from_world[:1], self.camera_from_world[:-1]])
+        axis = np.einsum("tij,tkj->tik", self.camera_from_world, before)[:, :, 2]  # where the last optical axis is now
+        return np.asarray(axis[:, :2] / axis[:, 2:] * [camera.fx_px, camera.fy_px])
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +68,7 @@ class TrueBoxes:
         xyxy_px: (M, 4) box in the left image, clipped to it.
         distance_m: (M,) z at which the ray through the box centre meets the 3-D box.
         hidden_share: (M,) fraction of the box that is covered by nearer boxes.
+        overlap_share: (M,) largest fraction of the box inside one other box.
         outside_share: (M,) fraction of the box outside the image.
     """
 
@@ -45,6 +77,7 @@ class TrueBoxes:
     xyxy_px: FloatArray
     distance_m: FloatArray
     hidden_share: FloatArray
+    overlap_share: FloatArray
     outside_share: FloatArray
 
     @property
@@ -53,13 +86,13 @@ class TrueBoxes:
         return np.asarray(self.xyxy_px[:, 3] - self.xyxy_px[:, 1])
 
 
-def true_boxes(scene: Scene, times_s: FloatArray, camera: PinholeCamera) -> TrueBoxes:
-    """The boxes of a scene at the given times (T,)."""
+def true_boxes(
+    scene: Scene, times_s: FloatArray, camera: PinholeCamera, *, poses: CameraPoses | None = None
+) -> TrueBoxes:
+    """The boxes of a scene at the given times (T,); `poses`: of the camera at these times, None = computed here."""
     paths = trajectories(scene.road_users, times_s)
-    poses = [scene.pose(time_s) for time_s in times_s.tolist()]
-    camera_from_world = np.stack([pose.camera_from_world for pose in poses])
-    position_m = np.stack([pose.position_m for pose in poses])
-    ego_yaw_rad = np.array([pose.yaw_rad for pose in poses])
+    poses = poses or CameraPoses.of(scene, times_s)
+    camera_from_world, position_m, ego_yaw_rad = poses.camera_from_world, poses.position_m, poses.yaw_rad
     raised_m = np.array([user.raised_m for user in scene.road_users])[:, None]
     world = np.stack(
         [scene.road.x_m(paths.z_m) + paths.across_m, scene.road.y_m(paths.z_m) - raised_m, paths.z_m], axis=2
@@ -88,23 +121,35 @@ def true_boxes(scene: Scene, times_s: FloatArray, camera: PinholeCamera) -> True
         rotation_y_rad=yaw_rad[rows] - ego_yaw_rad[frame],
     )
     distance_m = np.where(np.isnan(distance_m), at_m[rows, 2], distance_m)
-    hidden = _hidden_shares(frame, inside, len(times_s))
+    hidden, overlap = _covered_shares(frame, inside, len(times_s))
     return TrueBoxes(
-        frame.astype(np.int64), user.astype(np.int64), inside, distance_m, hidden, 1 - _areas(inside) / _areas(boxes)
+        frame.astype(np.int64),
+        user.astype(np.int64),
+        inside,
+        distance_m,
+        hidden,
+        overlap,
+        1 - _areas(inside) / _areas(boxes),
     )
 
 
-def _hidden_shares(frame: IntArray, boxes: FloatArray, n_frames: int) -> FloatArray:
-    """(M,) fractions of boxes that nearer ones cover; boxes are sorted by frame, nearest first."""
-    hidden = np.zeros(len(frame))
+def _covered_shares(frame: IntArray, boxes: FloatArray, n_frames: int) -> tuple[FloatArray, FloatArray]:
+    """(M,) fractions of boxes that nearer ones cover, and the largest that one other box covers.
+
+    Boxes are sorted by frame, nearest first.
+    """
+    hidden, overlap = np.zeros(len(frame)), np.zeros(len(frame))
     ends = np.searchsorted(frame, np.arange(n_frames + 1))
     for start, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         part = boxes[start:end]
         low = np.maximum(part[:, None, :2], part[None, :, :2])
         high = np.minimum(part[:, None, 2:], part[None, :, 2:])
         common = np.prod(np.clip(high - low, 0, None), axis=2)
-        hidden[start:end] = np.tril(common, -1).sum(axis=1) / _areas(part)
-    return np.clip(hidden, 0, 1)
+        areas = _areas(part)
+        hidden[start:end] = np.tril(common, -1).sum(axis=1) / areas
+        np.fill_diagonal(common, 0)
+        overlap[start:end] = common.max(axis=1, initial=0.0) / areas
+    return np.clip(hidden, 0, 1), overlap
 
 
 def _areas(xyxy_px: FloatArray) -> FloatArray:
