@@ -7,6 +7,7 @@ errors run as one, with different track ids, since the later stages take hardly 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -138,7 +139,7 @@ class _Shift(CameraMotion):
         super().__init__()
         self.shift_px = np.zeros(2)
 
-    def update(self, image: Image, xyxy_px: FloatArray) -> FloatArray:
+    def update(self, image: Image, xyxy_px: FloatArray, time_s: float = math.nan) -> FloatArray:
         """(2, 3) `now_from_before`."""
         return np.column_stack([np.eye(2), self.shift_px])
 
