@@ -8,7 +8,7 @@ from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.truth import label_scene
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.odometry.ground_odometry import GroundOdometry
+from track_range.stereo.odometry.ground_odometry import GroundOdometry, HorizonOffset
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator, fit_epipolar
 from track_range.stereo.odometry.speed_filter import SpeedFilter
 from track_range.stereo.odometry.stereo_odometry import RigidMotion, StereoOdometry, fit_motion
@@ -113,6 +113,28 @@ def test_filter_ignores_one_outlier_and_bridges_gaps():
     assert speeds.update(1.1, 0.1, math.nan, math.nan, math.nan)[0] == pytest.approx(10.0, abs=0.1)
     assert math.isnan(speeds.update(2.0, 0.1, math.nan, math.nan, math.nan)[0])
     assert speeds.update(2.1, 0.1, 12.0, 0.05, 0.0)[0] == pytest.approx(12.0)
+
+
+@pytest.mark.parametrize("offset_rad", [-0.008, 0.0, 0.008])
+@pytest.mark.parametrize("speed_mps", [10.0, 30.0])
+def test_horizon_offset_from_strips(offset_rad, speed_mps):
+    """A horizon that is too low lengthens the shifts of distant strips; the correction finds it within 2 s."""
+    height_m, true_m = 1.65, speed_mps / 10
+    horizon, rng = HorizonOffset(height_m), np.random.default_rng(0)
+    distance_m = np.arange(6.0, 14.0)
+    for _ in range(20):
+        error_rad = offset_rad - horizon.offset_rad
+        shifts_m = true_m * (1 + 2 * distance_m * error_rad / height_m) + 0.02 * rng.normal(size=8)
+        shifts_m[3] = math.nan
+        shift_m = horizon.update(float(np.nanmedian(shifts_m)), distance_m, shifts_m, 0.1)
+    assert horizon.offset_rad == pytest.approx(offset_rad, abs=0.002)
+    assert shift_m == pytest.approx(true_m, rel=0.02)
+
+
+def test_horizon_offset_with_few_strips():
+    horizon = HorizonOffset(1.65)
+    assert horizon.update(1.0, np.array([6.0, 8.0, 9.0]), np.array([1.0, 1.1, math.nan]), 0.1) == 1.0
+    assert horizon.offset_rad == 0.0
 
 
 def textured_pair(seed=0):
