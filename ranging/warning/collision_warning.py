@@ -1,14 +1,17 @@
 """CollisionWarning: probability of contact of all tracks of a video, and an alarm with hysteresis for each.
 
-Acceleration of the object:   u = v + V    a Kalman filter with the state [u, u'] and the filtered rate v as measurement
-of the ego vehicle:           V            another one with the state [V, V'], from the ego speed
-relative acceleration:        a = u' - V'  without ego speed, u = v and a = u'
+Speed of the object along the road:    u = v + V    a Kalman filter with the state [u, u'] and the filtered rate v
+Speed of the ego vehicle:              V            another one with the state [V, V']
+Yaw rate of the ego vehicle:           w            another one with the state [w, w']
+Without ego speed, V = V' = 0. A change of u beyond 3 standard deviations means that the track is on another object.
 
-Ego path: the circle of curvature k = w / V, with the yaw rate w. In its coordinates, an object at the distance z has
+Ego path: the yaw rate goes on changing as it does, and its change w' is a random walk with the density q. In its
+coordinates, an object at the distance z, which the ego vehicle reaches after T = z / V, has
 
-    o = x - k z^2 / 2        o' = u_x - k z (v + V)
+    o = x - V (w T^2 / 2 + w' T^3 / 6)         o' = u_x - (w T + w' T^2 / 2) u
+    var o = P_oo + V^2 (P_ww T^4 / 4 + P_ww' T^5 / 6 + P_w'w' T^6 / 36 + q T^7 / 252)
 
-both of which are constant for static objects and for all that follow the bend. Traffic lights and signs have no
+both of which are constant for static objects and for all that follow the road. Traffic lights and signs have no
 probability of contact: they hang above the road, or are beside it.
 """
 
@@ -19,12 +22,19 @@ import math
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralMotion
-from track_range.ranging.warning.contact import Encounter, contact_probability, overlap_probability
+from track_range.ranging.warning.contact import (
+    Encounter,
+    contact_probability,
+    manoeuvre,
+    needed_deceleration,
+    overlap_probability,
+    stop_s,
+)
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.warning.warnings import Warnings
 from track_range.tracking.tracks import Tracks
@@ -45,11 +55,14 @@ _RATE_FACTOR = 4.0
 _INITIAL_ACCELERATION_MPS2 = 1.0
 """Standard deviation of the acceleration of a new track."""
 
+_JUMP_SIGMA = 3.0
+"""Change of an object's speed in standard deviations above which the track now is on another object."""
+
 _EGO_SPEED_SIGMA_MPS = 0.1
 """Standard deviation of a value of the ego speed, m/s."""
 
-_YAW_S = 0.4
-"""Time constant of the mean of the yaw rate, s."""
+_INITIAL_YAW_RAD_S2 = 0.03
+"""Standard deviation of the change of the yaw rate at the start, rad/s^2."""
 
 _MAX_LAG_S = 0.6
 """Largest lag of a distance filter that is corrected, s."""
@@ -81,9 +94,15 @@ _BESIDE_S = 4.0
 _MIN_CUT_IN_SPEED_MPS = 5.0
 """Smallest ego speed of an alarm for a cut-in, m/s; below, vehicles merge closely in queues."""
 
+_REACH_SIGMA = 3.0
+"""Standard deviations of the gap beyond which an object is out of reach."""
+
 _N_STATE = 11
-"""Values per track: u, u', P_uu, P_uu', P_u'u', time of the state, times of the first and of the last distance, last
-time beside the ego path, since when the condition for the next state of the alarm holds, alarm (0 or 1)."""
+"""Values per track: u, u', P_uu, P_uu', P_u'u', time of the state, since when the probability is known, time of the
+last distance, last time beside the ego path, since when the condition for the next state of the alarm holds, alarm."""
+
+_LAST_S = 7
+"""Index of the time of the last distance in the state."""
 
 
 class CollisionWarning:
@@ -95,7 +114,7 @@ class CollisionWarning:
         initial = np.full(_N_STATE, np.nan)
         initial[-1] = 0.0
         self._tracks = TrackState(initial)
-        self._ego = _EgoTrend()
+        self._ego = _EgoTrend(self.settings)
 
     def update(
         self,
@@ -119,88 +138,156 @@ class CollisionWarning:
         """
         settings = self.settings
         self._ego.update(time_s, ego_mps, yaw_rad_s)
-        columns = self._tracks.get(tracks.track_id)
-        *trend, state_s, first_s, last_s, beside_s, since_s, is_on = columns
-        d, v = motion.state.x, motion.state.v
-        is_known = np.isfinite(d) & np.isfinite(lateral.state.x)
+        *trend, state_s, certain_s, last_s, beside_s, since_s, is_on = self._tracks.get(tracks.track_id)
+        is_person = tracks.class_id == _PERSON
+        measured = self._with_walking_speed(motion.state, is_person)
+        is_known = np.isfinite(measured.x) & np.isfinite(lateral.state.x)
         is_stale = ~(time_s - last_s <= _MAX_GAP_S)
+        certain_speed = measured.P_vv <= settings.max_closing_sigma_mps**2
+        is_usable = is_known & certain_speed & _IN_THE_WAY[tracks.class_id]
 
-        # Relative acceleration.
-        V = np.nan_to_num(ego_mps)
-        state = ConstantVelocity(*trend).predict(time_s - state_s, q=_JERK_NOISE**2)
-        R = _RATE_FACTOR * motion.state.P_vv
-        state = state.update(v + V - state.x, R, valid=is_known)
-        starts = is_known & (is_stale | np.isnan(state.x))
-        filtered = np.array([state.x, state.v, state.P_xx, state.P_xv, state.P_vv])
-        np.copyto(filtered, np.array([v + V, 0 * v, R, 0 * v, 0 * v + _INITIAL_ACCELERATION_MPS2**2]), where=starts)
-        a = filtered[1] - self._ego.acceleration_mps2
-        a_sigma = np.hypot(np.sqrt(filtered[4]), settings.acceleration_mps2)
+        own, starts = self._own_motion(measured, ConstantVelocity(*trend), time_s - state_s, is_known, is_stale)
+        gap = self._gap(measured, own, motion.ranges.sigma_m)
+        offset = self._offset(tracks, gap, lateral.state)
 
         # Probability of contact.
-        rate_variance = (motion.ranges.sigma_m / settings.drift_s) ** 2
-        gap = _without_lag(motion.state, filtered[1], filtered[4])
-        gap = ConstantVelocity(gap.x, gap.v, gap.P_xx, gap.P_xv, gap.P_vv + rate_variance)
-        encounter = self._encounter(tracks, gap, lateral, a, a_sigma)
-        probability = contact_probability(
+        half_width_m = lateral.half_width_m + settings.ego_width_m / 2
+        rows = np.flatnonzero(is_usable & (self._may_touch(gap, own) | self._is_near(gap)))
+        encounter = self._encounter(rows, is_person, gap, own, offset, half_width_m)
+        probability = np.where(is_usable, 0.0, np.nan)
+        probability[rows] = contact_probability(
             encounter,
             horizon_s=settings.horizon_s,
             manoeuvre_s=settings.manoeuvre_s,
             ego_length_m=settings.ego_length_m,
         )
-        is_certain = motion.state.P_vv <= settings.max_closing_sigma_mps**2
-        probability = np.where(is_known & is_certain & _IN_THE_WAY[tracks.class_id], probability, np.nan)
 
         # Alarm.
-        first_s = np.where(is_stale & is_known, time_s, first_s)
-        is_beside = np.abs(encounter.offset.x) > encounter.half_width_m + _BESIDE_SIGMA * np.sqrt(encounter.offset.P_xx)
+        is_beside = np.abs(offset.x) > half_width_m + _BESIDE_SIGMA * np.sqrt(offset.P_xx)
         beside_s = np.where(is_known & is_beside, time_s, beside_s)
-        may_start = self._is_urgent(encounter) & (probability >= self._on_probability(tracks))
-        may_start |= self._cuts_in(tracks, encounter, time_s - beside_s)
-        is_person = tracks.class_id == _PERSON
-        may_start &= time_s - first_s >= np.where(is_person, settings.min_person_s, settings.min_track_s)
+        certain_s = np.where(is_usable, np.where(starts, time_s, np.fmin(certain_s, time_s)), np.nan)
+        on_probability = np.where(is_person, settings.person_probability, settings.on_probability)
+        may_start = np.zeros(len(tracks), np.bool_)
+        may_start[rows] = self._is_urgent(encounter) & (probability >= on_probability)[rows]
+        may_start[rows] |= self._cuts_in(encounter, time_s - beside_s[rows]) & ~is_person[rows]
+        may_start &= time_s - certain_s >= np.where(is_person, settings.min_person_s, settings.min_track_s) - 1e-9
         may_end = ~(probability >= settings.off_probability)
-        is_uncertain = motion.ranges.sigma_m > settings.certain_share * d
+        is_uncertain = motion.ranges.sigma_m > settings.certain_share * measured.x
+        if self._ego.has_speed:
+            is_uncertain |= gap.v + self._ego.speed_mps < -_STATIC_MPS
         needed_s = np.where(is_uncertain, settings.uncertain_on_s, settings.min_on_s)
         needed_s = np.where(is_on > 0, settings.min_off_s, needed_s)
         active, since_s = _alarm(np.where(is_on > 0, may_end, may_start), needed_s, time_s, since_s, is_on > 0)
+
         last_s = np.where(is_known, time_s, last_s)
-        new = np.vstack([filtered, np.full(len(tracks), time_s), first_s, last_s, beside_s, since_s, active])
-        is_recent = time_s - self._tracks.known[7] <= _MAX_GAP_S
+        state_s.fill(time_s)
+        new = np.array([*_columns(own), state_s, certain_s, last_s, beside_s, since_s, active])
+        is_recent = time_s - self._tracks.known[_LAST_S] <= _MAX_GAP_S
         self._tracks.put(tracks.track_id, new, keep_known=is_recent)
-        return Warnings(probability, active, encounter.offset.x)
+        return Warnings(probability, active, offset.x)
+
+    def _own_motion(
+        self,
+        measured: ConstantVelocity,
+        trend: ConstantVelocity,
+        dt: FloatArray,
+        is_known: BoolArray,
+        is_stale: BoolArray,
+    ) -> tuple[ConstantVelocity, BoolArray]:
+        """Speed u of the objects along the road with its change, and which objects are new or have changed.
+
+        Args:
+            measured: distances and rates.
+            trend: u and its change at the last frame of each track.
+            dt: time since then.
+            is_known: whether the distance is known.
+            is_stale: whether it was unknown for too long before.
+        """
+        predicted = trend.predict(dt, q=_JERK_NOISE**2)
+        u, R = measured.v + self._ego.speed_mps, _RATE_FACTOR * measured.P_vv
+        nu = u - predicted.x
+        is_same = nu * nu <= _JUMP_SIGMA**2 * (predicted.P_xx + R)  # False for NaN
+        starts = is_known & (is_stale | ~is_same)
+        state = predicted.update(nu, R, valid=is_known)
+        zero = np.zeros_like(u)
+        initial = (u, zero, R, zero, zero + _INITIAL_ACCELERATION_MPS2**2)
+        columns = (np.where(starts, new, old) for new, old in zip(initial, _columns(state), strict=True))
+        return ConstantVelocity(*columns), starts
+
+    def _gap(self, measured: ConstantVelocity, own: ConstantVelocity, sigma_m: FloatArray) -> ConstantVelocity:
+        """Distances from the camera and their rates, without lag, with the rate that errors of the distance cause."""
+        gap = _without_lag(measured, own.v, own.P_vv)
+        return ConstantVelocity(gap.x, gap.v, gap.P_xx, gap.P_xv, gap.P_vv + (sigma_m / self.settings.drift_s) ** 2)
+
+    def _may_touch(self, gap: ConstantVelocity, own: ConstantVelocity) -> BoolArray:
+        """(N,) False where the probability of contact is below 0.2 %, since the object is too far away."""
+        settings = self.settings
+        H, h = settings.horizon_s, manoeuvre(settings.horizon_s, settings.manoeuvre_s)
+        least_m = gap.x - settings.front_m + H * np.minimum(gap.v, 0.0)
+        least_m += h * np.minimum(own.v - self._ego.acceleration_mps2, 0.0)
+        variance = gap.P_xx + H * (2 * gap.P_xv + H * gap.P_vv) + h * h * (own.P_vv + settings.acceleration_mps2**2)
+        return np.asarray(least_m <= _REACH_SIGMA * np.sqrt(variance))
+
+    def _is_near(self, gap: ConstantVelocity) -> BoolArray:
+        """(N,) whether the headway is that of a cut-in."""
+        settings = self.settings
+        return np.asarray(gap.x - settings.front_m < settings.cut_in_headway_s * self._ego.speed_mps)
+
+    def _with_walking_speed(self, state: ConstantVelocity, is_person: BoolArray) -> ConstantVelocity:
+        """Distances and rates, with the prior speed of people along the road, if the ego speed is known."""
+        if not (self._ego.has_speed and is_person.any()):
+            return state
+        sigma = np.where(is_person, self.settings.person_along_mps, np.inf)
+        return _with_rate(state, -self._ego.speed_mps, sigma)
 
     def _encounter(
-        self, tracks: Tracks, gap: ConstantVelocity, lateral: LateralMotion, a: FloatArray, a_sigma: FloatArray
+        self,
+        rows: IntArray,
+        is_person: BoolArray,
+        gap: ConstantVelocity,
+        own: ConstantVelocity,
+        offset: ConstantVelocity,
+        half_width_m: FloatArray,
     ) -> Encounter:
-        """Motion of the objects relative to the ego vehicle and its path."""
-        settings = self.settings
-        lateral_mps2 = np.where(
-            tracks.class_id == _PERSON, settings.person_acceleration_mps2, settings.vehicle_acceleration_mps2
-        )
+        """Motion of the objects in these rows relative to the ego vehicle and its path."""
+        settings, ego = self.settings, self._ego
+        gap, own, offset = (ConstantVelocity(*np.array(_columns(state))[:, rows]) for state in (gap, own, offset))
+        u = gap.v + ego.speed_mps
+        object_stop_s, ego_stop_s = np.full(len(rows), np.inf), math.inf
+        if ego.has_speed:
+            object_stop_s = stop_s(u, own.v, settings.manoeuvre_s)
+            ego_stop_s = float(stop_s(np.array(ego.speed_mps), np.array(ego.acceleration_mps2), settings.manoeuvre_s))
         return Encounter(
             gap=ConstantVelocity(gap.x - settings.front_m, gap.v, gap.P_xx, gap.P_xv, gap.P_vv),
-            acceleration_mps2=a,
-            acceleration_sigma_mps2=a_sigma,
-            offset=self._offset(tracks, gap, lateral.state),
-            half_width_m=lateral.half_width_m + settings.ego_width_m / 2,
-            lateral_acceleration_mps2=lateral_mps2,
+            object_mps=u,
+            object_mps2=own.v,
+            object_stop_s=object_stop_s,
+            acceleration_sigma_mps2=np.sqrt(own.P_vv + settings.acceleration_mps2**2),
+            ego_mps=ego.speed_mps,
+            ego_mps2=ego.acceleration_mps2,
+            ego_stop_s=ego_stop_s,
+            offset=offset,
+            half_width_m=half_width_m[rows],
+            lateral_acceleration_mps2=np.where(
+                is_person[rows], settings.person_acceleration_mps2, settings.vehicle_acceleration_mps2
+            ),
         )
 
     def _offset(self, tracks: Tracks, gap: ConstantVelocity, x: ConstantVelocity) -> ConstantVelocity:
         """Lateral offset of the objects from the ego path and its rate, with the errors of the path."""
-        settings, ego = self.settings, self._ego
-        z, v, k = gap.x, gap.v, ego.curvature
-        V = ego.speed_mps if ego.has_speed else _TYPICAL_SPEED_MPS
-        V = max(V, _MIN_SPEED_MPS)
-        own_mps = v + ego.speed_mps if ego.has_speed else np.zeros_like(v)
-        k_sigma = settings.yaw_sigma_rad_s / V if ego.has_yaw else settings.unknown_lateral_mps2 / V**2
-        turning_mps = own_mps if ego.has_yaw else v
-        bend = _path_errors(k_sigma * z * z / 2, k_sigma * z * turning_mps)
-        clothoid_sigma = max(settings.min_lateral_jerk_mps3, ego.lateral_mps2 * settings.bend_rate_hz) / V**3
-        change = _path_errors(clothoid_sigma * z**3 / 6, clothoid_sigma * z * z / 2 * own_mps)
-        P_xx, P_xv, P_vv = np.array([x.P_xx, x.P_xv, x.P_vv]) + bend + change
-        offset = ConstantVelocity(x.x - k * z * z / 2, x.v - k * z * own_mps, P_xx, P_xv, P_vv)
-        return _with_prior(offset, self._rate_sigma_mps(tracks, own_mps))
+        ego, w, V = self._ego, self._ego.yaw, self._ego.path_mps
+        T = np.maximum(gap.x, 0.0) / V
+        u = gap.v + ego.speed_mps if ego.has_speed else np.zeros_like(gap.v)
+        turning = u if ego.has_yaw else gap.v
+        P_ww, P_wa, P_aa, q = w.P_xx, w.P_xv, w.P_vv, ego.yaw_noise
+        offset = ConstantVelocity(
+            x.x - V * T * T * (w.x / 2 + T * w.v / 6),
+            x.v - T * (w.x + T * w.v / 2) * u,
+            x.P_xx + V * V * T**4 * (P_ww / 4 + T * (P_wa / 6 + T * (P_aa / 36 + T * (q / 252)))),
+            x.P_xv + V * T**3 * (P_ww / 2 + T * (5 * P_wa / 12 + T * (P_aa / 12 + T * (q / 72)))) * turning,
+            x.P_vv + T * T * (P_ww + T * (P_wa + T * (P_aa / 4 + T * (q / 20)))) * turning**2,
+        )
+        return _with_rate(offset, 0.0, self._rate_sigma_mps(tracks, u))
 
     def _rate_sigma_mps(self, tracks: Tracks, own_mps: FloatArray) -> FloatArray:
         """(N,) prior standard deviation of the rate of the offset from the ego path."""
@@ -212,33 +299,30 @@ class CollisionWarning:
         return np.where(tracks.class_id == _PERSON, settings.person_lateral_mps, sigma)
 
     def _is_urgent(self, encounter: Encounter) -> BoolArray:
-        """(N,) whether the driver has to brake at least moderately after the reaction time."""
-        settings, gap, a = self.settings, encounter.gap, encounter.acceleration_mps2
-        closing_mps, t = -gap.v, settings.reaction_s
-        later_mps = np.maximum(closing_mps - a * t, 0.0)
-        left_m = np.maximum(gap.x - closing_mps * t + a * t * t / 2, 0.0)
-        is_hard = later_mps**2 >= 2 * (settings.min_deceleration_mps2 + a) * left_m
-        return np.asarray((closing_mps >= settings.min_closing_mps) & is_hard)
-
-    def _on_probability(self, tracks: Tracks) -> FloatArray:
-        """(N,) probability at which the alarm of a track starts."""
+        """(N,) whether the driver has to brake hard after the reaction time."""
         settings = self.settings
-        return np.where(tracks.class_id == _PERSON, settings.person_probability, settings.on_probability)
+        needed_mps2 = needed_deceleration(encounter, settings.reaction_s)
+        braking_mps2 = max(-self._ego.acceleration_mps2, 0.0)
+        least_mps2 = max(settings.min_deceleration_mps2, braking_mps2 + settings.deceleration_margin_mps2)
+        return np.asarray((-encounter.gap.v >= settings.min_closing_mps) & (needed_mps2 >= least_mps2))
 
-    def _cuts_in(self, tracks: Tracks, encounter: Encounter, since_beside_s: FloatArray) -> BoolArray:
-        """(N,) whether a vehicle moves from the side into the ego path at a short headway."""
-        settings, gap, offset = self.settings, encounter.gap, encounter.offset
-        if self._ego.speed_mps < _MIN_CUT_IN_SPEED_MPS:
-            return np.zeros(len(tracks), np.bool_)
-        is_near = (gap.x < settings.cut_in_headway_s * self._ego.speed_mps) & (gap.x > settings.min_cut_in_gap_m)
-        is_along = gap.v + self._ego.speed_mps > _STATIC_MPS
+    def _cuts_in(self, encounter: Encounter, since_beside_s: FloatArray) -> BoolArray:
+        """(K,) whether an object moves from the side into the ego path at a short headway."""
+        settings, ego, gap, offset = self.settings, self._ego, encounter.gap, encounter.offset
+        if ego.speed_mps < _MIN_CUT_IN_SPEED_MPS:
+            return np.zeros(len(gap.x), np.bool_)
+        is_near = (gap.x < settings.cut_in_headway_s * ego.speed_mps) & (gap.x > settings.min_cut_in_gap_m)
         share = overlap_probability(
             offset, encounter.half_width_m, encounter.lateral_acceleration_mps2, settings.cut_in_ahead_s
         )
         enters = (share >= settings.cut_in_probability) & (since_beside_s <= _BESIDE_S) & (offset.x * offset.v < 0)
-        return np.asarray(
-            is_near & is_along & enters & (gap.v <= settings.max_cut_in_mps) & (tracks.class_id != _PERSON)
-        )
+        is_along = encounter.object_mps > _STATIC_MPS
+        return np.asarray(is_near & is_along & enters & (gap.v <= settings.max_cut_in_mps))
+
+
+def _columns(state: ConstantVelocity) -> tuple[FloatArray, ...]:
+    """The values of a state, in the order of the constructor."""
+    return state.x, state.v, state.P_xx, state.P_xv, state.P_vv
 
 
 def _alarm(
@@ -258,22 +342,18 @@ def _alarm(
     return is_on ^ changes, np.where(changes, np.nan, since_s)
 
 
-def _path_errors(offset_m: FloatArray, rate_mps: FloatArray) -> FloatArray:
-    """(3, N) variance, covariance and variance of the rate of an error of the path with the given size and rate."""
-    return np.array([offset_m**2, offset_m * rate_mps, rate_mps**2])
-
-
-def _with_prior(offset: ConstantVelocity, rate_sigma_mps: FloatArray) -> ConstantVelocity:
-    """The offset after a pseudo-measurement of its rate, 0 with the given sigma; not where that is implausible."""
-    S = offset.P_vv + rate_sigma_mps**2
-    weight = np.where(offset.v**2 < _GATE_SIGMA**2 * S, 1.0 / S, 0.0)
-    K_x, K_v = weight * offset.P_xv, weight * offset.P_vv
+def _with_rate(state: ConstantVelocity, rate_mps: float, sigma_mps: FloatArray) -> ConstantVelocity:
+    """The states after a pseudo-measurement of their rates with the given sigma; not where it is implausible."""
+    S = state.P_vv + sigma_mps**2
+    nu = rate_mps - state.v
+    weight = np.where(nu**2 < _GATE_SIGMA**2 * S, 1.0 / S, 0.0)
+    K_x, K_v = weight * state.P_xv, weight * state.P_vv
     return ConstantVelocity(
-        x=offset.x - K_x * offset.v,
-        v=offset.v - K_v * offset.v,
-        P_xx=offset.P_xx - K_x * offset.P_xv,
-        P_xv=offset.P_xv - K_x * offset.P_vv,
-        P_vv=offset.P_vv - K_v * offset.P_vv,
+        x=state.x + K_x * nu,
+        v=state.v + K_v * nu,
+        P_xx=state.P_xx - K_x * state.P_xv,
+        P_xv=state.P_xv - K_x * state.P_vv,
+        P_vv=state.P_vv - K_v * state.P_vv,
     )
 
 
@@ -293,49 +373,65 @@ def _without_lag(gap: ConstantVelocity, a: FloatArray, a_variance: FloatArray) -
 
 
 class _EgoTrend:
-    """Speed, acceleration and path curvature of the ego vehicle.
+    """Speed, acceleration and yaw rate of the ego vehicle.
 
     Attributes:
         speed_mps: speed; 0 = unknown.
         acceleration_mps2: its change; 0 = unknown.
-        curvature: of the path, 1/m, positive = to the right; 0 = unknown.
-        lateral_mps2: root mean square of the recent lateral acceleration.
+        path_mps: speed for the shape of the path, never 0.
+        yaw: yaw rate w and its change w', rad/s and rad/s^2, with their covariance.
+        yaw_noise: growth of the variance of w' per second.
         has_speed, has_yaw: whether speed and yaw rate are known.
     """
 
-    def __init__(self) -> None:
-        self.speed_mps = self.acceleration_mps2 = self.curvature = 0.0
+    def __init__(self, settings: WarningSettings) -> None:
+        self._settings = settings
+        self.speed_mps = self.acceleration_mps2 = self.yaw_noise = 0.0
+        self.path_mps = _TYPICAL_SPEED_MPS
         self.has_speed = self.has_yaw = False
-        self._state: ConstantVelocity | None = None
-        self._yaw_rad_s = 0.0
-        self.lateral_mps2 = _INITIAL_LATERAL_MPS2
+        self._speed: ConstantVelocity | None = None
+        self.yaw = _state(0.0, 0.0, 0.0)
+        self._lateral_mps2 = _INITIAL_LATERAL_MPS2
         self._time_s = -math.inf
 
     def update(self, time_s: float, speed_mps: float, yaw_rad_s: float) -> None:
         """Update with the values of a frame; NaN = unknown."""
         dt = time_s - self._time_s
         self._time_s = time_s
-        was_speed, self.has_speed = self.has_speed, math.isfinite(speed_mps)
-        was_yaw, self.has_yaw = self.has_yaw, math.isfinite(yaw_rad_s)
+        self._update_speed(dt, speed_mps)
+        self.path_mps = max(speed_mps, _MIN_SPEED_MPS) if self.has_speed else _TYPICAL_SPEED_MPS
+        self._update_yaw(dt, yaw_rad_s)
+
+    def _update_speed(self, dt: float, speed_mps: float) -> None:
+        was_known, self.has_speed = self.has_speed, math.isfinite(speed_mps)
         R = _EGO_SPEED_SIGMA_MPS**2
         if not self.has_speed:
-            self._state = None
-        elif self._state is None or not was_speed or dt > _MAX_GAP_S:
-            zero = np.zeros(())
-            self._state = ConstantVelocity(zero + speed_mps, zero, zero + R, zero, zero + _INITIAL_ACCELERATION_MPS2**2)
+            self._speed = None
+        elif self._speed is None or not was_known or dt > _MAX_GAP_S:
+            self._speed = _state(speed_mps, R, _INITIAL_ACCELERATION_MPS2**2)
         else:
-            predicted = self._state.predict(dt, q=_JERK_NOISE**2)
-            self._state = predicted.update(speed_mps - predicted.x, R)
-        self.acceleration_mps2 = 0.0 if self._state is None else float(self._state.v)
+            predicted = self._speed.predict(dt, q=_JERK_NOISE**2)
+            self._speed = predicted.update(speed_mps - predicted.x, R)
+        self.acceleration_mps2 = 0.0 if self._speed is None else float(self._speed.v)
         self.speed_mps = speed_mps if self.has_speed else 0.0
+
+    def _update_yaw(self, dt: float, yaw_rad_s: float) -> None:
+        settings, V = self._settings, self.path_mps
+        was_known, self.has_yaw = self.has_yaw, math.isfinite(yaw_rad_s)
+        self.yaw_noise = ((settings.lateral_jerk_noise + settings.winding_noise * self._lateral_mps2) / V) ** 2
+        R = settings.yaw_sigma_rad_s**2
         if not self.has_yaw:
-            self.curvature = 0.0
-            return
-        weight = 1.0 if not was_yaw or dt > _MAX_GAP_S else -math.expm1(-dt / _YAW_S)
-        self._yaw_rad_s += weight * (yaw_rad_s - self._yaw_rad_s)
-        speed = max(speed_mps, _MIN_SPEED_MPS) if self.has_speed else _TYPICAL_SPEED_MPS
-        if dt <= _MAX_GAP_S:
+            self.yaw = _state(0.0, (settings.unknown_lateral_mps2 / V) ** 2, 0.0)
+        elif not was_known or dt > _MAX_GAP_S:
+            self.yaw = _state(yaw_rad_s, R, _INITIAL_YAW_RAD_S2**2)
+        else:
+            predicted = self.yaw.predict(dt, q=self.yaw_noise)
+            self.yaw = predicted.update(yaw_rad_s - predicted.x, R)
             decay = math.exp(-dt / _BENDS_S)
-            square = decay * self.lateral_mps2**2 + (1 - decay) * (self._yaw_rad_s * speed) ** 2
-            self.lateral_mps2 = math.sqrt(square)
-        self.curvature = self._yaw_rad_s / speed
+            square = decay * self._lateral_mps2**2 + (1 - decay) * float(self.yaw.x * V) ** 2
+            self._lateral_mps2 = math.sqrt(square)
+
+
+def _state(x: float, P_xx: float, P_vv: float) -> ConstantVelocity:
+    """The state of a value without a rate."""
+    return ConstantVelocity(*(np.array(value) for value in (x, 0.0, P_xx, 0.0, P_vv)))

@@ -1,12 +1,14 @@
 r"""Probability that a track touches the ego vehicle within a horizon.
 
-      |  ^ x           The gap g in front of the ego vehicle changes with the rate v and a relative acceleration a that
-    [obj] ---> o'      decays with the time constant tau (Singer, 1970). The lateral offset o from the ego path changes
-      |                with the rate o'. With the horizon H and half the sum of both widths W:
-      | g                  P = int_0^H f(t) P(-W - c_1 <= o(t) <= W + c_2) dt
-    [ego]
-                           f = dF / dt     F(t) = P(g(t) <= 0) = Phi(-m / s)
-        m = g + v t + a h,              h = tau^2 (exp(-t / tau) - 1 + t / tau)
+      |  ^ x           The gap g in front of the ego vehicle changes with the rate v = u - V, the acceleration u' of the
+    [obj] ---> o'      object and that of the ego vehicle V', which decay with the time constant tau (Singer, 1970) and
+      |                end when the object or the ego vehicle stops, after t_u or t_V. The lateral offset o from the
+      | g              ego path changes with the rate o'. With the horizon H and half the sum of both widths W:
+    [ego]                  P = int_0^H f(t) P(-W - c_1 <= o(t) <= W + c_2) dt
+
+        f = dF / dt,  F(t) = P(g(t) <= 0) = Phi(-m / s)
+        m = g + u r + u' h(r) - V r_V - V' h(r_V)       r = min(t, t_u),  r_V = min(t, t_V)
+        h(t) = tau^2 (exp(-t / tau) - 1 + t / tau)
         s^2 = P_gg + 2 t P_gv + t^2 P_vv + h^2 P_aa
 
         o(t) ~ N(o + o' t, P_oo + 2 t P_oo' + t^2 P_o'o' + (A t^2 / 2)^2)
@@ -34,22 +36,33 @@ _MIN_SIGMA = 1e-3
 """Smallest standard deviation in m, against a division by zero."""
 
 
+_MIN_BRAKING_MPS = 1e-6
+"""Smallest deceleration, against a division by zero."""
+
+
 @dataclass(frozen=True, slots=True)
 class Encounter:
     """Motion of N objects relative to the ego vehicle, (N,) each; NaN = unknown.
 
     Attributes:
         gap: distance g from the front of the ego vehicle and its rate v, negative = closing.
-        acceleration_mps2: relative acceleration a, negative = the approach becomes faster.
-        acceleration_sigma_mps2: its standard deviation, sqrt(P_aa).
+        object_mps, object_mps2: speed u and acceleration u' of the object along the road.
+        object_stop_s: t_u, time at which it stops; inf = not, or its speed is unknown.
+        acceleration_sigma_mps2: standard deviation of the relative acceleration, sqrt(P_aa).
+        ego_mps, ego_mps2, ego_stop_s: the same for the ego vehicle, V, V' and t_V.
         offset: lateral offset o of the object's centre from the ego path and its rate.
         half_width_m: W, half the sum of the widths of object and ego vehicle.
         lateral_acceleration_mps2: A.
     """
 
     gap: ConstantVelocity
-    acceleration_mps2: FloatArray
+    object_mps: FloatArray
+    object_mps2: FloatArray
+    object_stop_s: FloatArray
     acceleration_sigma_mps2: FloatArray
+    ego_mps: float
+    ego_mps2: float
+    ego_stop_s: float
     offset: ConstantVelocity
     half_width_m: FloatArray
     lateral_acceleration_mps2: FloatArray
@@ -67,9 +80,12 @@ def contact_probability(
         ego_length_m: length of the ego vehicle, which it needs to pass.
     """
     gap, offset = encounter.gap, encounter.offset
-    t = np.linspace(0.0, horizon_s, _N_STEPS + 1)[:, None]
-    h = manoeuvre_s**2 * np.expm1(-t / manoeuvre_s) + manoeuvre_s * t
-    m = gap.x + t * gap.v + h * encounter.acceleration_mps2
+    t = (np.arange(_N_STEPS + 1) * (horizon_s / _N_STEPS))[:, None]
+    h = manoeuvre(t, manoeuvre_s)
+    moving_s, ego_s = np.minimum(t, encounter.object_stop_s), np.minimum(t, encounter.ego_stop_s)
+    m = gap.x + t * gap.v
+    m += encounter.object_mps2 * manoeuvre(moving_s, manoeuvre_s) - encounter.object_mps * (t - moving_s)
+    m += encounter.ego_mps * (t - ego_s) - encounter.ego_mps2 * manoeuvre(ego_s, manoeuvre_s)
     variance = gap.P_xx + t * (2 * gap.P_xv + t * gap.P_vv) + (h * encounter.acceleration_sigma_mps2) ** 2
     F = ndtr(-m / np.sqrt(np.maximum(variance, _MIN_SIGMA**2)))
     F = np.maximum.accumulate(F, axis=0)
@@ -81,6 +97,42 @@ def contact_probability(
     )
     probability = np.diff(F, axis=0) * overlap
     return np.asarray(probability.sum(axis=0) + F[0] * overlap[0])
+
+
+def needed_deceleration(encounter: Encounter, reaction_s: float) -> FloatArray:
+    """(N,) constant deceleration of the ego vehicle that avoids a contact, from the reaction time on, m/s^2.
+
+    Until then the ego vehicle goes on as before. With the gap g, the closing speed c, the object's speed u and its
+    deceleration b at that time, the speeds become equal before the object stops, or the object stops first:
+        b + c^2 / 2 g              if 2 g / c < u / b
+        V^2 / 2 (g + u^2 / 2 b)    otherwise (ISO 15623)
+    """
+    t, gap = reaction_s, encounter.gap
+    b = np.maximum(-encounter.object_mps2, 0.0)
+    moving_s, ego_s = np.minimum(t, encounter.object_stop_s), min(t, encounter.ego_stop_s)
+    way_m = encounter.object_mps * moving_s + encounter.object_mps2 * moving_s**2 / 2
+    ego_m = encounter.ego_mps * ego_s + encounter.ego_mps2 * ego_s**2 / 2
+    left_m = np.maximum(gap.x + way_m - ego_m, 0.1)
+    u = encounter.object_mps + encounter.object_mps2 * moving_s
+    V = encounter.ego_mps + encounter.ego_mps2 * ego_s
+    c = np.maximum(V - u, 0.0)
+    u = np.maximum(u, 0.0)
+    is_stopped = np.isfinite(encounter.object_stop_s) & (2 * left_m * b > c * u)
+    stopped = V * V / (2 * (left_m + u * u / (2 * np.maximum(b, _MIN_BRAKING_MPS))))
+    return np.asarray(np.where(is_stopped, stopped, b + c * c / (2 * left_m)) * (c > 0))
+
+
+def stop_s(speed_mps: FloatArray, acceleration_mps2: FloatArray, manoeuvre_s: float) -> FloatArray:
+    """Time at which an object that brakes stops, t = -tau log(1 + u / (u' tau)); 0 if u <= 0, inf if it does not."""
+    speed = np.maximum(speed_mps, 0.0)
+    braking = np.maximum(-acceleration_mps2 * manoeuvre_s, _MIN_BRAKING_MPS)
+    time_s = -manoeuvre_s * np.log1p(-np.minimum(speed / braking, 1.0 - 1e-9))
+    return np.asarray(np.where(braking > speed, time_s, np.inf))
+
+
+def manoeuvre(t: FloatArray | float, tau: float) -> FloatArray:
+    """h(t): way per acceleration that decays with the time constant tau."""
+    return np.asarray(tau * tau * np.expm1(-t / tau) + tau * t)
 
 
 def overlap_probability(

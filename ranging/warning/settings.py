@@ -23,7 +23,8 @@ class WarningSettings:
         certain_share: largest relative standard deviation of a certain distance.
         min_off_s: shortest time below `off_probability` before the end of an alarm.
         min_closing_mps: smallest closing speed of an alarm.
-        min_track_s: shortest time for which a track has been known, against false boxes that last for some frames.
+        min_track_s: shortest time for which the probability has been known, against false boxes that last for some
+            frames, and tracks that change to another object.
         min_person_s: the same for people, who appear from behind parked cars.
         max_closing_sigma_mps: largest standard deviation of the closing speed; above, the probability is unknown.
         cut_in_headway_s: headway below which a vehicle that cuts in starts an alarm, even if it is not slower.
@@ -40,15 +41,17 @@ class WarningSettings:
         person_acceleration_mps2: standard deviation of the lateral acceleration of people.
         vehicle_acceleration_mps2: that of all others.
         min_deceleration_mps2: smallest deceleration, after `reaction_s`, that avoids the contact, for an alarm.
+        deceleration_margin_mps2: the same in addition to the present deceleration of the ego vehicle.
         reaction_s: time before the driver brakes.
         yaw_sigma_rad_s: standard deviation of the yaw rate of the ego vehicle, where it is known.
         unknown_lateral_mps2: standard deviation of its lateral acceleration, where the yaw rate is not known.
-        min_lateral_jerk_mps3: smallest standard deviation of the lateral jerk of the ego path.
-        bend_rate_hz: ratio of the standard deviations of lateral jerk and recent lateral acceleration on winding roads.
+        lateral_jerk_noise: random walk of the lateral jerk of the ego path, m/s^3 per square root of a second.
+        winding_noise: the same per m/s^2 of recent lateral acceleration, since winding roads go on winding.
         lateral_speed_mps: prior standard deviation of the lateral speed of vehicles relative to the ego path.
         static_lateral_mps: the same of static objects.
         oncoming_lateral_mps: the same of oncoming vehicles.
         person_lateral_mps: the same of people.
+        person_along_mps: prior standard deviation of the speed of people along the road.
     """
 
     horizon_s: float = 3.5
@@ -60,8 +63,8 @@ class WarningSettings:
     certain_share: float = 0.055
     min_off_s: float = 0.5
     min_closing_mps: float = 2.5
-    min_track_s: float = 1.0
-    min_person_s: float = 0.4
+    min_track_s: float = 0.6
+    min_person_s: float = 0.1
     max_closing_sigma_mps: float = 2.0
     cut_in_headway_s: float = 0.6
     min_cut_in_gap_m: float = 3.0
@@ -76,13 +79,15 @@ class WarningSettings:
     acceleration_mps2: float = 0.7
     person_acceleration_mps2: float = 0.2
     vehicle_acceleration_mps2: float = 0.15
-    min_deceleration_mps2: float = 1.5
+    min_deceleration_mps2: float = 2.5
+    deceleration_margin_mps2: float = 1.0
     reaction_s: float = 1.0
     yaw_sigma_rad_s: float = 0.005
     unknown_lateral_mps2: float = 0.4
-    min_lateral_jerk_mps3: float = 0.12
-    bend_rate_hz: float = 0.4
+    lateral_jerk_noise: float = 0.02
+    winding_noise: float = 0.1
     lateral_speed_mps: float = 1.0
     static_lateral_mps: float = 0.15
     oncoming_lateral_mps: float = 0.3
     person_lateral_mps: float = 1.5
+    person_along_mps: float = 1.5
