@@ -117,7 +117,7 @@ def needed_deceleration(encounter: Encounter, reaction_s: float) -> FloatArray:
     V = encounter.ego_mps + encounter.ego_mps2 * ego_s
     c = np.maximum(V - u, 0.0)
     u = np.maximum(u, 0.0)
-    is_stopped = np.isfinite(encounter.object_stop_s) & (2 * left_m * b > c * u)
+    is_stopped = (2 * left_m * b > c * u) & (encounter.ego_mps > 0)
     stopped = V * V / (2 * (left_m + u * u / (2 * np.maximum(b, _MIN_BRAKING_MPS))))
     return np.asarray(np.where(is_stopped, stopped, b + c * c / (2 * left_m)) * (c > 0))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +11,13 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from track_range.foundation.constant_velocity import ConstantVelocity
-from track_range.ranging.warning.contact import Encounter, contact_probability, overlap_probability
+from track_range.ranging.warning.contact import (
+    Encounter,
+    contact_probability,
+    needed_deceleration,
+    overlap_probability,
+    stop_s,
+)
 
 EGO = {"horizon_s": 3.5, "manoeuvre_s": 3.0, "ego_length_m": 4.2}
 EXACT = 1e-8
@@ -25,14 +33,20 @@ def encounter(
     *,
     a: float = 0.0,
     a_sigma: float = 0.0,
+    ego: tuple[float, float] | None = None,
     half_width_m: float = 1.8,
     A: float = 0.0,
 ) -> Encounter:
-    values = (np.array([value]) for value in (a, a_sigma))
-    return Encounter(gap, *values, offset, np.array([half_width_m]), np.array([A]))
+    """An object with the acceleration a, and the ego vehicle with (speed, acceleration); None = unknown."""
+    V, ego_a = ego or (0.0, 0.0)
+    stops = (np.inf, np.inf)
+    if ego is not None:
+        stops = stop_s(gap.v + V, np.array([a]), 3.0)[0], stop_s(np.array([V]), np.array([ego_a]), 3.0)[0]
+    values = (np.array([value]) for value in (gap.v[0] + V, a, stops[0], a_sigma))
+    return Encounter(gap, *values, V, ego_a, float(stops[1]), offset, np.array([half_width_m]), np.array([A]))
 
 
-def probability(*args: ConstantVelocity, **kwargs: float) -> float:
+def probability(*args: ConstantVelocity, **kwargs: Any) -> float:
     return float(contact_probability(encounter(*args, **kwargs), **EGO)[0])
 
 
@@ -67,6 +81,49 @@ def test_acceleration_brings_the_contact_forward() -> None:
     assert probability(gap, offset) == pytest.approx(0.0, abs=1e-6)
     assert probability(gap, offset, a=-4.0) == pytest.approx(1.0, abs=1e-6)
     assert probability(state(18.0, -6.0), offset, a=3.0) == pytest.approx(0.0, abs=1e-6)  # brakes in time
+
+
+def test_braking_vehicle_does_not_reverse() -> None:
+    """8 m ahead at 2 m/s and braking with 2 m/s^2, it stops after about 1.4 m; the ego vehicle needs 4.7 s at 2 m/s."""
+    gap, offset = state(8.0, 0.0), state(0.0, 0.0)
+    assert probability(gap, offset, a=-2.0, ego=(2.0, 0.0)) == pytest.approx(0.0, abs=1e-6)
+    assert probability(gap, offset, a=-2.0) == pytest.approx(1.0, abs=1e-6)  # unknown speeds
+
+
+def test_braking_ego_vehicle_stops() -> None:
+    gap, offset = state(5.0, -3.0), state(0.0, 0.0)
+    assert probability(gap, offset, ego=(3.0, 0.0)) == pytest.approx(1.0, abs=1e-6)
+    assert probability(gap, offset, ego=(3.0, -2.0)) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("acceleration_mps2", [-0.5, -2.0, -8.0])
+def test_stop(acceleration_mps2: float) -> None:
+    time_s = float(stop_s(np.array([1.0]), np.array([acceleration_mps2]), 3.0)[0])
+    assert 1.0 + acceleration_mps2 * 3.0 * (1 - np.exp(-time_s / 3.0)) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_no_stop() -> None:
+    speeds, accelerations = np.array([-3.0, 5.0, 5.0, 9.0]), np.array([-1.0, 0.0, 1.0, -2.0])
+    assert stop_s(speeds, accelerations, 3.0).tolist() == [0.0, np.inf, np.inf, np.inf]
+
+
+@pytest.mark.parametrize(
+    ("gap", "a", "ego", "expected"),
+    [
+        ((30.0, -10.0), 0.0, (10.0, 0.0), 2.5),  # static: 10^2 / (2 (30 - 10))
+        ((30.0, -10.0), 0.0, (20.0, 0.0), 2.5),  # slower by 10 m/s
+        ((30.0, -10.0), 0.0, None, 2.5),
+        ((30.0, -10.0), 0.0, (10.0, -2.0), 64 / 42),  # already brakes
+        ((30.0, 2.0), 0.0, (10.0, 0.0), 0.0),  # draws away
+        ((10.5, 0.0), -2.0, (15.0, 0.0), 15**2 / (2 * (9.5 + 13**2 / 4))),  # stops before the speeds are equal
+        ((10.0, -2.0), -1.0, (20.0, 0.0), 1 + 9 / 15),  # goes on braking
+    ],
+)
+def test_needed_deceleration(
+    gap: tuple[float, float], a: float, ego: tuple[float, float] | None, expected: float
+) -> None:
+    met = encounter(state(*gap), state(0.0, 0.0), a=a, ego=ego)
+    assert needed_deceleration(met, 1.0)[0] == pytest.approx(expected, rel=1e-6)
 
 
 def test_person_may_run_into_the_side() -> None:
@@ -128,5 +185,6 @@ def test_unknown_motion() -> None:
     assert np.isnan(probability(state(nan, -10.0), state(0.0, 0.0)))
     assert np.isnan(probability(state(20.0, -10.0), state(nan, 0.0)))
     empty = ConstantVelocity(*(np.zeros(0) for _ in range(5)))
-    none = Encounter(empty, np.zeros(0), np.zeros(0), empty, np.zeros(0), np.zeros(0))
+    zero = np.zeros(0)
+    none = Encounter(empty, zero, zero, zero, zero, 0.0, 0.0, np.inf, empty, zero, zero)
     assert contact_probability(none, **EGO).shape == (0,)
