@@ -48,6 +48,7 @@ class Situation:
         ttc_s: time to contact, gap / closing speed.
         headway_s: gap / ego speed.
         offset_m: lateral offset from the ego path.
+        apart_m: distance between the edges of object and ego path, negative = the object is in the path.
         probability: probability of contact.
     """
 
@@ -58,6 +59,7 @@ class Situation:
     ttc_s: FloatArray
     headway_s: FloatArray
     offset_m: FloatArray
+    apart_m: FloatArray
     probability: FloatArray
 
     @classmethod
@@ -70,9 +72,10 @@ class Situation:
         headway_s = gap_m / result.ego_mps if result.ego_mps >= settings.min_ego_mps else np.full_like(gap_m, np.nan)
         if result.warnings is None:
             unknown = np.full_like(gap_m, np.nan)
-            return cls(distance_m, sigma_m, gap_m, closing_mps, ttc_s, headway_s, unknown, unknown)
+            return cls(distance_m, sigma_m, gap_m, closing_mps, ttc_s, headway_s, unknown, unknown, unknown)
         offset_m, probability = result.warnings.path_offset_m, result.warnings.probability
-        return cls(distance_m, sigma_m, gap_m, closing_mps, ttc_s, headway_s, offset_m, probability)
+        apart_m = np.abs(offset_m) - (_EGO_HALF_WIDTH_M + _HALF_WIDTH_M[result.tracks.class_id])
+        return cls(distance_m, sigma_m, gap_m, closing_mps, ttc_s, headway_s, offset_m, apart_m, probability)
 
 
 class Conditions:
@@ -87,8 +90,7 @@ class Conditions:
         settings, classes = self._settings, result.tracks.class_id
         time_s, ego_mps = result.time_s, result.ego_mps
         beside_s, entered_s, _ = self._tracks.get(result.tracks.track_id)
-        reach_m = _EGO_HALF_WIDTH_M + _HALF_WIDTH_M[classes]
-        apart_m = np.abs(now.offset_m) - reach_m
+        apart_m = now.apart_m
         beside_s = np.where(apart_m > _MARGIN_M, time_s, beside_s)
         is_in_path = apart_m < -_MARGIN_M
         is_vehicle = _IS_VEHICLE[classes]

@@ -80,7 +80,7 @@ class EventSettings:
         hard_approach_mps2: deceleration needed to avoid a contact above which an approach is hard.
         near_miss_ttc_s: time to collision below which an avoided contact is a near miss.
         near_miss_probability: smallest probability of contact of a near miss.
-        near_miss_gap_m: smallest gap to the object after a near miss; a smaller one may be a contact.
+        near_miss_gap_m: smallest gap that is left after a near miss; a smaller one may be a contact.
     """
 
     front_m: float = 1.5

@@ -29,7 +29,10 @@ _NEAR_ACROSS_M = 1.5
 
 @dataclass(slots=True)
 class _Open:
-    """An event in progress; the attributes are those of `Event`, with the last position of the object."""
+    """An event in progress; the attributes are those of `Event`, with the last position of the object.
+
+    `last_seen` is where the object of a near miss was last seen: `time_s`, `gap_m`, `closing_mps`, `apart_m`.
+    """
 
     kind: EventKind
     group: int
@@ -44,6 +47,7 @@ class _Open:
     values: dict[str, float] = field(default_factory=dict)
     first: dict[str, float] = field(default_factory=dict)
     peak: dict[str, float] = field(default_factory=dict)
+    last_seen: dict[str, float] = field(default_factory=dict)
     peak_track_id: int = 0
     peak_class: int = 0
 
@@ -66,6 +70,7 @@ class EventFinder:
         for kind, holds in self._conditions.update(result, now).items():
             for row in np.flatnonzero(holds).tolist():
                 self._extend(kind, result, now, row)
+        self._follow_near_misses(result, now)
         return ended
 
     def finish(self) -> tuple[Event, ...]:
@@ -92,8 +97,33 @@ class EventFinder:
             alarms = (*self._alarms, *(alarm for alarm in self._open if math.isfinite(alarm.warning_s)))
             return not any(_overlap(event, alarm) for alarm in alarms)
         if event.kind == "near_miss":
-            return event.values["last_gap_m"] > self.settings.near_miss_gap_m
+            return self._was_avoided(event)
         return True
+
+    def _was_avoided(self, event: _Open) -> bool:
+        """Whether no contact followed a near miss, from where its object was last seen until the event was over.
+
+        It was beside the ego path, or the gap that was left, closed at the last known speed, is large enough.
+        """
+        seen = event.last_seen
+        unseen_s = event.last_s + self.settings.max_gap_s - seen["time_s"]
+        speeds_mps = (seen["closing_mps"], event.values["closing_mps"])
+        closing_mps = next((speed for speed in speeds_mps if math.isfinite(speed)), 0.0)
+        left_m = seen["gap_m"] - max(closing_mps * unseen_s, 0.0)
+        return seen["apart_m"] > 0 or left_m > self.settings.near_miss_gap_m
+
+    def _follow_near_misses(self, result: FrameResult, now: Situation) -> None:
+        """Store where the objects of near misses are, also after the condition of the near miss has ended."""
+        for event in self._open:
+            if event.kind != "near_miss":
+                continue
+            for row in np.flatnonzero(np.isin(result.tracks.track_id, list(event.track_ids)) & np.isfinite(now.gap_m)):
+                event.last_seen = {
+                    "time_s": result.time_s,
+                    "gap_m": float(now.gap_m[row]),
+                    "closing_mps": float(now.closing_mps[row]),
+                    "apart_m": float(now.apart_m[row]),
+                }
 
     def _extend(self, kind: EventKind, result: FrameResult, now: Situation, row: int) -> None:
         """Continue the event of this kind that the track in this row belongs to, or start one."""
@@ -178,7 +208,6 @@ def _collect(extremes: dict[str, float], values: dict[str, float]) -> None:
         extremes[name] = float(np.fmin(extremes.get(name, math.nan), values[name]))
     for name in ("closing_mps", "probability"):
         extremes[name] = float(np.fmax(extremes.get(name, math.nan), values[name]))
-    extremes["last_gap_m"] = values["gap_m"]
 
 
 def _criticality(kind: EventKind, values: dict[str, float]) -> float:

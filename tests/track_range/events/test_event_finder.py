@@ -197,6 +197,33 @@ def test_contact_is_no_near_miss() -> None:
     assert "near_miss" not in kinds(events_of(crash))
 
 
+@pytest.mark.parametrize(("n_known", "n_seen"), [(6, 11), (6, 9), (9, 9)])
+def test_unproven_near_miss(n_known: int, n_seen: int) -> None:
+    """The closing speed is unknown in the last frames, or the object is lost before the contact."""
+
+    def results() -> Iterable[FrameResult]:
+        for i in range(40):
+            car = Seen(distance_m=11.5 - i, closing_mps=10.0 if i < n_known else NAN, probability=0.9)
+            yield frame(i, *([car] if i < n_seen else []))
+
+    assert "near_miss" not in kinds(events_of(results()))
+
+
+def test_near_miss_of_a_person_who_leaves_the_path() -> None:
+    def results() -> Iterable[FrameResult]:
+        for i in range(40):
+            person = Seen(
+                distance_m=11.5 - i,
+                class_id=PERSON,
+                closing_mps=10.0,
+                offset_m=0.4 * i,
+                probability=0.9 if i < 4 else 0.0,
+            )
+            yield frame(i, *([person] if i < 10 else []))
+
+    assert kinds(events_of(results())) == ["near_miss"]
+
+
 def test_nothing_happens() -> None:
     assert events_of([]) == ()
     assert events_of(frame(i) for i in range(5)) == ()
