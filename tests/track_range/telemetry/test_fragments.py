@@ -54,11 +54,15 @@ def test_samples_of_ffmpeg(tmp_path: Path, flags: str) -> None:
         assert movie is not None
         tracks = with_fragments(file, movie).tracks
     with av.open(str(path)) as container:
-        packets = [packet for packet in container.demux() if packet.size]
+        rows = [
+            (packet.stream.index, packet.pos, packet.size, float(packet.pts * packet.time_base))
+            for packet in container.demux()
+            if packet.size
+        ]
     assert len(tracks) == 2
     for index, track in enumerate(tracks):
-        own = [packet for packet in packets if packet.stream.index == index]
-        assert len(own) == 20
-        assert track.offsets.tolist() == [packet.pos for packet in own]
-        assert track.sizes.tolist() == [packet.size for packet in own]
-        assert track.time_s == pytest.approx([float(packet.pts * packet.time_base) for packet in own], abs=1e-3)
+        _, offsets, sizes, times_s = zip(*(row for row in rows if row[0] == index), strict=True)
+        assert len(track) == 20
+        assert track.offsets.tolist() == list(offsets)
+        assert track.sizes.tolist() == list(sizes)
+        assert track.time_s == pytest.approx(list(times_s), abs=1e-3)
