@@ -12,8 +12,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 
+from track_range.foundation.entry_points import entry_points
 from track_range.ranging.method import MethodContext, MethodError, RangingMethod
 from track_range.ranging.ranger import Ranger
 

@@ -1,6 +1,7 @@
 """Imports between packages, and what every module has."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -29,9 +30,20 @@ def sources(*packages):
     return [path for package in packages for path in sorted(folder_of(package).rglob("*.py"))]
 
 
+@cache
+def nodes_of(path):
+    """All nodes of the syntax tree of a file; the first is the module."""
+    return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+@cache
 def imported_modules(path):
     """Full names of the modules that a file imports, also inside functions."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    return tuple(_imported_modules(path))
+
+
+def _imported_modules(path):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -82,7 +94,7 @@ def test_only_tests_of_benchmarks_import_them():
 def test_modules_have_a_docstring_and_a_telling_name(package):
     for path in sources(package):
         assert path.stem not in VAGUE_NAMES, path
-        assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), f"{path}: no module docstring"
+        assert ast.get_docstring(nodes_of(path)[0]), f"{path}: no module docstring"
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -98,7 +110,7 @@ def test_track_range_holds_at_most_23_entries():
 def test_packages_neither_assert_nor_swallow_everything():
     wrong = []
     for path in sources(*PACKAGES):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes_of(path):
             if isinstance(node, ast.Assert):
                 wrong.append(f"{path}:{node.lineno} assert")
             if isinstance(node, ast.ExceptHandler) and node.type is None:
@@ -122,7 +134,7 @@ def calls_parser(path):
         isinstance(node, ast.Attribute)
         and isinstance(node.value, ast.Name)
         and node.attr in _PARSERS.get(node.value.id, ())
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in nodes_of(path)
     )
 
 

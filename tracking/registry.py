@@ -13,9 +13,9 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import Any
 
+from track_range.foundation.entry_points import entry_points
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import quoted
 from track_range.tracking.tracker import Tracker, TrackerOptions

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import Annotated
 
 import numpy as np
@@ -149,8 +149,9 @@ class ShapeTables:
         return bearing_step, log_m - _LOG_M[d], nodes.reshape(N_NODE_VALUES, len(_YAW_RAD), *log_m.shape)
 
 
+@lru_cache(maxsize=2 * len(SIZE_CLASSES))
 def _nodes(prior: SizePrior) -> Floats:
-    """(bearings, distances, 11, yaw bins) node values of one class."""
+    """(bearings, distances, 11, yaw bins) node values of one class; read-only, since equal priors share them."""
     bearing, log_m, yaw = (axis.astype(np.float32) for axis in np.ix_(_BEARINGS, _LOG_M, _YAW_RAD))
     box_for = partial(
         box_of_cuboid,
@@ -177,7 +178,9 @@ def _nodes(prior: SizePrior) -> Floats:
     value += np.array(prior.offset, np.float32)[:, None, None, None]
     weight = np.broadcast_to(_log_weights(np.array(prior.turn_weights)), a.shape)
     rest = np.stack([a, c, b, typical.log_nearness + log_m, weight])
-    return np.concatenate([value, *slopes, rest]).transpose(1, 2, 0, 3)
+    nodes = np.concatenate([value, *slopes, rest]).transpose(1, 2, 0, 3)
+    nodes.setflags(write=False)
+    return nodes
 
 
 def _log_size(box: CuboidBox) -> Floats:

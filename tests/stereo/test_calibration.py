@@ -33,6 +33,7 @@ def test_known_camera_within_its_sigma(seed):
     assert (result.camera.width_px, result.camera.height_px) == (640, 360)
 
 
+@pytest.mark.slow
 def test_known_camera_from_rendered_images():
     finder = BoardFinder(ChessBoard(9, 6, 0.03))
     views = [finder.find(drawn(CAMERA, at, seed=i), str(i)) for i, at in enumerate(varied_poses(10, seed=3))]

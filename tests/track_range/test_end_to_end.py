@@ -96,6 +96,7 @@ def test_errors_on_the_exact_world(simulated_run):
     assert summary["tracks"]["mota"] > 30
 
 
+@pytest.mark.slow
 def test_truth_is_not_read_by_methods(drive, simulated_run, track_range, tmp_path):
     """The same files without the truth, in a folder where there is none: every measurement stays the same."""
     names = ("left", "right", "rig", "detections", "ego_speed")
@@ -131,6 +132,7 @@ def test_tables_are_printed(simulated_run):
     assert "\r" not in stdout
 
 
+@pytest.mark.slow
 def test_settings_repeat_the_run(simulated_run, track_range, tmp_path):
     out, _, summary = simulated_run
     track_range("--settings", out / "settings.yaml", "--out", tmp_path / "again", "--no-overlay")
@@ -195,9 +197,8 @@ def long_drive(drive, tmp_path_factory):
     return replace(drive, left=folder / "left", right=folder / "right", detections=folder / "detections.txt")
 
 
-@pytest.mark.parametrize(
-    "number", [signal.SIGINT, *(pytest.param(s, marks=pytest.mark.slow) for s in (signal.SIGTERM, signal.SIGKILL))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_stopped_run_keeps_its_frames(long_drive, tmp_path, number):
     out = tmp_path / "out"
     files = ("--stereo", long_drive.left, long_drive.right, "--rig", long_drive.rig)
@@ -292,10 +293,8 @@ def test_help_names_options_and_commands(track_range, cli):
     assert cli("--stereo", "one.mp4").status == 2
 
 
-@pytest.mark.parametrize(
-    ("option", "boxes"),
-    [pytest.param((), "packaged detector", marks=pytest.mark.slow), (("--playback",), "true boxes with noise")],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("option", "boxes"), [((), "packaged detector"), (("--playback",), "true boxes with noise")])
 def test_demo(tmp_path, track_range, option, boxes):
     printed = track_range("demo", "--out", tmp_path / "demo", "--seconds", "0.5", *option)
     assert boxes in printed
@@ -399,6 +398,7 @@ def test_fitted_curves_in_a_run(drive, track_range, cli, tmp_path):
         assert (failed.status, words in failed.stderr) == (1, True), failed.stderr
 
 
+@pytest.mark.slow
 def test_boxes_of_a_raw_video_are_rectified(drive, track_range, tmp_path):
     """With lens distortion, boxes in pixels of the video are converted to undistorted pixels."""
     rig = yaml.safe_load(drive.rig.read_text())

@@ -130,7 +130,11 @@ def variable_after_import(module, variable, environment):
     return done.stdout.strip()
 
 
-@pytest.mark.parametrize("switch", TELEMETRY_SWITCHES, ids=lambda switch: switch.package)
+@pytest.mark.parametrize(
+    "switch",
+    [pytest.param(s, marks=pytest.mark.slow if s.package == "ray" else ()) for s in TELEMETRY_SWITCHES],
+    ids=lambda switch: switch.package,
+)
 def test_importers_disable_telemetry(fresh_environment, switch):
     """Each package of ours that imports one with telemetry disables it, and a user's own setting is kept."""
     if not is_installed(switch.package):

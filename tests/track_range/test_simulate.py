@@ -40,6 +40,7 @@ def rig(tmp_path_factory):
     return rig_file(tmp_path_factory.mktemp("rig") / "rig.yaml")
 
 
+@pytest.mark.slow
 def test_drive_and_run_on_it(cli, rig, tmp_path):
     drive = tmp_path / "drive"
     status, printed, errors = cli("simulate", "--out", drive, "--seconds", 0.3, "--rig", rig, "--seed", 3)

@@ -11,6 +11,7 @@ import base64
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -203,17 +204,22 @@ def embedded(content: Mapping[str, Any]) -> str:
 
 def rendered(template: str, **values: Any) -> str:
     """HTML of a template in assets/, with the values and the script and style of all pages."""
+    script, style = packaged_script(), _packaged("report.css")
+    checksum = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return _templates().get_template(template).render(script=script, style=style, script_checksum=checksum, **values)
+
+
+@cache
+def _templates() -> jinja2.Environment:
+    """The templates of assets/, which are compiled once."""
     # Autoescape is set explicitly: jinja2's choice by file suffix does not cover `.j2`.
-    environment = jinja2.Environment(
+    return jinja2.Environment(
         loader=jinja2.PackageLoader("track_range.report", "assets"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    script, style = packaged_script(), _packaged("report.css")
-    checksum = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return environment.get_template(template).render(script=script, style=style, script_checksum=checksum, **values)
 
 
 def packaged_script() -> str:

@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path, PureWindowsPath
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from track_range.foundation.arrays import Image
+from track_range.foundation.entry_points import entry_points
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.atomic_files import describe
 from track_range.results.output_files import OutputError

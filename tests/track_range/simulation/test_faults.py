@@ -60,6 +60,7 @@ def test_gain_of_the_right_image(scene):
     np.testing.assert_allclose(bright[inside], 1.25 * plain[inside], atol=1)
 
 
+@pytest.mark.slow
 def test_blur_reduces_detail(scene):
     sharp, blurred = (cv2.Laplacian(image, cv2.CV_64F).std() for image in (right(scene), right(scene, blur_px=1.5)))
     assert blurred < 0.4 * sharp

@@ -104,7 +104,7 @@ def test_object_is_drawn_in_its_box():
     assert y2 - 1 <= rows[-1] <= y2 + 6
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_box_centre_shows_the_surface_of_the_3d_box(seed):
     scene = make_scene(seed)
     renderer = Renderer(scene, RIG)
