@@ -80,7 +80,7 @@ def contact_probability(
         ego_length_m: length of the ego vehicle, which it needs to pass.
     """
     gap, offset = encounter.gap, encounter.offset
-    t = (np.arange(_N_STEPS + 1) * (horizon_s / _N_STEPS))[:, None]
+    t: FloatArray = horizon_s / _N_STEPS * np.arange(_N_STEPS + 1, dtype=np.float64)[:, None]
     h = manoeuvre(t, manoeuvre_s)
     moving_s, ego_s = np.minimum(t, encounter.object_stop_s), np.minimum(t, encounter.ego_stop_s)
     m = gap.x + t * gap.v
