@@ -40,7 +40,10 @@ _CENTRE_SIGMA_PX, _CENTRE_SIGMA_SHARE = 1.0, 0.02
 """Standard deviation of a box centre: a constant in px, plus a fraction of the box width; typical of detectors."""
 
 _GATE_SIGMA = 5.0
-"""Gate in standard deviations of the innovation; a measurement outside restarts the track's filter."""
+"""Gate in standard deviations of the innovation; measurements outside are ignored."""
+
+_OUTSIDE_S = 0.25
+"""Time without a measurement inside the gate after which one outside restarts the track's filter, s."""
 
 _BORDER_PX, _BORDER_SHARE = 2.0, 0.1
 """Distance from the left or right image border within which a box counts as cut by it: px, plus a fraction of the
@@ -128,13 +131,14 @@ class LateralFilters:
             )
         innovation = x - predicted.x
         is_in_gate = ~is_stale & (innovation**2 < _GATE_SIGMA**2 * (predicted.P_xx + R))
-        updated = predicted.update(innovation, R, valid=valid & is_in_gate)
+        is_measured, starts = valid & is_in_gate, valid & ~is_in_gate & ~(time_s - measured_s < _OUTSIDE_S)
+        updated = predicted.update(innovation, R, valid=is_measured)
 
         state = np.array([updated.x, updated.v, updated.P_xx, updated.P_xv, updated.P_vv])
         state[:, is_stale] = np.nan
         initial = np.array([x, 0 * x, R, 0 * x, 0 * x + _INITIAL_RATE_SIGMA_MPS**2])
-        np.copyto(state, initial, where=valid & ~is_in_gate)
-        measured_s = np.where(valid, time_s, measured_s)
+        np.copyto(state, initial, where=starts)
+        measured_s = np.where(is_measured | starts, time_s, measured_s)
         is_recent = time_s - self._tracks.known[-1] <= _MAX_GAP_S
         columns = np.concatenate([state, [np.full(len(tracks), time_s), measured_s]])
         self._tracks.put(tracks.track_id, columns, keep_known=is_recent)

@@ -148,7 +148,7 @@ class CollisionWarning:
 
         own, starts = self._own_motion(measured, ConstantVelocity(*trend), time_s - state_s, is_known, is_stale)
         gap = self._gap(measured, own, motion.ranges.sigma_m)
-        offset = self._offset(tracks, gap, lateral.state)
+        offset = self._offset(tracks, gap, lateral.state, motion.ranges.sigma_m)
 
         # Probability of contact.
         half_width_m = lateral.half_width_m + settings.ego_width_m / 2
@@ -273,19 +273,23 @@ class CollisionWarning:
             ),
         )
 
-    def _offset(self, tracks: Tracks, gap: ConstantVelocity, x: ConstantVelocity) -> ConstantVelocity:
-        """Lateral offset of the objects from the ego path and its rate, with the errors of the path."""
+    def _offset(
+        self, tracks: Tracks, gap: ConstantVelocity, x: ConstantVelocity, sigma_m: FloatArray
+    ) -> ConstantVelocity:
+        """Lateral offset of the objects from the ego path and its rate, with the errors of path and distance."""
         ego, w, V = self._ego, self._ego.yaw, self._ego.path_mps
         T = np.maximum(gap.x, 0.0) / V
         u = gap.v + ego.speed_mps if ego.has_speed else np.zeros_like(gap.v)
         turning = u if ego.has_yaw else gap.v
+        scaled_m = x.x * sigma_m / gap.x  # an error of the distance moves objects along their bearing
+        scaled_mps = scaled_m / self.settings.drift_s
         P_ww, P_wa, P_aa, q = w.P_xx, w.P_xv, w.P_vv, ego.yaw_noise
         offset = ConstantVelocity(
             x.x - V * T * T * (w.x / 2 + T * w.v / 6),
             x.v - T * (w.x + T * w.v / 2) * u,
-            x.P_xx + V * V * T**4 * (P_ww / 4 + T * (P_wa / 6 + T * (P_aa / 36 + T * (q / 252)))),
+            x.P_xx + scaled_m**2 + V * V * T**4 * (P_ww / 4 + T * (P_wa / 6 + T * (P_aa / 36 + T * (q / 252)))),
             x.P_xv + V * T**3 * (P_ww / 2 + T * (5 * P_wa / 12 + T * (P_aa / 12 + T * (q / 72)))) * turning,
-            x.P_vv + T * T * (P_ww + T * (P_wa + T * (P_aa / 4 + T * (q / 20)))) * turning**2,
+            x.P_vv + scaled_mps**2 + T * T * (P_ww + T * (P_wa + T * (P_aa / 4 + T * (q / 20)))) * turning**2,
         )
         return _with_rate(offset, 0.0, self._rate_sigma_mps(tracks, u))
 
