@@ -58,6 +58,9 @@ _INITIAL_ACCELERATION_MPS2 = 1.0
 _JUMP_SIGMA = 3.0
 """Change of an object's speed in standard deviations above which the track now is on another object."""
 
+_MAX_SPEED_MPS, _MAX_ACCELERATION_MPS2 = 70.0, 15.0
+"""Largest speed and acceleration of road users, m/s and m/s^2; above, the track is wrong."""
+
 _EGO_SPEED_SIGMA_MPS = 0.1
 """Standard deviation of a value of the ego speed, m/s."""
 
@@ -144,9 +147,9 @@ class CollisionWarning:
         is_known = np.isfinite(measured.x) & np.isfinite(lateral.state.x)
         is_stale = ~(time_s - last_s <= _MAX_GAP_S)
         certain_speed = measured.P_vv <= settings.max_closing_sigma_mps**2
-        is_usable = is_known & certain_speed & _IN_THE_WAY[tracks.class_id]
-
         own, starts = self._own_motion(measured, ConstantVelocity(*trend), time_s - state_s, is_known, is_stale)
+        is_plausible = (np.abs(own.x) < _MAX_SPEED_MPS) & (np.abs(own.v) < _MAX_ACCELERATION_MPS2)
+        is_usable = is_known & certain_speed & is_plausible & _IN_THE_WAY[tracks.class_id]
         gap = self._gap(measured, own, motion.ranges.sigma_m)
         offset = self._offset(tracks, gap, lateral.state, motion.ranges.sigma_m)
 

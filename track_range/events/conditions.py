@@ -35,6 +35,12 @@ _MAX_CUT_IN_M = 40.0
 _MIN_CLOSING_MPS = 2.0
 """Smallest closing speed of a hard approach, m/s; below, a touch at walking speed."""
 
+_MAX_SPEED_MPS = 70.0
+"""Largest speed of a road user, m/s; above, the track is wrong."""
+
+_MAX_BRAKING_MPS2 = 15.0
+"""Largest needed deceleration of a hard approach, m/s^2: more than tyres allow; above, it was a contact, or wrong."""
+
 
 @dataclass(frozen=True, slots=True)
 class Situation:
@@ -105,7 +111,9 @@ class Conditions:
         cuts_in = active & (came & (apart_m > -_MARGIN_M) | has_cut_in)
         is_close = is_along & is_in_path & (now.headway_s < settings.close_headway_s)
         needed_mps2 = now.closing_mps**2 / (2 * np.maximum(now.gap_m, 0.1))
-        is_near = (now.ttc_s < settings.near_miss_ttc_s) & (now.probability >= settings.near_miss_probability)
+        own_mps = np.nan_to_num(ego_mps) - now.closing_mps
+        is_critical = (now.probability >= settings.near_miss_probability) & (np.abs(own_mps) < _MAX_SPEED_MPS)
+        is_oncoming = own_mps < (-_MIN_ALONG_MPS if math.isfinite(ego_mps) else -math.inf)
         return {
             "forward_collision": active & (classes != _PERSON) & ~cuts_in,
             "pedestrian_on_path": active & (classes == _PERSON),
@@ -113,10 +121,12 @@ class Conditions:
             "close_following": is_close,
             "hard_approach": is_vehicle
             & is_in_path
+            & is_critical
+            & ~is_oncoming
             & (now.closing_mps > _MIN_CLOSING_MPS)
             & (needed_mps2 > settings.hard_approach_mps2)
-            & (now.probability >= settings.near_miss_probability),
-            "near_miss": is_near & (is_vehicle | (classes == _PERSON)),
+            & (needed_mps2 < _MAX_BRAKING_MPS2),
+            "near_miss": is_critical & (now.ttc_s < settings.near_miss_ttc_s) & (is_vehicle | (classes == _PERSON)),
         }
 
     def _remember(self, result: FrameResult, state: FloatArray) -> None:

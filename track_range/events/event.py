@@ -78,6 +78,7 @@ class EventSettings:
         cut_in_headway_s: headway below which a vehicle that enters the ego path cuts in.
         cut_in_s: time after which a vehicle that has entered the path no longer cuts in.
         hard_approach_mps2: deceleration needed to avoid a contact above which an approach is hard.
+        min_critical_s: shortest duration of a hard approach or near miss; shorter ones are errors of single frames.
         near_miss_ttc_s: time to collision below which an avoided contact is a near miss.
         near_miss_probability: smallest probability of contact of a near miss.
         near_miss_gap_m: smallest gap that is left after a near miss; a smaller one may be a contact.
@@ -91,6 +92,7 @@ class EventSettings:
     cut_in_headway_s: float = 1.0
     cut_in_s: float = 4.0
     hard_approach_mps2: float = 4.0
+    min_critical_s: float = 0.2
     near_miss_ttc_s: float = 1.0
     near_miss_probability: float = 0.5
     near_miss_gap_m: float = 0.5

@@ -91,8 +91,11 @@ class EventFinder:
 
     def _counts(self, event: _Open) -> bool:
         """Whether an event that is over counts: it was long enough, and is not part of an alarm."""
+        settings = self.settings
         if event.kind == "close_following":
-            return event.last_s - event.start_s >= self.settings.min_following_s
+            return event.last_s - event.start_s >= settings.min_following_s
+        if event.kind in ("hard_approach", "near_miss") and event.last_s - event.start_s < settings.min_critical_s - 1e-9:
+            return False
         if event.kind == "hard_approach":
             alarms = (*self._alarms, *(alarm for alarm in self._open if math.isfinite(alarm.warning_s)))
             return not any(_overlap(event, alarm) for alarm in alarms)

@@ -192,6 +192,29 @@ def test_hard_approach_and_near_miss() -> None:
     assert "needed braking" in events[kinds(events).index("hard_approach")].reason
 
 
+@pytest.mark.parametrize(
+    ("distance_m", "closing_mps", "n_frames", "ego_mps"),
+    [
+        (4.0, 20.0, 10, NAN),  # needs 80 m/s2
+        (8.0, 9.0, 2, NAN),  # for 0.1 s
+        (30.0, 20.0, 10, 10.0),  # oncoming, 7 m/s2
+    ],
+)
+def test_no_hard_approach(distance_m: float, closing_mps: float, n_frames: int, ego_mps: float) -> None:
+    def results() -> Iterable[FrameResult]:
+        for i in range(30):
+            car = Seen(distance_m=distance_m, closing_mps=closing_mps, probability=0.9 if i < n_frames else 0.0)
+            yield frame(i, car, ego_mps=ego_mps)
+
+    assert "hard_approach" not in kinds(events_of(results()))
+
+
+@pytest.mark.parametrize(("closing_mps", "n_frames"), [(12.0, 2), (95.0, 10)])
+def test_no_near_miss_of_one_frame_or_at_a_wrong_speed(closing_mps: float, n_frames: int) -> None:
+    seen = [Seen(distance_m=10.0, closing_mps=closing_mps, probability=0.9 * (i < n_frames)) for i in range(30)]
+    assert "near_miss" not in kinds(events_of(frame(i, car) for i, car in enumerate(seen)))
+
+
 def test_contact_is_no_near_miss() -> None:
     crash = [frame(i, Seen(distance_m=11.5 - i, closing_mps=10.0, probability=0.9)) for i in range(11)]
     assert "near_miss" not in kinds(events_of(crash))
