@@ -94,7 +94,10 @@ class EventFinder:
         settings = self.settings
         if event.kind == "close_following":
             return event.last_s - event.start_s >= settings.min_following_s
-        if event.kind in ("hard_approach", "near_miss") and event.last_s - event.start_s < settings.min_critical_s - 1e-9:
+        if (
+            event.kind in ("hard_approach", "near_miss")
+            and event.last_s - event.start_s < settings.min_critical_s - 1e-9
+        ):
             return False
         if event.kind == "hard_approach":
             alarms = (*self._alarms, *(alarm for alarm in self._open if math.isfinite(alarm.warning_s)))
