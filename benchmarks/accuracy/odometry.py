@@ -1,9 +1,14 @@
-"""Odometry: error of the camera's speed measured from the images, by stereo and by one camera with known height.
+"""Odometry: errors of the camera's speed and yaw rate measured from the images.
 
-Protocol: simulated drives at 10 frames per second with exact boxes of road users; seeds 0-9 are for settings, 100-109
-for judgement. Real drives: KITTI 0003 with its timestamps against oxts, and KITTI odometry (grey) against its poses,
-without boxes and without alignment. The first frame has no speed. Errors are relative, at true speeds above 3 m/s;
-coverage is the fraction of these frames with a speed; ms is the median time of the process per frame, on one thread.
+Methods: stereo; ground, one camera with known height; image, one camera without a scale, for the yaw rate alone.
+
+Protocol: simulated drives at 10 frames per second with exact boxes of road users; seeds 0-9 are for settings, 20-29 and
+200-203 for judgement. Real drives, without boxes: KITTI 0003 with its timestamps against oxts, and KITTI odometry
+(grey) against its poses; the yaw rates of its first 12 poses are not used, as they are interpolated: they are constant
+to four digits, where the images turn by up to 0.02 rad/s. The first frame has no motion. Errors of the speed are
+relative, at true speeds above 3 m/s; coverage is the fraction of these frames with a speed; sigmas is the rms error in
+units of its sigma; ms is the median time of the process per frame, on one thread, and includes the small image and the
+corners, which the tracker shares in a run.
 """
 
 from __future__ import annotations
@@ -12,6 +17,7 @@ import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,21 +25,31 @@ import cv2
 import numpy as np
 
 from benchmarks.inputs.drives import REAL_DATA
-from benchmarks.inputs.simulated_drives import SimulatedDrive
+from benchmarks.inputs.simulated_drives import FPS, SimulatedDrive
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.ranging.ego_speed import open_ego_speed
 from track_range.simulation.world.scenario_names import SCENARIO_NAMES
 from track_range.simulation.world.truth import label_scene
+from track_range.stereo.alignment.file import load_alignment
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.box_matchers import one_thread
-from track_range.stereo.odometry.ego_motion import Odometry
+from track_range.stereo.odometry.ego_motion import EgoMotion, Odometry
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
+from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 from track_range.stereo.rig_formats.reading import load_rig
 
 MIN_SPEED_MPS = 3.0
 """Smallest true speed of a relative error."""
+
+_OXTS_YAW_RATE = 22
+"""Column of the angular rate about the upward axis in oxts."""
+
+_N_INTERPOLATED = 13
+"""Frames of KITTI odometry without a measured yaw rate."""
 
 KITTI_HEIGHT_M = 1.65
 """Height of KITTI's cameras above the road (Geiger et al., 2013)."""
@@ -50,6 +66,8 @@ class OdometryDrive:
         frames: the frames.
         boxes: (N, 4) boxes of road users by frame.
         true_mps: (F,) true speeds.
+        true_yaw_rad_s: (F,) true mean yaw rates since the previous frame; NaN = unknown.
+        alignment: alignment of the pair; None = not measured.
     """
 
     name: str
@@ -58,6 +76,21 @@ class OdometryDrive:
     frames: Sequence[Frame]
     boxes: Sequence[FloatArray]
     true_mps: FloatArray
+    true_yaw_rad_s: FloatArray
+    alignment: Alignment | None = None
+
+
+class _ImageOdometry:
+    """The yaw rate of `ImageMotionEstimator`, without a speed."""
+
+    source = "the images"
+
+    def __init__(self, camera: PinholeCamera) -> None:
+        self._estimator = ImageMotionEstimator(camera)
+
+    def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
+        """Motion since the previous frame."""
+        return EgoMotion(yaw_rad_s=self._estimator.update(frame.left, frame.time_s, xyxy_px).yaw_rad_s)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -65,20 +98,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenarios", nargs="+", default=["town", "city", "highway", "night"], choices=SCENARIO_NAMES)
     parser.add_argument("--seeds", type=int, nargs="+", default=[100, 101], help="seeds of the simulated drives")
     parser.add_argument("--seconds", type=float, default=4.0, help="length of the simulated drives")
+    parser.add_argument("--align", type=Path, help="alignment file of KITTI 0003, from `track-range align`")
     parser.add_argument("--data", type=Path, default=REAL_DATA, help="folder with kitti_stereo and kitti_odometry")
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Figures of all drives, printed as a table."""
     print(
-        f"{'drive':<16}{'method':<8}{'median %':>9}{'95 % below':>11}{'bias %':>8}{'coverage':>9}{'sigmas':>8}{'ms':>6}"
+        f"{'drive':<16}{'method':<8}{'median %':>9}{'95 % below':>11}{'bias %':>8}{'coverage':>9}{'sigmas':>8}"
+        f"{'yaw mrad/s':>11}{'95 % below':>11}{'ms':>6}"
     )
     rows = []
     with one_thread():
         for scenario in options.scenarios:
             for seed in options.seeds:
                 rows += _rows(_simulated(scenario, seed, options.seconds))
-        for drive in _real(options.data):
+        for drive in _real(options.data, options.align):
             rows += _rows(drive)
     return {"rows": rows}
 
@@ -88,10 +123,17 @@ def _simulated(scenario: str, seed: int, seconds: float) -> OdometryDrive:
     scene, rig, times_s = drive.renderer.scene, drive.renderer.rig, drive.times_s.tolist()
     boxes = [label_scene(scene, [time_s], camera=rig.left).xyxy_px for time_s in times_s]
     true_mps = np.array([scene.speed_mps(time_s) for time_s in times_s])
-    return OdometryDrive(f"{scenario} {seed}", rig, scene.camera_height_m, drive.frames(), boxes, true_mps)
+    yaw_rad_s = _yaw_rad_s([scene.pose(time_s).camera_from_world for time_s in times_s], 1 / FPS)
+    return OdometryDrive(f"{scenario} {seed}", rig, scene.camera_height_m, drive.frames(), boxes, true_mps, yaw_rad_s)
 
 
-def _real(data: Path) -> list[OdometryDrive]:
+def _yaw_rad_s(camera_from_world: Sequence[FloatArray], dt_s: float) -> FloatArray:
+    """(F,) mean yaw rates since the previous frame, positive = to the right, from rotations (3, 3)."""
+    steps = [now @ before.T for before, now in pairwise(camera_from_world)]
+    return np.array([np.nan, *(-float(cv2.Rodrigues(step)[0][1, 0]) / dt_s for step in steps)])
+
+
+def _real(data: Path, align: Path | None = None) -> list[OdometryDrive]:
     """KITTI 0003 and the grey sequence, where they are present."""
     drives = []
     folder = data / "kitti_stereo" / "0003"
@@ -99,7 +141,20 @@ def _real(data: Path) -> list[OdometryDrive]:
         ego = open_ego_speed(str(folder / "oxts"))
         frames = _frames(folder, ego.time_s)
         true_mps = ego.speed_mps[: len(frames)]
-        drives.append(OdometryDrive("KITTI 0003", _rig(folder, frames[0].left), KITTI_HEIGHT_M, frames, [], true_mps))
+        packets = [np.loadtxt(path) for path in sorted((folder / "oxts").glob("0*.txt"))]
+        yaw_rad_s = np.array([-packet[_OXTS_YAW_RATE] for packet in packets])[: len(frames)]
+        drives.append(
+            OdometryDrive(
+                "KITTI 0003",
+                _rig(folder, frames[0].left),
+                KITTI_HEIGHT_M,
+                frames,
+                [],
+                true_mps,
+                yaw_rad_s,
+                None if align is None else load_alignment(align),
+            )
+        )
     folder = data / "kitti_odometry" / "gray51"
     if folder.is_dir():
         poses = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)
@@ -107,7 +162,9 @@ def _real(data: Path) -> list[OdometryDrive]:
         true_mps = np.concatenate([[0.0], (forward_mps[1:] + forward_mps[:-1]) / 2, forward_mps[-1:]])
         frames = _frames(folder, np.arange(len(poses)) / 10.0)
         rig = _rig(folder, frames[0].left, is_grey=True)
-        drives.append(OdometryDrive("KITTI grey", rig, KITTI_HEIGHT_M, frames, [], true_mps))
+        yaw_rad_s = _yaw_rad_s(list(poses[:, :, :3].transpose(0, 2, 1)), 0.1)
+        yaw_rad_s[:_N_INTERPOLATED] = np.nan
+        drives.append(OdometryDrive("KITTI grey", rig, KITTI_HEIGHT_M, frames, [], true_mps, yaw_rad_s))
     return drives
 
 
@@ -133,8 +190,9 @@ def _images(path: Path) -> list[Image]:
 
 def _rows(drive: OdometryDrive) -> list[dict[str, Any]]:
     return [
-        _row(drive, "stereo", StereoOdometry(drive.rig)),
+        _row(drive, "stereo", StereoOdometry(drive.rig, drive.alignment)),
         _row(drive, "ground", GroundOdometry(drive.rig.left, drive.height_m)),
+        _row(drive, "image", _ImageOdometry(drive.rig.left)),
     ]
 
 
@@ -148,6 +206,8 @@ def _row(drive: OdometryDrive, name: str, odometry: Odometry) -> dict[str, Any]:
     speed_mps = np.array([motion.speed_mps for motion in motions])[1:]
     sigma_mps = np.array([motion.speed_sigma_mps for motion in motions])[1:]
     true_mps = drive.true_mps[1:]
+    yaw_error = np.abs(np.array([motion.yaw_rad_s for motion in motions]) - drive.true_yaw_rad_s)[1:]
+    yaw_error = yaw_error[np.isfinite(yaw_error)]
     is_known = np.isfinite(speed_mps)
     is_driving = true_mps > MIN_SPEED_MPS
     use = is_known & is_driving
@@ -162,9 +222,11 @@ def _row(drive: OdometryDrive, name: str, odometry: Odometry) -> dict[str, Any]:
         "rms_sigmas": float(np.sqrt((((speed_mps - true_mps) / sigma_mps)[is_known] ** 2).mean()))
         if use.any()
         else None,
+        "yaw_median_mrad_s": 1e3 * float(np.median(yaw_error)) if len(yaw_error) else None,
+        "yaw_p95_mrad_s": 1e3 * float(np.percentile(yaw_error, 95)) if len(yaw_error) else None,
         "ms": 1e3 * float(np.median(times_s)),
     }
     cells = (f"{value:.2f}" if value is not None else "-" for value in list(row.values())[2:])
-    widths = (9, 11, 8, 9, 8, 6)
+    widths = (9, 11, 8, 9, 8, 11, 11, 6)
     print(f"{drive.name:<16}{name:<8}" + "".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)))
     return row

@@ -7,8 +7,9 @@ d is the distance in m, v its rate (m/s, negative = closing), s the independent 
 from the frames' timestamps. The innovation and its noise are converted to metres: nu = d (z - log d), and d^2 R. z is a
 logarithm because the noise is in the box size in px: in metres, too large distances would also have too large sigmas,
 and short distances too much weight. If the ego speed V is known, the target's own speed v + V is taken as constant,
-with dV the change of V over the step: d' = d + v dt - dV dt / 2, v' = v - dV. A new track then starts as a static
-target, v = -V.
+with dV the change of V over the step: d' = d + v dt - dV dt / 2, v' = v - dV. The error of V, with standard deviation
+sigma_V, decays over tau: dV has the variance 2 sigma_V^2 (1 - exp(-dt / tau)), which is added as that of dV is to the
+state; 0 while V does not change, as its error does not change either. A new track starts as a static target, v = -V.
 
 The sigma of a method has an independent part, new in every frame (box jitter, matching noise), and a systematic part,
 constant over a track (the car is larger than average). Only the independent part averages out: it alone is R, scaled by
@@ -36,6 +37,10 @@ from track_range.ranging.ranges import Ranges
 
 _MIN_INDEPENDENT_SHARE = 0.1
 """Smallest independent fraction of sigma; a method that declares less is filtered with this fraction."""
+
+_EGO_CORRELATION_S = 1.0
+"""Time tau in seconds over which errors of the ego speed are correlated; assumed: that of receivers with one sample per
+second. Odometry's are shorter, but its sigma is a tenth of a receiver's."""
 
 _MIN_DISTANCE_M = 0.3
 """Smallest distance in m; a track that is predicted to be nearer has passed the camera, and its filter restarts."""
@@ -134,6 +139,7 @@ class DistanceFilters:
         *,
         conditions: Mapping[str, IntArray] | None = None,
         ego_speed_mps: float = math.nan,
+        ego_sigma_mps: float = math.nan,
     ) -> dict[str, FilteredRanges]:
         """Filtered ranges of every track at `time_s`, by method, after the measurements of this frame.
 
@@ -144,6 +150,7 @@ class DistanceFilters:
             conditions: (N,) code of the condition of each measurement, by method; a change of the code is a change of
                 the systematic error.
             ego_speed_mps: current speed of the camera along its axis; NaN = unknown.
+            ego_sigma_mps: its standard deviation; NaN = 0.
         """
         names = [name for name in self._methods if name in by_method]
         if not names:
@@ -159,6 +166,11 @@ class DistanceFilters:
         dV = np.nan_to_num(ego_speed_mps - state_ego_mps)  # 0 if the ego speed was or is unknown
         state = state.predict(dt, q=settings.acceleration_noise**2)
         d, v = state.x - dt * dV / 2, state.v - dV
+        dV_variance = np.where(
+            dV == 0, 0.0, 2 * np.nan_to_num(ego_sigma_mps) ** 2 * -np.expm1(-dt / _EGO_CORRELATION_S)
+        )
+        P_xx, P_xv = state.P_xx + dt * dt / 4 * dV_variance, state.P_xv + dt / 2 * dV_variance
+        state = ConstantVelocity(d, v, P_xx, P_xv, state.P_vv + dV_variance)
         is_expired = (time_s - measured_s > settings.max_gap_s) | (d < _MIN_DISTANCE_M)
         d[is_expired] = v[is_expired] = np.nan
 

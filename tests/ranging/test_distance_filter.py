@@ -112,6 +112,39 @@ def test_ego_braking_is_not_target_motion():
     assert errors["known"] < 0.1 < 1.0 < errors["unknown"]
 
 
+def test_ego_sigma_widens_the_rate_sigma():
+    """With a noisy ego speed, errors of the rate agree with its sigma only if the filter gets the ego sigma."""
+    ratio = {}
+    for ego_sigma_mps in (np.nan, 2.0):
+        rng, errors2 = np.random.default_rng(5), []
+        for _ in range(12):
+            tracker, ego_error_mps = OneFilter(noise_share=1.0, learns_noise=False, max_rate_sigma_mps=9.0), 0.0
+            for step, (distance, rate) in enumerate(simulated(rng, n=5, steps=30)):
+                ego_error_mps = np.exp(-0.1) * ego_error_mps + 2.0 * np.sqrt(-np.expm1(-0.2)) * rng.normal()
+                result = tracker.update(
+                    measured(np.arange(5), distance + rng.normal(0, 0.5, 5), 0.5),
+                    step * 0.1,
+                    ego_speed_mps=10.0 + ego_error_mps,
+                    ego_sigma_mps=ego_sigma_mps,
+                )
+                if step > 15:
+                    errors2.append(((result.rate_mps - rate) / result.rate_sigma_mps) ** 2)
+        ratio[ego_sigma_mps] = np.mean(errors2)
+    assert ratio[2.0] < 1.2 < 1.5 < ratio[np.nan]
+
+
+def test_constant_ego_speed_needs_no_sigma():
+    results = []
+    for ego_sigma_mps in (np.nan, 1.0):
+        tracker = OneFilter(max_rate_sigma_mps=9.0)
+        for step in range(10):
+            result = tracker.update(
+                measured([1], [40.0 - step], 0.4), step * 0.1, ego_speed_mps=10.0, ego_sigma_mps=ego_sigma_mps
+            )
+        results.append((result.rate_mps[0], result.rate_sigma_mps[0]))
+    assert results[0] == results[1]
+
+
 def test_new_track_starts_as_a_static_target():
     tracker = OneFilter(min_steady_s=0.0, max_rate_sigma_mps=99.0)
     assert tracker.update(measured([1], [40.0]), 0.0, ego_speed_mps=12.0).rate_mps == [-12.0]

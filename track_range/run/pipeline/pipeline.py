@@ -152,7 +152,7 @@ class Pipeline:
         ego = self._ego_motion(frame, detections)
         ego_mps, yaw_rad_s = ego.speed_mps, ego.yaw_rad_s
         with self.clock.stage("fuse"):
-            motion = self._fused_motion(frame, tracks, ranges, ego_mps)
+            motion = self._fused_motion(frame, tracks, ranges, ego)
             own_mps = motion.state.v + ego_mps if math.isfinite(ego_mps) else 0.0
             lateral = self._lateral.update(
                 tracks, motion.ranges.distance_m, frame.time_s, yaw_rad_s=yaw_rad_s, own_mps=own_mps
@@ -238,12 +238,16 @@ class Pipeline:
         with self.clock.stage("motion"):
             return self.image_motion.update(frame.left, frame.time_s, detections.xyxy_px).yaw_rad_s
 
-    def _fused_motion(self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges], ego_mps: float) -> FilteredRanges:
+    def _fused_motion(self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges], ego: EgoMotion) -> FilteredRanges:
         """Filtered fused distance and speed of the tracks; adds the fused and filtered distances to `ranges`."""
         fused = self._fusion.fuse(ranges, tracks.track_id, frame.time_s)
         ranges["fused"] = fused.ranges
         filtered = self._filters.update(
-            ranges, frame.time_s, conditions={"fused": fused.condition}, ego_speed_mps=ego_mps
+            ranges,
+            frame.time_s,
+            conditions={"fused": fused.condition},
+            ego_speed_mps=ego.speed_mps,
+            ego_sigma_mps=ego.speed_sigma_mps,
         )
         ranges |= {f"{name}_kf": state.ranges for name, state in filtered.items()}
         motion = filtered["fused"]
