@@ -18,6 +18,9 @@ from track_range.results.columns import Columns
 STATIC_CLASSES = ("traffic light", "traffic sign")
 """Classes that are not road users."""
 
+_MIN_PROBABILITY = 0.25
+"""Smallest probability of contact of a headline, as of the amber marks in the overlay."""
+
 _MIN_SIGNIFICANCE = 2.0
 """Smallest closing speed in its standard deviations of a time to collision that is a headline."""
 
@@ -81,10 +84,23 @@ def _collision_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
     ttc_s = column(columns, "ttc_s")
     rows = np.flatnonzero(is_user & np.isfinite(ttc_s) & is_on_course(columns) & _is_closing(columns))
     if not len(rows):
-        return _headline("No collision course", "no road user approached the path of the camera's vehicle")
+        return _contact_headline(columns, is_user)
     row = int(rows[np.argmin(ttc_s[rows])])
     return _headline(
         f"{ttc_s[row]:.1f} s", f"shortest time to collision: {_moment(columns, row)}", _time_s(columns, row)
+    )
+
+
+def _contact_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
+    """Largest probability of contact, for runs in which no road user closes in on a collision course."""
+    probability = np.where(is_user, column(columns, "contact_probability"), np.nan)
+    row = int(np.nanargmax(probability)) if np.isfinite(probability).any() else -1
+    if row < 0 or probability[row] < _MIN_PROBABILITY:
+        return _headline("No collision course", "no road user approached the path of the camera's vehicle")
+    return _headline(
+        f"{100 * probability[row]:.0f} %",
+        f"largest probability of contact: {_moment(columns, row)}",
+        _time_s(columns, row),
     )
 
 

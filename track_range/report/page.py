@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import os
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
@@ -19,7 +20,9 @@ from typing import Any
 import jinja2
 import numpy as np
 
+from track_range.events.clip_names import is_clip_name
 from track_range.events.event import Event
+from track_range.foundation.files.input_files import real_path
 from track_range.overlay.colours import colour_of_each
 from track_range.report import tables
 from track_range.report.comparison import (
@@ -32,10 +35,11 @@ from track_range.report.comparison import (
     settings_grid,
 )
 from track_range.report.content.errors import calibration_curves, error_curves
-from track_range.report.content.events import event_records, hidden_events_note, shown_events
+from track_range.report.content.events import clips_of, event_records, hidden_events_note, shown_events
 from track_range.report.content.road import camera_of_rows, road_columns
 from track_range.report.content.series import track_records
 from track_range.report.content.timeline import timeline
+from track_range.report.content.warning_curve import curve_figure, packaged_curve
 from track_range.report.grids import accuracy_grids, mot_grid, speed_grids, stage_bars
 from track_range.report.headlines import headlines, run_line
 from track_range.report.sentences import address, cards, geometry_sentences, run_name, settings_groups, sigma_sentences
@@ -61,7 +65,12 @@ _SCRIPTS = (
 
 
 def write_report(
-    path: Path, summary: Mapping[str, Any], columns: Columns, events: Sequence[Event] | None = None
+    path: Path,
+    summary: Mapping[str, Any],
+    columns: Columns,
+    events: Sequence[Event] | None = None,
+    *,
+    clips: Path | None = None,
 ) -> None:
     """Write the report of a run atomically.
 
@@ -70,12 +79,24 @@ def write_report(
         summary: content of summary.json.
         columns: tracks.csv by column, NaN = empty, with the ground truth (`results.truth`) where there is one; zero
             rows without tracks.
-        events: events of the run; None = unknown, the page is then without them.
+        events: events of the run, in the order of events.csv; None = unknown, the page is then without them.
+        clips: folder of their clips, to which the page links; it may be missing. None = no links.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    _write_page(path, report_page(summary, columns, events))
+    addresses = {} if clips is None else _clip_addresses(clips, path.parent)
+    _write_page(path, report_page(summary, columns, events, clips=addresses))
+
+
+def _clip_addresses(folder: Path, start: Path) -> dict[str, str]:
+    """Addresses of the clips in a folder, relative to `start`, by file name."""
+    try:
+        names = [entry.name for entry in folder.iterdir() if is_clip_name(entry.name)]
+    except OSError:
+        return {}
+    place = Path(os.path.relpath(real_path(folder), real_path(start))).as_posix()
+    return {name: address(f"{place}/{name}") for name in names}
 
 
 def write_comparison(path: Path, runs: Sequence[ComparedRun]) -> None:
@@ -92,13 +113,20 @@ def _write_page(path: Path, page: str) -> None:
     write_text(path, page.encode("utf-8", "replace").decode("utf-8"))
 
 
-def report_page(summary: Mapping[str, Any], columns: Columns, events: Sequence[Event] | None = None) -> str:
-    """HTML of the report of a run; `events`: see `write_report`."""
+def report_page(
+    summary: Mapping[str, Any],
+    columns: Columns,
+    events: Sequence[Event] | None = None,
+    *,
+    clips: Mapping[str, str] | None = None,
+) -> str:
+    """HTML of the report of a run; `events`: see `write_report`; `clips`: addresses by file name."""
     columns = {**columns, **road_columns(columns)}
     shown = None if events is None else shown_events(events)
     content = run_content(summary, columns, shown or ())
     accuracy, mot = accuracy_grids(summary), mot_grid(summary.get("tracks") or {})
     speed, geometry = speed_grids(summary), geometry_sentences(summary)
+    curve = packaged_curve() if content["has_warnings"] else None
     sections = {
         "overview": "Overview",
         "tracks": "Distance over time",
@@ -106,6 +134,7 @@ def report_page(summary: Mapping[str, Any], columns: Columns, events: Sequence[E
         "errors": "Errors by distance" if content["errors"] else "",
         "sigma": "Uncertainty" if content["calibration"] else "",
         "tracking": "Tracking" if len(mot.rows) > 1 else "",
+        "warnings": "Warnings" if curve else "",
         "speed": "Speed",
         "geometry": "Calibration" if geometry else "",
         "settings": "Settings",
@@ -117,7 +146,7 @@ def report_page(summary: Mapping[str, Any], columns: Columns, events: Sequence[E
         subtitle=run_line(summary, columns, span_s),
         sections={anchor: name for anchor, name in sections.items() if name},
         headlines=headlines(columns, events),
-        events=None if shown is None else event_records(shown),
+        events=None if shown is None else event_records(shown, clips_of(events or (), shown, clips or {})),
         events_note=hidden_events_note(events or (), shown or ()),
         has_road=any("x" in track for track in content["tracks"]),
         cards=list(cards(summary)),
@@ -131,6 +160,7 @@ def report_page(summary: Mapping[str, Any], columns: Columns, events: Sequence[E
         mot_classes=(summary.get("tracks") or {}).get("classes") or [],
         sigma_sentences=sigma_sentences(summary),
         geometry=geometry,
+        curve=None if curve is None else curve_figure(curve),
         n_tracks=len(np.unique(columns["track_id"])),
         settings=list(settings_groups(summary)),
         content=embedded(content),
@@ -169,6 +199,7 @@ def run_content(summary: Mapping[str, Any], columns: Columns, events: Sequence[E
         "timeline": timeline(columns, summary),
         "events": event_records(events),
         "camera": _camera(columns),
+        "has_warnings": "contact_probability" in columns and bool(np.isfinite(columns["contact_probability"]).any()),
     }
 
 

@@ -96,7 +96,8 @@ def _write(path: Path, run: RunFolder) -> None:
     files = run.summary["files"]
     if real_path(path.parent) != real_path(run.folder):  # links are relative to the page
         files = {key: _relative(run.folder / str(name), path.parent) for key, name in files.items()}
-    write_report(path, {**run.summary, "files": files}, run.columns, known_events(run))
+    clips = run.folder / CLIPS_FOLDER
+    write_report(path, {**run.summary, "files": files}, run.columns, known_events(run), clips=clips)
 
 
 def known_events(run: RunFolder) -> tuple[Event, ...] | None:

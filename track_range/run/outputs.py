@@ -178,6 +178,7 @@ class RunFolder:
                 {**summary, "settings": shown},
                 columns,
                 self._session.events,
+                clips=self.folder / CLIPS_FOLDER if settings.clips else None,
             ),
             partial(self._writers.close, summary),
         ]

@@ -154,6 +154,7 @@ def test_run_writes_clips(small_drive, tmp_path):
     written = sorted(path.name for path in (tmp_path / "clips").iterdir())
     assert written == [clip_name(i + 1, one.kind, one.track_id) for i, one in enumerate(run.events)]
     assert frames_of(tmp_path / "clips" / written[0])[2] == pytest.approx(1.2, abs=0.01)
+    assert (tmp_path / "report.html").read_text().count('href="clips/') == len(written)
 
 
 def test_report_cuts_clips(overlay, tmp_path):
@@ -161,6 +162,9 @@ def test_report_cuts_clips(overlay, tmp_path):
     (run / "overlay.mp4").write_bytes(overlay.read_bytes())
     write_event_files(run, [event(start_s=0.2, end_s=0.4)], {})
     assert [path.name for path in report([run], has_clips=True).clips] == ["01-forward_collision-7.mp4"]
+    assert 'href="clips/01-forward_collision-7.mp4"' in (run / "report.html").read_text()
+    report([run], tmp_path / "elsewhere.html")
+    assert 'href="run/clips/01-forward_collision-7.mp4"' in (tmp_path / "elsewhere.html").read_text()
     (run / "overlay.mp4").unlink()
     with pytest.raises(VideoError, match=r"overlay.mp4: no such file"):
         report([run], has_clips=True)

@@ -10,7 +10,7 @@ import pytest
 
 from track_range.events.event import Event
 from track_range.report.comparison import ComparedRun, event_grids, event_sentence
-from track_range.report.content.events import event_details, kind_counts, shown_events, time_words
+from track_range.report.content.events import clips_of, event_details, kind_counts, shown_events, time_words
 from track_range.report.event_comparison import event_differences
 from track_range.report.headlines import headlines
 
@@ -161,6 +161,21 @@ def test_headlines_of_events() -> None:
     assert headlines(columns, [event()])[0]["figure"] == "1 event"
     assert headlines(columns, [])[0]["figure"] == "No event"
     assert headlines(columns, None)[0]["figure"] == "1 road user"
+
+
+def test_headline_of_a_probability() -> None:
+    columns = {**rows((1, 300.0)), "observed": np.ones(40), "fused_m": np.full(40, 20.0), "ttc_s": np.full(40, np.nan)}
+    columns["contact_probability"] = np.where(np.arange(40) == 7, 0.6, 0.1)
+    figure = headlines(columns, [])[2]
+    assert (figure["figure"], figure["time_s"]) == ("60 %", 0.7)
+    columns["contact_probability"] = np.full(40, 0.2)
+    assert headlines(columns, [])[2]["figure"] == "No collision course"
+
+
+def test_links_to_clips() -> None:
+    events = [event(kind="near_miss", start_s=float(i), end_s=i + 1.0, track_id=3) for i in (5, 1)]
+    addresses = {"01-near_miss-3.mp4": "clips/01-near_miss-3.mp4"}
+    assert clips_of(events, shown_events(events), addresses) == ["", "clips/01-near_miss-3.mp4"]
 
 
 def test_headlines_without_road_users() -> None:

@@ -175,6 +175,23 @@ def test_cursor_follows_the_video(page_of: Callable[..., Any], run: Path) -> Non
     assert page.locator("#now button").all_inner_texts() == ["car 1 36.0 m"]
 
 
+def test_keys_of_the_page(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html")
+    wait_for_video(page)
+    starts_s = sorted({one.start_s for one in EVENTS if one.start_s > 0.05})
+    for key, time_s in (("j", starts_s[0]), ("j", starts_s[1]), ("k", starts_s[0]), ("ArrowRight", starts_s[0] + 1)):
+        page.keyboard.press(key)
+        assert page.locator("#clock").inner_text().startswith(f"{time_s:.2f} s")
+    page.keyboard.press("Home")  # scrolls the page, and leaves the time
+    page.keyboard.press("Shift+ArrowLeft")
+    assert page.locator("#clock").inner_text().startswith("1.4")  # a frame before 1.5 s
+    page.keyboard.press(" ")
+    page.wait_for_function("() => !document.getElementById('video').paused")
+    page.locator("#find").fill("")
+    page.locator("#find").press_sequentially("jk ")
+    assert page.locator("#find").input_value() == "jk "
+
+
 def test_keys_step_through_a_chart_and_start_the_video(page_of: Callable[..., Any], run: Path) -> None:
     page = page_of(run / "report.html")
     wait_for_video(page)

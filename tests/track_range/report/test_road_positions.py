@@ -77,6 +77,15 @@ def test_crossing_object() -> None:
     assert passing[-1] == pytest.approx(-2.1 + 1.1, abs=0.02)
 
 
+def test_offsets_of_the_warning_are_used() -> None:
+    """A vehicle ahead in a bend stays in the ego path, although it moves to the right of the camera's axis."""
+    z_m = 40.0 - np.arange(30)
+    columns = rows(z_m, 0.004 * z_m**2 / 2, path_offset_m=np.where(np.arange(30) < 5, np.nan, 0.01 * np.arange(30)))
+    passing = road_columns(columns)["passing"]
+    assert np.isnan(passing[:8]).all()
+    assert passing[-1] == pytest.approx(0.29 + 0.1 * columns["ttc_s"][-1], abs=0.01)
+
+
 def test_predicted_boxes_are_no_positions() -> None:
     z_m = 40.0 - np.arange(30)
     observed = np.r_[np.ones(10), np.zeros(20)]

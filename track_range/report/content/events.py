@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from track_range.events.clip_names import clip_name
 from track_range.events.event import EVENT_KINDS, Event
 from track_range.events.summary import severity_key
 
@@ -75,8 +76,21 @@ def shown_events(events: Sequence[Event]) -> tuple[Event, ...]:
     return tuple(sorted(sorted(events, key=severity_key)[:MAX_EVENTS], key=lambda event: event.start_s))
 
 
-def event_records(events: Sequence[Event]) -> list[dict[str, Any]]:
-    """Data of events for the page: kind, times in s (`warning_s` None = no warning), and texts."""
+def clips_of(events: Sequence[Event], shown: Sequence[Event], addresses: Mapping[str, str]) -> list[str]:
+    """Addresses of the clips of the shown events; "" = it has none.
+
+    Args:
+        events: all events, in the order of events.csv.
+        shown: some of them.
+        addresses: address of each clip by its file name.
+    """
+    numbers = {id(event): number for number, event in enumerate(events, 1)}
+    names = (clip_name(numbers[id(event)], event.kind, event.track_id) for event in shown)
+    return [addresses.get(name, "") for name in names]
+
+
+def event_records(events: Sequence[Event], clips: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """Data of events for the page: kind, times in s (`warning_s` None = no warning), texts, and addresses of clips."""
     return [
         {
             "kind": event.kind,
@@ -91,8 +105,9 @@ def event_records(events: Sequence[Event]) -> list[dict[str, Any]]:
             "track_id": event.track_id,
             "details": measurements(event),
             "reason": event.reason,
+            "clip": clip,
         }
-        for event in events
+        for event, clip in zip(events, clips or [""] * len(events), strict=True)
     ]
 
 

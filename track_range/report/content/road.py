@@ -32,6 +32,9 @@ COURSE_S = 8.0
 WINDOW_S = 0.8
 """Duration in s of the positions from which a course is computed: at least eight frames at 10 Hz."""
 
+FILTERED_WINDOW_S = 0.5
+"""The same for the offsets of the collision warning in s, which are filtered: their slope is the lateral speed."""
+
 _LIKELY = 0.5
 """Smallest probability of contact of an object that is more likely to hit than to pass."""
 
@@ -60,7 +63,8 @@ def road_columns(columns: Columns) -> dict[str, FloatArray]:
     They are in m and s, and have no names NAME_m, which are distances of methods.
 
     Keys: `road_x`, position to the right of the camera; `box_width`, width of the box; and where the time to collision
-    `shown_ttc` is at most `COURSE_S`: `passing` and `passing_sigma`, lateral offset of the object at that time.
+    `shown_ttc` is at most `COURSE_S`: `passing` and `passing_sigma`, lateral offset of the object at that time. It is
+    relative to the ego path where the rows have `path_offset_m` of the warning, else to the camera's axis.
     """
     camera = camera_of_rows(columns)
     if camera is None:
@@ -81,9 +85,13 @@ def road_columns(columns: Columns) -> dict[str, FloatArray]:
     }
     sigma_m = _CENTRE_SIGMA_PX * m_per_px + _CENTRE_SIGMA_SHARE * width_m
     is_measured = is_whole & np.isfinite(x_m) & (column(columns, "observed") != 0)
+    offset_m, window_s = x_m, WINDOW_S
+    if np.isfinite(column(columns, "path_offset_m")).any():
+        offset_m, window_s = column(columns, "path_offset_m"), FILTERED_WINDOW_S
+        is_measured = np.isfinite(offset_m)
     for rows in rows_by_track(columns):
         road["passing"][rows], road["passing_sigma"][rows] = _courses(
-            columns["time_s"][rows], x_m[rows], sigma_m[rows], is_measured[rows], road["shown_ttc"][rows]
+            columns["time_s"][rows], offset_m[rows], sigma_m[rows], is_measured[rows], road["shown_ttc"][rows], window_s
         )
     return road
 
@@ -127,10 +135,15 @@ def is_on_course(columns: Columns) -> BoolArray:
 
 
 def _courses(
-    time_s: FloatArray, x_m: FloatArray, sigma_m: FloatArray, is_measured: BoolArray, ttc_s: FloatArray
+    time_s: FloatArray,
+    x_m: FloatArray,
+    sigma_m: FloatArray,
+    is_measured: BoolArray,
+    ttc_s: FloatArray,
+    window_s: float,
 ) -> tuple[FloatArray, FloatArray]:
     """(N,) lateral offsets of one track at its times to collision, and their standard deviations; NaN = unknown."""
-    first: IntArray = np.searchsorted(time_s, time_s - WINDOW_S - 1e-6)
+    first: IntArray = np.searchsorted(time_s, time_s - window_s - 1e-6)
     t = time_s - time_s[0]
     x = np.where(is_measured, x_m, 0.0)
     n, sum_t, sum_x, sum_tt, sum_tx = (

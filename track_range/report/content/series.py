@@ -33,6 +33,7 @@ _SERIES = (
     ("road_x", "x", TICKS_PER_M),
     ("box_width", "w", TICKS_PER_M),
     ("shown_ttc", "ttc", TICKS_PER_TTC_S),
+    ("path_offset_m", "o", TICKS_PER_M),
     ("passing", "pass", TICKS_PER_M),
     ("passing_sigma", "pass_s", TICKS_PER_M),
     ("contact_probability", "p", 100.0),

@@ -1,6 +1,7 @@
 // Bird's-eye view: positions of the tracks to scale, with their uncertainty, their trails and their courses.
 
 const EGO_HALF_WIDTH_M = 0.9; // as in the collision course of the program
+const BEND_PRIOR_M4 = 3600; // (2 * 0.3 m / 0.01 per m)^2: noise of a position, and a usual curvature
 const TRAIL_S = 3, COURSE_S = 4;
 const TTC_AMBER_S = 4, TTC_RED_S = 2, AMBER_PROBABILITY = 0.25; // as in the overlay
 const RANGES_M = [15, 30, 60, 90, 120, 180];
@@ -20,12 +21,24 @@ function positionAt(track, row) {
 
 // Course of a track relative to the camera: time to collision, offset there and its sigma, and whether it may hit.
 function courseAt(track, row) {
-  const { ttc, pass, pass_s, w, p } = series(track);
+  const { ttc, pass, pass_s, w, p, o } = series(track);
   if (!ttc || !Number.isFinite(ttc[row]) || !pass || !Number.isFinite(pass[row])) return null;
   const sigma = Number.isFinite(pass_s[row]) ? pass_s[row] : 0;
-  const isKnown = p && Number.isFinite(p[row]);
-  const mayHit = isKnown ? p[row] >= AMBER_PROBABILITY : Math.abs(pass[row]) <= EGO_HALF_WIDTH_M + w[row] / 2 + sigma;
-  return { ttc: ttc[row], offset: pass[row], sigma, mayHit };
+  const mayHit = content.has_warnings ? Boolean(p) && p[row] >= AMBER_PROBABILITY : Math.abs(pass[row]) <= EGO_HALF_WIDTH_M + w[row] / 2 + sigma;
+  const start = o && Number.isFinite(o[row]) ? o[row] : null; // lateral offset from the ego path, as the warning has it
+  return { ttc: ttc[row], offset: pass[row], sigma, mayHit, start };
+}
+
+// Curvature of the ego path in 1/m, positive = to the right: x - o = k z^2 / 2 of all objects, with a prior of k = 0.
+function bendOf(users) {
+  let sum = 0, squares = BEND_PRIOR_M4;
+  for (const { track, row, position: { x, z } } of users) {
+    const { o } = series(track);
+    if (!o || !Number.isFinite(o[row])) continue;
+    sum += 2 * (x - o[row]) * z * z;
+    squares += z ** 4;
+  }
+  return sum / squares;
 }
 
 function alarmOf(track, row, course) {
@@ -63,7 +76,8 @@ function drawRoad() {
     const far = 2 * range_m, { left, right } = content.camera;
     svg.append(shape("path", { class: "view", d: `M${toX(0)} ${toY(0)}L${toX(left * far)} ${toY(far)}H${toX(right * far)}Z` }));
   }
-  svg.append(shape("rect", { class: "path", x: toX(-EGO_HALF_WIDTH_M), y: 0, width: 2 * EGO_HALF_WIDTH_M * px_per_m, height: toY(0) }));
+  const path = shape("path", { class: "path" });
+  svg.append(path);
   const { at, decimals } = ticks(0, range_m, Math.max(3, height / 90));
   for (const z of at.slice(1)) {
     svg.append(shape("line", { class: "grid", x1: 0, x2: width, y1: toY(z), y2: toY(z) }));
@@ -75,6 +89,7 @@ function drawRoad() {
   svg.append(moving);
   roadView.replaceChildren(svg);
   roadView.moving = moving;
+  roadView.path = path;
   showRoad();
 }
 
@@ -92,9 +107,11 @@ function showRoad() {
   if (!roadView || !roadView.moving) return;
   const scale = roadScale(), users = onRoad();
   const active = new Set(activeEvents().map((index) => events[index].track_id));
+  const bend = bendOf(users);
+  roadView.path.setAttribute("d", egoPath(bend, scale));
   const groups = users.map((user) => {
     const course = courseAt(user.track, user.row), alarm = alarmOf(user.track, user.row, course);
-    return drawUser(user, course, alarm, active.has(user.track.id), scale);
+    return drawUser(user, course, alarm, active.has(user.track.id), { ...scale, bend });
   });
   drawLabels(users, groups, scale);
   roadView.moving.replaceChildren(...groups.reverse()); // the nearest is drawn last
@@ -103,12 +120,19 @@ function showRoad() {
   svg.setAttribute("aria-label", `Bird's-eye view at ${now_s.toFixed(1)} s: ${users.slice(0, 6).map(wordsOnRoad).join("; ") || "no road users"}`);
 }
 
+// The ego path as wide as the vehicle, an arc of curvature `bend`.
+function egoPath(bend, { toX, toY }) {
+  const at = Array.from({ length: 25 }, (_, i) => (range_m * 1.05 * i) / 24);
+  const side = (half) => at.map((z) => `${toX(half + (bend * z * z) / 2).toFixed(1)} ${toY(z).toFixed(1)}`);
+  return `M${side(-EGO_HALF_WIDTH_M).join("L")}L${side(EGO_HALF_WIDTH_M).reverse().join("L")}Z`;
+}
+
 function wordsOnRoad({ track, position }) {
   const side = Math.abs(position.x) < 0.5 ? "" : `, ${Math.abs(position.x).toFixed(1)} m to the ${position.x < 0 ? "left" : "right"}`;
   return `${titleOf(track)} ${position.z.toFixed(1)} m ahead${side}`;
 }
 
-function drawUser({ track, row, position }, course, alarm, isActive, { px_per_m, toX, toY }) {
+function drawUser({ track, row, position }, course, alarm, isActive, { px_per_m, toX, toY, bend }) {
   const { t, w } = series(track);
   const group = shape("g", { class: `user ${alarm}${isActive ? " active" : ""}`, "data-track": track.id, style: `--c: ${track.colour}` });
   group.isUrgent = Number(Boolean(alarm) || isActive);
@@ -119,7 +143,7 @@ function drawUser({ track, row, position }, course, alarm, isActive, { px_per_m,
     if (past) trail += `${trail ? "L" : "M"}${toX(past.x).toFixed(1)} ${toY(past.z).toFixed(1)}`;
   }
   group.append(shape("path", { class: "trail", d: trail }));
-  if (course) group.append(...drawCourse(position, course, { toX, toY, px_per_m }));
+  if (course) group.append(...drawCourse(position, course, { toX, toY, px_per_m, bend }));
   if (Number.isFinite(position.sigma)) {
     const ray = Math.hypot(1, position.x / position.z);
     const across_m = (content.camera ? position.z / content.camera.focal_px : 0) + 0.02 * (w ? w[row] : 0); // of the box centre, as in the collision course
@@ -154,18 +178,25 @@ function drawLabels(users, groups, { width, toX, toY }) {
   }
 }
 
-// Constant velocity: after t seconds the object is at x + (offset - x) t / ttc, z (1 - t / ttc).
-function drawCourse({ x, z }, { ttc, offset, sigma, mayHit }, { toX, toY, px_per_m }) {
-  const share = Math.min(1, COURSE_S / ttc);
-  const end = [toX(x + (offset - x) * share), toY(z * (1 - share))], start = [toX(x), toY(z)];
+// After t seconds the object is at z (1 - t / ttc), and its offset has changed by a share t / ttc on the way to `offset`. The
+// offset is relative to the ego path where the run has it, and to the axis of the camera elsewhere.
+function drawCourse({ x, z }, { ttc, offset, sigma, mayHit, start }, { toX, toY, px_per_m, bend }) {
+  const share = Math.min(1, COURSE_S / ttc), k = start === null ? 0 : bend, from = x - (k * z * z) / 2;
+  const point = (part) => {
+    const ahead = z * (1 - part);
+    return [toX(from + (offset - from) * part + (k * ahead * ahead) / 2), toY(ahead)];
+  };
+  const points = Array.from({ length: k ? 9 : 2 }, (_, i) => point((share * i) / (k ? 8 : 1)));
+  const end = points[points.length - 1], before = points[points.length - 2];
   const half = Math.max(1, sigma * share * px_per_m);
-  const direction = Math.atan2(end[1] - start[1], end[0] - start[0]);
+  const direction = Math.atan2(end[1] - before[1], end[0] - before[0]);
   const tip = (turn) => `${(end[0] - 8 * Math.cos(direction + turn)).toFixed(1)} ${(end[1] - 8 * Math.sin(direction + turn)).toFixed(1)}`;
-  const [to, from] = [end, start].map((point) => point.map((value) => value.toFixed(1)).join(" "));
-  const kind = mayHit ? "course hit" : "course";
+  const texts = points.map((at) => at.map((value) => value.toFixed(1)).join(" "));
+  const to = texts[texts.length - 1], kind = mayHit ? "course hit" : "course";
+  const side = (sign) => points.map(([px, py], i) => `${(px + (sign * half * i) / (points.length - 1)).toFixed(1)} ${py.toFixed(1)}`);
   return [
-    shape("path", { class: `${kind} spread`, d: `M${from}L${(end[0] - half).toFixed(1)} ${end[1].toFixed(1)}H${(end[0] + half).toFixed(1)}Z` }),
-    shape("path", { class: kind, d: `M${from}L${to}` }),
+    shape("path", { class: `${kind} spread`, d: `M${side(-1).join("L")}L${side(1).reverse().join("L")}Z` }),
+    shape("path", { class: kind, d: `M${texts.join("L")}` }),
     shape("path", { class: `${kind} tip`, d: `M${tip(0.4)}L${to}L${tip(-0.4)}` }),
   ];
 }

@@ -5,6 +5,7 @@ document.querySelectorAll("table.sortable").forEach(startSorting);
 if (content.timeline) {
   startTimeline();
   startEvents();
+  startKeys();
   byId("play").addEventListener("click", togglePlay);
   for (const button of document.querySelectorAll(".headline[data-time]"))
     button.addEventListener("click", () => seek(Number(button.dataset.time)));

@@ -125,13 +125,31 @@ function startEvents() {
     event.preventDefault();
   });
   choose(0);
-  byId("next").addEventListener("click", () => {
-    const index = events.findIndex(({ start_s }) => start_s > now_s + 0.05);
-    if (index >= 0) jumpTo(index);
-  });
-  byId("previous").addEventListener("click", () => {
-    const index = events.findLastIndex(({ start_s }) => start_s < now_s - 0.05);
-    if (index >= 0) jumpTo(index);
+  byId("next").addEventListener("click", () => jumpBy(1));
+  byId("previous").addEventListener("click", () => jumpBy(-1));
+}
+
+// Jump to the next or the previous event.
+function jumpBy(direction) {
+  const isNext = ({ start_s }) => start_s > now_s + 0.05, isPrevious = ({ start_s }) => start_s < now_s - 0.05;
+  const index = direction > 0 ? events.findIndex(isNext) : events.findLastIndex(isPrevious);
+  if (index >= 0) jumpTo(index);
+}
+
+// Keys of the whole page, where no control has the focus: j, k = events; space = play; left, right = time.
+function startKeys() {
+  document.addEventListener("keydown", (event) => {
+    if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey) return;
+    const focused = document.activeElement, isText = focused?.matches("input, select, textarea");
+    const isControl = focused?.matches("a, button, summary, video, [tabindex]") && focused !== document.body;
+    const step_s = event.shiftKey ? span.frame_s : 1;
+    if (!isText && (event.key === "j" || event.key === "k")) jumpBy(event.key === "j" ? 1 : -1);
+    else if (isText || isControl) return;
+    else if (event.key === " ") togglePlay();
+    else if (event.key === "ArrowLeft") seek(now_s - step_s);
+    else if (event.key === "ArrowRight") seek(now_s + step_s);
+    else return;
+    event.preventDefault();
   });
 }
 
