@@ -10,8 +10,8 @@ Parts (`--only`):
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,17 +23,19 @@ from benchmarks.accuracy.collision_warnings.box_hours import (
     HARMLESS as HARMLESS_HOURS,
 )
 from benchmarks.accuracy.collision_warnings.box_hours import (
-    HARMLESS_S,
     METHODS,
     N_ERRORS,
     THRESHOLDS,
     SceneFigures,
     alarm_figures,
     closing_figures,
+    drive_figures,
     reliability,
-    scene_figures,
 )
+from benchmarks.accuracy.collision_warnings.curve_figure import draw_curve, draw_reliability, write_curve
 from benchmarks.accuracy.collision_warnings.rendered import is_collision, is_in_time, real_warnings, rendered_figures
+from benchmarks.accuracy.collision_warnings.scene_drives import HARMLESS_S, scene_drives
+from benchmarks.accuracy.collision_warnings.stored_results import StoredResults
 from benchmarks.inputs.conflict_drives import COLLISIONS, HARMLESS, default_cache
 from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.plain_tables import plain_table
@@ -72,10 +74,19 @@ def add_options(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="number of processes")
     parser.add_argument("--figure", type=Path, metavar="FILE", help="SVG file for the curve")
+    parser.add_argument("--reliability-figure", type=Path, metavar="FILE", help="SVG file for the reliability diagram")
+    parser.add_argument("--report-curve", type=Path, metavar="FILE", help="JSON file of the curve for the report")
+    parser.add_argument(
+        "--parts",
+        type=Path,
+        metavar="FILE",
+        help="file of finished cases, from which an interrupted benchmark continues",
+    )
 
 
 def measure(options: Namespace) -> dict[str, Any]:
     """Figures of the selected parts; prints their tables."""
+    options.stored = StoredResults(options.parts)
     functions = {"rendered": _rendered, "hours": _hours, "curve": _curve, "real": _real}
     return {part: functions[part](options) for part in PARTS if part in options.only}
 
@@ -89,13 +100,16 @@ def _rendered(options: Namespace) -> dict[str, Any]:
     for mode in ("stereo", "mono"):
         measured = partial(_rendered_drive, options.cache, mode == "stereo", options.width)
         cases = [(name, seed) for name in (*COLLISIONS, *HARMLESS) for seed in options.seeds]
-        drives = list(_mapped(measured, cases, options.jobs))
+        label = f"rendered {mode} {options.width}"
+        drives = list(options.stored.mapped(label, measured, cases, options.jobs))
         figures[mode] = {
             "by_scenario": {
                 name: _scenario_figures([drive for drive in drives if drive["scenario"] == name])
                 for name in (*COLLISIONS, *HARMLESS)
             },
-            "closing": closing_figures(np.concatenate([drive["closing"] for drive in drives])),
+            "closing": closing_figures(
+                np.concatenate([np.array(drive["closing"], np.float64).reshape(-1, 5) for drive in drives])
+            ),
         }
     for name in (*COLLISIONS, *HARMLESS):
         table.add_row(name, *(_summary(name, figures[mode]["by_scenario"][name]) for mode in ("stereo", "mono")))
@@ -128,10 +142,8 @@ def _hours(options: Namespace) -> dict[str, Any]:
     """False alarms per hour of harmless driving."""
     n_scenes = int(np.ceil(options.hours * 3600 / HARMLESS_S / options.errors / len(HARMLESS_HOURS)))
     cases = [(name, options.first_seed + k) for k in range(n_scenes) for name in HARMLESS_HOURS]
-    figures = {}
-    for methods in ("fused", "mono"):
-        measured = partial(_box_drives, methods, options.errors, ())
-        figures[methods] = alarm_figures(list(_mapped(measured, cases, options.jobs)))
+    scenes = _scenes(options, cases, ("fused", "mono"), ())
+    figures = {methods: alarm_figures(scenes[methods]) for methods in scenes}
     table = plain_table("harmless driving without images", "methods", "hours", "false alarms", "per hour")
     for name, row in figures.items():
         table.add_row(name, f"{row['hours']:.1f}", str(row["false_alarms"]), f"{row['false_alarms_per_hour']:.2f}")
@@ -139,15 +151,24 @@ def _hours(options: Namespace) -> dict[str, Any]:
     return figures
 
 
+def _scenes(
+    options: Namespace, cases: Sequence[tuple[str, int]], methods: Sequence[str], thresholds: Sequence[float]
+) -> dict[str, list[SceneFigures]]:
+    """Figures of the scenes of all cases by method."""
+    label = f"{'+'.join(methods)} x{options.errors} {','.join(map(str, thresholds))}"
+    measured = partial(_box_drives, methods, options.errors, thresholds)
+    results = list(options.stored.mapped(label, measured, cases, options.jobs))
+    return {name: [SceneFigures.of_json(result[name]) for result in results] for name in methods}
+
+
 def _curve(options: Namespace) -> dict[str, Any]:
     """False alarms per hour and lead times for each threshold; closing speeds and reliability at the default one."""
     cases = [(name, options.first_seed + k) for k in range(N_COLLISION_SEEDS) for name in BOX_COLLISIONS]
     n_harmless = max(round(options.hours * 3600 / HARMLESS_S / options.errors / len(HARMLESS_HOURS)), 1)
     cases += [(name, options.first_seed + k) for k in range(n_harmless) for name in HARMLESS_HOURS]
+    by_method = _scenes(options, cases, tuple(METHODS), THRESHOLDS)
     figures: dict[str, Any] = {}
-    for methods in METHODS:
-        measured = partial(_box_drives, methods, options.errors, THRESHOLDS)
-        scenes = list(_mapped(measured, cases, options.jobs))
+    for methods, scenes in by_method.items():
         figures[methods] = {
             "points": [
                 {"threshold": threshold, **_point(scenes, number)} for number, threshold in enumerate(THRESHOLDS)
@@ -156,15 +177,31 @@ def _curve(options: Namespace) -> dict[str, Any]:
             "closing": closing_figures(np.concatenate([scene.closing for scene in scenes])),
             "reliability": reliability(np.sum([scene.probability for scene in scenes], axis=0)),
         }
-    table = plain_table("threshold: false alarms per hour / median lead, s", "threshold", *METHODS)
-    for number, threshold in enumerate(THRESHOLDS):
-        points = [figures[methods]["points"][number] for methods in METHODS]
-        table.add_row(str(threshold), *(f"{row['false_alarms_per_hour']} / {row['median_lead_s']}" for row in points))
+    table = plain_table(
+        "threshold: false alarms per hour / median lead, s / % warned 2.1 s before", "threshold", *METHODS
+    )
+    for number, threshold in enumerate((*THRESHOLDS, "default")):
+        rows = [(part["points"][number] if threshold != "default" else part["default"]) for part in figures.values()]
+        table.add_row(str(threshold), *(_point_text(row) for row in rows))
     Console().print(table)
     _print_closing({methods: figures[methods]["closing"] for methods in METHODS})
+    _print_reliability({methods: figures[methods]["reliability"] for methods in METHODS})
     if options.figure:
-        _draw(figures, options.figure)
+        draw_curve(figures, options.figure, lead_s=LEAD_S)
+    if options.reliability_figure:
+        draw_reliability(figures, options.reliability_figure)
+    if options.report_curve:
+        row = figures["fused"]["default"]
+        protocol = (
+            f"Simulated drives: {row['hours']:g} h of harmless driving in {len(HARMLESS_HOURS)} scenarios and "
+            f"{row['contacts']} drives that end in a contact, with the errors of the packaged detector and of stereo."
+        )
+        write_curve(options.report_curve, figures, protocol)
     return figures
+
+
+def _point_text(row: dict[str, Any]) -> str:
+    return f"{row['false_alarms_per_hour']} / {row['median_lead_s']} / {100 * row['share_with_2_1_s']:.0f}"
 
 
 def _point(scenes: Sequence[SceneFigures], number: int) -> dict[str, Any]:
@@ -177,8 +214,12 @@ def _point(scenes: Sequence[SceneFigures], number: int) -> dict[str, Any]:
     }
 
 
-def _box_drives(methods: str, n_errors: int, thresholds: Sequence[float], case: tuple[str, int]) -> SceneFigures:
-    return scene_figures(*case, methods=methods, n_errors=n_errors, thresholds=thresholds)
+def _box_drives(
+    methods: Sequence[str], n_errors: int, thresholds: Sequence[float], case: tuple[str, int]
+) -> dict[str, Any]:
+    """Figures of the drives of one scene by method; the drives and their tracks are computed once."""
+    scene = scene_drives(*case, n_errors)
+    return {name: asdict(drive_figures(scene, methods=name, thresholds=thresholds)) for name in methods}
 
 
 def _real(options: Namespace) -> dict[str, Any]:
@@ -199,15 +240,6 @@ def _real(options: Namespace) -> dict[str, Any]:
     return figures
 
 
-def _mapped(function: Any, cases: Sequence[Any], n_jobs: int) -> Iterable[Any]:
-    """The results of a function for all cases, in order, in several processes."""
-    if n_jobs == 1:
-        yield from map(function, cases)
-        return
-    with ProcessPoolExecutor(n_jobs) as pool:
-        yield from pool.map(function, cases)
-
-
 def _print_closing(by_method: dict[str, dict[str, dict[str, Any]]]) -> None:
     table = plain_table("closing speed at 10-40 m: median absolute error, m/s", "class", *by_method)
     for name in dict.fromkeys(name for figures in by_method.values() for name in figures):
@@ -216,22 +248,15 @@ def _print_closing(by_method: dict[str, dict[str, dict[str, Any]]]) -> None:
     Console().print(table)
 
 
-def _draw(figures: dict[str, Any], path: Path) -> None:
-    """Draw the curves as SVG."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    axes = figure.subplots()
-    for methods, colour in (("mono", "#cf7410"), ("stereo", "#1f77b4"), ("fused", "#2a8c3c")):
-        points = figures[methods]["points"]
-        leads = [point["median_lead_s"] for point in points]
-        false = [point["false_alarms_per_hour"] for point in points]
-        axes.plot(leads, false, "o-", color=colour, label=methods)
-    axes.set_yscale("symlog", linthresh=1)
-    axes.set_ylim(bottom=0)
-    axes.axvline(LEAD_S, color="#888888", linestyle=":")
-    axes.set_xlabel("median lead of the first warning, s")
-    axes.set_ylabel("false alarms per hour")
-    axes.grid(alpha=0.3)
-    axes.legend()
-    figure.savefig(path, metadata={"Date": None})
+def _print_reliability(by_method: dict[str, dict[str, Any]]) -> None:
+    table = plain_table("probability of contact: predicted, observed (tracks and frames)", "bin", *by_method)
+    for number in range(max(len(part["bins"]) for part in by_method.values())):
+        bins = [part["bins"][number] if number < len(part["bins"]) else None for part in by_method.values()]
+        table.add_row(
+            str(number + 1),
+            *("-" if row is None else f"{row['predicted']:.2f}, {row['observed']:.2f} ({row['n']})" for row in bins),
+        )
+    for name, title in (("error_below_0.1", "error below 0.1"), ("error_above_0.1", "error above 0.1")):
+        values = [part[name] for part in by_method.values()]
+        table.add_row(title, *("-" if value is None else f"{value:.3f}" for value in values))
+    Console().print(table)

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from benchmarks.inputs.conflict_drives import COLLISIONS, FPS
+from benchmarks.accuracy.collision_warnings.scene_drives import SceneDrives, scene_drives
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.warning.warnings import Warnings
-from track_range.simulation.boxes.box_drive import BoxDrive
-from track_range.simulation.boxes.box_run import IDS_PER_DRIVE, run_boxes, tracked
-from track_range.simulation.render.renderer import kitti_like_rig
-from track_range.simulation.world.contacts import find_contacts
-from track_range.simulation.world.scenarios import make_scenario
-from track_range.simulation.world.scene import STEP_S
+from track_range.run.frame_result import FrameResult
+from track_range.simulation.boxes.box_run import IDS_PER_DRIVE, run_boxes
 
 METHODS = {"mono": ("mono",), "stereo": ("stereo",), "fused": ("mono", "stereo")}
 """Ranging methods of each configuration."""
@@ -31,19 +27,16 @@ HARMLESS = ("curve-parked", "oncoming", "overhead-sign", "following", "queue", "
 THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 """Thresholds of the curve, of `WarningSettings.on_probability`; that of people is lower by the default difference."""
 
-HARMLESS_S, COLLISION_S = 20.0, 8.0
-"""Length of a drive, s."""
-
 N_ERRORS = 10
 """Number of drives with different errors in each scene."""
-
-WIDTH_PX = 620
-"""Width of the images, px: that of the fit."""
 
 SAME_ALARM_S = 3.0
 """Longest time between two alarms on one object that count as one, s."""
 
-_BINS = np.linspace(0, 1, 11)
+CLOSING_FRAMES = 5
+"""Every how many frames the errors of closing speeds are measured."""
+
+_BINS = np.concatenate([[0, 0.01, 0.03], np.linspace(0.1, 1, 10)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +59,15 @@ class SceneFigures:
     n_contacts: int
     closing: FloatArray
     probability: FloatArray
+
+    @classmethod
+    def of_json(cls, values: Mapping[str, Any]) -> SceneFigures:
+        """The figures from JSON values."""
+        arrays = {
+            name: np.array(values[name], np.float64).reshape(-1, n_columns)
+            for name, n_columns in (("alarms", 5), ("closing", 5), ("probability", 3))
+        }
+        return cls(**{**values, **arrays})
 
 
 class WarningCurve(CollisionWarning):
@@ -102,63 +104,58 @@ class WarningCurve(CollisionWarning):
 def scene_figures(
     scenario: str, seed: int, *, methods: str = "fused", n_errors: int = N_ERRORS, thresholds: Sequence[float] = ()
 ) -> SceneFigures:
-    """Figures of drives without images in the scene of a scenario and seed."""
-    seconds = COLLISION_S if scenario in COLLISIONS else HARMLESS_S
-    scene = make_scenario(scenario, seed=seed, seconds=seconds)
-    contact_s = {contact.track_id: contact.contact_s for contact in find_contacts(scene, seconds)}
-    is_real = all(contact.is_real for contact in find_contacts(scene, seconds))
-    end_s = min(contact_s.values(), default=seconds) if is_real else seconds
-    times_s = np.arange(round(seconds * FPS)) / FPS
-    rig = kitti_like_rig(width_px=WIDTH_PX, height_px=188)
-    drives = [BoxDrive(scene, times_s, rig, seed=1000 * seed + number) for number in range(n_errors)]
-    ids = np.array([user.track_id for user in scene.road_users] + [-1])  # the last one for row -1
+    """Figures of drives without images in the scene of a scenario and seed, with one set of ranging methods."""
+    return drive_figures(scene_drives(scenario, seed, n_errors), methods=methods, thresholds=thresholds)
+
+
+def drive_figures(scene: SceneDrives, *, methods: str = "fused", thresholds: Sequence[float] = ()) -> SceneFigures:
+    """Figures of the drives of a scene with one set of ranging methods (a key of `METHODS`)."""
     curve = WarningCurve(thresholds)
     alarms: list[tuple[float, ...]] = []
     closing: list[FloatArray] = []
     probability = np.zeros((len(_BINS) - 1, 3))
-    was_active: list[set[int]] = [set() for _ in curve._all]
-    for step in run_boxes(drives, [tracked(drive) for drive in drives], methods=METHODS[methods], warning=curve):
+    was_active: list[set[int]] = [set() for _ in range(len(thresholds) + 1)]
+    for step in run_boxes(scene.drives, scene.tracks, methods=METHODS[methods], warning=curve):
         result = step.result
-        if result.time_s > end_s:
+        if result.time_s > scene.end_s:
             break
-        track_id, objects = result.tracks.track_id, ids[step.user]
+        track_id, objects = result.tracks.track_id, scene.object_id[step.user]
         for number, warnings in enumerate(curve.warnings):
             now = set(track_id[warnings.active].tolist())
-            for started in now - was_active[number]:
+            for started in sorted(now - was_active[number]):
                 row = int(np.flatnonzero(track_id == started)[0])
-                lead_s = contact_s.get(int(objects[row]), math.nan) - result.time_s
+                lead_s = scene.contact_s.get(int(objects[row]), math.nan) - result.time_s
                 alarms.append((started // IDS_PER_DRIVE, number, float(objects[row]), result.time_s, lead_s))
             was_active[number] = now
-        closing.append(_closing_errors(scene, result, step.user, step.true_m))
-        if is_real and result.warnings is not None:
-            _add_probabilities(probability, result.warnings, objects, contact_s, result.time_s)
+        if result.index % CLOSING_FRAMES == 0:
+            closing.append(_closing_errors(scene, result, step.user, step.true_m))
+        if scene.is_real and result.warnings is not None:
+            _add_probabilities(probability, result.warnings, objects, scene.contact_s, result.time_s)
     return SceneFigures(
-        scenario,
-        seed,
-        n_errors * end_s / 3600,
+        scene.scenario,
+        scene.seed,
+        scene.hours,
         _merged(np.array(alarms, np.float64).reshape(-1, 5)),
-        n_errors * len(contact_s),
+        len(scene.drives) * len(scene.contact_s),
         np.concatenate(closing),
         probability,
     )
 
 
-def _closing_errors(scene: Any, result: Any, user: IntArray, true_m: FloatArray) -> FloatArray:
+def _closing_errors(scene: SceneDrives, result: FrameResult, user: IntArray, true_m: FloatArray) -> FloatArray:
     """(C, 5) class, distance, error of the closing speed, its standard deviation, height, of road users at 5-45 m."""
     rows = np.flatnonzero((user >= 0) & np.isfinite(result.closing_mps) & (true_m > 5) & (true_m < 45))
-    if not len(rows):
-        return np.zeros((0, 5))
-    rate = (scene.location_m(result.time_s - STEP_S) - scene.location_m(result.time_s + STEP_S))[:, 2] / (2 * STEP_S)
-    return np.stack(
+    columns = np.stack(
         [
             result.tracks.class_id[rows],
             true_m[rows],
-            result.closing_mps[rows] - rate[user[rows]],
+            result.closing_mps[rows] - scene.closing_mps[user[rows], result.index],
             result.closing_sigma_mps[rows],
-            scene.size_hwl_m()[user[rows], 0],
+            scene.scene.size_hwl_m()[user[rows], 0],
         ],
         axis=1,
     )
+    return np.asarray(columns.round(3))
 
 
 def _add_probabilities(
@@ -237,17 +234,25 @@ def closing_figures(rows: FloatArray, nearest_m: float = 10.0, farthest_m: float
 
 
 def reliability(counts: FloatArray) -> dict[str, Any]:
-    """Reliability diagram: mean probability and share of contacts by bin, and the mean error weighted by frames."""
+    """Reliability diagram: number of tracks and frames, mean probability and fraction of contacts by bin.
+
+    `error` is the mean absolute difference over all tracks and frames; those below and above a probability of 0.1
+    follow separately, since nearly all are far below it.
+    """
+    counts = counts[counts[:, 0] >= 20]
     n, total, hits = counts.T
-    is_used = n >= 20
-    predicted, observed = total[is_used] / n[is_used], hits[is_used] / n[is_used]
-    gap = np.abs(predicted - observed)
-    high = predicted > 0.1
+    predicted, observed = total / n, hits / n
+    gap, is_high = np.abs(predicted - observed), predicted > 0.1
     return {
         "bins": [
             {"n": int(k), "predicted": round(float(p), 3), "observed": round(float(o), 3)}
-            for k, p, o in zip(n[is_used], predicted, observed, strict=True)
+            for k, p, o in zip(n, predicted, observed, strict=True)
         ],
-        "error": round(float((gap * n[is_used]).sum() / n[is_used].sum()), 4),
-        "error_above_0.1": round(float((gap * n[is_used])[high].sum() / max(n[is_used][high].sum(), 1)), 4),
+        "error": _mean_gap(gap, n),
+        "error_below_0.1": _mean_gap(gap[~is_high], n[~is_high]),
+        "error_above_0.1": _mean_gap(gap[is_high], n[is_high]),
     }
+
+
+def _mean_gap(gap: FloatArray, n: FloatArray) -> float | None:
+    return round(float((gap * n).sum() / n.sum()), 4) if len(n) else None

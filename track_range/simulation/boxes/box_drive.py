@@ -71,7 +71,15 @@ class BoxFrame:
 
 
 class BoxDrive:
-    """The frames of a scene; the same scene and seed give the same frames."""
+    """The frames of a scene; the same scene and seed give the same frames.
+
+    Attributes:
+        poses: of the camera in each frame.
+        true: the exact boxes.
+    """
+
+    poses: CameraPoses
+    true: TrueBoxes
 
     def __init__(
         self,
@@ -83,6 +91,7 @@ class BoxDrive:
         false_boxes: FalseBoxes | None = None,
         second: SecondBoxes | None = None,
         stereo: StereoErrors | None = None,
+        like: BoxDrive | None = None,
     ) -> None:
         """Compute all frames.
 
@@ -94,12 +103,15 @@ class BoxDrive:
             false_boxes: model of boxes without an object; None = the fitted one.
             second: model of second boxes of vehicles; None = the fitted one.
             stereo: error model of stereo; None = the fitted one.
+            like: another drive in the same scene with the same times and rig, whose exact boxes are used again; None =
+                they are computed.
         """
         rng = np.random.default_rng([seed, 31])
         self.scene, self.times_s, self.rig = scene, times_s, rig
         frames = (len(times_s), float(times_s[1] - times_s[0]))
-        poses = CameraPoses.of(scene, times_s)
-        self.true = true_boxes(scene, times_s, rig.left, poses=poses)
+        poses = like.poses if like else CameraPoses.of(scene, times_s)
+        self.poses = poses
+        self.true = like.true if like else true_boxes(scene, times_s, rig.left, poses=poses)
         n_users = len(scene.road_users)
         first, rows = _detected(scene, self.true, rng, rig, frames)
         is_vehicle = np.array([user.kitti_type in _VEHICLES for user in scene.road_users])[first.user]

@@ -173,7 +173,7 @@ class _TrueYaw(ImageMotionEstimator):
     def __init__(self, camera: PinholeCamera, drive: BoxDrive) -> None:
         super().__init__(camera)
         self._times_s = drive.times_s
-        yaw_rad = np.array([drive.scene.pose(time_s).yaw_rad for time_s in drive.times_s.tolist()])
+        yaw_rad = drive.poses.yaw_rad
         noise = np.random.default_rng([drive.scene.seed, 32]).normal(0, YAW_SIGMA_RAD_S, len(yaw_rad))
         self._yaw_rad_s = np.gradient(yaw_rad, drive.times_s) + noise
 

@@ -12,8 +12,8 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.simulation.world.road_shape import slope_rotation, yaw_rotation
-from track_range.simulation.world.scene import Scene
-from track_range.simulation.world.trajectories import trajectories
+from track_range.simulation.world.scene import STEP_S, Scene
+from track_range.simulation.world.trajectories import Trajectories, trajectories
 from track_range.simulation.world.truth import corners_m, projected_boxes_px
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -90,14 +90,9 @@ def true_boxes(
     scene: Scene, times_s: FloatArray, camera: PinholeCamera, *, poses: CameraPoses | None = None
 ) -> TrueBoxes:
     """The boxes of a scene at the given times (T,); `poses`: of the camera at these times, None = computed here."""
-    paths = trajectories(scene.road_users, times_s)
     poses = poses or CameraPoses.of(scene, times_s)
-    camera_from_world, position_m, ego_yaw_rad = poses.camera_from_world, poses.position_m, poses.yaw_rad
-    raised_m = np.array([user.raised_m for user in scene.road_users])[:, None]
-    world = np.stack(
-        [scene.road.x_m(paths.z_m) + paths.across_m, scene.road.y_m(paths.z_m) - raised_m, paths.z_m], axis=2
-    )
-    location = np.einsum("tij,ntj->nti", camera_from_world, world - position_m)
+    camera_from_world, ego_yaw_rad = poses.camera_from_world, poses.yaw_rad
+    paths, location = _locations(scene, times_s, poses)
     x, z = location[:, :, 0], location[:, :, 2]
     reach = camera.width_px / camera.fx_px
     user, frame = np.nonzero((z > NEAREST_M) & (z < FARTHEST_M) & (np.abs(x) < reach * z + 8.0))
@@ -131,6 +126,25 @@ def true_boxes(
         overlap,
         1 - _areas(inside) / _areas(boxes),
     )
+
+
+def _locations(scene: Scene, times_s: FloatArray, poses: CameraPoses) -> tuple[Trajectories, FloatArray]:
+    """The paths of N road users, and (N, T, 3) their lower centres in the camera's frame."""
+    paths = trajectories(scene.road_users, times_s)
+    raised_m = np.array([user.raised_m for user in scene.road_users])[:, None]
+    world = np.stack(
+        [scene.road.x_m(paths.z_m) + paths.across_m, scene.road.y_m(paths.z_m) - raised_m, paths.z_m], axis=2
+    )
+    return paths, np.einsum("tij,ntj->nti", poses.camera_from_world, world - poses.position_m)
+
+
+def closing_rates_mps(scene: Scene, times_s: FloatArray) -> FloatArray:
+    """(N, T) closing speeds of all road users along the camera's axis, by central differences over 2 `STEP_S`."""
+    before, after = (
+        _locations(scene, moments_s, CameraPoses.of(scene, moments_s))[1][:, :, 2]
+        for moments_s in (times_s - STEP_S, times_s + STEP_S)
+    )
+    return np.asarray((before - after) / (2 * STEP_S))
 
 
 def _covered_shares(frame: IntArray, boxes: FloatArray, n_frames: int) -> tuple[FloatArray, FloatArray]:
