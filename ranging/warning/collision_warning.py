@@ -169,9 +169,9 @@ class CollisionWarning:
         is_beside = np.abs(offset.x) > half_width_m + _BESIDE_SIGMA * np.sqrt(offset.P_xx)
         beside_s = np.where(is_known & is_beside, time_s, beside_s)
         certain_s = np.where(is_usable, np.where(starts, time_s, np.fmin(certain_s, time_s)), np.nan)
-        on_probability = np.where(is_person, settings.person_probability, settings.on_probability)
-        may_start = np.zeros(len(tracks), np.bool_)
-        may_start[rows] = self._is_urgent(encounter) & (probability >= on_probability)[rows]
+        may_start = probability >= np.where(is_person, settings.person_probability, settings.on_probability)
+        if may_start.any():
+            may_start[rows] &= self._is_urgent(encounter)
         may_start[rows] |= self._cuts_in(encounter, time_s - beside_s[rows]) & ~is_person[rows]
         may_start &= time_s - certain_s >= np.where(is_person, settings.min_person_s, settings.min_track_s) - 1e-9
         may_end = ~(probability >= settings.off_probability)
@@ -212,10 +212,12 @@ class CollisionWarning:
         is_same = nu * nu <= _JUMP_SIGMA**2 * (predicted.P_xx + R)  # False for NaN
         starts = is_known & (is_stale | ~is_same)
         state = predicted.update(nu, R, valid=is_known)
-        zero = np.zeros_like(u)
-        initial = (u, zero, R, zero, zero + _INITIAL_ACCELERATION_MPS2**2)
-        columns = (np.where(starts, new, old) for new, old in zip(initial, _columns(state), strict=True))
-        return ConstantVelocity(*columns), starts
+        if starts.any():
+            zero = np.zeros_like(u)
+            initial = (u, zero, R, zero, zero + _INITIAL_ACCELERATION_MPS2**2)
+            columns = (np.where(starts, new, old) for new, old in zip(initial, _columns(state), strict=True))
+            state = ConstantVelocity(*columns)
+        return state, starts
 
     def _gap(self, measured: ConstantVelocity, own: ConstantVelocity, sigma_m: FloatArray) -> ConstantVelocity:
         """Distances from the camera and their rates, without lag, with the rate that errors of the distance cause."""
@@ -254,21 +256,21 @@ class CollisionWarning:
     ) -> Encounter:
         """Motion of the objects in these rows relative to the ego vehicle and its path."""
         settings, ego = self.settings, self._ego
-        gap, own, offset = (ConstantVelocity(*np.array(_columns(state))[:, rows]) for state in (gap, own, offset))
-        u = gap.v + ego.speed_mps
-        object_stop_s, ego_stop_s = np.full(len(rows), np.inf), math.inf
+        gap, offset = (ConstantVelocity(*np.array(_columns(state)).take(rows, axis=1)) for state in (gap, offset))
+        u, u_change = gap.v + ego.speed_mps, own.v[rows]
+        stops_s = np.full(len(rows) + 1, np.inf)
         if ego.has_speed:
-            object_stop_s = stop_s(u, own.v, settings.manoeuvre_s)
-            ego_stop_s = float(stop_s(np.array(ego.speed_mps), np.array(ego.acceleration_mps2), settings.manoeuvre_s))
+            changes = np.append(u_change, ego.acceleration_mps2)
+            stops_s = stop_s(np.append(u, ego.speed_mps), changes, settings.manoeuvre_s)
         return Encounter(
             gap=ConstantVelocity(gap.x - settings.front_m, gap.v, gap.P_xx, gap.P_xv, gap.P_vv),
             object_mps=u,
-            object_mps2=own.v,
-            object_stop_s=object_stop_s,
-            acceleration_sigma_mps2=np.sqrt(own.P_vv + settings.acceleration_mps2**2),
+            object_mps2=u_change,
+            object_stop_s=stops_s[:-1],
+            acceleration_sigma_mps2=np.sqrt(own.P_vv[rows] + settings.acceleration_mps2**2),
             ego_mps=ego.speed_mps,
             ego_mps2=ego.acceleration_mps2,
-            ego_stop_s=ego_stop_s,
+            ego_stop_s=float(stops_s[-1]),
             offset=offset,
             half_width_m=half_width_m[rows],
             lateral_acceleration_mps2=np.where(
@@ -316,9 +318,9 @@ class CollisionWarning:
     def _cuts_in(self, encounter: Encounter, since_beside_s: FloatArray) -> BoolArray:
         """(K,) whether an object moves from the side into the ego path at a short headway."""
         settings, ego, gap, offset = self.settings, self._ego, encounter.gap, encounter.offset
-        if ego.speed_mps < _MIN_CUT_IN_SPEED_MPS:
-            return np.zeros(len(gap.x), np.bool_)
         is_near = (gap.x < settings.cut_in_headway_s * ego.speed_mps) & (gap.x > settings.min_cut_in_gap_m)
+        if ego.speed_mps < _MIN_CUT_IN_SPEED_MPS or not is_near.any():
+            return np.zeros(len(gap.x), np.bool_)
         share = overlap_probability(
             offset, encounter.half_width_m, encounter.lateral_acceleration_mps2, settings.cut_in_ahead_s
         )
