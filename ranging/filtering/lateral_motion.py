@@ -100,6 +100,7 @@ class LateralFilters:
         distance_m: FloatArray,
         time_s: float,
         *,
+        distance_sigma_m: FloatArray | float = 0.0,
         yaw_rad_s: float = math.nan,
         own_mps: FloatArray | float = 0.0,
     ) -> LateralMotion:
@@ -109,11 +110,12 @@ class LateralFilters:
             tracks: N tracks; predicted boxes and boxes truncated at the left or right border are not measurements.
             distance_m: (N,) filtered distance z, NaN = unknown.
             time_s: time of the frame, not earlier than that of the previous frame.
+            distance_sigma_m: (N,) standard deviation of the errors of z that change from frame to frame.
             yaw_rad_s: yaw rate w of the camera, positive = to the right; NaN = unknown.
             own_mps: (N,) the objects' own speed z' + V along the camera's axis; 0 = unknown.
         """
         x, sigma_m, half_width_m, is_whole = self._measured(tracks, distance_m)
-        R = sigma_m**2
+        R = sigma_m**2 + (x * distance_sigma_m / distance_m) ** 2
         valid = tracks.observed & is_whole & np.isfinite(x)
 
         *stored, state_s, measured_s = self._tracks.get(tracks.track_id)

@@ -76,7 +76,7 @@ _BESIDE_SIGMA = 2.0
 _STATIC_MPS = 2.0
 """Speed of an object along the road below which it counts as static, m/s."""
 
-_GATE_SIGMA = 3.0
+_GATE_SIGMA = 6.0
 """Lateral speed in standard deviations of the prior and its error above which the prior does not apply."""
 
 _BENDS_S = 5.0
@@ -176,6 +176,7 @@ class CollisionWarning:
         may_start &= time_s - certain_s >= np.where(is_person, settings.min_person_s, settings.min_track_s) - 1e-9
         may_end = ~(probability >= settings.off_probability)
         is_uncertain = motion.ranges.sigma_m > settings.certain_share * measured.x
+        is_uncertain |= ~is_person & (np.abs(offset.x) > half_width_m)
         if self._ego.has_speed:
             is_uncertain |= gap.v + self._ego.speed_mps < -_STATIC_MPS
         needed_s = np.where(is_uncertain, settings.uncertain_on_s, settings.min_on_s)

@@ -155,7 +155,12 @@ class Pipeline:
             motion = self._fused_motion(frame, tracks, ranges, ego)
             own_mps = motion.state.v + ego_mps if math.isfinite(ego_mps) else 0.0
             lateral = self._lateral.update(
-                tracks, motion.ranges.distance_m, frame.time_s, yaw_rad_s=yaw_rad_s, own_mps=own_mps
+                tracks,
+                motion.ranges.distance_m,
+                frame.time_s,
+                distance_sigma_m=np.sqrt(motion.state.P_xx),
+                yaw_rad_s=yaw_rad_s,
+                own_mps=own_mps,
             )
             return FrameResult(
                 frame=frame,
