@@ -7,7 +7,8 @@ A static point has the ray p before and p' now, and moves on its epipolar line:
 Both are fitted to corners outside the boxes of road users by Gauss-Newton on Sampson's distance with Tukey weights
 (Hartley and Zisserman, 2004, section 11.4.3). Yaw and a sideways t move distant points alike. Near points separate
 them, but deform as they approach, and errors of their flow grow with it: their weight is lower, and t is a random walk,
-so that its last estimate is the prior of the next one. With the rotation removed, points move away from the epipole e
+so that its last estimate is the prior of the next one. Corners on edges are left out: a lane line in a curve stays in
+its place in the image, as if the road did not turn. With the rotation removed, points move away from the epipole e
 by (p' - e) = (1 + g) (R p - e); the expansion is the median of g per second, the forward speed over a typical depth.
 """
 
@@ -21,7 +22,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, check_shape
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA
-from track_range.foundation.sparse_flow import BackgroundFlow
+from track_range.foundation.sparse_flow import BackgroundFlow, isotropy
 from track_range.stereo.geometry.camera import PinholeCamera
 
 _TUKEY = 4.685
@@ -44,7 +45,7 @@ _FLOW_NOISE = 0.03
 """Standard deviation of the flow, as a fraction of the part that the translation causes; residuals on simulated drives,
 seeds 0-9, grow by 0.02 to 0.05 of it."""
 
-_BIAS_PX = 0.1
+_BIAS_PX = 0.06
 """Standard deviation of the common error of the flow of distant points, small pixels, which does not average out; the
 errors of yaw on simulated drives, seeds 0-9, then have a standard deviation of 1 in units of their sigma."""
 
@@ -62,6 +63,7 @@ class ImageMotionSettings:
     Attributes:
         n_features: largest number of corners.
         min_quality: minimum quality of a corner, as a fraction of the best corner's.
+        min_isotropy: minimum ratio of the eigenvalues of a corner's structure tensor.
         noise_px: standard deviation of a tracked corner.
         max_residual_px: largest distance of a static point from its epipolar line.
         min_features: minimum number of static points.
@@ -72,6 +74,7 @@ class ImageMotionSettings:
 
     n_features: int = 200
     min_quality: float = 0.003
+    min_isotropy: float = 0.1
     noise_px: float = 0.1
     max_residual_px: float = 0.5
     min_features: int = 16
@@ -160,11 +163,17 @@ class ImageMotionEstimator:
         dt_s, self._last_s = time_s - self._last_s, time_s
         if self._flow.now is None or self._flow.before is None or not 0 < dt_s <= self._settings.max_gap_s:
             return ImageMotion(time_s=time_s)
-        return self._motion(time_s, dt_s, self._flow.now.n_halved)
+        corners, points = self._flow.tracked(self._settings.n_features, self._settings.min_quality)
+        if len(corners):
+            is_corner = isotropy(self._flow.before.small, corners) >= self._settings.min_isotropy
+            corners, points = corners[is_corner], points[is_corner]
+        return self._motion((corners, points), time_s, dt_s, self._flow.now.n_halved)
 
-    def _motion(self, time_s: float, dt_s: float, n_halved: int) -> ImageMotion:
-        settings = self._settings
-        corners, points = self._flow.tracked(settings.n_features, settings.min_quality)
+    def _motion(
+        self, pair_px: tuple[FloatArray32, FloatArray32], time_s: float, dt_s: float, n_halved: int
+    ) -> ImageMotion:
+        """Motion from corners (N, 2) of the small image before and now."""
+        settings, (corners, points) = self._settings, pair_px
         n_features = len(points)
         if n_features < settings.min_features:
             return ImageMotion(time_s=time_s, dt_s=dt_s, n_features=n_features)

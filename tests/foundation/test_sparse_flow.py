@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.foundation.sparse_flow import BackgroundFlow, FlowSettings
+from track_range.foundation.sparse_flow import BackgroundFlow, FlowSettings, isotropy, masked_cells, ranked_corners
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.tracking.camera_motion import CameraMotion
@@ -44,6 +44,20 @@ def test_min_quality_selects_better_corners():
     corners = shifted_flow().now.corners
     assert corners.n_good(1000, 0.5) < corners.n_good(1000, 0.01)
     assert (np.diff(corners.quality) <= 0).all()
+
+
+def test_isotropy_of_corners_and_edges():
+    image = np.full((180, 320), 50, np.uint8)
+    cv2.fillPoly(image, [np.array([[100, 20], [300, 20], [300, 100], [100, 100]])], 200)
+    cv2.line(image, (20, 170), (90, 100), 255, 3)
+    image = cv2.GaussianBlur(image, (0, 0), 1.0)
+    corners = np.array([[100.5, 20.5], [100.5, 100.5]], np.float32)
+    edges = np.array([[200.5, 20.5], [100.5, 60.5], [54.5, 134.5]], np.float32)
+    assert (isotropy(image, corners) > 0.2).all()
+    assert (isotropy(image, edges) < 0.05).all()
+    points = ranked_corners(image, masked_cells(NO_BOXES, image.shape, 0)).points
+    assert isotropy(image, points).shape == (len(points),)
+    assert isotropy(image, points[:0]).shape == (0,)
 
 
 def test_frame_of_the_same_time_is_added_once():

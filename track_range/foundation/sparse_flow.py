@@ -26,6 +26,9 @@ _GRID_PX = 8
 _MIN_EIGENVALUE = 1e-5
 """Minimum corner quality (OpenCV's smaller eigenvalue), above the noise of a textureless area."""
 
+_TENSOR_PX, _MIN_TENSOR = 5, 1e-6
+"""Side of the window of the structure tensor, pixels of the half-size image, and smallest eigenvalue that counts."""
+
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 """Stop criteria of Lucas-Kanade: number of iterations and step in px."""
 
@@ -119,6 +122,26 @@ def ranked_corners(grey: Image, is_masked: BoolArray) -> RankedCorners:
     best[are_masked(corners, is_masked)] = 0.0
     order = np.argsort(-best, kind="stable")
     return RankedCorners(np.asarray(corners[order], np.float32), np.asarray(best[order], np.float32))
+
+
+def isotropy(grey: Image, points: FloatArray32) -> FloatArray32:
+    """(N,) ratio of the smaller to the larger eigenvalue of the structure tensor at points (N, 2): 0 on an edge.
+
+    The flow along an edge is not determined by the image (the aperture problem).
+
+    Args:
+        grey: (H, W) small image.
+        points: points of `ranked_corners` in it.
+    """
+    half = halved(grey)
+    x_slope, y_slope = cv2.Sobel(half, cv2.CV_32F, 1, 0), cv2.Sobel(half, cv2.CV_32F, 0, 1)
+    column, row = np.rint((points - 0.5) / 2).astype(np.int64).T
+    xx, yy, xy = (
+        np.asarray(cv2.boxFilter(product, -1, (_TENSOR_PX, _TENSOR_PX)), np.float32)[row, column]
+        for product in (x_slope * x_slope, y_slope * y_slope, x_slope * y_slope)
+    )
+    mean, difference = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+    return np.asarray((mean - difference) / np.maximum(mean + difference, _MIN_TENSOR), np.float32)
 
 
 def tracked_corners(
