@@ -33,7 +33,7 @@ def rendered_figures(cache: Path, scenario: str, seed: int, *, is_stereo: bool, 
     user_of: dict[int, Counter[int]] = {}
     closing: list[tuple[float, ...]] = []
     speeds = _closing_speeds(drive.files.table)
-    with _run(drive, is_stereo=is_stereo) as run:
+    with run_of(drive, is_stereo=is_stereo) as run:
         for result in run:
             rows = np.flatnonzero(true.frame == result.index)
             users = _users(true, rows, result.tracks.xyxy_px)
@@ -78,7 +78,8 @@ def real_warnings(**source: Any) -> list[Event]:
         return [event for event in run.events if is_warning(event)]
 
 
-def _run(drive: ConflictDrive, *, is_stereo: bool) -> Run:
+def run_of(drive: ConflictDrive, *, is_stereo: bool) -> Run:
+    """A run on a rendered drive with its stored boxes."""
     files = drive.files
     options = {"detector": drive.detector(), "ego_speed": str(files.ego_speed)}
     if is_stereo:
