@@ -112,7 +112,9 @@ def open_speed(
         if isinstance(reader, LiveReader):
             return _NO_MOTION
         span_s = SPAN_S if duration_s is None else min(SPAN_S, max(duration_s, _MIN_SPAN_S))
-        return motion_of(reader.path, recording.camera, start_s=start_s, folder_fps=folder_fps, span_s=span_s)
+        video, part_s = _file_at(parts, start_s, span_s) or (reader.path, 0.0)
+        series = motion_of(video, recording.camera, start_s=start_s - part_s, folder_fps=folder_fps, span_s=span_s)
+        return replace(series, time_s=series.time_s + part_s)
 
     if setting != AUTO:
         return _named(setting, parts, motion)
@@ -120,6 +122,17 @@ def open_speed(
         return SpeedSource()
     source = _table_beside(parts[0])
     return source if source.ego is not None else _automatic(parts, motion, source.notes)
+
+
+def _file_at(parts: Sequence[VideoPart], start_s: float, span_s: float) -> tuple[Path, float] | None:
+    """File of a recording in several files with most of the part from `start_s` on, and the time of its first frame.
+
+    None = the recording has one file, or none of them has that part.
+    """
+    for part in parts if len(parts) > 1 else ():
+        if part.start_s <= start_s and start_s + span_s / 2 <= part.start_s + part.duration_s:
+            return part.path, part.start_s
+    return None
 
 
 _NO_MOTION = MotionSeries(

@@ -109,6 +109,11 @@ class VideoReader:
         return self._source.utc
 
     @property
+    def is_upright_file(self) -> bool:
+        """Whether this is one video file that stores its images as they are shown, without a rotation."""
+        return isinstance(self._source, VideoFile) and self._source.is_upright
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user; complete only after the last frame."""
         return tuple(self._source.notes)

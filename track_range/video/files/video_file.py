@@ -113,6 +113,11 @@ class VideoFile:
         self.is_grey = is_neutral(image)
 
     @property
+    def is_upright(self) -> bool:
+        """Whether the images need no rotation."""
+        return self._axes == _UPRIGHT
+
+    @property
     def utc(self) -> UtcStart | None:
         """UTC of the first frame; None = unknown."""
         return start_of(*self._stamps, max(0.0, self._declared_end_s - self.first_time_s))
