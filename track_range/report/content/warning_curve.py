@@ -3,7 +3,9 @@
 The figure is the same in all reports: it shows what one camera, a stereo rig and both methods together achieve. Its
 values are packaged in assets/warning_curve.json:
 
-    {"protocol": text, "methods": {name: [[false alarms per hour, median lead in s, share of contacts warned of], ...]}}
+    {"protocol": text, "methods": {name: [[false alarms per hour, median lead in s, share of contacts], ...]}}
+
+The share is that of the contacts with a warning at least 2.1 s before.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from track_range.overlay.colours import colour_of_each
 CURVE_FILE = "warning_curve.json"
 
 _WIDTH_PX, _HEIGHT_PX = 640, 300
-_LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 44, 14, 12, 40
+_LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 44, 22, 12, 40
 """Size of the figure and its margins, px."""
 
 _MIN_PER_HOUR = 0.1
