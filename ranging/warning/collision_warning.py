@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.special import expit, logit
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
@@ -49,7 +50,7 @@ _MAX_GAP_S = 1.0
 _JERK_NOISE = 2.0
 """Process noise: random walk of accelerations in m/s^2 per square root of a second."""
 
-_RATE_FACTOR = 4.0
+_RATE_FACTOR = 2.0
 """Factor on the variance of filtered rates, whose errors are correlated between frames."""
 
 _INITIAL_ACCELERATION_MPS2 = 1.0
@@ -76,6 +77,9 @@ _BESIDE_SIGMA = 2.0
 _STATIC_MPS = 2.0
 """Speed of an object along the road below which it counts as static, m/s."""
 
+_MOVING_MPS = 8.0
+"""Prior standard deviation of the speed of moving objects along the road, m/s."""
+
 _GATE_SIGMA = 6.0
 """Lateral speed in standard deviations of the prior and its error above which the prior does not apply."""
 
@@ -96,6 +100,13 @@ _BESIDE_S = 4.0
 
 _MIN_CUT_IN_SPEED_MPS = 5.0
 """Smallest ego speed of an alarm for a cut-in, m/s; below, vehicles merge closely in queues."""
+
+_CALIBRATION = (-1.2, 1.8)
+"""Offset and slope of the calibrated logit: of motion without reaction, fewer contacts happen than are predicted.
+
+Fitted on drives without images (seeds 0 to 7, fused: 1.9 h of harmless driving, 0.27 h with contacts) and on rendered
+drives (30 of the seeds 0 to 29, stereo), for the smallest error of the reliability diagram above 0.1 on the worse of
+both."""
 
 _REACH_SIGMA = 3.0
 """Standard deviations of the gap beyond which an object is out of reach."""
@@ -158,11 +169,13 @@ class CollisionWarning:
         rows = np.flatnonzero(is_usable & (self._may_touch(gap, own) | self._is_near(gap)))
         encounter = self._encounter(rows, is_person, gap, own, offset, half_width_m)
         probability = np.where(is_usable, 0.0, np.nan)
-        probability[rows] = contact_probability(
-            encounter,
-            horizon_s=settings.horizon_s,
-            manoeuvre_s=settings.manoeuvre_s,
-            ego_length_m=settings.ego_length_m,
+        probability[rows] = _calibrated(
+            contact_probability(
+                encounter,
+                horizon_s=settings.horizon_s,
+                manoeuvre_s=settings.manoeuvre_s,
+                ego_length_m=settings.ego_length_m,
+            )
         )
 
         # Alarm.
@@ -258,9 +271,13 @@ class CollisionWarning:
         """Motion of the objects in these rows relative to the ego vehicle and its path."""
         settings, ego = self.settings, self._ego
         gap, offset = (ConstantVelocity(*np.array(_columns(state)).take(rows, axis=1)) for state in (gap, offset))
-        u, u_change = gap.v + ego.speed_mps, own.v[rows]
+        u, u_change, change_variance = gap.v + ego.speed_mps, own.v[rows], own.P_vv[rows]
         stops_s = np.full(len(rows) + 1, np.inf)
         if ego.has_speed:
+            moves = 1.0 - _static_share(u, gap.P_vv)
+            variance = moves * (gap.P_vv + (1.0 - moves) * u * u)
+            u, u_change, change_variance = moves * u, moves * u_change, moves * change_variance
+            gap = ConstantVelocity(gap.x, u - ego.speed_mps, gap.P_xx, moves * gap.P_xv, variance)
             changes = np.append(u_change, ego.acceleration_mps2)
             stops_s = stop_s(np.append(u, ego.speed_mps), changes, settings.manoeuvre_s)
         return Encounter(
@@ -268,7 +285,7 @@ class CollisionWarning:
             object_mps=u,
             object_mps2=u_change,
             object_stop_s=stops_s[:-1],
-            acceleration_sigma_mps2=np.sqrt(own.P_vv[rows] + settings.acceleration_mps2**2),
+            acceleration_sigma_mps2=np.sqrt(change_variance + settings.acceleration_mps2**2),
             ego_mps=ego.speed_mps,
             ego_mps2=ego.acceleration_mps2,
             ego_stop_s=float(stops_s[-1]),
@@ -330,6 +347,12 @@ class CollisionWarning:
         return np.asarray(is_near & is_along & enters & (gap.v <= settings.max_cut_in_mps))
 
 
+def _calibrated(probability: FloatArray) -> FloatArray:
+    """Probabilities on a scale on which they agree with the share of contacts."""
+    offset, slope = _CALIBRATION
+    return np.asarray(expit(offset + slope * logit(np.clip(probability, 0.0, 1.0))))
+
+
 def _columns(state: ConstantVelocity) -> tuple[FloatArray, ...]:
     """The values of a state, in the order of the constructor."""
     return state.x, state.v, state.P_xx, state.P_xv, state.P_vv
@@ -350,6 +373,13 @@ def _alarm(
     since_s = np.where(holds, np.fmin(since_s, time_s), np.nan)
     changes = time_s - since_s >= needed_s - 1e-9
     return is_on ^ changes, np.where(changes, np.nan, since_s)
+
+
+def _static_share(u: FloatArray, variance: FloatArray) -> FloatArray:
+    """Probability that objects with the measured speeds u along the road are static: half of all are, a priori."""
+    moving = variance + _MOVING_MPS**2
+    log_odds = (u * u * (1 / moving - 1 / variance) + np.log(moving / variance)) / 2
+    return np.asarray(expit(log_odds))
 
 
 def _with_rate(state: ConstantVelocity, rate_mps: float, sigma_mps: FloatArray) -> ConstantVelocity:

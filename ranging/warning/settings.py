@@ -55,15 +55,15 @@ class WarningSettings:
     """
 
     horizon_s: float = 3.5
-    on_probability: float = 0.6
-    person_probability: float = 0.5
-    off_probability: float = 0.25
+    on_probability: float = 0.3
+    person_probability: float = 0.2
+    off_probability: float = 0.1
     min_on_s: float = 0.2
     uncertain_on_s: float = 0.8
     certain_share: float = 0.055
     min_off_s: float = 0.5
     min_closing_mps: float = 2.5
-    min_track_s: float = 0.6
+    min_track_s: float = 0.4
     min_person_s: float = 0.1
     max_closing_sigma_mps: float = 2.0
     cut_in_headway_s: float = 0.6
@@ -76,7 +76,7 @@ class WarningSettings:
     ego_width_m: float = 1.8
     ego_length_m: float = 4.2
     manoeuvre_s: float = 3.0
-    acceleration_mps2: float = 0.7
+    acceleration_mps2: float = 0.4
     person_acceleration_mps2: float = 0.2
     vehicle_acceleration_mps2: float = 0.15
     min_deceleration_mps2: float = 2.5

@@ -24,7 +24,7 @@ METHODS = {"mono": ("mono",), "stereo": ("stereo",), "fused": ("mono", "stereo")
 HARMLESS = ("curve-parked", "oncoming", "overhead-sign", "following", "queue", "city", "highway")
 """Scenarios of harmless driving."""
 
-THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
+THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9, 0.97)
 """Thresholds of the curve, of `WarningSettings.on_probability`; that of people is lower by the default difference."""
 
 N_ERRORS = 10
