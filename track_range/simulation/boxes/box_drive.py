@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -113,7 +113,9 @@ class BoxDrive:
         self.poses = poses
         self.true = like.true if like else true_boxes(scene, times_s, rig.left, poses=poses)
         n_users = len(scene.road_users)
+        stereo = stereo or StereoErrors()
         first, rows = _detected(scene, self.true, rng, rig, frames)
+        first = replace(first, seen_m=_seen_m(rng, stereo, first, self.true, rows, frames))
         is_vehicle = np.array([user.kitti_type in _VEHICLES for user in scene.road_users])[first.user]
         repeated = second_boxes(
             rng,
@@ -136,9 +138,7 @@ class BoxDrive:
         )
         self._boxes = boxes = joined_rows([first, repeated, false])
         keys = np.unique(boxes.key, return_inverse=True)[1]
-        self._stereo_m, self._stereo_sigma_m = _stereo(
-            rng, stereo or StereoErrors(), rig, (boxes.frame, keys, boxes.seen_m), frames
-        )
+        self._stereo_m, self._stereo_sigma_m = _stereo(rng, stereo, rig, (boxes.frame, keys, boxes.seen_m), frames)
         objects = np.unique(np.where(boxes.user >= 0, boxes.user, boxes.key), return_inverse=True)[1]
         self._embedding = _embeddings(rng, AppearanceErrors(), objects, boxes.frame, frames)
         sigma_px = CAMERA_MOTION_SIGMA_PX * rig.left.width_px / _FIT_WIDTH_PX
@@ -240,6 +240,22 @@ def _classes(scene: Scene, rng: np.random.Generator, frames: tuple[int, float]) 
         index = np.searchsorted(np.cumsum(shares)[:-1], quantile[row])
         classes[row] = np.array(ids)[index]
     return classes
+
+
+def _seen_m(
+    rng: np.random.Generator,
+    model: StereoErrors,
+    boxes: BoxRows,
+    true: TrueBoxes,
+    rows: IntArray,
+    frames: tuple[int, float],
+) -> FloatArray:
+    """(K,) distance that stereo measures: the object's, or its occluder's."""
+    n_users = int(true.user.max(initial=-1)) + 1
+    quantile = ndtr(model.occluder_memory.sample(rng, n_users, *frames)[boxes.user, boxes.frame])
+    is_occluder = quantile < np.interp(true.hidden_share[rows], HIDDEN, model.occluder_rate)
+    is_occluder &= np.isfinite(true.occluder_m[rows])
+    return np.where(is_occluder, true.occluder_m[rows], boxes.true_m)
 
 
 def _embeddings(

@@ -261,6 +261,8 @@ class StereoErrors:
         bias, scale: bias and standard deviation of errors, in reported standard deviations.
         outlier_rate, outlier_scale: fraction and standard deviation of outliers, in reported standard deviations.
         memory: of the errors.
+        occluder_rate: probability by hidden fraction (`HIDDEN`) that the distance is the occluder's.
+        occluder_memory: of that.
     """
 
     rate: float = 0.97
@@ -268,7 +270,9 @@ class StereoErrors:
     near_m: float = 22.0
     sigma_spread: float = 0.35
     bias: float = -0.23
-    scale: float = 0.63
-    outlier_rate: float = 0.04
+    scale: float = 0.5
+    outlier_rate: float = 0.02
     outlier_scale: float = 3.5
-    memory: Memory = field(default_factory=lambda: Memory(0.22, 0.45, 0.5))
+    memory: Memory = field(default_factory=lambda: Memory(0.39, 0.24, 0.6))
+    occluder_rate: tuple[float, ...] = (0.0, 0.06, 0.3, 0.5)
+    occluder_memory: Memory = field(default_factory=lambda: Memory(0.4, 0.4, 0.5))

@@ -69,6 +69,7 @@ class TrueBoxes:
         distance_m: (M,) z at which the ray through the box centre meets the 3-D box.
         hidden_share: (M,) fraction of the box that is covered by nearer boxes.
         overlap_share: (M,) largest fraction of the box inside one other box.
+        occluder_m: (M,) distance of the nearer box that covers the largest part; NaN = none.
         outside_share: (M,) fraction of the box outside the image.
     """
 
@@ -78,6 +79,7 @@ class TrueBoxes:
     distance_m: FloatArray
     hidden_share: FloatArray
     overlap_share: FloatArray
+    occluder_m: FloatArray
     outside_share: FloatArray
 
     @property
@@ -116,7 +118,7 @@ def true_boxes(
         rotation_y_rad=yaw_rad[rows] - ego_yaw_rad[frame],
     )
     distance_m = np.where(np.isnan(distance_m), at_m[rows, 2], distance_m)
-    hidden, overlap = _covered_shares(frame, inside, len(times_s))
+    hidden, overlap, occluder = _covered_shares(frame, inside, len(times_s))
     return TrueBoxes(
         frame.astype(np.int64),
         user.astype(np.int64),
@@ -124,6 +126,7 @@ def true_boxes(
         distance_m,
         hidden,
         overlap,
+        np.where(occluder >= 0, distance_m[occluder], np.nan),
         1 - _areas(inside) / _areas(boxes),
     )
 
@@ -147,12 +150,14 @@ def closing_rates_mps(scene: Scene, times_s: FloatArray) -> FloatArray:
     return np.asarray((before - after) / (2 * STEP_S))
 
 
-def _covered_shares(frame: IntArray, boxes: FloatArray, n_frames: int) -> tuple[FloatArray, FloatArray]:
-    """(M,) fractions of boxes that nearer ones cover, and the largest that one other box covers.
+def _covered_shares(frame: IntArray, boxes: FloatArray, n_frames: int) -> tuple[FloatArray, FloatArray, IntArray]:
+    """(M,) fractions of boxes that nearer ones cover, the largest that one other box covers, and the main occluder.
+
+    The occluder is the row of the nearer box that covers the largest part; -1 = none.
 
     Boxes are sorted by frame, nearest first.
     """
-    hidden, overlap = np.zeros(len(frame)), np.zeros(len(frame))
+    hidden, overlap, occluder = np.zeros(len(frame)), np.zeros(len(frame)), np.full(len(frame), -1)
     ends = np.searchsorted(frame, np.arange(n_frames + 1))
     for start, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         part = boxes[start:end]
@@ -160,10 +165,13 @@ def _covered_shares(frame: IntArray, boxes: FloatArray, n_frames: int) -> tuple[
         high = np.minimum(part[:, None, 2:], part[None, :, 2:])
         common = np.prod(np.clip(high - low, 0, None), axis=2)
         areas = _areas(part)
-        hidden[start:end] = np.tril(common, -1).sum(axis=1) / areas
+        nearer = np.tril(common, -1)
+        hidden[start:end] = nearer.sum(axis=1) / areas
+        if end > start:
+            occluder[start:end] = np.where(nearer.max(axis=1) > 0, start + nearer.argmax(axis=1), -1)
         np.fill_diagonal(common, 0)
         overlap[start:end] = common.max(axis=1, initial=0.0) / areas
-    return np.clip(hidden, 0, 1), overlap
+    return np.clip(hidden, 0, 1), overlap, occluder
 
 
 def _areas(xyxy_px: FloatArray) -> FloatArray:
