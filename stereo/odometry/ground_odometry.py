@@ -70,7 +70,7 @@ class GroundOdometrySettings:
         min_uniqueness: smallest difference from the second best maximum.
         shift_sigma_m: standard deviation of a shift; assumed, a fifth of a cell.
         scale_sigma: relative error of all speeds, from a road that is not plane and the camera height; the errors on
-            simulated drives, seeds 0-9, then have a standard deviation of 0.7 in units of their sigma.
+            simulated drives, seeds 0-9, then have a standard deviation of 0.6 in units of their sigma.
         horizon_time_s: time constant with which the horizon follows the epipole.
     """
 
