@@ -158,34 +158,29 @@ class CollisionWarning:
         is_known = np.isfinite(measured.x) & np.isfinite(lateral.state.x)
         is_stale = ~(time_s - last_s <= _MAX_GAP_S)
         certain_speed = measured.P_vv <= settings.max_closing_sigma_mps**2
+        drifting = measured.P_vv + (motion.ranges.sigma_m / settings.drift_s) ** 2
+        measured = ConstantVelocity(measured.x, measured.v, measured.P_xx, measured.P_xv, drifting)
         own, starts = self._own_motion(measured, ConstantVelocity(*trend), time_s - state_s, is_known, is_stale)
         is_plausible = (np.abs(own.x) < _MAX_SPEED_MPS) & (np.abs(own.v) < _MAX_ACCELERATION_MPS2)
         is_usable = is_known & certain_speed & is_plausible & _IN_THE_WAY[tracks.class_id]
-        gap = self._gap(measured, own, motion.ranges.sigma_m)
+        gap = _without_lag(measured, own.v, own.P_vv)
         offset = self._offset(tracks, gap, lateral.state, motion.ranges.sigma_m)
 
-        # Probability of contact.
         half_width_m = lateral.half_width_m + settings.ego_width_m / 2
-        rows = np.flatnonzero(is_usable & (self._may_touch(gap, own) | self._is_near(gap)))
-        encounter = self._encounter(rows, is_person, gap, own, offset, half_width_m)
-        probability = np.where(is_usable, 0.0, np.nan)
-        probability[rows] = _calibrated(
-            contact_probability(
-                encounter,
-                horizon_s=settings.horizon_s,
-                manoeuvre_s=settings.manoeuvre_s,
-                ego_length_m=settings.ego_length_m,
-            )
-        )
-
-        # Alarm.
         is_beside = np.abs(offset.x) > half_width_m + _BESIDE_SIGMA * np.sqrt(offset.P_xx)
         beside_s = np.where(is_known & is_beside, time_s, beside_s)
+
+        # Probability of contact, only of objects that are near enough.
+        probability, may_start = np.where(is_usable, 0.0, np.nan), np.zeros(len(tracks), np.bool_)
+        rows = np.flatnonzero(is_usable & (self._may_touch(gap, own) | self._is_near(gap)))
+        if len(rows):
+            encounter = self._encounter(rows, is_person, gap, own, offset, half_width_m)
+            probability[rows] = self._probability(encounter)
+            may_start[rows] = self._may_start(encounter, probability[rows], is_person[rows])
+            may_start[rows] |= self._cuts_in(encounter, time_s - beside_s[rows]) & ~is_person[rows]
+
+        # Alarm.
         certain_s = np.where(is_usable, np.where(starts, time_s, np.fmin(certain_s, time_s)), np.nan)
-        may_start = probability >= np.where(is_person, settings.person_probability, settings.on_probability)
-        if may_start.any():
-            may_start[rows] &= self._is_urgent(encounter)
-        may_start[rows] |= self._cuts_in(encounter, time_s - beside_s[rows]) & ~is_person[rows]
         may_start &= time_s - certain_s >= np.where(is_person, settings.min_person_s, settings.min_track_s) - 1e-9
         may_end = ~(probability >= settings.off_probability)
         is_uncertain = motion.ranges.sigma_m > settings.certain_share * measured.x
@@ -232,11 +227,6 @@ class CollisionWarning:
             columns = (np.where(starts, new, old) for new, old in zip(initial, _columns(state), strict=True))
             state = ConstantVelocity(*columns)
         return state, starts
-
-    def _gap(self, measured: ConstantVelocity, own: ConstantVelocity, sigma_m: FloatArray) -> ConstantVelocity:
-        """Distances from the camera and their rates, without lag, with the rate that errors of the distance cause."""
-        gap = _without_lag(measured, own.v, own.P_vv)
-        return ConstantVelocity(gap.x, gap.v, gap.P_xx, gap.P_xv, gap.P_vv + (sigma_m / self.settings.drift_s) ** 2)
 
     def _may_touch(self, gap: ConstantVelocity, own: ConstantVelocity) -> BoolArray:
         """(N,) False where the probability of contact is below 0.2 %, since the object is too far away."""
@@ -325,13 +315,29 @@ class CollisionWarning:
             sigma = np.where(own_mps < -_STATIC_MPS, settings.oncoming_lateral_mps, sigma)
         return np.where(tracks.class_id == _PERSON, settings.person_lateral_mps, sigma)
 
-    def _is_urgent(self, encounter: Encounter) -> BoolArray:
-        """(N,) whether the driver has to brake hard after the reaction time."""
+    def _probability(self, encounter: Encounter) -> FloatArray:
+        """(K,) calibrated probability of contact."""
         settings = self.settings
+        return _calibrated(
+            contact_probability(
+                encounter,
+                horizon_s=settings.horizon_s,
+                manoeuvre_s=settings.manoeuvre_s,
+                ego_length_m=settings.ego_length_m,
+            )
+        )
+
+    def _may_start(self, encounter: Encounter, probability: FloatArray, is_person: BoolArray) -> BoolArray:
+        """(K,) whether a contact is probable, and the driver has to brake hard after the reaction time."""
+        settings = self.settings
+        is_probable = probability >= np.where(is_person, settings.person_probability, settings.on_probability)
+        is_probable &= -encounter.gap.v >= settings.min_closing_mps
+        if not is_probable.any():
+            return np.asarray(is_probable)
         needed_mps2 = needed_deceleration(encounter, settings.reaction_s)
         braking_mps2 = max(-self._ego.acceleration_mps2, 0.0)
         least_mps2 = max(settings.min_deceleration_mps2, braking_mps2 + settings.deceleration_margin_mps2)
-        return np.asarray((-encounter.gap.v >= settings.min_closing_mps) & (needed_mps2 >= least_mps2))
+        return np.asarray(is_probable & (needed_mps2 >= least_mps2))
 
     def _cuts_in(self, encounter: Encounter, since_beside_s: FloatArray) -> BoolArray:
         """(K,) whether an object moves from the side into the ego path at a short headway."""

@@ -59,11 +59,11 @@ class WarningSettings:
     person_probability: float = 0.2
     off_probability: float = 0.1
     min_on_s: float = 0.2
-    uncertain_on_s: float = 0.8
+    uncertain_on_s: float = 1.0
     certain_share: float = 0.055
     min_off_s: float = 0.5
     min_closing_mps: float = 2.5
-    min_track_s: float = 0.4
+    min_track_s: float = 0.5
     min_person_s: float = 0.1
     max_closing_sigma_mps: float = 2.0
     cut_in_headway_s: float = 0.6
@@ -71,7 +71,7 @@ class WarningSettings:
     cut_in_ahead_s: float = 1.0
     cut_in_probability: float = 0.8
     max_cut_in_mps: float = 1.5
-    drift_s: float = 1.0
+    drift_s: float = 0.6
     front_m: float = 1.5
     ego_width_m: float = 1.8
     ego_length_m: float = 4.2

@@ -30,18 +30,19 @@ def drive(
     *,
     seconds: float,
     ego_mps: float = math.nan,
-    yaw_rad_s: float = math.nan,
+    yaw_rad_s: float | Callable[[float], float] = math.nan,
     class_id: int = CAR,
     width_m: float = 1.8,
     settings: WarningSettings | None = None,
 ) -> list[Warnings]:
-    """Warnings of all frames with one object, measured with 2 % of noise in distance and 0.5 px in the box."""
+    """Warnings of all frames with one object, measured with 1 % of noise in distance and 0.5 px in the box."""
     rng = np.random.default_rng(3)
     filters, lateral = DistanceFilters({"fused": 0.9}), LateralFilters(CAMERA)
     warning, ids = CollisionWarning(settings), np.array([1])
     results = []
     for time_s in np.arange(0, seconds, STEP_S).tolist():
         x_m, z_m = path(time_s)
+        yaw = yaw_rad_s(time_s) if callable(yaw_rad_s) else yaw_rad_s
         middle, half = 620.0 + 700.0 * x_m / z_m, 350.0 * width_m / z_m
         box: FloatArray = np.array([[middle - half, 187.0, middle + half, 187.0 + 1000.0 / z_m]])
         tracks = Tracks(ids, box + rng.normal(0, 0.5, (1, 4)), np.array([class_id]), np.ones(1), np.ones(1, bool))
@@ -49,8 +50,8 @@ def drive(
         measured = {"fused": Ranges(ids, np.array([distance_m]), np.array([0.01 * z_m]))}
         motion = filters.update(measured, time_s, ego_speed_mps=ego_mps)["fused"]
         own_mps = motion.state.v + ego_mps if math.isfinite(ego_mps) else 0.0
-        side = lateral.update(tracks, motion.ranges.distance_m, time_s, yaw_rad_s=yaw_rad_s, own_mps=own_mps)
-        results.append(warning.update(tracks, motion, side, time_s, ego_mps=ego_mps, yaw_rad_s=yaw_rad_s))
+        side = lateral.update(tracks, motion.ranges.distance_m, time_s, yaw_rad_s=yaw, own_mps=own_mps)
+        results.append(warning.update(tracks, motion, side, time_s, ego_mps=ego_mps, yaw_rad_s=yaw))
     return results
 
 
@@ -114,6 +115,47 @@ def test_car_in_the_path_in_a_bend() -> None:
     path = standing_in_a_bend(8.0, 1 / 60, z_m=38.0, x_m=60 - math.sqrt(60**2 - 38**2))
     results = drive(path, seconds=5.0, ego_mps=8.0, yaw_rad_s=8.0 / 60)
     assert first_alarm_s(results) < math.inf
+
+
+def test_path_at_the_entry_of_a_bend() -> None:
+    """The yaw rate grows by 0.04 rad/s per second: a circle would miss a car in the path 25 m ahead by 1 m."""
+    step_s, V = 0.01, 10.0
+    heading = 0.02 * np.arange(0, 6, step_s) ** 2
+    x_m, z_m = np.cumsum(V * step_s * np.sin(heading)), np.cumsum(V * step_s * np.cos(heading))
+
+    def path(time_s: float) -> tuple[float, float]:
+        now = round(time_s / step_s)
+        dx, dz, turned = x_m[500] - x_m[now], z_m[500] - z_m[now], heading[now]
+        return dx * math.cos(turned) - dz * math.sin(turned), dx * math.sin(turned) + dz * math.cos(turned)
+
+    results = drive(path, seconds=3.0, ego_mps=V, yaw_rad_s=lambda time_s: 0.04 * time_s)
+    assert abs(results[25].path_offset_m[0]) < 0.5
+
+
+def test_person_who_appears_late() -> None:
+    """First seen 1.6 s before the contact; people hardly walk along the road, so the closing speed is known at once."""
+    results = drive(
+        lambda t: (2.5 - 1.5 * t, 17.5 - 10 * t), seconds=1.5, ego_mps=10.0, yaw_rad_s=0.0, class_id=PERSON, width_m=0.5
+    )
+    assert first_alarm_s(results) <= 0.6
+
+
+def test_vehicle_that_stops_in_a_queue() -> None:
+    """At 4.5 m/s, the vehicle 12 m ahead brakes with 2 m/s2 after 2 s; the ego vehicle can still brake gently."""
+
+    def path(time_s: float) -> tuple[float, float]:
+        return 0.0, 13.5 - max(time_s - 2.0, 0.0) ** 2
+
+    assert first_alarm_s(drive(path, seconds=3.6, ego_mps=4.5, yaw_rad_s=0.0)) == math.inf
+
+
+def test_track_that_changes_to_another_vehicle() -> None:
+    """In a queue, a track jumps from one vehicle to the next nearer one."""
+
+    def path(time_s: float) -> tuple[float, float]:
+        return 0.0, 38.0 if time_s < 2.0 else 28.0 if time_s < 2.6 else 20.0
+
+    assert first_alarm_s(drive(path, seconds=4.0, ego_mps=4.5, yaw_rad_s=0.0)) == math.inf
 
 
 def test_cut_in_at_a_short_headway() -> None:
