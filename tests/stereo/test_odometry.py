@@ -198,3 +198,20 @@ def test_speed_of_rendered_drive(scenario):
             assert abs(error_mps) < 0.15 + 0.03 * true_mps
             errors.append(error_mps / motion.speed_sigma_mps)
     assert 0.001 < float(np.median(np.abs(errors))) < 2.5
+
+
+@pytest.mark.slow
+def test_yaw_rate_in_curve_with_lane_lines():
+    """Corners on the lane lines of a curve stay in place in the image, which would hide a quarter of the yaw rate."""
+    scene = make_scenario("city", seed=1, seconds=6)
+    renderer = Renderer(scene, kitti_like_rig(width_px=620, height_px=188))
+    motion, errors, yaw_rad_s = ImageMotionEstimator(renderer.rig.left), [], []
+    for k in range(25, 55):
+        boxes = label_scene(scene, [k / 10], camera=renderer.rig.left).xyxy_px
+        measured = motion.update(renderer.render(k / 10), k / 10, boxes)
+        if k > 30:
+            yaw_rad_s.append((scene.pose(k / 10).yaw_rad - scene.pose((k - 1) / 10).yaw_rad) / 0.1)
+            errors.append(measured.yaw_rad_s - yaw_rad_s[-1])
+    assert np.mean(yaw_rad_s) > 0.01
+    assert abs(np.mean(errors)) < 0.1 * np.mean(yaw_rad_s)
+    assert np.percentile(np.abs(errors), 90) < 0.005
