@@ -335,9 +335,7 @@ class CollisionWarning:
         if not is_probable.any():
             return np.asarray(is_probable)
         needed_mps2 = needed_deceleration(encounter, settings.reaction_s)
-        braking_mps2 = max(-self._ego.acceleration_mps2, 0.0)
-        least_mps2 = max(settings.min_deceleration_mps2, braking_mps2 + settings.deceleration_margin_mps2)
-        return np.asarray(is_probable & (needed_mps2 >= least_mps2))
+        return np.asarray(is_probable & (needed_mps2 >= settings.min_deceleration_mps2))
 
     def _cuts_in(self, encounter: Encounter, since_beside_s: FloatArray) -> BoolArray:
         """(K,) whether an object moves from the side into the ego path at a short headway."""
