@@ -7,15 +7,15 @@ Protocol: simulated drives at 10 frames per second with exact boxes of road user
 (grey) against its poses; the yaw rates of its first 12 poses are not used, as they are interpolated: they are constant
 to four digits, where the images turn by up to 0.02 rad/s. The first frame has no motion. Errors of the speed are
 relative, at true speeds above 3 m/s; coverage is the fraction of these frames with a speed; sigmas is the rms error in
-units of its sigma; ms is the median time of the process per frame, on one thread, and includes the small image and the
-corners, which the tracker shares in a run.
+units of its sigma; ms is the median time of the process per frame, on one thread, in addition to the tracker's camera
+motion, whose small image, corners and flow the methods share as in a run.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -27,6 +27,7 @@ import numpy as np
 from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.simulated_drives import FPS, SimulatedDrive
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.ranging.ego_speed import open_ego_speed
 from track_range.simulation.world.scenario_names import SCENARIO_NAMES
 from track_range.simulation.world.truth import label_scene
@@ -41,6 +42,7 @@ from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 from track_range.stereo.rig_formats.reading import load_rig
+from track_range.tracking.camera_motion import CameraMotion
 
 MIN_SPEED_MPS = 3.0
 """Smallest true speed of a relative error."""
@@ -85,8 +87,8 @@ class _ImageOdometry:
 
     source = "the images"
 
-    def __init__(self, camera: PinholeCamera) -> None:
-        self._estimator = ImageMotionEstimator(camera)
+    def __init__(self, camera: PinholeCamera, flow: BackgroundFlow) -> None:
+        self._estimator = ImageMotionEstimator(camera, flow=flow)
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
         """Motion since the previous frame."""
@@ -189,19 +191,25 @@ def _images(path: Path) -> list[Image]:
 
 
 def _rows(drive: OdometryDrive) -> list[dict[str, Any]]:
-    return [
-        _row(drive, "stereo", StereoOdometry(drive.rig, drive.alignment)),
-        _row(drive, "ground", GroundOdometry(drive.rig.left, drive.height_m)),
-        _row(drive, "image", _ImageOdometry(drive.rig.left)),
-    ]
+    camera = drive.rig.left
+    methods: dict[str, Callable[[BackgroundFlow], Odometry]] = {
+        "stereo": lambda flow: StereoOdometry(drive.rig, drive.alignment, flow=flow),
+        "ground": lambda flow: GroundOdometry(camera, drive.height_m, flow=flow),
+        "image": lambda flow: _ImageOdometry(camera, flow),
+    }
+    return [_row(drive, name, create) for name, create in methods.items()]
 
 
-def _row(drive: OdometryDrive, name: str, odometry: Odometry) -> dict[str, Any]:
+def _row(drive: OdometryDrive, name: str, create: Callable[[BackgroundFlow], Odometry]) -> dict[str, Any]:
     """Figures of one method on one drive, which are printed."""
     motions, times_s = [], []
+    flow = BackgroundFlow()
+    tracker_motion, odometry = CameraMotion(flow=flow), create(flow)
     for frame in drive.frames:
+        xyxy_px = drive.boxes[frame.index] if drive.boxes else np.zeros((0, 4))
+        tracker_motion.update(frame.left, xyxy_px, frame.time_s)
         start_s = time.process_time()
-        motions.append(odometry.update(frame, drive.boxes[frame.index] if drive.boxes else np.zeros((0, 4))))
+        motions.append(odometry.update(frame, xyxy_px))
         times_s.append(time.process_time() - start_s)
     speed_mps = np.array([motion.speed_mps for motion in motions])[1:]
     sigma_mps = np.array([motion.speed_sigma_mps for motion in motions])[1:]
