@@ -41,6 +41,7 @@ def error_line(outcome: tuple[int, str, str], status: int = 1) -> str:
     return outcome[2]
 
 
+@pytest.mark.slow
 def test_one_camera(boards, tmp_path, cli):
     out, figures = tmp_path / "new" / "rig.yaml", tmp_path / "f.json"
     status, printed, errors = cli(
