@@ -165,12 +165,16 @@ def measure(options: Namespace) -> dict[str, Any]:
         for number, source in enumerate(("rendered", "model")):
             boxes = joined([part[number][0] for part in parts])
             tracks = sum((part[number][1] for part in parts), TrackErrors())
-            figures[f"{source}, {name}"] = {**_statistics(boxes), **tracks.figures()}
+            figures[f"{source},\n{name}"] = {**_statistics(boxes), **tracks.figures()}
     table = plain_table("errors of boxes and tracks", "figure", *figures)
     for figure in dict.fromkeys(name for column in figures.values() for name in column):
-        table.add_row(figure, *(figure_text(column.get(figure), digits=3) for column in figures.values()))
+        table.add_row(figure, *(_text(column.get(figure)) for column in figures.values()))
     Console().print(table)
-    return figures
+    return {name.replace("\n", " "): column for name, column in figures.items()}
+
+
+def _text(value: float | None) -> str:
+    return figure_text(value, digits=3 if value is None or value < 10 else 0)
 
 
 def _drive_errors(options: Namespace, seed: int) -> tuple[tuple[Matched, TrackErrors], tuple[Matched, TrackErrors]]:

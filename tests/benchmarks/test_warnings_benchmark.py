@@ -115,8 +115,8 @@ def test_curve_for_the_report(tmp_path):
 def test_track_errors_add_up():
     one = TrackErrors(seconds=36.0, n_tracks=3, false_tracks=[[1.5, 1.0, 0.2, 0.5, 0.3]])
     figures = (one + TrackErrors(seconds=36.0, n_tracks=1)).figures()
-    assert figures["tracks per hour"] == pytest.approx(200)
-    assert figures["false tracks over 1 s per hour, both"] == pytest.approx(50)
+    assert figures["tracks per h"] == pytest.approx(200)
+    assert figures["false tracks > 1 s per h, both"] == pytest.approx(50)
 
 
 def test_tracks_of_a_short_drive():

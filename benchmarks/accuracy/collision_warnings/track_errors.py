@@ -89,24 +89,24 @@ class TrackErrors:
         is_in_lane = np.abs(rows[:, 3]) < LANE_M
         return {
             **{
-                f"boxes without an object per frame, score > {s}": n / n_frames
+                f"false boxes per frame, score > {s}": n / n_frames
                 for s, n in zip(SCORES, self.false_boxes, strict=True)
             },
             **{
                 f"second boxes per frame, score > {s}": n / n_frames
                 for s, n in zip(SCORES, self.second_boxes, strict=True)
             },
-            "false tracks per hour": len(rows) / hours,
-            "false tracks over 1 s per hour": is_long.sum() / hours,
-            "false tracks over 1 s per hour, consistent stereo": is_steady.sum() / hours,
-            "false tracks over 1 s per hour, in the lane": (is_long & is_in_lane).sum() / hours,
-            "false tracks over 1 s per hour, both": (is_steady & is_in_lane).sum() / hours,
-            "false tracks per hour, probability over 0.1": (rows[:, 4] > 0.1).sum() / hours,
-            "tracks per hour": self.n_tracks / hours,
+            "false tracks per h": len(rows) / hours,
+            "false tracks > 1 s per h": is_long.sum() / hours,
+            "false tracks > 1 s per h, steady stereo": is_steady.sum() / hours,
+            "false tracks > 1 s per h, in the lane": (is_long & is_in_lane).sum() / hours,
+            "false tracks > 1 s per h, both": (is_steady & is_in_lane).sum() / hours,
+            "false tracks per h, probability > 0.1": (rows[:, 4] > 0.1).sum() / hours,
+            "tracks per h": self.n_tracks / hours,
             "tracks with several objects, %": 100 * self.n_mixed / max(self.n_tracks, 1),
-            "changes of a track's object per hour, neighbours": self.n_neighbours / hours,
-            "changes of a track's object per hour, after a gap": self.n_later / hours,
-            "changes of an object's track per object-hour": self.n_switches / max(self.n_rows, 1) * FPS * 3600,
+            "tracks that change to a neighbour, per h": self.n_neighbours / hours,
+            "tracks that change after a gap, per h": self.n_later / hours,
+            "identity switches per object-hour": self.n_switches / max(self.n_rows, 1) * FPS * 3600,
             "objects with two tracks, %": 100 * self.n_second / max(self.n_rows, 1),
             **{
                 f"first track of a {name}, median m": float(np.median(values)) if values else None
