@@ -59,11 +59,11 @@ def printing(content, then="exit 0"):
 
 def test_file_of_an_unknown_format(program, video, tmp_path):
     program(f'echo "$@" > {tmp_path}/arguments\n' + printing(RECORDS, "exit 1"))
-    (found,) = candidates([part(video, duration_s=12.0)])
-    assert found.notes == ()
-    assert found.track.source == f"ExifTool in {video.name}"
-    assert found.track.speed_mps == pytest.approx([10.0] * 12)
-    assert found.track.time_s[:2] == pytest.approx([0.0, 1.001])
+    (telemetry,) = candidates([part(video, duration_s=12.0)])
+    assert telemetry.notes == ()
+    assert telemetry.track.source == f"ExifTool in {video.name}"
+    assert telemetry.track.speed_mps == pytest.approx([10.0] * 12)
+    assert telemetry.track.time_s[:2] == pytest.approx([0.0, 1.001])
     arguments = (tmp_path / "arguments").read_text()
     assert arguments.startswith("-ee3 -n -j -G3 -api largefilesupport=1 ")
     assert arguments.endswith(f"{video}\n")
