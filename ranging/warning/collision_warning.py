@@ -36,6 +36,7 @@ from track_range.ranging.warning.contact import (
     overlap_probability,
     stop_s,
 )
+from track_range.ranging.warning.ego_trend import INITIAL_ACCELERATION_MPS2, JERK_NOISE, MAX_GAP_S, EgoTrend
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.warning.warnings import Warnings
 from track_range.tracking.tracks import Tracks
@@ -44,29 +45,14 @@ _PERSON = ROAD_CLASSES.index("person")
 _IN_THE_WAY = np.array([name not in ("traffic light", "traffic sign") for name in ROAD_CLASSES])
 """(road classes,) whether objects of the class can be in the way."""
 
-_MAX_GAP_S = 1.0
-"""Longest time without a distance in s; after it a track counts as new."""
-
-_JERK_NOISE = 2.0
-"""Process noise: random walk of accelerations in m/s^2 per square root of a second."""
-
 _RATE_FACTOR = 2.0
 """Factor on the variance of filtered rates, whose errors are correlated between frames."""
-
-_INITIAL_ACCELERATION_MPS2 = 1.0
-"""Standard deviation of the acceleration of a new track."""
 
 _JUMP_SIGMA = 3.0
 """Change of an object's speed in standard deviations above which the track now is on another object."""
 
 _MAX_SPEED_MPS, _MAX_ACCELERATION_MPS2 = 70.0, 15.0
 """Largest speed and acceleration of road users, m/s and m/s^2; above, the track is wrong."""
-
-_EGO_SPEED_SIGMA_MPS = 0.1
-"""Standard deviation of a value of the ego speed, m/s."""
-
-_INITIAL_YAW_RAD_S2 = 0.03
-"""Standard deviation of the change of the yaw rate at the start, rad/s^2."""
 
 _MAX_LAG_S = 0.6
 """Largest lag of a distance filter that is corrected, s."""
@@ -82,18 +68,6 @@ _MOVING_MPS = 8.0
 
 _GATE_SIGMA = 6.0
 """Lateral speed in standard deviations of the prior and its error above which the prior does not apply."""
-
-_BENDS_S = 5.0
-"""Time constant of the mean square of the lateral acceleration, s."""
-
-_INITIAL_LATERAL_MPS2 = 0.5
-"""Root mean square of the lateral acceleration at the start of a drive, m/s^2."""
-
-_TYPICAL_SPEED_MPS = 12.0
-"""Speed assumed for the curvature if the yaw rate is known but not the speed, m/s."""
-
-_MIN_SPEED_MPS = 2.0
-"""Smallest speed for the curvature, m/s."""
 
 _BESIDE_S = 4.0
 """Longest time since a vehicle was beside the path for a cut-in, s: that of a slow lane change."""
@@ -128,7 +102,7 @@ class CollisionWarning:
         initial = np.full(_N_STATE, np.nan)
         initial[-1] = 0.0
         self._tracks = TrackState(initial)
-        self._ego = _EgoTrend(self.settings)
+        self._ego = EgoTrend(self.settings)
 
     def update(
         self,
@@ -156,7 +130,7 @@ class CollisionWarning:
         is_person = tracks.class_id == _PERSON
         measured = self._with_walking_speed(motion.state, is_person)
         is_known = np.isfinite(measured.x) & np.isfinite(lateral.state.x)
-        is_stale = ~(time_s - last_s <= _MAX_GAP_S)
+        is_stale = ~(time_s - last_s <= MAX_GAP_S)
         certain_speed = measured.P_vv <= settings.max_closing_sigma_mps**2
         drifting = measured.P_vv + (motion.ranges.sigma_m / settings.drift_s) ** 2
         measured = ConstantVelocity(measured.x, measured.v, measured.P_xx, measured.P_xv, drifting)
@@ -194,7 +168,7 @@ class CollisionWarning:
         last_s = np.where(is_known, time_s, last_s)
         state_s.fill(time_s)
         new = np.array([*_columns(own), state_s, certain_s, last_s, beside_s, since_s, active])
-        is_recent = time_s - self._tracks.known[_LAST_S] <= _MAX_GAP_S
+        is_recent = time_s - self._tracks.known[_LAST_S] <= MAX_GAP_S
         self._tracks.put(tracks.track_id, new, keep_known=is_recent)
         return Warnings(probability, active, offset.x)
 
@@ -215,7 +189,7 @@ class CollisionWarning:
             is_known: whether the distance is known.
             is_stale: whether it was unknown for too long before.
         """
-        predicted = trend.predict(dt, q=_JERK_NOISE**2)
+        predicted = trend.predict(dt, q=JERK_NOISE**2)
         u, R = measured.v + self._ego.speed_mps, _RATE_FACTOR * measured.P_vv
         nu = u - predicted.x
         is_same = nu * nu <= _JUMP_SIGMA**2 * (predicted.P_xx + R)  # False for NaN
@@ -223,7 +197,7 @@ class CollisionWarning:
         state = predicted.update(nu, R, valid=is_known)
         if starts.any():
             zero = np.zeros_like(u)
-            initial = (u, zero, R, zero, zero + _INITIAL_ACCELERATION_MPS2**2)
+            initial = (u, zero, R, zero, zero + INITIAL_ACCELERATION_MPS2**2)
             columns = (np.where(starts, new, old) for new, old in zip(initial, _columns(state), strict=True))
             state = ConstantVelocity(*columns)
         return state, starts
@@ -414,68 +388,3 @@ def _without_lag(gap: ConstantVelocity, a: FloatArray, a_variance: FloatArray) -
         gap.P_xv + a_variance * T**3 / 2,
         gap.P_vv + a_variance * T * T,
     )
-
-
-class _EgoTrend:
-    """Speed, acceleration and yaw rate of the ego vehicle.
-
-    Attributes:
-        speed_mps: speed; 0 = unknown.
-        acceleration_mps2: its change; 0 = unknown.
-        path_mps: speed for the shape of the path, never 0.
-        yaw: yaw rate w and its change w', rad/s and rad/s^2, with their covariance.
-        yaw_noise: growth of the variance of w' per second.
-        has_speed, has_yaw: whether speed and yaw rate are known.
-    """
-
-    def __init__(self, settings: WarningSettings) -> None:
-        self._settings = settings
-        self.speed_mps = self.acceleration_mps2 = self.yaw_noise = 0.0
-        self.path_mps = _TYPICAL_SPEED_MPS
-        self.has_speed = self.has_yaw = False
-        self._speed: ConstantVelocity | None = None
-        self.yaw = _state(0.0, 0.0, 0.0)
-        self._lateral_mps2 = _INITIAL_LATERAL_MPS2
-        self._time_s = -math.inf
-
-    def update(self, time_s: float, speed_mps: float, yaw_rad_s: float) -> None:
-        """Update with the values of a frame; NaN = unknown."""
-        dt = time_s - self._time_s
-        self._time_s = time_s
-        self._update_speed(dt, speed_mps)
-        self.path_mps = max(speed_mps, _MIN_SPEED_MPS) if self.has_speed else _TYPICAL_SPEED_MPS
-        self._update_yaw(dt, yaw_rad_s)
-
-    def _update_speed(self, dt: float, speed_mps: float) -> None:
-        was_known, self.has_speed = self.has_speed, math.isfinite(speed_mps)
-        R = _EGO_SPEED_SIGMA_MPS**2
-        if not self.has_speed:
-            self._speed = None
-        elif self._speed is None or not was_known or dt > _MAX_GAP_S:
-            self._speed = _state(speed_mps, R, _INITIAL_ACCELERATION_MPS2**2)
-        else:
-            predicted = self._speed.predict(dt, q=_JERK_NOISE**2)
-            self._speed = predicted.update(speed_mps - predicted.x, R)
-        self.acceleration_mps2 = 0.0 if self._speed is None else float(self._speed.v)
-        self.speed_mps = speed_mps if self.has_speed else 0.0
-
-    def _update_yaw(self, dt: float, yaw_rad_s: float) -> None:
-        settings, V = self._settings, self.path_mps
-        was_known, self.has_yaw = self.has_yaw, math.isfinite(yaw_rad_s)
-        self.yaw_noise = ((settings.lateral_jerk_noise + settings.winding_noise * self._lateral_mps2) / V) ** 2
-        R = settings.yaw_sigma_rad_s**2
-        if not self.has_yaw:
-            self.yaw = _state(0.0, (settings.unknown_lateral_mps2 / V) ** 2, 0.0)
-        elif not was_known or dt > _MAX_GAP_S:
-            self.yaw = _state(yaw_rad_s, R, _INITIAL_YAW_RAD_S2**2)
-        else:
-            predicted = self.yaw.predict(dt, q=self.yaw_noise)
-            self.yaw = predicted.update(yaw_rad_s - predicted.x, R)
-            decay = math.exp(-dt / _BENDS_S)
-            square = decay * self._lateral_mps2**2 + (1 - decay) * float(self.yaw.x * V) ** 2
-            self._lateral_mps2 = math.sqrt(square)
-
-
-def _state(x: float, P_xx: float, P_vv: float) -> ConstantVelocity:
-    """The state of a value without a rate."""
-    return ConstantVelocity(*(np.array(value) for value in (x, 0.0, P_xx, 0.0, P_vv)))
