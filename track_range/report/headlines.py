@@ -10,7 +10,7 @@ import numpy as np
 from track_range.events.event import Event
 from track_range.foundation.arrays import BoolArray
 from track_range.report import tables
-from track_range.report.content.events import kind_counts, object_words, time_words
+from track_range.report.content.events import kind_counts, object_words, sigma_words, time_words
 from track_range.report.content.road import is_on_course
 from track_range.report.content.series import column
 from track_range.results.columns import Columns
@@ -74,7 +74,7 @@ def _nearest_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
         return _headline("No distance", "no distance to a road user was measured")
     row = int(rows[np.argmin(distance_m[rows])])
     sigma_m = column(columns, "fused_sigma_m")[row]
-    uncertainty = f" (± {sigma_m:.1f} m)" if np.isfinite(sigma_m) else ""
+    uncertainty = f" (± {sigma_words(sigma_m)} m)" if np.isfinite(sigma_m) else ""
     return _headline(
         f"{distance_m[row]:.1f} m", f"smallest distance{uncertainty}: {_moment(columns, row)}", _time_s(columns, row)
     )

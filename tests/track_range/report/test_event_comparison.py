@@ -10,7 +10,14 @@ import pytest
 
 from track_range.events.event import Event
 from track_range.report.comparison import ComparedRun, event_grids, event_sentence
-from track_range.report.content.events import clips_of, event_details, kind_counts, shown_events, time_words
+from track_range.report.content.events import (
+    clips_of,
+    event_details,
+    kind_counts,
+    shown_events,
+    sigma_words,
+    time_words,
+)
 from track_range.report.event_comparison import event_differences
 from track_range.report.headlines import headlines
 
@@ -148,6 +155,11 @@ def test_most_severe_events_are_shown() -> None:
     shown = shown_events(events)
     assert len(shown) == 500
     assert shown[0].start_s == 100.0
+
+
+@pytest.mark.parametrize(("sigma_m", "words"), [(0.0, "0.01"), (0.019, "0.02"), (0.0951, "0.1"), (2.34, "2.3")])
+def test_small_sigmas_are_not_zero(sigma_m: float, words: str) -> None:
+    assert sigma_words(sigma_m) == words
 
 
 def test_headlines_of_events() -> None:

@@ -49,7 +49,8 @@ def measurements(event: Event) -> list[str]:
     """Measurements of an event in words; unknown ones are omitted."""
     distance = ""
     if math.isfinite(event.min_distance_m):
-        sigma = f" ± {event.min_distance_sigma_m:.1f}" if math.isfinite(event.min_distance_sigma_m) else ""
+        sigma_m = event.min_distance_sigma_m
+        sigma = f" ± {sigma_words(sigma_m)}" if math.isfinite(sigma_m) else ""
         distance = f"{event.min_distance_m:.1f}{sigma} m"
     parts = [
         distance,
@@ -60,6 +61,11 @@ def measurements(event: Event) -> list[str]:
         f"contact {100 * event.probability:.0f} %" if math.isfinite(event.probability) else "",
     ]
     return [part for part in parts if part]
+
+
+def sigma_words(sigma_m: float) -> str:
+    """A standard deviation in m: centimetres below 10 cm, so that a small one is not shown as 0.0."""
+    return f"{sigma_m:.1f}" if sigma_m >= 0.095 else f"{max(sigma_m, 0.01):.2f}"
 
 
 def time_words(time_s: float) -> str:
