@@ -1,7 +1,8 @@
 """on_video_clock: telemetry with its times in seconds from the first frame of a video file.
 
 times of the video                      directly
-UTC or local time, video with UTC       the difference of the clocks; whole time zones are tried where no time fits
+UTC or local time, video with UTC       the difference of the clocks; where no time fits, whole time zones are tried,
+                                        unless the user states the time of the video
 UTC or local time, video without        from the start of the video, if both have the same length
 """
 
@@ -75,7 +76,7 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> VideoClock:
     starts_s = _possible_starts_s(part)
     is_local = track.clock == "local" or part.utc.is_local
     fits = [(0.0, start_s) for start_s in starts_s if _covered(track.time_s - start_s, part.duration_s) > 0]
-    if is_local or not fits:
+    if is_local or not (fits or part.utc.is_stated):
         zones = [3600.0 * hours for hours in sorted(ZONES_H, key=abs)]
         fits = [
             (zone_s, start_s)

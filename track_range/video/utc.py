@@ -48,6 +48,10 @@ _SHORT_TIME_IN_NAME = re.compile(
 """The same with a year of two digits, 2010 to 2049, as Nextbase and 70mai write it: 260131_142530."""
 
 
+_STATED = "--start-utc"
+"""Source of a time that the user states."""
+
+
 @dataclass(frozen=True, slots=True)
 class UtcStart:
     """UTC of a recording's first frame.
@@ -63,6 +67,11 @@ class UtcStart:
     source: str
     uncertainty_s: float | None
     is_local: bool = False
+
+    @property
+    def is_stated(self) -> bool:
+        """Whether the user states it."""
+        return self.source == _STATED
 
     def summary(self) -> dict[str, Any]:
         """Section `utc` of summary.json."""
@@ -109,7 +118,7 @@ def parsed_utc(text: str) -> UtcStart:
     moment = _parsed(text)
     if moment is None:
         raise ValueError(f"expected a date and time such as 2026-01-31T14:25:30.000Z, got {quoted(text)}")
-    return UtcStart(moment.timestamp(), "--start-utc", None)
+    return UtcStart(moment.timestamp(), _STATED, None)
 
 
 def stamp_in_header(metadata: Mapping[str, str]) -> Stamp | None:

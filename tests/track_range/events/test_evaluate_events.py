@@ -364,6 +364,18 @@ def test_contacts_of_a_file(tmp_path):
     assert read_contacts(path) == (Contact(0, "car", 3.25),)
 
 
+@pytest.mark.parametrize("name", ["run/events.csv", "drive/contacts.csv"])
+def test_inputs_are_not_replaced(drive, name):
+    before = (drive / name).read_bytes()
+    done = run_command(
+        "evaluate", "events", "--events", drive / "run", "--truth", drive / "drive/contacts.csv", "--json",
+        drive / name,
+    )  # fmt: skip
+    assert done.status != 0
+    assert name in done.stderr
+    assert (drive / name).read_bytes() == before
+
+
 def test_command(drive):
     done = run_command(
         "evaluate", "events", "--events", drive / "run", "--truth", drive / "drive/contacts.csv", "--json",

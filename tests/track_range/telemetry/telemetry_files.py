@@ -36,7 +36,7 @@ def rmc(second, speed_kn, *, status="A", day="030526", course="90.0", hour=10):
     return f"${content}*{total:02X}"
 
 
-def part(path="drive.mp4", *, duration_s=20.0, start_s=START_S, uncertainty_s=1.0, is_local=False):
+def part(path="drive.mp4", *, duration_s=20.0, start_s=START_S, uncertainty_s=1.0, is_local=False, source="test"):
     """A video file that starts at `start_s`, None = unknown."""
-    utc = None if start_s is None else UtcStart(start_s, "test", uncertainty_s, is_local)
+    utc = None if start_s is None else UtcStart(start_s, source, uncertainty_s, is_local)
     return VideoPart(Path(path), 0.0, duration_s, utc)

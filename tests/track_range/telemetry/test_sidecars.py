@@ -102,6 +102,9 @@ def srt(*texts):
         ("F/2.8, SS 206, ISO 150, GPS (-122.3699, 37.5929, 14), D 2.75m, H 2.5m, H.S 5.00m/s, V.S 9.00m/s", 5.0),
         ("2026-05-03 10:00:00 N48.1 E9.6 36 km/h", 10.0),
         ("Speed: 10 MPH", 4.4704),
+        ("43,2 km/h", 12.0),
+        ("Limit 50 km/h Speed 36 km/h", 10.0),
+        ("Wind: 5.0 m/s, max 120 km/h, accel 9.8 m/s2, 36 km/h", 10.0),
         ('<font size="28">speed 7.5 m/s</font>', 7.5),
         (rmc(0, 10), 5.1444),
     ],
@@ -127,6 +130,7 @@ def test_srt_without_unit(tmp_path):
     ("header", "rows", "clock"),
     [
         ("time_s,Speed (km/h)", ["0,36", "1,36"], "video"),
+        ("time_s,max_speed_kmh,lead_speed_mps,speed_kmh", ["0,90,9,36", "1,90,9,36"], "video"),
         ("timestamp,speed_mps,lat,lon", [f"{START_S:.0f},10,1,1", f"{START_S + 1:.0f},10,1,1"], "utc"),
         ("utc,GPS speed [kn]", ["2026-05-03T10:00:00Z,19.4384", "2026-05-03T10:00:01Z,19.4384"], "utc"),
         ("date,speed_mph", ["2026/05/03 10:00:00,22.3694", "2026/05/03 10:00:01,22.3694"], "local"),

@@ -30,6 +30,11 @@ def test_time_zone_is_corrected_and_noted(zone_h):
     assert f"{zone_h:+g} h" in result.notes[0]
 
 
+def test_no_time_zone_where_the_user_states_the_time():
+    with pytest.raises(TelemetryError, match="another drive"):
+        on_video_clock(track(START_S + 7200), part(source="--start-utc"))
+
+
 def test_local_time_of_the_video():
     result = on_video_clock(track(START_S + 1), part(start_s=START_S + 7200, is_local=True, uncertainty_s=50400))
     assert result.track.time_s[0] == 1.0

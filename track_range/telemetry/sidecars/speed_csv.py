@@ -24,7 +24,10 @@ from track_range.telemetry.sidecars.units import MPS_PER_UNIT, unit_in
 from track_range.telemetry.track import Clock, TelemetryTrack
 
 _SPEED = re.compile(r"speed|velocity|(?<![a-z])v(?:el)?_(?:mps|kmh)")
-_NOT_SPEED = re.compile(r"vertical|3d|accuracy|limit|wind|sigma|error|z.?speed|angular|fan|engine|rpm|unit")
+_NOT_SPEED = re.compile(
+    r"vertical|3d|accuracy|limit|wind|sigma|error|z.?speed|angular|fan|engine|rpm|unit|"
+    r"max|avg|average|target|lead|diff|delta|cruise|allowed|(?<![a-z])set(?![a-z])"
+)
 _LATITUDE, _LONGITUDE = (
     re.compile(r"(?<![a-z])lat(?:itude)?(?![a-z])"),
     re.compile(r"(?<![a-z])(?:lon|lng|long)(?:gitude|itude)?(?![a-z])"),

@@ -25,9 +25,13 @@ _VERTICAL = re.compile(r"\b[VW]\.?S\.?\s*:?\s*[-+]?[\d.]+\s*m/s", re.IGNORECASE)
 """Vertical speed or wind of a drone."""
 
 _HORIZONTAL = re.compile(r"\bH\.?S\.?\s*:?\s*([\d.]{1,10})\s*m/s", re.IGNORECASE)
-_WITH_UNIT = re.compile(
-    r"(?<![\d.])(\d{1,3}(?:\.\d{1,6})?)\s?(km\s?/\s?h|kmh|kmph|kph|mph|mi/h|m/s|knots?|kn|kt)(?![a-z])", re.IGNORECASE
+_UNIT = r"(?:km\s?/\s?h|kmh|kmph|kph|mph|mi/h|m/s|knots?|kn|kt)(?![a-z²^]|\s?2\b)"
+_OTHER_SPEED = re.compile(
+    r"\b(?:limit|wind|max(?:imum)?|avg|average|target|set)\b[^\d\n]{0,12}[-+]?[\d.,]+\s?" + _UNIT, re.IGNORECASE
 )
+"""Speed limit, wind, or a mean or largest speed."""
+
+_WITH_UNIT = re.compile(rf"(?<![\d.,])(\d{{1,3}}(?:[.,]\d{{1,6}})?)\s?({_UNIT})", re.IGNORECASE)
 _WITHOUT_UNIT = re.compile(r"\bspeed\s*[:=]\s*(\d{1,3}(?:\.\d{1,6})?)(?![\d.]|\s?[a-z/])", re.IGNORECASE)
 _POSITION = (
     (
@@ -117,13 +121,13 @@ def _cues(text: str) -> Iterable[tuple[float, str]]:
 
 def _fix(text: str) -> Fix:
     """Speed and position in the text of a subtitle; NaN = none."""
-    plain = _VERTICAL.sub(" ", _TAG.sub(" ", text))
+    plain = _OTHER_SPEED.sub(" ", _VERTICAL.sub(" ", _TAG.sub(" ", text)))
     latitude_deg, longitude_deg = _position(plain)
     speed_mps = math.nan
     if horizontal := _HORIZONTAL.search(plain):
         speed_mps = _number(horizontal.group(1))
     elif stated := _WITH_UNIT.search(plain):
-        speed_mps = float(stated.group(1)) * MPS_PER_UNIT[unit_in(stated.group(2)) or "km/h"]
+        speed_mps = float(stated.group(1).replace(",", ".")) * MPS_PER_UNIT[unit_in(stated.group(2)) or "km/h"]
     return Fix(speed_mps=speed_mps, latitude_deg=latitude_deg, longitude_deg=longitude_deg)
 
 
