@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from track_range.cli.commands.evaluate.json_file import check_json_file
 from track_range.cli.console import console, print_grid
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
@@ -31,6 +32,7 @@ class DetectionsOptions(DetectionEvaluationSettings):
 
 
 def _detections(options: DetectionsOptions) -> None:
+    check_json_file(options)
     detector = replace(DetectorOptions.of(options), min_score=None, classes=())  # these two apply to the evaluation
     source = LabelledSource(
         images=options.images,

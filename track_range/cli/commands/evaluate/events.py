@@ -8,15 +8,15 @@ from pathlib import Path
 from statistics import median
 from typing import Annotated, Any
 
+from track_range.cli.commands.evaluate.json_file import check_json_file
 from track_range.cli.console import console, print_grid, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.events.evaluation.evaluate import evaluate_events
 from track_range.events.evaluation.settings import EventEvaluationSettings
-from track_range.events.files import EVENTS_FILE, EVENTS_PARQUET
 from track_range.foundation.options import option
 from track_range.report.tables import Cell, Column, Grid, figure, grid_of
-from track_range.results.output_files import OutputError, write_text
+from track_range.results.output_files import write_text
 
 
 class EventsOptions(EventEvaluationSettings):
@@ -26,7 +26,7 @@ class EventsOptions(EventEvaluationSettings):
 
 
 def _events(options: EventsOptions) -> None:
-    _check_json_file(options)
+    check_json_file(options)
     figures = evaluate_events(options)
     print_notes(console, figures["notes"])
     for grid in (_score_grid(figures), _contact_grid(figures), _closing_grid(figures)):
@@ -34,20 +34,6 @@ def _events(options: EventsOptions) -> None:
             print_grid(console, grid)
     if options.json_file is not None:
         write_text(options.json_file, json.dumps(figures, indent=2, allow_nan=False) + "\n")
-
-
-def _check_json_file(options: EventsOptions) -> None:
-    """Refuse to replace an input by the results."""
-    json_file = options.json_file
-    if json_file is None or not json_file.exists():
-        return
-    inputs = {"events": options.events, "truth": options.truth, "tracks": options.tracks, "boxes": options.boxes}
-    for name, path in inputs.items():
-        if path is None:
-            continue
-        files = [path / EVENTS_FILE, path / EVENTS_PARQUET] if path.is_dir() else [path]
-        if any(file.exists() and json_file.samefile(file) for file in files):
-            raise OutputError(f"{json_file}: expected another file for --json, got that of --{name}; choose a new one.")
 
 
 def _score_grid(figures: Mapping[str, Any]) -> Grid:

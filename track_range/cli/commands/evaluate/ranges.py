@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+from track_range.cli.commands.evaluate.json_file import check_json_file
 from track_range.cli.console import console, print_grid, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
@@ -25,6 +26,7 @@ class RangesOptions(RangeEvaluationSettings):
 
 
 def _ranges(options: RangesOptions) -> None:
+    check_json_file(options)
     figures = evaluate_ranges(options)
     grids = _grids(figures)
     for grid in grids:

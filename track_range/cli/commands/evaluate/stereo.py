@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from track_range.calibration.settings import StereoEvaluationSettings
 from track_range.calibration.stereo_evaluation import evaluate_stereo
+from track_range.cli.commands.evaluate.json_file import check_json_file
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
@@ -26,6 +27,7 @@ class StereoOptions(StereoEvaluationSettings):
 
 
 def _stereo(options: StereoOptions) -> None:
+    check_json_file(options)
     figures = evaluate_stereo(options, partial(step_progress, console))
     _print(figures)
     if options.json_file is not None:
