@@ -33,6 +33,9 @@ LEFT, RIGHT, TRUTH, INSTANCES = "image_2", "image_3", "disp_occ_0", "obj_map"
 MIN_TRUE_PIXELS, MIN_INNER_PIXELS = 100, 20
 """Minimum number of pixels with known disparity of an instance, in total and in the inner half of its box."""
 
+LABELLED_CLASS = "car"
+"""Road class of all labelled objects of the set."""
+
 _STEPS_PER_PX = 256.0
 """Steps of the stored disparities per pixel."""
 
@@ -54,6 +57,7 @@ class StereoPair:
         rig: the rectified rig.
         notes: messages for the user about the rig.
         track_id: (N,) identities of the objects over the frames of a drive; (0,) for unrelated pairs.
+        class_names: N road classes ("car", "person", ...); () = unknown.
     """
 
     name: str
@@ -64,6 +68,7 @@ class StereoPair:
     rig: StereoRig
     notes: tuple[str, ...] = ()
     track_id: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    class_names: tuple[str, ...] = ()
 
     @property
     def x_px(self) -> FloatArray:
@@ -133,7 +138,8 @@ def read_pair(folder: Path, name: str, *, rig: Path | None = None, row_offset_px
         raise RigError(f"{file}: expected a rectified rig for the rectified images of the set; give their rig.")
     boxes, true_px = labelled_instances(truth / _STEPS_PER_PX, instance)
     rectifier = Rectifier(cameras, row_offset_px=row_offset_px, source=file)
-    return StereoPair(name, *rectifier.rectify(_in_colour(left), _in_colour(right)), boxes, true_px, cameras, notes)
+    images = rectifier.rectify(_in_colour(left), _in_colour(right))
+    return StereoPair(name, *images, boxes, true_px, cameras, notes, class_names=(LABELLED_CLASS,) * len(boxes))
 
 
 def labelled_instances(true_px: FloatArray, instance: npt.NDArray[np.integer]) -> tuple[FloatArray, FloatArray]:

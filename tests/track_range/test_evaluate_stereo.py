@@ -105,6 +105,7 @@ def test_objects_of_a_drive(drive):
         ):
             assert box == [float(rows[track_id][edge]) for edge in ("x1", "y1", "x2", "y2")]
             assert object_m == pytest.approx(float(rows[track_id]["distance_m"]))
+        assert pair.class_names == tuple(rows[track_id]["class"] for track_id in pair.track_id.tolist())
 
 
 def test_drive_with_kitti_labels_only(drive, tmp_path):

@@ -13,7 +13,8 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-from track_range.foundation.arrays import BoolArray
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.foundation.arrays import BoolArray, IntArray
 from track_range.ranging.evaluation.errors import BANDS_M
 from track_range.ranging.evaluation.truth import Truth, read_truth
 from track_range.stereo.alignment.model import Alignment
@@ -62,7 +63,13 @@ def read_drive(folder: Path, *, rig: Path | None = None, row_offset_px: float = 
                 rectified,
                 recording.calibration.file_notes,
                 track_id=objects.track_id,
+                class_names=road_class_names(objects.class_id),
             )
+
+
+def road_class_names(class_id: IntArray) -> tuple[str, ...]:
+    """The names of the road classes (N,)."""
+    return tuple(ROAD_CLASSES[number] for number in class_id.tolist())
 
 
 def open_pair(

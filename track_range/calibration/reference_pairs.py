@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from track_range.calibration.drive_pairs import is_drive, open_pair, read_drive
+from track_range.calibration.drive_pairs import is_drive, open_pair, read_drive, road_class_names
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID, are_plausible_boxes
@@ -45,12 +45,14 @@ class _KnownObjects:
         track_id: (N,) id, -1 = unknown.
         xyxy_px: (N, 4) box.
         true_px: (N,) true disparity.
+        class_id: (N,) road class; None = unknown.
     """
 
     frame: IntArray
     track_id: IntArray
     xyxy_px: FloatArray
     true_px: FloatArray
+    class_id: IntArray | None = None
 
 
 def reference_pairs(reference: Path, *, stereo: tuple[Path, Path] | None, rig: Path | None) -> Iterator[StereoPair]:
@@ -102,6 +104,7 @@ def _video_pairs(reference: Path, recording: Recording, rectified: StereoRig) ->
                 rectified,
                 recording.calibration.file_notes,
                 track_id=_ids(known, is_in_frame),
+                class_names=road_class_names(known.class_id[is_in_frame]) if known.class_id is not None else (),
             )
 
 
@@ -116,7 +119,8 @@ def _of_labels(path: Path, recording: Recording, rig: StereoRig) -> _KnownObject
     truth = truth.select((truth.class_id >= 0) & np.isfinite(truth.distance_m))
     if not len(truth):
         raise LabelFileError(f"{path}: expected objects of a road class with a known distance, found none.")
-    return _KnownObjects(truth.frame, truth.track_id, truth.xyxy_px, rig.left.fx_px * rig.baseline_m / truth.distance_m)
+    true_px = rig.left.fx_px * rig.baseline_m / truth.distance_m
+    return _KnownObjects(truth.frame, truth.track_id, truth.xyxy_px, true_px, truth.class_id)
 
 
 def _of_table(path: Path, rig: StereoRig) -> _KnownObjects:
