@@ -55,6 +55,10 @@ _N_DISTORTION_COEFFICIENTS = (0, 4, 5, 8, 12, 14)
 """Possible numbers of distortion coefficients in OpenCV's model."""
 
 
+NO_VERTICAL_PAIRS = "mount them side by side, or run on one video with --mono"
+"""Advice for pairs of cameras one above the other."""
+
+
 @dataclass(frozen=True, slots=True)
 class Calibration:
     """Content of a calibration file in any format.
@@ -66,6 +70,8 @@ class Calibration:
         left_from_reference_m: (3,) translation from the frame of the data set's labels to the left camera's frame;
             zeros except for KITTI.
         notes: messages for the user.
+        unrectified: the cameras of the images before their rectification, if the file has both and they differ in
+            size; the image size decides.
     """
 
     left: PinholeCamera
@@ -73,6 +79,15 @@ class Calibration:
     right_from_left: FloatArray | None
     left_from_reference_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: tuple[str, ...] = ()
+    unrectified: Calibration | None = None
+
+    def of_size(self, size_px: tuple[int, int] | None) -> Calibration:
+        """The cameras of images of `size_px` = (width, height): as recorded or rectified; None = rectified."""
+        if self.unrectified is None or size_px is None or _is_size_of(self.left, size_px):
+            return self
+        raw = self.unrectified.left
+        is_raw = _is_size_of(raw, size_px) or (not _has_aspect_of(self.left, size_px) and _has_aspect_of(raw, size_px))
+        return self.unrectified if is_raw else self
 
 
 def check_rig(rig: StereoRig, source: object) -> None:
@@ -99,7 +114,7 @@ def check_rig(rig: StereoRig, source: object) -> None:
     if abs(y_m) > abs(x_m):
         raise RigError(
             f"{source}: expected cameras side by side, found a translation of {x_m:.3g} m in x and {y_m:.3g} m in y; "
-            "vertical stereo is not supported."
+            f"{NO_VERTICAL_PAIRS}."
         )
     _check_baseline(rig.baseline_m, source)
 
@@ -179,10 +194,10 @@ def fitted_to_size(
         _check_principal_point(camera, size_px, source)
         return replace(camera, width_px=width, height_px=height), ()
     calibrated = (camera.width_px, camera.height_px)
-    if 0 <= calibrated[0] - width <= _CROPPED_PX and 0 <= calibrated[1] - height <= _CROPPED_PX:
+    if _is_size_of(camera, size_px):
         return replace(camera, width_px=width, height_px=height), ()
     scale_x, scale_y = width / calibrated[0], height / calibrated[1]
-    if abs(scale_x / scale_y - 1) > _ASPECT_TOLERANCE:
+    if not _has_aspect_of(camera, size_px):
         raise RigError(
             f"{source}: expected images with the aspect ratio of {calibrated[0]}x{calibrated[1]} px, found {width}x"
             f"{height} px; give the calibration of these images."
@@ -192,6 +207,16 @@ def fitted_to_size(
         f"{source}: calibration scaled from {calibrated[0]}x{calibrated[1]} px to the image size, {width}x{height} px."
     )
     return replace(scaled, width_px=width, height_px=height), (note,)
+
+
+def _is_size_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
+    """Whether images of this size are those of the camera, perhaps cropped by a codec."""
+    return 0 <= camera.width_px - size_px[0] <= _CROPPED_PX and 0 <= camera.height_px - size_px[1] <= _CROPPED_PX
+
+
+def _has_aspect_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
+    """Whether images of this size have the aspect ratio of the camera's."""
+    return abs((size_px[0] / camera.width_px) / (size_px[1] / camera.height_px) - 1) <= _ASPECT_TOLERANCE
 
 
 def _scaled(camera: PinholeCamera, scale_x: float, scale_y: float) -> PinholeCamera:

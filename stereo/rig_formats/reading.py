@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import Calibration, check_camera, check_rig, fitted_to_size
 from track_range.stereo.rig_formats.registry import FORMAT_TITLES, RIG_FORMATS
 from track_range.stereo.rig_formats.rig_format import RigFormat
+from track_range.stereo.rig_formats.ros import read_folder
 
 
 def load_rig(path: Path, *, size_px: tuple[int, int], is_grey: bool = False) -> tuple[StereoRig, tuple[str, ...]]:
@@ -26,14 +28,11 @@ def load_rig(path: Path, *, size_px: tuple[int, int], is_grey: bool = False) -> 
     Raises:
         RigError: the file cannot be read, is not a rig, has only one camera, is implausible or for other images.
     """
-    text = _text_of(path)
-    rig_format = _format_of(text, path)
-    calibration = rig_format.read(text, path, is_grey)
+    calibration = _read(path, is_grey=is_grey, is_pair=True).of_size(size_px)
     if calibration.right is None or calibration.right_from_left is None:
-        missing = rig_format.missing(text, path, is_grey)
         raise RigError(
-            f"{path}: expected {missing}, found one camera; give a file with both cameras, or run on one video with "
-            "--mono."
+            f"{path}: expected {missing_camera(path, is_grey=is_grey)}, found one camera; give a file with both "
+            "cameras, or run on one video with --mono."
         )
     check_rig(StereoRig(calibration.left, calibration.right, calibration.right_from_left), path)
     left, left_notes = fitted_to_size(calibration.left, size_px, f"{path} (left)")
@@ -53,7 +52,7 @@ def load_camera(
     Raises:
         RigError: the file cannot be read, is not a calibration, is implausible or for other images.
     """
-    calibration = _read(path, is_grey=is_grey)
+    calibration = _read(path, is_grey=is_grey, is_pair=False).of_size(size_px)
     check_camera(calibration.left, f"{path}: left")
     if size_px is None:
         return calibration.left, calibration.notes
@@ -75,7 +74,7 @@ def load_calibration(
     Raises:
         RigError: the file cannot be read, is not a calibration, is implausible or for other images.
     """
-    calibration = _read(path, is_grey=is_grey)
+    calibration = _read(path, is_grey=is_grey, is_pair=True).of_size(size_px)
     if calibration.right is None or calibration.right_from_left is None:
         return load_camera(path, size_px=size_px, is_grey=is_grey)
     if size_px is not None:
@@ -85,15 +84,27 @@ def load_calibration(
     return rig, calibration.notes
 
 
-def left_from_reference_m(path: Path, *, is_grey: bool) -> FloatArray:
-    """(3,) translation from the frame of KITTI's reference camera, which its labels use, to the left camera's frame.
-
-    Zeros for other formats. Labels are moved by it before they are compared with measured distances.
+def missing_camera(path: Path, *, is_grey: bool = False) -> str:
+    """What a file with one camera lacks for a stereo rig, for messages.
 
     Raises:
         RigError: the file cannot be read or is not a calibration.
     """
-    return np.array(_read(path, is_grey=is_grey).left_from_reference_m)
+    text = _text_of(path)
+    return _format_of(text, path).missing(text, path, is_grey)
+
+
+def left_from_reference_m(path: Path, *, is_grey: bool, size_px: tuple[int, int] | None = None) -> FloatArray:
+    """(3,) translation from the frame of KITTI's reference camera, which its labels use, to the left camera's frame.
+
+    Zeros for other formats, and for KITTI's images before rectification. Labels are moved by it before they are
+    compared with measured distances. `size_px` is the (width, height) of the images; None = rectified.
+
+    Raises:
+        RigError: the file cannot be read or is not a calibration.
+    """
+    calibration = _read(path, is_grey=is_grey, is_pair=False).of_size(size_px)
+    return np.array(calibration.left_from_reference_m)
 
 
 def find_rig(left_video: Path) -> Path | None:
@@ -117,6 +128,11 @@ def _format_of(text: str, path: Path) -> RigFormat:
     )
 
 
-def _read(path: Path, *, is_grey: bool) -> Calibration:
+def _read(path: Path, *, is_grey: bool, is_pair: bool) -> Calibration:
+    """Content of a file, or of the two camera_info of ROS in a folder, for two cameras or one."""
+    if os.path.isdir(path):
+        return read_folder(path)
     text = _text_of(path)
-    return _format_of(text, path).read(text, path, is_grey)
+    rig_format = _format_of(text, path)
+    read = (rig_format.read_pair or rig_format.read) if is_pair else rig_format.read
+    return read(text, path, is_grey)

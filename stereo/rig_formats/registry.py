@@ -7,8 +7,9 @@ from track_range.stereo.rig_formats.kitti import KITTI
 from track_range.stereo.rig_formats.opencv import OPENCV
 from track_range.stereo.rig_formats.rig_format import RigFormat, RigWriter
 from track_range.stereo.rig_formats.rig_yaml import RIG_YAML
+from track_range.stereo.rig_formats.ros import ROS
 
-RIG_FORMATS: tuple[RigFormat, ...] = (OPENCV, KALIBR, KITTI, RIG_YAML)
+RIG_FORMATS: tuple[RigFormat, ...] = (OPENCV, KALIBR, KITTI, ROS, RIG_YAML)
 """Formats in the order in which they are tried; the first that recognises a file reads it.
 
 OpenCV's precedes KITTI's, because both have lines P1 and P2.

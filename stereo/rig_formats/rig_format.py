@@ -27,6 +27,7 @@ class RigFormat:
         read: the cameras of a file from its text, its path (for messages and other files) and whether the images are
             grey; raises RigError.
         missing: the keys that a file with one camera lacks for a stereo rig, for messages, from the same arguments.
+        read_pair: as `read`, for two videos: a file with one camera is completed by one beside it; None = `read`.
         write: writes a file; None = the format is only read.
     """
 
@@ -35,6 +36,7 @@ class RigFormat:
     recognises: Callable[[str], bool]
     read: Callable[[str, Path, bool], Calibration]
     missing: Callable[[str, Path, bool], str]
+    read_pair: Callable[[str, Path, bool], Calibration] | None = None
     write: RigWriter | None = None
 
 

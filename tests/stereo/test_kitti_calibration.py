@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
-from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_camera, load_rig
 
 SIZE = (1280, 720)
@@ -122,3 +124,100 @@ def test_principal_point_check_without_image_size(tmp_path: Path) -> None:
 )
 def test_wrong_kitti_files(tmp_path: Path, text: str, key_word: str) -> None:
     assert key_word in refused(written(tmp_path, text, "calib.txt"))
+
+
+LEFT_LINE, RIGHT_LINE = (f"1000 0 640 {x} 0 1000 360 0 0 0 1 0\n" for x in (0, -540))
+
+
+@pytest.mark.parametrize(("text", "line"), [(LEFT_LINE + RIGHT_LINE, 1), ("\n" + RIGHT_LINE + LEFT_LINE, 2)])
+def test_two_lines_without_names(tmp_path: Path, text: str, line: int) -> None:
+    rig, notes = load_rig(written(tmp_path, text), size_px=SIZE)
+    assert rig.is_rectified
+    assert rig.baseline_m == pytest.approx(0.54)
+    assert len(notes) == 1
+    assert f"line {line} is the left" in notes[0]
+
+
+def test_real_lines_without_names(tmp_path: Path, shared_data: Path) -> None:
+    text = (shared_data / "kitti_odometry/gray51/calib.txt").read_text()
+    nameless = "".join(line.partition(":")[2] + "\n" for line in text.splitlines())
+    rig, _ = load_rig(written(tmp_path, nameless), size_px=(1226, 370))
+    expected, _ = load_rig(written(tmp_path, text, "named.txt"), size_px=(1226, 370))
+    assert (rig.left, rig.baseline_m) == (expected.left, expected.baseline_m)
+
+
+@pytest.mark.parametrize(
+    ("text", "key_word"),
+    [
+        (LEFT_LINE, "second line"),
+        (LEFT_LINE * 2, "baseline"),
+        (LEFT_LINE * 3, "found 3"),
+        (LEFT_LINE + RIGHT_LINE.replace("640", "x"), "known format"),
+        (LEFT_LINE + RIGHT_LINE.replace("640", "6-40"), "6-40"),
+        (LEFT_LINE + "0.9 0 0.1 2 0 1 0 3 -0.1 0 0.9 4\n", "projection"),  # a pose
+    ],
+)
+def test_wrong_lines_without_names(tmp_path: Path, text: str, key_word: str) -> None:
+    assert key_word in refused(written(tmp_path, text))
+
+
+def raw_file(rig: StereoRig) -> str:
+    """KITTI raw's calib_cam_to_cam.txt of a pair, where camera 0 is 0.06 m to the right of camera 2."""
+    reference = np.eye(4)
+    reference[0, 3] = 0.06
+    lines = ["calib_time: 09-Jan-2012 13:57:47", "corner_dist: 9.950000e-02"]
+    for number, camera, motion, offset in (
+        (2, rig.left, reference, 40.0),
+        (3, rig.right, rig.right_from_left @ reference, -310.0),
+    ):
+        lines += [
+            f"{key}_0{number}: {' '.join(f'{value:.9e}' for value in np.ravel(values))}"
+            for key, values in {
+                "S": (camera.width_px, camera.height_px),
+                "K": camera.matrix,
+                "D": camera.distortion,
+                "R": motion[:3, :3],
+                "T": motion[:3, 3],
+                "S_rect": (1242, 375),
+                "R_rect": np.eye(3),
+                "P_rect": [700, 0, 610, offset, 0, 700, 173, 0, 0, 0, 1, 0],
+            }.items()
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def raw_pair() -> StereoRig:
+    right_from_left = np.eye(4)
+    right_from_left[:3, :3], _ = cv2.Rodrigues(np.array([0.001, -0.02, 0.022]))
+    right_from_left[:3, 3] = (-0.53, 0.006, -0.009)
+    left = PinholeCamera(960.0, 957.0, 696.0, 224.0, 1392, 512, (-0.37, 0.2, 0.001, 0.0006, -0.07))
+    right = PinholeCamera(904.0, 902.0, 696.0, 224.0, 1392, 512, (-0.36, 0.18, 0.0006, -0.0004, -0.05))
+    return StereoRig(left, right, right_from_left)
+
+
+def test_raw_file_by_image_size(tmp_path: Path) -> None:
+    path = written(tmp_path, raw_file(raw_pair()), "calib_cam_to_cam.txt")
+    rig, notes = load_rig(path, size_px=(1242, 375))
+    assert rig.is_rectified
+    assert rig.baseline_m == pytest.approx(0.5)
+    assert len(notes) == 1
+    assert "P_rect_02" in notes[0]
+    assert left_from_reference_m(path, is_grey=False, size_px=(1242, 375))[0] == pytest.approx(40 / 700)
+    rig, notes = load_rig(path, size_px=(1392, 512))
+    assert (rig.left, rig.right) == (raw_pair().left, raw_pair().right)
+    assert np.allclose(rig.right_from_left, raw_pair().right_from_left, atol=1e-8)
+    assert len(notes) == 1
+    assert "1392x512" in notes[0]
+    assert not left_from_reference_m(path, is_grey=False, size_px=(1392, 512)).any()
+    assert load_rig(path, size_px=(696, 256))[0].left.fx_px == pytest.approx(480)
+    assert load_camera(path, size_px=(1392, 512))[0] == raw_pair().left
+    assert "aspect" in refused(path, size_px=(640, 480))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key_word"),
+    [("K_03: ", "K_03: x ", "K_03"), ("D_02: ", "D_02: 1 ", "found 6"), ("T_03: ", "T_03: 1e99 0 0 #", "T_03")],
+)
+def test_wrong_raw_files(tmp_path: Path, old: str, new: str, key_word: str) -> None:
+    path = written(tmp_path, raw_file(raw_pair()).replace(old, new), "calib_cam_to_cam.txt")
+    assert key_word in refused(path, size_px=(1392, 512))

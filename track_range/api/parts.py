@@ -21,13 +21,13 @@ from track_range.run.options.detector_options import DetectorOptions, open_detec
 from track_range.run.options.tracker_options import open_tracker_options
 from track_range.run.ready_model import ready_model
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.rig_formats.reading import load_calibration
+from track_range.stereo.rig_formats.reading import load_calibration, missing_camera
 from track_range.tracking.registry import checked_tracks, create_tracker
 from track_range.tracking.tracks import Tracks
 
 
 def load_rig(path: str | Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False) -> StereoRig:
-    """Stereo rig of a calibration file: rig.yaml, KITTI's calib.txt, OpenCV's or Kalibr's format.
+    """Stereo rig of a calibration file: rig.yaml, KITTI's calib.txt, ROS's camera_info, OpenCV's or Kalibr's format.
 
     Example:
         >>> import track_range as tr
@@ -44,7 +44,7 @@ def load_rig(path: str | Path, *, size_px: tuple[int, int] | None = None, is_gre
     """
     rig, _ = load_calibration(Path(path), size_px=size_px, is_grey=is_grey)
     if not isinstance(rig, StereoRig):
-        raise RigError(f"{path}: expected two cameras, found one.")
+        raise RigError(f"{path}: expected {missing_camera(Path(path))}, found one camera.")
     if not rig.left.width_px:
         raise RigError(f"{path}: expected an image size, found none; give size_px=(width, height).")
     return rig

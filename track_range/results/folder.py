@@ -252,7 +252,9 @@ def _truth_of(run: Sections, detected: Sections, missing: list[str]) -> Truth | 
         return None
     try:
         facts = validated(DetectedCamera, detected, "settings.yaml, found", OutputError)
-        shift_m = left_from_reference_m(facts.rig, is_grey=False) if facts.rig else np.zeros(3)
+        shift_m = np.zeros(3)
+        if facts.rig:
+            shift_m = left_from_reference_m(facts.rig, is_grey=False, size_px=facts.image_size_px)
         return read_truth(Path(str(run["truth"])), facts.camera(), shift_m)
     except (LabelFileError, RigError, OutputError) as error:
         missing.append(f"The ground truth cannot be read, so charts do not show it ({str(error).rstrip('.')}).")

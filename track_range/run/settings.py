@@ -109,8 +109,8 @@ class RunSettings(Options):
     rig: Annotated[
         Path | None,
         option(
-            "Calibration file: rig.yaml, KITTI's calib.txt, OpenCV's stereo calibration or Kalibr's camchain (default: "
-            "rig.yaml or calib.txt in the folder of the left video; without one, distances are uncalibrated).",
+            "Calibration file: rig.yaml, KITTI's calib.txt, ROS's camera_info, OpenCV's stereo calibration or Kalibr's "
+            "camchain (default: rig.yaml or calib.txt in the folder of the left video; without one, distances are uncalibrated).",
             panel=_INPUT,
         ),
     ] = None

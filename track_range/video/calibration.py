@@ -15,8 +15,8 @@ from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera, check_rig, fitted_to_size
+from track_range.stereo.rig_formats.camera_info import camera_of, is_undistorted, rig_of
 from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_camera, load_rig
-from track_range.video.bags.calibration import camera_of, is_undistorted, rig_of
 from track_range.video.inputs import Inputs
 from track_range.video.names import VideoName, files_of
 from track_range.video.pairs.auto_alignment import PairAlignment
@@ -139,7 +139,7 @@ def _loaded_pair(path: Path, inputs: Inputs) -> Calibration:
         rig=rectifier.rig,
         raw_rig=raw_rig,
         path=path,
-        left_from_reference_m=left_from_reference_m(path, is_grey=is_grey),
+        left_from_reference_m=left_from_reference_m(path, is_grey=is_grey, size_px=inputs.size_px),
         file_notes=notes,
     )
 
@@ -183,7 +183,7 @@ def _loaded_camera(path: Path, inputs: Inputs) -> Calibration:
         camera=undistorter.camera,
         rectifier=undistorter,
         path=path,
-        left_from_reference_m=left_from_reference_m(path, is_grey=is_grey),
+        left_from_reference_m=left_from_reference_m(path, is_grey=is_grey, size_px=inputs.size_px),
         file_notes=notes,
     )
 

@@ -23,9 +23,9 @@ from track_range.run.settings import save_settings, settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.rig_formats.camera_info import CameraInfo, camera_of, rig_of
 from track_range.video.bags.bag import is_bag
-from track_range.video.bags.calibration import camera_of, rig_of
-from track_range.video.bags.decoding import CameraMessage, _ros_reader
+from track_range.video.bags.decoding import _ros_reader
 from track_range.video.frame import VideoError
 from track_range.video.names import BagTopic, Segments
 from track_range.video.reader import VideoReader
@@ -142,7 +142,7 @@ def test_baseline_between_cameras_of_another_origin() -> None:
     """KITTI's rectified frames have the origin of another camera: both projection matrices contain an offset."""
     k = np.array([[70.0, 0.0, 31.5], [0.0, 70.0, 23.5], [0.0, 0.0, 1.0]])
     left, right = (
-        CameraMessage((64, 48), "", (), k, np.eye(3), np.column_stack([k, [70.0 * offset_m, 0.0, 0.0]]))
+        CameraInfo((64, 48), "", (), k, np.eye(3), np.column_stack([k, [70.0 * offset_m, 0.0, 0.0]]))
         for offset_m in (0.06, -0.44)
     )
     assert rig_of(left, right, Path("drive.bag"), is_rectified=True).baseline_m == pytest.approx(0.5)
@@ -161,7 +161,7 @@ def test_uncalibrated_camera_has_no_calibration(
 def test_rectified_cameras_that_contradict_each_other() -> None:
     k = np.array([[70.0, 0.0, 31.5], [0.0, 70.0, 23.5], [0.0, 0.0, 1.0]])
     left, right, longer = (
-        CameraMessage((64, 48), "", (), k, np.eye(3), np.column_stack([matrix, [offset, 0.0, 0.0]]))
+        CameraInfo((64, 48), "", (), k, np.eye(3), np.column_stack([matrix, [offset, 0.0, 0.0]]))
         for matrix, offset in ((k, 0.0), (k, -35.0), (k * [[1.3], [1.3], [1.0]], -35.0))
     )
     assert rig_of(left, right, Path("drive.bag"), is_rectified=True).baseline_m == pytest.approx(0.5)
@@ -304,7 +304,7 @@ def test_missing_package_is_named(
 
 
 def test_fisheye_model_is_refused(tmp_path: Path) -> None:
-    message = CameraMessage((64, 48), "equidistant", (0.1, 0.2, 0.3, 0.4), np.eye(3), np.eye(3), np.eye(3, 4))
+    message = CameraInfo((64, 48), "equidistant", (0.1, 0.2, 0.3, 0.4), np.eye(3), np.eye(3), np.eye(3, 4))
     with pytest.raises(RigError, match="equidistant"):
         camera_of(message, tmp_path, is_rectified=False)
 
@@ -313,10 +313,8 @@ def test_rotated_raw_pair() -> None:
     turn = np.array([[np.cos(0.02), 0.0, np.sin(0.02)], [0.0, 1.0, 0.0], [-np.sin(0.02), 0.0, np.cos(0.02)]])
     k = np.array([[70.0, 0.0, 31.5], [0.0, 70.0, 23.5], [0.0, 0.0, 1.0]])
     p = np.column_stack([k, [-35.0, 0.0, 0.0]])
-    left = CameraMessage(
-        (64, 48), "plumb_bob", (0.1, 0.0, 0.0, 0.0, 0.0), k, np.eye(3), np.column_stack([k, [0, 0, 0]])
-    )
-    right = CameraMessage((64, 48), "plumb_bob", (0.0,) * 5, k, turn, p)
+    left = CameraInfo((64, 48), "plumb_bob", (0.1, 0.0, 0.0, 0.0, 0.0), k, np.eye(3), np.column_stack([k, [0, 0, 0]]))
+    right = CameraInfo((64, 48), "plumb_bob", (0.0,) * 5, k, turn, p)
     rig = rig_of(left, right, Path("drive.bag"), is_rectified=False)
     # a point in the rectified frames: x' = R x, and the right frame is 0.5 m to the right
     point_m = np.array([0.3, -0.2, 5.0])

@@ -63,15 +63,15 @@ def _convert(options: ConvertOptions) -> None:
     calibration, notes = load_calibration(source, size_px=_size_of(options.size))
     _check_image_size(calibration, source)
     writers[options.to](calibration, out, [f"from {source.name}"])
-    for note in (*notes, *_labels_note(source)):
+    for note in (*notes, *_labels_note(source, _size_of(options.size))):
         print_line(console, note)
     cameras = "two cameras" if isinstance(calibration, StereoRig) else "one camera"
     print_line(console, f"Written: {out}, {cameras}.")
 
 
-def _labels_note(source: Path) -> tuple[str, ...]:
+def _labels_note(source: Path, size_px: tuple[int, int] | None) -> tuple[str, ...]:
     """Note on the reference frame of KITTI labels, which other formats cannot store; empty for other files."""
-    shift_m = float(np.linalg.norm(left_from_reference_m(source, is_grey=False)))
+    shift_m = float(np.linalg.norm(left_from_reference_m(source, is_grey=False, size_px=size_px)))
     if shift_m == 0:
         return ()
     return (

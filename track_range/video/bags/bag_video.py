@@ -11,12 +11,12 @@ import numpy as np
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import check_size
 from track_range.foundation.files.input_files import counted, shortened
+from track_range.stereo.rig_formats.camera_info import CameraInfo
 from track_range.video.bags.bag import open_bag, topic_list
 from track_range.video.bags.container import DamagedError, Topic
 from track_range.video.bags.decoding import (
     CALIBRATION_TYPES,
     IMAGE_TYPES,
-    CameraMessage,
     ImageDecoder,
     camera_message,
     is_readable,
@@ -212,7 +212,7 @@ class BagVideo:
             )
         return image
 
-    def _calibration(self) -> CameraMessage | None:
+    def _calibration(self) -> CameraInfo | None:
         """The first message of the calibration topic beside the images: /left/image_raw -> /left/camera_info."""
         parts = self._topic.name.rstrip("/").split("/")
         levels = ["/".join(parts[:-up]) for up in range(1, min(_MAX_LEVELS, len(parts)) + 1)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, cast
 
@@ -13,9 +12,10 @@ import numpy as np
 import numpy.typing as npt
 from av.video.codeccontext import VideoCodecContext
 
-from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import MAX_PIXELS, decode_image
 from track_range.foundation.files.input_files import quoted
+from track_range.stereo.rig_formats.camera_info import CameraInfo
 from track_range.video.bags.container import (
     DAMAGE,
     ZSTD_MAGIC,
@@ -62,25 +62,6 @@ _CHANNELS = {"bgr8": 3, "8UC3": 3, "rgb8": 3, "bgra8": 4, "8UC4": 4, "rgba8": 4}
 _PAIRED = ("yuv422", "uyvy", "yuv422_yuy2", "yuyv")
 
 _VIDEO_CODECS = {"h264": "h264", "h265": "hevc"}
-
-
-@dataclass(frozen=True, slots=True)
-class CameraMessage:
-    """Content of a calibration message.
-
-    Attributes:
-        size_px: width and height of the images.
-        model: name of the distortion model.
-        distortion: its coefficients.
-        k, r, p: camera matrix (3, 3), rotation to the rectified frame (3, 3), and projection matrix (3, 4).
-    """
-
-    size_px: tuple[int, int]
-    model: str
-    distortion: tuple[float, ...]
-    k: FloatArray
-    r: FloatArray
-    p: FloatArray
 
 
 def is_readable(topic: Topic) -> bool:
@@ -241,7 +222,7 @@ def _raw_image(message: Any) -> Image:
     return pixels.astype(np.uint8) if code is None else cv2.cvtColor(pixels, code).astype(np.uint8, copy=False)
 
 
-def camera_message(topic: Topic, data: bytes) -> CameraMessage:
+def camera_message(topic: Topic, data: bytes) -> CameraInfo:
     """The calibration in a message of one of `CALIBRATION_TYPES`.
 
     Raises:
@@ -252,7 +233,7 @@ def camera_message(topic: Topic, data: bytes) -> CameraMessage:
         values = {name: getattr(message, name, getattr(message, name.upper(), ())) for name in "dkrp"}
         k, r, p = (np.array([float(value) for value in values[name]]) for name in "krp")
         r, p = r if r.any() else np.eye(3).ravel(), p if p.any() else np.insert(k.reshape(3, 3), 3, 0.0, axis=1).ravel()
-        return CameraMessage(
+        return CameraInfo(
             (int(message.width), int(message.height)),
             str(message.distortion_model),
             tuple(float(value) for value in values["d"]),

@@ -1,4 +1,4 @@
-"""Rig and camera from the calibration messages of a bag (sensor_msgs/CameraInfo, foxglove.CameraCalibration).
+"""CameraInfo: the calibration of one camera in ROS (sensor_msgs/CameraInfo, foxglove.CameraCalibration); rigs of two.
 
 P = [K' | K' t'],  x' = R x,  t' = (-baseline, 0, 0) for the right camera
 
@@ -7,6 +7,7 @@ x = point in the camera's frame, x' = in its rectified frame (http://docs.ros.or
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.video.bags.decoding import CameraMessage
+from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS
 
 _MODELS = ("", "plumb_bob", "rational_polynomial", "pinhole", "none")
 """Distortion models that are OpenCV's."""
@@ -27,7 +28,26 @@ _COEFFICIENTS = (0, 4, 5, 8, 12, 14)
 """Numbers of coefficients of OpenCV's model."""
 
 
-def camera_of(message: CameraMessage, path: Path, *, is_rectified: bool) -> PinholeCamera:
+@dataclass(frozen=True, slots=True)
+class CameraInfo:
+    """Calibration of one camera.
+
+    Attributes:
+        size_px: width and height of the images.
+        model: name of the distortion model.
+        distortion: its coefficients.
+        k, r, p: camera matrix (3, 3), rotation to the rectified frame (3, 3), and projection matrix (3, 4).
+    """
+
+    size_px: tuple[int, int]
+    model: str
+    distortion: tuple[float, ...]
+    k: FloatArray
+    r: FloatArray
+    p: FloatArray
+
+
+def camera_of(message: CameraInfo, path: Path, *, is_rectified: bool) -> PinholeCamera:
     """The camera of a message: P for rectified images, K with distortion for raw ones.
 
     Raises:
@@ -47,19 +67,25 @@ def camera_of(message: CameraMessage, path: Path, *, is_rectified: bool) -> Pinh
     )
 
 
-def rig_of(left: CameraMessage, right: CameraMessage, path: Path, *, is_rectified: bool) -> StereoRig:
+def rig_of(left: CameraInfo, right: CameraInfo, path: Path, *, is_rectified: bool) -> StereoRig:
     """The rig of two messages.
 
     Raises:
         RigError: unknown distortion model, the messages contain no baseline, or contradict each other.
     """
     if not left.p[0, 0] or not right.p[0, 0]:
-        raise RigError(f"{path}: expected projection matrices P in both calibrations, found zeros; give --rig FILE.")
+        raise RigError(f"{path}: expected projection matrices P in both calibrations, found zeros; give a rig.yaml.")
     # the origin of the rectified frames is that of the left camera in most recordings, in KITTI's that of another one
     offset_m = right.p[0, 3] / right.p[0, 0] - left.p[0, 3] / left.p[0, 0]
     if not offset_m:
+        if left.p[1, 3] != right.p[1, 3]:
+            raise RigError(
+                f"{path}: expected cameras side by side, found one above the other (P[0, 3] is 0, P[1, 3] is not); "
+                f"{NO_VERTICAL_PAIRS}."
+            )
         raise RigError(
-            f"{path}: expected a baseline in the projection matrix P of the right camera, found 0; give --rig FILE."
+            f"{path}: expected a baseline, P[0, 3] = -f B of the right camera, found 0 in both matrices P; calibrate "
+            "the cameras as a pair, or give a rig.yaml."
         )
     if is_rectified:
         _check_equal_projection(left, right, path)
@@ -73,7 +99,7 @@ def rig_of(left: CameraMessage, right: CameraMessage, path: Path, *, is_rectifie
     return StereoRig(cameras[0], cameras[1], right_from_left)
 
 
-def _check_equal_projection(left: CameraMessage, right: CameraMessage, path: Path) -> None:
+def _check_equal_projection(left: CameraInfo, right: CameraInfo, path: Path) -> None:
     """Check that rectified images have equal focal lengths and rows."""
     focal_px = [(message.p[0, 0], message.p[1, 1]) for message in (left, right)]
     row_px = [message.p[1, 2] for message in (left, right)]
@@ -83,24 +109,24 @@ def _check_equal_projection(left: CameraMessage, right: CameraMessage, path: Pat
     ):
         raise RigError(
             f"{path}: expected equal focal lengths and principal rows in the matrices P of rectified images, found "
-            f"{focal_px[0][0]:.6g} and {focal_px[1][0]:.6g} px, rows {row_px[0]:.6g} and {row_px[1]:.6g}; give --rig "
-            "FILE."
+            f"{focal_px[0][0]:.6g} and {focal_px[1][0]:.6g} px, rows {row_px[0]:.6g} and {row_px[1]:.6g}; give a "
+            "rig.yaml."
         )
 
 
-def is_undistorted(message: CameraMessage) -> bool:
+def is_undistorted(message: CameraInfo) -> bool:
     """Whether the message describes rectified images: no distortion, and P equals K."""
     return (
         not any(message.distortion) and np.allclose(message.r, np.eye(3)) and np.allclose(message.p[:, :3], message.k)
     )
 
 
-def _distortion(message: CameraMessage, path: Path) -> tuple[float, ...]:
+def _distortion(message: CameraInfo, path: Path) -> tuple[float, ...]:
     if not any(message.distortion):
         return ()
     if message.model not in _MODELS or len(message.distortion) not in _COEFFICIENTS:
         raise RigError(
             f"{path}: expected a distortion model plumb_bob or rational_polynomial, found {quoted(message.model)} with "
-            f"{len(message.distortion)} coefficients; use rectified images, or give --rig FILE."
+            f"{len(message.distortion)} coefficients; use rectified images, or give a rig.yaml."
         )
     return message.distortion

@@ -1,0 +1,271 @@
+"""ROS: camera_info of one camera per YAML document, two files or documents for a pair.
+
+    camera_calibration  image_width image_height camera_matrix distortion_model distortion_coefficients
+                        rectification_matrix projection_matrix             matrices as {rows, cols, data}
+    topic echo          width height distortion_model D K R P (d k r p)    lists; `---` after each message
+
+The right camera of a pair is the one with the smaller P[0, 3] = -f B. The images of camera_info are those of the driver
+(image_raw), which D, K and R rectify; P describes the rectified ones (image_rect). Both have the same size.
+(http://docs.ros.org/en/api/sensor_msgs/html/msg/CameraInfo.html, http://wiki.ros.org/camera_calibration_parsers.)
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, Field
+
+from track_range.foundation.files.input_files import read_text
+from track_range.foundation.files.structured_text import parse_yaml
+from track_range.foundation.validation import Integer, Number, validated
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.geometry.rig_checks import Calibration, ImageSide
+from track_range.stereo.rig_formats.camera_info import CameraInfo, camera_of, is_undistorted, rig_of
+from track_range.stereo.rig_formats.rig_format import RigFormat
+
+_TITLE = "ROS's camera_info"
+_EXPECTED = "a camera_info of ROS"
+
+_RECOGNISED = re.compile(r"^(?:(?:camera|projection)_matrix|[kKpP])[ \t]*:", re.MULTILINE)
+"""Keys at the start of a line, one of which every camera_info has."""
+
+_SEPARATOR = re.compile(r"^---[^\n]*$", re.MULTILINE)
+"""Line between two YAML documents."""
+
+_SIDE = re.compile("left|right", re.IGNORECASE)
+_OTHER_SIDE = {"left": "right", "right": "left", "Left": "Right", "Right": "Left", "LEFT": "RIGHT", "RIGHT": "LEFT"}
+"""Sides in file names."""
+
+_SUFFIXES = (".yaml", ".yml")
+
+_MAX_FILES = 50
+"""Largest number of YAML files in a folder that are searched for cameras."""
+
+
+def _data_of(value: object) -> object:
+    """The numbers of {rows, cols, data}; other values as they are."""
+    return value["data"] if isinstance(value, dict) and "data" in value else value
+
+
+_Value = Annotated[Number, Field(ge=-1e7, le=1e7)]
+_Row = BeforeValidator(_data_of)
+_Matrix33 = Annotated[list[_Value], Field(min_length=9, max_length=9), _Row]
+_Matrix34 = Annotated[list[_Value], Field(min_length=12, max_length=12), _Row]
+_Coefficients = Annotated[list[_Value], Field(max_length=14), _Row]
+"""Numbers row by row; no plausible one has a magnitude above 1e7; OpenCV has at most 14 distortion coefficients."""
+
+
+class _Region(BaseModel):
+    """Region of interest; zeros = the entire image."""
+
+    x_offset: Integer = 0
+    y_offset: Integer = 0
+    width: Integer = 0
+    height: Integer = 0
+
+
+class _CameraFile(BaseModel):
+    """Keys of both layouts under the names of `camera_calibration`; other keys are ignored."""
+
+    image_width: ImageSide
+    image_height: ImageSide
+    distortion_model: str = ""
+    camera_matrix: _Matrix33 | None = None
+    distortion_coefficients: _Coefficients | None = None
+    rectification_matrix: _Matrix33 | None = None
+    projection_matrix: _Matrix34 | None = None
+    roi: _Region = _Region()
+
+
+_NAMES = {
+    "width": "image_width",
+    "height": "image_height",
+    **dict.fromkeys(("D", "d"), "distortion_coefficients"),
+    **dict.fromkeys(("K", "k"), "camera_matrix"),
+    **dict.fromkeys(("R", "r"), "rectification_matrix"),
+    **dict.fromkeys(("P", "p"), "projection_matrix"),
+}
+"""Names of `camera_calibration` for the keys of messages in ROS 1 and ROS 2."""
+
+
+class _Camera(NamedTuple):
+    """One camera of a file.
+
+    Attributes:
+        info: its calibration.
+        path: the file.
+        is_raw: whether K and D describe raw images; False = the file only has P, of rectified images.
+    """
+
+    info: CameraInfo
+    path: Path
+    is_raw: bool
+
+    @property
+    def is_rectified(self) -> bool:
+        """Whether the images are rectified, as far as the file says."""
+        return not self.is_raw or is_undistorted(self.info)
+
+    @property
+    def offset_m(self) -> float:
+        """Position of the origin of the rectified frames in that of the camera: -B for the right camera."""
+        return float(self.info.p[0, 3] / self.info.p[0, 0])
+
+
+def _is_camera_info(text: str) -> bool:
+    """Whether a file has keys of a camera_info at its top level."""
+    return _RECOGNISED.search(text) is not None
+
+
+def _read(text: str, path: Path) -> Calibration:
+    """The camera, or the two cameras, of one file.
+
+    Raises:
+        RigError: the file is not YAML, a value is missing or wrong, or there are more than two cameras.
+    """
+    cameras = _cameras(text, path)
+    return _pair(cameras[0], cameras[1], path) if len(cameras) == 2 else _single(cameras[0])
+
+
+def _read_pair(text: str, path: Path) -> Calibration:
+    """As `_read`; the other camera of a file with one is that of the file for the other side, if there is one."""
+    cameras = _cameras(text, path)
+    if len(cameras) == 1 and (partner := _partner(path)) is not None:
+        cameras += _cameras(read_text(partner, RigError, _EXPECTED), partner)
+    return _pair(cameras[0], cameras[1], path) if len(cameras) == 2 else _single(cameras[0])
+
+
+def read_folder(folder: Path) -> Calibration:
+    """The two cameras of the files in a folder.
+
+    Raises:
+        RigError: the folder has not two files with one camera each, or a file cannot be read.
+    """
+    paths = sorted(path for path in folder.iterdir() if path.suffix in _SUFFIXES)[:_MAX_FILES]
+    texts = {path: read_text(path, RigError, _EXPECTED) for path in paths}
+    cameras = [camera for path, text in texts.items() if _is_camera_info(text) for camera in _cameras(text, path)]
+    if len(cameras) != 2:
+        raise RigError(
+            f"{folder}: expected a folder with the {_TITLE} of two cameras in YAML, found {len(cameras)}; give a file."
+        )
+    return _pair(cameras[0], cameras[1], folder)
+
+
+def _cameras(text: str, path: Path) -> list[_Camera]:
+    """The different cameras of a file, in its order; repeated messages count once."""
+    cameras: list[_Camera] = []
+    start = 0
+    for end in [*(match.start() for match in _SEPARATOR.finditer(text)), len(text)]:
+        lines_before = "\n" * text.count("\n", 0, start)  # so that errors have the line of the file
+        content = parse_yaml(lines_before + _SEPARATOR.sub("", text[start:end]), path, RigError, _EXPECTED)
+        start = end
+        if content is None:
+            continue
+        camera = _camera(content, path)
+        if not any(_is_equal(camera.info, other.info) for other in cameras):
+            cameras.append(camera)
+    if not 1 <= len(cameras) <= 2:
+        raise RigError(f"{path}: expected {_TITLE} of one or two cameras, found {len(cameras)}; give one per camera.")
+    return cameras
+
+
+def _is_equal(a: CameraInfo, b: CameraInfo) -> bool:
+    return a.size_px == b.size_px and all(np.array_equal(getattr(a, key), getattr(b, key)) for key in "krp")
+
+
+def _camera(content: object, path: Path) -> _Camera:
+    """One camera.
+
+    Raises:
+        RigError: a value is missing or wrong, or the camera is not calibrated.
+    """
+    named = (
+        {_NAMES.get(str(key), key): value for key, value in content.items()} if isinstance(content, dict) else content
+    )
+    file = validated(_CameraFile, named, path, RigError)
+    has_full_size = (file.roi.width, file.roi.height) in ((0, 0), (file.image_width, file.image_height))
+    if not has_full_size or file.roi.x_offset or file.roi.y_offset:
+        raise RigError(
+            f"{path}: expected the calibration of whole images, found a region of interest of {file.roi.width}x"
+            f"{file.roi.height} px; give a rig.yaml of the cropped images."
+        )
+    k, r, p = (
+        np.reshape(numbers or np.zeros(size), (3, -1))
+        for numbers, size in ((file.camera_matrix, 9), (file.rectification_matrix, 9), (file.projection_matrix, 12))
+    )
+    is_raw = k.any() or file.distortion_coefficients is not None
+    k = k if is_raw else p[:, :3]
+    p = p if p.any() else np.insert(k, 3, 0.0, axis=1)
+    if min(k[0, 0], k[1, 1], p[0, 0], p[1, 1]) < 1:
+        raise RigError(f"{path}: expected a calibrated camera, found focal lengths below 1 px; calibrate it.")
+    if is_raw and file.distortion_coefficients is None:
+        raise RigError(f"{path}: expected distortion coefficients, found none; write zeros for undistorted images.")
+    size_px, distortion = (file.image_width, file.image_height), tuple(file.distortion_coefficients or ())
+    info = CameraInfo(size_px, file.distortion_model, distortion, k, r if r.any() else np.eye(3), p)
+    return _Camera(info, path, bool(is_raw))
+
+
+def _single(camera: _Camera) -> Calibration:
+    """The calibration of one camera."""
+    only = camera_of(camera.info, camera.path, is_rectified=camera.is_rectified)
+    note = f"{camera.path}: {_TITLE} of one camera; {_assumption(is_rectified=camera.is_rectified)}."
+    return Calibration(only, None, None, notes=(note,))
+
+
+def _pair(first: _Camera, second: _Camera, source: Path) -> Calibration:
+    """The rig of two cameras in any order.
+
+    Raises:
+        RigError: the files have no baseline or do not describe the same images.
+    """
+    left, right = (first, second) if first.offset_m >= second.offset_m else (second, first)
+    if left.is_raw != right.is_raw:
+        raise RigError(
+            f"{source}: expected K and D of both cameras or of none, found those of one; add or remove them."
+        )
+    is_rectified = left.is_rectified and right.is_rectified
+    rig = rig_of(left.info, right.info, source, is_rectified=is_rectified)
+    names = "the first document is the {}" if first.path == second.path else f"{first.path.name} is the {{}}"
+    note = (
+        f"{source}: {_TITLE}, {names.format('left' if left is first else 'right')} camera by P[0, 3] = -f B; "
+        f"{_assumption(is_rectified=is_rectified)}."
+    )
+    return Calibration(rig.left, rig.right, rig.right_from_left, notes=(note,))
+
+
+def _assumption(*, is_rectified: bool) -> str:
+    """Which images the calibration is for, for notes."""
+    if is_rectified:
+        return "the images are taken as rectified"
+    return "the images are taken as raw (image_raw); if they are rectified (image_rect), remove K and D from the YAML"
+
+
+def _partner(path: Path) -> Path | None:
+    """The file of the other camera: the same name, or the same name in the folder, of the other side; None = none."""
+    names = [(path.parent, path.name), (path.parent.parent, f"{path.parent.name}/{path.name}")]
+    swapped = [(folder / _SIDE.sub(_other_side, name)) for folder, name in names if _SIDE.search(name)]
+    return next((candidate for candidate in swapped if candidate != path and candidate.is_file()), None)
+
+
+def _other_side(match: re.Match[str]) -> str:
+    return _OTHER_SIDE.get(match[0], match[0])
+
+
+def _missing(_text: str, path: Path, _is_grey: bool) -> str:
+    """The file of the other camera, for messages."""
+    partner = _SIDE.sub(_other_side, path.name)
+    place = "in a second file beside it (left.yaml, right.yaml)" if partner == path.name else f"in {partner} beside it"
+    return f"the {_TITLE} of the other camera {place} or after a line --- in this file"
+
+
+ROS = RigFormat(
+    name="ros",
+    title=f"{_TITLE}",
+    recognises=_is_camera_info,
+    read=lambda text, path, _is_grey: _read(text, path),
+    read_pair=lambda text, path, _is_grey: _read_pair(text, path),
+    missing=_missing,
+)
