@@ -106,7 +106,7 @@ class _Camera(NamedTuple):
 
     @property
     def is_rectified(self) -> bool:
-        """Whether the images are rectified, as far as the file says."""
+        """Whether the images are rectified, according to the file."""
         return not self.is_raw or is_undistorted(self.info)
 
     @property

@@ -110,7 +110,8 @@ class RunSettings(Options):
         Path | None,
         option(
             "Calibration file: rig.yaml, KITTI's calib.txt, ROS's camera_info, OpenCV's stereo calibration or Kalibr's "
-            "camchain (default: rig.yaml or calib.txt in the folder of the left video; without one, distances are uncalibrated).",
+            "camchain (default: rig.yaml or calib.txt in the folder of the left video; without one, distances are "
+            "uncalibrated).",
             panel=_INPUT,
         ),
     ] = None
