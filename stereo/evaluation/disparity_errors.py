@@ -2,10 +2,10 @@
 
     Z = f B / d        error = Z / Z_true - 1 = d_true / d - 1
 
-A failure is an object without a value or with an error above 15 %. Intervals are 95 % bootstrap intervals: the errors
-of objects in one pair (of one track of a drive) are correlated, so pairs (tracks) are resampled instead of objects. As
-in `ranging/evaluation/errors.py`, `bias_pct` is the median error and shares are fractions 0..1; `n` counts all objects,
-`n_measured` those with a value.
+A failure is an object without a value or with an error above 15 % (`wrong_pct`: the latter only). Intervals are 95 %
+bootstrap intervals: the errors of objects in one pair (of one track of a drive) are correlated, so pairs (tracks) are
+resampled instead of objects. As in `ranging/evaluation/errors.py`, `bias_pct` is the median error and shares are
+fractions 0..1; `n` counts all objects, `n_measured` those with a value.
 """
 
 from __future__ import annotations
@@ -37,6 +37,10 @@ class Column:
     disparity_px: FloatArray
     sigma_px: FloatArray
 
+    def select(self, rows: BoolArray | IntArray) -> Column:
+        """The results of the given rows."""
+        return Column(self.disparity_px[rows], self.sigma_px[rows])
+
 
 @dataclass(frozen=True, slots=True)
 class Objects:
@@ -65,6 +69,11 @@ class Objects:
     def distance_m(self) -> FloatArray:
         """(N,) true distance."""
         return self.focal_baseline_m / self.true_px
+
+    def select(self, rows: BoolArray | IntArray) -> Objects:
+        """The objects of the given rows, with all cameras."""
+        parts = {name: getattr(self, name)[rows] for name in ("true_px", "focal_baseline_m", "x_px", "pair", "group")}
+        return replace(self, **parts)
 
 
 def corrected(column: Column, objects: Objects, alignments: Mapping[int, Alignment]) -> Column:
@@ -112,16 +121,14 @@ def left_out_alignments(column: Column, objects: Objects, fit: Fit, *, seed: int
 
 def matcher_figures(columns: Mapping[str, Column], objects: Objects, *, seed: int = 0) -> dict[str, dict[str, Any]]:
     """Metrics of each matcher for all objects, with bands and bootstrap intervals."""
-    return {name: _figures_with_intervals(column, objects, seed=seed) for name, column in columns.items()}
+    return {name: _figures_with_bands(column, objects, seed=seed) for name, column in columns.items()}
 
 
 def common_figures(columns: Mapping[str, Column], objects: Objects, *, seed: int = 0) -> dict[str, dict[str, Any]]:
     """Metrics of each matcher for the objects measured by all of them, so that rejecting hard objects gives no gain."""
     is_common = np.all([np.isfinite(column.disparity_px) for column in columns.values()], axis=0)
-    common = _selected(objects, is_common)
-    return {
-        name: _figures_with_intervals(_rows(column, is_common), common, seed=seed) for name, column in columns.items()
-    }
+    common = objects.select(is_common)
+    return {name: _figures_with_bands(column.select(is_common), common, seed=seed) for name, column in columns.items()}
 
 
 def figures(column: Column, true_px: FloatArray) -> dict[str, Any]:
@@ -130,11 +137,13 @@ def figures(column: Column, true_px: FloatArray) -> dict[str, Any]:
     n, measured_px = len(is_measured), column.disparity_px[is_measured]
     expected_px, sigma_px = true_px[is_measured], column.sigma_px[is_measured]
     error, abs_error_px = expected_px / measured_px - 1, np.abs(measured_px - expected_px)
-    n_failed = int((~is_measured).sum() + (np.abs(error) > FAILURE).sum())
+    n_wrong = int((np.abs(error) > FAILURE).sum())
+    n_failed = int((~is_measured).sum()) + n_wrong
     has_value = len(error) > 0
     return {
         "coverage": _rounded(is_measured.mean()) if n else None,
         "failures_pct": _rounded(100 * n_failed / n) if n else None,
+        "wrong_pct": _rounded(100 * n_wrong / n) if n else None,
         "n": n,
         "n_measured": len(error),
         "median_relative_error_pct": _rounded(100 * np.median(np.abs(error))) if has_value else None,
@@ -147,16 +156,17 @@ def figures(column: Column, true_px: FloatArray) -> dict[str, Any]:
     }
 
 
-def _figures_with_intervals(column: Column, objects: Objects, *, seed: int) -> dict[str, Any]:
+def _figures_with_bands(column: Column, objects: Objects, *, seed: int) -> dict[str, Any]:
     bands = []
     for low, high in BANDS_M:
         rows = (objects.distance_m >= low) & (objects.distance_m < high)
-        band = _figures_and_intervals(_rows(column, rows), _selected(objects, rows), seed=seed)
+        band = figures_with_intervals(column.select(rows), objects.select(rows), seed=seed)
         bands.append({"from_m": low, "to_m": high, **band})
-    return {**_figures_and_intervals(column, objects, seed=seed), "bands": bands}
+    return {**figures_with_intervals(column, objects, seed=seed), "bands": bands}
 
 
-def _figures_and_intervals(column: Column, objects: Objects, *, seed: int) -> dict[str, Any]:
+def figures_with_intervals(column: Column, objects: Objects, *, seed: int = 0) -> dict[str, Any]:
+    """Metrics of one matcher with their bootstrap intervals."""
     return {**figures(column, objects.true_px), "intervals": _intervals(column, objects, seed=seed)}
 
 
@@ -169,19 +179,10 @@ def _intervals(column: Column, objects: Objects, *, seed: int) -> dict[str, list
     drawn: dict[str, list[float]] = {}
     for choice in rng.integers(len(members), size=(N_RESAMPLES, len(members))):
         rows = np.concatenate([members[number] for number in choice])
-        for key, value in figures(_rows(column, rows), objects.true_px[rows]).items():
+        for key, value in figures(column.select(rows), objects.true_px[rows]).items():
             if value is not None and not key.startswith("n"):
                 drawn.setdefault(key, []).append(value)
     return {key: [_rounded(end) for end in np.percentile(values, [2.5, 97.5])] for key, values in drawn.items()}
-
-
-def _rows(column: Column, rows: BoolArray | IntArray) -> Column:
-    return Column(column.disparity_px[rows], column.sigma_px[rows])
-
-
-def _selected(objects: Objects, rows: BoolArray) -> Objects:
-    parts = {name: getattr(objects, name)[rows] for name in ("true_px", "focal_baseline_m", "x_px", "pair", "group")}
-    return replace(objects, **parts)
 
 
 def _rounded(value: Any) -> float:

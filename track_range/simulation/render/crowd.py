@@ -1,8 +1,9 @@
-"""Crowd: the faces of all road users, transformed to the camera's frame and drawn nearest first."""
+"""Crowd: the faces of all road users and obstacles, transformed to the camera's frame and drawn nearest first."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -30,6 +31,12 @@ class Crowd:
         owner = np.repeat(np.arange(len(bodies)), self._n_faces)
         self._faces = replace(faces, label=np.where(faces.label > 0, 2 * owner + faces.label, 0))
         self._first = np.cumsum(self._n_faces) - self._n_faces
+
+    def with_owners(self) -> Crowd:
+        """The same faces with the labels n + 1 for body n."""
+        owned = copy(self)
+        owned._faces = replace(self._faces, label=1 + np.repeat(np.arange(len(self._n_faces)), self._n_faces))
+        return owned
 
     def draw(
         self, canvas: Canvas, order: IntArray, poses: tuple[FloatArray, FloatArray], is_visible: Iterable[bool]

@@ -1,6 +1,6 @@
 """Renderer: the left or right image of a scene at any time, drawn with 2 x 2 samples per pixel (`canvas.py`).
 
-faces of street and road users -> canvas -> lens -> headlights, at night -> faults -> sensor noise
+faces of street, road users and obstacles -> canvas -> lens -> headlights, at night -> faults -> sensor noise
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from track_range.simulation.render.night import lamps_of, night_image
 from track_range.simulation.render.street import FAR_M, Street
 from track_range.simulation.render.surface import Surface
 from track_range.simulation.render.texture_store import TextureStore
+from track_range.simulation.world.bodies.obstacles import body_of_obstacle
 from track_range.simulation.world.bodies.road_users import body_of
 from track_range.simulation.world.road_shape import CameraPose
 from track_range.simulation.world.scene import Scene
@@ -90,8 +91,9 @@ class Renderer:
             self._street = Street(rng, self._store, scene.surroundings, road=scene.road)
             self.bodies = bodies.result()
         self._surfaces: dict[int, Surface] = {}
+        drawn = [*self.bodies, *(body_of_obstacle(obstacle, scene.seed) for obstacle in scene.obstacles)]
         self._shadows, self._solids = (
-            Crowd([[face for face in body if face.is_shadow == is_shadow] for body in self.bodies], self._store)
+            Crowd([[face for face in body if face.is_shadow == is_shadow] for body in drawn], self._store)
             for is_shadow in (True, False)
         )
         self._cameras = {"left": _finer(rig.left), "right": _finer(faults.right_camera(rig.left))}
@@ -114,6 +116,21 @@ class Renderer:
         """
         canvas = self._drawn(time_s, "left", has_labels=True)
         return self._exposed(canvas, time_s, "left"), np.asarray(canvas.inverse_depth), canvas.drawn_labels
+
+    def drawn_owners(self, time_s: float) -> tuple[FloatArray, npt.NDArray[np.uint16]]:
+        """(2 H, 2 W) exact 1/z of the left image's samples in 1/m, and the body that each of them shows.
+
+        n + 1 is row n of the road users, followed by the obstacles; 0 = street or sky.
+        """
+        canvas = self._drawn(time_s, "left", has_labels=True, solids=self._solids.with_owners())
+        return np.asarray(canvas.inverse_depth, np.float64), canvas.drawn_labels
+
+    def silhouette(self, time_s: float, row: int) -> FloatArray:
+        """(2 H, 2 W) exact 1/z in 1/m of the road user in row `row` alone in the left image, 0 elsewhere."""
+        canvas = Canvas(self._cameras["left"], self._store)
+        poses = self.scene.location_m(time_s), self.scene.rotations(time_s)
+        self._solids.draw(canvas, np.array([row]), poses, repeat(True))
+        return np.asarray(canvas.inverse_depth, np.float64)
 
     def depth_m(self, time_s: float, *, side: Side = "left") -> FloatArray:
         """(H, W) exact depth of each pixel, from the mean of 1/z over its samples; NaN = sky."""
@@ -150,30 +167,42 @@ class Renderer:
             image = with_rain(image, self.rig, drops_seed, rain=self.faults.rain, is_right=is_right)
         return self._with_noise(self.faults.apply(image, is_right=is_right), time_s, side)
 
-    def _drawn(self, time_s: float, side: Side, *, has_labels: bool = False) -> Canvas:
-        """The canvas with the street, the road users and the sky."""
+    def _drawn(self, time_s: float, side: Side, *, has_labels: bool = False, solids: Crowd | None = None) -> Canvas:
+        """The canvas with the street, the road users, the obstacles and the sky."""
         pose = self.scene.pose(time_s)
         canvas = Canvas(self._cameras[side], self._store, has_labels=has_labels)
         shift_m = np.array([-self.rig.baseline_m if side == "right" else 0.0, 0.0, 0.0])
         rotation = pose.camera_from_world
         street = self._street.faces(self.scene.ego_z_m(time_s))
         canvas.draw(street.rotated(rotation).moved(shift_m - rotation @ pose.position_m))
-        self._draw_road_users(canvas, time_s, shift_m)
+        self._draw_bodies(canvas, time_s, shift_m, solids or self._solids)
         if n_rows := canvas.n_sky_rows():
             canvas.fill_sky(self._background(pose, canvas.camera, n_rows))
         return canvas
 
-    def _draw_road_users(self, canvas: Canvas, time_s: float, shift_m: FloatArray) -> None:
-        poses = self.scene.location_m(time_s) + shift_m, self.scene.rotations(time_s)
-        location_m, rotations = poses
+    def _draw_bodies(self, canvas: Canvas, time_s: float, shift_m: FloatArray, solids: Crowd) -> None:
+        location_m, rotations, size_hwl_m = self._poses(time_s)
+        poses = location_m, rotations = location_m + shift_m, rotations
         in_reach = np.flatnonzero((location_m[:, 2] > -LONGEST_HALF_M) & (location_m[:, 2] < FAR_M))
         nearest_first = in_reach[np.argsort(location_m[in_reach, 2], kind="stable")]
-        boxes_m = corners_m(location_m, self.scene.size_hwl_m(), rotations)[nearest_first]
+        boxes_m = corners_m(location_m, size_hwl_m, rotations)[nearest_first]
         may_be_visible = canvas.may_be_visible(boxes_m)
-        has_pole = [self.scene.road_users[row].raised_m > 0 for row in nearest_first.tolist()]  # not part of the box
+        raised = {row for row, user in enumerate(self.scene.road_users) if user.raised_m > 0}
+        has_pole = [row in raised for row in nearest_first.tolist()]  # not part of the box
         is_visible = (box or pole for box, pole in zip(may_be_visible, has_pole, strict=True))
         self._shadows.draw(canvas, nearest_first, poses, repeat(True))  # first, since shadows fall only on the road
-        self._solids.draw(canvas, nearest_first, poses, is_visible)
+        solids.draw(canvas, nearest_first, poses, is_visible)
+
+    def _poses(self, time_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Locations, rotations and sizes (height, width, length) of all bodies in the left camera's frame."""
+        scene = self.scene
+        users = scene.location_m(time_s), scene.rotations(time_s), scene.size_hwl_m()
+        if not scene.obstacles:
+            return users
+        sizes = np.array([obstacle.size_hwl_m for obstacle in scene.obstacles], np.float64)
+        obstacles = (*scene.obstacle_poses(time_s), sizes)
+        location_m, rotations, size_hwl_m = (np.concatenate(pair) for pair in zip(users, obstacles, strict=True))
+        return location_m, rotations, size_hwl_m
 
     def _sky_picture(self, rng: np.random.Generator) -> Image:
         """The sky at half the resolution of the canvas; larger than the image if the camera rotates."""

@@ -20,6 +20,7 @@ ScenarioName = Literal[
     "oncoming",
     "overhead-sign",
     "following",
+    "occlusion",
 ]
 
 SCENARIO_NAMES: tuple[ScenarioName, ...] = get_args(ScenarioName)

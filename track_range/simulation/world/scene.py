@@ -18,6 +18,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.simulation.world.motion import LaneChange, SpeedChanges, speed_at_mps, travelled_m
+from track_range.simulation.world.obstacles import Obstacle
 from track_range.simulation.world.road_shape import (
     STEADY,
     STRAIGHT,
@@ -113,6 +114,7 @@ class Scene:
         wobble: pitch and roll of the ego car.
         surroundings: kind of road, a key of `surroundings.SURROUNDINGS`.
         is_night: whether headlights and lamps light the scene instead of the sun.
+        obstacles: static objects without labels.
     """
 
     seed: int
@@ -124,6 +126,7 @@ class Scene:
     wobble: Wobble = STEADY
     surroundings: str = "town"
     is_night: bool = False
+    obstacles: tuple[Obstacle, ...] = ()
 
     def __post_init__(self) -> None:
         ids = [user.track_id for user in self.road_users]
@@ -146,11 +149,8 @@ class Scene:
 
     def location_m(self, time_s: float) -> FloatArray:
         """(N, 3) bottom centres of the 3-D boxes in the left camera's frame at a time."""
-        pose = self.pose(time_s)
-        across, z = self._on_road_m(time_s)
         raised_m = np.array([user.raised_m for user in self.road_users])
-        world = np.stack([self.road.x_m(z) + across, self.road.y_m(z) - raised_m, z], axis=1)
-        return np.asarray((world - pose.position_m) @ pose.camera_from_world.T)
+        return self._location_m(time_s, self._on_road_m(time_s), raised_m)
 
     def size_hwl_m(self) -> FloatArray:
         """(N, 3) height, width, length."""
@@ -167,8 +167,25 @@ class Scene:
         """(N, 3, 3) rotations from the road users' frames to the left camera's, including slope and camera rotation."""
         _, z = self._on_road_m(time_s)
         headings = np.array([user.heading_rad(time_s) for user in self.road_users], np.float64)
-        level = yaw_rotation(headings + self.road.yaw_rad(z))
-        return np.asarray(self.pose(time_s).camera_from_world @ slope_rotation(self.road.climb_rad(z)) @ level)
+        return self._rotations(time_s, z, headings)
+
+    def obstacle_poses(self, time_s: float) -> tuple[FloatArray, FloatArray]:
+        """(M, 3) bottom centres of the obstacles and (M, 3, 3) rotations to the left camera's frame at a time."""
+        on_road_m = np.array([obstacle.at_xz_m for obstacle in self.obstacles], np.float64).reshape(-1, 2).T
+        headings = np.array([obstacle.rotation_y_rad for obstacle in self.obstacles], np.float64)
+        location_m = self._location_m(time_s, on_road_m, np.zeros(len(headings)))
+        return location_m, self._rotations(time_s, on_road_m[1], headings)
+
+    def _location_m(self, time_s: float, on_road_m: FloatArray, raised_m: FloatArray) -> FloatArray:
+        """(N, 3) positions in the left camera's frame of (2, N) positions across and along the road."""
+        pose = self.pose(time_s)
+        across, z = on_road_m
+        world = np.stack([self.road.x_m(z) + across, self.road.y_m(z) - raised_m, z], axis=1)
+        return np.asarray((world - pose.position_m) @ pose.camera_from_world.T)
+
+    def _rotations(self, time_s: float, z_m: FloatArray, headings_rad: FloatArray) -> FloatArray:
+        level = yaw_rotation(headings_rad + self.road.yaw_rad(z_m))
+        return np.asarray(self.pose(time_s).camera_from_world @ slope_rotation(self.road.climb_rad(z_m)) @ level)
 
     def _on_road_m(self, time_s: float) -> FloatArray:
         """(2, N) positions across and along the road."""

@@ -1,11 +1,9 @@
-"""The scenarios by name; each seed gives a different drive.
+"""Scenarios of ordinary traffic; each seed gives a different drive.
 
 town       a straight street without pitch or roll                  highway   three lanes, guard rails, 108 km/h
 city       a winding street, stop and go, buses, lights, signs      cut-in    a car cuts in closely ahead, and brakes
 crossing   the demo's: people and a cyclist cross the road          queue     stop and go, bumper to bumper
 empty      a country road without road users                        night     the city at night, by headlights
-
-`conflict_scenarios` has those that end in a contact and their harmless twins.
 """
 
 from __future__ import annotations
@@ -15,7 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from track_range.simulation.world.casting import (
+from track_range.simulation.world.motion import LaneChange, SpeedChanges, travelled_m
+from track_range.simulation.world.scenario_names import ScenarioName
+from track_range.simulation.world.scenarios.casting import (
     Flow,
     Part,
     earlier,
@@ -27,9 +27,6 @@ from track_range.simulation.world.casting import (
     signs,
     walkers,
 )
-from track_range.simulation.world.conflict_scenarios import CONFLICTS, TWINS
-from track_range.simulation.world.motion import LaneChange, SpeedChanges, travelled_m
-from track_range.simulation.world.scenario_names import SCENARIO_NAMES, ScenarioName
 from track_range.simulation.world.scene import TOWARDS_RAD, VIEW_M, Scene, make_scene
 
 QUEUE_SPACING_M, QUEUE_DELAY_S = 6.7, 0.8
@@ -37,17 +34,6 @@ QUEUE_SPACING_M, QUEUE_DELAY_S = 6.7, 0.8
 
 _TRUCKS = (("Truck", 0.45), ("Van", 0.25), ("Car", 0.2), ("Bus", 0.1))
 _FAST = (("Car", 0.85), ("Motorcycle", 0.15))
-
-
-def make_scenario(name: str, *, seed: int = 0, seconds: float = 10.0) -> Scene:
-    """The scene of a scenario for a drive of the given length; the same seed gives the same scene.
-
-    Raises:
-        ValueError: an unknown scenario.
-    """
-    if name not in SCENARIOS:
-        raise ValueError(f"scenario {name}: expected one of {', '.join(SCENARIOS)}")
-    return SCENARIOS[name](seed, seconds)
 
 
 def _town(seed: int, seconds: float) -> Scene:
@@ -178,7 +164,7 @@ def _empty(seed: int, seconds: float) -> Scene:
     return scene_of(seed, rng, parts, ego, surroundings="country", road=random_road(rng, swing_m=7.0, hill_m=3.0))
 
 
-_MAKERS: dict[ScenarioName, Callable[[int, float], Scene]] = {
+TRAFFIC: dict[ScenarioName, Callable[[int, float], Scene]] = {
     "town": _town,
     "highway": _highway,
     "city": _city,
@@ -187,9 +173,5 @@ _MAKERS: dict[ScenarioName, Callable[[int, float], Scene]] = {
     "queue": _queue,
     "empty": _empty,
     "night": _night,
-    **CONFLICTS,
-    **TWINS,
 }
-
-SCENARIOS: dict[str, Callable[[int, float], Scene]] = {name: _MAKERS[name] for name in SCENARIO_NAMES}
 """Function of each scenario that creates its scene from seed and length in seconds."""

@@ -20,7 +20,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from track_range.simulation.world.casting import (
+from track_range.simulation.world.contacts import CAMERA_TO_FRONT_M, EGO_HWL_M, first_contact
+from track_range.simulation.world.motion import SpeedChanges, speed_at_mps, travelled_m
+from track_range.simulation.world.road_shape import RoadShape
+from track_range.simulation.world.scenario_names import ScenarioName
+from track_range.simulation.world.scenarios.casting import (
     Flow,
     Part,
     earlier,
@@ -31,10 +35,6 @@ from track_range.simulation.world.casting import (
     signs,
     walkers,
 )
-from track_range.simulation.world.contacts import CAMERA_TO_FRONT_M, EGO_HWL_M, first_contact
-from track_range.simulation.world.motion import SpeedChanges, speed_at_mps, travelled_m
-from track_range.simulation.world.road_shape import RoadShape
-from track_range.simulation.world.scenario_names import ScenarioName
 from track_range.simulation.world.scene import AWAY_RAD, SIZE_HWL_M, TOWARDS_RAD, VIEW_M, RoadUser, Scene
 
 CONTACT_S = (5.5, 7.5)
