@@ -22,7 +22,7 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.geometry.rig_checks import check_rig
+from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS, check_rig
 
 Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]
 """OpenCV's fixed-point maps: whole pixels and fractions."""
@@ -32,6 +32,13 @@ _MAX_ROTATION_RAD = math.radians(45.0)
 
 _MAX_ZOOM = 4.0
 """Largest factor between the focal lengths before and after rectification in a plausible calibration."""
+
+
+_FOCAL_SCATTER = 0.1
+"""Relative difference of focal lengths above which cameras are unequal; equal lenses differ by 1 or 2 %."""
+
+_MIN_REDUCTION = 1.3
+"""Factor by which the right image is reduced above which it is smoothed first, against aliasing."""
 
 
 class Rectifier:
@@ -68,6 +75,8 @@ class Rectifier:
         self.rig, self._left_view = views.rig, views.left
         self._left_maps = None if views.left is None else _maps(views.left, self._size_px)
         is_moved = not rig.is_rectified or row_offset_px != 0.0
+        reduction = rig.right.fx_px / self.rig.left.fx_px
+        self._right_blur_px = 0.5 * math.sqrt(reduction**2 - 1) if reduction > _MIN_REDUCTION else 0.0
         self._right_maps = _maps(views.right.shifted_vertically(row_offset_px), self._size_px) if is_moved else None
 
     def rectify(self, left: Image, right: Image) -> tuple[Image, ImageView]:
@@ -80,6 +89,8 @@ class Rectifier:
         """
         _check_size(left, self._size_px, "left")
         _check_size(right, self._right_size_px, "right")
+        if self._right_blur_px:
+            right = np.asarray(cv2.GaussianBlur(right, (0, 0), self._right_blur_px), np.uint8)
         return (
             left if self._left_maps is None else _remapped(left, self._left_maps),
             right if self._right_maps is None else RemappedView(right, self._right_maps),
@@ -187,12 +198,17 @@ class StereoRectification(NamedTuple):
 
 
 def stereo_rectification(rig: StereoRig) -> StereoRectification:
-    """Bouguet's rectification of a rig (`cv2.stereoRectify`), without plausibility checks."""
+    """Bouguet's rectification of a rig (`cv2.stereoRectify`), without plausibility checks.
+
+    Unequal cameras are rectified to the field of view and the resolution of the left one: OpenCV knows one image size,
+    and would cut both images to what the narrower camera sees.
+    """
+    right = rig.left if _is_unequal(rig) else rig.right
     result = cv2.stereoRectify(
         rig.left.matrix,
         distortion_coefficients(rig.left),
-        rig.right.matrix,
-        distortion_coefficients(rig.right),
+        right.matrix,
+        distortion_coefficients(right),
         (rig.left.width_px, rig.left.height_px),
         rig.right_from_left[:3, :3],
         rig.right_from_left[:3, 3:],
@@ -200,6 +216,13 @@ def stereo_rectification(rig: StereoRig) -> StereoRectification:
         alpha=0,  # no black borders where the lenses allow it
     )
     return StereoRectification(*result[:5])
+
+
+def _is_unequal(rig: StereoRig) -> bool:
+    """Whether the cameras differ in image size, or in focal length beyond the scatter of equal lenses."""
+    left, right = rig.left, rig.right
+    has_other_focal = abs(right.fx_px / left.fx_px - 1) > _FOCAL_SCATTER
+    return (left.width_px, left.height_px) != (right.width_px, right.height_px) or has_other_focal
 
 
 def _rectified(rig: StereoRig, source: object) -> _Views:
@@ -232,9 +255,7 @@ def _check_rectifying_rotations(
     r1: cv2.typing.MatLike, r2: cv2.typing.MatLike, p2: cv2.typing.MatLike, source: object
 ) -> None:
     if abs(float(p2[1, 3])) > abs(float(p2[0, 3])):
-        raise RigError(
-            f"{source}: expected cameras side by side, found one above the other; vertical stereo is not supported."
-        )
+        raise RigError(f"{source}: expected cameras side by side, found one above the other; {NO_VERTICAL_PAIRS}.")
     for side, rotation in (("left", r1), ("right", r2)):
         if _angle_rad(rotation) > _MAX_ROTATION_RAD:
             raise RigError(

@@ -62,7 +62,8 @@ class StereoRig:
         """Whether corresponding points already have equal rows in both images."""
         translation = np.eye(4)
         translation[0, 3] = self.right_from_left[0, 3]
-        has_equal_cameras = np.allclose(self.left.matrix, self.right.matrix, atol=1e-6)
+        sizes = [(camera.width_px, camera.height_px) for camera in (self.left, self.right)]
+        has_equal_cameras = sizes[0] == sizes[1] and np.allclose(self.left.matrix, self.right.matrix, atol=1e-6)
         is_undistorted = not (self.left.is_distorted or self.right.is_distorted)
         return is_undistorted and has_equal_cameras and np.allclose(self.right_from_left, translation, atol=1e-9)
 

@@ -59,6 +59,14 @@ NO_VERTICAL_PAIRS = "mount them side by side, or run on one video with --mono"
 """Advice for pairs of cameras one above the other."""
 
 
+_N_VIEW_POINTS = 25
+"""Number of points along each side of the image at which the shared view is sampled."""
+
+_MIN_SHARED_VIEW, _FULL_SHARED_VIEW = 0.05, 0.7
+"""Shares of the left image in the right camera's view below which a rig is refused, and below which there is a note.
+Pairs for driving share more than 90 %."""
+
+
 @dataclass(frozen=True, slots=True)
 class Calibration:
     """Content of a calibration file in any format.
@@ -117,6 +125,34 @@ def check_rig(rig: StereoRig, source: object) -> None:
             f"{NO_VERTICAL_PAIRS}."
         )
     _check_baseline(rig.baseline_m, source)
+
+
+def shared_view(rig: StereoRig) -> float:
+    """Share of the left image, 0 to 1, that the right camera sees at a large distance; lens distortion is neglected."""
+    x, y = np.meshgrid(
+        np.linspace(0, rig.left.width_px - 1, _N_VIEW_POINTS), np.linspace(0, rig.left.height_px - 1, _N_VIEW_POINTS)
+    )
+    rays = rig.left.rays(np.stack([x.ravel(), y.ravel()], axis=1))
+    u, v = rig.right.project(rays @ rig.right_from_left[:3, :3].T).T
+    is_seen = (u >= 0) & (u <= rig.right.width_px - 1) & (v >= 0) & (v <= rig.right.height_px - 1)
+    return float(is_seen.mean())
+
+
+def shared_view_notes(rig: StereoRig, source: object) -> tuple[str, ...]:
+    """Notes on a right camera that sees only a part of the left image.
+
+    Raises:
+        RigError: it sees hardly any of it.
+    """
+    share = shared_view(rig)
+    if share < _MIN_SHARED_VIEW:
+        raise RigError(
+            f"{source}: expected cameras that see the same scene, found a right camera that sees {share:.0%} of the "
+            "left image; check the rotation and the image sizes."
+        )
+    if share >= _FULL_SHARED_VIEW:
+        return ()
+    return (f"{source}: the right camera sees {share:.0%} of the left image; the rest is measured with one camera.",)
 
 
 def _check_baseline(baseline_m: float, source: object) -> None:

@@ -11,18 +11,30 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import read_text
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.geometry.rig_checks import Calibration, check_camera, check_rig, fitted_to_size
+from track_range.stereo.geometry.rig_checks import (
+    Calibration,
+    check_camera,
+    check_rig,
+    fitted_to_size,
+    shared_view_notes,
+)
 from track_range.stereo.rig_formats.registry import FORMAT_TITLES, RIG_FORMATS
 from track_range.stereo.rig_formats.rig_format import RigFormat
 from track_range.stereo.rig_formats.ros import read_folder
 
+_SCALE_TOLERANCE = 0.01
+"""Largest relative difference between the factors by which left and right images of unequal size are scaled."""
 
-def load_rig(path: Path, *, size_px: tuple[int, int], is_grey: bool = False) -> tuple[StereoRig, tuple[str, ...]]:
+
+def load_rig(
+    path: Path, *, size_px: tuple[int, int], right_size_px: tuple[int, int] | None = None, is_grey: bool = False
+) -> tuple[StereoRig, tuple[str, ...]]:
     """The rig of a file, for images of `size_px` = (width, height), and notes for the user.
 
     Args:
-        path: a file in any of the formats.
+        path: a file in any of the formats, or a folder with ROS's camera_info of two cameras.
         size_px: (width, height) of the images.
+        right_size_px: the same of the right images; None = `size_px`.
         is_grey: whether to use the grey pair of a KITTI file that also has the colour pair.
 
     Raises:
@@ -35,11 +47,29 @@ def load_rig(path: Path, *, size_px: tuple[int, int], is_grey: bool = False) -> 
             "cameras, or run on one video with --mono."
         )
     check_rig(StereoRig(calibration.left, calibration.right, calibration.right_from_left), path)
+    if right_size_px is not None and right_size_px != size_px:
+        _check_sizes(calibration.left, calibration.right, size_px, right_size_px, path)
     left, left_notes = fitted_to_size(calibration.left, size_px, f"{path} (left)")
-    right, right_notes = fitted_to_size(calibration.right, size_px, f"{path} (right)")
+    right, right_notes = fitted_to_size(calibration.right, right_size_px or size_px, f"{path} (right)")
     rig = StereoRig(left, right, calibration.right_from_left)
     check_rig(rig, path)
-    return rig, (*calibration.notes, *left_notes, *right_notes)
+    return rig, (*calibration.notes, *left_notes, *right_notes, *shared_view_notes(rig, path))
+
+
+def _check_sizes(
+    left: PinholeCamera, right: PinholeCamera, left_px: tuple[int, int], right_px: tuple[int, int], path: Path
+) -> None:
+    """Check that images of unequal sizes are those of the file's cameras, or both reduced by the same factor.
+
+    Raises:
+        RigError: they are not, or the file has no image size.
+    """
+    if not left.width_px or abs(right_px[0] * left.width_px / (left_px[0] * right.width_px) - 1) > _SCALE_TOLERANCE:
+        expected = f"{left.width_px}x{left.height_px} and {right.width_px}x{right.height_px} px"
+        raise RigError(
+            f"{path}: expected left and right images of {expected if left.width_px else 'equal size'}, found "
+            f"{left_px[0]}x{left_px[1]} and {right_px[0]}x{right_px[1]} px; give a rig of these images."
+        )
 
 
 def load_camera(

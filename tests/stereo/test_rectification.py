@@ -11,6 +11,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import whole_image
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig_checks import shared_view, shared_view_notes
 
 LEFT = PinholeCamera(700.0, 705.0, 315.0, 245.0, 640, 480, (-0.25, 0.08, 0.001, -0.0005, 0.0))
 RIGHT = PinholeCamera(710.0, 708.0, 330.0, 236.0, 640, 480, (-0.22, 0.06, -0.0008, 0.0007, 0.0))
@@ -68,6 +69,36 @@ def test_synthetic_points_have_equal_rows_and_depths() -> None:
     assert np.allclose(np.linalg.norm(rotated_m, axis=1), np.linalg.norm(points_m, axis=1), rtol=0.01)
     assert rectifier.rig.is_rectified
     assert rectifier.rig.baseline_m == pytest.approx(np.linalg.norm(RIG.right_from_left[:3, 3]), rel=1e-6)
+
+
+UNEQUAL = [
+    PinholeCamera(450.0, 450.0, 215.0, 150.0, 420, 300, (-0.2, 0.05, 0.0, 0.0, 0.0)),
+    PinholeCamera(1300.0, 1310.0, 640.0, 360.0, 1280, 720),
+    PinholeCamera(500.0, 500.0, 330.0, 236.0, 640, 480, (-0.1, 0.03, 0.001, 0.0005, 0.01, 0.05, 0.01, 0.0)),
+]
+
+
+@pytest.mark.parametrize("camera", UNEQUAL)
+def test_unequal_cameras_get_the_left_geometry(camera: PinholeCamera) -> None:
+    rig = StereoRig(LEFT, camera, RIG.right_from_left)
+    points_m = np.array([[-0.8, 0.4, 6.0], [0.3, -0.5, 8.0], [1.5, 0.6, 10.0]])
+    left = dots(projected(points_m, LEFT, np.eye(4)), LEFT)
+    right = dots(projected(points_m, camera, rig.right_from_left), camera)
+    rectifier = Rectifier(rig)
+    assert rectifier.rig.left.fx_px == pytest.approx(Rectifier(RIG).rig.left.fx_px, rel=0.1)
+    left_px, right_px = (centroids(whole_image(image)) for image in rectifier.rectify(left, right))
+    assert np.abs(left_px[:, 1] - right_px[:, 1]).max() < 0.2
+    rotated_m = rectifier.rig.left.rays(left_px) * rectifier.rig.distance_m(left_px[:, 0] - right_px[:, 0])[:, None]
+    assert np.allclose(np.linalg.norm(rotated_m, axis=1), np.linalg.norm(points_m, axis=1), rtol=0.01)
+
+
+def test_views_with_little_in_common() -> None:
+    assert shared_view_notes(RIG, "rig.yaml") == ()
+    notes = shared_view_notes(StereoRig(LEFT, RIGHT, motion((0, 0.5, 0), (-0.4, 0, 0))), "rig.yaml")
+    assert len(notes) == 1
+    assert 0 < shared_view(StereoRig(LEFT, UNEQUAL[1], RIG.right_from_left)) < 1
+    with pytest.raises(RigError, match=r"rig\.yaml.*same scene"):
+        shared_view_notes(StereoRig(LEFT, RIGHT, motion((0, 0.82, 0), (-0.4, 0, 0))), "rig.yaml")
 
 
 def test_boxes_move_like_points_on_their_edges() -> None:

@@ -112,6 +112,7 @@ def test_size_equal_cropped_scaled_or_refused(tmp_path: Path) -> None:
         (("right_from_left", "translation_m"), [-0.001, 0, 0], "0.001"),
         (("right_from_left", "translation_m"), [0, 0, 0], "baseline"),
         (("right_from_left", "translation_m"), [0.5, 0, 0], "swap"),
+        (("right_from_left", "translation_m"), [0, 0.5, 0], "--mono"),
         (("right_from_left", "translation_m"), [0.5, 0], "'right_from_left.translation_m'"),
         (("right_from_left", "rotation"), [[1, 0, 0], [0, 1, 0], [0, 0, 1.1]], "R^T R"),
         (("right_from_left", "rotation"), [[1, 0, 0], [0, 1, 0], [0, 0, -1]], "determinant of -1"),

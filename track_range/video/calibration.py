@@ -103,6 +103,7 @@ def find_calibration(left: VideoName, inputs: Inputs, *, rig: Path | None, focal
 
     Raises:
         RigError: the file cannot be used or does not fit the images; or one camera has neither file nor focal length.
+        VideoError: the videos of an uncalibrated pair differ in size.
     """
     if rig is None and focal_px is None and (in_bag := _calibration_in_bag(inputs)) is not None:
         return in_bag
@@ -114,6 +115,7 @@ def find_calibration(left: VideoName, inputs: Inputs, *, rig: Path | None, focal
         loaded = _loaded_pair(path, inputs) if inputs.pairs is not None else _loaded_camera(path, inputs)
         return replace(loaded, search_notes=search_notes)
     if inputs.pairs is not None:
+        inputs.check_equal_sizes()
         pair = UncalibratedPair.of(inputs.size_px, focal_px)
         check_camera(pair.camera, "--focal-px")
         rectifier = Rectifier(_assumed_rig(pair.camera))
@@ -130,7 +132,7 @@ def find_calibration(left: VideoName, inputs: Inputs, *, rig: Path | None, focal
 
 def _loaded_pair(path: Path, inputs: Inputs) -> Calibration:
     is_grey = inputs.left.is_grey
-    raw_rig, notes = load_rig(path, size_px=inputs.size_px, is_grey=is_grey)
+    raw_rig, notes = load_rig(path, size_px=inputs.size_px, right_size_px=inputs.right_size_px, is_grey=is_grey)
     rectifier = Rectifier(raw_rig, source=path)
     return Calibration(
         kind="rig",
@@ -160,7 +162,7 @@ def _calibration_in_bag(inputs: Inputs) -> Calibration | None:
     given = rig_of(messages[0], messages[1], path, is_rectified=is_rectified)
     check_rig(given, path)
     left, left_notes = fitted_to_size(given.left, inputs.size_px, f"{path} (left)")
-    right, right_notes = fitted_to_size(given.right, inputs.size_px, f"{path} (right)")
+    right, right_notes = fitted_to_size(given.right, inputs.right_size_px, f"{path} (right)")
     rig = StereoRig(left, right, given.right_from_left)
     rectifier = Rectifier(rig)
     return Calibration(

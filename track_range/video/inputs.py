@@ -35,12 +35,14 @@ class Inputs:
     Attributes:
         left: the left or only video.
         pairs: left and right, paired by time; None = one video.
-        size_px: common width and height.
+        size_px: width and height of the images, common to left and right unless they are of unequal cameras.
+        right_size_px: width and height of the right images.
     """
 
     left: Reader
     pairs: LookAhead | None
     size_px: tuple[int, int]
+    right_size_px: tuple[int, int]
 
     @classmethod
     def open(
@@ -62,7 +64,7 @@ class Inputs:
             folder_fps: frame rate of folders without timestamps.txt.
 
         Raises:
-            VideoError: a video cannot be used, their sizes differ, or one is live and the other recorded.
+            VideoError: a video cannot be used, or one is live and the other recorded.
         """
 
         def reader(name: VideoName, beside: Reader | None = None) -> Reader:
@@ -79,16 +81,17 @@ class Inputs:
 
         first = reader(left)
         if right is None:
-            return cls(first, None, (first.width_px, first.height_px))
+            size_px = first.width_px, first.height_px
+            return cls(first, None, size_px, size_px)
         with ExitStack() as on_error:
             on_error.callback(first.close)
             second = reader(right, beside=first)
             on_error.callback(second.close)
             pairs = _paired(first, second)
-            size_px = _common_size_px(first, second)
+            size_px, right_size_px = _cropped_sizes_px(first, second)
             on_error.pop_all()
         is_live = isinstance(pairs, LivePair)
-        return cls(first, LookAhead(pairs, max_bytes=0 if is_live else MAX_LOOK_AHEAD_BYTES), size_px)
+        return cls(first, LookAhead(pairs, max_bytes=0 if is_live else MAX_LOOK_AHEAD_BYTES), size_px, right_size_px)
 
     def read_ahead(self) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
         """The first pairs, before the iteration; see `LookAhead.read_ahead`. Empty for one video."""
@@ -103,10 +106,27 @@ class Inputs:
             for image in images:
                 yield image, None
 
-    def cut(self, frame: VideoFrame) -> Image:
-        """The frame's image, cropped to the common size."""
-        width_px, height_px = self.size_px
-        return frame.image[:height_px, :width_px]
+    def cut(self, images: Images) -> tuple[Image, Image | None]:
+        """The images of one time, cropped to the common size of equal cameras."""
+        left, right = images
+        (width_px, height_px), (right_width_px, right_height_px) = self.size_px, self.right_size_px
+        return (
+            left.image[:height_px, :width_px],
+            None if right is None else right.image[:right_height_px, :right_width_px],
+        )
+
+    def check_equal_sizes(self) -> None:
+        """Check that left and right have the same size, which a pair without a rig must have.
+
+        Raises:
+            VideoError: they differ.
+        """
+        if self.size_px != self.right_size_px:
+            (lw, lh), (rw, rh) = self.size_px, self.right_size_px
+            raise VideoError(
+                f"{self.readers[-1].path}: expected {lw}x{lh} px like {self.left.path}, got {rw}x{rh}; unequal cameras "
+                "need a --rig with both of them."
+            )
 
     @property
     def readers(self) -> tuple[Reader, ...]:
@@ -162,11 +182,10 @@ def _paired(left: Reader, right: Reader) -> StereoVideo | LivePair:
     )
 
 
-def _common_size_px(left: Reader, right: Reader) -> tuple[int, int]:
+def _cropped_sizes_px(left: Reader, right: Reader) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Sizes to which the images are cropped: a common one if only rows or columns of a codec differ."""
     sizes = [(reader.width_px, reader.height_px) for reader in (left, right)]
     if any(abs(a - b) > _CODEC_CROP_PX for a, b in zip(*sizes, strict=True)):
-        (lw, lh), (rw, rh) = sizes
-        raise VideoError(
-            f"{right.path}: expected {lw}x{lh} px like {left.path}, got {rw}x{rh}; both videos must have the same size."
-        )
-    return min(w for w, _ in sizes), min(h for _, h in sizes)
+        return sizes[0], sizes[1]
+    common = min(w for w, _ in sizes), min(h for _, h in sizes)
+    return common, common

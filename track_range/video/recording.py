@@ -239,7 +239,7 @@ def _frames(
 
 def _frame(images: Images, calibration: Calibration, inputs: Inputs, utc: UtcStart | None = None) -> Frame:
     """The images of one time, cropped to their common size and rectified."""
-    left, right = images
-    left_image, right_image = calibration.rectified(inputs.cut(left), None if right is None else inputs.cut(right))
+    left, _ = images
+    left_image, right_image = calibration.rectified(*inputs.cut(images))
     time_s, start = left.time_s - inputs.left.first_time_s, utc or inputs.utc
     return Frame(left.index, time_s, left_image, right_image, math.nan if start is None else start.start_s + time_s)

@@ -73,8 +73,33 @@ def test_row_offset_is_corrected_and_reported(pair, tmp_path):
 
 def test_different_sizes_are_an_error(pair, tmp_path):
     right = write_view(tmp_path / "small", SHIFT_PX, size_px=(200, 100))
+    with pytest.raises(RigError, match=r"rig\.yaml: expected .*200x100"):
+        open_recording(pair[0], right)
+    (tmp_path / "rig.yaml").unlink()
     with pytest.raises(VideoError, match=r"small: expected .*200x100"):
         open_recording(pair[0], right)
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_cameras_of_unequal_sizes(pair, tmp_path, scale):
+    small = PinholeCamera(CAMERA.fx_px, CAMERA.fy_px, 79.5, 59.5, 200, 120)
+    right_from_left = np.eye(4)
+    right_from_left[0, 3] = -0.5
+    cameras = [
+        PinholeCamera(c.fx_px * scale, c.fy_px * scale, *((o + 0.5) * scale - 0.5 for o in (c.cx_px, c.cy_px)), *size)
+        for c, size in ((CAMERA, (320 * scale, 160 * scale)), (small, (200 * scale, 120 * scale)))
+    ]
+    save_rig(StereoRig(*cameras, right_from_left), tmp_path / "rig.yaml")
+    right = write_view(tmp_path / "small", SHIFT_PX + 80, size_px=(200, 120), row_px=20)
+    recording = open_recording(pair[0], right, align="off")
+    frame = next(recording.frames)
+    assert frame.left.shape[:2] == whole_image(frame.right).shape == (HEIGHT_PX, WIDTH_PX)
+    assert recording.camera.fx_px == pytest.approx(CAMERA.fx_px, rel=0.01)
+    assert any("the right camera sees" in note for note in recording.notes)
+    grey = cv2.cvtColor(frame.left, cv2.COLOR_BGR2GRAY).astype(int)
+    rows, columns = slice(40, 120), slice(110, 240)
+    shifted = slice(columns.start - SHIFT_PX, columns.stop - SHIFT_PX)
+    assert np.median(np.abs(grey[rows, columns] - whole_image(frame.right)[rows, shifted])) <= 4
 
 
 def test_pair_without_rig_is_uncalibrated(pair, tmp_path):

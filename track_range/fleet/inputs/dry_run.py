@@ -110,14 +110,15 @@ class _Check:
             return checked
         headers = [self._header(video.path, index) for index, video in enumerate(videos)]
         left, right = headers[0], headers[1] if len(headers) == 2 else None
+        calibration = self._calibration(left, right, files.get("rig"))
         if right is not None:
-            self._compare(left, right)
+            self._compare(left, right, has_rig=calibration in ("file", "bag"))
         return replace(
             checked,
             size_px=left.size_px,
             fps=left.fps or None,
             duration_s=left.duration_s or None,
-            calibration=self._calibration(left, files.get("rig")),
+            calibration=calibration,
         )
 
     def _size(self, files: dict[str, Location]) -> int:
@@ -151,10 +152,10 @@ class _Check:
         header = VideoHeader.read(path)
         return _Header(header.size_px, header.fps, header.duration_s)
 
-    def _compare(self, left: _Header, right: _Header) -> None:
-        """Compare the videos of a pair."""
+    def _compare(self, left: _Header, right: _Header, *, has_rig: bool) -> None:
+        """Compare the videos of a pair; without a rig, they must have the same size."""
         (lw, lh), (rw, rh) = left.size_px, right.size_px
-        if max(abs(lw - rw), abs(lh - rh)) > _CODEC_CROP_PX:
+        if not has_rig and max(abs(lw - rw), abs(lh - rh)) > _CODEC_CROP_PX:
             self.problems.append(f"{self.clip.right}: expected {lw}x{lh} px like the left video, found {rw}x{rh}.")
         if left.duration_s and right.duration_s and abs(left.duration_s - right.duration_s) > _MAX_DIFFERENCE_S:
             self.notes.append(
@@ -162,7 +163,7 @@ class _Check:
                 "only one are not used."
             )
 
-    def _calibration(self, left: _Header, rig: Location | None) -> str:
+    def _calibration(self, left: _Header, right: _Header | None, rig: Location | None) -> str:
         """Kind of the calibration; one that cannot be used is a problem."""
         if "rig" not in self.clip.settings:
             if "focal_px" in self.clip.settings or self.focal_px is not None:
@@ -178,18 +179,24 @@ class _Check:
                 )
             return "none"
         if rig.is_local:
-            self._check_rig(rig.path, left.size_px)
+            self._check_rig(rig.path, left.size_px, left.size_px if right is None else right.size_px)
         return "file"
 
-    def _check_rig(self, path: Path, size_px: tuple[int, int]) -> None:
-        load = load_camera if self.clip.right is None else load_rig
-        if max(size_px) > _MAX_CALIBRATION_SIDE_PX:
+    def _check_rig(self, path: Path, left_px: tuple[int, int], right_px: tuple[int, int]) -> None:
+        if max(left_px) > _MAX_CALIBRATION_SIDE_PX:
             return
+
+        def load(left_px: tuple[int, int], right_px: tuple[int, int]) -> None:
+            if self.clip.right is None:
+                load_camera(path, size_px=left_px)
+            else:
+                load_rig(path, size_px=left_px, right_size_px=right_px)
+
         try:
-            load(path, size_px=size_px)
+            load(left_px, right_px)
         except UserError as error:
             try:
-                load(path, size_px=(size_px[1], size_px[0]))  # a video that is rotated by its metadata
+                load(left_px[::-1], right_px[::-1])  # a video that is rotated by its metadata
             except UserError:
                 self.problems.append(str(error))
 
