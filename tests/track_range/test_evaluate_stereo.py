@@ -12,6 +12,7 @@ from tests.stereo.kitti_folder import write_pair, write_set
 from track_range.calibration.drive_pairs import read_drive
 from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.evaluation.dense_confidence import MEASURES
 from track_range.stereo.evaluation.disparity_errors import BANDS_M
 
 KEYS = {
@@ -54,6 +55,25 @@ def test_exact_pairs(cli, tmp_path):
     assert "4 objects in 2 pairs" in printed
     assert "95 %" in printed
     assert "all matchers" in printed
+
+
+def test_risk_coverage(cli, tmp_path):
+    folder = write_set(tmp_path / "set", ["000000_10"])
+    chart = tmp_path / "risk.svg"
+    figures, printed = evaluate(cli, folder, tmp_path, "--matcher", "patch,sgbm-hh", "--figure", chart)
+    curves = figures["risk_coverage"]
+    assert set(curves["patch"]) == {"sigma"}
+    assert set(curves["sgbm-hh"]) == {"sigma", *MEASURES}
+    assert figures["best_confidence"]["sgbm-hh"] in MEASURES
+    for curve in curves["sgbm-hh"].values():
+        assert (curve["area_failures_pct"], curve["curve"][-1]["answered_pct"]) == (0.0, 100)
+    assert "answered" in printed
+    assert "<svg" in chart.read_text()
+
+
+def test_wrong_chart_name(cli, tmp_path):
+    status, _, errors = cli("evaluate", "stereo", "--pairs", write_set(tmp_path / "set"), "--figure", "risk.txt")
+    assert (status, "--figure" in errors) == (2, True)
 
 
 def test_one_matcher_has_no_common_objects(cli, tmp_path):

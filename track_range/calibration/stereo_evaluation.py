@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +10,13 @@ import numpy as np
 
 from track_range.calibration.drive_pairs import is_drive, read_drive
 from track_range.calibration.settings import LEAVE_TWO_OUT, OFF, StereoEvaluationSettings
+from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.from_reference import fit_reference
 from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.evaluation.dense_confidence import BEST_MEASURE, DENSE_MATCHER, ConfidenceRecorder
 from track_range.stereo.evaluation.disparity_errors import (
     Column,
     common_figures,
@@ -23,6 +25,7 @@ from track_range.stereo.evaluation.disparity_errors import (
     matcher_figures,
 )
 from track_range.stereo.evaluation.kitti_2015 import PairFileError, StereoPair, is_kitti_2015, pair_names, read_pairs
+from track_range.stereo.evaluation.risk_coverage import risk_coverage
 from track_range.stereo.matching.box_matchers import MATCHER_NAMES, MatcherResults, measure_pairs
 
 
@@ -36,8 +39,10 @@ def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress =
     _check_names(settings.matchers)
     known = None if settings.align in (OFF, LEAVE_TWO_OUT) else load_alignment(Path(settings.align))
     n_pairs = _n_pairs(settings)
+    recorder = ConfidenceRecorder() if DENSE_MATCHER in settings.matchers else None
     with progress("pairs") as advance:
         pairs = _counted(_pairs(settings, known), advance, n_pairs)
+        pairs = pairs if recorder is None else recorder.recorded(pairs)
         measured = measure_pairs(pairs, settings.matchers)
     if not len(measured.objects):
         raise PairFileError(f"{settings.pairs}: expected objects of known disparity, found none.")
@@ -51,8 +56,21 @@ def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress =
         "alignment": alignment,
         "matchers": matchers,
         "common": common_figures(columns, measured.objects, seed=settings.seed) if len(columns) > 1 else {},
+        "risk_coverage": _risk_coverage(columns, measured, {} if recorder is None else recorder.measures),
+        "best_confidence": {DENSE_MATCHER: BEST_MEASURE} if recorder is not None else {},
         "notes": list(measured.notes),
     }
+
+
+def _risk_coverage(
+    columns: Mapping[str, Column], measured: MatcherResults, measures: Mapping[str, FloatArray]
+) -> dict[str, dict[str, Any]]:
+    """Curve and areas by matcher and by the measure that sorts its boxes: sigma, or a confidence measure."""
+    true_px = measured.objects.true_px
+    curves = {name: {"sigma": risk_coverage(column, true_px)} for name, column in columns.items()}
+    for measure, uncertainty in measures.items():
+        curves[DENSE_MATCHER][measure] = risk_coverage(columns[DENSE_MATCHER], true_px, uncertainty)
+    return curves
 
 
 def _check_names(names: Sequence[str]) -> None:

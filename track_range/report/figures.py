@@ -1,4 +1,4 @@
-"""Charts as PNG files: losses and accuracy of a training run, and fitted size curves over their boxes.
+"""Charts as files: losses and accuracy of a training run, fitted size curves over their boxes, risk-coverage curves.
 
 Uses matplotlib's Figure objects directly (no pyplot, hence no window and no global state). The charts of the report are
 drawn by the script of its page.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -96,4 +97,37 @@ def curve_picture(classes: Mapping[str, tuple[FloatArray, FloatArray, Sequence[C
         axes.legend(frameon=False, ncols=2)
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=110)
+    write_bytes(path, stream.getvalue())
+
+
+def risk_coverage_chart(curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) -> None:
+    """Draw failures, mean and 95th percentile of the error against the share of answered boxes.
+
+    Args:
+        curves: by name the rows of a curve, as from `risk_coverage`.
+        path: SVG or PNG file to write.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    panels = (
+        ("failures_pct", "failures, %"),
+        ("mean_relative_error_pct", "mean error, %"),
+        ("p95_relative_error_pct", "95th percentile of the error, %"),
+    )
+    figure = Figure(figsize=(10.5, 3.9), layout="constrained")
+    for axes, (key, label) in zip(figure.subplots(1, 3), panels, strict=True):
+        for name, rows in curves.items():
+            points = [(row["answered_pct"], row[key]) for row in rows if row[key] is not None]
+            if points:
+                axes.plot(*zip(*points, strict=True), label=name, linewidth=1.5)
+        axes.set_xlabel("answered boxes, %, most certain first")
+        axes.set_ylabel(label)
+        axes.set_xlim(0, 100)
+        axes.set_ylim(bottom=0)
+        axes.grid(True, alpha=0.25)
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", frameon=False, ncols=6)
+    stream = io.BytesIO()
+    kind = path.suffix.lower().removeprefix(".")
+    figure.savefig(stream, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else None)
     write_bytes(path, stream.getvalue())

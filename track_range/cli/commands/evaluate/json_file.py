@@ -8,7 +8,7 @@ from typing import Any
 
 from track_range.results.output_files import OutputError
 
-_OUTPUTS = ("json_file", "table")
+_OUTPUTS = ("json_file", "table", "figure")
 """Options that name files to write."""
 
 

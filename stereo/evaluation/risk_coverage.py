@@ -1,0 +1,67 @@
+"""Risk-coverage curves: errors of the boxes that are answered first, in the order of their uncertainty.
+
+    A = (1 / N) sum_k r(k)      r(k): risk of the k most certain of N boxes
+
+The risk is the share of failures, for which boxes without a value come last, or the mean relative error, over boxes
+with a value. The uncertainty is the standard deviation relative to the disparity, or another measure. A small area A
+means that the errors are small, and that the uncertain boxes are the wrong ones. (Geifman and El-Yaniv, "Selective
+classification for deep neural networks", NIPS 2017.)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.stereo.evaluation.disparity_errors import FAILURE, Column, figures
+
+STEP_PCT = 5
+"""Step of the answered share along a curve, per cent."""
+
+_KEYS = ("failures_pct", "mean_relative_error_pct", "p95_relative_error_pct")
+"""Figures of the answered boxes."""
+
+
+def risk_coverage(column: Column, true_px: FloatArray, uncertainty: FloatArray | None = None) -> dict[str, Any]:
+    """The curve and its areas, as plain values for JSON.
+
+    Args:
+        column: results of one matcher for N boxes.
+        true_px: (N,) true disparities.
+        uncertainty: (N,) measure by which the boxes are sorted, larger = less certain; None = the relative sigma.
+
+    Returns:
+        area_failures_pct, area_error_pct: area under the curve of failures and of the mean relative error, per cent;
+        the latter None without a value. curve: a row per answered share with its figures.
+    """
+    order = certain_first(column, uncertainty)
+    disparity_px, expected_px = column.disparity_px[order], true_px[order]
+    error = np.abs(expected_px / disparity_px - 1)
+    is_failure = ~(error <= FAILURE)  # true for NaN
+    known = error[np.isfinite(error)]
+    n, count = len(error), np.arange(1, len(error) + 1)
+    rows = []
+    for answered_pct in range(STEP_PCT, 100 + STEP_PCT, STEP_PCT):
+        first = order[: math.ceil(n * answered_pct / 100)]
+        figure = figures(column.select(first), true_px[first])
+        rows.append({"answered_pct": answered_pct, "n": len(first), **{key: figure[key] for key in _KEYS}})
+    means = np.cumsum(known) / count[: len(known)]
+    return {
+        "area_failures_pct": round(float(100 * (np.cumsum(is_failure) / count).mean()), 4) if n else None,
+        "area_error_pct": round(float(100 * means.mean()), 4) if len(known) else None,
+        "curve": rows,
+    }
+
+
+def certain_first(column: Column, uncertainty: FloatArray | None = None) -> IntArray:
+    """(N,) rows of the boxes from the most to the least certain one, boxes without a value last.
+
+    Equal uncertainties are in the order of the relative sigma.
+    """
+    relative_sigma = column.sigma_px / column.disparity_px
+    measure = relative_sigma if uncertainty is None else uncertainty
+    is_missing = ~np.isfinite(column.disparity_px)
+    return np.lexsort((relative_sigma, np.where(np.isfinite(measure), measure, np.inf), is_missing))
