@@ -131,6 +131,7 @@ class DeepSortTracker:
         *,
         appearance_model: AppearanceModel | None = None,
         flow: BackgroundFlow | None = None,
+        camera_motion: CameraMotion | None = None,
     ) -> None:
         """Create a tracker without tracks.
 
@@ -139,10 +140,12 @@ class DeepSortTracker:
             appearance_model: computes embeddings where there are images and the detections have no embeddings; None =
                 no appearance in these cases.
             flow: flow of the background, which the odometry of the same stream may use too; None = a separate one.
+            camera_motion: estimates the motion of the background from the images; None = from `flow`.
         """
         self._settings = settings = settings or DeepSortSettings()
         self._appearance_model = appearance_model
-        self._camera_motion = CameraMotion(flow=flow) if settings.is_camera_motion_compensated else None
+        motion = camera_motion or CameraMotion(flow=flow)
+        self._camera_motion = motion if settings.is_camera_motion_compensated else None
         self._activation_threshold = ConfidenceThreshold(settings.track_activation_threshold)
         self._noise_scale = ProcessNoiseScale(settings.process_noise)
         self._table = TrackTable(n_boxes=settings.prediction.n_kept, n_embeddings=settings.appearance.nn_budget)

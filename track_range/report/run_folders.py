@@ -17,7 +17,7 @@ from track_range.report.comparison import ComparedRun, comparison_grids, compari
 from track_range.report.page import write_comparison, write_report
 from track_range.report.tables import Grid
 from track_range.results.folder import RunFolder, read_run_folder
-from track_range.results.output_files import check_outputs
+from track_range.results.output_files import OutputError, check_outputs
 from track_range.results.writers import result_names
 
 
@@ -84,10 +84,16 @@ def restore_events(run: RunFolder) -> Iterator[str]:
     A run in progress is left alone.
 
     Raises:
-        OutputError: a file cannot be written.
+        OutputError: a file cannot be written, or the events.csv of a finished run is damaged.
     """
     if not run.are_events_replayed or is_locked(run.folder):
         return
+    path = run.folder / EVENTS_FILE
+    if path.exists() and (run.folder / "summary.json").exists():
+        raise OutputError(
+            f"{path}: expected the events of the run, found a damaged file; delete it, so that it is written "
+            "again from the rows."
+        )
     write_event_files(run.folder, run.events, run.provenance.metadata())
     yield f"{EVENTS_FILE} and {EVENTS_PARQUET} were written from the rows: {counted(len(run.events), 'event')}."
 

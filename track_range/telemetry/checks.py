@@ -156,7 +156,13 @@ def _check_positions(track: TelemetryTrack) -> None:
 
 
 def _with_unit(track: TelemetryTrack) -> TelemetryTrack:
-    """The track with speeds in m/s, if the file states no unit and its positions show that it is another one."""
+    """The track with speeds in m/s, if the file states no unit and its positions show that it is another one.
+
+    With too few positions of a moving car, the speeds are taken as m/s, with a note if any is fast.
+
+    Raises:
+        TelemetryError: the speeds contradict the positions in every unit.
+    """
     if track.states_unit or not track.has_own_speed:
         return track
     known = np.isfinite(track.speed_mps)
@@ -164,12 +170,16 @@ def _with_unit(track: TelemetryTrack) -> TelemetryTrack:
     positions = speed_from_positions(
         time_s, track.latitude_deg, track.longitude_deg, nothing, source=track.source, clock=track.clock
     )
-    if positions is None or known.sum() < _MIN_COMPARED:
-        return track
-    stated = np.interp(positions.time_s, time_s[known], track.speed_mps[known])
-    moving = (positions.speed_mps > _COMPARED_MPS) & (stated > 0)
-    if moving.sum() < _MIN_COMPARED:
-        return track
+    n_moving = 0
+    if positions is not None and known.any():
+        stated = np.interp(positions.time_s, time_s[known], track.speed_mps[known])
+        moving = (positions.speed_mps > _COMPARED_MPS) & (stated > 0)
+        n_moving = int(moving.sum())
+    if positions is None or known.sum() < _MIN_COMPARED or n_moving < _MIN_COMPARED:
+        if not (track.speed_mps[known] > _COMPARED_MPS).any():
+            return track
+        note = f"its speeds have no unit and are taken as m/s; only {n_moving} positions of a moving car could show it."
+        return replace(track, notes=(*track.notes, note))
     ratio = float(np.median(positions.speed_mps[moving] / stated[moving]))
     unit = min(MPS_PER_UNIT, key=lambda name: abs(math.log(MPS_PER_UNIT[name] / ratio)))
     if abs(MPS_PER_UNIT[unit] / ratio - 1) > _UNIT_TOLERANCE:

@@ -13,6 +13,7 @@ from track_range.events.summary import events_section, severity_key
 from track_range.report.run_folders import report
 from track_range.results import folder as folders
 from track_range.results.folder import read_run_folder
+from track_range.results.output_files import OutputError
 
 
 def recorded(drive, **options):
@@ -83,6 +84,9 @@ def test_damaged_events_are_found_again(tmp_path, monkeypatch):
     read = read_run_folder(run)
     assert len(read.events) == 1
     assert any("events.csv" in note and "kinds" in note for note in read.summary["notes"])
+    with pytest.raises(OutputError, match=r"events\.csv: .*damaged"):
+        report([run])
+    assert "crash" in (run / "events.csv").read_text()
 
 
 def test_run_of_an_earlier_version_has_no_events(tmp_path):

@@ -42,6 +42,16 @@ def test_gpx_that_contradicts_itself(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("speeds", "factor", "n_notes"), [([8.0] * 5, 3.6, 1), ([2.0] * 20, 3.6, 1), ([2.0] * 20, 1.0, 0)]
+)
+def test_gpx_with_an_unknown_unit(tmp_path, speeds, factor, n_notes):
+    track = usable(read(tmp_path, "a.gpx", gpx_text(speeds, field="speed", factor=factor)))
+    assert track.speed_mps == pytest.approx(np.array(speeds) * factor)
+    assert len(track.notes) == n_notes
+    assert all("no unit" in note for note in track.notes)
+
+
+@pytest.mark.parametrize(
     ("text", "word"),
     [
         ("", "XML"),

@@ -149,8 +149,8 @@ class _BoxTracker(DeepSortTracker):
 
     def __init__(self) -> None:
         gate = AppearanceSettings(max_cosine_distance=ColourLayoutSettings().max_cosine_distance)
-        super().__init__(DeepSortSettings(appearance=gate))
-        self._camera_motion = self._shift = _Shift()
+        self._shift = _Shift()
+        super().__init__(DeepSortSettings(appearance=gate), camera_motion=self._shift)
 
     def update_frame(self, frame: BoxFrame, image: Image) -> Tracks:
         """The tracks of a frame."""
