@@ -140,15 +140,15 @@ class _Builder:
         kind, occluder = (_drawn(self.rng, shares) for shares in (USERS, OCCLUDERS))
         for _ in range(N_TRIALS):
             place = self._random_place(kind, camera_z_m)
-            found = self._occluder(occluder, place, camera_z_m) if occluder != "none" else ([], None)
+            placed = self._occluder(occluder, place, camera_z_m) if occluder != "none" else ([], None)
             speed_mps = self._speed_mps(kind)
-            if found is None or not self._is_free(path := _path(place, speed_mps), found[0]):
+            if placed is None or not self._is_free(path := _path(place, speed_mps), placed[0]):
                 continue
-            self.occupied += path + found[0]
-            if isinstance(found[1], Obstacle):
-                self.obstacles.append(found[1])
-            elif found[1] is not None:
-                self.parts.append(found[1])
+            self.occupied += path + placed[0]
+            if isinstance(placed[1], Obstacle):
+                self.obstacles.append(placed[1])
+            elif placed[1] is not None:
+                self.parts.append(placed[1])
             self.parts.append(_part(place, speed_mps, time_s))
             return
 
