@@ -17,7 +17,7 @@ from track_range.foundation.errors import UserError
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.size_model import SizeModel
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.tracking.tracks import Tracks
@@ -58,6 +58,7 @@ class MethodContext:
         rig: the calibrated, rectified pair; None = one camera, or an uncalibrated pair.
         assumed_rig: an uncalibrated, row-aligned pair with an assumed baseline; None = any other input.
         alignment: correction of the rig's disparities.
+        drifting_alignment: the same over the time of the drive; None = constant.
         focal_sigma: relative standard deviation of the focal length, which all methods share; 0 = calibrated.
         size_model: sizes of road users; None = the packaged model.
         box_sigma_px: standard deviation of one box edge in px; None = the noise model of a detector (`BoxNoise`).
@@ -75,6 +76,7 @@ class MethodContext:
     rig: StereoRig | None = None
     assumed_rig: StereoRig | None = None
     alignment: Alignment = field(default_factory=Alignment)
+    drifting_alignment: AlignmentSource | None = None
     focal_sigma: float = 0.0
     size_model: SizeModel | None = None
     box_sigma_px: float | None = None

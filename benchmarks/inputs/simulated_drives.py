@@ -57,6 +57,10 @@ class SimulatedDrive:
         with ThreadPoolExecutor(os.cpu_count()) as threads:
             return list(threads.map(self._frame, range(len(self.times_s))))
 
+    def iter_frames(self) -> Iterator[Frame]:
+        """All frames, rendered one after the other."""
+        return map(self._frame, range(len(self.times_s)))
+
     def _frame(self, index: int) -> Frame:
         time_s = float(self.times_s[index])
         left, right = (self.renderer.render(time_s, side=side) for side in ("left", "right"))

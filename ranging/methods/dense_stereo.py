@@ -12,7 +12,7 @@ from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.methods.triangulation import Triangulation
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.sgbm import Sgbm, SgbmSettings, inner_half_median
@@ -28,7 +28,7 @@ class DenseRanger(Ranger):
     """
 
     def __init__(
-        self, rig: StereoRig, settings: SgbmSettings | None = None, *, alignment: Alignment | None = None
+        self, rig: StereoRig, settings: SgbmSettings | None = None, *, alignment: AlignmentSource | None = None
     ) -> None:
         """Create a ranger for a rectified rig; `alignment` corrects its disparities, None = no correction."""
         self._triangulate = Triangulation(rig, alignment or Alignment())
@@ -48,7 +48,7 @@ class DenseRanger(Ranger):
         self.disparity = disparity = self._pending.pop(frame.index).result()
         disparity_px, sigma_px = inner_half_median(disparity, tracks.xyxy_px, settings=self._settings)
         disparity_px = np.where(tracks.observed, disparity_px, np.nan)
-        return self._triangulate.ranges(tracks, disparity_px, sigma_px)
+        return self._triangulate.ranges(tracks, disparity_px, sigma_px, time_s=frame.time_s)
 
     def close(self) -> None:
         """Drop pending frames and end the thread."""
@@ -67,7 +67,7 @@ def _create(context: MethodContext) -> Ranger | None:
     if context.rig is None:
         return None
     settings = SgbmSettings.for_rig(context.rig, chosen=context.sgbm_options)
-    return DenseRanger(context.rig, settings, alignment=context.alignment)
+    return DenseRanger(context.rig, settings, alignment=context.drifting_alignment or context.alignment)
 
 
 SGBM = RangingMethod(

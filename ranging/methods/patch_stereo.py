@@ -10,7 +10,7 @@ from track_range.ranging.methods.size_scaled_stereo import SizeScaledRanger
 from track_range.ranging.methods.triangulation import TrackMatcher, Triangulation
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
@@ -33,7 +33,7 @@ class StereoRanger(Ranger):
     """
 
     def __init__(
-        self, rig: StereoRig, matcher: BoxMatcher | None = None, *, alignment: Alignment | None = None
+        self, rig: StereoRig, matcher: BoxMatcher | None = None, *, alignment: AlignmentSource | None = None
     ) -> None:
         """Create a ranger for a rectified rig.
 
@@ -57,7 +57,7 @@ class StereoRanger(Ranger):
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances of the boxes that match; NaN where the match is rejected or there is no right image."""
-        return self._triangulate.ranges(tracks, *self._matcher.match(tracks, frame))
+        return self._triangulate.ranges(tracks, *self._matcher.match(tracks, frame), time_s=frame.time_s)
 
     def summary(self) -> dict[str, Any]:
         """Number of boxes that were not matched, by reason."""
@@ -73,7 +73,7 @@ def _create(context: MethodContext) -> Ranger | None:
     if context.rig is None:
         matcher = PatchMatcher(PatchMatcherSettings.for_rig(rig))
         return SizeScaledRanger(matcher, focal_px=context.camera.fx_px, focal_sigma=context.focal_sigma)
-    return StereoRanger(rig, alignment=context.alignment)
+    return StereoRanger(rig, alignment=context.drifting_alignment or context.alignment)
 
 
 STEREO = RangingMethod(

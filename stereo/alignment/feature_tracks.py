@@ -75,6 +75,22 @@ class PairPoints(NamedTuple):
         return self.right_px[:, 1] - self.left_px[:, 1]
 
 
+class TrackedFrame(NamedTuple):
+    """The points of one frame of a drive, and how well they were tracked from the frame before.
+
+    Attributes:
+        time_s: time of the frame.
+        points: points that are visible in both images.
+        flow_px: median flow since the previous frame; 0 for the first frame.
+        share_tracked: fraction of the points tracked from the previous frame; 1 for the first frame.
+    """
+
+    time_s: float
+    points: PairPoints
+    flow_px: float
+    share_tracked: float
+
+
 class FeatureTracks:
     """Tracks corners through the frames of a drive.
 

@@ -1,12 +1,16 @@
 """Alignment files: align.yaml, with units in the keys, as written by `track-range align`.
 
     track_range_align: 1
-    offset_px: 0.45                 d_true = d_measured + offset_px + bow_px u^2, see `stereo.alignment.model`
+    offset_px: 0.45                 d_true = d_measured + offset_px + bow_px u^2 ..., see `stereo.alignment.model`
     offset_sigma_px: 0.05
     bow_px: 1.57
     bow_sigma_px: 0.12
     row_offset_px: 0.22
     residual_px: 0.21
+    slope_px: 0.16                  + slope_px u
+    slope_sigma_px: 0.05
+    roll_deg: -0.02                 right camera relative to the rig: roll and focal length
+    focal_ratio: 1.0004
     source: this drive, 32 frames
 
 Missing keys have the values of an alignment that was not measured.
@@ -31,6 +35,9 @@ _VERSION_KEY = "track_range_align"
 _MAX_PX = 100.0
 """Largest plausible value of a calibrated pair; larger values are in other units."""
 
+_MAX_ROLL_DEG, _MAX_FOCAL_RATIO = 10.0, 1.2
+"""Largest plausible errors of the right camera's roll and focal length."""
+
 _Offset = Annotated[Number, Field(ge=-_MAX_PX, le=_MAX_PX)]
 _Sigma = Annotated[Number, Field(ge=0, le=_MAX_PX)]
 
@@ -44,6 +51,10 @@ class _AlignmentFile(BaseModel):
     residual_px: _Sigma = UNCORRECTED_SIGMA_PX
     offset_sigma_px: _Sigma = UNCORRECTED_SIGMA_PX
     curvature_sigma_px: Annotated[_Sigma, Field(alias="bow_sigma_px")] = 0.0
+    slope_px: _Offset = 0.0
+    slope_sigma_px: _Sigma = 0.0
+    roll_deg: Annotated[Number, Field(ge=-_MAX_ROLL_DEG, le=_MAX_ROLL_DEG)] = 0.0
+    focal_ratio: Annotated[Number, Field(ge=1 / _MAX_FOCAL_RATIO, le=_MAX_FOCAL_RATIO)] = 1.0
     source: str | None = None
 
 

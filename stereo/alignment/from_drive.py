@@ -9,13 +9,15 @@ three segments of another drive agree within 0.03 px.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
-from track_range.foundation.arrays import FloatArray
-from track_range.stereo.alignment.bundle_adjustment import Observations
-from track_range.stereo.alignment.feature_tracks import MIN_ROWS, FeatureTracks, PairPoints, grey
+from track_range.stereo.alignment.bundle_adjustment import CURVATURE, N_ERRORS, OFFSET, SLOPE, Observations
+from track_range.stereo.alignment.feature_tracks import MIN_ROWS, FeatureTracks, PairPoints, TrackedFrame, grey
+from track_range.stereo.alignment.health import Window
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
+from track_range.stereo.alignment.right_view import RightView, fit_right_view
 from track_range.stereo.alignment.segments import CombinedEstimate, Segment, combine, segment_of
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
@@ -35,17 +37,17 @@ _MAX_FRAMES = 300
 MIN_STEP_S = 0.09
 """Shortest time between two used frames, seconds."""
 
-_MAX_GAP_S = 0.5
+MAX_GAP_S = 0.5
 """Longest time between two frames of a segment, seconds."""
 
-_MIN_FLOW_PX = 0.5
+MIN_FLOW_PX = 0.5
 """Minimum median flow between frames of a moving vehicle; other frames are not used."""
 
-_MIN_TRACKED_SHARE = 0.1
+MIN_TRACKED_SHARE = 0.1
 """Minimum fraction of points tracked between two frames of a segment; a lower value indicates a cut in the video."""
 
-_MIN_CURVATURE_SIGMAS = 3.0
-"""Minimum ratio of the curvature to its standard deviation at which it is estimated."""
+_MIN_TERM_SIGMAS = 3.0
+"""Minimum ratio of curvature or slope to their standard deviations at which they are estimated."""
 
 _MAX_SIGMA_PX = 0.25
 """Largest standard deviation of a usable offset."""
@@ -53,7 +55,7 @@ _MAX_SIGMA_PX = 0.25
 _SPREADS = 2.0
 """Remaining error at an object, as a multiple of the spread of the strips: from 36 cars of 16 KITTI 2015 pairs."""
 
-_PIXEL_LOCKING_PX = 0.02
+PIXEL_LOCKING_PX = 0.02
 """Common error of subpixel point positions, which the jackknife does not include: on simulated drives the error of the
 offset is 0.013 px in the median and 0.05 px at most, while estimates from strips and times agree within 0.011 px."""
 
@@ -67,11 +69,13 @@ class DriveAlignment:
     def __init__(self, rig: StereoRig) -> None:
         """Start an estimate from frames rectified to `rig`."""
         self._rig = rig
-        self._segments: list[Segment] = []
+        self._segments: list[tuple[int, tuple[float, float], Segment]] = []
         self._reasons: list[str] = []
-        self._rows_px: list[FloatArray] = []
-        self._points: list[PairPoints] = []
+        self._matched: list[PairPoints] = []
+        self._view = RightView()
+        self._points: list[TrackedFrame] = []
         self._last_s: float
+        self._drive = 0
         self._begin_drive()
 
     @property
@@ -82,6 +86,7 @@ class DriveAlignment:
     def start_drive(self) -> None:
         """Start another drive with the same rig at the next frame."""
         self._close()
+        self._drive += 1
         self._begin_drive()
 
     def add(self, frame: Frame) -> None:
@@ -89,20 +94,24 @@ class DriveAlignment:
         step_s = frame.time_s - self._last_s
         if self.is_full or frame.right is None or step_s < MIN_STEP_S:
             return
-        if step_s > _MAX_GAP_S:
+        if step_s > MAX_GAP_S:
             self._close()
             self._tracks = FeatureTracks()
+        points = self._tracks.add(grey(frame.left), grey(whole_image(frame.right)))
+        self.add_points(TrackedFrame(frame.time_s, points, self._tracks.flow_px, self._tracks.share_tracked))
+
+    def add_points(self, frame: TrackedFrame) -> None:
+        """Add the points of the next frame; `add` without the images."""
         self._last_s = frame.time_s
         self._n_frames_left -= 1
-        points = self._tracks.add(grey(frame.left), grey(whole_image(frame.right)))
-        self._rows_px.append(points.row_offsets_px)
-        if self._tracks.share_tracked < _MIN_TRACKED_SHARE:
+        self._matched.append(frame.points)
+        if frame.share_tracked < MIN_TRACKED_SHARE:
             self._close()
-        has_points = len(points.number) >= MIN_ROWS
-        if self._points and has_points and self._tracks.flow_px < _MIN_FLOW_PX:
+        has_points = len(frame.points.number) >= MIN_ROWS
+        if self._points and has_points and frame.flow_px < MIN_FLOW_PX:
             self._n_static += 1
             return
-        self._points.append(points)
+        self._points.append(frame)
         if len(self._points) == N_FRAMES:
             self._close()
 
@@ -113,25 +122,41 @@ class DriveAlignment:
         contains the reason; the row offset is estimated in any case.
         """
         self._close()
-        row_offset_px = self._row_offset_px()
+        view = self._measured_view()
+        rows = Alignment(row_offset_px=view.row_offset_px, roll_deg=view.roll_deg, focal_ratio=view.focal_ratio)
         if not self._segments:
-            return Alignment(row_offset_px=row_offset_px, source=f"not enough data in this drive ({self._reason()})")
-        combined = combine(self._segments, has_curvature=True)
-        if abs(combined.error_px[1]) <= _MIN_CURVATURE_SIGMAS * combined.sigma_px[1]:
-            combined = combine(self._segments, has_curvature=False)
-        offset_sigma_px = math.hypot(combined.sigma_px[0], _PIXEL_LOCKING_PX)
+            return replace(rows, source=f"not enough data in this drive ({self._reason()})")
+        combined = estimated_errors([segment for *_, segment in self._segments])
+        offset_sigma_px = float(combined.sigma_px[0])
         if not offset_sigma_px <= _MAX_SIGMA_PX:
             reason = f"offset {combined.error_px[0]:+.2f} px with a standard deviation of {offset_sigma_px:.2f} px"
-            return Alignment(row_offset_px=row_offset_px, source=f"not enough data in this drive ({reason})")
-        return Alignment(
-            offset_px=float(combined.error_px[0]),
-            curvature_px=float(combined.error_px[1]),
-            row_offset_px=row_offset_px,
+            return replace(rows, source=f"not enough data in this drive ({reason})")
+        offset_px, curvature_px, slope_px = combined.error_px.tolist()
+        _, curvature_sigma_px, slope_sigma_px = combined.sigma_px.tolist()
+        return replace(
+            rows,
+            offset_px=offset_px,
+            curvature_px=curvature_px,
+            slope_px=slope_px,
             residual_px=_residual_px(combined),
             offset_sigma_px=offset_sigma_px,
-            curvature_sigma_px=float(combined.sigma_px[1]),
-            source=f"this drive, {sum(segment.n_frames for segment in self._segments)} frames",
+            curvature_sigma_px=curvature_sigma_px,
+            slope_sigma_px=slope_sigma_px,
+            source=f"this drive, {sum(segment.n_frames for *_, segment in self._segments)} frames",
         )
+
+    def windows(self) -> tuple[Window, ...]:
+        """The offset in each segment so far, with the slope and the curvature of all segments."""
+        self._close()
+        if not self._segments:
+            return ()
+        known_px = estimated_errors([segment for *_, segment in self._segments]).error_px
+        windows = []
+        for drive, (from_s, to_s), segment in self._segments:
+            own = combine([segment], (OFFSET,), known_px)
+            sigma_px = math.hypot(float(own.sigma_px[OFFSET]), PIXEL_LOCKING_PX)
+            windows.append(Window(drive, from_s, to_s, float(own.error_px[OFFSET]), sigma_px))
+        return tuple(windows)
 
     def _begin_drive(self) -> None:
         self._n_segments_left, self._n_frames_left, self._n_static = _MAX_SEGMENTS, _MAX_FRAMES, 0
@@ -147,26 +172,44 @@ class DriveAlignment:
                 reason = "the vehicle is stationary" if is_static else f"fewer than {MIN_FRAMES} frames in motion"
                 self._reasons.append(reason)
             return
-        segment = segment_of(_observations(points), self._rig)
+        if not self._segments:
+            self._view = self._measured_view().if_needed(self._rig.left)
+        segment = segment_of(observations_of([frame.points for frame in points], self._view, self._rig), self._rig)
         if isinstance(segment, str):
             self._reasons.append(segment)
             return
         self._n_segments_left -= 1
-        self._segments.append(segment)
+        self._segments.append((self._drive, (points[0].time_s, points[-1].time_s), segment))
 
     def _reason(self) -> str:
         return max(self._reasons, key=self._reasons.count) if self._reasons else "no stereo frames"
 
-    def _row_offset_px(self) -> float:
-        rows_px = np.concatenate([np.zeros(0), *self._rows_px])
-        return float(np.median(rows_px)) if len(rows_px) >= MIN_ROWS else 0.0
+    def _measured_view(self) -> RightView:
+        left_px = np.concatenate([np.zeros((0, 2)), *(points.left_px for points in self._matched)])
+        right_px = np.concatenate([np.zeros((0, 2)), *(points.right_px for points in self._matched)])
+        return fit_right_view(left_px, right_px, self._rig.left) if len(left_px) >= MIN_ROWS else RightView()
 
 
-def _observations(frames: list[PairPoints]) -> Observations:
+def estimated_errors(segments: list[Segment]) -> CombinedEstimate:
+    """The combined estimate, without a curvature or slope that is not significant."""
+    chosen = set(range(N_ERRORS))
+    combined = combine(segments, chosen)
+    for error in (CURVATURE, SLOPE):
+        if abs(combined.error_px[error]) <= _MIN_TERM_SIGMAS * combined.sigma_px[error]:
+            chosen.discard(error)
+            combined = combine(segments, chosen)
+    covariance_px2 = combined.covariance_px2.copy()
+    covariance_px2[0, 0] += PIXEL_LOCKING_PX**2
+    return combined._replace(covariance_px2=covariance_px2)
+
+
+def observations_of(frames: list[PairPoints], view: RightView, rig: StereoRig) -> Observations:
+    """The observations of the points of consecutive frames, with the right points corrected by `view`."""
     frame = np.concatenate([np.full(len(points.number), index) for index, points in enumerate(frames)])
     number = np.concatenate([points.number for points in frames])
-    xyx_px = np.concatenate([np.column_stack([points.left_px, points.right_px[:, 0]]) for points in frames])
-    return Observations(frame, number, xyx_px)
+    left_px = np.concatenate([points.left_px for points in frames])
+    right_px = view.corrected(np.concatenate([points.right_px for points in frames]), rig.left)
+    return Observations(frame, number, np.column_stack([left_px, right_px[:, 0]]))
 
 
 def _residual_px(combined: CombinedEstimate) -> float:

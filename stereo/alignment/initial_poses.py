@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.alignment.bundle_adjustment import Bundle, Observations
+from track_range.stereo.alignment.bundle_adjustment import N_ERRORS, Bundle, Observations
 from track_range.stereo.geometry.rig import StereoRig
 
 MIN_OBSERVATIONS = 4
@@ -65,7 +65,9 @@ def initial_bundle(observed: Observations, rig: StereoRig) -> tuple[Observations
     if is_ahead.sum() < MIN_POINTS:
         return None
     rays = np.column_stack([world_m[is_ahead, :2], np.ones(int(is_ahead.sum()))]) / world_m[is_ahead, 2:]
-    return only_points(observed, is_ahead), Bundle(np.stack(rotations), np.stack(translations), rays, np.zeros(2))
+    return only_points(observed, is_ahead), Bundle(
+        np.stack(rotations), np.stack(translations), rays, np.zeros(N_ERRORS)
+    )
 
 
 def _often_observed(observed: Observations) -> Observations:

@@ -1,15 +1,17 @@
 """Alignment: the remaining errors of a calibrated pair, and their correction.
 
-    d_true = d_measured + offset_px + curvature_px u^2      u = (x - cx) / (width / 2), about -1 .. 1
-    y_right = y_left + row_offset_px                        rows of corresponding points in the rectified images
+    d_true = d_measured + offset_px + slope_px u + curvature_px u^2     u = (x - cx) / (width / 2), about -1 .. 1
+    y_right = y_left + row_offset_px                  rows of corresponding points in the middle of the rectified images
 
-The offset is an error of the vergence angle; the curvature comes from residual distortion, and from vergence, which
-rotates the right image plane. On KITTI's pairs six matchers agree on about half a pixel at the objects.
+The offset is an error of the vergence angle, the slope one of the ratio of the focal lengths; the curvature comes from
+residual distortion, and from vergence, which rotates the right image plane. On KITTI's pairs six matchers agree on
+about half a pixel at the objects. Row offset, roll and focal ratio describe the right camera, see `RightView`.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -28,6 +30,18 @@ MIN_SIGMAS = 2.0
 MAX_ROW_OFFSET_PX = 0.3
 """Largest vertical offset without a warning and a correction."""
 
+_MAX_OFFSET_PX = 1.0
+"""Largest offset that is only added to disparities. For larger ones the right image is also shifted by whole pixels:
+otherwise the disparities of far objects would be below those that are searched."""
+
+
+class AlignmentSource(Protocol):
+    """An alignment that may change during a drive."""
+
+    def at(self, time_s: float) -> Alignment:
+        """The alignment of the frame at `time_s`."""
+        ...
+
 
 KEYS = {"curvature_px": "bow_px", "curvature_sigma_px": "bow_sigma_px"}
 """Keys in alignment files and JSON of the fields of `Alignment` with other names."""
@@ -45,10 +59,14 @@ class Alignment:
     Attributes:
         offset_px: correction of all disparities.
         curvature_px: additional correction at the left and right image edges, proportional to u^2.
+        slope_px: additional correction at the right image edge, proportional to u.
         row_offset_px: vertical offset y_right - y_left of corresponding points.
         residual_px: standard deviation of the remaining disparity error, including that of the estimate.
         offset_sigma_px: standard deviation of the offset.
         curvature_sigma_px: standard deviation of the curvature; 0 if it was not estimated.
+        slope_sigma_px: standard deviation of the slope; 0 if it was not estimated.
+        roll_deg: rotation of the right camera about its optical axis relative to the rig, degrees, clockwise positive.
+        focal_ratio: focal length of the right camera relative to the rig.
         source: origin of the estimate, for the user.
     """
 
@@ -58,6 +76,10 @@ class Alignment:
     residual_px: float = UNCORRECTED_SIGMA_PX
     offset_sigma_px: float = UNCORRECTED_SIGMA_PX
     curvature_sigma_px: float = 0.0
+    slope_px: float = 0.0
+    slope_sigma_px: float = 0.0
+    roll_deg: float = 0.0
+    focal_ratio: float = 1.0
     source: str = "not measured"
 
     def corrected(
@@ -68,19 +90,37 @@ class Alignment:
         `camera` is the rectified left camera. NaN stays NaN.
         """
         u = column_from_axis(x_px, camera)
-        return disparity_px + self.offset_px + self.curvature_px * u**2, np.hypot(sigma_px, self.residual_px)
+        return disparity_px + self.error_px(u), np.hypot(sigma_px, self.residual_px)
+
+    def error_px(self, u: FloatArray) -> FloatArray:
+        """(N,) d_true - d_measured at the columns `u` (N,) from the axis."""
+        return np.asarray(self.offset_px + self.slope_px * u + self.curvature_px * u**2)
+
+    def at(self, time_s: float) -> Alignment:
+        """The alignment at a time: constant."""
+        return self
+
+    @property
+    def shift_px(self) -> float:
+        """The part of the offset, whole px, by which a run shifts the right image to the left; 0 for small offsets."""
+        return float(round(self.offset_px)) if abs(self.offset_px) > _MAX_OFFSET_PX else 0.0
+
+    def after_shift(self) -> Alignment:
+        """The correction of disparities that remains in images with the right one shifted by `shift_px`."""
+        return replace(self, offset_px=self.offset_px - self.shift_px)
 
     @property
     def is_correcting(self) -> bool:
         """Whether it changes disparities."""
-        return self.offset_px != 0.0 or self.curvature_px != 0.0
+        return self.offset_px != 0.0 or self.curvature_px != 0.0 or self.slope_px != 0.0
 
     @property
     def is_clear(self) -> bool:
-        """Whether offset or curvature are significantly different from 0."""
+        """Whether offset, slope or curvature are significantly different from 0."""
         return (
             abs(self.offset_px) > MIN_SIGMAS * self.offset_sigma_px
             or abs(self.curvature_px) > MIN_SIGMAS * self.curvature_sigma_px
+            or abs(self.slope_px) > MIN_SIGMAS * self.slope_sigma_px
         )
 
     @property
@@ -95,7 +135,7 @@ class Alignment:
     def withheld(self) -> Alignment:
         """The alignment without its correction of disparities, which becomes part of the residual."""
         residual_px = min(float(np.hypot(self.offset_px, self.residual_px)), UNCORRECTED_SIGMA_PX)
-        return replace(self, offset_px=0.0, curvature_px=0.0, residual_px=residual_px)
+        return replace(self, offset_px=0.0, curvature_px=0.0, slope_px=0.0, residual_px=residual_px)
 
     @property
     def is_measured(self) -> bool:

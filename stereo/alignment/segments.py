@@ -15,15 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.foundation.robust_statistics import jackknife_sigma
+from track_range.foundation.robust_statistics import jackknife_covariance
 from track_range.stereo.alignment.bundle_adjustment import (
     N_ERRORS,
     Bundle,
     Equations,
     Fit,
-    Linear,
     Observations,
-    equations_of,
+    equations_by_group,
     fit_bundle,
     linearize,
 )
@@ -34,7 +33,7 @@ N_STRIPS = 8
 """Number of vertical strips of the image."""
 
 _N_ALL = N_ERRORS + N_STRIPS
-"""Number of errors in the equations: offset, curvature and an additional offset of each strip."""
+"""Number of errors in the equations: offset, curvature, slope and an additional offset of each strip."""
 
 _N_PARTS = 12
 """Number of parts of a segment by time; with fewer, leaving one out would leave frames without points."""
@@ -49,10 +48,10 @@ _MIN_STATIC_SHARE = 0.5
 """Minimum fraction of static points."""
 
 _MAX_ERROR_PX = 15.0
-"""Largest plausible offset or curvature; beyond it, motion and disparities are inconsistent."""
+"""Largest plausible offset, curvature or slope; beyond it, motion and disparities are inconsistent."""
 
 _PRIOR_PX = 5.0
-"""Prior standard deviation of offset and curvature."""
+"""Prior standard deviation of offset, curvature and slope."""
 
 _STRIP_PRIOR_PX = 1.0
 """Prior standard deviation of the additional offset of a strip."""
@@ -64,49 +63,54 @@ _MIN_STRIPS = 3
 """Minimum number of strips for a spread."""
 
 
-class Cell(NamedTuple):
-    """A strip of the image and a part of the time; points are assigned by their mean position."""
+class Information(NamedTuple):
+    """Information on the errors e: offset, curvature, slope, and an additional offset of each strip.
 
-    strip: int
-    part: int
+    Attributes:
+        matrix: (E, E) I.
+        product: (E,) I e.
+    """
+
+    matrix: FloatArray
+    product: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Equations for the disparity error from a few seconds of a drive.
+    """Information on the disparity error from a few seconds of a drive.
+
+    Points are assigned to strips of the image and parts of the time by their mean position.
 
     Attributes:
         n_frames: number of frames used.
-        error_px: (2,) offset and curvature at which the equations are linearized.
-        cells: equations for offset, curvature, and an additional offset of each strip, by strip and part of the time.
+        whole: information from all points.
+        without_strip: information without each strip.
+        without_part: information without each part of the time.
     """
 
     n_frames: int
-    error_px: FloatArray
-    cells: dict[Cell, Equations]
-
-    def information(self, left_out: Collection[Cell] = ()) -> tuple[FloatArray, FloatArray]:
-        """Information I (E, E) on the errors e, and I e (E,), without the cells in `left_out`."""
-        used = [equations for cell, equations in self.cells.items() if cell not in left_out]
-        if not used:
-            return np.zeros((_N_ALL, _N_ALL)), np.zeros(_N_ALL)
-        s, b = np.sum([cell.s for cell in used], axis=0), np.sum([cell.b for cell in used], axis=0)
-        information, step = Equations(s, b, used[0].n_pose_unknowns).of_errors()
-        return information, step + information[:, :N_ERRORS] @ self.error_px
+    whole: Information
+    without_strip: tuple[Information, ...]
+    without_part: tuple[Information, ...]
 
 
 class CombinedEstimate(NamedTuple):
     """The disparity error estimated from several segments.
 
     Attributes:
-        error_px: (2,) offset and curvature; curvature 0 if not estimated.
-        sigma_px: (2,) their standard deviations.
+        error_px: (3,) offset, curvature and slope; 0 if not estimated.
+        covariance_px2: (3, 3) their covariance.
         spread_px: root mean square of the additional offsets of the strips; NaN if too few are determined.
     """
 
     error_px: FloatArray
-    sigma_px: FloatArray
+    covariance_px2: FloatArray
     spread_px: float
+
+    @property
+    def sigma_px(self) -> FloatArray:
+        """(3,) standard deviations of the errors."""
+        return np.asarray(np.sqrt(np.diag(self.covariance_px2)))
 
 
 def segment_of(observed: Observations, rig: StereoRig) -> Segment | str:
@@ -122,7 +126,7 @@ def segment_of(observed: Observations, rig: StereoRig) -> Segment | str:
         return "the vehicle hardly moves, or only turns"
     if static_share < _MIN_STATIC_SHARE:
         return "too many moving objects in the scene"
-    return Segment(int(observed.frame.max()) + 1, fit.bundle.error_px, _cells(observed, fit, rig))
+    return _segment(observed, fit, rig)
 
 
 def _static_points(observed: Observations, start: Bundle, rig: StereoRig) -> tuple[Observations, Fit, float]:
@@ -138,66 +142,87 @@ def _static_points(observed: Observations, start: Bundle, rig: StereoRig) -> tup
     return static, fit_bundle(static, start, rig), float(is_static.mean())
 
 
-def combine(segments: Sequence[Segment], *, has_curvature: bool) -> CombinedEstimate:
+def combine(
+    segments: Sequence[Segment], estimated: Collection[int] = range(N_ERRORS), known_px: FloatArray | None = None
+) -> CombinedEstimate:
     """The least-squares disparity error of one or more segments.
 
-    sigma^2 = jackknife variance over the strips (of all segments) + jackknife variance over the parts of the time.
+    covariance = jackknife over the strips (of all segments) + jackknife over the parts of the time
+
+    Args:
+        segments: segments of one or several drives.
+        estimated: numbers of the errors that are estimated: 0 = offset, 1 = curvature, 2 = slope.
+        known_px: (3,) values of the others; None = 0.
     """
-    estimated = np.arange(N_ERRORS if has_curvature else 1)
-    all_parts = range(_N_PARTS)
-    strips = {cell.strip for segment in segments for cell in segment.cells}
-    whole = [segment.information() for segment in segments]
+    chosen, known_px = np.array(sorted(estimated)), np.zeros(N_ERRORS) if known_px is None else known_px
+    whole = [segment.whole for segment in segments]
     without_strip = [
-        _solve([segment.information([Cell(strip, part) for part in all_parts]) for segment in segments], estimated)
-        for strip in strips
+        _solve([segment.without_strip[strip] for segment in segments], chosen, known_px) for strip in range(N_STRIPS)
     ]
     without_part = [
-        _solve([*others, segment.information([Cell(strip, part) for strip in strips])], estimated)
-        for segment, others in ((segment, whole[:i] + whole[i + 1 :]) for i, segment in enumerate(segments))
-        for part in all_parts
+        _solve([*whole[:number], information, *whole[number + 1 :]], chosen, known_px)
+        for number, segment in enumerate(segments)
+        for information in segment.without_part
     ]
-    sigma_px = np.hypot(jackknife_sigma(np.array(without_strip)), jackknife_sigma(np.array(without_part)))
-    return CombinedEstimate(_padded(_solve(whole, estimated)), _padded(sigma_px), _spread_px(whole))
+    covariance_px2 = jackknife_covariance(np.array(without_strip)) + jackknife_covariance(np.array(without_part))
+    return CombinedEstimate(_solve(whole, chosen, known_px), covariance_px2, _spread_px(whole))
 
 
-def _cells(observed: Observations, fit: Fit, rig: StereoRig) -> dict[Cell, Equations]:
-    """Equations by cell; a point belongs to the cell of its mean column and mean frame; parts have equal numbers."""
+def _segment(observed: Observations, fit: Fit, rig: StereoRig) -> Segment:
+    """The information from a fit; parts of the time have equal numbers of points."""
     n_points, n_frames = int(observed.point.max()) + 1, int(observed.frame.max()) + 1
     n_observations = np.bincount(observed.point, minlength=n_points)
     mean_x_px = np.bincount(observed.point, observed.xyx_px[:, 0], n_points) / n_observations
     mean_frame = np.bincount(observed.point, observed.frame, n_points) / n_observations
     edges = np.quantile(mean_frame, np.arange(1, _N_PARTS) / _N_PARTS)
-    point_cell = _strip(mean_x_px, rig) * _N_PARTS + np.searchsorted(edges, mean_frame)
+    cell = _strip(mean_x_px, rig) * _N_PARTS + np.searchsorted(edges, mean_frame)
 
     strip_columns = np.eye(N_STRIPS)[_strip(observed.xyx_px[:, 0], rig)]
     linear = linearize(observed, fit.bundle, rig, extra=strip_columns)
-    weight = fit.weight / fit.noise_px**2
-    cells = {}
-    for number in np.unique(point_cell).tolist():
-        rows = (point_cell == number)[observed.point]
-        _, point = np.unique(observed.point[rows], return_inverse=True)
-        in_cell = Observations(observed.frame[rows], point, observed.xyx_px[rows])
-        cell_linear = Linear(*(part[rows] for part in linear))
-        cells[Cell(*divmod(number, _N_PARTS))] = equations_of(in_cell, cell_linear, weight[rows], n_frames=n_frames)
-    return cells
+    equations = equations_by_group(observed, linear, fit.weight / fit.noise_px**2, n_frames=n_frames, group=cell)
+    size, n_poses = len(next(iter(equations.values())).b), 6 * (n_frames - 1)
+    s, b = np.zeros((N_STRIPS, _N_PARTS, size, size)), np.zeros((N_STRIPS, _N_PARTS, size))
+    for number, of_cell in equations.items():
+        strip, part = divmod(number, _N_PARTS)
+        s[strip, part], b[strip, part] = of_cell.s, of_cell.b
+
+    def information(s: FloatArray, b: FloatArray) -> Information:
+        matrix, step = Equations(s, b, n_poses).of_errors()
+        return Information(matrix, step + matrix[:, :N_ERRORS] @ fit.bundle.error_px)
+
+    whole_s, whole_b = s.sum(axis=(0, 1)), b.sum(axis=(0, 1))
+    strips = zip(s.sum(axis=1), b.sum(axis=1), strict=True)
+    parts = zip(s.sum(axis=0), b.sum(axis=0), strict=True)
+    return Segment(
+        n_frames,
+        information(whole_s, whole_b),
+        tuple(information(whole_s - strip_s, whole_b - strip_b) for strip_s, strip_b in strips),
+        tuple(information(whole_s - part_s, whole_b - part_b) for part_s, part_b in parts),
+    )
 
 
 def _strip(x_px: FloatArray, rig: StereoRig) -> IntArray:
     return np.clip((x_px * N_STRIPS / rig.left.width_px).astype(np.int64), 0, N_STRIPS - 1)
 
 
-def _solve(parts: Sequence[tuple[FloatArray, FloatArray]], estimated: IntArray) -> FloatArray:
-    """The estimated errors, with the others 0, from I and I e of the segments."""
+def _solve(parts: Sequence[Information], estimated: IntArray, known_px: FloatArray) -> FloatArray:
+    """(3,) errors, those that are not estimated as known, from I and I e of the segments."""
     information, rhs = _summed(parts)
+    errors_px = known_px.copy()
+    errors_px[estimated] = 0.0
+    rhs = rhs[estimated] - information[estimated, :N_ERRORS] @ errors_px
     prior = np.eye(len(estimated)) / _PRIOR_PX**2
-    return np.asarray(np.linalg.solve(information[np.ix_(estimated, estimated)] + prior, rhs[estimated]))
+    errors_px[estimated] = np.linalg.solve(information[np.ix_(estimated, estimated)] + prior, rhs)
+    return errors_px
 
 
-def _summed(parts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
-    return np.sum([part[0] for part in parts], axis=0), np.sum([part[1] for part in parts], axis=0)
+def _summed(parts: Sequence[Information]) -> Information:
+    return Information(
+        np.sum([part.matrix for part in parts], axis=0), np.sum([part.product for part in parts], axis=0)
+    )
 
 
-def _spread_px(parts: Sequence[tuple[FloatArray, FloatArray]]) -> float:
+def _spread_px(parts: Sequence[Information]) -> float:
     information, rhs = _summed(parts)
     prior = np.diag([_PRIOR_PX**-2] * N_ERRORS + [_STRIP_PRIOR_PX**-2] * N_STRIPS)
     strip_offset_px = np.linalg.solve(information + prior, rhs)[N_ERRORS:]
@@ -205,7 +230,3 @@ def _spread_px(parts: Sequence[tuple[FloatArray, FloatArray]]) -> float:
     if is_determined.sum() < _MIN_STRIPS:
         return float("nan")
     return float(np.sqrt((strip_offset_px[is_determined] ** 2).mean()))
-
-
-def _padded(errors: FloatArray) -> FloatArray:
-    return np.concatenate([errors, np.zeros(N_ERRORS - len(errors))])

@@ -54,13 +54,24 @@ class Rectifier:
         rig: the rectified rig, which describes the rectified images.
     """
 
-    def __init__(self, rig: StereoRig, *, row_offset_px: float = 0.0, source: object = "the rig") -> None:
+    def __init__(
+        self,
+        rig: StereoRig,
+        *,
+        row_offset_px: float = 0.0,
+        right_correction: FloatArray | None = None,
+        shift_px: float = 0.0,
+        source: object = "the rig",
+    ) -> None:
         """Compute the remapping.
 
         Args:
             rig: the calibrated pair.
             row_offset_px: vertical offset y_right - y_left that remains after rectification; removed from the right
                 image.
+            right_correction: (3, 3) matrix from directions in the rectified right image to corrected ones; None = no
+                correction.
+            shift_px: horizontal shift of the right image to the left, which increases all disparities.
             source: file of the rig, for messages.
 
         Raises:
@@ -74,10 +85,11 @@ class Rectifier:
             views = _rectified(rig, source)
         self.rig, self._left_view = views.rig, views.left
         self._left_maps = None if views.left is None else _maps(views.left, self._size_px)
-        is_moved = not rig.is_rectified or row_offset_px != 0.0
         reduction = rig.right.fx_px / self.rig.left.fx_px
         self._right_blur_px = 0.5 * math.sqrt(reduction**2 - 1) if reduction > _MIN_REDUCTION else 0.0
-        self._right_maps = _maps(views.right.shifted_vertically(row_offset_px), self._size_px) if is_moved else None
+        is_moved = not rig.is_rectified or row_offset_px != 0.0 or shift_px != 0.0 or right_correction is not None
+        self._right_view = views.right.rotated(right_correction).shifted(shift_px, row_offset_px) if is_moved else None
+        self._right_maps = None if self._right_view is None else _maps(self._right_view, self._size_px)
 
     def rectify(self, left: Image, right: Image) -> tuple[Image, ImageView]:
         """Both images, (H, W) or (H, W, 3), rectified; the same arrays if the rig is already rectified.
@@ -99,6 +111,13 @@ class Rectifier:
     def left_boxes(self, xyxy_px: FloatArray) -> FloatArray:
         """Boxes (N, 4) in pixels of the left video -> in pixels of its rectified images."""
         return xyxy_px if self._left_view is None else self._left_view.boxes(xyxy_px)
+
+    def points(self, left_px: FloatArray, right_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Points (N, 2) in pixels of the left and of the right video -> in pixels of the rectified images."""
+        return (
+            left_px if self._left_view is None else self._left_view.points(left_px),
+            right_px if self._right_view is None else self._right_view.points(right_px),
+        )
 
 
 class RemappedView:
@@ -160,11 +179,22 @@ class _View:
     rotation: cv2.typing.MatLike
     matrix: cv2.typing.MatLike
 
-    def shifted_vertically(self, by_px: float) -> _View:
-        """The view with its content moved up by `by_px` rows."""
+    def shifted(self, left_px: float, up_px: float) -> _View:
+        """The view with its content moved to the left and up."""
         matrix = np.array(self.matrix, np.float64)
-        matrix[1] -= by_px * matrix[2]
+        matrix[:2] -= np.array([[left_px], [up_px]]) * matrix[2]
         return _View(self.camera, self.rotation, matrix)
+
+    def rotated(self, matrix: FloatArray | None) -> _View:
+        """The view with its directions multiplied by a matrix (3, 3); None = not multiplied."""
+        return self if matrix is None else _View(self.camera, matrix @ np.asarray(self.rotation), self.matrix)
+
+    def points(self, xy_px: FloatArray) -> FloatArray:
+        """Points (N, 2) in pixels of this view."""
+        distortion, matrix = distortion_coefficients(self.camera), np.ascontiguousarray(self.matrix[:, :3])
+        source = np.ascontiguousarray(xy_px, np.float64).reshape(-1, 1, 2)
+        moved = cv2.undistortPoints(source, self.camera.matrix, distortion, R=np.asarray(self.rotation), P=matrix)
+        return np.asarray(moved, np.float64).reshape(-1, 2)
 
     def boxes(self, xyxy_px: FloatArray) -> FloatArray:
         """Boxes (N, 4) in pixels of this view: each edge is moved like its midpoint."""
@@ -172,11 +202,8 @@ class _View:
             return xyxy_px
         x1, y1, x2, y2 = xyxy_px.T
         x, y = (x1 + x2) / 2, (y1 + y2) / 2
-        midpoints = np.stack([x1, y, x, y1, x2, y, x, y2], axis=1).reshape(-1, 1, 2)
-        distortion, matrix = distortion_coefficients(self.camera), np.ascontiguousarray(self.matrix[:, :3])
-        moved = cv2.undistortPoints(midpoints, self.camera.matrix, distortion, R=self.rotation, P=matrix)
-        moved = moved.reshape(-1, 4, 2)
-        return np.stack([moved[:, 0, 0], moved[:, 1, 1], moved[:, 2, 0], moved[:, 3, 1]], axis=1).astype(np.float64)
+        moved = self.points(np.stack([x1, y, x, y1, x2, y, x, y2], axis=1).reshape(-1, 2)).reshape(-1, 4, 2)
+        return np.stack([moved[:, 0, 0], moved[:, 1, 1], moved[:, 2, 0], moved[:, 3, 1]], axis=1)
 
 
 class _Views(NamedTuple):

@@ -27,12 +27,14 @@ def test_alignment_off():
 
 
 def test_alignment_file(tmp_path):
-    written = Alignment(offset_px=0.4, curvature_px=1.2, offset_sigma_px=0.3, residual_px=0.2, source="my labels")
+    written = Alignment(offset_px=0.4, curvature_px=1.2, offset_sigma_px=0.1, residual_px=0.2, source="my labels")
     save_alignment(written, tmp_path / "align.yaml")
     alignment = find_alignment(str(tmp_path / "align.yaml"), RIG, unread_frames())
     assert (alignment.is_applied, alignment.applied) == (True, written)
     assert "my labels" in alignment.notes[0]
-    assert alignment.summary() == {
+    summary = alignment.summary()
+    assert summary.pop("health")["state"] == "off"
+    assert summary == {
         "offset_px": 0.4,
         "bow_px": 1.2,
         "row_offset_px": 0.0,
@@ -40,6 +42,10 @@ def test_alignment_file(tmp_path):
         "source": "my labels",
         "is_applied": True,
         "look_s": 0.0,
+        "offset_sigma_px": 0.1,
+        "slope_px": 0.0,
+        "roll_deg": 0.0,
+        "focal_ratio": 1.0,
     }
     with pytest.raises(RigError, match=r"none\.yaml"):
         find_alignment(str(tmp_path / "none.yaml"), RIG, unread_frames())
@@ -58,7 +64,7 @@ def test_insignificant_alignment_is_uncertainty():
 
 @pytest.mark.parametrize(("row_px", "moved_px"), [(0.29, 0.0), (-0.31, -0.31), (2.0, 2.0)])
 def test_rows_are_moved_from_0_3_px(row_px, moved_px):
-    alignment = PairAlignment(measured=Alignment(row_offset_px=row_px), is_applied=False)
+    alignment = PairAlignment(measured=Alignment(row_offset_px=row_px), is_applied=False, rig=RIG)
     assert alignment.measured.row_correction_px == moved_px
     assert any("Vertical offset" in note for note in alignment.notes) == (moved_px != 0)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from track_range.calibration.drive_pairs import LEFT, RIGHT, open_pair
 from track_range.calibration.reference_pairs import reference_pairs
-from track_range.calibration.settings import AlignmentSettings
+from track_range.calibration.settings import AlignmentSettings, RigCheckSettings
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import real_path
 from track_range.foundation.progress import StepProgress, no_progress
@@ -22,10 +22,11 @@ from track_range.stereo.alignment.feature_tracks import row_offset_px
 from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.from_drive import DriveAlignment
 from track_range.stereo.alignment.from_reference import fit_reference
+from track_range.stereo.alignment.health import UNSEEN, RigHealth
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.geometry.frames import whole_image
-from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.matching.box_matchers import measure_pairs
 from track_range.stereo.rig_formats.reading import find_rig
 from track_range.video.recording import Recording
@@ -42,11 +43,13 @@ class RigAlignment:
     Attributes:
         applied: the alignment to apply, with insignificant terms set to 0.
         measured: the alignment as estimated.
+        health: what it means for distances.
         notes: messages for the user.
     """
 
     applied: Alignment
     measured: Alignment
+    health: RigHealth
     notes: tuple[str, ...]
 
     @property
@@ -57,8 +60,27 @@ class RigAlignment:
             "measured": self.measured.to_dict(),
             "is_clear": self.measured.is_clear,
             "sentence": self.applied.sentence(),
+            "health": self.health.to_dict(),
             "notes": list(self.notes),
         }
+
+    def with_row_notes(self) -> RigAlignment:
+        """A copy with a note on the rows of left and right, if they differ."""
+        if not self.health.has_row_error:
+            return self
+        m = self.measured
+        note = (
+            f"Vertical offset of {m.row_offset_px:+.2f} px between left and right, roll {m.roll_deg:+.3f} degrees, "
+            f"focal length of the right camera {100 * (m.focal_ratio - 1):+.2f} %: a run corrects this, but the rig "
+            "does not fit these images well; calibrate again."
+        )
+        return replace(self, notes=(*self.notes, note))
+
+    @property
+    def sentences(self) -> list[str]:
+        """The alignment, its meaning for distances, and the notes, for the user."""
+        health = (self.health.sentence(), self.health.move_sentence(), UNSEEN)
+        return [sentence for sentence in (self.applied.sentence(), *health, *self.notes) if sentence]
 
     def save(self, settings: AlignmentSettings) -> None:
         """Write the alignment file and, if `settings.json_file` is given, the results.
@@ -84,30 +106,36 @@ def align(settings: AlignmentSettings, progress: StepProgress = no_progress) -> 
     if settings.reference is not None:
         if settings.drives:
             raise UsageError("--reference and --drive exclude each other; give one of them.")
-        measured, notes = _from_reference(settings.reference, settings, progress)
+        measured = _from_reference(settings.reference, settings, progress)
     else:
-        measured, notes = _from_drives(settings, progress)
-    return RigAlignment(measured.if_clear(), measured, (*notes, *_row_notes(measured)))
+        measured = _from_drives(settings, progress)
+    return measured.with_row_notes()
 
 
-def _inputs(settings: AlignmentSettings) -> list[Path]:
+def check_rig_health(settings: RigCheckSettings, progress: StepProgress = no_progress) -> RigAlignment:
+    """Measure the present state of a rig on drives; nothing is written except `settings.json_file`.
+
+    Raises:
+        UsageError: no drive is given.
+        RigError, VideoError, OutputError: as in `align`.
+    """
+    check_outputs([] if settings.json_file is None else [settings.json_file], _inputs(settings))
+    checked = _from_drives(settings, progress).with_row_notes()
+    if settings.json_file is not None:
+        write_text(settings.json_file, json.dumps(checked.figures, indent=2, allow_nan=False) + "\n")
+    return checked
+
+
+def _inputs(settings: AlignmentSettings | RigCheckSettings) -> list[Path]:
     """The files that are read, including rig files next to the images."""
-    folders = [folder for folder in (*settings.drives, settings.reference) if folder is not None]
+    reference = settings.reference if isinstance(settings, AlignmentSettings) else None
+    folders = [folder for folder in (*settings.drives, reference) if folder is not None]
     videos = [*(settings.stereo or ()), *(folder / name for folder in folders for name in (LEFT, RIGHT))]
-    named = (settings.rig, settings.reference, *map(find_rig, videos))
+    named = (settings.rig, reference, *map(find_rig, videos))
     return [*videos, *(path for path in named if path is not None)]
 
 
-def _row_notes(measured: Alignment) -> tuple[str, ...]:
-    if not measured.row_correction_px:
-        return ()
-    return (
-        f"Vertical offset of {measured.row_offset_px:+.2f} px between left and right: a run corrects it, but the "
-        "rig does not fit these images well; calibrate again.",
-    )
-
-
-def _from_drives(settings: AlignmentSettings, progress: StepProgress) -> tuple[Alignment, tuple[str, ...]]:
+def _from_drives(settings: AlignmentSettings | RigCheckSettings, progress: StepProgress) -> RigAlignment:
     sources = [(folder / LEFT, folder / RIGHT) for folder in settings.drives]
     sources += [settings.stereo] if settings.stereo else []
     if not sources:
@@ -131,7 +159,9 @@ def _from_drives(settings: AlignmentSettings, progress: StepProgress) -> tuple[A
     if not measured.is_measured:
         raise RigError(f"{sources[0][0]}: {measured.source}; use a longer drive past static objects.")
     named = replace(measured, source=measured.source.replace("this drive", _names(sources)))
-    return named, tuple(dict.fromkeys(note for recording in recordings for note in recording.calibration.file_notes))
+    health = RigHealth(rigs[0], named, named.if_clear(), estimator.windows())
+    notes = dict.fromkeys(note for recording in recordings for note in recording.calibration.file_notes)
+    return RigAlignment(health.applied, named, health, tuple(notes))
 
 
 def _names(sources: list[tuple[Path, Path]]) -> str:
@@ -147,13 +177,11 @@ def _feed(estimator: DriveAlignment, recording: Recording, advance: Callable[[in
         advance(number + 1, max(recording.n_frames or 0, number + 1))
 
 
-def _from_reference(
-    reference: Path, settings: AlignmentSettings, progress: StepProgress
-) -> tuple[Alignment, tuple[str, ...]]:
-    rows_px: list[float] = []
+def _from_reference(reference: Path, settings: AlignmentSettings, progress: StepProgress) -> RigAlignment:
+    rows_px, rigs = list[float](), list[StereoRig]()
     pairs = reference_pairs(reference, stereo=settings.stereo, rig=settings.rig)
     with progress("pairs") as advance:
-        measured = measure_pairs(_with_row_offsets(pairs, rows_px, advance), (_MATCHER,))
+        measured = measure_pairs(_with_row_offsets(pairs, rows_px, rigs, advance), (_MATCHER,))
     objects, column = measured.objects, measured.columns[_MATCHER]
     if not objects.cameras:
         raise RigError(f"{reference}: none of the objects refers to a frame of the videos; check the frame numbers.")
@@ -166,14 +194,20 @@ def _from_reference(
         sigma_px=column.sigma_px,
         seed=settings.seed,
     )
-    return replace(fitted, row_offset_px=float(np.median(rows_px)) if rows_px else 0.0), measured.notes
+    aligned = replace(fitted, row_offset_px=float(np.median(rows_px)) if rows_px else 0.0)
+    health = RigHealth(rigs[0], aligned, aligned.if_clear())
+    return RigAlignment(health.applied, aligned, health, measured.notes)
 
 
 def _with_row_offsets(
-    pairs: Iterator[StereoPair], rows_px: list[float], advance: Callable[[int, int | None], None]
+    pairs: Iterator[StereoPair],
+    rows_px: list[float],
+    rigs: list[StereoRig],
+    advance: Callable[[int, int | None], None],
 ) -> Iterator[StereoPair]:
-    """The pairs; the row offsets of the first ones are appended to `rows_px`."""
+    """The pairs; the row offsets of the first ones are appended to `rows_px`, the rectified rig of each to `rigs`."""
     for number, pair in enumerate(pairs):
+        rigs.append(pair.rig)
         if number < _N_ROW_PAIRS:
             row_px = row_offset_px(pair.left, whole_image(pair.right))
             rows_px += [] if row_px is None else [row_px]

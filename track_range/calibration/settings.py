@@ -80,6 +80,28 @@ class AlignmentSettings(Options):
     json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 
 
+class RigCheckSettings(Options):
+    """Drives of `track-range rig check`."""
+
+    stereo: Annotated[
+        tuple[Path, Path] | None,
+        option(
+            "Left and right video of a drive past static objects (buildings, parked cars, trees).", metavar="LEFT RIGHT"
+        ),
+    ] = None
+    drives: Annotated[
+        tuple[Path, ...],
+        option(
+            "Folder with left.mp4 and right.mp4; repeat the option for further drives with the same rig.",
+            flag="--drive",
+            metavar="DIR",
+            is_repeated=True,
+        ),
+    ] = ()
+    rig: Annotated[Path | None, option("Calibration file (default: the one in the folder of the images).")] = None
+    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
+
+
 class StereoEvaluationSettings(Options):
     """Matchers and stereo pairs of `track-range evaluate stereo`."""
 

@@ -71,7 +71,9 @@ COMMANDS = {
             "track-range calibrate --mono boards/ --board charuco:11x8:30:22 --out rig.yaml",
         ),
     ),
-    "rig": Lazy("track_range.cli.commands.rig", "Show or convert calibration files (rig.yaml, KITTI, OpenCV, Kalibr)."),
+    "rig": Lazy(
+        "track_range.cli.commands.rig", "Show, check or convert calibration files (rig.yaml, KITTI, OpenCV, Kalibr)."
+    ),
     "align": Lazy(
         "track_range.cli.commands.align",
         "Estimate the disparity error of a calibrated stereo pair.",

@@ -28,5 +28,11 @@ def jackknife_sigma(estimates: FloatArray) -> FloatArray:
     sigma^2 = (G - 1) / G sum_g (theta_g - mean theta)^2, the delete-a-group jackknife (Efron, "The jackknife, the
     bootstrap and other resampling plans", 1982).
     """
+    return np.asarray(np.sqrt(np.diag(jackknife_covariance(estimates))))
+
+
+def jackknife_covariance(estimates: FloatArray) -> FloatArray:
+    """(P, P) covariance of P parameters from (G, P) estimates, as in `jackknife_sigma`."""
     n = len(estimates)
-    return np.asarray(np.sqrt((n - 1) / n * ((estimates - estimates.mean(axis=0)) ** 2).sum(axis=0)))
+    deviation = estimates - estimates.mean(axis=0)
+    return np.asarray((n - 1) / n * deviation.T @ deviation)

@@ -160,6 +160,7 @@ def report_page(
         mot_classes=(summary.get("tracks") or {}).get("classes") or [],
         sigma_sentences=sigma_sentences(summary),
         geometry=geometry,
+        rig=tables.rig_grid((summary.get("alignment") or {}).get("health") or {}),
         curve=None if curve is None else curve_figure(curve),
         n_tracks=len(np.unique(columns["track_id"])),
         settings=list(settings_groups(summary)),

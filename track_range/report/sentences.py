@@ -100,6 +100,8 @@ def geometry_sentences(summary: Summary) -> list[str]:
     alignment = summary.get("alignment")
     if alignment:
         sentences += [_vertical_offset(alignment), _disparities(alignment), _residual(alignment, summary)]
+        health = alignment.get("health") or {}
+        sentences += [health.get(key) or "" for key in ("sentence", "move_sentence", "unseen")]
     return [sentence for sentence in sentences if sentence]
 
 

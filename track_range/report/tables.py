@@ -110,7 +110,7 @@ STAGE_OF = {"fused": "fuse"}
 
 
 def grids(summary: Mapping[str, Any]) -> list[Grid]:
-    """Non-empty tables of a summary: methods, methods on common coverage, closing speed, sigma, run time, tracks."""
+    """Non-empty tables of a summary: methods, common coverage, closing speed, rig, sigma, run time, tracks."""
     methods, common = summary.get("methods") or {}, summary.get("common") or {}
     n_common = max((figure(row, "n") or 0 for row in common.values()), default=0)
     tables = [
@@ -119,11 +119,26 @@ def grids(summary: Mapping[str, Any]) -> list[Grid]:
         ),
         method_grid(f"Distance error on common coverage ({n_common:.0f} track-frames measured by all methods)", common),
         closing_grid(summary.get("closing") or {}),
+        rig_grid((summary.get("alignment") or {}).get("health") or {}),
         uncertainty_grid(summary),
         speed_grid(summary),
         track_grid(summary.get("tracks") or {}),
     ]
     return [grid for grid in tables if grid.rows]
+
+
+def rig_grid(health: Mapping[str, Any]) -> Grid:
+    """Expected distance errors of a rig, by distance, before and after its alignment, from `RigHealth.to_dict()`."""
+    rows = health.get("distances") or []
+    columns = [
+        Column("as_calibrated, middle %", [figure(row, "before_pct") for row in rows], "{:+.1f}"),
+        Column(f"{SIGMA} %", [figure(row, "before_sigma_pct") for row in rows], "{:.1f}"),
+        Column("left_half %", [figure(row, "before_left_pct") for row in rows], "{:+.1f}"),
+        Column("right_half %", [figure(row, "before_right_pct") for row in rows], "{:+.1f}"),
+        Column(f"as_used, {SIGMA} %", [figure(row, "after_sigma_pct") for row in rows], "{:.1f}"),
+    ]
+    names = [f"{figure(row, 'distance_m') or 0:.0f} m" for row in rows]
+    return grid_of("Expected distance error of the rig", "distance", names, columns)
 
 
 def method_grid(title: str, methods: Mapping[str, Mapping[str, Any]]) -> Grid:

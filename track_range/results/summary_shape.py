@@ -39,9 +39,22 @@ class _Tracks(_Figures):
     classes: list[Text] | None = None
 
 
+class _RigDistance(_Figures):
+    distance_m: Annotated[float, Field(strict=True)]
+
+
+class _Health(_Section):
+    state: Text = None
+    sentence: Text = None
+    move_sentence: Text = None
+    unseen: Text = None
+    distances: list[_RigDistance] = []
+
+
 class _Alignment(_Figures):
     source: Text = None
     is_applied: Any = None
+    health: _Health | None = None
 
 
 class _Events(_Section):

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
@@ -78,11 +79,17 @@ class Calibration:
         return self.rectifier.rectify(left, right)
 
     def with_alignment(self, alignment: PairAlignment) -> Calibration:
-        """A copy with the alignment of the pair; its row offset, if any, becomes part of the rectification."""
-        rectifier, rows_px = self.rectifier, alignment.measured.row_correction_px
-        if rows_px and self.raw_rig is not None:
-            source = self.path or "the rig"
-            rectifier = Rectifier(self.raw_rig, row_offset_px=rows_px, source=source)
+        """A copy with the alignment of the pair; its right view and shift, if any, become part of the rectification."""
+        rectifier, measured = self.rectifier, alignment.measured
+        view = RightView.of(measured).if_needed(self.camera)
+        shift_px = alignment.applied.shift_px
+        if (view != RightView() or shift_px) and self.raw_rig is not None:
+            rectifier = Rectifier(
+                self.raw_rig,
+                right_correction=view.matrix(self.camera),
+                shift_px=shift_px,
+                source=self.path or "the rig",
+            )
         return replace(self, rectifier=rectifier, alignment=alignment)
 
     def with_row_offsets(self, row_offsets_px: list[float]) -> Calibration:

@@ -13,6 +13,7 @@ from itertools import islice
 from pathlib import Path
 
 from track_range.foundation.progress import StepProgress, no_progress
+from track_range.stereo.alignment.drift import DriftMonitor
 from track_range.stereo.alignment.from_drive import MIN_STEP_S
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -150,6 +151,7 @@ def open_recording(
         elif calibration.rig is not None:
             monitors = (PairMonitor(), SyncMonitor()) if has_checks else ()
             calibration = _aligned(calibration, calibration.rig, inputs, align, monitors[:1], progress)
+            monitors += _drift_monitors(calibration, inputs)
         on_error.pop_all()
     return Recording(_frames(inputs, calibration, monitors, utc), inputs, calibration, monitors, utc)
 
@@ -191,6 +193,15 @@ def _aligned(
     for check in checks:
         check.corrected_px = alignment.measured.row_correction_px
     return calibration.with_alignment(alignment)
+
+
+def _drift_monitors(calibration: Calibration, inputs: Inputs) -> tuple[Monitor, ...]:
+    """The monitor of a recorded pair whose alignment was measured; none for streams, which it would delay."""
+    alignment = calibration.alignment
+    if alignment is None or alignment.drifting is None or calibration.rig is None or inputs.live is not None:
+        return ()
+    shift_px = alignment.applied.shift_px
+    return (DriftMonitor(calibration.rig, alignment.drifting, alignment.measured, shift_px=shift_px),)
 
 
 def _with_row_correction(calibration: Calibration, inputs: Inputs) -> tuple[Calibration, tuple[Monitor, ...]]:

@@ -1,23 +1,34 @@
-"""`track-range align`: estimates the disparity error of a calibrated stereo pair."""
+"""`track-range align` and `track-range rig check`: measure the disparity error of a calibrated stereo pair."""
 
 from __future__ import annotations
 
 from functools import partial
 
-from track_range.calibration.align import align
-from track_range.calibration.settings import AlignmentSettings
-from track_range.cli.console import console, print_line
+from track_range.calibration.align import RigAlignment, align, check_rig_health
+from track_range.calibration.settings import AlignmentSettings, RigCheckSettings
+from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
+from track_range.report.tables import rig_grid
 from track_range.run.progress import step_progress
 
 
 def _align(settings: AlignmentSettings) -> None:
     alignment = align(settings, partial(step_progress, console))
-    for line in (alignment.applied.sentence(), *alignment.notes):
-        print_line(console, line)
+    _print(alignment)
     alignment.save(settings)
     print_line(console, f"Written: {settings.out}")
 
 
+def _check(settings: RigCheckSettings) -> None:
+    _print(check_rig_health(settings, partial(step_progress, console)))
+
+
+def _print(alignment: RigAlignment) -> None:
+    print_grid(console, rig_grid(alignment.health.to_dict()))
+    for sentence in alignment.sentences:
+        print_line(console, sentence)
+
+
 app = single_app(command(AlignmentSettings, _align))
+check_app = single_app(command(RigCheckSettings, _check))

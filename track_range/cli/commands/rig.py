@@ -1,4 +1,4 @@
-"""`track-range rig`: shows and converts calibration files."""
+"""`track-range rig`: shows, checks and converts calibration files."""
 
 from __future__ import annotations
 
@@ -179,6 +179,12 @@ app = lazy_app(
             "track_range.cli.commands.rig:show_app",
             "Show angles of view, baseline, and metres per pixel of disparity.",
             examples=("track-range rig show rig.yaml", "track-range rig show calib.txt --size 1242x375"),
+        ),
+        "check": Lazy(
+            "track_range.cli.commands.align:check_app",
+            "Measure on a drive how far distances are off with a rig.",
+            "The drive goes past static objects; nothing in it has to be known. `align` writes the correction.",
+            ("track-range rig check --stereo left.mp4 right.mp4 --rig rig.yaml",),
         ),
         "convert": Lazy(
             "track_range.cli.commands.rig:convert_app",

@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from track_range.foundation.progress import StepProgress, no_progress
+from track_range.stereo.alignment.drift import DriftingAlignment
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.from_drive import DriveAlignment
+from track_range.stereo.alignment.health import RigHealth
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
@@ -27,11 +29,15 @@ class PairAlignment:
     Attributes:
         measured: as estimated or read.
         is_applied: whether disparities are corrected by it.
+        rig: the rectified pair; None = unknown.
+        drifting: the applied alignment over the time of the drive, for images shifted by `shift_px`; None = constant.
         estimation_s: time that the estimation took, including reading the first frames.
     """
 
     measured: Alignment
     is_applied: bool
+    rig: StereoRig | None = None
+    drifting: DriftingAlignment | None = None
     estimation_s: float = 0.0
 
     @property
@@ -42,12 +48,24 @@ class PairAlignment:
     @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user."""
-        rows_px = self.measured.row_correction_px
+        health = self.health
+        if health is None:
+            return (self.applied.sentence(),)
+        m = self.measured
         rows = (
-            f"Vertical offset of {rows_px:+.1f} px between left and right: corrected, but the rig does not fit these "
-            "videos well; calibrate again.",
+            f"Vertical offset of {m.row_offset_px:+.1f} px between left and right (roll {m.roll_deg:+.2f} degrees, "
+            f"focal length of the right camera {100 * (m.focal_ratio - 1):+.1f} %): corrected, but the rig does not "
+            "fit these videos well; calibrate again.",
         )
-        return (self.applied.sentence(), *(rows if rows_px else ()))
+        rig = (health.sentence(),) if m.is_measured or health.has_row_error else ()
+        moved = (health.move_sentence(),) if health.move is not None else ()
+        return (self.applied.sentence(), *rig, *moved, *(rows if health.has_row_error else ()))
+
+    @property
+    def health(self) -> RigHealth | None:
+        """What the alignment means for distances; None = the rig is unknown."""
+        windows = () if self.drifting is None else self.drifting.windows
+        return None if self.rig is None else RigHealth(self.rig, self.measured, self.applied, windows)
 
     def summary(self) -> dict[str, Any]:
         """The section `alignment` of summary.json."""
@@ -60,6 +78,11 @@ class PairAlignment:
             "source": measured.source,
             "is_applied": self.is_applied,
             "look_s": round(self.estimation_s, 3),
+            "offset_sigma_px": round(measured.offset_sigma_px, 4),
+            "slope_px": round(measured.slope_px, 4),
+            "roll_deg": round(measured.roll_deg, 4),
+            "focal_ratio": round(measured.focal_ratio, 6),
+            "health": None if self.health is None else self.health.to_dict(),
         }
 
 
@@ -82,11 +105,11 @@ def find_alignment(
         Errors of `frames`.
     """
     if isinstance(align, Alignment):
-        return PairAlignment(measured=align, is_applied=True)
+        return PairAlignment(measured=align, is_applied=True, rig=rig)
     if align == "off":
-        return PairAlignment(measured=Alignment(source="off, as requested"), is_applied=False)
+        return PairAlignment(measured=Alignment(source="off, as requested"), is_applied=False, rig=rig)
     if align != "auto":
-        return PairAlignment(measured=load_alignment(Path(align)), is_applied=True)
+        return PairAlignment(measured=load_alignment(Path(align)), is_applied=True, rig=rig)
     began_s = time.perf_counter()
     drive, first_s = DriveAlignment(rig), math.nan
     with progress("estimating the alignment") as advance:
@@ -97,4 +120,13 @@ def find_alignment(
             if drive.is_full:
                 break
         measured = drive.estimate()
-    return PairAlignment(measured=measured, is_applied=measured.is_clear, estimation_s=time.perf_counter() - began_s)
+        windows = drive.windows()
+    applied = measured.if_clear()
+    drifting = DriftingAlignment(applied, measured, windows) if measured.is_measured else None
+    return PairAlignment(
+        measured=measured,
+        is_applied=measured.is_clear,
+        rig=rig,
+        drifting=drifting,
+        estimation_s=time.perf_counter() - began_s,
+    )

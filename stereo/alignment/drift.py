@@ -1,0 +1,177 @@
+"""DriftMonitor: measures the offset of a rig again during a drive; DriftingAlignment: the alignment at each time.
+
+    every 30 s or more:  16 frames -> bundle adjustment -> offset, with slope and curvature as at the start
+    state (o, r):  o += r dt,  r: random walk          Kalman filter of offset o in px and drift r in px/s
+
+A frame is corrected with the measurements that ended before it, so that results do not depend on the order in which
+threads run. A change that is not significant is not applied.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.stereo.alignment.bundle_adjustment import CURVATURE, OFFSET, SLOPE
+from track_range.stereo.alignment.feature_tracks import FeatureTracks, TrackedFrame, grey
+from track_range.stereo.alignment.from_drive import (
+    MAX_GAP_S,
+    MIN_FLOW_PX,
+    MIN_STEP_S,
+    MIN_TRACKED_SHARE,
+    N_FRAMES,
+    PIXEL_LOCKING_PX,
+    observations_of,
+)
+from track_range.stereo.alignment.health import Window
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.alignment.right_view import RightView
+from track_range.stereo.alignment.segments import Segment, combine, segment_of
+from track_range.stereo.geometry.frames import Frame, whole_image
+from track_range.stereo.geometry.rig import StereoRig
+
+MIN_INTERVAL_S, MIN_INTERVAL_FRAMES = 30.0, 450
+"""Shortest time, and smallest number of frames, between two measurements: one takes as long as about 20 frames of a
+run, and must not slow it by more than 5 %."""
+
+_MIN_SIGMAS = 2.0
+"""Minimum ratio of a change of the offset to its standard deviation at which it is applied."""
+
+_MAX_SIGMA_PX = 0.15
+"""Largest standard deviation of a usable window."""
+
+_DRIFT_SIGMA = 0.004
+"""Standard deviation of the drift before any measurement, px/s: 0.02 degrees per minute at a focal length of 700 px."""
+
+_DRIFT_NOISE = 1e-4
+"""Random walk of the drift, px/s per root of a second."""
+
+_MAX_AHEAD_S = 90.0
+"""Longest time for which the drift is extrapolated beyond a measurement."""
+
+
+class DriftingAlignment:
+    """The alignment of a run at each time, from the one of its start and later measurements of the offset.
+
+    Attributes:
+        start: the alignment of the first frames, for images with the right one shifted by `Alignment.shift_px`.
+        windows: measurements, in order of time, the first ones from the start.
+    """
+
+    def __init__(self, applied: Alignment, measured: Alignment, windows: Sequence[Window]) -> None:
+        """Start with the applied and the measured alignment, and the windows from which they were estimated."""
+        self.start = applied.after_shift()
+        self.windows = tuple(windows)
+        self._base_px = measured.offset_px
+        time_s = float(np.mean([(window.from_s + window.to_s) / 2 for window in windows])) if windows else 0.0
+        covariance = np.diag([measured.offset_sigma_px**2, _DRIFT_SIGMA**2])
+        self._times_s = [windows[-1].to_s if windows else 0.0]
+        self._states: list[tuple[float, FloatArray, FloatArray]] = [(time_s, np.zeros(2), covariance)]
+
+    def add(self, window: Window) -> None:
+        """Add a later measurement."""
+        self.windows = (*self.windows, window)
+        time_s = (window.from_s + window.to_s) / 2
+        state, covariance = self._predicted(self._states[-1], time_s)
+        gain = covariance[:, 0] / (covariance[0, 0] + window.sigma_px**2)
+        state = state + gain * (window.offset_px - self._base_px - state[0])
+        covariance = covariance - np.outer(gain, covariance[0])
+        self._times_s.append(window.to_s)
+        self._states.append((time_s, state, covariance))
+
+    def at(self, time_s: float) -> Alignment:
+        """The alignment of a frame, from the measurements that ended before it."""
+        number = bisect_left(self._times_s, time_s) - 1
+        if number < 1:
+            return self.start
+        state, covariance = self._predicted(self._states[number], time_s)
+        change_px, sigma_px = float(state[0]), math.sqrt(covariance[0, 0])
+        last_px, last_sigma_px = float(self._states[number][1][0]), math.sqrt(self._states[number][2][0, 0])
+        if abs(last_px) <= _MIN_SIGMAS * math.hypot(last_sigma_px, math.sqrt(self._states[0][2][0, 0])):
+            return self.start
+        residual_px = math.hypot(self.start.residual_px, sigma_px)
+        return replace(self.start, offset_px=self.start.offset_px + change_px, residual_px=residual_px)
+
+    def _predicted(self, last: tuple[float, FloatArray, FloatArray], time_s: float) -> tuple[FloatArray, FloatArray]:
+        """State and covariance at a later time."""
+        last_s, state, covariance = last
+        dt = min(max(time_s - last_s, 0.0), _MAX_AHEAD_S)
+        step = np.array([[1.0, dt], [0.0, 1.0]])
+        noise = _DRIFT_NOISE**2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+        return step @ state, step @ covariance @ step.T + noise
+
+
+class DriftMonitor:
+    """Measures the offset again from time to time, and adds it to a `DriftingAlignment`.
+
+    Args:
+        rig: the rectified pair.
+        drifting: receives the measurements.
+        measured: the alignment that was estimated from the first frames.
+        shift_px: shift of the right images, see `Alignment.shift_px`.
+    """
+
+    def __init__(
+        self, rig: StereoRig, drifting: DriftingAlignment, measured: Alignment, *, shift_px: float = 0.0
+    ) -> None:
+        self._rig, self._drifting, self._measured = rig, drifting, measured
+        self._shift_px = shift_px
+        self._last_s = drifting.windows[-1].to_s if drifting.windows else 0.0
+        self._n_frames, self._added_s = 0, -math.inf
+        self._tracks: FeatureTracks | None = None
+        self._points: list[TrackedFrame] = []
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """No messages: the health of the rig contains the windows."""
+        return ()
+
+    def add(self, frame: Frame) -> None:
+        """Use the next frame, if a measurement is due."""
+        self._n_frames += 1
+        is_due = frame.time_s - self._last_s >= MIN_INTERVAL_S and self._n_frames >= MIN_INTERVAL_FRAMES
+        if frame.right is None or not is_due or frame.time_s - self._added_s < MIN_STEP_S:
+            return
+        if self._tracks is None or frame.time_s - self._added_s > MAX_GAP_S:
+            self._tracks, self._points = FeatureTracks(), []
+        self._added_s = frame.time_s
+        points = self._tracks.add(grey(frame.left), grey(whole_image(frame.right)))
+        self.add_points(TrackedFrame(frame.time_s, points, self._tracks.flow_px, self._tracks.share_tracked))
+
+    def add_points(self, frame: TrackedFrame) -> None:
+        """Use the points of the next frame of a measurement; it ends with the last frame, or if the vehicle stops."""
+        if self._points and (frame.share_tracked < MIN_TRACKED_SHARE or frame.flow_px < MIN_FLOW_PX):
+            self._end(frame.time_s)
+            return
+        self._points.append(frame)
+        if len(self._points) == N_FRAMES:
+            window = self._window()
+            if window is not None:
+                self._drifting.add(window)
+            self._end(frame.time_s)
+
+    def _end(self, time_s: float) -> None:
+        """Wait for the next measurement, a shorter time if this one failed."""
+        has_all = len(self._points) == N_FRAMES
+        self._last_s = time_s if has_all else time_s - 0.8 * MIN_INTERVAL_S
+        self._n_frames = 0 if has_all else round(0.8 * MIN_INTERVAL_FRAMES)
+        self._tracks, self._points = None, []
+
+    def _window(self) -> Window | None:
+        observed = observations_of([frame.points for frame in self._points], RightView(), self._rig)
+        segment = segment_of(observed, self._rig)
+        if not isinstance(segment, Segment):
+            return None
+        known_px = np.zeros(3)
+        known_px[[CURVATURE, SLOPE]] = self._measured.curvature_px, self._measured.slope_px
+        estimate = combine([segment], (OFFSET,), known_px)
+        sigma_px = math.hypot(float(estimate.sigma_px[OFFSET]), PIXEL_LOCKING_PX)
+        if not sigma_px <= _MAX_SIGMA_PX:
+            return None
+        offset_px = float(estimate.error_px[OFFSET]) + self._shift_px
+        return Window(0, self._points[0].time_s, self._points[-1].time_s, offset_px, sigma_px)

@@ -1,0 +1,237 @@
+"""RigHealth: the distance errors that a measured alignment means, before and after its correction, and its drift.
+
+    Z_measured / Z = d / (d - e(u))          d = f B / Z: true disparity, e(u) = d_true - d_measured at the column u
+
+A wrong baseline, or a wrong focal length of both cameras, scales all distances and moves no point of an image against
+another one: no figure here contains it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX, Alignment
+from track_range.stereo.alignment.right_view import RightView
+from track_range.stereo.geometry.rig import StereoRig
+
+DISTANCES_M = (10.0, 20.0, 30.0, 50.0)
+"""Distances of the reported errors."""
+
+REFERENCE_M, MATTERS = 30.0, 0.01
+"""Distance, and relative error of distances there from which an error of the rig matters."""
+
+COLUMNS_U = np.array([-0.5, 0.0, 0.5])
+"""Columns of the reported errors: half-way to the left edge, the middle, half-way to the right edge."""
+
+_MIN_SIGMAS = 2.5
+"""Minimum ratio of a noticed error to its standard deviation; 1 % of true rigs exceed it at one column."""
+
+_MIN_SHARE = 0.5
+"""Smallest noticed error as a fraction of the one that matters."""
+
+_MIN_MOVE_SIGMAS = 3.5
+"""Minimum ratio of a movement during a drive to its standard deviation, which is that of the best of several times."""
+
+UNSEEN = (
+    "A wrong baseline, or a wrong focal length of both cameras, cannot be seen in the images: it scales all distances "
+    "alike (1 % of the baseline: 1 % of every distance). Check one known distance."
+)
+"""Errors of a rig that no estimate from images contains."""
+
+State = Literal["good", "off", "unknown"]
+
+
+class Window(NamedTuple):
+    """The offset in a part of a drive.
+
+    Attributes:
+        drive: number of the drive, from 0.
+        from_s: time of the first frame.
+        to_s: time of the last frame.
+        offset_px: offset with the slope and the curvature of the whole estimate.
+        sigma_px: its standard deviation.
+    """
+
+    drive: int
+    from_s: float
+    to_s: float
+    offset_px: float
+    sigma_px: float
+
+
+class Move(NamedTuple):
+    """A change of the offset between two windows.
+
+    Attributes:
+        time_s: middle of the time between them.
+        change_px: offset after minus offset before.
+        sigma_px: its standard deviation.
+    """
+
+    time_s: float
+    change_px: float
+    sigma_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class RigHealth:
+    """State of a rig in terms of distances.
+
+    Attributes:
+        rig: the rectified pair.
+        measured: the alignment as measured.
+        applied: the alignment that is applied.
+        windows: offsets of the parts of the drive, in order of time; empty = not from a drive.
+    """
+
+    rig: StereoRig
+    measured: Alignment
+    applied: Alignment
+    windows: tuple[Window, ...] = ()
+
+    @property
+    def matters_px(self) -> float:
+        """Disparity error that changes distances by 1 % at 30 m."""
+        return MATTERS * self._fb / REFERENCE_M
+
+    @property
+    def is_noticed(self) -> bool:
+        """Whether an error that matters was measured: of the disparities, or of the rows."""
+        return self.has_row_error or self.has_disparity_error
+
+    @property
+    def has_row_error(self) -> bool:
+        """Whether corresponding points have different rows."""
+        return RightView.of(self.measured).rows_px(self.rig.left) > MAX_ROW_OFFSET_PX
+
+    @property
+    def has_disparity_error(self) -> bool:
+        """Whether the error of the disparities is significant, and of a size that matters."""
+        if not self.measured.is_measured:
+            return False
+        error_px, sigma_px = np.abs(self.measured.error_px(COLUMNS_U)), self._sigma_px
+        return bool(((error_px > _MIN_SIGMAS * sigma_px) & (error_px > _MIN_SHARE * self.matters_px)).any())
+
+    @property
+    def state(self) -> State:
+        """The state: "off" if an error was noticed, "unknown" if disparities were not measured, else "good"."""
+        if self.is_noticed:
+            return "off"
+        return "good" if self.measured.is_measured else "unknown"
+
+    @property
+    def move(self) -> Move | None:
+        """The time at which the offset changed most, if the windows do not agree within their sigmas."""
+        moves = [move for drive in {window.drive for window in self.windows} for move in self._moves(drive)]
+        significant = [move for move in moves if abs(move.change_px) > _MIN_MOVE_SIGMAS * move.sigma_px]
+        of_size = [move for move in significant if abs(move.change_px) > _MIN_SHARE * self.matters_px]
+        return max(of_size, key=lambda move: abs(move.change_px) / move.sigma_px, default=None)
+
+    def before_pct(self, distance_m: float) -> FloatArray:
+        """(3,) expected error in per cent at `COLUMNS_U` as calibrated, positive = too far; NaN = not measurable."""
+        d = self._fb / distance_m
+        measured_px = d - self.measured.error_px(COLUMNS_U)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(measured_px > 0, 100 * (d / measured_px - 1), np.nan)
+
+    def sigma_pct(self, distance_m: float) -> float:
+        """Standard deviation of `before_pct` in the middle of the image."""
+        return 100 * self.measured.offset_sigma_px * distance_m / self._fb
+
+    def after_pct(self, distance_m: float) -> float:
+        """Standard deviation of the relative error that remains, with or without a correction."""
+        return 100 * self.applied.residual_px * distance_m / self._fb
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; null = unknown."""
+        move = self.move
+        return {
+            "state": self.state,
+            "is_noticed": self.is_noticed,
+            "distances": [self._row(distance_m) for distance_m in DISTANCES_M],
+            "windows": [window._asdict() for window in self.windows],
+            "moved": None if move is None else move._asdict(),
+            "sentence": self.sentence(),
+            "move_sentence": self.move_sentence(),
+            "unseen": UNSEEN,
+        }
+
+    def sentence(self) -> str:
+        """The state of the rig at 30 m, as one sentence for users."""
+        distance = f"{REFERENCE_M:.0f} m"
+        after = f"{self.after_pct(REFERENCE_M):.1f} %"
+        if self.state == "unknown":
+            return f"Rig: not measured; expected distance error at {distance}: {after} (1 sigma)."
+        if self.state == "good":
+            return f"Rig: fits the images; expected distance error at {distance}: {after} (1 sigma)."
+        if not self.has_disparity_error:
+            return f"Rig: left and right differ in rows; corrected, expected error at {distance}: {after} (1 sigma)."
+        before_pct = self.before_pct(REFERENCE_M)
+        if np.isnan(before_pct).any():
+            before = "more than 100 %"
+        else:
+            before = f"{before_pct[np.argmax(np.abs(before_pct))]:+.1f} %"
+        if self.applied.is_correcting:
+            return (
+                f"Rig: distance error at {distance} as calibrated: {before}; after the correction: {after} (1 sigma)."
+            )
+        return f"Rig: distance error at {distance} as calibrated: {before}; not corrected."
+
+    def move_sentence(self) -> str:
+        """Whether the rig moved during the drive, as one sentence for users; empty with fewer than two windows."""
+        if len(self.windows) < 2:
+            return ""
+        move = self.move
+        if move is None:
+            spread_px = max(window.sigma_px for window in self.windows)
+            return f"Rig: {len(self.windows)} parts of the drive agree within {spread_px:.2f} px (1 sigma)."
+        change = f"{move.change_px:+.2f} ± {move.sigma_px:.2f} px"
+        pct = 100 * abs(move.change_px) * REFERENCE_M / self._fb
+        return (
+            f"Rig: moved at about {move.time_s:.1f} s, disparities by {change} ({pct:.1f} % at {REFERENCE_M:.0f} m); "
+            "fix the cameras."
+        )
+
+    @property
+    def _fb(self) -> float:
+        return self.rig.left.fx_px * self.rig.baseline_m
+
+    @property
+    def _sigma_px(self) -> FloatArray:
+        """(3,) standard deviations of the error at `COLUMNS_U`."""
+        m, u = self.measured, COLUMNS_U
+        return np.sqrt(m.offset_sigma_px**2 + (m.slope_sigma_px * u) ** 2 + (m.curvature_sigma_px * u**2) ** 2)
+
+    def _row(self, distance_m: float) -> dict[str, float | None]:
+        left, middle, right = (round(float(v), 3) if math.isfinite(v) else None for v in self.before_pct(distance_m))
+        return {
+            "distance_m": distance_m,
+            "before_pct": middle,
+            "before_left_pct": left,
+            "before_right_pct": right,
+            "before_sigma_pct": round(self.sigma_pct(distance_m), 3),
+            "after_sigma_pct": round(self.after_pct(distance_m), 3),
+        }
+
+    def _moves(self, drive: int) -> list[Move]:
+        windows = [window for window in self.windows if window.drive == drive]
+        return [_move(windows[:n], windows[n:]) for n in range(1, len(windows))]
+
+
+def _move(before: Sequence[Window], after: Sequence[Window]) -> Move:
+    (first_px, first_sigma_px), (last_px, last_sigma_px) = _mean(before), _mean(after)
+    time_s = (before[-1].to_s + after[0].from_s) / 2
+    return Move(time_s, last_px - first_px, math.hypot(first_sigma_px, last_sigma_px))
+
+
+def _mean(windows: Sequence[Window]) -> tuple[float, float]:
+    """Mean offset weighted by inverse variance, and its standard deviation."""
+    offset_px, sigma_px = np.array([[window.offset_px, window.sigma_px] for window in windows]).T
+    weight = sigma_px**-2
+    return float((offset_px * weight).sum() / weight.sum()), float(weight.sum() ** -0.5)
