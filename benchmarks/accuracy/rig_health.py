@@ -77,10 +77,9 @@ class Error(NamedTuple):
     size: float
 
 
-ANGLE_ERRORS = [
-    Error(axis, sign * size)
-    for (axis, size), sign in zip(product(("yaw", "pitch", "roll"), ANGLES_DEG), [1.0, -1.0] * 8, strict=False)
-]
+ANGLES: tuple[Fault, ...] = ("yaw", "pitch", "roll")
+
+ANGLE_ERRORS = [Error(axis, size * (-1) ** number) for number, (axis, size) in enumerate(product(ANGLES, ANGLES_DEG))]
 SCALE_ERRORS = [Error("focal_right", SCALE), Error("focal_right", -SCALE), Error("focal_both", SCALE)]
 ERRORS = (*ANGLE_ERRORS, *SCALE_ERRORS, Error("baseline", -SCALE))
 """All errors; each window gets some of them in turn."""

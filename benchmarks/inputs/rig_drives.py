@@ -111,7 +111,7 @@ def recorded_drive(folder: Path, *, fps: float) -> TrackedDrive:
     videos = [cv2.VideoCapture(str(folder / f"{side}.mp4")) for side in ("left", "right")]
     width, height = (int(videos[0].get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
     rig, _ = load_rig(folder / "calib.txt", size_px=(width, height), is_grey="odometry" in str(folder))
-    frames = []
+    frames = list[Frame]()
     while True:
         images = [video.read() for video in videos]
         if not all(is_read for is_read, _ in images):

@@ -172,11 +172,10 @@ class RigHealth:
             return f"Rig: fits the images; expected distance error at {distance}: {after} (1 sigma)."
         if not self.has_disparity_error:
             return f"Rig: left and right differ in rows; corrected, expected error at {distance}: {after} (1 sigma)."
-        before_pct = self.before_pct(REFERENCE_M)
-        if np.isnan(before_pct).any():
+        left_pct, middle_pct, right_pct = self.before_pct(REFERENCE_M).tolist()
+        before = f"{middle_pct:+.1f} % in the middle, {left_pct:+.1f} and {right_pct:+.1f} % half-way to the edges"
+        if not all(map(math.isfinite, (left_pct, middle_pct, right_pct))):
             before = "more than 100 %"
-        else:
-            before = f"{before_pct[np.argmax(np.abs(before_pct))]:+.1f} %"
         if self.applied.is_correcting:
             return (
                 f"Rig: distance error at {distance} as calibrated: {before}; after the correction: {after} (1 sigma)."
