@@ -32,6 +32,9 @@ from track_range.stereo.matching.box_matchers import MATCHER_NAMES, measure_pair
 MATCHERS = ("patch", "sgbm", "sgbm-hh")
 """Names of the compared matchers."""
 
+REFERENCE = "sgbm-hh"
+"""Matcher with which the failures of the others are compared."""
+
 KINDS = ("none", "pole", "sign", "fence", "bush", "road user", "scenery")
 """Kinds of occluders, in the order of the tables."""
 
@@ -59,7 +62,18 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     figures["all"] = both
     for name, by_group in figures.items():
         _print(name, by_group, options.matchers)
-    return {"first_seed": options.first_seed, "seeds": options.seeds, **figures}
+    ratios = _ratios(both["all"])
+    for name, ratio in ratios.items():
+        Console().print(f"Failures of {name} relative to {REFERENCE}: {ratio:.2f} (goal 0.33)")
+    return {"first_seed": options.first_seed, "seeds": options.seeds, "ratios": ratios, **figures}
+
+
+def _ratios(by_matcher: Mapping[str, dict[str, Any]]) -> dict[str, float]:
+    """Failures of each matcher relative to those of the reference, if it was measured and has failures."""
+    reference = by_matcher.get(REFERENCE, {}).get("failures_pct")
+    return {
+        name: row["failures_pct"] / reference for name, row in by_matcher.items() if reference and name != REFERENCE
+    }
 
 
 class _Measured:

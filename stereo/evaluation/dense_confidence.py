@@ -29,8 +29,9 @@ from track_range.stereo.matching.sgbm import DisparityMap, Sgbm, SgbmSettings
 MEASURES = ("spread", "invalid", "disagreeing", "left_right")
 """Names of the measures."""
 
-BEST_MEASURE = "disagreeing"
-"""Measure with the smallest area under the curve of failures for `sgbm-hh` on simulated pairs."""
+BEST_MEASURE = "left_right"
+"""Measure with the smallest area under the curve of failures, chosen on 628 objects of the 80 unrelated images of the
+benchmark `occlusion` with seeds 0-19: sigma 10.6, spread 7.0, invalid 4.0, disagreeing 3.9, left_right 3.6 %."""
 
 NEAR = 0.03
 """Largest relative difference from the median of a pixel that agrees with it."""

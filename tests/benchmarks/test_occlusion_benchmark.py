@@ -14,7 +14,7 @@ def test_one_seed(capsys):
     occlusion.add_options(parser)
     options = parser.parse_args(["--first-seed", "2", "--seeds", "1", "--matchers", "patch"])
     figures = occlusion.measure(options)
-    assert set(figures) == {"first_seed", "seeds", "unrelated", "sequences", "all"}
+    assert set(figures) == {"first_seed", "seeds", "ratios", "unrelated", "sequences", "all"}
     total, unrelated, sequences = (figures[part]["all"]["patch"] for part in ("all", "unrelated", "sequences"))
     assert total["n"] == unrelated["n"] + sequences["n"] > 20
     assert total["failures_pct"] < 60
