@@ -141,9 +141,9 @@ def test_overlap_against_the_normal_distribution() -> None:
 
 
 def test_monte_carlo() -> None:
-    """Half a million motions with the means and covariances of the encounter; arrival and overlap drawn separately."""
+    """A hundred thousand motions with the means and covariances of the encounter; arrival and overlap drawn separately."""
     rng = np.random.default_rng(4)
-    n = 500_000
+    n = 100_000
     gap = state(26.0, -9.0, P_xx=0.5, P_xv=0.2, P_vv=0.8)
     offset = state(2.5, -1.0, P_xx=0.1, P_xv=0.02, P_vv=0.09)
     exact = probability(gap, offset, a=-0.5, a_sigma=0.7, A=0.2)

@@ -1,5 +1,7 @@
 """Tests of the checks of pairs: swapped videos, vertical offset, synchronisation."""
 
+from functools import cache
+
 import cv2
 import numpy as np
 import pytest
@@ -11,13 +13,18 @@ from track_range.video.pairs.pair_monitor import MAX_CHECKED_PAIRS, PairMonitor,
 SIZE_PX = (480, 260)
 
 
+@cache
+def texture():
+    noise = np.random.default_rng(7).normal(size=(320, 700))
+    return cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+
+
+@cache
 def wall(number, *, shift_px, row_px=0, zoom=1.05):
     """Image of a textured wall that the vehicle approaches."""
-    noise = np.random.default_rng(7).normal(size=(320, 700))
-    texture = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
     scale = zoom**number
     transform = np.array([[scale, 0, 250 - scale * 350 - shift_px], [0, scale, 130 - scale * 160 + row_px]])
-    return cv2.warpAffine(texture, transform, SIZE_PX)
+    return cv2.warpAffine(texture(), transform, SIZE_PX)
 
 
 def frames(n, *, late=0, shift_px=10, **more):
