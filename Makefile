@@ -5,7 +5,8 @@ BIN := $(VENV)/bin
 
 # Processes that run tests; 0 = none beside pytest itself, which a debugger needs.
 WORKERS ?= logical
-PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist worksteal --tiers-file=out/tiers.json
+# Compiled files are kept even where the environment says otherwise: half of the collection is compiling tests.
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist worksteal --tiers-file=out/tiers.json
 SLOW_TIERS := slow or train or browser or real
 ifdef COVERAGE
 PYTEST += --cov --cov-append --cov-report=

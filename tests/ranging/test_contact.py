@@ -141,7 +141,7 @@ def test_overlap_against_the_normal_distribution() -> None:
 
 
 def test_monte_carlo() -> None:
-    """A hundred thousand motions with the means and covariances of the encounter; arrival and overlap drawn separately."""
+    """100,000 motions with the means and covariances of the encounter; arrival and overlap drawn separately."""
     rng = np.random.default_rng(4)
     n = 100_000
     gap = state(26.0, -9.0, P_xx=0.5, P_xv=0.2, P_vv=0.8)

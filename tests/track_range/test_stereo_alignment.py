@@ -69,16 +69,14 @@ def test_rows_are_moved_from_0_3_px(row_px, moved_px):
     assert any("Vertical offset" in note for note in alignment.notes) == (moved_px != 0)
 
 
-@pytest.fixture(scope="module")
-def drive():
+def rendered(n_frames):
     renderer = Renderer(make_scene(4, seconds=2.0), RIG)
-    return [
-        Frame(i, i / 10, renderer.render(i / 10, side="left"), renderer.render(i / 10, side="right")) for i in range(17)
-    ]
+    for i in range(n_frames):
+        yield Frame(i, i / 10, renderer.render(i / 10, side="left"), renderer.render(i / 10, side="right"))
 
 
 @pytest.mark.slow
-def test_alignment_from_the_drive(drive):
+def test_alignment_from_the_drive():
     steps = []
 
     class Bar:
@@ -88,7 +86,7 @@ def test_alignment_from_the_drive(drive):
         def __exit__(self, *_):
             return None
 
-    alignment = find_alignment("auto", RIG, (frame for frame in drive), lambda text: Bar())
+    alignment = find_alignment("auto", RIG, rendered(17), lambda text: Bar())
     assert abs(alignment.measured.offset_px) < 0.3
     assert abs(alignment.measured.row_offset_px) < 0.1
     assert "this drive" in alignment.notes[0]
@@ -96,8 +94,9 @@ def test_alignment_from_the_drive(drive):
     assert steps[0] == (0, 80)
 
 
-def test_static_vehicle_gives_no_alignment(drive):
-    static = [Frame(i, i / 10, drive[0].left, drive[0].right) for i in range(12)]
+def test_static_vehicle_gives_no_alignment():
+    (first,) = rendered(1)
+    static = [Frame(i, i / 10, first.left, first.right) for i in range(12)]
     alignment = find_alignment("auto", RIG, (frame for frame in static))
     assert not alignment.is_applied
     assert alignment.applied.residual_px == UNCORRECTED_SIGMA_PX

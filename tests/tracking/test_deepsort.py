@@ -1,11 +1,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
@@ -18,6 +17,7 @@ from track_range.tracking.tracks import Tracks
 
 CAR, TRUCK, PERSON = (ROAD_CLASSES.index(name) for name in ("car", "truck", "person"))
 IMAGE = np.zeros((375, 1242, 3), np.uint8)
+SEEDS = range(10)  # of random frames
 NO_PREDICTION = DeepSortSettings(prediction=PredictionGates(max_missing_s=0.0))
 EARLY_PREDICTION = DeepSortSettings(prediction=PredictionGates(min_hit_streak_visible=5))
 
@@ -255,11 +255,15 @@ def random_frames(seed: int, *, n_frames: int = 25) -> list[Detections]:
     return frames
 
 
-@given(seed=st.integers(0, 10**6))
-@settings(max_examples=15, deadline=None)
+@cache
+def tracked(seed: int) -> list[Tracks]:
+    """The tracks of `random_frames`."""
+    return drive(DeepSortTracker(), random_frames(seed))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 def test_invariants_of_tracks(seed: int) -> None:
-    frames = random_frames(seed)
-    out = drive(DeepSortTracker(), frames)
+    frames, out = random_frames(seed), tracked(seed)
     for detections, tracks in zip(frames, out, strict=True):
         assert (np.diff(tracks.track_id) > 0).all()
         assert (tracks.track_id >= 1).all()
@@ -271,21 +275,17 @@ def test_invariants_of_tracks(seed: int) -> None:
     assert sum(len(tracks) for tracks in out) > 0
 
 
-@given(seed=st.integers(0, 10**6))
-@settings(max_examples=10, deadline=None)
+@pytest.mark.parametrize("seed", SEEDS)
 def test_the_same_input_gives_the_same_output(seed: int) -> None:
-    frames = random_frames(seed)
-    for a, b in zip(drive(DeepSortTracker(), frames), drive(DeepSortTracker(), frames), strict=True):
+    for a, b in zip(tracked(seed), drive(DeepSortTracker(), random_frames(seed)), strict=True):
         np.testing.assert_array_equal(a.track_id, b.track_id)
         np.testing.assert_array_equal(a.xyxy_px, b.xyxy_px)
 
 
-@given(seed=st.integers(0, 10**6))
-@settings(max_examples=10, deadline=None)
+@pytest.mark.parametrize("seed", SEEDS)
 def test_order_of_boxes_changes_only_ids(seed: int) -> None:
-    frames = random_frames(seed)
-    reordered = [detections.select(np.arange(len(detections))[::-1]) for detections in frames]
-    for a, b in zip(drive(DeepSortTracker(), frames), drive(DeepSortTracker(), reordered), strict=True):
+    reordered = [detections.select(np.arange(len(detections))[::-1]) for detections in random_frames(seed)]
+    for a, b in zip(tracked(seed), drive(DeepSortTracker(), reordered), strict=True):
         assert sorted(a.xyxy_px.tolist()) == sorted(b.xyxy_px.tolist())
 
 

@@ -83,6 +83,7 @@ def test_killed_run_resumes_exactly(sets, tmp_path):
     assert repr(rows[0]) == repr(rows[1])
 
 
+@pytest.mark.train
 def test_files_of_the_run_folder(sets, tmp_path):
     run = training(sets, tmp_path, replace(SMALL, n_epochs=3))
     run.run(Quiet())

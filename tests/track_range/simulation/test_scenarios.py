@@ -26,7 +26,8 @@ def test_help_lists_all_scenarios(cli):
     assert all(name in printed for name in SCENARIO_NAMES)
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n == "night" else pytest.mark.slow) for n in SCENARIOS])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENARIOS)
 def test_scenario_is_rendered_and_labelled(name):
     scene = make_scenario(name, seed=2, seconds=3.0)
     renderer = Renderer(scene, SMALL)
