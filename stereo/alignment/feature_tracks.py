@@ -47,7 +47,10 @@ _BORDER_PX = 8
 """Minimum distance of a point from the image border, px."""
 
 _COARSE_RANGE_PX = 80
-"""Disparities searched in the half-size images; twice as many in full pixels."""
+"""Number of disparities searched in the half-size images; twice as many in full pixels."""
+
+_COARSE_MIN_PX = -8
+"""Smallest of them: negative, because a wrong vergence of 0.5 degrees makes the disparities of far points negative."""
 
 _UNKNOWN_PX = 5.0
 """Initial disparity where the coarse map has none, px."""
@@ -145,7 +148,7 @@ class FeatureTracks:
         column = np.clip(self._left_px[:, 0] / 2, 0, width - 1).astype(int)
         row = np.clip(self._left_px[:, 1] / 2, 0, height - 1).astype(int)
         coarse_px = coarse[row, column]
-        is_known = coarse_px > 0
+        is_known = np.isfinite(coarse_px)
         start = self._left_px.copy()
         start[:, 0] -= np.where(is_known, coarse_px, _UNKNOWN_PX)
         right_px, is_matched = _flow(left, right, self._left_px, start, 1)
@@ -169,7 +172,7 @@ def grey(image: Image) -> Image:
 
 def _coarse_matcher() -> cv2.StereoSGBM:
     return cv2.StereoSGBM.create(
-        minDisparity=0,
+        minDisparity=_COARSE_MIN_PX,
         numDisparities=_COARSE_RANGE_PX,
         blockSize=5,
         P1=8 * 25,
@@ -184,11 +187,12 @@ def _coarse_matcher() -> cv2.StereoSGBM:
 
 
 def _coarse_disparity(matcher: cv2.StereoSGBM, left: Image, right: Image) -> FloatArray32:
-    """(H / 2, W / 2) disparities in full pixels; not positive where unknown."""
+    """(H / 2, W / 2) disparities in full pixels; NaN where unknown."""
     halves = [cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for image in (left, right)]
-    padded = [cv2.copyMakeBorder(half, 0, 0, _COARSE_RANGE_PX, 0, cv2.BORDER_REPLICATE) for half in halves]
-    steps = matcher.compute(padded[0], padded[1])[:, _COARSE_RANGE_PX:]
-    return np.asarray(steps.astype(np.float32) * (2 / 16), np.float32)
+    border = (0, 0, _COARSE_RANGE_PX, -_COARSE_MIN_PX)
+    padded = [cv2.copyMakeBorder(half, *border, cv2.BORDER_REPLICATE) for half in halves]
+    steps = matcher.compute(padded[0], padded[1])[:, _COARSE_RANGE_PX:_COARSE_MIN_PX]
+    return np.where(steps >= 16 * _COARSE_MIN_PX, steps.astype(np.float32) * (2 / 16), np.float32(np.nan))
 
 
 def _new_corners(left: Image, free: Image, n_corners: int) -> list[FloatArray32]:

@@ -29,8 +29,8 @@ REFERENCE_M, MATTERS = 30.0, 0.01
 COLUMNS_U = np.array([-0.5, 0.0, 0.5])
 """Columns of the reported errors: half-way to the left edge, the middle, half-way to the right edge."""
 
-_MIN_SIGMAS = 2.5
-"""Minimum ratio of a noticed error to its standard deviation; 1 % of true rigs exceed it at one column."""
+_MIN_SIGMAS = 3.0
+"""Minimum ratio of a noticed error to its standard deviation; one of 46 windows of true rigs exceeded 2.5."""
 
 _MIN_SHARE = 0.5
 """Smallest noticed error as a fraction of the one that matters."""

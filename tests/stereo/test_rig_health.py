@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.alignment.drift import DriftingAlignment
+from track_range.stereo.alignment.drift import DriftingAlignment, DriftMonitor
 from track_range.stereo.alignment.feature_tracks import PairPoints, TrackedFrame
 from track_range.stereo.alignment.from_drive import DriveAlignment
 from track_range.stereo.alignment.health import RigHealth, Window
@@ -185,6 +185,25 @@ def test_wrong_angles_are_noticed_and_corrected(rig_file: StereoRig) -> None:
     state, alignment = estimated(rig_file)
     assert state.state == "off"
     assert np.abs(error_px(rig_file, alignment)).max() < 0.24  # 2 %
+
+
+@pytest.mark.slow
+def test_drift_is_measured_during_a_drive() -> None:
+    """The right camera turns by 0.1 degrees in 60 s; the offset is measured every 40 s, and followed within 2 %."""
+    rate = math.radians(0.1) * CAMERA.fx_px / 60
+    start = measured(0.0, 0.03)
+    drifting = DriftingAlignment(start, start, [Window(0, 0.0, 5.0, 0.0, 0.03)])
+    monitor = DriftMonitor(RIG, drifting, start)
+    for number, time_s in enumerate((40.0, 80.0, 120.0, 160.0)):
+        for frame in tracked_street(RIG, seed=10 + number, n_frames=16):
+            turned_px = frame.points.right_px + np.array([rate * (time_s + frame.time_s - 2.5), 0.0])
+            points = frame.points._replace(right_px=turned_px)
+            monitor.add_points(frame._replace(time_s=time_s + frame.time_s, points=points))
+    assert len(drifting.windows) == 5
+    errors_px = [drifting.at(t).offset_px - rate * (t - 2.5) for t in np.arange(85.0, 200.0, 5.0).tolist()]
+    assert np.abs(errors_px).max() < 0.24
+    moved = RigHealth(RIG, start, start, drifting.windows).move
+    assert moved is not None
 
 
 def test_right_view_from_rows() -> None:
