@@ -66,7 +66,7 @@ def _drive(seed: int) -> dict[str, Any]:
     alignment = find_alignment("auto", drive.renderer.rig, _generator(frames)).measured
     alignment_s = time.process_time() - start_s
     u = np.linspace(-1.0, 1.0, 101)
-    remaining_px = offset_px + alignment.offset_px + alignment.curvature_px * u**2
+    remaining_px = offset_px + alignment.error_px(u)
     return {
         "seed": seed,
         "scenario": scenario,

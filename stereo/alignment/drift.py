@@ -35,7 +35,7 @@ from track_range.stereo.alignment.segments import Segment, combine, segment_of
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 
-MIN_INTERVAL_S, MIN_INTERVAL_FRAMES = 30.0, 450
+MIN_INTERVAL_S, MIN_INTERVAL_FRAMES = 30.0, 600
 """Shortest time, and smallest number of frames, between two measurements: one takes as long as about 20 frames of a
 run, and must not slow it by more than 5 %."""
 

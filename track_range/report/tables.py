@@ -131,11 +131,11 @@ def rig_grid(health: Mapping[str, Any]) -> Grid:
     """Expected distance errors of a rig, by distance, before and after its alignment, from `RigHealth.to_dict()`."""
     rows = health.get("distances") or []
     columns = [
-        Column("as_calibrated, middle %", [figure(row, "before_pct") for row in rows], "{:+.1f}"),
+        Column("calibrated middle %", [figure(row, "before_pct") for row in rows], "{:+.1f}"),
         Column(f"{SIGMA} %", [figure(row, "before_sigma_pct") for row in rows], "{:.1f}"),
-        Column("left_half %", [figure(row, "before_left_pct") for row in rows], "{:+.1f}"),
-        Column("right_half %", [figure(row, "before_right_pct") for row in rows], "{:+.1f}"),
-        Column(f"as_used, {SIGMA} %", [figure(row, "after_sigma_pct") for row in rows], "{:.1f}"),
+        Column("calibrated left %", [figure(row, "before_left_pct") for row in rows], "{:+.1f}"),
+        Column("calibrated right %", [figure(row, "before_right_pct") for row in rows], "{:+.1f}"),
+        Column(f"corrected {SIGMA} %", [figure(row, "after_sigma_pct") for row in rows], "{:.1f}"),
     ]
     names = [f"{figure(row, 'distance_m') or 0:.0f} m" for row in rows]
     return grid_of("Expected distance error of the rig", "distance", names, columns)
