@@ -24,7 +24,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import ImageView, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
-from track_range.stereo.matching.patch_matches import BoxMatcher, Outcome, PatchMatches
+from track_range.stereo.matching.patch_matches import BoxMatcher, ExpectedDisparity, Outcome, PatchMatches
 from track_range.stereo.matching.sgbm import Mode, Sgbm, SgbmSettings, centre_disparity, inner_half_median
 
 CENTRE = "-centre"
@@ -40,12 +40,19 @@ class DenseMatcher:
         self._sgbm, self._settings = Sgbm(settings), settings
         self._read = centre_disparity if is_centre else inner_half_median
 
-    def match(self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray) -> PatchMatches:
+    def match(
+        self,
+        left: Image,
+        right: ImageView,
+        xyxy_px: FloatArray,
+        prior_px: FloatArray,
+        by_size: ExpectedDisparity | None = None,
+    ) -> PatchMatches:
         """As `BoxMatcher.match`; the outcome of boxes without a disparity is NO_TEXTURE."""
         dense = self._sgbm.dense_disparity(left, whole_image(right))
         disparity_px, sigma_px = self._read(dense, xyxy_px, settings=self._settings)
         outcome = np.where(np.isnan(disparity_px), int(Outcome.NO_TEXTURE), int(Outcome.MATCHED))
-        return PatchMatches(disparity_px, sigma_px, outcome)
+        return PatchMatches.of(disparity_px, sigma_px, outcome)
 
 
 def open_matcher(name: str, rig: StereoRig) -> BoxMatcher:

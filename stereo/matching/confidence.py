@@ -6,16 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, IntArray
-from track_range.stereo.matching.plane_fit import Surface
-from track_range.stereo.matching.sample_windows import BoxWindows
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32
+from track_range.stereo.matching.subpixel import RefinedSurface
+from track_range.stereo.matching.tiles import BoxTiles
 
 _CHANCE_PERCENTILE = 75.0
 """Percentile of a box's costs that estimates the cost of a chance match; above the median, because in a search around a
 prior half of the costs belong to the minimum."""
 
 _PEAK_HALF_WIDTH = 2
-"""Disparities on both sides of the best one that belong to its minimum, px of the level."""
+"""Disparities on both sides of the best one that belong to its minimum, px of the tile."""
 
 _PEAK_HALF_WIDTH_PER_DISPARITY = 20
 """The half width grows by 1 px with each 20 px of disparity: nearer objects extend over more disparities."""
@@ -38,15 +38,16 @@ class MatchConfidence:
     is_inside: BoolArray
 
 
-def match_confidence(cost: FloatArray32, surface: Surface, windows: BoxWindows, first: IntArray) -> MatchConfidence:
-    """Confidence of surfaces in costs (D, N, G), bits per pixel, at the disparities first (N,) + k."""
+def match_confidence(cost: FloatArray32, surface: RefinedSurface, tiles: BoxTiles) -> MatchConfidence:
+    """Confidence of surfaces in costs (D, G, N), bits per pixel."""
     last = len(cost) - 1
-    curve = _object_curve(cost, surface, windows.normalized_positions())
-    best = np.nan_to_num(np.rint(surface.centre - first), nan=-1.0).astype(np.int64)
+    curve = _object_curve(cost, surface, tiles)
+    centre = surface.fit.p[:, 0]
+    best = np.nan_to_num(np.rint(centre), nan=-1.0).astype(np.int64)
     is_inside = (best > 0) & (best < last)
-    best_cost = curve[np.clip(best, 0, last), np.arange(len(first))]
+    best_cost = curve[np.clip(best, 0, last), np.arange(len(best))]
     margin = _chance_cost(curve) - best_cost
-    half_width = _PEAK_HALF_WIDTH + (first + best) // _PEAK_HALF_WIDTH_PER_DISPARITY
+    half_width = _PEAK_HALF_WIDTH + (tiles.first + best) // _PEAK_HALF_WIDTH_PER_DISPARITY
     is_other = np.abs(np.arange(len(cost))[:, None] - best) > half_width
     second_best_cost = np.where(is_other, curve, np.inf).min(axis=0)
     with np.errstate(invalid="ignore"):  # no surface, no costs: inf - inf
@@ -54,24 +55,23 @@ def match_confidence(cost: FloatArray32, surface: Surface, windows: BoxWindows, 
     return MatchConfidence(np.asarray(best_cost), np.asarray(margin), second_best_margin, is_inside)
 
 
-def _object_curve(cost: FloatArray32, surface: Surface, positions: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """(D, N) mean cost of the object's windows as a function of the plane's p0; inf = more than half are not visible.
+def _object_curve(cost: FloatArray32, surface: RefinedSurface, tiles: BoxTiles) -> FloatArray:
+    """(D, N) mean cost of the object's windows as a function of the surface's p0; inf = more than half are not visible.
 
-        curve(k) = mean over the object's windows i of C_i(k + round(p1 u_i + p2 v_i))
+        curve(k) = mean over the object's windows i of C_i(k + round(d(u_i, v_i) - p0))
 
     so that a slanted surface also has one minimum.
     """
     last = len(cost) - 1
-    u, v = positions
-    is_object = np.isfinite(surface.residual)
-    shift = np.rint(surface.tilt[:, :1] * u + surface.tilt[:, 1:] * v).astype(np.int64)
+    is_object = np.isfinite(surface.residual).T
+    shift = np.rint(surface.fit.at(tiles.u, tiles.v) - surface.fit.p[:, :1]).T.astype(np.int64)
     k = np.arange(len(cost))[:, None, None] + shift
     window = np.arange(shift.size).reshape(shift.shape)
     shifted = cost.reshape(-1).take(np.clip(k, 0, last) * shift.size + window)  # a third of `take_along_axis`'s time
     is_seen = (k >= 0) & (k <= last) & is_object & np.isfinite(shifted)
-    n_seen = is_seen.sum(axis=2)
-    total = np.where(is_seen, shifted, np.float32(0.0)).sum(axis=2)
-    is_enough = n_seen >= np.maximum(0.5 * is_object.sum(axis=1), 1)
+    n_seen = is_seen.sum(axis=1)
+    total = np.where(is_seen, shifted, np.float32(0.0)).sum(axis=1)
+    is_enough = n_seen >= np.maximum(0.5 * is_object.sum(axis=0), 1)
     return np.where(is_enough, total / np.maximum(n_seen, 1), np.inf)
 
 

@@ -1,46 +1,59 @@
-"""PatchMatcher: the disparity of each box from windows in its inner half, for all boxes of a frame at once.
+"""PatchMatcher: the disparity of each box from windows inside it, for all boxes of a frame at once.
 
-    1. windows    a grid of windows in each box, in the image pyramid                     `sample_windows`
-    2. costs      census costs of each window at each disparity                           `census`
-    3. matches    semi-global matching between the windows of a box                       `window_sgm`
-    4. subpixel   least squares on grey values, where a prior is near                     `subpixel`
-    5. surface    the windows that belong to the object, and a plane through them         `plane_fit`
-    6. checks     texture, uniqueness, search range, cost; sigma                          `confidence`
+    1. tiles      each box, and the strip of the right image it may match, at one size     `tiles`
+    2. costs      census costs of the windows at each disparity                            `census`
+    3. matches    semi-global matching between the windows of a box                        `window_sgm`
+    4. surfaces   groups of windows on a plane: the object, occluders, background          `surfaces`
+    5. choice     the probability of each surface to be the object                         `surface_choice`
+    6. subpixel   least squares on grey values, and the surface through the windows        `subpixel`, `surface_fit`
+    7. checks     texture, uniqueness, search range, cost; sigma                           `confidence`
 
-Boxes without a prior are first searched in the full range on a coarse grid, then around the result on the fine grid.
+The range of disparities is that about the last match of the box's track; else that about the disparity expected from
+the object's size; else the full range, first on coarse tiles and then, about the result, on fine ones. The full range is
+also searched where the other two give no match.
 
 A doubtful match is NaN, with the reason: the minimum lies at the end of the search range, is shallow (no texture), has
 a second best minimum of nearly the same cost (repeated texture), or costs nearly as much as a chance match (12 bits).
 The best of many chance matches has some depth too. An object that is not near its prior is recognised by the cost and
-by windows without a minimum; then the full range is searched.
+by windows without a minimum.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
+from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.matching.census import cost_curves
+from track_range.stereo.matching.census import window_costs
 from track_range.stereo.matching.confidence import match_confidence
-from track_range.stereo.matching.patch_matches import Outcome, PatchMatches
-from track_range.stereo.matching.plane_fit import Surface, object_surface
-from track_range.stereo.matching.sample_windows import (
-    COARSE_GRID,
-    FINE_GRID,
-    MARGIN_PX,
-    WINDOW_HW,
-    BoxWindows,
-    GreyLevels,
-    band_of,
+from track_range.stereo.matching.patch_matches import ExpectedDisparity, Outcome, PatchMatches
+from track_range.stereo.matching.subpixel import RefinedSurface, refine_surface
+from track_range.stereo.matching.surface_choice import (
+    SurfaceChoice,
+    choose_surface,
+    features,
+    windows_of_other_boxes,
 )
-from track_range.stereo.matching.subpixel import refine_windows
+from track_range.stereo.matching.surface_fit import SurfaceFit
+from track_range.stereo.matching.surfaces import Surfaces, find_surfaces, window_weights
+from track_range.stereo.matching.tiles import (
+    COARSE,
+    FINE,
+    MIN_IMAGE_HW,
+    BoxTiles,
+    TileShape,
+    box_tiles,
+    tile_scale,
+)
 from track_range.stereo.matching.window_sgm import WindowMatches, match_windows
+
+_STEPS_MULTIPLE = 4
+"""The number of disparities less 1 is a multiple of this, so that strips end at whole pixels (see `tiles`)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,10 +65,12 @@ class PatchMatcherSettings:
         max_disparity_px: largest disparity; sets the nearest distance (192 px: 2 m with KITTI's rig).
         max_disparity_per_side: largest disparity per px of the box's larger side, baseline / smallest object, both in
             metres; inf = no limit.
-        search_px: half width of the search around a prior, px of the box's level.
+        search_px: half width of the search around the last match of a track, px of the tile.
+        size_search_px: half width of the search around the disparity expected from the size, px of the tile.
         min_side_px: smallest side of a box.
         min_seen_share: smallest fraction of the windows that must have a minimum, and lie within the right image.
-        min_support: smallest fraction of those that must belong to one surface.
+        min_support: smallest fraction of those that must belong to the object's surface.
+        min_probability: smallest probability of the surface to be the object.
         min_margin_bits: minimum difference between the costs of a chance match and of the minimum, in bits of 24 per
             pixel.
         max_cost_bits: largest cost of the minimum; not checked for priors from the full search.
@@ -65,19 +80,21 @@ class PatchMatcherSettings:
             from the full search.
         uniqueness_ratio: minimum difference between the costs of the second best and the best minimum, as a fraction of
             the margin (OpenCV's uniquenessRatio is a fraction of the cost).
-        floor_px: sigma of a flat, textured, noiseless box, px of its level.
+        floor_px: sigma of a flat, textured, noiseless box, px of its tile.
         noise_share: fraction of the propagated variances of the windows that contributes to sigma.
-        scatter_share: fraction of the windows' scatter about the plane that contributes to sigma.
-        tilt_share: fraction of the plane's tilt across the box that contributes to sigma.
+        scatter_share: fraction of the windows' scatter about the surface that contributes to sigma.
+        tilt_share: fraction of the surface's tilt across the box that contributes to sigma.
     """
 
     min_disparity_px: int = 1
     max_disparity_px: int = 192
     max_disparity_per_side: float = math.inf
     search_px: int = 8
+    size_search_px: int = 16
     min_side_px: float = 8.0
     min_seen_share: float = 0.25
-    min_support: float = 0.3
+    min_support: float = 0.15
+    min_probability: float = 0.4
     min_margin_bits: float = 1.5
     max_cost_bits: float = 8.0
     min_minima_share: float = 0.5
@@ -95,23 +112,48 @@ class PatchMatcherSettings:
         return cls(max_disparity_px=math.ceil(nearest_px), max_disparity_per_side=rig.baseline_m / smallest_m)
 
 
-class _Search(NamedTuple):
-    """Costs of the windows of N boxes.
+class _Known(NamedTuple):
+    """What is known of N boxes before the search.
 
     Attributes:
-        cost: (D, N, G) bits per pixel at the disparities first (N,) + k, px of the boxes' levels; NaN = outside the
-            right image.
-        first: (N,) disparity of index 0, px of the level.
-        windows: the windows.
-        prior_px: (N,) priors, px of the image; NaN = none.
-        is_known: whether the priors are results of the full search in the same pair.
+        xyxy_px: (N, 4) boxes inside the image.
+        track_px: (N,) last match of the track; NaN = none.
+        by_size: expected disparities from the size.
+        limit_px: (N,) largest disparity.
     """
 
+    xyxy_px: FloatArray
+    track_px: FloatArray
+    by_size: ExpectedDisparity
+    limit_px: FloatArray
+
+    def select(self, rows: IntArray) -> _Known:
+        return _Known(self.xyxy_px[rows], self.track_px[rows], self.by_size.select(rows), self.limit_px[rows])
+
+    @property
+    def expected_px(self) -> FloatArray:
+        """(N,) the disparity of the track, else by size; NaN = unknown."""
+        return np.where(np.isfinite(self.track_px), self.track_px, self.by_size.disparity_px)
+
+
+class _Search(NamedTuple):
+    """The surfaces of N boxes in a range of disparities.
+
+    Attributes:
+        tiles: tiles and strips.
+        cost: (D, G, N) costs of the windows.
+        matches: matches of the windows.
+        weight: (N, G) weights of the windows.
+        surfaces: surfaces.
+        choice: their probabilities.
+    """
+
+    tiles: BoxTiles
     cost: FloatArray32
-    first: IntArray
-    windows: BoxWindows
-    prior_px: FloatArray
-    is_known: bool
+    matches: WindowMatches
+    weight: FloatArray
+    surfaces: Surfaces
+    choice: SurfaceChoice
 
 
 class PatchMatcher:
@@ -120,15 +162,23 @@ class PatchMatcher:
     def __init__(self, settings: PatchMatcherSettings | None = None) -> None:
         self._settings = settings or PatchMatcherSettings()
 
-    def match(self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray) -> PatchMatches:
+    def match(
+        self,
+        left: Image,
+        right: ImageView,
+        xyxy_px: FloatArray,
+        prior_px: FloatArray,
+        by_size: ExpectedDisparity | None = None,
+    ) -> PatchMatches:
         """The disparities of boxes in the left image, with the reasons of failures.
 
         Args:
             left: (H, W) grey or (H, W, 3) BGR uint8, rectified.
             right: rectified right image of equal size; only the pixels that the boxes need are read.
             xyxy_px: (N, 4) boxes; any values, including NaN and boxes outside the image.
-            prior_px: (N,) expected disparity; NaN = none. Without a prior, or with a doubtful match near it, the full
-                range is searched.
+            prior_px: (N,) last disparity of the box's track; NaN = none. Without one, or with a doubtful match near it,
+                the range by size or the full range is searched.
+            by_size: expected disparities from the sizes of the objects; None = unknown.
 
         Raises:
             ValueError: the images differ in size.
@@ -136,20 +186,30 @@ class PatchMatcher:
         if left.shape[:2] != right.shape[:2]:
             raise ValueError(f"left and right: expected equal sizes, got {left.shape[:2]} and {right.shape[:2]}")
         boxes, outcome = self._usable(xyxy_px, (left.shape[0], left.shape[1]))
-        matches = PatchMatches(np.full(len(boxes), np.nan), np.full(len(boxes), np.nan), outcome)
+        n = len(boxes)
+        matches = PatchMatches.of(np.full(n, np.nan), np.full(n, np.nan), outcome)
+        known = _Known(boxes, self._in_range(prior_px, boxes), by_size or ExpectedDisparity.unknown(n), self._limit_px(boxes))
         is_usable = outcome == Outcome.MATCHED
-        limit_px = self._limit_px(boxes)
-        near = np.flatnonzero(is_usable & (prior_px >= self._settings.min_disparity_px) & (prior_px <= limit_px))
-        if len(near):
-            matches.put(near, self._search(left, right, boxes[near], prior_px[near], limit_px[near]))
-        unmatched = np.flatnonzero(is_usable & np.isnan(matches.disparity_px))
-        if len(unmatched):
-            no_prior = np.full(len(unmatched), np.nan)
-            matches.put(unmatched, self._search(left, right, boxes[unmatched], no_prior, limit_px[unmatched]))
-            rows = unmatched[np.isfinite(matches.disparity_px[unmatched])]
+        size_px = self._in_range(known.by_size.disparity_px, boxes)
+        for expected_px, search_px, is_of_track in (
+            (known.track_px, self._settings.search_px, True),
+            (size_px, self._settings.size_search_px, False),
+        ):
+            rows = np.flatnonzero(is_usable & np.isnan(matches.disparity_px) & np.isfinite(expected_px))
             if len(rows):
-                coarse_px = matches.disparity_px[rows]
-                matches.put(rows, self._search(left, right, boxes[rows], coarse_px, limit_px[rows], is_known=True))
+                part = known.select(rows) if is_of_track else known.select(rows)._replace(track_px=np.full(len(rows), np.nan))
+                matches.put(rows, self._measured_near(left, right, part, expected_px[rows], search_px))
+        rows = np.flatnonzero(is_usable & np.isnan(matches.disparity_px))
+        if len(rows):
+            part = known.select(rows)._replace(track_px=np.full(len(rows), np.nan))
+            found_px, doubtful = self._full_range(left, right, part)
+            matches.put(rows, doubtful)
+            found = np.flatnonzero(np.isfinite(found_px))
+            if len(found):
+                near = self._measured_near(
+                    left, right, part.select(found), found_px[found], self._settings.search_px, is_found=True
+                )
+                matches.put(rows[found], near)
         return matches
 
     def _usable(self, xyxy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArray, IntArray]:
@@ -160,7 +220,7 @@ class PatchMatcher:
             side_px = (boxes[:, 2:] - boxes[:, :2]).min(axis=1)
             is_outside = ~np.isfinite(xyxy_px).all(axis=1) | ~(side_px > 0)
         outcome = np.full(len(boxes), int(Outcome.MATCHED), np.int64)
-        is_small_image = height < WINDOW_HW[0] + 2 * MARGIN_PX or width < WINDOW_HW[1] + 2 * MARGIN_PX
+        is_small_image = height < MIN_IMAGE_HW[0] or width < MIN_IMAGE_HW[1]
         outcome[(side_px < self._settings.min_side_px) | is_small_image] = Outcome.TOO_SMALL
         outcome[is_outside] = Outcome.OUTSIDE
         return boxes, outcome
@@ -173,107 +233,143 @@ class PatchMatcher:
         side_px = (boxes[:, 2:] - boxes[:, :2]).max(axis=1)
         return np.asarray(np.minimum(side_px * settings.max_disparity_per_side, settings.max_disparity_px))
 
-    def _search(
+    def _in_range(self, disparity_px: FloatArray, boxes: FloatArray) -> FloatArray:
+        """(N,) disparities inside the range of each box; NaN for others."""
+        is_inside = (disparity_px >= self._settings.min_disparity_px) & (disparity_px <= self._limit_px(boxes))
+        return np.where(is_inside, disparity_px, np.nan)
+
+    def _measured_near(
         self,
         left: Image,
         right: ImageView,
-        boxes: FloatArray,
-        prior_px: FloatArray,
-        limit_px: FloatArray,
+        known: _Known,
+        centre_px: FloatArray,
+        search_px: int,
         *,
-        is_known: bool = False,
+        is_found: bool = False,
     ) -> PatchMatches:
-        """Matches of usable boxes: around priors on the fine grid, or (all NaN) in the full range on the coarse grid.
+        """Matches of boxes near disparities (N,); is_found = these are results of the full search in the same pair."""
+        scale = tile_scale(known.xyxy_px, FINE)[0]
+        first_px = np.maximum(centre_px - search_px * scale, self._settings.min_disparity_px - 1.0 * scale)
+        search = self._search(left, right, known, first_px, 2 * search_px + 1, FINE)
+        surface = _chosen(search)
+        refined = refine_surface(search.tiles, search.matches.index, surface[0], surface[1])
+        return self._checked(search, refined, known, is_found=is_found)
 
-        Args:
-            left: left image.
-            right: right image.
-            boxes: (N, 4) boxes inside the image.
-            prior_px: (N,) priors, all finite or all NaN.
-            limit_px: (N,) largest disparities.
-            is_known: whether the priors are results of the full search in the same pair.
-        """
-        has_prior = bool(np.isfinite(prior_px).all())
-        image_hw = (left.shape[0], left.shape[1])
-        windows = BoxWindows.of_boxes(boxes, image_hw, grid=FINE_GRID if has_prior else COARSE_GRID)
-        first, n_disparities = self._range(windows.scale, prior_px, limit_px)
-        # Only the rows that the windows need are converted to grey and shrunk; window rows count from the first one.
-        required = windows.required_pixels(first, first + n_disparities - 1, image_hw)
-        n_levels = int(windows.level.max()) + 1
-        top, bottom = int(required[:, 1].min()), int(required[:, 3].max())
-        grey_left, grey_right = (
-            GreyLevels.of(left[top:bottom], n_levels),
-            GreyLevels.of(band_of(right, required), n_levels),
-        )
-        windows = replace(windows, row=windows.row - (top >> windows.level)[:, None])
-        cost = cost_curves(grey_left, grey_right, windows, first=first, n_disparities=n_disparities)
-        # All boxes have the range of the largest one; disparities beyond a box's limit are no matches.
-        cost[first + np.arange(n_disparities)[:, None] > limit_px / windows.scale + 1] = np.nan
-        matches = match_windows(cost)
-        is_confirmed = matches.weight > 0
-        if has_prior:
-            matches, is_confirmed = refine_windows(grey_left, grey_right, windows, matches, first=first)
-        return self._measure(_Search(cost, first, windows, prior_px, is_known), matches, is_confirmed)
-
-    def _range(self, scale: FloatArray, prior_px: FloatArray, limit_px: FloatArray) -> tuple[IntArray, int]:
-        """First disparity (N,) of each box, px of its level, and the number D, with one extra at both ends.
-
-        In the full range the first may be -1, because a disparity of 1 px is about 0 in the shrunk image.
-        """
+    def _full_range(self, left: Image, right: ImageView, known: _Known) -> tuple[FloatArray, PatchMatches]:
+        """(N,) disparities by a search over the full range on coarse tiles; NaN = none, with the reasons."""
         settings = self._settings
-        lowest = np.floor(settings.min_disparity_px / scale).astype(np.int64) - 1
-        if np.isfinite(prior_px).all():
-            first = np.rint(prior_px / scale).astype(np.int64) - settings.search_px - 1
-            return np.maximum(first, np.maximum(lowest, 0)), 2 * settings.search_px + 3
-        n_disparities = int(np.ceil(limit_px / scale).max()) + 2 - int(lowest.min())
-        return lowest, max(n_disparities, 2 * settings.search_px + 3)
+        scale = tile_scale(known.xyxy_px, COARSE)[0]
+        first_px = settings.min_disparity_px - scale
+        n_steps = int(np.ceil((known.limit_px - first_px) / scale).max()) + 2
+        n_disparities = max(-(-n_steps // _STEPS_MULTIPLE) * _STEPS_MULTIPLE, 2 * settings.search_px) + 1
+        search = self._search(left, right, known, first_px, n_disparities, COARSE)
+        members, plane = _chosen(search)
+        coarse = RefinedSurface(
+            plane,
+            np.where(members, search.matches.index - plane.at(search.tiles.u, search.tiles.v), np.nan),
+            np.where(members, 1.0, 0.0),
+            members,
+        )
+        checked = self._checked(search, coarse, known, is_found=False)
+        return checked.disparity_px, checked
 
-    def _measure(self, search: _Search, matches: WindowMatches, is_confirmed: BoolArray) -> PatchMatches:
-        """Surfaces, checks and sigmas of the boxes; the last check that fails determines the outcome."""
-        settings, (cost, first, windows, prior_px, is_known) = self._settings, search
-        disparity = np.maximum(first[:, None] + matches.index + matches.offset, 0.1)
-        positions, prior = windows.normalized_positions(), prior_px / windows.scale
-        surface = object_surface(disparity, matches.weight, positions=positions, prior=prior)
-        confidence = match_confidence(cost, surface, windows, first)
-        minima_share = (matches.weight > 0).mean(axis=1)
-        seen_share = np.isfinite(cost).any(axis=0).mean(axis=1)
+    def _search(
+        self, left: Image, right: ImageView, known: _Known, first_px: FloatArray, n_disparities: int, shape: TileShape
+    ) -> _Search:
+        """Windows and surfaces of boxes at `n_disparities` disparities from first_px (N,)."""
+        tiles = box_tiles(left, right, known.xyxy_px, first_px, n_disparities, shape)
+        cost = window_costs(tiles)
+        # All boxes have the range of the largest one; disparities beyond a box's limits are no matches.
+        disparity = tiles.first + np.arange(n_disparities)[:, None]
+        beyond = (disparity > known.limit_px / tiles.scale[0] + 1) | (disparity < 0)
+        if beyond.any():
+            cost[np.broadcast_to(beyond[:, None], cost.shape)] = np.nan
+        matches = match_windows(cost)
+        weight = window_weights(matches, tiles)
+        surfaces = find_surfaces(matches.index, weight, tiles)
+        others = windows_of_other_boxes(known.xyxy_px, known.expected_px, tiles, tiles.disparity_px(matches.index))
+        phi = features(
+            surfaces,
+            tiles,
+            weight,
+            matches.cost,
+            by_size=known.by_size,
+            track_px=known.track_px,
+            others_share=others,
+        )
+        return _Search(tiles, cost, matches, weight, surfaces, choose_surface(phi, surfaces))
 
-        outcome = np.full(len(first), int(Outcome.MATCHED), np.int64)
+    def _checked(
+        self, search: _Search, surface: RefinedSurface, known: _Known, *, is_found: bool
+    ) -> PatchMatches:
+        """Checks and sigmas of the boxes; the last check that fails determines the outcome."""
+        settings, tiles, cost, choice = self._settings, search.tiles, search.cost, search.choice
+        confidence = match_confidence(cost, surface, tiles)
+        n_used = np.maximum(tiles.is_used.sum(axis=1), 1)
+        minima_share = ((search.matches.slope > 0) & tiles.is_used).sum(axis=1) / n_used
+        seen_share = (np.isfinite(cost).any(axis=0).T & tiles.is_used).sum(axis=1) / n_used
+        support = np.isfinite(surface.residual).sum(axis=1) / n_used
+        rows = np.arange(len(n_used))
+        probability = choice.probability[choice.chosen, rows]
+
+        outcome = np.full(len(rows), int(Outcome.MATCHED), np.int64)
         is_unique = confidence.second_best_margin >= settings.uniqueness_ratio * confidence.margin
-        outcome[~is_unique | (surface.support < settings.min_support)] = Outcome.AMBIGUOUS
+        is_certain = probability >= settings.min_probability
+        outcome[~is_unique | ~is_certain | (support < settings.min_support * seen_share)] = Outcome.AMBIGUOUS
         outcome[~confidence.is_inside] = Outcome.OUT_OF_RANGE
-        outcome[~(confidence.margin >= settings.min_margin_bits) | np.isnan(surface.centre)] = Outcome.NO_TEXTURE
-        if not is_known:
+        outcome[~(confidence.margin >= settings.min_margin_bits) | (support == 0)] = Outcome.NO_TEXTURE
+        if not is_found:
             is_elsewhere = minima_share < settings.min_minima_share * seen_share
-            is_elsewhere |= is_confirmed.mean(axis=1) < settings.min_confirmed_share * minima_share
-            is_elsewhere &= np.isfinite(prior_px)
+            is_elsewhere |= surface.is_confirmed.sum(axis=1) / n_used < settings.min_confirmed_share * support
+            is_elsewhere &= tiles.shape == FINE
             is_costly = confidence.cost > settings.max_cost_bits
             outcome[np.isfinite(confidence.cost) & (is_elsewhere | is_costly)] = Outcome.NO_FIT
         outcome[minima_share < settings.min_seen_share] = Outcome.NO_TEXTURE
         outcome[seen_share < settings.min_seen_share] = Outcome.NOT_SEEN
 
         is_matched = outcome == Outcome.MATCHED
-        sigma_px = windows.scale * self._sigma(surface, matches.weight, windows)
-        disparity_px = np.where(is_matched, windows.scale * surface.centre, np.nan)
-        return PatchMatches(disparity_px, np.where(is_matched, sigma_px, np.nan), outcome)
+        disparity_px = tiles.disparity_px(surface.fit.p[:, 0])
+        is_matched &= disparity_px > 0
+        sigma_px = tiles.scale[0] * self._sigma(surface, tiles, probability, search.surfaces, choice)
+        return PatchMatches(
+            np.where(is_matched, disparity_px, np.nan),
+            np.where(is_matched, sigma_px, np.nan),
+            outcome,
+            np.asarray(choice.n_surfaces, np.int64),
+            probability,
+        )
 
-    def _sigma(self, surface: Surface, weight: FloatArray, windows: BoxWindows) -> FloatArray:
-        """(N,) standard deviation of p0, px of the boxes' levels; weight (N, G) = 1 / variance of the windows.
+    def _sigma(
+        self, surface: RefinedSurface, tiles: BoxTiles, probability: FloatArray, surfaces: Surfaces, choice: SurfaceChoice
+    ) -> FloatArray:
+        """(N,) standard deviation of p0, px of the tile.
 
-        sigma^2 = floor^2 + (noise_share noise)^2 + (scatter_share scatter)^2 + (tilt_share (|p1| + |p2|))^2
+        sigma^2 = floor^2 + (noise_share noise)^2 + (scatter_share scatter)^2 + (tilt_share tilt)^2 + choice^2
 
             noise^2 = G / (G_independent sum of weight)
             scatter = 1.25 mean |residual|          mean absolute deviation -> standard deviation
+            tilt    = (|p1| + |p2|) / 2             over the inner half of the box
+            choice^2 = sum over the other surfaces of P (d - p0)^2
 
         Windows that overlap share pixels: G_independent is the number of windows that fit side by side.
         """
         settings = self._settings
         is_inlier = np.isfinite(surface.residual)
-        total = np.maximum(np.where(is_inlier, weight, 0.0).sum(axis=1), 1e-6)
-        n_independent = windows.n_pixels / (WINDOW_HW[0] * WINDOW_HW[1])
-        noise = np.sqrt(weight.shape[1] / (n_independent * total))
-        deviation = np.where(is_inlier, np.abs(surface.residual), 0.0).sum(axis=1)
-        scatter = 1.25 * deviation / np.maximum(is_inlier.sum(axis=1), 1)
-        tilt = np.abs(surface.tilt).sum(axis=1)
+        n_inliers = np.maximum(is_inlier.sum(axis=1), 1)
+        total = np.maximum(surface.weight.sum(axis=1), 1e-6)
+        noise = np.sqrt(n_inliers / np.maximum(n_inliers / 4.0, 1.0) / total)
+        scatter = 1.25 * np.where(is_inlier, np.abs(surface.residual), 0.0).sum(axis=1) / n_inliers
+        tilt = np.abs(surface.fit.p[:, 1:3]).sum(axis=1) / 2
+        difference = np.nan_to_num(surfaces.centre - surface.fit.p[:, 0], nan=0.0)
+        is_other = np.arange(len(difference))[:, None] != choice.chosen
+        other = np.where(is_other, choice.probability * difference**2, 0.0).sum(axis=0)
         parts = (settings.noise_share * noise, settings.scatter_share * scatter, settings.tilt_share * tilt)
-        return np.sqrt(settings.floor_px**2 + sum((part**2 for part in parts), np.zeros(len(tilt))))
+        return np.sqrt(settings.floor_px**2 + sum((part**2 for part in parts), other))
+
+
+def _chosen(search: _Search) -> tuple[np.ndarray, SurfaceFit]:
+    """Windows (N, G) and planes of the chosen surfaces."""
+    chosen, rows = search.choice.chosen, np.arange(len(search.choice.chosen))
+    planes = np.stack([plane.p for plane in search.surfaces.planes])
+    return search.surfaces.is_member[chosen, rows], SurfaceFit(planes[chosen, rows])

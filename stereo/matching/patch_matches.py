@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Protocol
+
+import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.stereo.geometry.frames import ImageView
@@ -29,11 +31,33 @@ REASONS: dict[Outcome, str] = {
     Outcome.TOO_SMALL: "too small",
     Outcome.NOT_SEEN: "outside the right image",
     Outcome.NO_TEXTURE: "no texture, or saturated",
-    Outcome.AMBIGUOUS: "ambiguous: several disparities match equally well",
+    Outcome.AMBIGUOUS: "ambiguous: several disparities match equally well, or several surfaces may be the object",
     Outcome.OUT_OF_RANGE: "disparity at the end of the search range",
     Outcome.NO_FIT: "no match in the right image",
 }
 """Descriptions of the outcomes for the user."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedDisparity:
+    """Disparities of N boxes that are expected from the size of the object, by its class.
+
+    Attributes:
+        disparity_px: (N,) expected disparity; NaN = unknown.
+        log_sigma: (N,) standard deviation of its logarithm.
+    """
+
+    disparity_px: FloatArray
+    log_sigma: FloatArray
+
+    @classmethod
+    def unknown(cls, n: int) -> ExpectedDisparity:
+        """Nothing is known of `n` boxes."""
+        return cls(np.full(n, np.nan), np.full(n, np.nan))
+
+    def select(self, rows: IntArray) -> ExpectedDisparity:
+        """The boxes in rows (M,)."""
+        return ExpectedDisparity(self.disparity_px[rows], self.log_sigma[rows])
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,21 +68,46 @@ class PatchMatches:
         disparity_px: (N,) disparity at the centre of the box; NaN = not measured.
         sigma_px: (N,) its standard deviation, without the uncertainty of the alignment.
         outcome: (N,) values of `Outcome`.
+        n_surfaces: (N,) number of surfaces that the box shows: the object, occluders, background; 0 = unknown.
+        probability: (N,) probability that the measured surface is the object; NaN = unknown.
     """
 
     disparity_px: FloatArray
     sigma_px: FloatArray
     outcome: IntArray
+    n_surfaces: IntArray
+    probability: FloatArray
+
+    @classmethod
+    def of(cls, disparity_px: FloatArray, sigma_px: FloatArray, outcome: IntArray) -> PatchMatches:
+        """Matches of a matcher that does not know of surfaces."""
+        n = len(outcome)
+        return cls(disparity_px, sigma_px, outcome, np.zeros(n, np.int64), np.full(n, np.nan))
 
     def put(self, rows: IntArray, matches: PatchMatches) -> None:
         """Replace the results of the boxes in rows (M,), in place."""
-        self.disparity_px[rows], self.sigma_px[rows] = matches.disparity_px, matches.sigma_px
-        self.outcome[rows] = matches.outcome
+        for field in fields(self):
+            getattr(self, field.name)[rows] = getattr(matches, field.name)
 
 
 class BoxMatcher(Protocol):
     """Measures the disparities of boxes, like `stereo.matching.patch_matcher.PatchMatcher`."""
 
-    def match(self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray) -> PatchMatches:
-        """Disparities of boxes (N, 4), with priors (N,); NaN = search the full range."""
+    def match(
+        self,
+        left: Image,
+        right: ImageView,
+        xyxy_px: FloatArray,
+        prior_px: FloatArray,
+        by_size: ExpectedDisparity | None = None,
+    ) -> PatchMatches:
+        """Disparities of boxes (N, 4).
+
+        Args:
+            left: left image.
+            right: right image.
+            xyxy_px: (N, 4) boxes.
+            prior_px: (N,) last disparity of the box's track; NaN = none.
+            by_size: expected disparities from the sizes of the objects; None = unknown.
+        """
         ...

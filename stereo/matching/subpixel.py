@@ -1,15 +1,15 @@
-"""Subpixel disparities: least squares on the grey values of each window (Lucas & Kanade 1981).
+"""Subpixel disparities: least squares on the grey values of each window of a surface (Lucas & Kanade 1981).
 
 Census uses only the order of grey values: it determines the disparity to a pixel, but the steps of its bits bias the
-subpixel minimum. Starting from census, with g the left window's derivative along the row,
+subpixel minimum. Starting from the surface d(x, y) through the census disparities, with g the left tile's derivative
+along the row,
 
-    left(x) = a right(x - d) + s g(x) + b        d <- d - s        twice
+    left(x) = a right(x - d(x, y)) + s g(x) + b        d of the window <- d - s        twice
 
 The gain a and the bias b belong to each window, so that the cameras' exposures may differ, as with census. The
-derivative is the left window's in both iterations, and the cubic that interpolates right(x - d) shifts all frequencies
+derivative is the left tile's in both iterations, and the cubic that interpolates right(x - d) shifts all frequencies
 of a smoothed image by nearly the same amount: no fraction of a pixel is preferred. The variance of d is that of the
-least squares, with the residuals as the noise. A window is as wide as in the census, and two rows higher, because the
-margin is available.
+least squares, with the residuals as the noise. The surface is fitted again to the windows that the grey values confirm.
 
 A vertical offset between the images shifts slanted edges sideways: on KITTI's cars by up to half a pixel per pixel. So
 one vertical offset per box is fitted to the residuals, and its effect on each window's d removed.
@@ -17,32 +17,30 @@ one vertical offset per box is fitted to the residuals, and its effect on each w
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from track_range.foundation.arrays import BoolArray, FloatArray32, IntArray
-from track_range.stereo.matching.sample_windows import WINDOW_HW, BoxWindows, GreyLevels
-from track_range.stereo.matching.window_sgm import WindowMatches
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32
+from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces
+from track_range.stereo.matching.surfaces import centre_weights
+from track_range.stereo.matching.tiles import MARGIN_PX, N_CELLS, BoxTiles, Grey
 
-_MAX_STEP_PX = 0.5
-"""Largest |s| of one iteration, px of the level."""
+_N_ITERATIONS = 2
+"""Iterations of the least squares."""
 
-_REACH = 2
-"""Pixels read on either side of an integer disparity: the cubic needs four of these five for |fraction| <= 1 px."""
-
-_MAX_CHANGE_PX = 0.75
-"""Largest distance of a confirmed window from its census disparity, px of the level."""
+_MAX_STEP_PX = 0.75
+"""Largest |s| of a confirmed window, px of the tile."""
 
 _MIN_GAIN = 0.3
 """Smallest gain a of a confirmed window, and of its inverse: below, the right pixels hardly resemble the left ones."""
 
 _MAX_SIGMA_PX = 0.2
-"""Largest standard deviation of d of a confirmed window, px of the level."""
+"""Largest standard deviation of d of a confirmed window, px of the tile."""
 
-_UNCONFIRMED_SIGMA_PX = 0.6
-"""Standard deviation of a window that is not confirmed and keeps its census disparity, px of the level."""
+_UNCONFIRMED_SIGMA_PX = 0.2
+"""Standard deviation of a window that is not confirmed and keeps its census disparity, px of the tile."""
 
 _MIN_NOISE_GREY2 = 0.14
 """Smallest variance of a smoothed grey value: rounding or compression, 1 grey level before smoothing."""
@@ -52,49 +50,63 @@ _NOISE_CORRELATION = 3.5
 independent; measured on exact shifts."""
 
 _VERTICAL_SIGMA_PX = 0.3
-"""Prior standard deviation of the vertical offset, px of the level; larger ones are corrected by the alignment."""
+"""Prior standard deviation of the vertical offset, px of the tile; larger ones are corrected by the alignment."""
 
-_FLOOR_PX, _FLOOR_SHARE = 0.06, 0.006
-"""Lower limit of a window's standard deviation, px of the level, and as a fraction of its disparity: objects are not
-planes."""
+_FLOOR_PX, _FLOOR_SHARE = 0.06, 0.01
+"""Lower limit of a window's standard deviation, px of the tile, and as a fraction of its disparity: objects are not
+smooth surfaces."""
 
 
-def refine_windows(
-    left: GreyLevels, right: GreyLevels, windows: BoxWindows, matches: WindowMatches, *, first: IntArray
-) -> tuple[WindowMatches, BoolArray]:
-    """Window matches with offsets -1 .. 1 by least squares, and 1 / variance (px^-2 of the level) as weights.
+@dataclass(frozen=True, slots=True)
+class RefinedSurface:
+    """The surfaces of N boxes with G windows each, px of the tile.
+
+    Attributes:
+        fit: the surfaces, relative to index 0 of the costs.
+        residual: (N, G) disparity of a window minus the surface; NaN for windows that are not part of it.
+        weight: (N, G) 1 / variance of the windows, px^-2; 0 for windows that are not part of it.
+        is_confirmed: (N, G) windows whose disparity the grey values confirm; the others have their census disparity.
+    """
+
+    fit: SurfaceFit
+    residual: FloatArray
+    weight: FloatArray
+    is_confirmed: BoolArray
+
+
+def refine_surface(tiles: BoxTiles, index: FloatArray, is_member: BoolArray, plane: SurfaceFit) -> RefinedSurface:
+    """The surface with subpixel disparities.
 
     Args:
-        left: grey levels of the left image.
-        right: grey levels of the right image.
-        windows: windows of N boxes, G each.
-        matches: matches by census; a window without a minimum keeps weight 0.
-        first: (N,) disparity of the costs' index 0, px of the level.
-
-    Returns:
-        The matches, and (N, G) whether the grey values confirm them; the others keep their census disparities.
+        tiles: the boxes' tiles.
+        index: (N, G) disparities by census relative to index 0, px of the tile.
+        is_member: (N, G) windows of the surface.
+        plane: the plane through them.
     """
-    smooth_left = _smooth(left.windows(windows, windows.column, width=WINDOW_HW[1]))
-    strip_column = windows.column - (first[:, None] + matches.index) - _REACH + 1
-    smooth_right = _smooth(right.windows(windows, strip_column, width=WINDOW_HW[1] + 2 * _REACH - 2))
-    d = d_census = matches.offset.ravel().astype(np.float32)
-    equations = _Equations.of(smooth_left)
-    for interpolation_weights in (_linear_weights, _cubic_weights):
-        right_at_d = _interpolated(smooth_right, interpolation_weights(-d))
-        fit = equations.fit(right_at_d)
-        d = np.clip(d - np.clip(fit.s, -_MAX_STEP_PX, _MAX_STEP_PX), -1.0, 1.0)
-    is_fitted = (np.abs(d - d_census) < _MAX_CHANGE_PX) & (fit.a > _MIN_GAIN) & (fit.a * _MIN_GAIN < 1.0)
-    shape = matches.offset.shape
-    is_confirmed = (is_fitted & (fit.variance < _MAX_SIGMA_PX**2)).reshape(shape) & (matches.weight > 0)
-    d = np.clip(d + _vertical_offset_share(smooth_left, right_at_d, equations, fit, is_confirmed), -1.0, 1.0)
-    variance = np.where(is_confirmed, fit.variance.reshape(shape).astype(np.float64), _UNCONFIRMED_SIGMA_PX**2)
-    variance += _FLOOR_PX**2 + (_FLOOR_SHARE * (first[:, None] + matches.index)) ** 2
-    offset = np.where(is_confirmed, d.reshape(shape), matches.offset)
-    return WindowMatches(matches.index, offset, np.where(matches.weight > 0, 1.0 / variance, 0.0)), is_confirmed
+    u, v = tiles.u, tiles.v
+    column_u, row_v = tiles.pixel_positions()
+    disparity = np.maximum(tiles.first + plane.p[:, 0], 0.1)
+    floor = _FLOOR_PX**2 + (_FLOOR_SHARE * disparity[:, None]) ** 2
+    central = centre_weights(tiles)
+    equations, fit = _Equations.of(tiles), plane
+    last = tiles.n_disparities - 2.0
+    for iteration in range(_N_ITERATIONS):
+        p0, p1, p2, p3, p4 = fit.p.T
+        at_pixels = (row_v * (p2 + p4 * row_v))[:, None] + (p0 + column_u * (p1 + p3 * column_u))[None]
+        step = equations.solve(np.clip(at_pixels, 1.0, last), has_vertical_offset=iteration == _N_ITERATIONS - 1)
+        is_fitted = (np.abs(step.s) < _MAX_STEP_PX) & (step.a > _MIN_GAIN) & (step.a * _MIN_GAIN < 1.0)
+        is_confirmed = is_fitted & (step.variance < _MAX_SIGMA_PX**2) & is_member
+        s = step.s if step.vertical is None else step.s - _vertical_offset_share(step.vertical, is_confirmed)
+        refined = np.where(is_confirmed, np.clip(fit.at(u, v), 1.0, last) - s, index)
+        variance = np.where(is_confirmed, step.variance, _UNCONFIRMED_SIGMA_PX**2) + floor
+        weight = np.where(is_member, 1.0 / variance, 0.0)
+        fit = fit_surfaces(refined, weight * central, positions=(u, v), disparity=disparity, is_curved=True)
+    residual = np.where(is_member, refined - fit.at(u, v), np.nan)
+    return RefinedSurface(fit, residual, weight, is_confirmed)
 
 
-def _smooth(grey: npt.NDArray[np.uint8]) -> FloatArray32:
-    """(H - 2, W - 2, P) of (H, W, P), by the binomial filter 1 2 1 both ways, so that the cubic interpolates well."""
+def _smooth(grey: Grey) -> FloatArray32:
+    """(H - 2, W - 2, N) of (H, W, N), by the binomial filter 1 2 1 both ways, so that the cubic interpolates well."""
     values = grey.astype(np.uint16)
     down = values[:-2] + values[2:]
     down += 2 * values[1:-1]
@@ -103,59 +115,27 @@ def _smooth(grey: npt.NDArray[np.uint8]) -> FloatArray32:
     return np.asarray(np.multiply(smooth, np.float32(1 / 16), dtype=np.float32))
 
 
-def _centred(values: FloatArray32) -> FloatArray32:
-    """(K, P) of (H, W, P): the pixels of each window in one axis, less their mean."""
-    flat = values.reshape(-1, values.shape[-1])
-    return np.asarray(flat - flat.mean(axis=0))
+class _Vertical(NamedTuple):
+    """For the vertical offset t of a box, (N, G) each: <g, h> / <g, g>, and the window's part of t's equation."""
+
+    share: FloatArray
+    numerator: FloatArray
+    information: FloatArray
 
 
-def _interpolated(right: FloatArray32, weights: FloatArray32) -> FloatArray32:
-    """(H, W - 4, P) right values between pixels of (H, W, P): sums of 3 or 5 neighbours with weights (3 or 5, P)."""
-    width = right.shape[1] - 2 * _REACH
-    first = _REACH - len(weights) // 2
-    total = np.asarray(weights[0] * right[:, first : first + width])
-    part = np.empty_like(total)
-    for start, weight in enumerate(weights[1:], first + 1):
-        total += np.multiply(weight, right[:, start : start + width], out=part)
-    return total
+class _Step(NamedTuple):
+    """Least squares of the windows, (N, G) each: the step s, the gain a, and the variance of s."""
 
-
-def _linear_weights(position: FloatArray32) -> FloatArray32:
-    """(3, P) weights of the pixels -1, 0, 1 for positions (P,) within -1 .. 1; sufficient for the first iteration."""
-    return np.asarray(np.stack([np.maximum(-position, 0.0), 1.0 - np.abs(position), np.maximum(position, 0.0)]))
-
-
-def _cubic_weights(position: FloatArray32) -> FloatArray32:
-    """(5, P) weights of the pixels -2 .. 2 for positions (P,) within -1 .. 1: Lagrange's cubic through four of them."""
-    below = np.minimum(np.floor(position), 0.0)
-    t = position - below
-    four = (
-        -t * (t - 1) * (t - 2) / 6,
-        (t + 1) * (t - 1) * (t - 2) / 2,
-        -(t + 1) * t * (t - 2) / 2,
-        (t + 1) * t * (t - 1) / 6,
-    )
-    weights = np.zeros((2 * _REACH + 1, len(position)), np.float32)
-    is_left = below < 0
-    for number, weight in enumerate(four):
-        weights[number] += np.where(is_left, weight, np.float32(0.0))
-        weights[number + 1] += np.where(is_left, np.float32(0.0), weight)
-    return weights
-
-
-class _Fit(NamedTuple):
-    """Least squares of P windows, (P,) each: the step s, the gain a, the variance of s, and of a grey value."""
-
-    s: FloatArray32
-    a: FloatArray32
-    variance: FloatArray32
-    noise: FloatArray32
+    s: FloatArray
+    a: FloatArray
+    variance: FloatArray
+    vertical: _Vertical | None
 
 
 class _Equations(NamedTuple):
-    """The parts of `l = a r + s g + b` in P windows of K pixels that do not change with the iterations.
+    """The parts of `l = a r + s g + b` in windows of K pixels that do not change with the iterations.
 
-    Centring l and g removes b. With <x, y> the dot product over a window's pixels of the centred values, the normal
+    With <x, y> the covariance sum over a window's pixels, sum(x y) - sum(x) sum(y) / K, which removes b, the normal
     equations of (s, a) and their solution are
 
         <g, g> s + <g, r> a = <g, l>        s = (<g, l> <r, r> - <r, l> <g, r>) / D
@@ -164,70 +144,102 @@ class _Equations(NamedTuple):
         D = <g, g> <r, r> - <g, r>^2        var s = noise <r, r> / D
                                             noise = (<l, l> - a <r, l> - s <g, l>) / (K - 4)
 
+    With h the left derivative down the column, a vertical offset t between the images adds t h to the model; s absorbs
+    t <g, h> / <g, g>.
+
     Attributes:
-        l: (K, P) left grey values, centred.
-        g: (K, P) their derivative along the row, centred.
-        ll, gg, gl: (P,) <l, l>, <g, g>, <g, l>.
+        l: (H, W, N) left grey values, less the tile's mean.
+        g: (H, W, N) their derivative along the row.
+        h: (H, W, N) their derivative down the column.
+        right: (H, W + 2 + D - 1, N) right grey values of the strip with one column on both sides, less the same mean.
+        n_disparities: D.
+        n_pixels: K.
+        cell_hw: height and width of a cell.
     """
 
     l: FloatArray32  # noqa: E741 (as in the equations)
     g: FloatArray32
-    ll: FloatArray32
-    gg: FloatArray32
-    gl: FloatArray32
+    h: FloatArray32
+    right: FloatArray32
+    n_disparities: int
+    n_pixels: int
+    cell_hw: tuple[int, int]
 
     @classmethod
-    def of(cls, left: FloatArray32) -> _Equations:
-        """From smoothed left windows (H, W + 2, P)."""
-        g, l = _centred(0.5 * (left[:, 2:] - left[:, :-2])), _centred(left[:, 1:-1])  # noqa: E741
-        return cls(l, g, _dot(l, l), _dot(g, g), _dot(g, l))
+    def of(cls, tiles: BoxTiles) -> _Equations:
+        inner = slice(MARGIN_PX - 2, -(MARGIN_PX - 2))
+        left, right = _smooth(tiles.left[inner, inner]), _smooth(tiles.right[inner, inner])
+        mean = left.mean(axis=(0, 1))  # small numbers keep the precision of 32 bits
+        left -= mean
+        right -= mean
+        return cls(
+            l=left[1:-1, 1:-1],
+            g=0.5 * (left[1:-1, 2:] - left[1:-1, :-2]),
+            h=0.5 * (left[2:, 1:-1] - left[:-2, 1:-1]),
+            right=right[1:-1],
+            n_disparities=tiles.n_disparities,
+            n_pixels=tiles.shape.window_px,
+            cell_hw=tiles.shape.cell_hw,
+        )
 
-    def fit(self, right: FloatArray32) -> _Fit:
-        """The solution for right values (H, W, P), not centred: products with centred values need only one centred."""
-        r = right.reshape(-1, right.shape[-1])
-        rr = _dot(r, r) - r.sum(axis=0) ** 2 / len(r)
-        gr, rl = _dot(self.g, r), _dot(r, self.l)
-        determinant = self.gg * rr - gr**2 + np.float32(1e-3)
-        s = (self.gl * rr - rl * gr) / determinant
-        a = (rl * self.gg - self.gl * gr) / determinant
-        residual = np.maximum(self.ll - a * rl - s * self.gl, 0.0) / (len(r) - 4)
-        information = np.maximum(determinant / (np.maximum(rr, 0.0) + np.float32(1e-3)), np.float32(1e-6))
-        noise = np.float32(_NOISE_CORRELATION) * (residual + np.float32(_MIN_NOISE_GREY2))
-        return _Fit(s, a, noise / information, noise)
+    def solve(self, index: FloatArray, *, has_vertical_offset: bool) -> _Step:
+        """The solution with the right values at the disparities index (H, W, N)."""
+        l, g, r = self.l, self.g, self._right_at(index)  # noqa: E741
+        sums = [self._sum(x) for x in (l, g, r)]
+        ll, gg, gl = self._cov(l, l, sums[0], sums[0]), self._cov(g, g, sums[1], sums[1]), self._cov(g, l, sums[1], sums[0])
+        rr, gr, rl = self._cov(r, r, sums[2], sums[2]), self._cov(g, r, sums[1], sums[2]), self._cov(r, l, sums[2], sums[0])
+        determinant = gg * rr - gr**2 + 1e-3
+        s = (gl * rr - rl * gr) / determinant
+        a = (rl * gg - gl * gr) / determinant
+        residual = np.maximum(ll - a * rl - s * gl, 0.0) / (self.n_pixels - 4)
+        information = np.maximum(determinant / (np.maximum(rr, 0.0) + 1e-3), 1e-6)
+        noise = _NOISE_CORRELATION * (residual + _MIN_NOISE_GREY2)
+        vertical = None
+        if has_vertical_offset:
+            h, sum_h = self.h, self._sum(self.h)
+            hh, gh = self._cov(h, h, sum_h, sum_h), self._cov(g, h, sums[1], sum_h)
+            hl, hr = self._cov(h, l, sum_h, sums[0]), self._cov(h, r, sum_h, sums[2])
+            share = gh / np.maximum(gg, 1e-3)
+            vertical = _Vertical(share, (hl - s * gh - a * hr) / noise, (hh - share * gh) / noise)
+        return _Step(s, a, noise / information, vertical)
+
+    def _sum(self, values: FloatArray32) -> FloatArray:
+        """(N, G) sums of values (H, W, N) over the windows."""
+        (height, width), n = self.cell_hw, values.shape[2]
+        down = values.reshape(N_CELLS, height, -1, n).sum(axis=1)
+        cells = down.reshape(N_CELLS, N_CELLS, width, n).sum(axis=2)
+        windows = cells[:-1] + cells[1:]
+        windows = windows[:, :-1] + windows[:, 1:]
+        return np.asarray(windows.reshape(-1, n).T, np.float64)
+
+    def _cov(self, x: FloatArray32, y: FloatArray32, sum_x: FloatArray, sum_y: FloatArray) -> FloatArray:
+        """(N, G) <x, y> of the windows."""
+        return np.asarray(self._sum(x * y) - sum_x * sum_y / self.n_pixels)
+
+    def _right_at(self, index: FloatArray) -> FloatArray32:
+        """(H, W, N) right values at the disparities index (H, W, N), by Lagrange's cubic through four pixels."""
+        height, width, n = index.shape
+        strip_width = self.right.shape[1]
+        column = np.arange(width)[:, None] + self.n_disparities - index  # of the strip with its additional column
+        below = np.floor(column)
+        t = (column - below).astype(np.float32)
+        first = np.clip(below.astype(np.intp), 1, strip_width - 3)
+        flat = (np.arange(height)[:, None, None] * strip_width + first) * n + np.arange(n)
+        pixels = self.right.reshape(-1)
+        before, at, after, next_after = (pixels.take(flat + offset * n) for offset in (-1, 0, 1, 2))
+        t_less, t_more = t - 1, t + 1
+        return np.asarray(
+            (t * t_less) * ((t - 2) * before / -6 + t_more * next_after / 6)
+            + (t_more * (t - 2)) * (t_less * at - t * after) / 2
+        )
 
 
-def _vertical_offset_share(
-    left: FloatArray32, right: FloatArray32, equations: _Equations, fit: _Fit, is_confirmed: BoolArray
-) -> FloatArray32:
-    """(P,) px to add to each window's d because of the vertical offset t between the images of its box.
+def _vertical_offset_share(vertical: _Vertical, is_confirmed: BoolArray) -> FloatArray:
+    """(N, G) part of each window's s that is due to the vertical offset t of its box, from all confirmed windows.
 
-    With h the left derivative down the column, the model is l = a r + s g + t h + b; s absorbs t <g, h> / <g, g>. One t
-    per box is estimated from all its confirmed windows, with the prior N(0, _VERTICAL_SIGMA_PX^2):
-
-        t = sum_w <h, l - a r - s g> / noise / (sum_w (<h, h> - <g, h>^2 / <g, g>) / noise + 1 / sigma^2)
-
-    Args:
-        left: smoothed left windows (H, W + 2, P).
-        right: right values (H, W, P) that they were fitted to.
-        equations: the equations that were solved.
-        fit: their solution.
-        is_confirmed: (N, G) windows to use, P = N G.
+    t = sum_w <h, l - a r - s g> / noise / (sum_w (<h, h> - <g, h>^2 / <g, g>) / noise + 1 / sigma^2)
     """
-    width = right.shape[1]
-    inner = slice(width, -width)  # no derivative down the column in the first and the last row
-    h = _centred(0.5 * (left[2:, 1:-1] - left[:-2, 1:-1]))
-    g, r = equations.g[inner], right.reshape(-1, right.shape[2])[inner]
-    gh = _dot(h, g)
-    share = gh / np.maximum(_dot(g, g), np.float32(1e-3))
-    residual = _dot(h, equations.l[inner]) - fit.s * gh - fit.a * _dot(h, r)
-    weight = is_confirmed.ravel() / fit.noise
-    per_box = (is_confirmed.shape[0], -1)
-    numerator = (weight * residual).reshape(per_box).sum(axis=1)
-    information = (weight * (_dot(h, h) - share * gh)).reshape(per_box).sum(axis=1)
+    numerator = (is_confirmed * vertical.numerator).sum(axis=1)
+    information = (is_confirmed * vertical.information).sum(axis=1)
     t = numerator / (information + _VERTICAL_SIGMA_PX**-2)
-    return np.asarray(share * np.repeat(t, is_confirmed.shape[1]), np.float32)
-
-
-def _dot(a: FloatArray32, b: FloatArray32) -> FloatArray32:
-    """(P,) of (K, P) each."""
-    return np.asarray(np.einsum("kp,kp->p", a, b), np.float32)
+    return np.asarray(vertical.share * t[:, None])

@@ -1,4 +1,4 @@
-"""Semi-global matching (Hirschmueller 2008) on the grid of a box's windows instead of on pixels.
+"""Semi-global matching (Hirschmueller 2008) on the grid of a tile's windows instead of on pixels.
 
 The cost of a path that reaches window w at disparity d, from the left, right, above or below; v is the window before:
 
@@ -15,14 +15,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, FloatArray32, IntArray
-
-_Value = TypeVar("_Value", bound=np.generic)
 
 _P1_BITS = np.float32(1.5)
 """P1: cost of a step of one disparity between neighbouring windows, bits per pixel."""
@@ -39,20 +35,19 @@ class WindowMatches:
     """Disparities of G windows of each of N boxes.
 
     Attributes:
-        index: (N, G) index along the first axis of the costs, never its first or last.
-        offset: (N, G) position of the minimum relative to the index: -0.5 .. 0.5 from census costs, -1 .. 1 from grey
-            values.
-        weight: (N, G) weight of the window; 0 = no minimum, or outside the right image. From census costs, the slope of
-            the minimum's sides, bits per pixel and disparity; from grey values (`subpixel`), 1 / variance, px^-2.
+        index: (N, G) disparity in steps of the costs, between the first and the last one.
+        slope: (N, G) slope of the sides of the minimum, bits per pixel and step; 0 = no minimum, or outside the right
+            image.
+        cost: (N, G) cost at the minimum, bits per pixel.
     """
 
-    index: IntArray
-    offset: FloatArray
-    weight: FloatArray
+    index: FloatArray
+    slope: FloatArray
+    cost: FloatArray
 
 
 def match_windows(cost: FloatArray32) -> WindowMatches:
-    """The disparity of each window from costs (D, N, G), bits per pixel, with D >= 3; NaN = outside the right image."""
+    """The disparity of each window from costs (D, G, N), bits per pixel, with D >= 3; NaN = outside the right image."""
     c = np.where(np.isfinite(cost), cost, _UNSEEN_BITS)
     last = len(cost) - 2
     d = np.clip(_path_costs(c).argmin(axis=0), 1, last)
@@ -60,26 +55,30 @@ def match_windows(cost: FloatArray32) -> WindowMatches:
     c_minus, c_0, c_plus = _at(cost, d - 1), _at(cost, d), _at(cost, d + 1)
     slope = np.maximum(c_minus, c_plus) - c_0
     is_minimum = (c_0 <= np.minimum(c_minus, c_plus)) & (slope > 0)  # False where one of the three is NaN
-    offset = (c_minus - c_plus) / np.where(is_minimum, 2 * slope, 1.0)
-    return WindowMatches(d, np.where(is_minimum, offset, 0.0), np.where(is_minimum, slope, 0.0).astype(np.float64))
+    offset = np.where(is_minimum, (c_minus - c_plus) / np.where(is_minimum, 2 * slope, 1.0), 0.0)
+    return WindowMatches(
+        index=(d + offset).T.astype(np.float64),
+        slope=np.where(is_minimum, slope, 0.0).T.astype(np.float64),
+        cost=np.nan_to_num(c_0, nan=float(_UNSEEN_BITS)).T.astype(np.float64),
+    )
 
 
-def _at(values: npt.NDArray[_Value], index: IntArray) -> npt.NDArray[_Value]:
-    """(N, G) values of (D, N, G) at an index (N, G); a third of the time of `take_along_axis`."""
+def _at(values: FloatArray32, index: IntArray) -> FloatArray32:
+    """(G, N) values of (D, G, N) at an index (G, N); a third of the time of `take_along_axis`."""
     flat = index * index.size + np.arange(index.size).reshape(index.shape)
-    return np.asarray(values.reshape(-1).take(flat), values.dtype)
+    return np.asarray(values.reshape(-1).take(flat), np.float32)
 
 
 def _path_costs(c: FloatArray32) -> FloatArray32:
-    """S (D, N, G): the sum of the four paths' costs L, from costs C (D, N, G)."""
-    n_disparities, n_boxes, n_windows = c.shape
+    """S (D, G, N): the sum of the four paths' costs L, from costs C (D, G, N)."""
+    n_disparities, n_windows, n = c.shape
     side = math.isqrt(n_windows)
-    rows = c.reshape(n_disparities, n_boxes, side, side)
-    columns = rows.swapaxes(2, 3)
-    # L of all paths at once: (step along the path, path direction, D + a border of infinity, N, parallel paths)
-    path = np.full((side, 4, n_disparities + 2, n_boxes, side), np.float32(np.inf), np.float32)
-    for direction, costs in enumerate((rows, rows[..., ::-1], columns, columns[..., ::-1])):
-        path[:, direction, 1:-1] = np.moveaxis(costs, -1, 0)
+    rows = c.reshape(n_disparities, side, side, n)
+    columns = rows.swapaxes(1, 2)
+    # L of all paths at once: (step along the path, path direction, D + a border of infinity, parallel paths, N)
+    path = np.full((side, 4, n_disparities + 2, side, n), np.float32(np.inf), np.float32)
+    for direction, costs in enumerate((rows, rows[:, :, ::-1], columns, columns[:, :, ::-1])):
+        path[:, direction, 1:-1] = np.moveaxis(costs, 2, 0)
     for l_w, l_v in zip(path[1:], path[:-1], strict=True):
         least = l_v[:, 1:-1].min(axis=1, keepdims=True)
         step = np.minimum(l_v[:, :-2], l_v[:, 2:])
@@ -88,6 +87,6 @@ def _path_costs(c: FloatArray32) -> FloatArray32:
         np.minimum(step, least + _P2_BITS, out=step)
         step -= least
         l_w[:, 1:-1] += step
-    right, left, down, up = (np.moveaxis(path[:, direction, 1:-1], 0, -1) for direction in range(4))
-    total = right + left[..., ::-1] + (down + up[..., ::-1]).swapaxes(2, 3)
+    right, left, down, up = (np.moveaxis(path[:, direction, 1:-1], 0, 2) for direction in range(4))
+    total = right + left[:, :, ::-1] + (down + up[:, :, ::-1]).swapaxes(1, 2)
     return np.asarray(total.reshape(c.shape))

@@ -1,0 +1,193 @@
+"""Which of a box's surfaces is the object: a softmax over the surfaces of a linear score.
+
+    P(s) = exp(theta . phi(s)) / sum over the surfaces t of exp(theta . phi(t))
+
+The features phi say where a surface lies in the box, how well it matches, whether other surfaces are in front of or
+behind it, and how its disparity agrees with what is known of the object: its size, its track, the other boxes. An
+occluder is in front, narrow, and too near for the size of the box; the background is behind, at the box's corners; the
+object surrounds its occluder, so that it is seen on both sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.stereo.matching.patch_matches import ExpectedDisparity
+from track_range.stereo.matching.surfaces import Surfaces
+from track_range.stereo.matching.tiles import BoxTiles
+
+_SIDE_U, _SIDE_V = 0.15, 0.15
+"""Limits of the middle third of a box, in box sizes from its centre."""
+
+_CENTRE_SIGMA = 0.175
+"""Standard deviation of the weight of the box's centre, in box sizes."""
+
+_MIN_SHARE = 0.05
+"""Added to shares before their logarithm."""
+
+_MIN_LOG_SIGMA = 0.1
+"""Smallest standard deviation of the log disparity by size: visible parts of objects are smaller than objects."""
+
+_MAX_DEVIATION = 4.0
+"""Largest deviation from the expected disparity, in standard deviations; larger ones are as improbable."""
+
+_TRACK_LOG_SIGMA = 0.05
+"""Standard deviation of the log disparity in one frame about that of the track's last match."""
+
+_NEARER, _FARTHER = 1.03, 0.97
+"""Ratio of disparities from which a surface is in front of or behind another one."""
+
+_OTHER_BOX_RATIO = 1.15
+"""Ratio of the expected disparities from which another box is nearer or farther than the box."""
+
+_OTHER_BOX_SHARE = 0.12
+"""Largest relative difference between a surface and the expected disparity of another box that it belongs to."""
+
+THETA = {
+    "area": 0.36,
+    "centre": 0.48,
+    "both_sides": 0.24,
+    "one_side": -0.02,
+    "middle_columns": -0.08,
+    "top": 0.27,
+    "bottom": 0.12,
+    "middle_rows": 0.11,
+    "width": 0.77,
+    "height": -0.12,
+    "cost": -0.34,
+    "in_front": 2.16,
+    "behind": -3.09,
+    "nearer_than_size": -0.83,
+    "nearer_than_size_squared": -0.15,
+    "farther_than_size": -0.32,
+    "farther_than_size_squared": -0.18,
+    "off_track": -0.20,
+    "of_other_box": -1.41,
+}
+"""theta."""
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceChoice:
+    """The object's surface in each of N boxes.
+
+    Attributes:
+        chosen: (N,) number of the surface.
+        probability: (S, N) probability of each surface; they sum to 1, or are 0 for boxes without a surface.
+        n_surfaces: (N,) number of surfaces with at least two windows.
+    """
+
+    chosen: FloatArray
+    probability: FloatArray
+    n_surfaces: FloatArray
+
+
+def features(
+    surfaces: Surfaces,
+    tiles: BoxTiles,
+    weight: FloatArray,
+    cost: FloatArray,
+    *,
+    by_size: ExpectedDisparity,
+    track_px: FloatArray,
+    others_share: FloatArray,
+) -> dict[str, FloatArray]:
+    """Phi: (S, N) each."""
+    u, v, used = tiles.u, tiles.v, tiles.is_used
+    masks = np.stack(
+        [
+            used,
+            used * np.exp(-(u**2 + v**2) / (2 * _CENTRE_SIGMA**2)),
+            used & (u < -_SIDE_U),
+            used & (u > _SIDE_U),
+            used & (np.abs(u) <= _SIDE_U),
+            used & (v < -_SIDE_V),
+            used & (v > _SIDE_V),
+            used & (np.abs(v) <= _SIDE_V),
+        ]
+    )
+    member = surfaces.is_member.astype(np.float64)
+    n = member.sum(axis=2)
+    share = np.einsum("sng,mng->msn", member, masks) / np.maximum(masks.sum(axis=2), 1e-6)[:, None]
+    log_share = np.log(share + _MIN_SHARE)
+    area, disparity = share[0], np.nan_to_num(surfaces.disparity, nan=0.0)
+    single, parts = disparity[:, None], area[:, None]
+    in_front = (single > disparity[None] * _NEARER) * parts  # surface t in front of s, (t, s, N)
+    behind = (single < disparity[None] * _FARTHER) * parts
+    disparity_px = np.maximum(tiles.first_px + tiles.scale[0] * np.nan_to_num(surfaces.centre, nan=0.0), 0.1)
+    by_size_z = _deviation(disparity_px, by_size.disparity_px, np.hypot(by_size.log_sigma, _MIN_LOG_SIGMA))
+    track_z = _deviation(disparity_px, track_px, np.full(len(track_px), _TRACK_LOG_SIGMA))
+    nearer, farther = np.maximum(by_size_z, 0.0), np.maximum(-by_size_z, 0.0)
+    return {
+        "area": log_share[0],
+        "centre": log_share[1],
+        "both_sides": np.minimum(log_share[2], log_share[3]),
+        "one_side": np.maximum(log_share[2], log_share[3]),
+        "middle_columns": log_share[4],
+        "top": log_share[5],
+        "bottom": log_share[6],
+        "middle_rows": log_share[7],
+        "width": _extent(u, surfaces.is_member),
+        "height": _extent(v, surfaces.is_member),
+        "cost": (member * cost).sum(axis=2) / np.maximum(n, 1.0),
+        "in_front": in_front.sum(axis=0),
+        "behind": behind.sum(axis=0),
+        "nearer_than_size": nearer,
+        "nearer_than_size_squared": nearer**2,
+        "farther_than_size": farther,
+        "farther_than_size_squared": farther**2,
+        "off_track": track_z**2,
+        "of_other_box": np.einsum("sng,ng->sn", member, others_share) / np.maximum(n, 1.0),
+    }
+
+
+def choose_surface(phi: dict[str, FloatArray], surfaces: Surfaces) -> SurfaceChoice:
+    """The most probable surface of each box, from the features of `features`."""
+    score = sum((theta * phi[name] for name, theta in THETA.items()), np.zeros_like(surfaces.centre))
+    n_windows = surfaces.n_windows
+    score = np.where(np.isfinite(surfaces.centre) & (surfaces.disparity > 0), score, -np.inf)
+    best = score.max(axis=0)
+    with np.errstate(invalid="ignore"):
+        likelihood = np.where(np.isfinite(score), np.exp(score - best), 0.0)
+    probability = likelihood / np.maximum(likelihood.sum(axis=0), 1e-12)
+    return SurfaceChoice(score.argmax(axis=0), probability, (n_windows >= 2).sum(axis=0))
+
+
+def windows_of_other_boxes(
+    xyxy_px: FloatArray, expected_px: FloatArray, tiles: BoxTiles, disparity_px: FloatArray
+) -> FloatArray:
+    """(N, G) 1 = the window belongs to another box, which is expected to be nearer or farther; 0 = it does not.
+
+    Args:
+        xyxy_px: (N, 4) boxes.
+        expected_px: (N,) expected disparities, from the track or the size; NaN = unknown.
+        tiles: their tiles.
+        disparity_px: (N, G) disparities of the windows, px of the image.
+    """
+    size_px, centre_px = xyxy_px[:, 2:] - xyxy_px[:, :2], (xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2
+    x_px = centre_px[:, :1] + tiles.u * size_px[:, :1]
+    y_px = centre_px[:, 1:] + tiles.v * size_px[:, 1:]
+    left, top, right, bottom = xyxy_px.T[:, :, None, None]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.abs(np.log(expected_px[:, None] / expected_px[None, :]))
+        is_other = ratio > np.log(_OTHER_BOX_RATIO)  # (other, box); False where unknown
+        is_same = np.abs(disparity_px / expected_px[:, None, None] - 1.0) < _OTHER_BOX_SHARE
+    is_inside = (x_px > left) & (x_px < right) & (y_px > top) & (y_px < bottom)  # (other, N, G)
+    return np.asarray((is_inside & is_same & is_other[:, :, None]).any(axis=0), np.float64)
+
+
+def _deviation(disparity_px: FloatArray, expected_px: FloatArray, log_sigma: FloatArray) -> FloatArray:
+    """(S, N) deviations of log disparity in standard deviations; 0 where nothing is expected."""
+    with np.errstate(invalid="ignore"):
+        z = np.log(disparity_px / expected_px) / log_sigma
+    return np.clip(np.nan_to_num(z, nan=0.0), -_MAX_DEVIATION, _MAX_DEVIATION)
+
+
+def _extent(position: FloatArray, is_member: BoolArray) -> FloatArray:
+    """(S, N) range of the positions (N, G) of the members."""
+    last = np.where(is_member, position, -np.inf).max(axis=2)
+    first = np.where(is_member, position, np.inf).min(axis=2)
+    return np.where(np.isfinite(last), last - first, 0.0)

@@ -1,0 +1,105 @@
+"""A smooth surface through the disparities of windows: a plane with a small curvature.
+
+    d(u, v) = p0 + p1 u + p2 v + p3 u^2 + p4 v^2      u, v: position relative to the box's centre, in box sizes
+
+The fit minimises the weighted absolute residuals r, bounded beyond a few times a floor f, by iteratively reweighted
+least squares with the weights
+
+    w_i = w / (max(|r_i| / f, 1) (1 + (r_i / (2 f))^2))
+
+The curvature has the prior N(0, (c d)^2): cars are rounded, but few windows do not show how much. p0 is the disparity
+at the box's centre, also of a car seen obliquely.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray
+
+_N_ITERATIONS = 4
+"""Iterations of the reweighted least squares."""
+
+_FLOOR_SHARE, _FLOOR_PX = 0.015, 0.05
+"""f: residual below which windows have equal weights, as a fraction of the mean disparity, and its minimum in px."""
+
+_BOUND_FLOORS = 2.0
+"""Residual, in units of f, at which a window counts half of what it would without the bound."""
+
+_RIDGE = 4e-3
+"""Ridge on the tilt p1, p2, relative to the total weight: keeps the system solvable where windows nearly coincide."""
+
+_CURVATURE = 0.4
+"""c: prior standard deviation of p3 and p4 as a fraction of the disparity; 1.5 % at the edge of the box's inner half.
+Fitted on simulated drives (seeds 0-2) and on the accuracy at the centre of KITTI 2015's given pairs."""
+
+_OVERLAP = 4.0
+"""Number of windows that contain a pixel: their errors are correlated, so the prior counts as much more."""
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceFit:
+    """Surfaces of N boxes; disparities in px of the tile.
+
+    Attributes:
+        p: (N, 5) coefficients p0 .. p4, with p0 relative to index 0 of the costs.
+    """
+
+    p: FloatArray
+
+    def at(self, u: FloatArray, v: FloatArray) -> FloatArray:
+        """(N, G) disparities at positions (N, G), or broadcastable to that."""
+        p0, p1, p2, p3, p4 = self.p.T[:, :, None]
+        return np.asarray(p0 + u * (p1 + p3 * u) + v * (p2 + p4 * v))
+
+
+def fit_surfaces(
+    index: FloatArray,
+    weight: FloatArray,
+    *,
+    positions: tuple[FloatArray, FloatArray],
+    disparity: FloatArray,
+    is_curved: bool = False,
+) -> SurfaceFit:
+    """The surfaces through disparities `index` (N, G) with weights (N, G), px of the tile; 0 = not part of it.
+
+    Each iteration solves (A^T W A + ridge) p = A^T W d with the rows (1, u, v, u^2, v^2) of A.
+
+    Args:
+        index: disparities relative to any disparity of the box, for example index 0 of the costs.
+        weight: 1 / variance of the windows.
+        positions: u and v, (N, G) each.
+        disparity: (N,) disparity of the box, px of the tile, for the scale of residuals and curvature.
+        is_curved: whether the curvature is fitted; False = a plane.
+    """
+    u, v = positions
+    parts = [np.ones_like(u), u, v, u * u, v * v]
+    a = np.stack(parts if is_curved else parts[:3], axis=1)  # (N, P, G)
+    n_parameters = a.shape[1]
+    total = weight.sum(axis=1)
+    ridge = np.full((len(index), n_parameters), 1e-9)
+    ridge[:, 1:3] += (_RIDGE * total)[:, None]
+    if is_curved:
+        ridge[:, 3:] += (_OVERLAP / (_CURVATURE * disparity) ** 2)[:, None]
+    f = np.maximum(_FLOOR_SHARE * disparity, _FLOOR_PX)[:, None]
+    reference = np.where(total > 0, (weight * index).sum(axis=1) / np.maximum(total, 1e-12), 0.0)[:, None]
+    d, w = index - reference, weight
+    diagonal = np.arange(n_parameters)
+    for _ in range(_N_ITERATIONS):
+        a_w = a * w[:, None]
+        normal = a_w @ a.swapaxes(1, 2)
+        normal[:, diagonal, diagonal] += ridge
+        p = np.linalg.solve(normal, a_w @ d[..., None])
+        r = d - (p.swapaxes(1, 2) @ a)[:, 0]
+        w = weight / (np.maximum(np.abs(r) / f, 1.0) * (1.0 + np.square(r / (_BOUND_FLOORS * f))))
+    coefficients = np.zeros((len(index), 5))
+    coefficients[:, :n_parameters] = p[..., 0]
+    coefficients[:, 0] += reference[:, 0]
+    return SurfaceFit(coefficients)
+
+
+def selected(fits: SurfaceFit, rows: BoolArray, others: SurfaceFit) -> SurfaceFit:
+    """The fits of `rows` (N,), and `others` elsewhere."""
+    return SurfaceFit(np.where(rows[:, None], fits.p, others.p))

@@ -1,0 +1,235 @@
+"""BoxTiles: each box of a frame resampled to a tile of the same size, with the strip of the right image it may match.
+
++---+---+---+---+     A tile has 8 x 8 cells; each 2 x 2 cells are a window, so that 7 x 7 windows overlap by half. All
+|   |   |   |   |     boxes of a frame form one array, whatever their size: large boxes are shrunk to the tile, and small
++---+---+---+---+     boxes are not enlarged: their tile also shows what surrounds them, and the windows outside the box
+|   | window|   |     are not used. Scales are multiples of a quarter, so that all tiles of a strip begin at whole pixels.
++---+  2x2  +---+
+|   | cells |   |     Arrays are (rows, columns, boxes): each numpy operation runs over all boxes.
++---+---+---+---+
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from track_range.foundation.arrays import BoolArray, FloatArray, Image, IntArray
+from track_range.stereo.geometry.frames import ImageView
+
+Grey = npt.NDArray[np.uint8]
+
+N_CELLS = 8
+"""Cells per row and per column of a tile."""
+
+N_SIDE = N_CELLS - 1
+"""Windows per row and per column of a tile."""
+
+N_WINDOWS = N_SIDE**2
+"""Windows per tile, G."""
+
+MARGIN_PX = 4
+"""Pixels around a tile that are read as well: for the census (2), smoothing and derivatives (2)."""
+
+_BOX_SHARE = 0.65
+"""Fraction of a box's width and height that its tile covers, around its centre; the rest is mostly background."""
+
+_OVERHANG = 0.25
+"""Smallest distance of a used window's centre from the box's edges, in window sizes: at most a quarter of the window is
+outside the box."""
+
+_SCALES = np.concatenate([np.arange(1.0, 2.0, 0.25), np.arange(2.0, 4.0, 0.5), np.arange(4, 8), 2.0 ** np.arange(3, 8)])
+"""Possible scales of tiles, px of the image per px of the tile."""
+
+
+class TileShape(NamedTuple):
+    """Resolution of a tile.
+
+    Attributes:
+        cell_hw: height and width of a cell, px of the tile.
+        min_scale: smallest scale, px of the image per px of the tile.
+    """
+
+    cell_hw: tuple[int, int]
+    min_scale: float
+
+    @property
+    def hw(self) -> tuple[int, int]:
+        """Height and width of a tile without its margin."""
+        return N_CELLS * self.cell_hw[0], N_CELLS * self.cell_hw[1]
+
+    @property
+    def window_px(self) -> int:
+        """Number of pixels of a window."""
+        return 4 * self.cell_hw[0] * self.cell_hw[1]
+
+
+FINE = TileShape((4, 6), 1.0)
+"""Tiles for the measurement."""
+
+COARSE = TileShape((2, 3), 2.0)
+"""Tiles for the search of the full range of disparities."""
+
+MIN_IMAGE_HW = (FINE.cell_hw[0] * 2 + 3, FINE.cell_hw[1] * 2 + 1)
+"""Height and width in px of the smallest image that contains a window."""
+
+
+@dataclass(frozen=True, slots=True)
+class BoxTiles:
+    """The tiles of N boxes, and the strips of the right image for D disparities.
+
+    Window g at disparity index k of a tile matches the strip's columns that start D - 1 - k further right.
+
+    Attributes:
+        shape: resolution of the tiles.
+        left: (H + 8, W + 8, N) grey values of the left image, with a margin of 4 px.
+        right: (H + 8, W + 8 + D - 1, N) grey values of the right image.
+        scale: (2, N) px of the image per px of the tile, in x and in y.
+        first_px: (N,) disparity of index 0 in px of the image; that of index k is first_px + k scale[0].
+        n_disparities: D.
+        u: (N, G) position of a window's centre to the right of the box's centre, divided by the box's width.
+        v: (N, G) position below the box's centre, divided by the box's height.
+        is_used: (N, G) windows inside the box and the left image.
+        is_seen: (W + 8 + D - 1, N) columns of the strip inside the right image.
+    """
+
+    shape: TileShape
+    left: Grey
+    right: Grey
+    scale: FloatArray
+    first_px: FloatArray
+    n_disparities: int
+    u: FloatArray
+    v: FloatArray
+    is_used: BoolArray
+    is_seen: BoolArray
+
+    @property
+    def first(self) -> FloatArray:
+        """(N,) disparity of index 0, px of the tile."""
+        return self.first_px / self.scale[0]
+
+    def disparity_px(self, index: FloatArray) -> FloatArray:
+        """(N, ...) disparities in px of the image at indices (N, ...)."""
+        shape = (-1, *(1,) * (index.ndim - 1))
+        return np.asarray(self.first_px.reshape(shape) + index * self.scale[0].reshape(shape))
+
+    def pixel_positions(self) -> tuple[FloatArray, FloatArray]:
+        """U (W, N) of the columns and v (H, N) of the rows of the tiles, without the margin."""
+        (height, width), (cell_height, cell_width) = self.shape.hw, self.shape.cell_hw
+        column = np.arange(width)[:, None] + 0.5 - cell_width
+        row = np.arange(height)[:, None] + 0.5 - cell_height
+        step_u, step_v = self.u[:, 1] - self.u[:, 0], self.v[:, N_SIDE] - self.v[:, 0]
+        return self.u[:, 0] + column * step_u / cell_width, self.v[:, 0] + row * step_v / cell_height
+
+
+def tile_scale(xyxy_px: FloatArray, shape: TileShape) -> FloatArray:
+    """(2, N) scales in x and y of the tiles of boxes (N, 4)."""
+    size_px = (xyxy_px[:, 2:] - xyxy_px[:, :2]).T
+    required = np.maximum(_BOX_SHARE * size_px / np.array(shape.hw[::-1])[:, None], shape.min_scale)
+    allowed = _SCALES * (shape.min_scale / FINE.min_scale)
+    return np.asarray(allowed[np.minimum(np.searchsorted(allowed, required - 1e-9), len(allowed) - 1)])
+
+
+def box_tiles(
+    left: Image, right: ImageView, xyxy_px: FloatArray, first_px: FloatArray, n_disparities: int, shape: TileShape
+) -> BoxTiles:
+    """The tiles of boxes (N, 4) inside the left image; only their pixels and strips are read.
+
+    Args:
+        left: (H, W) grey or (H, W, 3) BGR.
+        right: the same size.
+        xyxy_px: (N, 4) boxes.
+        first_px: (N,) smallest disparities, px of the image; rounded to whole pixels.
+        n_disparities: D, in steps of one px of the tile; D - 1 must be a multiple of 4.
+        shape: resolution.
+    """
+    n, (height, width) = len(xyxy_px), shape.hw
+    scale = tile_scale(xyxy_px, shape)
+    centre_px = (xyxy_px[:, :2] + xyxy_px[:, 2:]).T / 2 + 0.5  # coordinates of pixel edges
+    tile_wh = np.array([[width + 2 * MARGIN_PX], [height + 2 * MARGIN_PX]])
+    start_px = np.rint(centre_px - tile_wh * scale / 2).astype(np.int64)
+    # Column j of the strip shows the tile's column j at the largest disparity.
+    reach_px = np.rint(first_px) + (n_disparities - 1) * scale[0]
+    strip_px = start_px[0] - np.ceil(reach_px).astype(np.int64)
+    first_px = start_px[0] - strip_px - (n_disparities - 1) * scale[0]
+    strip_width = width + 2 * MARGIN_PX + n_disparities - 1
+
+    left_tiles = np.empty((n, tile_wh[1, 0], tile_wh[0, 0]), np.uint8)
+    strips = np.empty((n, tile_wh[1, 0], strip_width), np.uint8)
+    tops, starts = start_px[1].tolist(), start_px[0].tolist()
+    bottoms = np.rint(start_px[1] + tile_wh[1] * scale[1]).astype(np.int64).tolist()
+    ends = np.rint(start_px[0] + tile_wh[0] * scale[0]).astype(np.int64).tolist()
+    strip_ends = np.rint(strip_px + strip_width * scale[0]).astype(np.int64).tolist()
+    for i, strip_start in enumerate(strip_px.tolist()):
+        _resample(_crop(left, tops[i], bottoms[i], starts[i], ends[i]), left_tiles[i])
+        _resample(_crop(right, tops[i], bottoms[i], strip_start, strip_ends[i]), strips[i])
+
+    column_px = strip_px + (np.arange(strip_width)[:, None] + 0.5) * scale[0]
+    u, v, is_used = _window_positions(xyxy_px, (centre_px - start_px) / scale - MARGIN_PX, scale, shape)
+    is_used &= _is_inside(start_px, scale, shape, (left.shape[0], left.shape[1]))
+    return BoxTiles(
+        shape,
+        np.ascontiguousarray(left_tiles.transpose(1, 2, 0)),
+        np.ascontiguousarray(strips.transpose(1, 2, 0)),
+        scale,
+        np.asarray(first_px, np.float64),
+        n_disparities,
+        u,
+        v,
+        is_used,
+        (column_px > 0) & (column_px < left.shape[1]),
+    )
+
+
+def _window_positions(
+    xyxy_px: FloatArray, centre: FloatArray, scale: FloatArray, shape: TileShape
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """U, v (N, G) of the windows' centres, and whether they are inside the box; `centre` (2, N) of the box in px."""
+    size = (xyxy_px[:, 2:] - xyxy_px[:, :2]).T / scale
+    steps = np.arange(1, N_SIDE + 1)
+    u = (steps * shape.cell_hw[1] - centre[0][:, None]) / size[0][:, None]
+    v = (steps * shape.cell_hw[0] - centre[1][:, None]) / size[1][:, None]
+    u, v = np.tile(u, (1, N_SIDE)), np.repeat(v, N_SIDE, axis=1)
+    # In a small box, even the windows nearest to its centre may reach beyond it.
+    inside_u, inside_v = (0.5 - _OVERHANG * 2 * cell / side[:, None] for cell, side in zip(shape.cell_hw[::-1], size))
+    limit_u = np.maximum(inside_u, np.abs(u).min(axis=1, keepdims=True) + 1e-6)
+    limit_v = np.maximum(inside_v, np.abs(v).min(axis=1, keepdims=True) + 1e-6)
+    return u, v, (np.abs(u) <= limit_u) & (np.abs(v) <= limit_v)
+
+
+def _is_inside(start_px: IntArray, scale: FloatArray, shape: TileShape, image_hw: tuple[int, int]) -> BoolArray:
+    """(N, G) windows of tiles that lie entirely in the left image."""
+    inside = []
+    for axis, (cell, side_px) in enumerate(zip(shape.cell_hw[::-1], image_hw[::-1], strict=True)):
+        first = np.arange(N_SIDE) * cell + MARGIN_PX
+        first_px = start_px[axis][:, None] + first * scale[axis][:, None]
+        last_px = first_px + 2 * cell * scale[axis][:, None]
+        inside.append((first_px >= -0.5 * scale[axis][:, None]) & (last_px <= side_px + 0.5 * scale[axis][:, None]))
+    return np.asarray((inside[1][:, :, None] & inside[0][:, None, :]).reshape(len(scale[0]), -1))
+
+
+def _crop(image: ImageView, top: int, bottom: int, start: int, end: int) -> Grey:
+    """Grey pixels [top:bottom, start:end]; outside the image, its border is repeated."""
+    height, width = image.shape[:2]
+    inside = max(top, 0), min(bottom, height), max(start, 0), min(end, width)
+    if inside[0] >= inside[1] or inside[2] >= inside[3]:
+        return np.zeros((bottom - top, end - start), np.uint8)
+    crop = image[inside[0] : inside[1], inside[2] : inside[3]]
+    grey = cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY) if crop.ndim == 3 else crop
+    if inside != (top, bottom, start, end):
+        border = (inside[0] - top, bottom - inside[1], inside[2] - start, end - inside[3])
+        grey = cv2.copyMakeBorder(grey, *border, cv2.BORDER_REPLICATE)
+    return np.asarray(grey, np.uint8)
+
+
+def _resample(crop: Grey, tile: Grey) -> None:
+    """Fill a tile with the means of a crop's pixels."""
+    if crop.shape == tile.shape:
+        tile[:] = crop
+    else:
+        cv2.resize(crop, tile.shape[::-1], dst=tile, interpolation=cv2.INTER_AREA)
