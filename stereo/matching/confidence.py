@@ -49,10 +49,21 @@ def match_confidence(cost: FloatArray32, surface: RefinedSurface, tiles: BoxTile
     margin = _chance_cost(curve) - best_cost
     half_width = _PEAK_HALF_WIDTH + (tiles.first + best) // _PEAK_HALF_WIDTH_PER_DISPARITY
     is_other = np.abs(np.arange(len(cost))[:, None] - best) > half_width
-    second_best_cost = np.where(is_other, curve, np.inf).min(axis=0)
+    second_best_cost = np.where(is_other, _between_disparities(curve), np.inf).min(axis=0)
     with np.errstate(invalid="ignore"):  # no surface, no costs: inf - inf
         second_best_margin = np.asarray(second_best_cost - best_cost)
     return MatchConfidence(np.asarray(best_cost), np.asarray(margin), second_best_margin, is_inside)
+
+
+def _between_disparities(curve: FloatArray) -> FloatArray:
+    """(D, N) costs of minima between two disparities, by a V-shaped fit to costs (D, N); other costs do not change."""
+    lowest = curve.copy()
+    before, at, after = curve[:-2], curve[1:-1], curve[2:]
+    with np.errstate(invalid="ignore"):  # inf - inf
+        below = np.abs(before - after) / 2
+    is_minimum = (at <= before) & (at <= after) & np.isfinite(below)
+    lowest[1:-1] = np.where(is_minimum, np.maximum(at - np.where(is_minimum, below, 0.0), 0.0), at)
+    return lowest
 
 
 def _object_curve(cost: FloatArray32, surface: RefinedSurface, tiles: BoxTiles) -> FloatArray:

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.census import window_costs
@@ -54,6 +54,16 @@ from track_range.stereo.matching.window_sgm import WindowMatches, match_windows
 
 _STEPS_MULTIPLE = 4
 """The number of disparities less 1 is a multiple of this, so that strips end at whole pixels (see `tiles`)."""
+
+
+_EXPECTED_SIGMAS, _MIN_EXPECTED_LOG_SIGMA = 2.0, 0.1
+"""Largest deviation of an expected disparity from that by size, in standard deviations, and the smallest of these."""
+
+_EXPECTED_SUPPORT = 0.06
+"""Minimum support of a surface at the expected disparity: three of 49 windows, for example between bars."""
+
+_EXPECTED_COST_BITS = 2.0
+"""Cost by which a surface at the expected disparity may exceed the limit, bits per pixel."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,7 +109,7 @@ class PatchMatcherSettings:
     max_cost_bits: float = 8.0
     min_minima_share: float = 0.5
     min_confirmed_share: float = 0.25
-    uniqueness_ratio: float = 0.1
+    uniqueness_ratio: float = 0.12
     floor_px: float = 0.03
     noise_share: float = 0.7
     scatter_share: float = 0.75
@@ -261,7 +271,7 @@ class PatchMatcher:
         settings = self._settings
         scale = tile_scale(known.xyxy_px, COARSE)[0]
         first_px = settings.min_disparity_px - scale
-        n_steps = int(np.ceil((known.limit_px - first_px) / scale).max()) + 2
+        n_steps = int(np.ceil((known.limit_px - first_px) / scale).max()) + 3
         n_disparities = max(-(-n_steps // _STEPS_MULTIPLE) * _STEPS_MULTIPLE, 2 * settings.search_px) + 1
         search = self._search(left, right, known, first_px, n_disparities, COARSE)
         members, plane = _chosen(search)
@@ -282,7 +292,7 @@ class PatchMatcher:
         cost = window_costs(tiles)
         # All boxes have the range of the largest one; disparities beyond a box's limits are no matches.
         disparity = tiles.first + np.arange(n_disparities)[:, None]
-        beyond = (disparity > known.limit_px / tiles.scale[0] + 1) | (disparity < 0)
+        beyond = disparity > known.limit_px / tiles.scale[0] + 2
         if beyond.any():
             cost[np.broadcast_to(beyond[:, None], cost.shape)] = np.nan
         matches = match_windows(cost)
@@ -313,23 +323,27 @@ class PatchMatcher:
         rows = np.arange(len(n_used))
         probability = choice.probability[choice.chosen, rows]
 
+        disparity_px = tiles.disparity_px(surface.fit.p[:, 0])
+        # A surface at the distance that the object's size lets expect needs less support from the images.
+        is_expected = _is_expected(disparity_px, known.by_size)
+        support_limit = np.where(is_expected, _EXPECTED_SUPPORT, settings.min_support) * seen_share
+        cost_limit = settings.max_cost_bits + np.where(is_expected, _EXPECTED_COST_BITS, 0.0)
+
         outcome = np.full(len(rows), int(Outcome.MATCHED), np.int64)
         is_unique = confidence.second_best_margin >= settings.uniqueness_ratio * confidence.margin
         is_certain = probability >= settings.min_probability
-        outcome[~is_unique | ~is_certain | (support < settings.min_support * seen_share)] = Outcome.AMBIGUOUS
+        outcome[~(is_unique | is_expected) | ~is_certain | (support < support_limit)] = Outcome.AMBIGUOUS
         outcome[~confidence.is_inside] = Outcome.OUT_OF_RANGE
         outcome[~(confidence.margin >= settings.min_margin_bits) | (support == 0)] = Outcome.NO_TEXTURE
         if not is_found:
             is_elsewhere = minima_share < settings.min_minima_share * seen_share
             is_elsewhere |= surface.is_confirmed.sum(axis=1) / n_used < settings.min_confirmed_share * support
-            is_elsewhere &= tiles.shape == FINE
-            is_costly = confidence.cost > settings.max_cost_bits
-            outcome[np.isfinite(confidence.cost) & (is_elsewhere | is_costly)] = Outcome.NO_FIT
+            is_elsewhere &= ~is_expected & (tiles.shape == FINE)
+            outcome[np.isfinite(confidence.cost) & (is_elsewhere | (confidence.cost > cost_limit))] = Outcome.NO_FIT
         outcome[minima_share < settings.min_seen_share] = Outcome.NO_TEXTURE
         outcome[seen_share < settings.min_seen_share] = Outcome.NOT_SEEN
 
         is_matched = outcome == Outcome.MATCHED
-        disparity_px = tiles.disparity_px(surface.fit.p[:, 0])
         is_matched &= disparity_px > 0
         sigma_px = tiles.scale[0] * self._sigma(surface, tiles, probability, search.surfaces, choice)
         return PatchMatches(
@@ -368,7 +382,14 @@ class PatchMatcher:
         return np.sqrt(settings.floor_px**2 + sum((part**2 for part in parts), other))
 
 
-def _chosen(search: _Search) -> tuple[np.ndarray, SurfaceFit]:
+def _is_expected(disparity_px: FloatArray, by_size: ExpectedDisparity) -> BoolArray:
+    """(N,) whether disparities agree with those by size; False where these are unknown."""
+    sigma = np.hypot(by_size.log_sigma, _MIN_EXPECTED_LOG_SIGMA)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.abs(np.log(disparity_px / by_size.disparity_px)) < _EXPECTED_SIGMAS * sigma)
+
+
+def _chosen(search: _Search) -> tuple[BoolArray, SurfaceFit]:
     """Windows (N, G) and planes of the chosen surfaces."""
     chosen, rows = search.choice.chosen, np.arange(len(search.choice.chosen))
     planes = np.stack([plane.p for plane in search.surfaces.planes])

@@ -38,6 +38,9 @@ MARGIN_PX = 4
 _BOX_SHARE = 0.65
 """Fraction of a box's width and height that its tile covers, around its centre; the rest is mostly background."""
 
+_MAX_ASPECT = 4.0
+"""Largest ratio of the scales in x and y: of longer boxes, the tile shows the middle."""
+
 _OVERHANG = 0.25
 """Smallest distance of a used window's centre from the box's edges, in window sizes: at most a quarter of the window is
 outside the box."""
@@ -131,6 +134,7 @@ def tile_scale(xyxy_px: FloatArray, shape: TileShape) -> FloatArray:
     """(2, N) scales in x and y of the tiles of boxes (N, 4)."""
     size_px = (xyxy_px[:, 2:] - xyxy_px[:, :2]).T
     required = np.maximum(_BOX_SHARE * size_px / np.array(shape.hw[::-1])[:, None], shape.min_scale)
+    required = np.minimum(required, _MAX_ASPECT * required[::-1])
     allowed = _SCALES * (shape.min_scale / FINE.min_scale)
     return np.asarray(allowed[np.minimum(np.searchsorted(allowed, required - 1e-9), len(allowed) - 1)])
 
