@@ -24,6 +24,7 @@ from rich.console import Console
 
 from benchmarks.inputs.occlusion_pairs import OcclusionPair, is_scored, sequences, unrelated_pairs
 from benchmarks.plain_tables import figure_text, plain_table
+from track_range.calibration.expected_disparities import expected_disparities
 from track_range.foundation.arrays import BoolArray
 from track_range.stereo.evaluation.disparity_errors import Column, Objects, figures_with_intervals
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
@@ -96,7 +97,7 @@ class _Measured:
                 class_name.extend(names[is_counted].tolist())
                 yield occlusion.pair
 
-        results = measure_pairs(recorded(), matchers)
+        results = measure_pairs(recorded(), matchers, expected=expected_disparities)
         rows = np.concatenate(scored)
         self.objects: Objects = replace(results.objects.select(rows), group=np.array(seed, np.int64))
         self.columns: dict[str, Column] = {name: column.select(rows) for name, column in results.columns.items()}

@@ -23,6 +23,7 @@ from rich.table import Table
 
 from benchmarks.inputs.drives import REAL_DATA
 from track_range.calibration.drive_pairs import read_drive
+from track_range.calibration.expected_disparities import expected_disparities
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.simulation.drive import write_drive
 from track_range.stereo.evaluation.disparity_errors import Column, figures
@@ -58,7 +59,7 @@ def measure_accuracy(options: argparse.Namespace) -> dict[str, Any]:
 def _simulated(n_drives: int, fps: float) -> dict[str, Any]:
     """Figures of each matcher on all drives together."""
     with tempfile.TemporaryDirectory() as name:
-        measured = measure_pairs(_drives(Path(name), n_drives, fps), MATCHERS)
+        measured = measure_pairs(_drives(Path(name), n_drives, fps), MATCHERS, expected=expected_disparities)
     objects = measured.objects
     near = (objects.distance_m >= FROM_M) & (objects.distance_m <= TO_M)
     return {
@@ -75,7 +76,7 @@ def _drives(folder: Path, n_drives: int, fps: float) -> Iterator[StereoPair]:
 
 def _repeatability(drive: Path) -> dict[str, Any]:
     """Standard deviations per track, with their median and maximum, by matcher and for the labels."""
-    measured = measure_pairs(read_drive(drive), MATCHERS)
+    measured = measure_pairs(read_drive(drive), MATCHERS, expected=expected_disparities)
     truth = Column(measured.objects.true_px, np.zeros(len(measured.objects)))
     return {name: _repeated(measured, column) for name, column in {**measured.columns, "labels": truth}.items()}
 

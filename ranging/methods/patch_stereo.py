@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.methods.size_scaled_stereo import SizeScaledRanger
-from track_range.ranging.methods.triangulation import TrackMatcher, Triangulation
+from track_range.ranging.methods.triangulation import TrackMatcher, Triangulation, disparities_by_size
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
-from track_range.stereo.matching.patch_matches import REASONS, BoxMatcher, Outcome
+from track_range.stereo.matching.patch_matches import REASONS, BoxMatcher, Outcome, PatchMatches
 from track_range.tracking.tracks import Tracks
 
 
@@ -48,6 +51,8 @@ class StereoRanger(Ranger):
         if not rig.is_rectified:
             raise ValueError("rig: expected a rectified pair; use Rectifier(rig).rig, and its images")
         self._triangulate = Triangulation(rig, alignment or Alignment())
+        self._rig = rig
+        self._n_surfaces: Counter[int] = Counter()
         self._matcher = TrackMatcher(matcher or PatchMatcher(PatchMatcherSettings.for_rig(rig)))
 
     @property
@@ -57,13 +62,33 @@ class StereoRanger(Ranger):
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances of the boxes that match; NaN where the match is rejected or there is no right image."""
-        return self._triangulate.ranges(tracks, *self._matcher.match(tracks, frame), time_s=frame.time_s)
+        return self.measure_with(tracks, frame, {})
+
+    def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
+        """As `measure`; mono's distances help to tell an object from what occludes it."""
+        by_size = None
+        if "mono" in others:
+            image_hw = (frame.left.shape[0], frame.left.shape[1])
+            by_size = disparities_by_size(others["mono"], tracks.xyxy_px, self._rig, image_hw)
+        disparity_px, sigma_px = self._matcher.match(tracks, frame, by_size)
+        self._count_surfaces()
+        return self._triangulate.ranges(tracks, disparity_px, sigma_px, time_s=frame.time_s)
+
+    @property
+    def matches(self) -> PatchMatches | None:
+        """Matches of the observed boxes in the last frame, with the number of surfaces; None before the first."""
+        return self._matcher.matches
+
+    def _count_surfaces(self) -> None:
+        if (matches := self._matcher.matches) is not None:
+            self._n_surfaces.update(matches.n_surfaces[np.isfinite(matches.disparity_px)].tolist())
 
     def summary(self) -> dict[str, Any]:
-        """Number of boxes that were not matched, by reason."""
+        """Number of boxes that were not matched, by reason, and of matched boxes by the number of their surfaces."""
         counts = self.outcomes.most_common()
         unmatched = {REASONS[outcome]: n for outcome, n in counts if outcome is not Outcome.MATCHED}
-        return {"stereo_unmatched": unmatched}
+        surfaces = {str(n): count for n, count in sorted(self._n_surfaces.items()) if n}
+        return {"stereo_unmatched": unmatched, "stereo_surfaces": surfaces}
 
 
 def _create(context: MethodContext) -> Ranger | None:

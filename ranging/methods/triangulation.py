@@ -19,7 +19,7 @@ from track_range.ranging.ranges import Ranges
 from track_range.stereo.alignment.model import AlignmentSource
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.matching.patch_matches import BoxMatcher, Outcome
+from track_range.stereo.matching.patch_matches import BoxMatcher, ExpectedDisparity, Outcome, PatchMatches
 from track_range.tracking.tracks import Tracks
 
 _PRIOR_LIFETIME_S = 1.0
@@ -27,6 +27,13 @@ _PRIOR_LIFETIME_S = 1.0
 
 _FULL_SEARCH_INTERVAL_S = 1.0
 """Time in s after which the full disparity range is searched in any case, so that a track can leave an occluder."""
+
+
+_BORDER_PX = 2.0
+"""Distance in px from the image border within which a box may show only a part of the object."""
+
+_CUT_LOG_SIGMA = 0.4
+"""Additional standard deviation of the log disparity by size of such a box."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +58,26 @@ class Triangulation:
         return Ranges(tracks.track_id, Z, sigma_Z)
 
 
+def disparities_by_size(
+    by_size: Ranges, xyxy_px: FloatArray, rig: StereoRig, image_hw: tuple[int, int]
+) -> ExpectedDisparity:
+    """Disparities of boxes (N, 4) that their distances by size let expect.
+
+    Args:
+        by_size: N distances by size.
+        xyxy_px: the boxes.
+        rig: the rectified pair.
+        image_hw: height and width of the image.
+    """
+    height, width = image_hw
+    border_px = np.array([1.0, 1.0, width - 2.0, height - 2.0]) + np.array([1.0, 1.0, -1.0, -1.0]) * _BORDER_PX
+    is_cut = (xyxy_px[:, :2] < border_px[:2]).any(axis=1) | (xyxy_px[:, 2:] > border_px[2:]).any(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        disparity_px = rig.left.fx_px * rig.baseline_m / by_size.distance_m
+        log_sigma = by_size.sigma_m / by_size.distance_m
+    return ExpectedDisparity(disparity_px, np.hypot(log_sigma, np.where(is_cut, _CUT_LOG_SIGMA, 0.0)))
+
+
 class TrackMatcher:
     """Matches each observed box separately, with the last disparity of its track as the prior.
 
@@ -58,17 +85,27 @@ class TrackMatcher:
 
     Attributes:
         outcomes: number of boxes so far by outcome: matched, or the reason for the rejection.
+        matches: matches of the observed boxes in the last frame with a right image; None = none yet.
     """
 
     def __init__(self, matcher: BoxMatcher) -> None:
         """Create a matcher of tracks from a matcher of boxes."""
+        self.matches: PatchMatches | None = None
         self._matcher = matcher
         self._state = TrackState(np.full(3, np.nan))
         """By track: last matched disparity, its time, time of the last search over the full range."""
         self.outcomes: Counter[Outcome] = Counter()
 
-    def match(self, tracks: Tracks, frame: Frame) -> tuple[FloatArray, FloatArray]:
-        """(N,) disparities and their standard deviations in px; NaN = no match, or no right image."""
+    def match(
+        self, tracks: Tracks, frame: Frame, by_size: ExpectedDisparity | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """(N,) disparities and their standard deviations in px; NaN = no match, or no right image.
+
+        Args:
+            tracks: N tracks.
+            frame: the images.
+            by_size: disparities expected from the sizes of the N tracks; None = unknown.
+        """
         disparity_px, sigma_px = np.full((2, len(tracks)), np.nan)
         if frame.right is None:
             return disparity_px, sigma_px
@@ -77,7 +114,8 @@ class TrackMatcher:
         last_px, matched_s, searched_s = previous
         is_recent = (time_s - matched_s <= _PRIOR_LIFETIME_S) & (time_s - searched_s <= _FULL_SEARCH_INTERVAL_S)
         prior_px = np.where(is_recent, last_px, np.nan)
-        matches = self._matcher.match(frame.left, frame.right, tracks.xyxy_px[rows], prior_px)
+        boxes, expected = tracks.xyxy_px[rows], None if by_size is None else by_size.select(rows)
+        self.matches = matches = self._matcher.match(frame.left, frame.right, boxes, prior_px, expected)
         disparity_px[rows], sigma_px[rows] = matches.disparity_px, matches.sigma_px
         self.outcomes.update(Outcome(code) for code in matches.outcome.tolist())
         searched_s = np.where(is_recent, searched_s, time_s)

@@ -9,7 +9,7 @@ NAME-centre                                 a dense matcher, sampled at the cent
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -87,7 +87,13 @@ class MatcherResults:
     notes: tuple[str, ...] = ()
 
 
-def measure_pairs(pairs: Iterable[StereoPair], names: Sequence[str]) -> MatcherResults:
+Expectation = Callable[[StereoPair], ExpectedDisparity]
+"""Expected disparities of the objects of a pair, for example from the sizes of their classes."""
+
+
+def measure_pairs(
+    pairs: Iterable[StereoPair], names: Sequence[str], *, expected: Expectation | None = None
+) -> MatcherResults:
     """Run several matchers on the same pairs.
 
     As in a run, the last disparity of a track (`StereoPair.track_id`) is the prior in the next pair; other objects are
@@ -96,11 +102,12 @@ def measure_pairs(pairs: Iterable[StereoPair], names: Sequence[str]) -> MatcherR
     Args:
         pairs: pairs, read one by one.
         names: names of the matchers, see `MATCHER_NAMES`.
+        expected: expected disparities of the objects of a pair; None = unknown.
 
     Raises:
         ValueError: a name is unknown.
     """
-    parts, notes = _Parts(names), dict[str, None]()
+    parts, notes = _Parts(names, expected), dict[str, None]()
     for pair in pairs:
         notes |= dict.fromkeys(pair.notes)
         with one_thread():
@@ -122,7 +129,8 @@ def one_thread() -> Iterator[None]:
 class _Parts:
     """Results of all matchers, collected pair by pair."""
 
-    def __init__(self, names: Sequence[str]) -> None:
+    def __init__(self, names: Sequence[str], expected: Expectation | None) -> None:
+        self._expected = expected
         self._objects = [_no_objects()]
         self._cameras: list[PinholeCamera] = []
         self._results: dict[str, list[tuple[FloatArray, FloatArray]]] = {name: [_EMPTY] for name in names}
@@ -134,8 +142,9 @@ class _Parts:
         for name in self._results:
             matcher, last = open_matcher(name, pair.rig), self._last[name]
             prior_px = np.array([last.get(number, np.nan) for number in ids])
+            by_size = None if self._expected is None else self._expected(pair)
             start_s = time.perf_counter()
-            matches = matcher.match(pair.left, pair.right, pair.xyxy_px, prior_px)
+            matches = matcher.match(pair.left, pair.right, pair.xyxy_px, prior_px, by_size)
             self._ms[name].append(1e3 * (time.perf_counter() - start_s))
             self._results[name].append((matches.disparity_px, matches.sigma_px))
             self._last[name] = {n: d for n, d in zip(ids, matches.disparity_px.tolist(), strict=True) if n >= 0}

@@ -45,7 +45,7 @@ def census(grey: Grey) -> Census:
 
 
 def window_costs(tiles: BoxTiles) -> FloatArray32:
-    """(D, G, N) costs C(w, d) of each box's windows, bits per pixel; NaN where the window is outside the right image."""
+    """(D, G, N) costs C(w, d) of the windows, bits per pixel; NaN where the window is outside the right image."""
     n_disparities, (cell_height, cell_width) = tiles.n_disparities, tiles.shape.cell_hw
     (_, width), n = tiles.shape.hw, tiles.left.shape[2]
     margin = slice(MARGIN_PX - _REACH_PX, -(MARGIN_PX - _REACH_PX))
@@ -62,7 +62,7 @@ def window_costs(tiles: BoxTiles) -> FloatArray32:
     cost = windows.astype(np.float32)
     cost *= np.float32(1 / tiles.shape.window_px)
     _mark_unseen(cost, tiles)
-    return cost.reshape(n_disparities, N_WINDOWS, n)
+    return np.asarray(cost.reshape(n_disparities, N_WINDOWS, n))
 
 
 def _mark_unseen(cost: FloatArray32, tiles: BoxTiles) -> None:

@@ -9,8 +9,8 @@
     7. checks     texture, uniqueness, search range, cost; sigma                           `confidence`
 
 The range of disparities is that about the last match of the box's track; else that about the disparity expected from
-the object's size; else the full range, first on coarse tiles and then, about the result, on fine ones. The full range is
-also searched where the other two give no match.
+the object's size; else the full range, first on coarse tiles and then, about the result, on fine ones. The full range
+is also searched where the other two give no match.
 
 A doubtful match is NaN, with the reason: the minimum lies at the end of the search range, is shallow (no texture), has
 a second best minimum of nearly the same cost (repeated texture), or costs nearly as much as a chance match (12 bits).
@@ -198,7 +198,9 @@ class PatchMatcher:
         boxes, outcome = self._usable(xyxy_px, (left.shape[0], left.shape[1]))
         n = len(boxes)
         matches = PatchMatches.of(np.full(n, np.nan), np.full(n, np.nan), outcome)
-        known = _Known(boxes, self._in_range(prior_px, boxes), by_size or ExpectedDisparity.unknown(n), self._limit_px(boxes))
+        known = _Known(
+            boxes, self._in_range(prior_px, boxes), by_size or ExpectedDisparity.unknown(n), self._limit_px(boxes)
+        )
         is_usable = outcome == Outcome.MATCHED
         size_px = self._in_range(known.by_size.disparity_px, boxes)
         for expected_px, search_px, is_of_track in (
@@ -207,7 +209,11 @@ class PatchMatcher:
         ):
             rows = np.flatnonzero(is_usable & np.isnan(matches.disparity_px) & np.isfinite(expected_px))
             if len(rows):
-                part = known.select(rows) if is_of_track else known.select(rows)._replace(track_px=np.full(len(rows), np.nan))
+                part = (
+                    known.select(rows)
+                    if is_of_track
+                    else known.select(rows)._replace(track_px=np.full(len(rows), np.nan))
+                )
                 matches.put(rows, self._measured_near(left, right, part, expected_px[rows], search_px))
         rows = np.flatnonzero(is_usable & np.isnan(matches.disparity_px))
         if len(rows):
@@ -310,9 +316,7 @@ class PatchMatcher:
         )
         return _Search(tiles, cost, matches, weight, surfaces, choose_surface(phi, surfaces))
 
-    def _checked(
-        self, search: _Search, surface: RefinedSurface, known: _Known, *, is_found: bool
-    ) -> PatchMatches:
+    def _checked(self, search: _Search, surface: RefinedSurface, known: _Known, *, is_found: bool) -> PatchMatches:
         """Checks and sigmas of the boxes; the last check that fails determines the outcome."""
         settings, tiles, cost, choice = self._settings, search.tiles, search.cost, search.choice
         confidence = match_confidence(cost, surface, tiles)
@@ -355,7 +359,12 @@ class PatchMatcher:
         )
 
     def _sigma(
-        self, surface: RefinedSurface, tiles: BoxTiles, probability: FloatArray, surfaces: Surfaces, choice: SurfaceChoice
+        self,
+        surface: RefinedSurface,
+        tiles: BoxTiles,
+        probability: FloatArray,
+        surfaces: Surfaces,
+        choice: SurfaceChoice,
     ) -> FloatArray:
         """(N,) standard deviation of p0, px of the tile.
 
@@ -379,7 +388,7 @@ class PatchMatcher:
         is_other = np.arange(len(difference))[:, None] != choice.chosen
         other = np.where(is_other, choice.probability * difference**2, 0.0).sum(axis=0)
         parts = (settings.noise_share * noise, settings.scatter_share * scatter, settings.tilt_share * tilt)
-        return np.sqrt(settings.floor_px**2 + sum((part**2 for part in parts), other))
+        return np.asarray(np.sqrt(settings.floor_px**2 + sum((part**2 for part in parts), other)))
 
 
 def _is_expected(disparity_px: FloatArray, by_size: ExpectedDisparity) -> BoolArray:

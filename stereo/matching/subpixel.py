@@ -186,8 +186,16 @@ class _Equations(NamedTuple):
         """The solution with the right values at the disparities index (H, W, N)."""
         l, g, r = self.l, self.g, self._right_at(index)  # noqa: E741
         sums = [self._sum(x) for x in (l, g, r)]
-        ll, gg, gl = self._cov(l, l, sums[0], sums[0]), self._cov(g, g, sums[1], sums[1]), self._cov(g, l, sums[1], sums[0])
-        rr, gr, rl = self._cov(r, r, sums[2], sums[2]), self._cov(g, r, sums[1], sums[2]), self._cov(r, l, sums[2], sums[0])
+        ll, gg, gl = (
+            self._cov(l, l, sums[0], sums[0]),
+            self._cov(g, g, sums[1], sums[1]),
+            self._cov(g, l, sums[1], sums[0]),
+        )
+        rr, gr, rl = (
+            self._cov(r, r, sums[2], sums[2]),
+            self._cov(g, r, sums[1], sums[2]),
+            self._cov(r, l, sums[2], sums[0]),
+        )
         determinant = gg * rr - gr**2 + 1e-3
         s = (gl * rr - rl * gr) / determinant
         a = (rl * gg - gl * gr) / determinant

@@ -1,12 +1,12 @@
 """BoxTiles: each box of a frame resampled to a tile of the same size, with the strip of the right image it may match.
 
-+---+---+---+---+     A tile has 8 x 8 cells; each 2 x 2 cells are a window, so that 7 x 7 windows overlap by half. All
-|   |   |   |   |     boxes of a frame form one array, whatever their size: large boxes are shrunk to the tile, and small
-+---+---+---+---+     boxes are not enlarged: their tile also shows what surrounds them, and the windows outside the box
-|   | window|   |     are not used. Scales are multiples of a quarter, so that all tiles of a strip begin at whole pixels.
-+---+  2x2  +---+
-|   | cells |   |     Arrays are (rows, columns, boxes): each numpy operation runs over all boxes.
-+---+---+---+---+
++---+---+---+---+     A tile has 8 x 8 cells; each 2 x 2 cells are a window, so that 7 x 7 windows overlap by half.
+|   |   |   |   |     All boxes of a frame form one array, whatever their size: large boxes are shrunk to the tile, and
++---+---+---+---+     small boxes are not enlarged: their tile also shows what surrounds them, and the windows outside
+|   | window|   |     the box are not used. Scales are multiples of a quarter, so that all tiles of a strip begin at
++---+  2x2  +---+     whole pixels.
+|   | cells |   |
++---+---+---+---+     Arrays are (rows, columns, boxes): each numpy operation runs over all boxes.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class BoxTiles:
     @property
     def first(self) -> FloatArray:
         """(N,) disparity of index 0, px of the tile."""
-        return self.first_px / self.scale[0]
+        return np.asarray(self.first_px / self.scale[0])
 
     def disparity_px(self, index: FloatArray) -> FloatArray:
         """(N, ...) disparities in px of the image at indices (N, ...)."""
@@ -200,7 +200,9 @@ def _window_positions(
     v = (steps * shape.cell_hw[0] - centre[1][:, None]) / size[1][:, None]
     u, v = np.tile(u, (1, N_SIDE)), np.repeat(v, N_SIDE, axis=1)
     # In a small box, even the windows nearest to its centre may reach beyond it.
-    inside_u, inside_v = (0.5 - _OVERHANG * 2 * cell / side[:, None] for cell, side in zip(shape.cell_hw[::-1], size))
+    inside_u, inside_v = (
+        0.5 - _OVERHANG * 2 * cell / side[:, None] for cell, side in zip(shape.cell_hw[::-1], size, strict=True)
+    )
     limit_u = np.maximum(inside_u, np.abs(u).min(axis=1, keepdims=True) + 1e-6)
     limit_v = np.maximum(inside_v, np.abs(v).min(axis=1, keepdims=True) + 1e-6)
     return u, v, (np.abs(u) <= limit_u) & (np.abs(v) <= limit_v)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from track_range.calibration.drive_pairs import is_drive, read_drive
+from track_range.calibration.expected_disparities import expected_disparities
 from track_range.calibration.settings import LEAVE_TWO_OUT, OFF, StereoEvaluationSettings
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
@@ -43,7 +44,7 @@ def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress =
     with progress("pairs") as advance:
         pairs = _counted(_pairs(settings, known), advance, n_pairs)
         pairs = pairs if recorder is None else recorder.recorded(pairs)
-        measured = measure_pairs(pairs, settings.matchers)
+        measured = measure_pairs(pairs, settings.matchers, expected=expected_disparities)
     if not len(measured.objects):
         raise PairFileError(f"{settings.pairs}: expected objects of known disparity, found none.")
     columns, alignment = _aligned(measured, settings, known)
