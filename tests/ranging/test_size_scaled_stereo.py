@@ -72,9 +72,9 @@ class FixedMatcher:
     def __init__(self, *disparity_px):
         self.disparity_px = np.array(disparity_px)
 
-    def match(self, left, right, xyxy_px, prior_px):
+    def match(self, left, right, xyxy_px, prior_px, by_size=None):
         n = len(xyxy_px)
-        return PatchMatches(self.disparity_px, np.full(n, 0.1), np.zeros(n, np.int64))
+        return PatchMatches.of(self.disparity_px, np.full(n, 0.1), np.zeros(n, np.int64))
 
 
 def test_track_without_a_size_uses_the_common_scale():

@@ -43,15 +43,17 @@ def test_sigma_includes_an_unmeasured_alignment():
 
 
 class Recorder:
-    """A matcher that returns 10 px for every box and records the priors."""
+    """A matcher that returns 10 px for every box and records the priors and the disparities by size."""
 
     def __init__(self):
         self.priors = []
+        self.by_size = None
 
-    def match(self, left, right, xyxy_px, prior_px):
+    def match(self, left, right, xyxy_px, prior_px, by_size=None):
         self.priors.append(prior_px.tolist())
+        self.by_size = by_size
         n = len(xyxy_px)
-        return PatchMatches(np.full(n, 10.0), np.full(n, 0.1), np.zeros(n, np.int64))
+        return PatchMatches.of(np.full(n, 10.0), np.full(n, 0.1), np.zeros(n, np.int64))
 
 
 def frame_at(time_s, right=True):

@@ -101,6 +101,7 @@ class _Summary(_Section):
     stages_ms: dict[str, Figure] = {}
     closing: dict[str, Figure] = {}
     stereo_unmatched: dict[str, Figure] = {}
+    stereo_surfaces: dict[str, Figure] = {}
     methods: dict[str, _Method] = {}
     common: dict[str, _Method] = {}
     inputs: dict[str, Any] = {}
