@@ -17,6 +17,7 @@ one vertical offset per box is fitted to the residuals, and its effect on each w
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -87,13 +88,15 @@ def refine_surface(tiles: BoxTiles, index: FloatArray, is_member: BoolArray, pla
     column_u, row_v = tiles.pixel_positions()
     disparity = np.maximum(tiles.first + plane.p[:, 0], 0.1)
     floor = _FLOOR_PX**2 + (_FLOOR_SHARE * disparity[:, None]) ** 2
-    central = centre_weights(tiles)
+    central = centre_weights(u, v)
     equations, fit = _Equations.of(tiles), plane
     last = tiles.n_disparities - 2.0
     for iteration in range(_N_ITERATIONS):
         p0, p1, p2, p3, p4 = fit.p.T
-        at_pixels = (row_v * (p2 + p4 * row_v))[:, None] + (p0 + column_u * (p1 + p3 * column_u))[None]
-        step = equations.solve(np.clip(at_pixels, 1.0, last), has_vertical_offset=iteration == _N_ITERATIONS - 1)
+        rows, columns = row_v * (p2 + p4 * row_v), p0 + column_u * (p1 + p3 * column_u)
+        at_pixels = rows.astype(np.float32)[:, None] + columns.astype(np.float32)
+        np.clip(at_pixels, 1.0, last, out=at_pixels)
+        step = equations.solve(at_pixels, has_vertical_offset=iteration == _N_ITERATIONS - 1)
         is_fitted = (np.abs(step.s) < _MAX_STEP_PX) & (step.a > _MIN_GAIN) & (step.a * _MIN_GAIN < 1.0)
         is_confirmed = is_fitted & (step.variance < _MAX_SIGMA_PX**2) & is_member
         s = step.s if step.vertical is None else step.s - _vertical_offset_share(step.vertical, is_confirmed)
@@ -152,6 +155,7 @@ class _Equations(NamedTuple):
         g: (H, W, N) their derivative along the row.
         h: (H, W, N) their derivative down the column.
         right: (H, W + 2 + D - 1, N) right grey values of the strip with one column on both sides, less the same mean.
+        sums: (9, N, G) sums of l, g, h, l l, g g, h h, g l, g h and h l over the windows' pixels.
         n_disparities: D.
         n_pixels: K.
         cell_hw: height and width of a cell.
@@ -161,6 +165,7 @@ class _Equations(NamedTuple):
     g: FloatArray32
     h: FloatArray32
     right: FloatArray32
+    sums: FloatArray
     n_disparities: int
     n_pixels: int
     cell_hw: tuple[int, int]
@@ -172,74 +177,78 @@ class _Equations(NamedTuple):
         mean = left.mean(axis=(0, 1))  # small numbers keep the precision of 32 bits
         left -= mean
         right -= mean
+        l = np.ascontiguousarray(left[1:-1, 1:-1])  # noqa: E741
+        g, h = 0.5 * (left[1:-1, 2:] - left[1:-1, :-2]), 0.5 * (left[2:, 1:-1] - left[:-2, 1:-1])
         return cls(
-            l=left[1:-1, 1:-1],
-            g=0.5 * (left[1:-1, 2:] - left[1:-1, :-2]),
-            h=0.5 * (left[2:, 1:-1] - left[:-2, 1:-1]),
-            right=right[1:-1],
+            l=l,
+            g=g,
+            h=h,
+            right=np.ascontiguousarray(right[1:-1]),
+            sums=_window_sums([(l,), (g,), (h,), (l, l), (g, g), (h, h), (g, l), (g, h), (h, l)], tiles.shape.cell_hw),
             n_disparities=tiles.n_disparities,
             n_pixels=tiles.shape.window_px,
             cell_hw=tiles.shape.cell_hw,
         )
 
-    def solve(self, index: FloatArray, *, has_vertical_offset: bool) -> _Step:
+    def solve(self, index: FloatArray32, *, has_vertical_offset: bool) -> _Step:
         """The solution with the right values at the disparities index (H, W, N)."""
-        l, g, r = self.l, self.g, self._right_at(index)  # noqa: E741
-        sums = [self._sum(x) for x in (l, g, r)]
-        ll, gg, gl = (
-            self._cov(l, l, sums[0], sums[0]),
-            self._cov(g, g, sums[1], sums[1]),
-            self._cov(g, l, sums[1], sums[0]),
-        )
-        rr, gr, rl = (
-            self._cov(r, r, sums[2], sums[2]),
-            self._cov(g, r, sums[1], sums[2]),
-            self._cov(r, l, sums[2], sums[0]),
-        )
+        l, g, h, r, n = self.l, self.g, self.h, self._right_at(index), self.n_pixels  # noqa: E741
+        sum_l, sum_g, sum_h, sum_ll, sum_gg, sum_hh, sum_gl, sum_gh, sum_hl = self.sums
+        products = [(r,), (r, r), (g, r), (r, l)] + [(h, r)] * has_vertical_offset
+        sum_r, sum_rr, sum_gr, sum_rl, *sum_hr = _window_sums(products, self.cell_hw)
+        ll, gg, rr = sum_ll - sum_l * sum_l / n, sum_gg - sum_g * sum_g / n, sum_rr - sum_r * sum_r / n
+        gl, gr, rl = sum_gl - sum_g * sum_l / n, sum_gr - sum_g * sum_r / n, sum_rl - sum_r * sum_l / n
         determinant = gg * rr - gr**2 + 1e-3
         s = (gl * rr - rl * gr) / determinant
         a = (rl * gg - gl * gr) / determinant
-        residual = np.maximum(ll - a * rl - s * gl, 0.0) / (self.n_pixels - 4)
+        residual = np.maximum(ll - a * rl - s * gl, 0.0) / (n - 4)
         information = np.maximum(determinant / (np.maximum(rr, 0.0) + 1e-3), 1e-6)
         noise = _NOISE_CORRELATION * (residual + _MIN_NOISE_GREY2)
         vertical = None
         if has_vertical_offset:
-            h, sum_h = self.h, self._sum(self.h)
-            hh, gh = self._cov(h, h, sum_h, sum_h), self._cov(g, h, sums[1], sum_h)
-            hl, hr = self._cov(h, l, sum_h, sums[0]), self._cov(h, r, sum_h, sums[2])
+            hh, gh = sum_hh - sum_h * sum_h / n, sum_gh - sum_g * sum_h / n
+            hl, hr = sum_hl - sum_h * sum_l / n, sum_hr[0] - sum_h * sum_r / n
             share = gh / np.maximum(gg, 1e-3)
             vertical = _Vertical(share, (hl - s * gh - a * hr) / noise, (hh - share * gh) / noise)
         return _Step(s, a, noise / information, vertical)
 
-    def _sum(self, values: FloatArray32) -> FloatArray:
-        """(N, G) sums of values (H, W, N) over the windows."""
-        (height, width), n = self.cell_hw, values.shape[2]
-        down = values.reshape(N_CELLS, height, -1, n).sum(axis=1)
-        cells = down.reshape(N_CELLS, N_CELLS, width, n).sum(axis=2)
-        windows = cells[:-1] + cells[1:]
-        windows = windows[:, :-1] + windows[:, 1:]
-        return np.asarray(windows.reshape(-1, n).T, np.float64)
-
-    def _cov(self, x: FloatArray32, y: FloatArray32, sum_x: FloatArray, sum_y: FloatArray) -> FloatArray:
-        """(N, G) <x, y> of the windows."""
-        return np.asarray(self._sum(x * y) - sum_x * sum_y / self.n_pixels)
-
-    def _right_at(self, index: FloatArray) -> FloatArray32:
+    def _right_at(self, index: FloatArray32) -> FloatArray32:
         """(H, W, N) right values at the disparities index (H, W, N), by Lagrange's cubic through four pixels."""
         height, width, n = index.shape
         strip_width = self.right.shape[1]
-        column = np.arange(width)[:, None] + self.n_disparities - index  # of the strip with its additional column
-        below = np.floor(column)
-        t = (column - below).astype(np.float32)
-        first = np.clip(below.astype(np.intp), 1, strip_width - 3)
-        flat = (np.arange(height)[:, None, None] * strip_width + first) * n + np.arange(n)
+        # Column of the strip, which has one more on the left, counted from the first of the four pixels.
+        column = np.arange(self.n_disparities - 1, self.n_disparities - 1 + width, dtype=np.float32)[:, None] - index
+        first = column.astype(np.int32)  # positive, so that this is the floor
+        t = column - first
+        first += np.arange(height, dtype=np.int32)[:, None, None] * np.int32(strip_width)
+        first *= np.int32(n)
+        first += np.arange(n, dtype=np.int32)
         pixels = self.right.reshape(-1)
-        before, at, after, next_after = (pixels.take(flat + offset * n) for offset in (-1, 0, 1, 2))
-        t_less, t_more = t - 1, t + 1
-        return np.asarray(
-            (t * t_less) * ((t - 2) * before / -6 + t_more * next_after / 6)
-            + (t_more * (t - 2)) * (t_less * at - t * after) / 2
-        )
+        before, at, after, next_after = (pixels[k * n :].take(first, mode="wrap") for k in range(4))
+        t_less, t_more, t_two = t - 1, t + 1, t - 2
+        outer = t_more * next_after
+        outer -= t_two * before
+        outer *= t * t_less
+        outer *= np.float32(1 / 6)
+        inner = t_less * at
+        inner -= t * after
+        inner *= t_more * t_two
+        inner *= np.float32(1 / 2)
+        outer += inner
+        return np.asarray(outer, np.float32)
+
+
+def _window_sums(products: Sequence[tuple[FloatArray32, ...]], cell_hw: tuple[int, int]) -> FloatArray:
+    """(K, N, G) sums over the windows of K arrays (H, W, N) or products of two: products with matrices of 0 and 1."""
+    height, width, n = products[0][0].shape
+    values = np.empty((len(products), height, width, n), np.float32)
+    for value, factors in zip(values, products, strict=True):
+        np.multiply(factors[0], factors[1] if len(factors) > 1 else np.float32(1.0), out=value)
+    down = values.reshape(len(values), N_CELLS, cell_hw[0], width, n).sum(axis=2)
+    cells = down.reshape(len(values), N_CELLS, N_CELLS, cell_hw[1], n).sum(axis=3)
+    windows = cells[:, :-1] + cells[:, 1:]
+    windows = windows[:, :, :-1] + windows[:, :, 1:]
+    return np.asarray(windows.reshape(len(values), -1, n).swapaxes(1, 2), np.float64)
 
 
 def _vertical_offset_share(vertical: _Vertical, is_confirmed: BoolArray) -> FloatArray:

@@ -17,10 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray
-
-_N_ITERATIONS = 4
-"""Iterations of the reweighted least squares."""
+from track_range.foundation.arrays import FloatArray, IntArray
 
 _FLOOR_SHARE, _FLOOR_PX = 0.015, 0.05
 """f: residual below which windows have equal weights, as a fraction of the mean disparity, and its minimum in px."""
@@ -62,6 +59,7 @@ def fit_surfaces(
     positions: tuple[FloatArray, FloatArray],
     disparity: FloatArray,
     is_curved: bool = False,
+    n_iterations: int = 4,
 ) -> SurfaceFit:
     """The surfaces through disparities `index` (N, G) with weights (N, G), px of the tile; 0 = not part of it.
 
@@ -73,33 +71,41 @@ def fit_surfaces(
         positions: u and v, (N, G) each.
         disparity: (N,) disparity of the box, px of the tile, for the scale of residuals and curvature.
         is_curved: whether the curvature is fitted; False = a plane.
+        n_iterations: iterations of the reweighted least squares.
     """
     u, v = positions
-    parts = [np.ones_like(u), u, v, u * u, v * v]
+    total = weight.sum(axis=1)
+    reference = (weight * index).sum(axis=1, keepdims=True) / np.maximum(total, 1e-12)[:, None]
+    d, parts = index - reference, [np.ones_like(u), u, v, u * u, v * v]
     a = np.stack(parts if is_curved else parts[:3], axis=1)  # (N, P, G)
     n_parameters = a.shape[1]
-    total = weight.sum(axis=1)
+    upper, symmetric = _UPPER[n_parameters]
+    products = np.concatenate([a[:, upper[0]] * a[:, upper[1]], a * d[:, None]], axis=1)  # of A'A and A'd
     ridge = np.full((len(index), n_parameters), 1e-9)
     ridge[:, 1:3] += (_RIDGE * total)[:, None]
     if is_curved:
         ridge[:, 3:] += (_OVERLAP / (_CURVATURE * disparity) ** 2)[:, None]
-    f = np.maximum(_FLOOR_SHARE * disparity, _FLOOR_PX)[:, None]
-    reference = np.where(total > 0, (weight * index).sum(axis=1) / np.maximum(total, 1e-12), 0.0)[:, None]
-    d, w = index - reference, weight
-    diagonal = np.arange(n_parameters)
-    for _ in range(_N_ITERATIONS):
-        a_w = a * w[:, None]
-        normal = a_w @ a.swapaxes(1, 2)
-        normal[:, diagonal, diagonal] += ridge
-        p = np.linalg.solve(normal, a_w @ d[..., None])
-        r = d - (p.swapaxes(1, 2) @ a)[:, 0]
-        w = weight / (np.maximum(np.abs(r) / f, 1.0) * (1.0 + np.square(r / (_BOUND_FLOORS * f))))
+    ridge = ridge[:, :, None] * np.eye(n_parameters)
+    inverse_f = 1.0 / np.maximum(_FLOOR_SHARE * disparity, _FLOOR_PX)[:, None]
+    w = weight
+    for iteration in range(n_iterations):
+        sums = (products @ w[:, :, None])[:, :, 0]
+        p = np.linalg.solve(sums[:, symmetric] + ridge, sums[:, len(upper[0]) :, None])
+        if iteration < n_iterations - 1:
+            r = np.abs(d - (p.swapaxes(1, 2) @ a)[:, 0]) * inverse_f
+            w = weight / (np.maximum(r, 1.0) * (1.0 + np.square(r * (1.0 / _BOUND_FLOORS))))
     coefficients = np.zeros((len(index), 5))
     coefficients[:, :n_parameters] = p[..., 0]
     coefficients[:, 0] += reference[:, 0]
     return SurfaceFit(coefficients)
 
 
-def selected(fits: SurfaceFit, rows: BoolArray, others: SurfaceFit) -> SurfaceFit:
-    """The fits of `rows` (N,), and `others` elsewhere."""
-    return SurfaceFit(np.where(rows[:, None], fits.p, others.p))
+def _upper(n_parameters: int) -> tuple[tuple[IntArray, IntArray], IntArray]:
+    """Rows and columns of the upper triangle of a symmetric matrix, and the place in it of each entry of the matrix."""
+    rows, columns = np.triu_indices(n_parameters)
+    places = np.zeros((n_parameters, n_parameters), np.int64)
+    places[rows, columns] = places[columns, rows] = np.arange(len(rows))
+    return (rows, columns), places
+
+
+_UPPER = {n_parameters: _upper(n_parameters) for n_parameters in (3, 5)}

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces
 from track_range.stereo.matching.tiles import BoxTiles
 from track_range.stereo.matching.window_sgm import WindowMatches
@@ -29,7 +29,7 @@ _ON_PLANE = 0.75
 _MIN_ON_PLANE = 0.8
 """Minimum number of windows on the plane, as a fraction of those that agree; otherwise the surface is not a plane."""
 
-_N_GROWTHS = 3
+_N_GROWTHS = 2
 """Number of times that a plane is fitted, and the windows on it found: a slanted surface grows along its plane."""
 
 _CENTRE_SIGMA = 0.2
@@ -54,14 +54,12 @@ class Surfaces:
         is_member: (S, N, G) windows of each surface; none = the box shows fewer surfaces.
         centre: (S, N) disparity at the box's centre relative to index 0 of the costs, px of the tile; NaN = none.
         disparity: (S, N) the same, from 0.
-        scatter: (S, N) mean distance of the windows from the plane, px of the tile.
         planes: planes of the S surfaces.
     """
 
     is_member: BoolArray
     centre: FloatArray
     disparity: FloatArray
-    scatter: FloatArray
     planes: tuple[SurfaceFit, ...]
 
     @property
@@ -76,9 +74,9 @@ def window_weights(matches: WindowMatches, tiles: BoxTiles) -> FloatArray:
     return np.asarray(np.where(tiles.is_used, matches.slope * resemblance, 0.0))
 
 
-def centre_weights(tiles: BoxTiles) -> FloatArray:
-    """(N, G) Gaussian weights of windows about the box's centre."""
-    return np.asarray(np.exp(-(tiles.u**2 + tiles.v**2) / (2 * _CENTRE_SIGMA**2)))
+def centre_weights(u: FloatArray, v: FloatArray) -> FloatArray:
+    """(N, G) Gaussian weights of windows at u and v about the box's centre."""
+    return np.asarray(np.exp(-(u**2 + v**2) / (2 * _CENTRE_SIGMA**2)))
 
 
 def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles, *, n: int = N_SURFACES) -> Surfaces:
@@ -94,27 +92,56 @@ def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles, *, n: 
     tolerance = np.maximum(_SAME_SURFACE_SHARE * (tiles.first[:, None] + index), _SAME_SURFACE_PX)
     near_object = np.exp(-8.0 * u**2 - 8.0 * (v - _LOWER_MIDDLE) ** 2)
     agree = (np.abs(index[:, None, :] - index[:, :, None]) <= tolerance[:, :, None]).astype(np.float64)
-    central = centre_weights(tiles)
     rest, members, planes = weight, [], []
     for _ in range(n):
-        support = np.where(rest > 0, (agree @ (rest * near_object)[:, :, None])[..., 0], 0.0)
-        best = support.argmax(axis=1)[:, None]
-        best_index, limit = np.take_along_axis(index, best, 1), np.take_along_axis(tolerance, best, 1)
-        is_member = (rest > 0) & (np.abs(index - best_index) <= limit)
-        disparity = np.maximum(tiles.first + best_index[:, 0], 0.1)
-        for _ in range(_N_GROWTHS):
-            plane = fit_surfaces(index, np.where(is_member, rest * central, 0.0), positions=(u, v), disparity=disparity)
-            has_few = is_member.sum(axis=1) < _MIN_WINDOWS
-            plane.p[has_few] = 0.0
-            plane.p[has_few, 0] = best_index[has_few, 0]
-            on_plane = (rest > 0) & (np.abs(index - plane.at(u, v)) <= _ON_PLANE * limit)
-            is_plane = on_plane.sum(axis=1) >= _MIN_ON_PLANE * is_member.sum(axis=1)
-            is_member = np.where(is_plane[:, None], on_plane, is_member)
+        rows = np.flatnonzero(rest.any(axis=1))
+        is_member, plane = np.zeros(weight.shape, np.bool_), SurfaceFit(np.zeros((len(weight), 5)))
+        if len(rows):
+            is_member[rows], plane.p[rows] = _next_surface(
+                index[rows], rest[rows], (rest * near_object)[rows], agree[rows], tolerance[rows], tiles, rows
+            )
         members.append(is_member)
         planes.append(plane)
         rest = np.where(is_member, 0.0, rest)
     is_surface = np.array(members)
     centre = np.array([np.where(m.any(axis=1), p.p[:, 0], np.nan) for m, p in zip(members, planes, strict=True)])
-    residual = np.abs(np.stack([index - plane.at(u, v) for plane in planes]))
-    scatter = np.where(is_surface, residual, 0.0).sum(axis=2) / np.maximum(is_surface.sum(axis=2), 1)
-    return Surfaces(is_surface, centre, tiles.first + centre, scatter, tuple(planes))
+    return Surfaces(is_surface, centre, tiles.first + centre, tuple(planes))
+
+
+def _next_surface(
+    index: FloatArray,
+    weight: FloatArray,
+    vote: FloatArray,
+    agree: FloatArray,
+    tolerance: FloatArray,
+    tiles: BoxTiles,
+    rows: IntArray,
+) -> tuple[BoolArray, FloatArray]:
+    """Windows (N, G) and coefficients (N, 5) of the surface with most support, of the boxes in `rows` (N,) of `tiles`.
+
+    Args:
+        index: (N, G) disparities.
+        weight: (N, G) weights; 0 = no match, or part of an earlier surface.
+        vote: (N, G) weights of the windows' votes.
+        agree: (N, G, G) 1 = two windows agree.
+        tolerance: (N, G) largest difference of two windows that agree.
+        tiles: the tiles of all boxes.
+        rows: boxes.
+    """
+    u, v, first = tiles.u[rows], tiles.v[rows], tiles.first[rows]
+    support = np.where(weight > 0, (agree @ vote[:, :, None])[..., 0], 0.0)
+    best = support.argmax(axis=1)[:, None]
+    best_index, limit = np.take_along_axis(index, best, 1), np.take_along_axis(tolerance, best, 1)
+    is_member = (weight > 0) & (np.abs(index - best_index) <= limit)
+    disparity, fit_weight = np.maximum(first + best_index[:, 0], 0.1), weight * centre_weights(u, v)
+    for _ in range(_N_GROWTHS):
+        plane = fit_surfaces(
+            index, np.where(is_member, fit_weight, 0.0), positions=(u, v), disparity=disparity, n_iterations=3
+        )
+        has_few = is_member.sum(axis=1) < _MIN_WINDOWS
+        plane.p[has_few] = 0.0
+        plane.p[has_few, 0] = best_index[has_few, 0]
+        on_plane = (weight > 0) & (np.abs(index - plane.at(u, v)) <= _ON_PLANE * limit)
+        is_plane = on_plane.sum(axis=1) >= _MIN_ON_PLANE * is_member.sum(axis=1)
+        is_member = np.where(is_plane[:, None], on_plane, is_member)
+    return is_member, plane.p
