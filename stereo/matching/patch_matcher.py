@@ -91,6 +91,7 @@ class PatchMatcherSettings:
         uniqueness_ratio: minimum difference between the costs of the second best and the best minimum, as a fraction of
             the margin (OpenCV's uniquenessRatio is a fraction of the cost).
         floor_px: sigma of a flat, textured, noiseless box, px of its tile.
+        floor_share: the same as a fraction of the disparity: objects are not smooth surfaces.
         noise_share: fraction of the propagated variances of the windows that contributes to sigma.
         scatter_share: fraction of the windows' scatter about the surface that contributes to sigma.
         tilt_share: fraction of the surface's tilt across the box that contributes to sigma.
@@ -110,10 +111,11 @@ class PatchMatcherSettings:
     min_minima_share: float = 0.5
     min_confirmed_share: float = 0.25
     uniqueness_ratio: float = 0.12
-    floor_px: float = 0.03
-    noise_share: float = 0.7
-    scatter_share: float = 0.75
-    tilt_share: float = 0.15
+    floor_px: float = 0.1
+    floor_share: float = 0.008
+    noise_share: float = 0.5
+    scatter_share: float = 0.6
+    tilt_share: float = 0.12
 
     @classmethod
     def for_rig(cls, rig: StereoRig, *, nearest_m: float = 2.0, smallest_m: float = 0.3) -> PatchMatcherSettings:
@@ -368,7 +370,8 @@ class PatchMatcher:
     ) -> FloatArray:
         """(N,) standard deviation of p0, px of the tile.
 
-        sigma^2 = floor^2 + (noise_share noise)^2 + (scatter_share scatter)^2 + (tilt_share tilt)^2 + choice^2
+        sigma^2 = floor^2 + (floor_share d)^2 + (noise_share noise)^2 + (scatter_share scatter)^2
+                  + (tilt_share tilt)^2 + choice^2
 
             noise^2 = G / (G_independent sum of weight)
             scatter = 1.25 mean |residual|          mean absolute deviation -> standard deviation
@@ -387,7 +390,8 @@ class PatchMatcher:
         difference = np.nan_to_num(surfaces.centre - surface.fit.p[:, 0], nan=0.0)
         is_other = np.arange(len(difference))[:, None] != choice.chosen
         other = np.where(is_other, choice.probability * difference**2, 0.0).sum(axis=0)
-        parts = (settings.noise_share * noise, settings.scatter_share * scatter, settings.tilt_share * tilt)
+        shape = settings.floor_share * np.maximum(tiles.first + surface.fit.p[:, 0], 0.0)
+        parts = (shape, settings.noise_share * noise, settings.scatter_share * scatter, settings.tilt_share * tilt)
         return np.asarray(np.sqrt(settings.floor_px**2 + sum((part**2 for part in parts), other)))
 
 
