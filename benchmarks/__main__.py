@@ -9,7 +9,6 @@ from pathlib import Path
 from benchmarks import mutation, torture
 from benchmarks.accuracy import (
     ablation,
-    alignment,
     anonymization,
     appearance,
     box_errors,
@@ -17,14 +16,12 @@ from benchmarks.accuracy import (
     fusion,
     history,
     lanes,
-    occlusion,
     odometry,
     recall,
-    rig_health,
-    stereo,
     tracking,
     warnings,
 )
+from benchmarks.accuracy.stereo_matching import alignment, occlusion, rig_health, stereo, surface_choice
 from benchmarks.fleet import faults, throughput
 from benchmarks.speed import detection, memory, pipeline, ranging, server, startup, writers
 
@@ -54,6 +51,7 @@ WORKLOADS = {
     "startup": startup,
     "torture": torture,
     "stereo": stereo,
+    "surface_choice": surface_choice,
     "warnings": warnings,
     "writers": writers,
 }

@@ -124,7 +124,7 @@ class PatchMatcherSettings:
         return cls(max_disparity_px=math.ceil(nearest_px), max_disparity_per_side=rig.baseline_m / smallest_m)
 
 
-class _Known(NamedTuple):
+class KnownBoxes(NamedTuple):
     """What is known of N boxes before the search.
 
     Attributes:
@@ -139,8 +139,9 @@ class _Known(NamedTuple):
     by_size: ExpectedDisparity
     limit_px: FloatArray
 
-    def select(self, rows: IntArray) -> _Known:
-        return _Known(self.xyxy_px[rows], self.track_px[rows], self.by_size.select(rows), self.limit_px[rows])
+    def select(self, rows: IntArray) -> KnownBoxes:
+        """The boxes in rows (M,)."""
+        return KnownBoxes(self.xyxy_px[rows], self.track_px[rows], self.by_size.select(rows), self.limit_px[rows])
 
     @property
     def expected_px(self) -> FloatArray:
@@ -148,7 +149,7 @@ class _Known(NamedTuple):
         return np.where(np.isfinite(self.track_px), self.track_px, self.by_size.disparity_px)
 
 
-class _Search(NamedTuple):
+class SurfaceSearch(NamedTuple):
     """The surfaces of N boxes in a range of disparities.
 
     Attributes:
@@ -157,6 +158,7 @@ class _Search(NamedTuple):
         matches: matches of the windows.
         weight: (N, G) weights of the windows.
         surfaces: surfaces.
+        phi: features of the surfaces, (S, N) by name.
         choice: their probabilities.
     """
 
@@ -165,7 +167,13 @@ class _Search(NamedTuple):
     matches: WindowMatches
     weight: FloatArray
     surfaces: Surfaces
+    phi: dict[str, FloatArray]
     choice: SurfaceChoice
+
+    @property
+    def disparity_px(self) -> FloatArray:
+        """(S, N) disparities of the surfaces at the boxes' centres, px of the image; NaN = no surface."""
+        return self.tiles.disparity_px(self.surfaces.centre.T).T
 
 
 class PatchMatcher:
@@ -200,7 +208,7 @@ class PatchMatcher:
         boxes, outcome = self._usable(xyxy_px, (left.shape[0], left.shape[1]))
         n = len(boxes)
         matches = PatchMatches.of(np.full(n, np.nan), np.full(n, np.nan), outcome)
-        known = _Known(
+        known = KnownBoxes(
             boxes, self._in_range(prior_px, boxes), by_size or ExpectedDisparity.unknown(n), self._limit_px(boxes)
         )
         is_usable = outcome == Outcome.MATCHED
@@ -256,32 +264,42 @@ class PatchMatcher:
         is_inside = (disparity_px >= self._settings.min_disparity_px) & (disparity_px <= self._limit_px(boxes))
         return np.where(is_inside, disparity_px, np.nan)
 
+    def search_near(
+        self, left: Image, right: ImageView, known: KnownBoxes, centre_px: FloatArray, search_px: int
+    ) -> SurfaceSearch:
+        """The surfaces of boxes within `search_px` px of their tiles of disparities (N,)."""
+        scale = tile_scale(known.xyxy_px, FINE)[0]
+        first_px = np.maximum(centre_px - search_px * scale, self._settings.min_disparity_px - 1.0 * scale)
+        return self._search(left, right, known, first_px, 2 * search_px + 1, FINE)
+
     def _measured_near(
         self,
         left: Image,
         right: ImageView,
-        known: _Known,
+        known: KnownBoxes,
         centre_px: FloatArray,
         search_px: int,
         *,
         is_found: bool = False,
     ) -> PatchMatches:
         """Matches of boxes near disparities (N,); is_found = these are results of the full search in the same pair."""
-        scale = tile_scale(known.xyxy_px, FINE)[0]
-        first_px = np.maximum(centre_px - search_px * scale, self._settings.min_disparity_px - 1.0 * scale)
-        search = self._search(left, right, known, first_px, 2 * search_px + 1, FINE)
+        search = self.search_near(left, right, known, centre_px, search_px)
         surface = _chosen(search)
         refined = refine_surface(search.tiles, search.matches.index, surface[0], surface[1])
         return self._checked(search, refined, known, is_found=is_found)
 
-    def _full_range(self, left: Image, right: ImageView, known: _Known) -> tuple[FloatArray, PatchMatches]:
-        """(N,) disparities by a search over the full range on coarse tiles; NaN = none, with the reasons."""
+    def search_full_range(self, left: Image, right: ImageView, known: KnownBoxes) -> SurfaceSearch:
+        """The surfaces of boxes in the full range, on coarse tiles."""
         settings = self._settings
         scale = tile_scale(known.xyxy_px, COARSE)[0]
         first_px = settings.min_disparity_px - scale
         n_steps = int(np.ceil((known.limit_px - first_px) / scale).max()) + 3
         n_disparities = max(-(-n_steps // _STEPS_MULTIPLE) * _STEPS_MULTIPLE, 2 * settings.search_px) + 1
-        search = self._search(left, right, known, first_px, n_disparities, COARSE)
+        return self._search(left, right, known, first_px, n_disparities, COARSE)
+
+    def _full_range(self, left: Image, right: ImageView, known: KnownBoxes) -> tuple[FloatArray, PatchMatches]:
+        """(N,) disparities by a search over the full range on coarse tiles; NaN = none, with the reasons."""
+        search = self.search_full_range(left, right, known)
         members, plane = _chosen(search)
         coarse = RefinedSurface(
             plane,
@@ -293,8 +311,14 @@ class PatchMatcher:
         return checked.disparity_px, checked
 
     def _search(
-        self, left: Image, right: ImageView, known: _Known, first_px: FloatArray, n_disparities: int, shape: TileShape
-    ) -> _Search:
+        self,
+        left: Image,
+        right: ImageView,
+        known: KnownBoxes,
+        first_px: FloatArray,
+        n_disparities: int,
+        shape: TileShape,
+    ) -> SurfaceSearch:
         """Windows and surfaces of boxes at `n_disparities` disparities from first_px (N,)."""
         tiles = box_tiles(left, right, known.xyxy_px, first_px, n_disparities, shape)
         cost = window_costs(tiles)
@@ -316,9 +340,11 @@ class PatchMatcher:
             track_px=known.track_px,
             others_share=others,
         )
-        return _Search(tiles, cost, matches, weight, surfaces, choose_surface(phi, surfaces))
+        return SurfaceSearch(tiles, cost, matches, weight, surfaces, phi, choose_surface(phi, surfaces))
 
-    def _checked(self, search: _Search, surface: RefinedSurface, known: _Known, *, is_found: bool) -> PatchMatches:
+    def _checked(
+        self, search: SurfaceSearch, surface: RefinedSurface, known: KnownBoxes, *, is_found: bool
+    ) -> PatchMatches:
         """Checks and sigmas of the boxes; the last check that fails determines the outcome."""
         settings, tiles, cost, choice = self._settings, search.tiles, search.cost, search.choice
         confidence = match_confidence(cost, surface, tiles)
@@ -402,7 +428,7 @@ def _is_expected(disparity_px: FloatArray, by_size: ExpectedDisparity) -> BoolAr
         return np.asarray(np.abs(np.log(disparity_px / by_size.disparity_px)) < _EXPECTED_SIGMAS * sigma)
 
 
-def _chosen(search: _Search) -> tuple[BoolArray, SurfaceFit]:
+def _chosen(search: SurfaceSearch) -> tuple[BoolArray, SurfaceFit]:
     """Windows (N, G) and planes of the chosen surfaces."""
     chosen, rows = search.choice.chosen, np.arange(len(search.choice.chosen))
     planes = np.stack([plane.p for plane in search.surfaces.planes])

@@ -4,7 +4,7 @@ import argparse
 
 import pytest
 
-from benchmarks.accuracy import occlusion
+from benchmarks.accuracy.stereo_matching import occlusion
 
 pytestmark = pytest.mark.slow
 

@@ -25,7 +25,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.accuracy.stereo_accuracy import add_accuracy_options, measure_accuracy
+from benchmarks.accuracy.stereo_matching.stereo_accuracy import add_accuracy_options, measure_accuracy
 from benchmarks.inputs.drives import REAL_DATA
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig

@@ -1,0 +1,1 @@
+"""Stereo: matching of boxes, occlusion, and the alignment of the rig."""
