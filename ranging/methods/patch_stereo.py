@@ -65,7 +65,7 @@ class StereoRanger(Ranger):
         return self.measure_with(tracks, frame, {})
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
-        """As `measure`; mono's distances help to tell an object from what occludes it."""
+        """As `measure`; mono's distances help to separate an object from what occludes it."""
         by_size = None
         if "mono" in others:
             image_hw = (frame.left.shape[0], frame.left.shape[1])

@@ -1,49 +1,40 @@
-"""Census words and cost curves compared with their definition, pixel by pixel."""
+"""Census words and the costs of windows compared with their definition, pixel by pixel."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 
 from tests.stereo.shifted_pairs import pair
-from track_range.foundation.arrays import Image
-from track_range.stereo.matching.census import census, cost_curves
-from track_range.stereo.matching.sample_windows import BoxWindows, GreyLevels
+from tests.stereo.tile_cases import EXACT_BOX, tiles_of
+from track_range.foundation.arrays import FloatArray
+from track_range.stereo.matching.census import census, window_costs
+from track_range.stereo.matching.tiles import COARSE, FINE, MARGIN_PX, BoxTiles, Grey, TileShape
 
 
-def slow_differing_bits(left: Image, right: Image, xy: tuple[int, int], disparity_px: int) -> int:
-    x, y = xy
-    count = 0
-    for dy in range(-2, 3):
-        for dx in range(-2, 3):
-            left_bit = left[y + dy, x + dx] > left[y, x]
-            right_bit = right[y + dy, x + dx - disparity_px] > right[y, x - disparity_px]
-            count += int(left_bit != right_bit)
-    return count
+def slow_bits(grey: Grey) -> list[list[list[bool]]]:
+    """Whether each of the 24 neighbours is brighter, of the pixels of a tile (H, W) without its margin."""
+    values = grey.tolist()
+    neighbours = [(y, x) for y in range(-2, 3) for x in range(-2, 3) if (y, x) != (0, 0)]
+    rows, columns = (range(MARGIN_PX, side - MARGIN_PX) for side in grey.shape)
+    return [[[values[y + dy][x + dx] > values[y][x] for dy, dx in neighbours] for x in columns] for y in rows]
 
 
-def slow_cost(left: Image, right: Image, *, column: int, row: int, disparity_px: int) -> float:
-    """Mean differing bits of a window 9 wide and 7 high, NaN where it is not 2 px or more inside the right image."""
-    if not 2 <= column - disparity_px <= right.shape[1] - 2 - 9:
-        return float("nan")
-    pixels = [(x, y) for y in range(row, row + 7) for x in range(column, column + 9)]
-    return float(np.mean([slow_differing_bits(left, right, xy, disparity_px) for xy in pixels]))
-
-
-def shrunk(image: Image, level: int) -> Image:
-    """Each pixel the mean of 2 x 2, `level` times; an odd last row or column is dropped."""
-    for _ in range(level):
-        even = image[: len(image) // 2 * 2, : image.shape[1] // 2 * 2].astype(np.int64)
-        mean = (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2] + 2) // 4
-        image = mean.astype(np.uint8)
-    return image
-
-
-def windows_at(level: int, *corners: tuple[int, int]) -> BoxWindows:
-    """One box with windows that start at these columns and rows."""
-    column, row = np.array(corners).T
-    return BoxWindows(np.array([level]), column[None, :], row[None, :])
+def slow_costs(tiles: BoxTiles, box: int) -> FloatArray:
+    """C(w, d), (D, G), of one box; NaN where a column of the window is outside the right image."""
+    left, right = np.array(slow_bits(tiles.left[:, :, box])), np.array(slow_bits(tiles.right[:, :, box]))
+    seen = tiles.is_seen[MARGIN_PX:-MARGIN_PX, box]
+    cell_height, cell_width = tiles.shape.cell_hw
+    cost = np.full((tiles.n_disparities, 49), np.nan)
+    for k in range(tiles.n_disparities):
+        for g in range(49):
+            rows = slice(g // 7 * cell_height, (g // 7 + 2) * cell_height)
+            first, shift = g % 7 * cell_width, tiles.n_disparities - 1 - k
+            if seen[first + shift : first + shift + 2 * cell_width].all():
+                bits = right[rows, first + shift : first + shift + 2 * cell_width]
+                differs = left[rows, first : first + 2 * cell_width] != bits
+                cost[k, g] = differs.sum(axis=2).mean()
+    return cost
 
 
 def test_census_of_one_window() -> None:
@@ -66,54 +57,24 @@ def test_only_the_order_of_grey_values_counts() -> None:
     assert np.array_equal(census(grey), census(2 * grey + 10))
 
 
-@pytest.mark.parametrize("level", [0, 1, 2])
-@pytest.mark.parametrize(("first_px", "n_disparities"), [(0, 22), (4, 11), (-1, 5)])
-def test_costs_equal_brute_force_also_in_corners(level: int, first_px: int, n_disparities: int) -> None:
-    left, right = pair(11.3, seed=level, noise=4.0, height=59, width=149)
-    small_left, small_right = shrunk(left, level), shrunk(right, level)
-    height, width = small_left.shape
-    corners = ((2, 2), (width - 11, 2), (2, height - 9), (width - 11, height - 9), (width // 2, 3), (width // 3, 4))
-    fast = cost_curves(
-        GreyLevels.of(left, 3),
-        GreyLevels.of(right, 3),
-        windows_at(level, *corners),
-        first=np.array([first_px]),
-        n_disparities=n_disparities,
-    )
-    slow = [
-        [slow_cost(small_left, small_right, column=x, row=y, disparity_px=first_px + k) for x, y in corners]
-        for k in range(n_disparities)
-    ]
+@pytest.mark.parametrize("shape", [FINE, COARSE])
+@pytest.mark.parametrize(("first_px", "n_disparities"), [(0.0, 21), (4.0, 9), (-4.0, 5)])
+def test_costs_equal_brute_force_also_at_borders(shape: TileShape, first_px: float, n_disparities: int) -> None:
+    boxes = (EXACT_BOX, (-0.5, -0.5, 60.0, 40.0), (380.0, 90.0, 399.5, 139.5), (20.0, 60.0, 120.0, 75.0))
+    tiles = tiles_of(pair(11.3, noise=4.0), *boxes, first_px=first_px, n_disparities=n_disparities, shape=shape)
+    fast = window_costs(tiles)
+    assert fast.shape == (n_disparities, 49, 4)
+    slow = np.stack([slow_costs(tiles, i) for i in range(4)], axis=2)
     assert np.isnan(slow).any()
-    assert np.allclose(fast[:, 0], slow, equal_nan=True)
+    assert np.allclose(fast, slow, equal_nan=True)
 
 
-def test_boxes_of_different_levels_are_independent() -> None:
-    left, right = pair(8.0, noise=3.0)
-    levels = GreyLevels.of(left, 3), GreyLevels.of(right, 3)
-    one, two = windows_at(0, (150, 40), (160, 40)), windows_at(2, (60, 10), (50, 12))
-    both = BoxWindows(
-        *(
-            np.concatenate(parts)
-            for parts in zip((one.level, one.column, one.row), (two.level, two.column, two.row), strict=True)
-        )
-    )
-    together = cost_curves(*levels, both, first=np.array([5, 0]), n_disparities=9)
-    alone = [
-        cost_curves(*levels, w, first=np.array([first]), n_disparities=9)[:, 0] for w, first in ((one, 5), (two, 0))
-    ]
-    assert np.array_equal(together, np.stack(alone, axis=1), equal_nan=True)
-    assert together.argmin(axis=0).tolist() == [[3, 3], [2, 2]]  # 8 = 5 + 3 px; 8 / 4 = 2 px of level 2
-
-
-def test_pyramid_levels_are_means() -> None:
-    image = np.random.default_rng(1).integers(0, 256, (23, 37), dtype=np.uint8)
-    levels = GreyLevels.of(image, 3)
-    assert levels.width.tolist() == [37, 18, 9]
-    assert levels.begin.tolist() == [0, 23 * 37, 23 * 37 + 11 * 18]
-    for level, begin in enumerate(levels.begin):
-        expected = shrunk(image, level).ravel().astype(np.int64)
-        pixels = levels.pixels[begin : begin + expected.size].astype(np.int64)
-        assert np.abs(pixels - expected).max() <= level  # exact halves are rounded either way
-    colour = GreyLevels.of(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), 3)
-    assert np.array_equal(colour.pixels, levels.pixels)
+def test_boxes_of_different_scales_are_independent() -> None:
+    images = pair(8.0, noise=3.0)
+    boxes = (EXACT_BOX, (150.0, 10.0, 330.0, 130.0))  # scales 1 and 2.5
+    together = window_costs(tiles_of(images, *boxes, first_px=3.0, n_disparities=9))
+    for i, box in enumerate(boxes):
+        alone = window_costs(tiles_of(images, box, first_px=3.0, n_disparities=9))
+        assert np.array_equal(together[:, :, i], alone[:, :, 0], equal_nan=True)
+    assert set(together[:, :, 0].argmin(axis=0).tolist()) == {5}  # 8 = 3 + 5 px
+    assert set(together[:, :, 1].argmin(axis=0).tolist()) == {2}  # 8 = 3 + 2 * 2.5 px

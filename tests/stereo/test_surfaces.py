@@ -1,4 +1,4 @@
-"""Semi-global matching on the grid compared with brute force, and planes through the windows of the object."""
+"""Surfaces through the disparities of windows: fits by hand, with outliers and curvature, and several in one box."""
 
 from __future__ import annotations
 
@@ -6,186 +6,172 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from tests.stereo.tile_cases import EXACT_BOX, tiles_of
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.matching.plane_fit import Surface, object_surface
-from track_range.stereo.matching.window_sgm import match_windows
+from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces
+from track_range.stereo.matching.surfaces import Surfaces, find_surfaces, window_weights
+from track_range.stereo.matching.window_sgm import WindowMatches
 
-SMALL_STEP, LARGE_STEP, UNSEEN = 1.5, 6.0, 8.0
-NO_PRIOR = np.array([np.nan])
-
-
-def slow_path_costs(cost: FloatArray, step: tuple[int, int]) -> FloatArray:
-    """L(w, d) of a path with the step `step` (rows, columns) through costs (rows, columns, D)."""
-    rows, columns, n_disparities = cost.shape
-    paths = np.zeros_like(cost)
-    for row in range(rows)[:: step[0] or 1]:
-        for column in range(columns)[:: step[1] or 1]:
-            row_before, column_before = row - step[0], column - step[1]
-            for d in range(n_disparities):
-                paths[row, column, d] = cost[row, column, d]
-                if not (0 <= row_before < rows and 0 <= column_before < columns):
-                    continue
-                before = paths[row_before, column_before]
-                candidates = [before[d], before.min() + LARGE_STEP]
-                candidates += [before[k] + SMALL_STEP for k in (d - 1, d + 1) if 0 <= k < n_disparities]
-                paths[row, column, d] += min(candidates) - before.min()
-    return paths
+TILES = tiles_of(first_px=12.0)
+U, V = TILES.u, TILES.v
+WEIGHT = np.full((1, 49), 4.0)
+FIRST = 12.0
 
 
-def slow_matches(cost: FloatArray) -> tuple[list[int], list[float], list[float]]:
-    """Index, offset and weight of the windows of one box, from costs (D, G), by the definition."""
-    side = int(np.sqrt(cost.shape[1]))
-    known = np.where(np.isnan(cost), UNSEEN, cost)
-    grid = known.T.reshape(side, side, -1)
-    total = sum(slow_path_costs(grid, step) for step in ((0, 1), (0, -1), (1, 0), (-1, 0))).reshape(side * side, -1)
-    index, offset, weight = [], [], []
-    for window, paths in enumerate(total):
-        own = known[:, window]
-        chosen = min(max(int(np.argmin(paths)), 1), len(own) - 2)
-        best = min(range(chosen - 1, chosen + 2), key=lambda k: (own[k], k))
-        best = min(max(best, 1), len(own) - 2)
-        below, at, above = own[best - 1 : best + 2]
-        is_seen = bool(np.isfinite(cost[best - 1 : best + 2, window]).all())
-        is_minimum = is_seen and at <= min(below, above) and max(below, above) > at
-        slope = max(below, above) - at
-        index.append(best)
-        offset.append((below - above) / (2 * slope) if is_minimum else 0.0)
-        weight.append(slope if is_minimum else 0.0)
-    return index, offset, weight
+def fit_of(disparity: FloatArray, weight: FloatArray = WEIGHT, *, is_curved: bool = False) -> FloatArray:
+    """The coefficients p (5,) of the surface through the disparities of one box of about 30 px."""
+    fit = fit_surfaces(disparity, weight, positions=(U, V), disparity=np.array([30.0]), is_curved=is_curved)
+    return fit.p[0]
 
 
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("side", [3, 6])
-def test_window_sgm_equals_brute_force(seed: int, side: int) -> None:
-    rng = np.random.default_rng(seed)
-    cost = rng.uniform(0, 12, (9, 4, side * side))
-    cost[rng.uniform(size=cost.shape) < 0.1] = np.nan
-    cost[:, 3, :2] = np.nan  # windows outside the right image
-    matches = match_windows(cost.astype(np.float32))
-    for box in range(4):
-        index, offset, weight = slow_matches(cost[:, box])
-        assert matches.index[box].tolist() == index
-        assert np.allclose(matches.offset[box], offset, atol=1e-5)
-        assert np.allclose(matches.weight[box], weight, atol=1e-5)
-    assert not matches.weight[3, :2].any()
+def surfaces_of(disparity: FloatArray, weight: FloatArray = WEIGHT) -> Surfaces:
+    """Surfaces of one box, from disparities (1, G) in px."""
+    return find_surfaces(disparity - FIRST, weight, TILES)
 
 
-def test_window_without_minimum_follows_neighbours() -> None:
-    cost = np.full((15, 1, 9), 10.0, np.float32)
-    cost[6, 0, :] = 2.0
-    cost[:, 0, 4] = 9.0  # without texture, in the middle
-    cost[12, 0, 4] = 8.9
-    matches = match_windows(cost)
-    assert matches.index[0, [0, 3, 5, 8]].tolist() == [6] * 4
-    assert matches.index[0, 4] in (5, 6, 7)  # its least cost is at 12
-    assert matches.weight[0].tolist() == [8.0] * 4 + [0.0] + [8.0] * 4
+# fit_surfaces
 
 
-def test_the_v_shaped_fit_is_exact_for_a_v() -> None:
-    true = np.array([5.0, 5.2, 5.49, 4.6, 4.51, 5.3, 5.1, 4.9, 4.8])
-    cost = 3.0 + 4.0 * np.abs(np.arange(12)[:, None, None] - true)
-    matches = match_windows(cost.astype(np.float32))
-    assert np.allclose(matches.index[0] + matches.offset[0], true, atol=1e-5)
-    assert np.allclose(matches.weight[0], 4.0, atol=1e-5)
+def test_a_tilted_plane_by_hand() -> None:
+    p = fit_of(30.0 + 3.0 * U - 1.0 * V)
+    assert p[0] == pytest.approx(30.0, abs=1e-6)
+    # the ridge reduces the tilt by ridge / (ridge + mean u^2) = 0.004 / (0.004 + 0.0625) = 6 %
+    assert p[1:3] == pytest.approx([2.82, -0.94], abs=0.02)
+    assert p[3:].tolist() == [0.0, 0.0]
 
 
-def test_a_common_minimum_at_the_end_has_no_weight() -> None:
-    cost = np.broadcast_to(np.linspace(2, 10, 9)[:, None, None], (9, 1, 9)).astype(np.float32)
-    matches = match_windows(cost)
-    assert matches.index.tolist() == [[1] * 9]
-    assert not matches.weight.any()
+def test_outliers_hardly_move_the_plane() -> None:
+    disparity = 30.0 + 3.0 * U - 1.0 * V
+    clean = fit_of(disparity)
+    disparity[0, [0, 7, 20, 33, 41, 46]] += [14.0, -12.0, 25.0, -28.0, 6.0, 9.0]
+    assert fit_of(disparity)[:3] == pytest.approx(clean[:3], abs=0.15)
+    assert abs(fit_of(disparity)[0] - 30.0) < 0.1
 
 
-def grid_positions(side: int = 6) -> tuple[FloatArray, FloatArray]:
-    """One box's windows, -0.5 .. 0.5 to the right and down, row by row."""
-    line = np.linspace(-0.5, 0.5, side)
-    down, right = np.meshgrid(line, line, indexing="ij")
-    return right.reshape(1, -1), down.reshape(1, -1)
+def test_windows_count_by_weight() -> None:
+    disparity, weight = np.full((1, 49), 30.0), np.full((1, 49), 4.0)
+    disparity[0, 24:], weight[0, 24:] = 55.0, 0.0
+    assert fit_of(disparity, weight)[0] == pytest.approx(30.0, abs=1e-6)
+    nothing = fit_of(disparity, np.zeros((1, 49)))
+    assert np.isfinite(nothing).all()
+    assert nothing[0] == 0.0
 
 
-RIGHT, DOWN = grid_positions()
+def test_curvature_of_a_rounded_surface() -> None:
+    disparity = 30.0 - 4.0 * U**2 - 2.0 * V**2
+    plane, curved = fit_of(disparity, 400.0 * WEIGHT), fit_of(disparity, 400.0 * WEIGHT, is_curved=True)
+    assert curved[0] == pytest.approx(30.0, abs=0.02)
+    assert curved[3:] == pytest.approx([-4.0, -2.0], abs=0.3)
+    assert plane[0] < 29.8
+    assert plane[3:].tolist() == [0.0, 0.0]
+    rough = fit_of(disparity, 0.01 * WEIGHT, is_curved=True)  # large variances: the prior of no curvature decides
+    assert np.abs(rough[3:]).max() < 1.0
 
 
-def surface_of(disparity: FloatArray, *, weight: FloatArray | None = None, prior: FloatArray = NO_PRIOR) -> Surface:
-    """Surface of one box of 6 x 6 windows."""
-    return object_surface(
-        disparity, np.full((1, 36), 4.0) if weight is None else weight, positions=(RIGHT, DOWN), prior=prior
-    )
+def test_values_of_a_surface() -> None:
+    fit = SurfaceFit(np.array([[30.0, 2.0, -1.0, 4.0, 8.0]]))
+    at = fit.at(np.array([[0.0, 0.5, 0.0]]), np.array([[0.0, 0.0, 0.5]]))
+    assert at[0] == pytest.approx([30.0, 32.0, 31.5])
 
 
-def test_a_tilted_plane_by_hand_with_outliers() -> None:
-    disparity = 30.0 + 3.0 * RIGHT - 1.0 * DOWN
-    disparity[0, [0, 7, 20, 33]] += [14.0, -12.0, 25.0, -28.0]  # other surfaces
-    disparity[0, [3, 16]] += [2.5, -2.0]  # bad matches of the same surface
-    surface = surface_of(disparity)
-    assert surface.centre[0] == pytest.approx(30.0, abs=0.05)
-    assert surface.tilt[0] == pytest.approx([3.0, -1.0], abs=0.1)
-    assert np.flatnonzero(np.isnan(surface.residual[0])).tolist() == [0, 7, 20, 33]
-    assert surface.residual[0, [3, 16]] == pytest.approx([2.5, -2.0], abs=0.1)
-    assert surface.support[0] == pytest.approx(32 / 36)
+def test_fits_of_boxes_are_independent() -> None:
+    rng = np.random.default_rng(2)
+    disparity, weight = rng.uniform(18, 24, (5, 49)), rng.uniform(0, 5, (5, 49))
+    positions = np.repeat(U, 5, axis=0), np.repeat(V, 5, axis=0)
+    scale = np.linspace(10.0, 50.0, 5)
+    for is_curved in (False, True):
+        together = fit_surfaces(disparity, weight, positions=positions, disparity=scale, is_curved=is_curved)
+        for i in range(5):
+            one = slice(i, i + 1)
+            alone = fit_surfaces(
+                disparity[one], weight[one], positions=(U, V), disparity=scale[one], is_curved=is_curved
+            )
+            assert together.p[i] == pytest.approx(alone.p[0])
 
 
-def test_windows_without_minimum_are_ignored() -> None:
-    disparity, weight = np.full((1, 36), 20.0), np.full((1, 36), 4.0)
-    disparity[0, 20:], weight[0, 20:] = 55.0, 0.0
-    surface = surface_of(disparity, weight=weight)
-    assert surface.centre[0] == pytest.approx(20.0, abs=1e-3)
-    assert surface.support[0] == 1.0
-    assert np.isnan(surface.residual[0, 20:]).all()
+# find_surfaces
+
+
+def test_one_surface_with_outliers() -> None:
+    disparity = 30.0 + 3.0 * U - 1.0 * V
+    disparity[0, [0, 6, 20, 40]] += [14.0, -12.0, 25.0, -11.0]  # chance matches
+    surfaces = surfaces_of(disparity)
+    assert surfaces.disparity[0, 0] == pytest.approx(30.0, abs=0.05)
+    assert surfaces.centre[0, 0] == pytest.approx(30.0 - FIRST, abs=0.05)
+    assert np.flatnonzero(~surfaces.is_member[0, 0]).tolist() == [0, 6, 20, 40]
+    assert surfaces.n_windows[0, 0] == 45
+    assert surfaces.scatter[0, 0] < 0.1
+
+
+@pytest.mark.parametrize("slope", [-8.0, 5.0, 12.0])
+def test_a_slanted_surface_is_one(slope: float) -> None:
+    surfaces = surfaces_of(25.0 + slope * U)
+    assert surfaces.is_member[0, 0].all()
+    assert surfaces.disparity[0, 0] == pytest.approx(25.0, abs=0.05)
+    assert np.isnan(surfaces.centre[1:, 0]).all()
+    assert surfaces.n_windows[1:, 0].tolist() == [0.0, 0.0]
 
 
 @pytest.mark.parametrize(
-    ("is_object", "object_px", "other_px"),
+    ("is_front", "front_px", "behind_px"),
     [
-        (np.abs(RIGHT) < 0.35, 25.0, 10.0),  # a person before the background
-        (DOWN > -0.15, 25.0, 10.0),  # a car under the sky
-        (RIGHT > -0.2, 20.0, 40.0),  # a car behind a pillar at the left
-        (np.abs(RIGHT - 0.1) > 0.05, 20.0, 45.0),  # behind a pole
+        (np.abs(U) < 0.3, 25.0, 14.0),  # a person before the background
+        (V > -0.2, 25.0, 14.0),  # a car under the sky
+        (U < -0.2, 40.0, 20.0),  # a car behind a pillar at the left
+        (np.abs(U - 0.125) < 0.05, 45.0, 20.0),  # behind a pole
     ],
 )
-def test_object_is_the_surface_at_the_lower_middle(
-    is_object: npt.NDArray[np.bool_], object_px: float, other_px: float
-) -> None:
-    surface = surface_of(np.where(is_object, object_px, other_px))
-    assert surface.centre[0] == pytest.approx(object_px, abs=1e-3)
-    assert np.array_equal(np.isfinite(surface.residual), is_object)
+def test_two_surfaces_are_separated(is_front: npt.NDArray[np.bool_], front_px: float, behind_px: float) -> None:
+    surfaces = surfaces_of(np.where(is_front, front_px, behind_px))
+    front = int(np.nanargmax(surfaces.disparity[:, 0]))
+    behind = 1 - front
+    assert np.array_equal(surfaces.is_member[front], is_front)
+    assert np.array_equal(surfaces.is_member[behind], ~is_front)
+    assert surfaces.disparity[[front, behind], 0] == pytest.approx([front_px, behind_px], abs=1e-3)
+    assert np.isnan(surfaces.disparity[2, 0])
+    assert surfaces.scatter[:2, 0] == pytest.approx([0.0, 0.0], abs=1e-3)
 
 
-def test_lower_half_or_prior_decides() -> None:
-    halves = np.where(DOWN > 0, 20.0, 30.0)
-    for prior_px, expected_px in ((np.nan, 20.0), (19.0, 20.0), (31.0, 30.0), (90.0, 20.0)):
-        assert surface_of(halves, prior=np.array([prior_px])).centre[0] == pytest.approx(expected_px, abs=1e-3)
+def test_three_surfaces_and_no_window_in_two() -> None:
+    surfaces = surfaces_of(np.select([U < -0.2, U > 0.2], [45.0, 15.0], 26.0))
+    assert sorted(surfaces.disparity[:, 0]) == pytest.approx([15.0, 26.0, 45.0], abs=1e-3)
+    assert (surfaces.is_member.sum(axis=0) == 1).all()
 
 
-def test_the_prior_decides_between_equal_halves() -> None:
-    halves = np.where(RIGHT > 0, 20.0, 30.0)
-    for prior_px in (20.0, 30.0):
-        assert surface_of(halves, prior=np.array([prior_px])).centre[0] == pytest.approx(prior_px, abs=1e-3)
+def test_windows_without_a_match_are_no_members() -> None:
+    weight = WEIGHT.copy()
+    weight[0, 20:] = 0.0
+    surfaces = surfaces_of(np.full((1, 49), 20.0), weight)
+    assert np.array_equal(surfaces.is_member[0, 0], np.arange(49) < 20)
+    nothing = surfaces_of(np.full((1, 49), 20.0), np.zeros((1, 49)))
+    assert np.isnan(nothing.centre).all()
+    assert not nothing.is_member.any()
 
 
-def test_few_windows_near_the_prior_do_not_win() -> None:
-    few = np.where(np.arange(36) < 6, 40.0, 20.0)[None]
-    assert surface_of(few, prior=np.array([40.0])).centre[0] == pytest.approx(20.0, abs=1e-3)
+def test_few_windows_have_no_tilt() -> None:
+    weight = np.zeros((1, 49))
+    weight[0, [17, 24, 31]] = 4.0
+    surfaces = surfaces_of(20.0 + 2.0 * V, weight)
+    assert surfaces.n_windows[0, 0] == 3
+    assert surfaces.planes[0].p[0, 1:].tolist() == [0.0] * 4
+    assert 19.7 < surfaces.disparity[0, 0] < 20.3
 
 
-def test_less_than_four_windows_are_no_surface() -> None:
-    weight = np.zeros((1, 36))
-    weight[0, [14, 15, 20]] = 4.0
-    disparity = np.full((1, 36), 20.0)
-    assert np.isnan(surface_of(disparity, weight=weight).centre[0])
-    weight[0, 21] = 4.0
-    assert surface_of(disparity, weight=weight).centre[0] == pytest.approx(20.0)
-    nothing = surface_of(disparity, weight=np.zeros((1, 36)))
-    assert np.isnan(nothing.centre[0])
-    assert nothing.support[0] == 0.0
+def test_surfaces_of_boxes_are_independent() -> None:
+    tiles = tiles_of(None, EXACT_BOX, (100.0, 30.0, 260.0, 90.0), (30.0, 30.0, 60.0, 60.0))
+    rng = np.random.default_rng(3)
+    index = rng.choice([4.0, 9.0, 14.0], (3, 49)) + rng.normal(0, 0.2, (3, 49))
+    together = find_surfaces(index, np.full((3, 49), 4.0), tiles)
+    for i, box in enumerate((EXACT_BOX, (100.0, 30.0, 260.0, 90.0), (30.0, 30.0, 60.0, 60.0))):
+        alone = find_surfaces(index[i : i + 1], WEIGHT, tiles_of(None, box))
+        assert together.centre[:, i] == pytest.approx(alone.centre[:, 0], nan_ok=True)
+        assert np.array_equal(together.is_member[:, i], alone.is_member[:, 0])
 
 
-def test_planes_of_boxes_are_independent() -> None:
-    rng = np.random.default_rng(2)
-    disparity, weight = rng.uniform(18, 24, (5, 36)), rng.uniform(0, 5, (5, 36))
-    positions = np.repeat(RIGHT, 5, axis=0), np.repeat(DOWN, 5, axis=0)
-    together = object_surface(disparity, weight, positions=positions, prior=np.full(5, 21.0))
-    for i in range(5):
-        alone = surface_of(disparity[i : i + 1], weight=weight[i : i + 1], prior=np.array([21.0]))
-        assert together.centre[i] == pytest.approx(alone.centre[0])
-        assert np.allclose(together.residual[i], alone.residual[0], equal_nan=True)
+def test_weights_of_windows() -> None:
+    cost = np.full((1, 49), 3.0)
+    cost[0, :4] = [6.0, 8.0, 10.0, 12.0]  # full weight to 6 bits, none from 10
+    tiles = tiles_of(None, (211.5, 57.5, 235.5, 73.5))  # only the 3 x 3 central windows are used
+    matches = WindowMatches(np.full((1, 49), 5.0), np.full((1, 49), 2.0), cost)
+    assert window_weights(matches, TILES)[0, :5] == pytest.approx([2.0, 1.0, 0.0, 0.0, 2.0])
+    assert np.array_equal(window_weights(matches, tiles)[0, 5:] > 0, tiles.is_used[0, 5:])
