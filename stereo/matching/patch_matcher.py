@@ -228,14 +228,14 @@ class PatchMatcher:
         rows = np.flatnonzero(is_usable & np.isnan(matches.disparity_px))
         if len(rows):
             part = known.select(rows)._replace(track_px=np.full(len(rows), np.nan))
-            found_px, doubtful = self._full_range(left, right, part)
+            coarse_px, doubtful = self._full_range(left, right, part)
             matches.put(rows, doubtful)
-            found = np.flatnonzero(np.isfinite(found_px))
-            if len(found):
+            matched = np.flatnonzero(np.isfinite(coarse_px))
+            if len(matched):
                 near = self._measured_near(
-                    left, right, part.select(found), found_px[found], self._settings.search_px, is_found=True
+                    left, right, part.select(matched), coarse_px[matched], self._settings.search_px, is_known=True
                 )
-                matches.put(rows[found], near)
+                matches.put(rows[matched], near)
         return matches
 
     def _usable(self, xyxy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArray, IntArray]:
@@ -280,13 +280,13 @@ class PatchMatcher:
         centre_px: FloatArray,
         search_px: int,
         *,
-        is_found: bool = False,
+        is_known: bool = False,
     ) -> PatchMatches:
-        """Matches of boxes near disparities (N,); is_found = these are results of the full search in the same pair."""
+        """Matches of boxes near disparities (N,); is_known = these are results of the full search in the same pair."""
         search = self.search_near(left, right, known, centre_px, search_px)
         surface = _chosen(search)
         refined = refine_surface(search.tiles, search.matches.index, surface[0], surface[1])
-        return self._checked(search, refined, known, is_found=is_found)
+        return self._checked(search, refined, known, is_known=is_known)
 
     def search_full_range(self, left: Image, right: ImageView, known: KnownBoxes) -> SurfaceSearch:
         """The surfaces of boxes in the full range, on coarse tiles."""
@@ -307,7 +307,7 @@ class PatchMatcher:
             np.where(members, 1.0, 0.0),
             members,
         )
-        checked = self._checked(search, coarse, known, is_found=False)
+        checked = self._checked(search, coarse, known, is_known=False)
         return checked.disparity_px, checked
 
     def _search(
@@ -343,7 +343,7 @@ class PatchMatcher:
         return SurfaceSearch(tiles, cost, matches, weight, surfaces, phi, choose_surface(phi, surfaces))
 
     def _checked(
-        self, search: SurfaceSearch, surface: RefinedSurface, known: KnownBoxes, *, is_found: bool
+        self, search: SurfaceSearch, surface: RefinedSurface, known: KnownBoxes, *, is_known: bool
     ) -> PatchMatches:
         """Checks and sigmas of the boxes; the last check that fails determines the outcome."""
         settings, tiles, cost, choice = self._settings, search.tiles, search.cost, search.choice
@@ -367,7 +367,7 @@ class PatchMatcher:
         outcome[~(is_unique | is_expected) | ~is_certain | (support < support_limit)] = Outcome.AMBIGUOUS
         outcome[~confidence.is_inside] = Outcome.OUT_OF_RANGE
         outcome[~(confidence.margin >= settings.min_margin_bits) | (support == 0)] = Outcome.NO_TEXTURE
-        if not is_found:
+        if not is_known:
             is_elsewhere = minima_share < settings.min_minima_share * seen_share
             is_elsewhere |= surface.is_confirmed.sum(axis=1) / n_used < settings.min_confirmed_share * support
             is_elsewhere &= ~is_expected & (tiles.shape == FINE)

@@ -28,8 +28,8 @@ from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces
 from track_range.stereo.matching.surfaces import centre_weights
 from track_range.stereo.matching.tiles import MARGIN_PX, N_CELLS, BoxTiles, Grey
 
-_N_ITERATIONS = 2
-"""Iterations of the least squares."""
+_N_FIT_ITERATIONS = (2, 4)
+"""Iterations of the fit of the surface, for each iteration of the least squares on grey values."""
 
 _MAX_STEP_PX = 0.75
 """Largest |s| of a confirmed window, px of the tile."""
@@ -91,19 +91,26 @@ def refine_surface(tiles: BoxTiles, index: FloatArray, is_member: BoolArray, pla
     central = centre_weights(u, v)
     equations, fit = _Equations.of(tiles), plane
     last = tiles.n_disparities - 2.0
-    for iteration in range(_N_ITERATIONS):
+    for iteration in range(len(_N_FIT_ITERATIONS)):
         p0, p1, p2, p3, p4 = fit.p.T
         rows, columns = row_v * (p2 + p4 * row_v), p0 + column_u * (p1 + p3 * column_u)
         at_pixels = rows.astype(np.float32)[:, None] + columns.astype(np.float32)
         np.clip(at_pixels, 1.0, last, out=at_pixels)
-        step = equations.solve(at_pixels, has_vertical_offset=iteration == _N_ITERATIONS - 1)
+        step = equations.solve(at_pixels, has_vertical_offset=iteration == len(_N_FIT_ITERATIONS) - 1)
         is_fitted = (np.abs(step.s) < _MAX_STEP_PX) & (step.a > _MIN_GAIN) & (step.a * _MIN_GAIN < 1.0)
         is_confirmed = is_fitted & (step.variance < _MAX_SIGMA_PX**2) & is_member
         s = step.s if step.vertical is None else step.s - _vertical_offset_share(step.vertical, is_confirmed)
         refined = np.where(is_confirmed, np.clip(fit.at(u, v), 1.0, last) - s, index)
         variance = np.where(is_confirmed, step.variance, _UNCONFIRMED_SIGMA_PX**2) + floor
         weight = np.where(is_member, 1.0 / variance, 0.0)
-        fit = fit_surfaces(refined, weight * central, positions=(u, v), disparity=disparity, is_curved=True)
+        fit = fit_surfaces(
+            refined,
+            weight * central,
+            positions=(u, v),
+            disparity=disparity,
+            is_curved=True,
+            n_iterations=_N_FIT_ITERATIONS[iteration],
+        )
     residual = np.where(is_member, refined - fit.at(u, v), np.nan)
     return RefinedSurface(fit, residual, weight, is_confirmed)
 

@@ -30,7 +30,7 @@ _MIN_ON_PLANE = 0.8
 """Minimum number of windows on the plane, as a fraction of those that agree; otherwise the surface is not a plane."""
 
 _N_GROWTHS = 2
-"""Number of times that a plane is fitted, and the windows on it found: a slanted surface grows along its plane."""
+"""Number of times that a plane is fitted to the first surface, and its windows selected: it grows along its plane."""
 
 _CENTRE_SIGMA = 0.2
 """Standard deviation of the Gaussian weight about the box's centre, in box sizes: the corners of cars are rounded."""
@@ -93,12 +93,19 @@ def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles, *, n: 
     near_object = np.exp(-8.0 * u**2 - 8.0 * (v - _LOWER_MIDDLE) ** 2)
     agree = (np.abs(index[:, None, :] - index[:, :, None]) <= tolerance[:, :, None]).astype(np.float64)
     rest, members, planes = weight, [], []
-    for _ in range(n):
+    for number in range(n):
         rows = np.flatnonzero(rest.any(axis=1))
         is_member, plane = np.zeros(weight.shape, np.bool_), SurfaceFit(np.zeros((len(weight), 5)))
         if len(rows):
             is_member[rows], plane.p[rows] = _next_surface(
-                index[rows], rest[rows], (rest * near_object)[rows], agree[rows], tolerance[rows], tiles, rows
+                index[rows],
+                rest[rows],
+                (rest * near_object)[rows],
+                agree[rows],
+                tolerance[rows],
+                tiles,
+                rows,
+                n_growths=_N_GROWTHS if number == 0 else 1,
             )
         members.append(is_member)
         planes.append(plane)
@@ -116,6 +123,8 @@ def _next_surface(
     tolerance: FloatArray,
     tiles: BoxTiles,
     rows: IntArray,
+    *,
+    n_growths: int,
 ) -> tuple[BoolArray, FloatArray]:
     """Windows (N, G) and coefficients (N, 5) of the surface with most support, of the boxes in `rows` (N,) of `tiles`.
 
@@ -127,6 +136,7 @@ def _next_surface(
         tolerance: (N, G) largest difference of two windows that agree.
         tiles: the tiles of all boxes.
         rows: boxes.
+        n_growths: number of fits of a plane.
     """
     u, v, first = tiles.u[rows], tiles.v[rows], tiles.first[rows]
     support = np.where(weight > 0, (agree @ vote[:, :, None])[..., 0], 0.0)
@@ -134,7 +144,7 @@ def _next_surface(
     best_index, limit = np.take_along_axis(index, best, 1), np.take_along_axis(tolerance, best, 1)
     is_member = (weight > 0) & (np.abs(index - best_index) <= limit)
     disparity, fit_weight = np.maximum(first + best_index[:, 0], 0.1), weight * centre_weights(u, v)
-    for _ in range(_N_GROWTHS):
+    for _ in range(n_growths):
         plane = fit_surfaces(
             index, np.where(is_member, fit_weight, 0.0), positions=(u, v), disparity=disparity, n_iterations=3
         )
