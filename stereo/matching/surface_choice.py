@@ -182,7 +182,7 @@ def windows_of_other_boxes(
 
 def _deviation(disparity_px: FloatArray, expected_px: FloatArray, log_sigma: FloatArray) -> FloatArray:
     """(S, N) deviations of log disparity in standard deviations; 0 where nothing is expected."""
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):  # the logarithm of expected disparities of infinity
         z = np.log(disparity_px / expected_px) / log_sigma
     return np.clip(np.nan_to_num(z, nan=0.0), -_MAX_DEVIATION, _MAX_DEVIATION)
 

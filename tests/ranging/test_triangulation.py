@@ -3,13 +3,14 @@ import pytest
 
 from track_range.ranging.methods.dense_stereo import DenseRanger
 from track_range.ranging.methods.patch_stereo import StereoRanger
-from track_range.ranging.methods.triangulation import Triangulation
+from track_range.ranging.methods.triangulation import Triangulation, disparities_by_size
+from track_range.ranging.ranges import Ranges
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher
-from track_range.stereo.matching.patch_matches import Outcome, PatchMatches
+from track_range.stereo.matching.patch_matches import ExpectedDisparity, Outcome, PatchMatches
 from track_range.tracking.tracks import Tracks
 
 RIG = StereoRig.rectified(PinholeCamera(1000.0, 1000.0, 159.5, 99.5, 320, 200), 0.5)
@@ -125,3 +126,64 @@ def test_unmatched_boxes_are_counted_by_reason():
     for step in range(2):
         assert np.isnan(ranger.measure(tracks_of(1, 2), frame_at(0.1 * step)).distance_m).all()  # black images
     assert ranger.outcomes == {Outcome.NO_TEXTURE: 4}
+
+
+def test_disparities_by_size():
+    """500 px m at 25 m are 20 px; the relative sigma is that of the distance, and larger for boxes cut by a border."""
+    boxes = np.array(
+        [[100, 60, 200, 140], [0, 60, 90, 140], [230, 60, 319, 140], [100, 0, 200, 90], [100, 90, 200, 199]], float
+    )
+    by_size = Ranges(np.arange(5), np.full(5, 25.0), np.full(5, 2.5))
+    expected = disparities_by_size(by_size, boxes, RIG, (200, 320))
+    np.testing.assert_allclose(expected.disparity_px, 20.0)
+    np.testing.assert_allclose(expected.log_sigma, [0.1] + [np.hypot(0.1, 0.4)] * 4)
+    unknown = disparities_by_size(Ranges(np.array([1]), *np.full((2, 1), np.nan)), boxes[:1], RIG, (200, 320))
+    assert np.isnan(unknown.disparity_px).all()
+
+
+def test_sizes_of_observed_tracks_are_passed_on():
+    tracks = tracks_of(1, 2, 3)
+    observed = np.array([True, False, True])
+    tracks = Tracks(tracks.track_id, tracks.xyxy_px, tracks.class_id, tracks.score, observed)
+    mono = Ranges(np.array([1, 2, 3]), np.array([25.0, 10.0, np.nan]), np.array([2.5, 1.0, np.nan]))
+    matcher = Recorder()
+    ranges = StereoRanger(RIG, matcher).measure_with(tracks, frame_at(0.0), {"mono": mono})
+    np.testing.assert_allclose(matcher.by_size.disparity_px, [20.0, np.nan])
+    np.testing.assert_allclose(ranges.distance_m, [50.0, np.nan, 50.0])
+    StereoRanger(RIG, matcher).measure(tracks, frame_at(0.0))
+    assert matcher.by_size is None
+
+
+def test_matched_boxes_are_counted_by_surfaces():
+    class SurfaceMatcher(Recorder):
+        """A matcher that returns 10 px and other numbers of surfaces; the last box has no match."""
+
+        def match(self, *arguments):
+            matches = super().match(*arguments)
+            matches.n_surfaces[:] = [1, 2, 2, 3][: len(matches.n_surfaces)]
+            matches.disparity_px[3:] = np.nan
+            return matches
+
+    ranger = StereoRanger(RIG, SurfaceMatcher())
+    assert ranger.matches is None
+    for step in range(2):
+        ranger.measure(tracks_of(1, 2, 3, 4), frame_at(0.1 * step))
+    assert ranger.summary()["stereo_surfaces"] == {"1": 2, "2": 4}
+    assert ranger.matches.n_surfaces.tolist() == [1, 2, 2, 3]
+    assert StereoRanger(RIG, Recorder()).summary() == {"stereo_unmatched": {}, "stereo_surfaces": {}}
+
+
+def test_results_of_some_boxes_are_replaced():
+    matches = PatchMatches.of(np.full(3, np.nan), np.full(3, np.nan), np.full(3, int(Outcome.NO_FIT)))
+    assert (matches.n_surfaces.tolist(), np.isnan(matches.probability).all()) == ([0, 0, 0], True)
+    better = PatchMatches(np.array([9.0]), np.array([0.2]), np.array([0]), np.array([2]), np.array([0.8]))
+    matches.put(np.array([1]), better)
+    np.testing.assert_equal(matches.disparity_px, [np.nan, 9.0, np.nan])
+    np.testing.assert_equal(matches.probability, [np.nan, 0.8, np.nan])
+    assert (matches.outcome.tolist(), matches.n_surfaces.tolist()) == ([7, 0, 7], [0, 2, 0])
+
+
+def test_expected_disparities_of_some_boxes():
+    expected = ExpectedDisparity(np.array([10.0, 20.0, 30.0]), np.array([0.1, 0.2, 0.3])).select(np.array([2, 0]))
+    assert (expected.disparity_px.tolist(), expected.log_sigma.tolist()) == ([30.0, 10.0], [0.3, 0.1])
+    assert np.isnan(ExpectedDisparity.unknown(2).disparity_px).tolist() == [True, True]

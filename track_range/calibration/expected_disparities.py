@@ -16,7 +16,8 @@ from track_range.tracking.tracks import Tracks
 def expected_disparities(pair: StereoPair) -> ExpectedDisparity:
     """Disparities by size of the objects of a pair; NaN for objects of unknown class."""
     n = len(pair.xyxy_px)
-    class_id = np.array([SIZE_CLASSES.index(name) if name in SIZE_CLASSES else -1 for name in pair.class_names])
+    ids = [SIZE_CLASSES.index(name) if name in SIZE_CLASSES else -1 for name in pair.class_names]
+    class_id = np.array(ids, np.int64)
     if len(class_id) != n:
         return ExpectedDisparity.unknown(n)
     tracks = Tracks(np.arange(n), pair.xyxy_px, np.maximum(class_id, 0), np.ones(n), class_id >= 0)
