@@ -34,10 +34,10 @@ from track_range.stereo.matching.confidence import match_confidence
 from track_range.stereo.matching.patch_matches import ExpectedDisparity, Outcome, PatchMatches
 from track_range.stereo.matching.subpixel import RefinedSurface, refine_surface
 from track_range.stereo.matching.surface_choice import (
+    OtherBoxes,
     SurfaceChoice,
     choose_surface,
     features,
-    windows_of_other_boxes,
 )
 from track_range.stereo.matching.surface_fit import SurfaceFit
 from track_range.stereo.matching.surfaces import Surfaces, find_surfaces, window_weights
@@ -132,16 +132,20 @@ class KnownBoxes(NamedTuple):
         track_px: (N,) last match of the track; NaN = none.
         by_size: expected disparities from the size.
         limit_px: (N,) largest disparity.
+        others: all boxes of the frame, these included.
     """
 
     xyxy_px: FloatArray
     track_px: FloatArray
     by_size: ExpectedDisparity
     limit_px: FloatArray
+    others: OtherBoxes
 
     def select(self, rows: IntArray) -> KnownBoxes:
         """The boxes in rows (M,)."""
-        return KnownBoxes(self.xyxy_px[rows], self.track_px[rows], self.by_size.select(rows), self.limit_px[rows])
+        return KnownBoxes(
+            self.xyxy_px[rows], self.track_px[rows], self.by_size.select(rows), self.limit_px[rows], self.others
+        )
 
     @property
     def expected_px(self) -> FloatArray:
@@ -208,34 +212,30 @@ class PatchMatcher:
         boxes, outcome = self._usable(xyxy_px, (left.shape[0], left.shape[1]))
         n = len(boxes)
         matches = PatchMatches.of(np.full(n, np.nan), np.full(n, np.nan), outcome)
-        known = KnownBoxes(
-            boxes, self._in_range(prior_px, boxes), by_size or ExpectedDisparity.unknown(n), self._limit_px(boxes)
-        )
+        track_px = self._in_range(prior_px, boxes)
+        expected = by_size or ExpectedDisparity.unknown(n)
+        size_px = self._in_range(expected.disparity_px, boxes)
+        others = OtherBoxes(boxes, np.where(np.isfinite(track_px), track_px, size_px))
+        known = KnownBoxes(boxes, track_px, expected, self._limit_px(boxes), others)
+        no_track = known._replace(track_px=np.full(n, np.nan))
         is_usable = outcome == Outcome.MATCHED
-        size_px = self._in_range(known.by_size.disparity_px, boxes)
-        for expected_px, search_px, is_of_track in (
-            (known.track_px, self._settings.search_px, True),
-            (size_px, self._settings.size_search_px, False),
+        for part, centre_px, search_px in (
+            (known, track_px, self._settings.search_px),
+            (no_track, size_px, self._settings.size_search_px),
         ):
-            rows = np.flatnonzero(is_usable & np.isnan(matches.disparity_px) & np.isfinite(expected_px))
+            rows = np.flatnonzero(is_usable & np.isnan(matches.disparity_px) & np.isfinite(centre_px))
             if len(rows):
-                part = (
-                    known.select(rows)
-                    if is_of_track
-                    else known.select(rows)._replace(track_px=np.full(len(rows), np.nan))
-                )
-                matches.put(rows, self._measured_near(left, right, part, expected_px[rows], search_px))
+                matches.put(rows, self._measured_near(left, right, part.select(rows), centre_px[rows], search_px))
         rows = np.flatnonzero(is_usable & np.isnan(matches.disparity_px))
         if len(rows):
-            part = known.select(rows)._replace(track_px=np.full(len(rows), np.nan))
-            coarse_px, doubtful = self._full_range(left, right, part)
-            matches.put(rows, doubtful)
-            matched = np.flatnonzero(np.isfinite(coarse_px))
-            if len(matched):
-                near = self._measured_near(
-                    left, right, part.select(matched), coarse_px[matched], self._settings.search_px, is_known=True
-                )
-                matches.put(rows[matched], near)
+            coarse = self._full_range(left, right, no_track.select(rows))
+            matches.put(rows, coarse)
+            coarse_px = coarse.disparity_px[np.isfinite(coarse.disparity_px)]
+            rows = rows[np.isfinite(coarse.disparity_px)]
+            if len(rows):
+                part = no_track.select(rows)
+                near = self._measured_near(left, right, part, coarse_px, self._settings.search_px, is_known=True)
+                matches.put(rows, near)
         return matches
 
     def _usable(self, xyxy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArray, IntArray]:
@@ -284,8 +284,8 @@ class PatchMatcher:
     ) -> PatchMatches:
         """Matches of boxes near disparities (N,); is_known = these are results of the full search in the same pair."""
         search = self.search_near(left, right, known, centre_px, search_px)
-        surface = _chosen(search)
-        refined = refine_surface(search.tiles, search.matches.index, surface[0], surface[1])
+        members, plane = _chosen(search)
+        refined = refine_surface(search.tiles, search.matches.index, members, plane)
         return self._checked(search, refined, known, is_known=is_known)
 
     def search_full_range(self, left: Image, right: ImageView, known: KnownBoxes) -> SurfaceSearch:
@@ -297,8 +297,8 @@ class PatchMatcher:
         n_disparities = max(-(-n_steps // _STEPS_MULTIPLE) * _STEPS_MULTIPLE, 2 * settings.search_px) + 1
         return self._search(left, right, known, first_px, n_disparities, COARSE)
 
-    def _full_range(self, left: Image, right: ImageView, known: KnownBoxes) -> tuple[FloatArray, PatchMatches]:
-        """(N,) disparities by a search over the full range on coarse tiles; NaN = none, with the reasons."""
+    def _full_range(self, left: Image, right: ImageView, known: KnownBoxes) -> PatchMatches:
+        """Matches of boxes by a search over the full range, on coarse tiles without fractions of a pixel."""
         search = self.search_full_range(left, right, known)
         members, plane = _chosen(search)
         coarse = RefinedSurface(
@@ -307,8 +307,7 @@ class PatchMatcher:
             np.where(members, 1.0, 0.0),
             members,
         )
-        checked = self._checked(search, coarse, known, is_known=False)
-        return checked.disparity_px, checked
+        return self._checked(search, coarse, known, is_known=False)
 
     def _search(
         self,
@@ -330,7 +329,7 @@ class PatchMatcher:
         matches = match_windows(cost)
         weight = window_weights(matches, tiles)
         surfaces = find_surfaces(matches.index, weight, tiles)
-        others = windows_of_other_boxes(known.xyxy_px, known.expected_px, tiles, tiles.disparity_px(matches.index))
+        others = known.others.windows(known.xyxy_px, known.expected_px, tiles, tiles.disparity_px(matches.index))
         phi = features(
             surfaces,
             tiles,
@@ -375,8 +374,8 @@ class PatchMatcher:
         outcome[minima_share < settings.min_seen_share] = Outcome.NO_TEXTURE
         outcome[seen_share < settings.min_seen_share] = Outcome.NOT_SEEN
 
+        outcome[(outcome == Outcome.MATCHED) & ~(disparity_px > 0)] = Outcome.OUT_OF_RANGE
         is_matched = outcome == Outcome.MATCHED
-        is_matched &= disparity_px > 0
         sigma_px = tiles.scale[0] * self._sigma(surface, tiles, probability, search.surfaces, choice)
         return PatchMatches(
             np.where(is_matched, disparity_px, np.nan),

@@ -86,6 +86,41 @@ class SurfaceChoice:
     n_surfaces: FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class OtherBoxes:
+    """All boxes of a frame with their expected disparities: nearer ones occlude, farther ones are background.
+
+    Attributes:
+        xyxy_px: (M, 4) boxes.
+        expected_px: (M,) expected disparities, from the track or the size; NaN = unknown.
+    """
+
+    xyxy_px: FloatArray
+    expected_px: FloatArray
+
+    def windows(
+        self, xyxy_px: FloatArray, expected_px: FloatArray, tiles: BoxTiles, disparity_px: FloatArray
+    ) -> FloatArray:
+        """(N, G) 1 = the window belongs to another box, which is expected to be nearer or farther; 0 = it does not.
+
+        Args:
+            xyxy_px: (N, 4) boxes.
+            expected_px: (N,) their expected disparities; NaN = unknown.
+            tiles: their tiles.
+            disparity_px: (N, G) disparities of the windows, px of the image.
+        """
+        size_px, centre_px = xyxy_px[:, 2:] - xyxy_px[:, :2], (xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2
+        x_px = centre_px[:, :1] + tiles.u * size_px[:, :1]
+        y_px = centre_px[:, 1:] + tiles.v * size_px[:, 1:]
+        left, top, right, bottom = self.xyxy_px.T[:, :, None, None]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = np.abs(np.log(self.expected_px[:, None] / expected_px[None, :]))
+            is_other = ratio > np.log(_OTHER_BOX_RATIO)  # (other, box); False where unknown
+            is_same = np.abs(disparity_px / self.expected_px[:, None, None] - 1.0) < _OTHER_BOX_SHARE
+        is_inside = (x_px > left) & (x_px < right) & (y_px > top) & (y_px < bottom)  # (other, N, G)
+        return np.asarray((is_inside & is_same & is_other[:, :, None]).any(axis=0), np.float64)
+
+
 def features(
     surfaces: Surfaces,
     tiles: BoxTiles,
@@ -155,29 +190,6 @@ def choose_surface(phi: dict[str, FloatArray], surfaces: Surfaces) -> SurfaceCho
         likelihood = np.where(np.isfinite(score), np.exp(score - best), 0.0)
     probability = likelihood / np.maximum(likelihood.sum(axis=0), 1e-12)
     return SurfaceChoice(score.argmax(axis=0), probability, (n_windows >= 2).sum(axis=0))
-
-
-def windows_of_other_boxes(
-    xyxy_px: FloatArray, expected_px: FloatArray, tiles: BoxTiles, disparity_px: FloatArray
-) -> FloatArray:
-    """(N, G) 1 = the window belongs to another box, which is expected to be nearer or farther; 0 = it does not.
-
-    Args:
-        xyxy_px: (N, 4) boxes.
-        expected_px: (N,) expected disparities, from the track or the size; NaN = unknown.
-        tiles: their tiles.
-        disparity_px: (N, G) disparities of the windows, px of the image.
-    """
-    size_px, centre_px = xyxy_px[:, 2:] - xyxy_px[:, :2], (xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2
-    x_px = centre_px[:, :1] + tiles.u * size_px[:, :1]
-    y_px = centre_px[:, 1:] + tiles.v * size_px[:, 1:]
-    left, top, right, bottom = xyxy_px.T[:, :, None, None]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.abs(np.log(expected_px[:, None] / expected_px[None, :]))
-        is_other = ratio > np.log(_OTHER_BOX_RATIO)  # (other, box); False where unknown
-        is_same = np.abs(disparity_px / expected_px[:, None, None] - 1.0) < _OTHER_BOX_SHARE
-    is_inside = (x_px > left) & (x_px < right) & (y_px > top) & (y_px < bottom)  # (other, N, G)
-    return np.asarray((is_inside & is_same & is_other[:, :, None]).any(axis=0), np.float64)
 
 
 def _deviation(disparity_px: FloatArray, expected_px: FloatArray, log_sigma: FloatArray) -> FloatArray:

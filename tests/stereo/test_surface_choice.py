@@ -11,12 +11,13 @@ from track_range.foundation.arrays import FloatArray
 from track_range.stereo.matching.patch_matches import ExpectedDisparity
 from track_range.stereo.matching.surface_choice import (
     THETA,
+    OtherBoxes,
     SurfaceChoice,
     choose_surface,
     features,
-    windows_of_other_boxes,
 )
 from track_range.stereo.matching.surfaces import Surfaces, find_surfaces
+from track_range.stereo.matching.tiles import BoxTiles
 
 TILES = tiles_of(first_px=12.0)
 U, V = TILES.u, TILES.v
@@ -162,18 +163,22 @@ def test_surface_of_another_box_is_less_probable() -> None:
     assert probability[1] < 0.7 * probability[0]
 
 
+def of_others(boxes: FloatArray, expected_px: FloatArray, tiles: BoxTiles, disparity_px: FloatArray) -> FloatArray:
+    return OtherBoxes(boxes, expected_px).windows(boxes, expected_px, tiles, disparity_px)
+
+
 def test_windows_of_other_boxes_by_hand() -> None:
     """A nearer car covers the left part of a box; windows there at its disparity belong to it."""
     boxes = np.array([EXACT_BOX, (150.0, 40.0, 219.0, 120.0)])
     tiles = tiles_of(None, *boxes.tolist())
     x_px = 223.5 + 48.0 * tiles.u[0]
     at_40 = np.full((2, 49), 40.0)
-    found = windows_of_other_boxes(boxes, np.array([20.0, 40.0]), tiles, at_40)
+    found = of_others(boxes, np.array([20.0, 40.0]), tiles, at_40)
     assert np.array_equal(found[0] == 1.0, x_px < 219.0)
     assert not found[1].any()  # the car does not belong to the box behind it
     at_20 = np.full((2, 49), 20.0)
-    assert not windows_of_other_boxes(boxes, np.array([20.0, 40.0]), tiles, at_20)[0].any()
+    assert not of_others(boxes, np.array([20.0, 40.0]), tiles, at_20)[0].any()
     for expected_px in ([20.0, 21.0], [NONE, 40.0], [20.0, NONE]):  # equally far, or unknown
-        assert not windows_of_other_boxes(boxes, np.array(expected_px), tiles, at_40)[0].any()
-    farther = windows_of_other_boxes(boxes, np.array([40.0, 20.0]), tiles, at_20)  # the background of a nearer object
+        assert not of_others(boxes, np.array(expected_px), tiles, at_40)[0].any()
+    farther = of_others(boxes, np.array([40.0, 20.0]), tiles, at_20)  # the background of a nearer object
     assert np.array_equal(farther[0] == 1.0, x_px < 219.0)

@@ -31,6 +31,7 @@ from track_range.stereo.matching.patch_matcher import (
     SurfaceSearch,
 )
 from track_range.stereo.matching.patch_matches import ExpectedDisparity
+from track_range.stereo.matching.surface_choice import OtherBoxes
 
 WAYS = ("size", "track and size", "track", "full range")
 """Ways in which the surfaces are searched."""
@@ -104,8 +105,8 @@ def _searches(occlusion: OcclusionPair, rng: np.random.Generator) -> Iterator[tu
     for way, track, size in zip(
         WAYS, (no_track, track_px, track_px, no_track), (by_size, by_size, no_size, no_size), strict=True
     ):
-        known = KnownBoxes(boxes, track, size, limit_px)
         centre_px = by_size.disparity_px if way == "size" else track
+        known = KnownBoxes(boxes, track, size, limit_px, OtherBoxes(boxes, centre_px))
         is_searched = is_large & is_scored(objects, pair)
         if way != "full range":
             is_searched &= (centre_px >= settings.min_disparity_px) & (centre_px <= limit_px)
