@@ -28,7 +28,7 @@ _BOUND_FLOORS = 2.0
 _RIDGE = 4e-3
 """Ridge on the tilt p1, p2, relative to the total weight: keeps the system solvable where windows nearly coincide."""
 
-_CURVATURE = 0.4
+_CURVATURE = 0.25
 """c: prior standard deviation of p3 and p4 as a fraction of the disparity; 1.5 % at the edge of the box's inner half.
 Fitted on simulated drives (seeds 0-2) and on the accuracy at the centre of KITTI 2015's given pairs."""
 
