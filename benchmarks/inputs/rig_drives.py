@@ -42,11 +42,15 @@ class TrackedDrive:
     rig: StereoRig
     frames: tuple[TrackedFrame, ...]
 
-    def windows(self, n_frames: int) -> Iterator[TrackedDrive]:
-        """Consecutive parts of `n_frames` frames; a shorter rest of at least half as many is a part too."""
-        for start in range(0, len(self.frames), n_frames):
+    def windows(self, n_frames: int, step: int | None = None) -> Iterator[TrackedDrive]:
+        """Parts of `n_frames` frames that start every `step` frames; None = one after the other.
+
+        A shorter rest of at least half as many frames is a part too, unless parts overlap.
+        """
+        min_frames = n_frames / 2 if step is None or step >= n_frames else n_frames
+        for start in range(0, len(self.frames), step or n_frames):
             part = self.frames[start : start + n_frames]
-            if len(part) >= n_frames / 2:
+            if len(part) >= min_frames:
                 yield replace(self, name=f"{self.name}/{start}", frames=part)
 
 

@@ -167,7 +167,8 @@ class RigHealth:
         distance = f"{REFERENCE_M:.0f} m"
         after = f"{self.after_pct(REFERENCE_M):.1f} %"
         if self.state == "unknown":
-            return f"Rig: not measured; expected distance error at {distance}: {after} (1 sigma)."
+            reason = "" if self.measured.source == Alignment().source else f", {self.measured.source}"
+            return f"Rig: not measured{reason}; expected distance error at {distance}: {after} (1 sigma)."
         if self.state == "good":
             return f"Rig: fits the images; expected distance error at {distance}: {after} (1 sigma)."
         if not self.has_disparity_error:

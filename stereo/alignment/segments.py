@@ -26,7 +26,7 @@ from track_range.stereo.alignment.bundle_adjustment import (
     fit_bundle,
     linearize,
 )
-from track_range.stereo.alignment.initial_poses import MIN_POINTS, initial_bundle, only_points
+from track_range.stereo.alignment.initial_poses import MIN_POINTS, InitialBundle, initial_bundle, only_points
 from track_range.stereo.geometry.rig import StereoRig
 
 N_STRIPS = 8
@@ -49,6 +49,13 @@ _MIN_STATIC_SHARE = 0.5
 
 _MAX_ERROR_PX = 15.0
 """Largest plausible offset, curvature or slope; beyond it, motion and disparities are inconsistent."""
+
+_OTHER_ERRORS_PX = ((-6.0, -4.0, 0.0), (-3.0, -2.0, 0.0), (3.0, 2.0, 0.0), (6.0, 4.0, 0.0))
+"""Offset, curvature and slope from which a fit starts if it fails from 0: those of a wrong vergence of 0.25 and 0.5
+degrees at a focal length of 720 px."""
+
+_MAX_CHANGE_PX = 1.0
+"""Largest change of the errors from the start of a bundle, above which a second one starts from the fitted errors."""
 
 _PRIOR_PX = 5.0
 """Prior standard deviation of offset, curvature and slope."""
@@ -116,17 +123,38 @@ class CombinedEstimate(NamedTuple):
 def segment_of(observed: Observations, rig: StereoRig) -> Segment | str:
     """The segment of some observations, or the reason why they are unusable; `rig` is rectified."""
     initial = initial_bundle(observed, rig)
+    segment = _fitted(observed, initial, rig)
+    if isinstance(segment, Segment):
+        return segment
+    others = [initial_bundle(observed, rig, error_px=np.array(error_px)) for error_px in _OTHER_ERRORS_PX]
+    best = max((other for other in others if other is not None), key=lambda other: other.support, default=None)
+    if best is None or (initial is not None and best.support <= initial.support):
+        return segment
+    again = _fitted(observed, best, rig)
+    return again if isinstance(again, Segment) else segment
+
+
+def _fitted(observed: Observations, initial: InitialBundle | None, rig: StereoRig) -> Segment | str:
+    """The segment from an initial bundle, or the reason why it is unusable.
+
+    With a wrong initial error, few points follow the initial motion: if the fitted error is larger, a second bundle
+    starts from it.
+    """
     if initial is None:
         return "too few points were tracked"
-    observed, start = initial
-    observed, fit, static_share = _static_points(observed, start, rig)
+    used, fit, static_share = _static_points(initial.observed, initial.bundle, rig)
+    change_px = np.abs(fit.bundle.error_px - initial.bundle.error_px).max()
+    if _MAX_CHANGE_PX < change_px <= _MAX_ERROR_PX:
+        second = initial_bundle(observed, rig, error_px=fit.bundle.error_px)
+        if second is not None and second.support > initial.support:
+            used, fit, static_share = _static_points(second.observed, second.bundle, rig)
     if not np.isfinite(fit.bundle.error_px).all() or np.abs(fit.bundle.error_px).max() > _MAX_ERROR_PX:
         return "motion and disparities of the points are inconsistent"
     if fit.bundle.path_m < _MIN_PATH_M:
         return "the vehicle hardly moves, or only turns"
     if static_share < _MIN_STATIC_SHARE:
         return "too many moving objects in the scene"
-    return _segment(observed, fit, rig)
+    return _segment(used, fit, rig)
 
 
 def _static_points(observed: Observations, start: Bundle, rig: StereoRig) -> tuple[Observations, Fit, float]:

@@ -107,7 +107,7 @@ def test_derivatives_equal_finite_differences() -> None:
 def test_exact_result_without_noise() -> None:
     initial = initial_bundle(drive(2, offset_px=0.5, curvature_px=1.0, noise_px=0.0), RIG)
     assert initial is not None
-    fit = fit_bundle(*initial, RIG)
+    fit = fit_bundle(initial.observed, initial.bundle, RIG)
     assert fit.bundle.error_px == pytest.approx([0.5, 1.0, 0.0], abs=0.01)
     assert fit.bundle.path_m == pytest.approx(13.0, abs=0.01)
 
@@ -151,8 +151,14 @@ def test_moving_objects_have_no_influence(share_moving: float) -> None:
     assert estimate.error_px[0] == pytest.approx(0.5, abs=0.03)
 
 
-def test_mostly_moving_scene_is_refused() -> None:
-    assert isinstance(segment_of(drive(4, share_moving=0.6), RIG), str)
+def test_half_of_the_points_on_vehicles_ahead() -> None:
+    """The static scene moves faster than vehicles that keep their distance, also if half of the points are on them."""
+    estimate = combine([segment(drive(4, offset_px=0.5, share_moving=0.5))], (OFFSET,))
+    assert estimate.error_px[0] == pytest.approx(0.5, abs=0.05)
+
+
+def test_scene_that_moves_with_the_vehicle_is_refused() -> None:
+    assert isinstance(segment_of(drive(4, share_moving=1.0), RIG), str)
 
 
 @pytest.mark.slow

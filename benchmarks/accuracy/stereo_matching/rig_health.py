@@ -96,6 +96,9 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--frames", type=int, default=WINDOW, metavar="N", help="frames per window: 16 = one segment of the estimate"
     )
+    parser.add_argument(
+        "--step", type=int, metavar="N", help="frames from one window to the next; default: as many as in a window"
+    )
     parser.add_argument("--kitti", type=Path, nargs="*", default=[], metavar="DIR", help="drives of KITTI")
     parser.add_argument("--cache", type=Path, metavar="DIR", help="folder for the tracked points")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="number of processes")
@@ -116,11 +119,11 @@ def _windows(options: Namespace) -> Iterator[TrackedDrive]:
     for number in range(options.drives):
         scenario, seed = SCENARIOS[number // 2 % len(SCENARIOS)], options.first_seed + number
         drive = simulated_drive(scenario, seed=seed, seconds=SECONDS, cache=options.cache)
-        yield from drive.windows(options.frames)
+        yield from drive.windows(options.frames, options.step)
     for folder in options.kitti:
         drive = recorded_drive(folder, fps=10.0)
         known = KITTI.get(folder.name)
-        yield from (drive if known is None else shifted(drive, np.array(known))).windows(options.frames)
+        yield from (drive if known is None else shifted(drive, np.array(known))).windows(options.frames, options.step)
 
 
 def _cases(window: TrackedDrive, number: int, n_errors: int) -> list[dict[str, Any]]:
