@@ -87,10 +87,10 @@ def initial_bundle(
         return None
     points_m = _triangulated(observed, rig, error_px)
     steps, pairs = _steps(observed, points_m, rig)
-    found = _static_motions(steps, rig)
-    if found is None:
+    static = _static_motions(steps, rig)
+    if static is None:
         return None
-    motions, support = found
+    motions, support = static
     is_static = _static_mask(observed, points_m, pairs, motions, rig)
     if is_static.sum() >= MIN_POINTS:
         points_m = points_m[is_static[observed.point]]
@@ -202,14 +202,14 @@ def _static_motions(steps: Sequence[_Step], rig: StereoRig) -> tuple[list[_Motio
 
 def _candidates(number: int, step: _Step, rig: StereoRig) -> list[_Candidate]:
     """Motions of a step: that with the most inliers, then those of the remaining points."""
-    found, rest = list[_Candidate](), step
-    while len(found) < _N_MOTIONS:
+    candidates, rest = list[_Candidate](), step
+    while len(candidates) < _N_MOTIONS:
         motion = _motion(rest, rig)
         if motion is None:
             break
-        found.append(_Candidate(number, motion, _support(step, motion, rig)))
+        candidates.append(_Candidate(number, motion, _support(step, motion, rig)))
         rest = rest.part(~_agrees(rest, motion, rig, _MAX_ERROR_PX))
-    return found
+    return candidates
 
 
 def _group(seed: _Candidate, candidates: Sequence[_Candidate]) -> list[_Candidate]:
