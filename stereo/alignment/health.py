@@ -209,7 +209,8 @@ class RigHealth:
         return np.sqrt(m.offset_sigma_px**2 + (m.slope_sigma_px * u) ** 2 + (m.curvature_sigma_px * u**2) ** 2)
 
     def _row(self, distance_m: float) -> dict[str, float | None]:
-        left, middle, right = (round(float(v), 3) if math.isfinite(v) else None for v in self.before_pct(distance_m))
+        before_pct = self.before_pct(distance_m) if self.measured.is_measured else np.full(3, np.nan)
+        left, middle, right = (round(float(v), 3) if math.isfinite(v) else None for v in before_pct)
         return {
             "distance_m": distance_m,
             "before_pct": middle,

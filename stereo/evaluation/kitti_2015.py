@@ -36,6 +36,9 @@ MIN_TRUE_PIXELS, MIN_INNER_PIXELS = 100, 20
 LABELLED_CLASS = "car"
 """Road class of all labelled objects of the set."""
 
+_SIMULATED_RIG, _SIMULATED_TRUTH = "rig.yaml", "truth.csv"
+"""Files of `track-range simulate --disparity`, which writes objects of all classes in the set's layout."""
+
 _STEPS_PER_PX = 256.0
 """Steps of the stored disparities per pixel."""
 
@@ -139,7 +142,8 @@ def read_pair(folder: Path, name: str, *, rig: Path | None = None, row_offset_px
     boxes, true_px = labelled_instances(truth / _STEPS_PER_PX, instance)
     rectifier = Rectifier(cameras, row_offset_px=row_offset_px, source=file)
     images = rectifier.rectify(_in_colour(left), _in_colour(right))
-    return StereoPair(name, *images, boxes, true_px, cameras, notes, class_names=(LABELLED_CLASS,) * len(boxes))
+    class_names = () if (root / _SIMULATED_TRUTH).is_file() else (LABELLED_CLASS,) * len(boxes)
+    return StereoPair(name, *images, boxes, true_px, cameras, notes, class_names=class_names)
 
 
 def labelled_instances(true_px: FloatArray, instance: npt.NDArray[np.integer]) -> tuple[FloatArray, FloatArray]:
@@ -174,13 +178,13 @@ def _root(folder: Path) -> Path:
 def _calibration(root: Path, name: str) -> Path:
     """The calibration file of the pair, else of the set."""
     of_pair = root / "calib_cam_to_cam" / f"{name.removesuffix('_10')}.txt"
-    file = of_pair if of_pair.is_file() else root / "calib.txt"
-    if not file.is_file():
-        raise RigError(
-            f"{root}: expected calib.txt or {of_pair.parent.name}/{of_pair.name}, found neither; give the rig with "
-            "--rig FILE."
-        )
-    return file
+    for file in (of_pair, root / "calib.txt", root / _SIMULATED_RIG):
+        if file.is_file():
+            return file
+    raise RigError(
+        f"{root}: expected calib.txt, {_SIMULATED_RIG} or {of_pair.parent.name}/{of_pair.name}, found none; give the "
+        "rig with --rig FILE."
+    )
 
 
 def _read(path: Path) -> npt.NDArray[np.integer]:

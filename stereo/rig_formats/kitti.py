@@ -25,7 +25,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX, Calibration
+from track_range.stereo.geometry.rig_checks import BASELINE_M, MAX_SIDE_PX, NO_VERTICAL_PAIRS, Calibration
 from track_range.stereo.rig_formats.rig_format import RigFormat
 
 _LINE = re.compile(r"^[ \t]*(P|S)(?:_rect_0)?([0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
@@ -69,6 +69,8 @@ def _read(text: str, source: object, is_grey: bool) -> Calibration:
     if left not in matrix:
         raise RigError(f"{source}: expected P{left} of the left camera, found only P{right}; give the complete file.")
     notes = () if (left, right) == pairs[0] else (f"{source}: using cameras {left} and {right}, the only ones.",)
+    if right in matrix and _is_vertical(matrix[left], matrix[right]):
+        raise RigError(f"{source}: expected cameras side by side, found one above the other; {NO_VERTICAL_PAIRS}.")
     left_camera = _camera(matrix[left], size.get(left, (0, 0)))
     right_camera = _camera(matrix[right], size.get(right, (0, 0))) if right in matrix else None
     rectified = _calibration(matrix[left], matrix.get(right), left_camera, right_camera, notes)
@@ -100,6 +102,8 @@ def _read_nameless(lines: Sequence[str], source: object) -> Calibration:
     if len(lines) == 1:
         note = f"{source}: a line without a name is taken as the projection matrix P of rectified images."
         return _calibration(matrices[0], None, _camera(matrices[0], (0, 0)), None, (note,))
+    if _is_vertical(matrices[0], matrices[1]):
+        raise RigError(f"{source}: expected cameras side by side, found one above the other; {NO_VERTICAL_PAIRS}.")
     if offsets_m[0] == offsets_m[1]:
         raise RigError(
             f"{source}: expected a baseline, P[0, 3] = -f B of the right camera, found {matrices[0][0, 3]:g} in both "
@@ -114,6 +118,12 @@ def _read_nameless(lines: Sequence[str], source: object) -> Calibration:
     return _calibration(matrices[left], matrices[right], cameras[0], cameras[1], (note,))
 
 
+def _is_vertical(a: FloatArray, b: FloatArray) -> bool:
+    """Whether one camera of two (3, 4) projection matrices is above the other, not beside it."""
+    x, y = (abs(float(a[row, 3] / a[row, row] - b[row, 3] / b[row, row])) for row in (0, 1))
+    return y > max(x, BASELINE_M[0])
+
+
 def _calibration(
     left_matrix: FloatArray,
     right_matrix: FloatArray | None,
@@ -126,7 +136,9 @@ def _calibration(
     right_from_left = None
     if right_matrix is not None:
         right_from_left = np.eye(4)
-        right_from_left[0, 3] = (right_matrix[0, 3] - left_matrix[0, 3]) / left.fx_px
+        right_from_left[0, 3] = (
+            right_matrix[0, 3] * (left_matrix[0, 0] / right_matrix[0, 0]) - left_matrix[0, 3]
+        ) / left.fx_px
     return Calibration(left, right, right_from_left, (x_m, y_m, z_m), notes)
 
 
@@ -134,7 +146,7 @@ def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[
     """The cameras of the images before rectification; None if the file lacks values of the left one.
 
     Raises:
-        RigError: a line has other than its number of numbers.
+        RigError: a line has other than its number of numbers, or is not a plausible image size.
     """
     values: dict[str, FloatArray] = {}
     for name, line in _RAW_LINE.findall(text):
@@ -150,7 +162,7 @@ def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[
         if not all(name in values for name in names):
             break
         size, k, distortion, r, t = (values[name] for name in names)
-        width_px, height_px = (round(side) for side in size.tolist())
+        width_px, height_px = _recorded_size(size, f"{source}: S_0{number}")
         fx_px, fy_px, cx_px, cy_px = k[[0, 4, 2, 5]].tolist()
         cameras.append(PinholeCamera(fx_px, fy_px, cx_px, cy_px, width_px, height_px, tuple(distortion.tolist())))
         motions.append(np.vstack([np.column_stack([r.reshape(3, 3), t]), [0.0, 0.0, 0.0, 1.0]]))
@@ -170,12 +182,29 @@ def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[
     return Calibration(cameras[0], cameras[1], motions[1] @ reference_from_left, notes=(*notes, note))
 
 
+def _recorded_size(size: FloatArray, name: str) -> tuple[int, int]:
+    """(width, height) of the images before rectification.
+
+    Raises:
+        RigError: it is not plausible.
+    """
+    width_px, height_px = (round(side) for side in size.tolist())
+    if not (1 <= width_px <= MAX_SIDE_PX and 1 <= height_px <= MAX_SIDE_PX):
+        raise RigError(
+            f"{name}: expected a width and height of 1 to {MAX_SIDE_PX} px, found {width_px} and {height_px}; correct "
+            "the line."
+        )
+    return width_px, height_px
+
+
 def _missing(text: str, _path: object, is_grey: bool) -> str:
     """The matrix that a file with one camera lacks."""
     if _nameless(text):
         return "a second line of 12 numbers with the projection matrix of the right camera"
     numbers = {int(number) for kind, number, _ in _LINE.findall(text) if kind == "P"}
-    _, right = _GREY if 0 in numbers and (is_grey or 2 not in numbers) else _COLOUR
+    left, right = _GREY if 0 in numbers and (is_grey or 2 not in numbers) else _COLOUR
+    if {left, right} <= numbers:
+        return f"S_0{right}, K_0{right}, D_0{right}, R_0{right} and T_0{right} of the right camera before rectification"
     return f"P{right} of the right camera"
 
 

@@ -149,7 +149,7 @@ def read_folder(folder: Path) -> Calibration:
     cameras = [camera for path, text in texts.items() if _is_camera_info(text) for camera in _cameras(text, path)]
     if len(cameras) != 2:
         raise RigError(
-            f"{folder}: expected a folder with the {_TITLE} of two cameras in YAML, found {len(cameras)}; give a file."
+            f"{folder}: expected a folder with {_TITLE} of two cameras in YAML, found {len(cameras)}; give a file."
         )
     return _pair(cameras[0], cameras[1], folder)
 
@@ -258,7 +258,7 @@ def _missing(_text: str, path: Path, _is_grey: bool) -> str:
     """The file of the other camera, for messages."""
     partner = _SIDE.sub(_other_side, path.name)
     place = "in a second file beside it (left.yaml, right.yaml)" if partner == path.name else f"in {partner} beside it"
-    return f"the {_TITLE} of the other camera {place} or after a line --- in this file"
+    return f"{_TITLE} of the other camera {place} or after a line --- in this file"
 
 
 ROS = RigFormat(

@@ -53,6 +53,16 @@ def test_rig_of_the_user(tmp_path: Path) -> None:
     assert next(read_pairs(tmp_path / "set", rig=tmp_path / "rig.txt")).rig.left.fx_px == 320.0
 
 
+def test_simulated_set_has_its_rig_and_all_classes(tmp_path: Path) -> None:
+    write_set(tmp_path)
+    assert set(next(read_pairs(tmp_path)).class_names) == {"car"}
+    (tmp_path / "calib.txt").rename(tmp_path / "rig.yaml")
+    (tmp_path / "truth.csv").touch()
+    pair = next(read_pairs(tmp_path))
+    assert pair.rig.left.fx_px == FOCAL_PX
+    assert pair.class_names == ()
+
+
 def test_grey_images_and_row_offset(tmp_path: Path) -> None:
     write_set(tmp_path, ("a",))
     plain = next(read_pairs(tmp_path))

@@ -119,6 +119,7 @@ def test_principal_point_check_without_image_size(tmp_path: Path) -> None:
         ("P2: nan 0 640 0 0 1000 360 0 0 0 1 0\n", "projection"),
         (KITTI.replace("-450", "-499950"), "500 m"),
         (KITTI.replace("-450", "50"), "found 0 m"),
+        (KITTI.replace("-450", "50").replace("350 3", "350 -500"), "above"),
         (KITTI.replace("-450", "550"), "swap"),
     ],
 )
@@ -151,6 +152,7 @@ def test_real_lines_without_names(tmp_path: Path, shared_data: Path) -> None:
     [
         (LEFT_LINE, "second line"),
         (LEFT_LINE * 2, "baseline"),
+        (LEFT_LINE + "1000 0 640 0 0 1000 360 -500 0 0 1 0\n", "above"),
         (LEFT_LINE * 3, "found 3"),
         (LEFT_LINE + RIGHT_LINE.replace("640", "x"), "known format"),
         (LEFT_LINE + RIGHT_LINE.replace("640", "6-40"), "6-40"),
@@ -216,7 +218,12 @@ def test_raw_file_by_image_size(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("old", "new", "key_word"),
-    [("K_03: ", "K_03: x ", "K_03"), ("D_02: ", "D_02: 1 ", "found 6"), ("T_03: ", "T_03: 1e99 0 0 #", "T_03")],
+    [
+        ("K_03: ", "K_03: x ", "K_03"),
+        ("D_02: ", "D_02: 1 ", "found 6"),
+        ("T_03: ", "T_03: 1e99 0 0 #", "T_03"),
+        ("S_02: 1.392", "S_02: 0.000", "S_02"),
+    ],
 )
 def test_wrong_raw_files(tmp_path: Path, old: str, new: str, key_word: str) -> None:
     path = written(tmp_path, raw_file(raw_pair()).replace(old, new), "calib_cam_to_cam.txt")

@@ -69,6 +69,12 @@ def test_noticed_errors(alignment: Alignment, state: str) -> None:
     assert health(alignment).is_noticed is (state == "off")
 
 
+def test_unmeasured_errors_are_null() -> None:
+    row = health(Alignment(offset_px=0.5)).to_dict()["distances"][0]
+    assert row["before_pct"] is row["before_left_pct"] is row["before_right_pct"] is None
+    assert row["after_sigma_pct"] > 0
+
+
 def windows(*offsets_px: float, sigma_px: float = 0.03) -> list[Window]:
     return [Window(0, 2.0 * k, 2.0 * k + 1.6, offset, sigma_px) for k, offset in enumerate(offsets_px)]
 

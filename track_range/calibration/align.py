@@ -139,6 +139,8 @@ def _from_drives(settings: AlignmentSettings | RigCheckSettings, progress: StepP
     sources = [(folder / LEFT, folder / RIGHT) for folder in settings.drives]
     sources += [settings.stereo] if settings.stereo else []
     if not sources:
+        if isinstance(settings, RigCheckSettings):
+            raise UsageError("expected a drive: give --stereo LEFT RIGHT or --drive DIR.")
         raise UsageError("expected a drive or a reference: give --stereo LEFT RIGHT, --drive DIR or --reference FILE.")
     with ExitStack() as opened:
         recordings, rigs = [], []
