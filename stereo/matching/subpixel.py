@@ -28,7 +28,7 @@ from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces
 from track_range.stereo.matching.surfaces import centre_weights
 from track_range.stereo.matching.tiles import MARGIN_PX, N_CELLS, BoxTiles, Grey
 
-_N_FIT_ITERATIONS = (2, 4)
+_N_FIT_ITERATIONS = (2, 3)
 """Iterations of the fit of the surface, for each iteration of the least squares on grey values."""
 
 _MAX_STEP_PX = 0.75
