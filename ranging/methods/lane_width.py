@@ -270,7 +270,7 @@ def _width_limits_px(left: LaneLine, right: LaneLine, width: FloatArray) -> tupl
 
 def _create(context: MethodContext) -> Ranger:
     # The scale of an uncalibrated pair comes from object sizes, so it adds nothing to the assumed width.
-    width_from = None if context.focal_sigma else "stereo"
+    width_from = None if context.assumed_rig is not None else "stereo"
     return LaneWidthRanger(context.camera, width_m=context.lane_width_m, width_from=width_from)
 
 

@@ -7,14 +7,20 @@ of the box on the road distinguishes the two. Only classes of objects on the roa
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.ranging.size_models.posterior import IMPOSSIBLE, ground_likelihood, mixture_by_size, on_grid
+from track_range.ranging.size_models.posterior import (
+    IMPOSSIBLE,
+    ground_likelihood,
+    log_evidence,
+    mixture_by_size,
+    on_grid,
+)
 from track_range.ranging.size_models.prior import ShapeTables, SizePrior
 from track_range.ranging.size_models.shared_ground import GroundContacts, GroundPrior
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeClass, SizeRanges
@@ -95,6 +101,21 @@ class CuboidSizes:
         systematic = sigma * np.sqrt(np.maximum(1.0 - by_size.frame_variance / size_sigma**2, 0.0))
         distance_m = np.exp(best)
         return distance_m, distance_m * sigma, distance_m * systematic
+
+    def log_evidence(self, boxes: BoxExtents) -> FloatArray:
+        """(N,) log likelihood of the sizes of boxes over distances, sizes and yaws, up to a constant per box.
+
+        It depends on the focal length through the bearings. All boxes need a class with a prior.
+        """
+        true_class = self._true_class.take(boxes.size_class, axis=1)
+        return log_evidence(self._tables, boxes, true_class, self._log_share.take(boxes.size_class, axis=1))
+
+    def with_flat_distance(self, log_sigma: float) -> CuboidSizes:
+        """The same sizes with the standard deviation `log_sigma` of the log distance of every class."""
+        priors = {
+            name: replace(prior, log_distance=(prior.log_distance[0], log_sigma)) for name, prior in self.priors.items()
+        }
+        return CuboidSizes(priors, self.ground)
 
     def document(self) -> dict[str, Any]:
         """Content of a curve file with this model."""

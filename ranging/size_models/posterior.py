@@ -105,6 +105,13 @@ def mixture_by_size(tables: ShapeTables, boxes: BoxExtents, size_class: IntArray
     )
 
 
+def log_evidence(tables: ShapeTables, boxes: BoxExtents, size_class: IntArray, log_share: FloatArray) -> FloatArray:
+    """(N,) log likelihood of log height and log width of N boxes, up to a constant per box; arguments as above."""
+    log_weight = _terms(tables, boxes, size_class, log_share)[0].astype(np.float64)
+    largest = log_weight.max(axis=0)
+    return np.asarray(largest + np.log(np.exp(log_weight - largest).sum(axis=0)))
+
+
 @dataclass(frozen=True, slots=True)
 class _AtNodes:
     """N boxes relative to their nearest nodes, in single precision.

@@ -37,6 +37,12 @@ class PinholeCamera:
     height_px: int
     distortion: tuple[float, ...] = ()
 
+    @classmethod
+    def of_focal_length(cls, focal_px: float, size_px: tuple[int, int]) -> PinholeCamera:
+        """A camera with square pixels and its principal point at the image centre; `size_px` is (width, height)."""
+        width_px, height_px = size_px
+        return cls(focal_px, focal_px, (width_px - 1) / 2, (height_px - 1) / 2, width_px, height_px)
+
     @property
     def matrix(self) -> FloatArray:
         """(3, 3) camera matrix K."""

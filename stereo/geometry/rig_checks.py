@@ -15,6 +15,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted, shortened
 from track_range.foundation.validation import Integer
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rig import RigError, StereoRig
 
 BASELINE_M = (0.01, 5.0)
@@ -78,6 +79,7 @@ class Calibration:
         left_from_reference_m: (3,) translation from the frame of the data set's labels to the left camera's frame;
             zeros except for KITTI.
         notes: messages for the user.
+        mounting: height and pitch of a single camera, and the uncertainty of its focal length; None = unknown.
         unrectified: the cameras of the images before their rectification, if the file has both and they differ in
             size; the image size decides.
     """
@@ -88,6 +90,7 @@ class Calibration:
     left_from_reference_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: tuple[str, ...] = ()
     unrectified: Calibration | None = None
+    mounting: Mounting | None = None
 
     def of_size(self, size_px: tuple[int, int] | None) -> Calibration:
         """The cameras of images of `size_px` = (width, height): as recorded or rectified; None = rectified."""

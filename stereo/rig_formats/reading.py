@@ -10,6 +10,7 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import read_text
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import (
     Calibration,
@@ -135,6 +136,15 @@ def left_from_reference_m(path: Path, *, is_grey: bool, size_px: tuple[int, int]
     """
     calibration = _read(path, is_grey=is_grey, is_pair=False).of_size(size_px)
     return np.array(calibration.left_from_reference_m)
+
+
+def mounting_of(path: Path) -> Mounting | None:
+    """Height and pitch of the single camera of a file, and the uncertainty of its focal length; None = not in it.
+
+    Raises:
+        RigError: the file cannot be read or is not a calibration.
+    """
+    return _read(path, is_grey=False, is_pair=False).mounting
 
 
 def find_rig(left_video: Path) -> Path | None:

@@ -6,11 +6,16 @@ Keys contain their unit; a file for one camera has only `left`; distortion is Op
     left: {fx_px: 721.5, fy_px: 721.5, cx_px: 609.6, cy_px: 172.9, width_px: 1242, height_px: 375, distortion: []}
     right: {...}
     right_from_left: {rotation: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], translation_m: [-0.54, 0, 0]}
+
+A camera that was calibrated from the road has the uncertainty of its focal length, and its height and pitch:
+
+    mounting: {focal_sigma: 0.04, camera_height_m: 1.42, camera_height_sigma_m: 0.05, pitch_deg: 1.1, ...}
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -21,6 +26,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.structured_text import parse_yaml, yaml_text
 from track_range.foundation.validation import Number, PositiveNumber, Version1, validated
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import Calibration, ImageSide, check_camera, check_rig
 from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
@@ -59,12 +65,22 @@ class _MotionFile(BaseModel):
         return motion
 
 
+class _MountingFile(BaseModel):
+    model_config = _Strict
+    focal_sigma: Annotated[Number, Field(ge=0, le=1)]
+    camera_height_m: Annotated[Number, Field(gt=0, le=10)]
+    camera_height_sigma_m: Annotated[Number, Field(ge=0, le=10)]
+    pitch_deg: Annotated[Number, Field(ge=-90, le=90)]
+    pitch_sigma_deg: Annotated[Number, Field(ge=0, le=90)]
+
+
 class _RigFile(BaseModel):
     model_config = _Strict
     track_range_rig: Version1
     left: _CameraFile
     right: _CameraFile | None = None
     right_from_left: _MotionFile | None = None
+    mounting: _MountingFile | None = None
 
 
 def save_rig(rig: StereoRig, path: Path, *, comments: Sequence[str] = ()) -> None:
@@ -87,14 +103,21 @@ def save_rig(rig: StereoRig, path: Path, *, comments: Sequence[str] = ()) -> Non
     write_rig_text(path, _commented(comments) + _yaml(content))
 
 
-def save_camera(camera: PinholeCamera, path: Path, *, comments: Sequence[str] = ()) -> None:
+def save_camera(
+    camera: PinholeCamera, path: Path, *, comments: Sequence[str] = (), mounting: Mounting | None = None
+) -> None:
     """Write one camera as rig.yaml, with `comments` as its first lines; a calibration for --mono.
+
+    `mounting` is stored too, if it is given.
 
     Raises:
         RigError: the camera is implausible, or the file cannot be written.
     """
     check_camera(camera, path)
-    write_rig_text(path, _commented(comments) + _yaml({"track_range_rig": VERSION, "left": _camera_content(camera)}))
+    content: dict[str, object] = {"track_range_rig": VERSION, "left": _camera_content(camera)}
+    if mounting is not None:
+        content["mounting"] = asdict(mounting)
+    write_rig_text(path, _commented(comments) + _yaml(content))
 
 
 def _write(cameras: StereoRig | PinholeCamera, path: Path, comments: Sequence[str]) -> None:
@@ -128,7 +151,8 @@ def _read(text: str, path: Path, _is_grey: bool) -> Calibration:
     rig = validated(_RigFile, parse_yaml(text, path, RigError, "a rig"), path, RigError)
     left = rig.left.camera()
     if rig.right is None or rig.right_from_left is None:
-        return Calibration(left, None, None)
+        mounting = None if rig.mounting is None else Mounting(**rig.mounting.model_dump())
+        return Calibration(left, None, None, mounting=mounting)
     return Calibration(left, rig.right.camera(), rig.right_from_left.matrix())
 
 

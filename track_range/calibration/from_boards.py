@@ -137,6 +137,8 @@ def _sources(settings: CalibrationSettings) -> tuple[str, ...]:
 
 
 def _board(settings: CalibrationSettings) -> Board:
+    if settings.board is None:
+        raise UsageError("expected --board, such as 9x6; without a board, give one camera with --mono.")
     try:
         return board_of(settings.board, settings.square_mm)
     except ValueError as error:

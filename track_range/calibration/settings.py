@@ -7,6 +7,9 @@ from typing import Annotated
 
 from track_range.foundation.options import Options, option
 
+_ROAD = "Without a board"
+"""Heading of the options of the calibration from a drive."""
+
 OFF, LEAVE_TWO_OUT = "off", "leave-two-out"
 """Values of --align that name no file."""
 
@@ -16,7 +19,11 @@ class CalibrationSettings(Options):
 
     mono: Annotated[
         str | None,
-        option("Images of one camera: a pattern in quotes ('boards/*.jpg'), a folder, or a video.", metavar="IMAGES"),
+        option(
+            "Images of one camera: a pattern in quotes ('boards/*.jpg'), a folder, or a video; without --board, those "
+            "of a drive.",
+            metavar="IMAGES",
+        ),
     ] = None
     stereo: Annotated[
         tuple[str, str] | None,
@@ -25,13 +32,13 @@ class CalibrationSettings(Options):
         ),
     ] = None
     board: Annotated[
-        str,
+        str | None,
         option(
             "Board: COLUMNSxROWS inner corners of a chessboard, such as 9x6, or a ChArUco board with COLUMNSxROWS "
             "squares, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM[:DICTIONARY].",
             metavar="BOARD",
         ),
-    ]
+    ] = None
     square_mm: Annotated[float | None, option("Side length of the chessboard's squares in mm.", metavar="MM")] = None
     lens_terms: Annotated[
         int,
@@ -46,6 +53,59 @@ class CalibrationSettings(Options):
         option("Picture of the residuals and the image coverage (default: beside --out).", metavar="FILE.png"),
     ] = None
     json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
+    known_distance: Annotated[
+        tuple[str, ...],
+        option(
+            "Known distance of an object, along the camera's axis to its nearest surface, with its box in pixels of "
+            "the video T_S seconds after the start: 'T_S,X1,Y1,X2,Y2=12.4'; with a class behind Y2 if the detector "
+            "does not know it, 'T_S,X1,Y1,X2,Y2,van=12.4'. Repeat for more.",
+            metavar="BOX=M",
+            panel=_ROAD,
+            is_repeated=True,
+        ),
+    ] = ()
+    known_height: Annotated[
+        tuple[str, ...],
+        option("Known height of an object, with its box as above.", metavar="BOX=M", panel=_ROAD, is_repeated=True),
+    ] = ()
+    known_width: Annotated[
+        tuple[str, ...],
+        option(
+            "Known width of an object seen from behind or the front, with its box as above.",
+            metavar="BOX=M",
+            panel=_ROAD,
+            is_repeated=True,
+        ),
+    ] = ()
+    known_lane_width: Annotated[
+        tuple[str, ...],
+        option(
+            "Known distance between two lane lines, with their columns in one row: 'T_S,X1,X2,Y=3.5'.",
+            metavar="ROW=M",
+            panel=_ROAD,
+            is_repeated=True,
+        ),
+    ] = ()
+    camera_height_m: Annotated[
+        float | None,
+        option("Measured height of the camera above the road in m.", metavar="M", panel=_ROAD, gt=0.2, le=5),
+    ] = None
+    camera_model: Annotated[
+        str | None,
+        option("Camera model with a published field of view, such as 'comma EON'.", metavar="NAME", panel=_ROAD),
+    ] = None
+    detector: Annotated[
+        str | None,
+        option("Detector of the road users, a name or an ONNX file (default: the packaged one).", panel=_ROAD),
+    ] = None
+    curves: Annotated[
+        Path | None, option("Size curves, written by `track-range fit` (default: the packaged ones).", panel=_ROAD)
+    ] = None
+
+    @property
+    def is_from_road(self) -> bool:
+        """Whether one camera is calibrated from a drive, instead of images of a board."""
+        return self.board is None and self.stereo is None
 
 
 class AlignmentSettings(Options):

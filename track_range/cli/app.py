@@ -62,13 +62,16 @@ COMMANDS = {
     ),
     "calibrate": Lazy(
         "track_range.cli.commands.calibrate",
-        "Calibrate a camera or a stereo pair from images of a board.",
+        "Calibrate a camera or a stereo pair from images of a board, or a camera from its drives.",
         "The board is a chessboard or a ChArUco board. Prints the residual of every view and the standard deviation of "
-        "every parameter (jackknife over views).",
+        "every parameter (jackknife over views). Without a board, the focal length, height and pitch of one camera are "
+        "fitted to distances and sizes that you know, and to the road users in its video.",
         (
             "track-range calibrate --stereo 'left*.jpg' 'right*.jpg' --board 9x6 \\\n"
             "      --square-mm 40 --out rig.yaml",
             "track-range calibrate --mono boards/ --board charuco:11x8:30:22 --out rig.yaml",
+            "track-range calibrate --mono drive.mp4 \\\n"
+            "      --known-distance '3.2,610,340,702,415=12.4' --out rig.yaml",
         ),
     ),
     "rig": Lazy(

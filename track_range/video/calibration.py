@@ -13,16 +13,20 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import ImageView
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera, check_rig, fitted_to_size
 from track_range.stereo.rig_formats.camera_info import camera_of, is_undistorted, rig_of
-from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_camera, load_rig
+from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_camera, load_rig, mounting_of
 from track_range.video.inputs import Inputs
 from track_range.video.names import VideoName, files_of
 from track_range.video.pairs.auto_alignment import PairAlignment
 from track_range.video.pairs.uncalibrated import ASSUMED_BASELINE_M, UncalibratedPair, camera_of_focal_length
 from track_range.video.reader import VideoReader
+
+_MAX_HEIGHT_SIGMA = 0.05
+"""Relative standard deviation of a fitted camera height up to which it is used as known."""
 
 CalibrationKind = Literal["rig", "focal length", "estimated"]
 """Source of the metric scale: a file, a given focal length, or the sizes of road users."""
@@ -44,6 +48,8 @@ class Calibration:
         search_notes: the sentence that names the file if it was not given but found.
         alignment: disparity correction of a calibrated pair.
         uncalibrated: assumptions about a pair without calibration.
+        mounting: height and pitch of a camera that was calibrated from the road, and the uncertainty of its focal
+            length; None = unknown.
     """
 
     kind: CalibrationKind
@@ -57,6 +63,22 @@ class Calibration:
     search_notes: tuple[str, ...] = ()
     alignment: PairAlignment | None = None
     uncalibrated: UncalibratedPair | None = None
+    mounting: Mounting | None = None
+
+    @property
+    def focal_sigma(self) -> float:
+        """Relative standard deviation of the focal length, which all distances share; 0 = calibrated."""
+        if self.uncalibrated is not None:
+            return self.uncalibrated.focal_sigma
+        return 0.0 if self.mounting is None else self.mounting.focal_sigma
+
+    @property
+    def camera_height_m(self) -> float | None:
+        """Height of the camera above the road in its calibration, if that determines it; None = unknown."""
+        mounting = self.mounting
+        if mounting is None or mounting.camera_height_sigma_m > _MAX_HEIGHT_SIGMA * mounting.camera_height_m:
+            return None
+        return mounting.camera_height_m
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -194,6 +216,7 @@ def _loaded_camera(path: Path, inputs: Inputs) -> Calibration:
         path=path,
         left_from_reference_m=left_from_reference_m(path, is_grey=is_grey, size_px=inputs.size_px),
         file_notes=notes,
+        mounting=mounting_of(path),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
 
@@ -102,6 +102,11 @@ class VideoReader:
             return ()
         duration_s = (self._source.n_frames or 0) / self.fps if self.fps else 0.0
         return (VideoPart(Path(self._source.path), 0.0, duration_s, self.utc),)
+
+    @property
+    def metadata(self) -> Mapping[str, str]:
+        """Tags in the header of a single video file, and of its video stream; empty for other recordings."""
+        return self._source.metadata if isinstance(self._source, VideoFile) else {}
 
     @property
     def utc(self) -> UtcStart | None:

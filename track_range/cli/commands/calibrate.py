@@ -1,4 +1,4 @@
-"""`track-range calibrate`: calibrates a camera or a stereo pair from images of a board."""
+"""`track-range calibrate`: calibrates a camera or a stereo pair from images of a board, or one camera from a drive."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.foundation.errors import UsageError
-from track_range.report.tables import Column, grid_of
+from track_range.report.tables import SIGMA, Column, grid_of
 from track_range.run.progress import step_progress
 from track_range.stereo.calibration.board_views import RejectedView
 from track_range.stereo.calibration.coverage import view_shape
@@ -25,6 +25,9 @@ _N_COEFFICIENTS = (0, 4, 5, 8)
 
 
 def _calibrate(settings: CalibrationSettings) -> None:
+    if settings.is_from_road:
+        _calibrate_on_road(settings)
+        return
     if settings.lens_terms not in _N_COEFFICIENTS:
         numbers = ", ".join(map(str, _N_COEFFICIENTS))
         raise UsageError(f"--lens-terms {settings.lens_terms}: expected one of {numbers}.")
@@ -40,6 +43,32 @@ def _calibrate(settings: CalibrationSettings) -> None:
     print_line(console, "± = standard deviation (jackknife over views).")
     for warning in calibration.warnings:
         print_line(console, f"Warning: {warning}")
+    print_line(console, f"Written: {', '.join(map(str, calibration.save(settings)))}.")
+
+
+def _calibrate_on_road(settings: CalibrationSettings) -> None:
+    from track_range.calibration.road.from_road import Detect, calibrate_on_road
+    from track_range.detection.models.lookup import DEFAULT_MODEL
+    from track_range.run.options.detector_options import DetectorOptions, open_detector
+    from track_range.run.ready_model import ready_model
+
+    def open_detect() -> Detect:
+        path = ready_model(settings.detector or DEFAULT_MODEL, console)
+        network = open_detector(path, DetectorOptions())
+        return lambda frame: network.detect(frame.left)
+
+    calibration = calibrate_on_road(settings, open_detect, partial(step_progress, console))
+    print_line(console, f"{calibration.n_frames} frames of the video, {calibration.by_shape.n_tracks} vehicles.")
+    residuals = calibration.fit.residuals
+    if residuals:
+        columns = [
+            Column("measured - fitted", [residual.value for residual in residuals], "{:+.1f}"),
+            Column(SIGMA, [residual.sigma for residual in residuals], "{:.1f}"),
+        ]
+        names = [f"{residual.name}: {residual.kind}, {residual.unit}" for residual in residuals]
+        print_grid(console, grid_of("Residuals", "measurement", names, columns))
+    for sentence in (*calibration.sentences, *calibration.notes):
+        print_line(console, sentence)
     print_line(console, f"Written: {', '.join(map(str, calibration.save(settings)))}.")
 
 

@@ -97,7 +97,8 @@ class VideoFile:
                 f"{MAX_PIXELS // 10**6} megapixels."
             )
         self.first_time_s = self._first.time_s
-        self._stamps = stamp_in_header({**container.metadata, **stream.metadata}), stamp_in_name(path.name)
+        self.metadata = {**container.metadata, **stream.metadata}
+        self._stamps = stamp_in_header(self.metadata), stamp_in_name(path.name)
 
         declared_s, is_end = _declared_duration_s(container, stream)
         self._declared_end_s = declared_s if is_end else self.first_time_s + declared_s

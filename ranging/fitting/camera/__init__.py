@@ -1,0 +1,1 @@
+"""Focal length, height and pitch of one camera from known distances and sizes in its video."""

@@ -1,0 +1,435 @@
+r"""CameraFit: focal length, camera height, pitch and roll from known metres, by Bayesian non-linear least squares.
+
+    theta = (log f, log H, y0, r, b)     f: focal length in px, H: height of the camera above the road in m,
+                                         y0: row of the horizon below the image centre in px, pitch = atan(y0 / f) down,
+                                         r: slope of the horizon (tangent of the roll), b: log ratio of the sizes of
+                                         this drive's road users to those of the size model
+
+Residuals, each divided by its standard deviation (u, v: column and row from the image centre, box w x h px):
+
+    known distance Z, by size         log D(f) - log Z + b             D(f): distance by the size model, ~ f S / h
+    known distance Z, on the road     v - y0 - r u - f H / Z'          Z' = Z - offset of the contact point
+    known height or width S           v - y0 - r u - H s / S           s = h or w
+    the same with a known distance    log(s Z / (f S))
+    lane of width W in a row          v - y0 - r u - H w / W
+    horizon in a row                  v - y0                           lane lines, direction of travel
+    other road users                  v - y0 - r u - H e^-b f / D'(f)  Cauchy's loss; D' = D(f) - offset
+    priors                            f (focal_evidence), H, y0, r, b
+
+Sizes with contact points give H and y0, but not f: scaling f and all distances alike leaves all images of flat objects
+unchanged. Known distances and the prior of f separate the two. The covariance is (J'J)^-1 at the solution (Laplace's
+approximation).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.ranging.fitting.camera.measurements import (
+    FocalGuess,
+    HorizonRow,
+    KnownLane,
+    KnownObject,
+    SceneBoxes,
+)
+from track_range.ranging.size_models.size_model import (
+    BORDER_PX,
+    SIZE_CLASSES,
+    BoxNoise,
+    SizeModel,
+    measured_boxes,
+)
+from track_range.ranging.size_models.surface_offset import surface_offset_m
+from track_range.stereo.geometry.camera import PinholeCamera
+
+_Real = TypeVar("_Real", float, FloatArray)
+
+PARAMETERS = ("focal length", "camera height", "horizon", "roll", "size ratio")
+"""Names of the parameters theta, in their order."""
+
+_LOG_F, _LOG_H, _Y0, _ROLL, _SIZE = range(len(PARAMETERS))
+
+HEIGHT_M, HEIGHT_SIGMA = 1.5, 0.2
+"""Prior of the camera height, and its relative standard deviation: 1.2 m (cars) to 1.9 m (vans)."""
+
+PITCH_SIGMA_RAD = 0.07
+"""Prior standard deviation of the pitch of the camera, 4 degrees."""
+
+_ROLL_SIGMA = 0.02
+"""Prior standard deviation of the tangent of the roll."""
+
+_SIZE_SIGMA = 0.04
+"""Standard deviation of the log ratio of the sizes of one street's road users to those of the size model, of KITTI's
+drives."""
+
+_PICKED_EDGE_PX = 1.5
+"""Standard deviation of an edge of a box drawn by hand."""
+
+_SHAPE_SIGMA = 0.015
+"""Relative standard deviation of the ratio of a box to a known height or width: objects are not flat."""
+
+_PITCHING_RAD = 0.004
+"""Standard deviation of pitch and slope of the road at one time about those of the drive."""
+
+_KERB_M = 0.1
+"""Standard deviation of the height of contact points above the road."""
+
+_VIEWS_PER_TRACK = 1.5
+"""Number of independent views that the views of one object count as at most."""
+
+_CAUCHY = 2.0
+"""Scale of Cauchy's loss of other road users, in standard deviations."""
+
+_STANDS = np.isin(SIZE_CLASSES, ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van"))
+"""(size classes,) whether objects of the class are on the road."""
+
+_MIN_HEIGHT_PX = 12.0
+"""Height of a box of the scene below which it is not used."""
+
+_N_REWEIGHTS = 2
+"""Number of fits with updated standard deviations of the scene."""
+
+_MAX_SLOPE_RATIO = 2.0
+"""Largest factor between the nearness by size and by the fitted road in these standard deviations."""
+
+_N_GRID = 13
+"""Number of focal lengths at which distances by size are computed, for interpolation."""
+
+_GRID_LOG_SPAN = 0.7
+"""Half width of the grid of log f."""
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """Difference of one measurement from the fitted camera.
+
+    Attributes:
+        name: the measurement.
+        kind: the equation, in words.
+        value: measured minus fitted, in `unit`.
+        sigma: its standard deviation.
+        unit: "%" or "px".
+    """
+
+    name: str
+    kind: str
+    value: float
+    sigma: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFit:
+    """A fitted camera.
+
+    Attributes:
+        camera: its model, without distortion.
+        theta: (5,) parameters.
+        covariance: (5, 5) their covariance.
+        prior_sigma: (5,) standard deviations of the priors.
+        residuals: residuals of the user's measurements and the horizon rows.
+    """
+
+    camera: PinholeCamera
+    theta: FloatArray
+    covariance: FloatArray
+    prior_sigma: FloatArray
+    residuals: tuple[Residual, ...] = field(default=())
+
+    @property
+    def focal_sigma(self) -> float:
+        """Relative standard deviation of the focal length."""
+        return self._sigma(_LOG_F)
+
+    @property
+    def height_m(self) -> float:
+        """Height of the camera above the road."""
+        return math.exp(self.theta[_LOG_H])
+
+    @property
+    def height_sigma_m(self) -> float:
+        """Standard deviation of `height_m`."""
+        return self.height_m * self._sigma(_LOG_H)
+
+    @property
+    def pitch_rad(self) -> float:
+        """Angle of the camera's axis below the horizon: positive = the horizon is above the image centre."""
+        return -math.atan(self.theta[_Y0] / self.camera.fy_px)
+
+    @property
+    def pitch_sigma_rad(self) -> float:
+        """Standard deviation of `pitch_rad`."""
+        return self._sigma(_Y0) / self.camera.fy_px
+
+    @property
+    def roll_rad(self) -> float:
+        """Slope of the horizon, positive = falling to the right."""
+        return math.atan(self.theta[_ROLL])
+
+    @property
+    def roll_sigma_rad(self) -> float:
+        """Standard deviation of `roll_rad`."""
+        return self._sigma(_ROLL)
+
+    def correlation(self, one: str, other: str) -> float:
+        """Correlation of two parameters by their names in `PARAMETERS`."""
+        i, j = PARAMETERS.index(one), PARAMETERS.index(other)
+        return float(self.covariance[i, j] / math.sqrt(self.covariance[i, i] * self.covariance[j, j]))
+
+    def gain(self, name: str) -> float:
+        """Standard deviation of a parameter divided by that of its prior: 1 = the measurements do not determine it."""
+        i = PARAMETERS.index(name)
+        return self._sigma(i) / float(self.prior_sigma[i])
+
+    @property
+    def product_sigma(self) -> float:
+        """Relative standard deviation of the product of focal length and camera height."""
+        part = self.covariance[:2, :2]
+        return float(np.sqrt(part.sum()))
+
+    def _sigma(self, index: int) -> float:
+        return math.sqrt(self.covariance[index, index])
+
+
+@dataclass(frozen=True, slots=True)
+class _BySize:
+    """Log distance of N boxes by size as a function of log f.
+
+    Attributes:
+        log_f: (G,) grid.
+        log_m: (G, N) log distance.
+        sigma: (N,) standard deviation of log distance.
+    """
+
+    log_f: FloatArray
+    log_m: FloatArray
+    sigma: FloatArray
+
+    def at(self, log_f: float) -> FloatArray:
+        """(N,) log distance with the focal length exp(log_f), extrapolated in proportion to f."""
+        inside = min(max(log_f, self.log_f[0]), self.log_f[-1])
+        place = (inside - self.log_f[0]) / (self.log_f[1] - self.log_f[0])
+        k = min(int(place), len(self.log_f) - 2)
+        part = place - k
+        return np.asarray((1 - part) * self.log_m[k] + part * self.log_m[k + 1] + (log_f - inside))
+
+
+def fit_camera(
+    size_px: tuple[int, int],
+    focal: FocalGuess,
+    sizes: SizeModel,
+    *,
+    objects: Sequence[KnownObject] = (),
+    lanes: Sequence[KnownLane] = (),
+    horizon: Sequence[HorizonRow] = (),
+    scene: SceneBoxes | None = None,
+    scene_noise: float = BoxNoise().relative,
+    height: tuple[float, float] = (HEIGHT_M, HEIGHT_SIGMA * HEIGHT_M),
+) -> CameraFit:
+    """The camera that agrees best with all measurements.
+
+    Args:
+        size_px: (width, height) of the images.
+        focal: prior of the focal length.
+        sizes: sizes of road users.
+        objects: objects with known metres.
+        lanes: lanes of known width.
+        horizon: rows of the horizon.
+        scene: boxes of other road users; None = none.
+        scene_noise: standard deviation of their edges, as a fraction of their size.
+        height: camera height in m and its standard deviation.
+    """
+    terms = _Terms(size_px, focal, sizes, objects, lanes, horizon, scene or SceneBoxes(), scene_noise, height)
+    fit = least_squares(terms.residuals, terms.prior_mean, x_scale=terms.prior_sigma)
+    for _ in range(_N_REWEIGHTS):
+        terms.reweight(fit.x)
+        fit = least_squares(terms.residuals, fit.x, x_scale=terms.prior_sigma)
+    jacobian = np.asarray(fit.jac, np.float64)
+    covariance: FloatArray = np.asarray(np.linalg.inv(jacobian.T @ jacobian), np.float64)
+    return CameraFit(
+        camera=PinholeCamera.of_focal_length(math.exp(fit.x[_LOG_F]), size_px),
+        theta=fit.x,
+        covariance=covariance,
+        prior_sigma=terms.prior_sigma,
+        residuals=terms.table(fit.x),
+    )
+
+
+class _Terms:
+    """All residuals as functions of theta."""
+
+    def __init__(
+        self,
+        size_px: tuple[int, int],
+        focal: FocalGuess,
+        sizes: SizeModel,
+        objects: Sequence[KnownObject],
+        lanes: Sequence[KnownLane],
+        horizon: Sequence[HorizonRow],
+        scene: SceneBoxes,
+        scene_noise: float,
+        height: tuple[float, float],
+    ) -> None:
+        self._size_px, self._centre_px = size_px, ((size_px[0] - 1) / 2, (size_px[1] - 1) / 2)
+        self._objects, self._lanes, self._horizon = tuple(objects), tuple(lanes), tuple(horizon)
+        height_m, height_sigma_m = height
+        self.prior_mean = np.array([math.log(focal.focal_px), math.log(height_m), 0.0, 0.0, 0.0])
+        self.prior_sigma = np.array(
+            [focal.sigma, height_sigma_m / height_m, PITCH_SIGMA_RAD * focal.focal_px, _ROLL_SIGMA, _SIZE_SIGMA]
+        )
+        grid = math.log(focal.focal_px) + np.linspace(-_GRID_LOG_SPAN, _GRID_LOG_SPAN, _N_GRID)
+        boxes = np.array([known.xyxy_px for known in objects]).reshape(-1, 4)
+        classes = np.array([known.size_class for known in objects], np.int64)
+        noise = BoxNoise(_PICKED_EDGE_PX, 0.0, 0.0)
+        self._known_by_size = _by_size(boxes, classes, grid, size_px, sizes, noise)
+        self._offset_m = surface_offset_m(boxes, classes)
+        scene = scene.select(_is_on_road(scene, size_px))
+        by_size = _by_size(scene.xyxy_px, scene.size_class, grid, size_px, sizes, BoxNoise(relative=scene_noise))
+        rows = np.flatnonzero(np.isfinite(by_size.log_m).all(axis=0))
+        self._scene = scene.select(rows)
+        self._scene_by_size = _BySize(by_size.log_f, by_size.log_m[:, rows], by_size.sigma[rows])
+        self._scene_offset_m = surface_offset_m(self._scene.xyxy_px, self._scene.size_class)
+        size_of_boxes_px = self._scene.xyxy_px[:, 2:] - self._scene.xyxy_px[:, :2]
+        self._scene_edge_px = BoxNoise(relative=scene_noise).sigma_px(size_of_boxes_px, self._scene.size_class)[:, 1]
+        self._scene_sigma_px = self._sigma_of_scene(self.prior_mean, self._scene_slope(self.prior_mean))
+        self._scene_weight = np.sqrt(np.minimum(1.0, _VIEWS_PER_TRACK / self._scene.views))
+
+    def residuals(self, theta: FloatArray) -> FloatArray:
+        """(M,) all residuals in standard deviations."""
+        priors = (theta - self.prior_mean) / self.prior_sigma
+        known = [residual.value / residual.sigma for residual in self.table(theta)]
+        return np.concatenate([priors, known, self._of_scene(theta)])
+
+    def table(self, theta: FloatArray) -> tuple[Residual, ...]:
+        """Residuals of the user's measurements and the horizon rows."""
+        rows = [row for k, known in enumerate(self._objects) for row in self._of_object(theta, k, known)]
+        rows += [self._of_lane(theta, lane) for lane in self._lanes]
+        for row in self._horizon:
+            fitted_px = self._centre_px[1] + theta[_Y0]
+            rows.append(Residual(row.source, "row of the horizon", row.y_px - fitted_px, row.sigma_px, "px"))
+        return tuple(rows)
+
+    def _of_object(self, theta: FloatArray, k: int, known: KnownObject) -> list[Residual]:
+        log_f, log_h, *_, size_ratio = theta.tolist()
+        x1, _, x2, y2 = known.xyxy_px
+        w, h = x2 - x1, y2 - known.xyxy_px[1]
+        below_px = self._below_horizon(theta, (x1 + x2) / 2, y2)
+        is_standing = bool(_STANDS[known.size_class]) and y2 < self._size_px[1] - 1 - BORDER_PX
+        rows = []
+        if math.isfinite(known.distance_m):
+            log_m, sigma = float(self._known_by_size.at(log_f)[k]), float(self._known_by_size.sigma[k])
+            if math.isfinite(log_m) and not (math.isfinite(known.height_m) or math.isfinite(known.width_m)):
+                value = log_m - math.log(known.distance_m) + size_ratio
+                sigma = math.hypot(sigma, known.relative_sigma)
+                rows.append(
+                    Residual(known.name, f"size of a {SIZE_CLASSES[known.size_class]}", 100 * value, 100 * sigma, "%")
+                )
+            if is_standing and known.distance_m > 2 * self._offset_m[k]:
+                slope = math.exp(log_f) / (known.distance_m - float(self._offset_m[k]))
+                value = below_px - math.exp(log_h) * slope
+                rows.append(
+                    Residual(known.name, "bottom edge on the road", value, self._row_sigma(theta, slope, known), "px")
+                )
+        for side_px, side_m, name in ((h, known.height_m, "height"), (w, known.width_m, "width")):
+            if not math.isfinite(side_m):
+                continue
+            side_sigma = math.hypot(_SHAPE_SIGMA, known.relative_sigma, math.sqrt(2) * _PICKED_EDGE_PX / side_px)
+            if math.isfinite(known.distance_m):
+                value = math.log(side_px * known.distance_m / (math.exp(log_f) * side_m))
+                rows.append(Residual(known.name, f"known {name}", 100 * value, 100 * side_sigma, "%"))
+            if is_standing:
+                slope = side_px / side_m
+                value = below_px - math.exp(log_h) * slope
+                sigma = math.hypot(self._row_sigma(theta, slope, known), math.exp(log_h) * slope * side_sigma)
+                rows.append(Residual(known.name, f"bottom edge with the known {name}", value, sigma, "px"))
+        return rows
+
+    def _of_lane(self, theta: FloatArray, lane: KnownLane) -> Residual:
+        w = abs(lane.x2_px - lane.x1_px)
+        slope = w / lane.width_m
+        drop_px = math.exp(theta[_LOG_H]) * slope
+        value = self._below_horizon(theta, (lane.x1_px + lane.x2_px) / 2, lane.y_px) - drop_px
+        share = math.hypot(lane.relative_sigma, math.sqrt(2) * _PICKED_EDGE_PX / w)
+        sigma = math.hypot(_PITCHING_RAD * math.exp(theta[_LOG_F]), _PICKED_EDGE_PX, drop_px * share)
+        return Residual(lane.name, "width of the lane", value, sigma, "px")
+
+    def reweight(self, theta: FloatArray) -> None:
+        """Compute the standard deviations of the scene's residuals from the fitted distances.
+
+        Those by size are noisy, and weights that depend on the noise would prefer boxes that are too small.
+        """
+        x1, _, x2, y2 = self._scene.xyxy_px.T
+        observed = self._scene_slope(theta)
+        fitted = self._below_horizon(theta, (x1 + x2) / 2, y2) / math.exp(theta[_LOG_H])
+        slope = np.clip(fitted, observed / _MAX_SLOPE_RATIO, observed * _MAX_SLOPE_RATIO)
+        self._scene_sigma_px = self._sigma_of_scene(theta, slope)
+
+    def _of_scene(self, theta: FloatArray) -> FloatArray:
+        """(N,) residuals of the bottom edges of other road users."""
+        x1, _, x2, y2 = self._scene.xyxy_px.T
+        below_px = self._below_horizon(theta, (x1 + x2) / 2, y2)
+        residual = (below_px - math.exp(theta[_LOG_H]) * self._scene_slope(theta)) / self._scene_sigma_px
+        robust = _CAUCHY * np.sqrt(np.log1p((residual / _CAUCHY) ** 2)) * np.sign(residual)
+        return np.asarray(self._scene_weight * robust)
+
+    def _scene_slope(self, theta: FloatArray) -> FloatArray:
+        """(N,) f / Z' in px/m of other road users, with Z' by size."""
+        distance_m = np.exp(self._scene_by_size.at(theta[_LOG_F]) + theta[_SIZE]) - self._scene_offset_m
+        return np.asarray(math.exp(theta[_LOG_F]) / np.maximum(distance_m, 1.0))
+
+    def _sigma_of_scene(self, theta: FloatArray, slope: FloatArray) -> FloatArray:
+        """(N,) standard deviations in px of the bottom edges of other road users about the road."""
+        by_size_px = math.exp(theta[_LOG_H]) * slope * self._scene_by_size.sigma
+        pitching_px = _PITCHING_RAD * math.exp(theta[_LOG_F])
+        return np.asarray(np.sqrt(by_size_px**2 + pitching_px**2 + (_KERB_M * slope) ** 2 + self._scene_edge_px**2))
+
+    def _below_horizon(self, theta: FloatArray, x_px: _Real, y_px: _Real) -> _Real:
+        """Rows below the horizon, of columns and rows of the image."""
+        y0, roll = float(theta[_Y0]), float(theta[_ROLL])
+        return y_px - (self._centre_px[1] + y0) - (x_px - self._centre_px[0]) * roll
+
+    def _row_sigma(self, theta: FloatArray, slope: float, known: KnownObject) -> float:
+        """Standard deviation in px of a bottom edge about the road, for `slope` = f / Z in px/m."""
+        pitching_px = _PITCHING_RAD * math.exp(theta[_LOG_F])
+        tape_px = known.relative_sigma * math.exp(theta[_LOG_H]) * slope
+        return math.hypot(pitching_px, _PICKED_EDGE_PX, _KERB_M * slope, tape_px)
+
+
+def _is_on_road(boxes: SceneBoxes, size_px: tuple[int, int]) -> BoolArray:
+    """(N,) whether boxes are whole, high enough, and of objects on the road."""
+    x1, y1, x2, y2 = boxes.xyxy_px.T
+    is_inside = (x1 >= BORDER_PX) & (y1 >= BORDER_PX) & (x2 <= size_px[0] - 1 - BORDER_PX)
+    is_inside &= y2 <= size_px[1] - 1 - BORDER_PX
+    return np.asarray(is_inside & (y2 - y1 >= _MIN_HEIGHT_PX) & _STANDS[boxes.size_class])
+
+
+def _by_size(
+    xyxy_px: FloatArray,
+    size_class: IntArray,
+    log_f: FloatArray,
+    size_px: tuple[int, int],
+    sizes: SizeModel,
+    noise: BoxNoise,
+) -> _BySize:
+    """Distances of N boxes by size alone, without the ground, at the focal lengths of a grid; NaN without a model."""
+    n = len(xyxy_px)
+    if not n:
+        return _BySize(log_f, np.zeros((len(log_f), 0)), np.zeros(0))
+    first_px, last_px = BORDER_PX - 0.5, size_px[0] - 0.5 - BORDER_PX
+    uses = (xyxy_px[:, 0] >= first_px) & (xyxy_px[:, 2] <= last_px), np.zeros(n, np.bool_)
+    log_m, sigma = np.full((len(log_f), n), np.nan), np.zeros(n)
+    for k, value in enumerate(log_f):
+        camera = PinholeCamera.of_focal_length(math.exp(value), size_px)
+        boxes = measured_boxes(xyxy_px, size_class, camera=camera, noise=noise, uses_width_bottom=uses)
+        measured = sizes.measure(boxes)
+        log_m[k] = np.log(measured.distance_m)
+        if k == len(log_f) // 2:
+            sigma = measured.sigma_m / measured.distance_m
+    return _BySize(log_f, log_m, sigma)

@@ -1,0 +1,173 @@
+r"""Focal length from the shapes of boxes, and from several guesses together, on a grid of its logarithm.
+
+One image of objects of known size does not give the focal length f: with f and all distances twice as large, it is the
+same, as long as the objects are flat. But a car beside the camera's path also shows its side. The part of its box that
+is the side is as wide as the car is long in units of its distance:
+
+      |  far end           u (Z + L) = f X           u: column of the inner side at its far end, from the image centre
+     /   u                 w / h = (W + |u| L / f) / S
+    /____|  near end       W, S, L: width, height and length, w, h: box in px
+
+so that the ratio of width to height, against the column, measures f / L. `CuboidSizes.log_evidence` is the likelihood
+of a box over sizes, yaws and distances; the curve is
+
+    log p(f) = sum_k log N(log f; log f_k, s_k) + sum_tracks n_eff / n_views sum_views log p(w, h | u / f)
+
+with the guesses f_k. Views of one object share its size and count as `_VIEWS_PER_TRACK` at most. Cars that are parked
+askew, and shapes that are not cuboids, affect all boxes of a drive alike: the likelihood is smoothed with
+`_SHAPE_SIGMA`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.ranging.fitting.camera.measurements import FocalGuess, SceneBoxes
+from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.size_model import (
+    BORDER_PX,
+    SIZE_CLASSES,
+    BoxNoise,
+    measured_boxes,
+)
+from track_range.stereo.geometry.camera import PinholeCamera
+
+DEFAULT_FIELD_DEG = 75.0
+"""Assumed horizontal field of view; most road cameras have 50 (telephones, research vehicles) to 110 degrees."""
+
+DEFAULT_FIELD_SIGMA = 0.3
+"""Relative standard deviation of the focal length with that field of view: 50 degrees is a factor of 1.6, 110 one of
+0.54."""
+
+_FIELDS_DEG = 150.0, 20.0
+"""Largest and smallest horizontal field of view of the grid."""
+
+_N_GRID = 97
+"""Number of points of the grid."""
+
+_VIEWS_PER_TRACK = 2.0
+"""Number of independent views that the views of one object count as at most."""
+
+_SHAPE_SIGMA = 0.12
+"""Standard deviation of log f that all boxes of a drive share; that of KITTI's labels, see docs/accuracy.md."""
+
+_RELATIVE_NOISE = (0.01, 0.03, 0.06, 0.1, 0.15, 0.2)
+"""Standard deviations of the edges of boxes, as fractions of their size, among which the likelihood chooses."""
+
+_OUTLIER_SHARE, _OUTLIER_NOISE = 0.1, 0.4
+"""Fraction of boxes of another kind (partly hidden, of another class), and the standard deviation of their edges."""
+
+_SHAPE_CLASSES = np.isin(SIZE_CLASSES, ("car", "van"))
+"""(size classes,) whether the lengths of the objects are known well enough."""
+
+_MIN_HEIGHT_PX = 30.0
+"""Height of a box below which its shape is mostly noise."""
+
+_FLAT_LOG_SIGMA = 30.0
+"""Standard deviation of the log distance without a prior of the distance."""
+
+
+@dataclass(frozen=True, slots=True)
+class FocalPosterior:
+    """Focal length from all sources.
+
+    Attributes:
+        focal_px: (G,) grid, evenly spaced in its logarithm.
+        density: (G,) probability of each point.
+        n_tracks: number of objects whose shapes contribute.
+        relative_noise: estimated standard deviation of the edges of boxes, as a fraction of their size.
+    """
+
+    focal_px: FloatArray
+    density: FloatArray
+    n_tracks: int = 0
+    relative_noise: float = BoxNoise().relative
+
+    @property
+    def guess(self) -> tuple[float, float]:
+        """Focal length in px (geometric mean) and its relative standard deviation."""
+        log_f = np.log(self.focal_px)
+        mean = float(self.density @ log_f)
+        return math.exp(mean), math.sqrt(float(self.density @ (log_f - mean) ** 2))
+
+
+def default_guess(width_px: int) -> FocalGuess:
+    """The focal length of an unknown road camera with images of this width."""
+    return FocalGuess(
+        focal_of_field(DEFAULT_FIELD_DEG, width_px),
+        DEFAULT_FIELD_SIGMA,
+        f"the usual field of view of road cameras, {DEFAULT_FIELD_DEG:.0f} degrees",
+    )
+
+
+def focal_of_field(field_deg: float, side_px: int) -> float:
+    """Focal length in px of a field of view across a side of the image."""
+    return side_px / 2 / math.tan(math.radians(field_deg) / 2)
+
+
+def focal_posterior(
+    guesses: Sequence[FocalGuess], boxes: SceneBoxes, size_px: tuple[int, int], sizes: CuboidSizes | None
+) -> FocalPosterior:
+    """Focal length from guesses and the shapes of boxes.
+
+    Args:
+        guesses: at least one guess.
+        boxes: boxes of a video.
+        size_px: (width, height) of its images.
+        sizes: size priors; None = shapes are not used.
+    """
+    low, high = (focal_of_field(field_deg, size_px[0]) for field_deg in _FIELDS_DEG)
+    log_f = np.linspace(math.log(low), math.log(high), _N_GRID)
+    log_p = np.zeros(_N_GRID)
+    for guess in guesses:
+        log_p -= 0.5 * ((log_f - math.log(guess.focal_px)) / guess.sigma) ** 2
+    usable = boxes.select(_has_shape(boxes, size_px))
+    n_tracks, noise = 0, BoxNoise().relative
+    if sizes is not None and len(usable):
+        n_tracks = len(np.unique(usable.track_id))
+        likelihood, noise = _shape_likelihood(log_f, usable, size_px, sizes)
+        log_p += np.log(np.maximum(likelihood, 1e-300))
+    density = np.exp(log_p - log_p.max())
+    return FocalPosterior(np.exp(log_f), density / density.sum(), n_tracks, noise)
+
+
+def _has_shape(boxes: SceneBoxes, size_px: tuple[int, int]) -> BoolArray:
+    """(N,) whether a box is whole, high enough, and of a class whose length is known."""
+    x1, y1, x2, y2 = boxes.xyxy_px.T
+    is_inside = (x1 >= BORDER_PX) & (y1 >= BORDER_PX) & (x2 <= size_px[0] - 1 - BORDER_PX)
+    is_inside &= y2 <= size_px[1] - 1 - BORDER_PX
+    return np.asarray(is_inside & (y2 - y1 >= _MIN_HEIGHT_PX) & _SHAPE_CLASSES[boxes.size_class])
+
+
+def _shape_likelihood(
+    log_f: FloatArray, boxes: SceneBoxes, size_px: tuple[int, int], sizes: CuboidSizes
+) -> tuple[FloatArray, float]:
+    """Likelihood of the shapes of all boxes, and the estimated noise of their edges.
+
+    Returns:
+        (G,) likelihood, scaled to the maximum 1 and smoothed with `_SHAPE_SIGMA`, and the mean of `_RELATIVE_NOISE`
+        weighted by likelihood.
+    """
+    flat = sizes.with_flat_distance(_FLAT_LOG_SIGMA)
+    weight = np.minimum(1.0, _VIEWS_PER_TRACK / boxes.views)
+
+    def log_p(log_focal: float, noise: float) -> FloatArray:
+        camera = PinholeCamera.of_focal_length(math.exp(log_focal), size_px)
+        edges = BoxNoise(relative=noise)
+        return flat.log_evidence(measured_boxes(boxes.xyxy_px, boxes.size_class, camera=camera, noise=edges))
+
+    log_likelihood = np.zeros((len(_RELATIVE_NOISE), len(log_f)))
+    for k, value in enumerate(log_f):
+        outlier = math.log(_OUTLIER_SHARE) + log_p(value, _OUTLIER_NOISE)
+        for j, noise in enumerate(_RELATIVE_NOISE):
+            log_likelihood[j, k] = weight @ np.logaddexp(math.log(1 - _OUTLIER_SHARE) + log_p(value, noise), outlier)
+    likelihood = np.exp(log_likelihood - log_likelihood.max())
+    noise_weight = likelihood.sum(axis=1) / likelihood.sum()
+    kernel = np.exp(-0.5 * ((log_f[:, None] - log_f) / _SHAPE_SIGMA) ** 2)
+    smooth = kernel @ likelihood.sum(axis=0) / kernel.sum(axis=1)
+    return smooth / smooth.max(), float(noise_weight @ _RELATIVE_NOISE)

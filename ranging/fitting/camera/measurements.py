@@ -1,0 +1,147 @@
+"""Measurements from which a camera without a calibration is fitted: known metres, boxes of a video, focal guesses.
+
+Pixels are those of the video, with the principal point at the image centre and without lens distortion. A known
+distance is the project's `distance_m`: the depth z, along the camera's axis, of the surface in which the ray through
+the centre of the box meets the object. For an object straight ahead that is the distance from the lens to its nearest
+surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
+
+_MAX_COVERED = 0.03
+"""Largest fraction of a box inside a nearer one for which it counts as not hidden."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownObject:
+    """One object with metres known from a tape measure or a data sheet; NaN = unknown.
+
+    Attributes:
+        name: the measurement in the user's words, for the table of residuals.
+        xyxy_px: (4,) box.
+        size_class: index into `SIZE_CLASSES`.
+        distance_m: depth of its visible surface.
+        height_m: height above the road.
+        width_m: width of the side that faces the camera.
+        relative_sigma: relative standard deviation of the metres.
+    """
+
+    name: str
+    xyxy_px: tuple[float, float, float, float]
+    size_class: int
+    distance_m: float = np.nan
+    height_m: float = np.nan
+    width_m: float = np.nan
+    relative_sigma: float = 0.01
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownLane:
+    """A lane, or any other stretch across the road, of known width.
+
+    Attributes:
+        name: the measurement in the user's words.
+        x1_px: column of its left end.
+        x2_px: column of its right end.
+        y_px: row of both ends.
+        width_m: distance between the ends.
+        relative_sigma: relative standard deviation of `width_m`.
+    """
+
+    name: str
+    x1_px: float
+    x2_px: float
+    y_px: float
+    width_m: float
+    relative_sigma: float = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class FocalGuess:
+    """A focal length from one source.
+
+    Attributes:
+        focal_px: focal length in px of the images.
+        sigma: relative standard deviation.
+        source: where it comes from, as it continues "focal length from ...".
+    """
+
+    focal_px: float
+    sigma: float
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class SceneBoxes:
+    """Boxes of road users in frames of a video, one row per box.
+
+    Attributes:
+        xyxy_px: (N, 4) boxes.
+        size_class: (N,) index into `SIZE_CLASSES`.
+        track_id: (N,) identity of the object.
+    """
+
+    xyxy_px: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
+    size_class: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    track_id: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    def __post_init__(self) -> None:
+        n = len(self.track_id)
+        check_shape("xyxy_px", self.xyxy_px, (n, 4))
+        check_shape("size_class", self.size_class, (n,))
+
+    def __len__(self) -> int:
+        return len(self.track_id)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """All boxes of several sets."""
+        if not parts:
+            return cls()
+        return cls(
+            np.concatenate([part.xyxy_px for part in parts]),
+            np.concatenate([part.size_class for part in parts]),
+            np.concatenate([part.track_id for part in parts]),
+        )
+
+    def select(self, rows: BoolArray | IntArray) -> SceneBoxes:
+        """The boxes selected by a mask or an index array."""
+        return SceneBoxes(self.xyxy_px[rows], self.size_class[rows], self.track_id[rows])
+
+    @property
+    def views(self) -> FloatArray:
+        """(N,) number of boxes of the same track."""
+        _, index, count = np.unique(self.track_id, return_inverse=True, return_counts=True)
+        return np.asarray(count[index], np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class HorizonRow:
+    """Row of the horizon in the middle column, from lane lines or the direction of travel.
+
+    Attributes:
+        y_px: the row.
+        sigma_px: its standard deviation.
+        source: where it comes from.
+    """
+
+    y_px: float
+    sigma_px: float
+    source: str
+
+
+def unhidden(xyxy_px: FloatArray) -> BoolArray:
+    """(N,) whether no other box of the same frame, with a lower bottom edge and so nearer, covers a part of a box."""
+    x1, y1, x2, y2 = xyxy_px.T
+    width = np.minimum(x2[:, None], x2) - np.maximum(x1[:, None], x1)
+    height = np.minimum(y2[:, None], y2) - np.maximum(y1[:, None], y1)
+    covered = np.maximum(width, 0.0) * np.maximum(height, 0.0) > _MAX_COVERED * ((x2 - x1) * (y2 - y1))[:, None]
+    return np.asarray(~(covered & (y2 > y2[:, None])).any(axis=1))

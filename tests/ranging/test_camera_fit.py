@@ -1,0 +1,191 @@
+"""Fits of a camera to known metres: hand-worked cameras, exact cuboids, simulated drives with detector boxes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from track_range.ranging.fitting.camera.camera_fit import fit_camera
+from track_range.ranging.fitting.camera.focal_evidence import default_guess, focal_of_field, focal_posterior
+from track_range.ranging.fitting.camera.measurements import (
+    FocalGuess,
+    HorizonRow,
+    KnownLane,
+    KnownObject,
+    SceneBoxes,
+    unhidden,
+)
+from track_range.ranging.size_models.cuboid import box_of_cuboid
+from track_range.ranging.size_models.curve import load_curves
+from track_range.ranging.size_models.size_model import SIZE_CLASSES
+from track_range.simulation.boxes.box_drive import BoxDrive
+from track_range.simulation.world.scenarios import make_scenario
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
+
+SIZE_PX = (1280, 720)
+CENTRE_PX = (639.5, 359.5)
+CAR = SIZE_CLASSES.index("car")
+VAGUE = FocalGuess(900.0, 0.3, "a guess")
+SIZES = load_curves()
+
+
+def flat_box(distance_m, *, focal_px, height_m, horizon_px, x_px=0.0, hw_m=(1.5, 1.7)):
+    """Box of a flat upright object, (4,), for a horizon `horizon_px` below the image centre."""
+    scale = focal_px / distance_m
+    bottom, half = CENTRE_PX[1] + horizon_px + scale * height_m, scale * hw_m[1] / 2
+    centre = CENTRE_PX[0] + x_px
+    return (centre - half, bottom - scale * hw_m[0], centre + half, bottom)
+
+
+def test_known_height_and_distance_give_the_focal_length():
+    # 90 px for 1.5 m at 12 m: f = 90 * 12 / 1.5
+    box = (600.0, 330.0, 702.0, 420.0)
+    known = KnownObject(name="car", xyxy_px=box, size_class=CAR, distance_m=12.0, height_m=1.5)
+    fit = fit_camera(SIZE_PX, VAGUE, SIZES, objects=[known])
+    assert fit.camera.fx_px == pytest.approx(720.0, rel=0.02)
+    assert 0.01 < fit.focal_sigma < 0.05
+
+
+def test_lane_width_and_horizon_give_the_height():
+    # 350 px for 3.5 m, 140 px below the horizon: H = 3.5 * 140 / 350
+    lane = KnownLane(name="lane", x1_px=460.0, x2_px=810.0, y_px=480.0, width_m=3.5)
+    horizon = HorizonRow(340.0, 1.0, "lane lines")
+    fit = fit_camera(SIZE_PX, VAGUE, SIZES, lanes=[lane], horizon=[horizon])
+    assert fit.height_m == pytest.approx(1.40, abs=0.04)
+    assert fit.height_sigma_m < 0.1
+    assert fit.gain("focal length") > 0.95  # a lane says nothing about it
+    assert fit.pitch_rad == pytest.approx(math.atan(19.5 / 900), abs=0.002)
+
+
+@pytest.mark.parametrize("focal_px", [640.0, 1400.0])
+def test_two_distances_and_the_height_give_focal_length_and_pitch(focal_px):
+    boxes = [flat_box(d, focal_px=focal_px, height_m=1.4, horizon_px=-25.0) for d in (8.0, 30.0)]
+    known = [
+        KnownObject(name=str(d), xyxy_px=box, size_class=CAR, distance_m=d)
+        for d, box in zip((8.0, 30.0), boxes, strict=True)
+    ]
+    fit = fit_camera(SIZE_PX, VAGUE, SIZES, objects=known, height=(1.4, 0.03))
+    assert fit.camera.fx_px == pytest.approx(focal_px, rel=0.05)
+    assert fit.pitch_rad == pytest.approx(math.atan(25 / focal_px), abs=0.006)
+    assert fit.focal_sigma < 0.06
+
+
+def test_focal_length_and_height_are_not_separated_by_contact_points_alone():
+    boxes = [flat_box(d, focal_px=900.0, height_m=1.5, horizon_px=0.0) for d in (8.0, 12.0, 30.0)]
+    known = [
+        KnownObject(name=str(d), xyxy_px=box, size_class=CAR, distance_m=d)
+        for d, box in zip((8.0, 12.0, 30.0), boxes, strict=True)
+    ]
+    fit = fit_camera(SIZE_PX, VAGUE, _NoSizes(), objects=known)
+    assert fit.correlation("focal length", "camera height") < -0.8
+    assert fit.product_sigma < 0.1 < fit.focal_sigma
+
+
+class _NoSizes:
+    """Size model without any class."""
+
+    def measure(self, boxes):
+        nan = np.full(len(boxes), np.nan)
+        return type(SIZES.measure(boxes))(nan, nan, nan)
+
+
+def cuboid_scene(focal_px, *, n=60, seed=0):
+    """Exact boxes of parked and driving cars of typical size along a road, seen by a camera of this focal length."""
+    rng = np.random.default_rng(seed)
+    prior = SIZES.priors["car"]
+    bearing = rng.uniform(-0.85, 0.85, n) * SIZE_PX[0] / 2 / focal_px
+    image = box_of_cuboid(
+        np.log(prior.hwl_m)[:, None],
+        yaw_rad=np.zeros(n),
+        bearing=bearing,
+        distance_m=rng.uniform(8.0, 30.0, n),
+        camera_height_m=1.5,
+    )
+    width, height = focal_px * np.exp(image.log_width), focal_px * np.exp(image.log_height)
+    bottom = CENTRE_PX[1] + focal_px * 1.5 * np.exp(image.log_nearness)
+    centre = CENTRE_PX[0] + focal_px * bearing
+    xyxy = np.stack([centre - width / 2, bottom - height, centre + width / 2, bottom], axis=1)
+    return SceneBoxes(xyxy, np.full(n, CAR), np.arange(n))
+
+
+@pytest.mark.parametrize("focal_px", [550.0, 800.0, 1200.0])
+def test_shapes_of_cars_give_the_focal_length(focal_px):
+    guess = default_guess(SIZE_PX[0])
+    posterior = focal_posterior([guess], cuboid_scene(focal_px), SIZE_PX, SIZES)
+    before, after = abs(math.log(guess.focal_px / focal_px)), abs(math.log(posterior.guess[0] / focal_px))
+    assert after < 0.16
+    assert after < max(before, 0.12)
+    assert 0.1 < posterior.guess[1] < 0.25
+
+
+def test_without_boxes_the_guess_remains():
+    guess = default_guess(SIZE_PX[0])
+    posterior = focal_posterior([guess], SceneBoxes(), SIZE_PX, SIZES)
+    assert posterior.guess[0] == pytest.approx(guess.focal_px, rel=0.03)
+    assert posterior.guess[1] == pytest.approx(guess.sigma, rel=0.1)
+    assert posterior.n_tracks == 0
+    assert focal_of_field(90.0, 1280) == pytest.approx(640.0)
+
+
+def test_two_guesses_are_combined_by_their_sigmas():
+    guesses = [FocalGuess(800.0, 0.05, "a"), FocalGuess(1000.0, 0.2, "b")]
+    focal_px, sigma = focal_posterior(guesses, SceneBoxes(), SIZE_PX, None).guess
+    weight = 0.05**-2 / (0.05**-2 + 0.2**-2)
+    assert math.log(focal_px) == pytest.approx(weight * math.log(800) + (1 - weight) * math.log(1000), abs=0.005)
+    assert sigma == pytest.approx((0.05**-2 + 0.2**-2) ** -0.5, rel=0.05)
+
+
+def test_hidden_boxes():
+    boxes = np.array([[0.0, 0, 50, 50], [40, 10, 90, 60], [200, 0, 220, 20]])
+    assert unhidden(boxes).tolist() == [False, True, True]
+
+
+def simulated(seed, scenario="city"):
+    """Camera of random focal length, boxes of the simulated detector, and up to three known distances."""
+    rng = np.random.default_rng([seed, 4])
+    focal_px = focal_of_field(rng.uniform(50, 100), SIZE_PX[0])
+    camera = PinholeCamera.of_focal_length(focal_px, SIZE_PX)
+    camera = replace(camera, cy_px=camera.cy_px - focal_px * math.tan(math.radians(rng.normal(0, 2))))
+    scene = replace(make_scenario(scenario, seed=seed, seconds=12.0), camera_height_m=rng.uniform(1.2, 1.8))
+    drive = BoxDrive(scene, np.arange(0, 11.8, 0.4), StereoRig.rectified(camera, 0.5), seed=seed)
+    parts = []
+    for frame in drive:
+        boxes = frame.detections
+        rows = np.flatnonzero((frame.user >= 0) & unhidden(boxes.xyxy_px))
+        parts.append(SceneBoxes(boxes.xyxy_px[rows], boxes.class_id[rows], frame.user[rows]))
+    true = drive.true
+    centre = (true.xyxy_px[:, 0] + true.xyxy_px[:, 2]) / 2
+    is_car = np.array([scene.road_users[user].kitti_type == "Car" for user in true.user])
+    usable = is_car & (true.hidden_share < 0.05) & (true.outside_share <= 0) & (np.abs(centre - CENTRE_PX[0]) < 320)
+    usable &= (true.distance_m > 5) & (true.distance_m < 30)
+    known = {}
+    for row in rng.permutation(np.flatnonzero(usable)):
+        box = true.xyxy_px[row] + rng.normal(0, 1.5, 4)
+        distance_m = float(true.distance_m[row] * (1 + rng.normal(0, 0.01)))
+        known.setdefault(
+            int(true.user[row]), KnownObject(name="", xyxy_px=tuple(box), size_class=CAR, distance_m=distance_m)
+        )
+    return focal_px, SceneBoxes.joined(parts), list(known.values())[:3]
+
+
+def test_simulated_drives():
+    errors, sigmas = [], []
+    for seed in range(6):
+        focal_px, scene, known = simulated(seed)
+        posterior = focal_posterior([default_guess(SIZE_PX[0])], scene, SIZE_PX, SIZES)
+        guess = FocalGuess(*posterior.guess, "")
+        fits = [
+            fit_camera(SIZE_PX, guess, SIZES, objects=known[:n], scene=scene, scene_noise=posterior.relative_noise)
+            for n in (1, 3)
+        ]
+        errors.append([abs(math.log(f / focal_px)) for f in (guess.focal_px, *(fit.camera.fx_px for fit in fits))])
+        sigmas.append([guess.sigma, *(fit.focal_sigma for fit in fits)])
+    none, one, three = np.median(errors, axis=0)
+    assert 0.02 < none < 0.2
+    assert 0.005 < one < 0.07
+    assert 0.002 < three < 0.05
+    assert (np.array(errors) < 3 * np.array(sigmas)).all()

@@ -1,0 +1,163 @@
+"""`track-range calibrate` without a board: texts of measurements, sources of focal lengths, whole commands."""
+
+from __future__ import annotations
+
+import json
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from track_range.calibration.road.focal_sources import focal_guesses
+from track_range.calibration.road.known_cameras import KNOWN_CAMERAS, camera_named
+from track_range.calibration.road.measurement_text import known_lanes, known_metres
+from track_range.foundation.errors import UsageError
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.rig_formats.reading import load_camera, mounting_of
+from track_range.stereo.rig_formats.rig_yaml import save_camera
+
+MOUNTING = Mounting(
+    focal_sigma=0.04, camera_height_m=1.4, camera_height_sigma_m=0.05, pitch_deg=1.5, pitch_sigma_deg=0.2
+)
+
+
+def test_measurements_of_one_box_are_joined():
+    (known,) = known_metres(["3.2,610,340,702,415=12.4"], ["3.2, 610,340,702,415 = 1.48"], [])
+    assert (known.time_s, known.xyxy_px) == (3.2, (610.0, 340.0, 702.0, 415.0))
+    assert (known.distance_m, known.height_m) == (12.4, 1.48)
+    assert math.isnan(known.width_m)
+    (van,) = known_metres(["0,610,340,702,415,van=9"], [], [])
+    assert van.class_name == "van"
+    (lane,) = known_lanes(["1.5,400,900,600=3.6"])
+    assert (lane.x1_px, lane.x2_px, lane.y_px, lane.width_m) == (400, 900, 600, 3.6)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "12.4",
+        "1,2,3,4,5",
+        "1,2,3,4=5",
+        "1,9,3,4,8=5",
+        "1,2,3,4,8=0.2",
+        "1,2,3,4,8=nan",
+        "a,2,3,4,8=5",
+        "-1,2,3,4,8=5",
+    ],
+)
+def test_wrong_measurements(text):
+    with pytest.raises(UsageError):
+        known_metres([text], [], [])
+
+
+@pytest.mark.parametrize("text", ["1,2,3=3", "1,5,5,9=3", "1,2,3,4=100"])
+def test_wrong_lanes(text):
+    with pytest.raises(UsageError):
+        known_lanes([text])
+
+
+def reader(metadata, path="drive.mp4", size=(1920, 1080)):
+    """Properties of an opened video."""
+    return SimpleNamespace(width_px=size[0], height_px=size[1], metadata=metadata, path=path)
+
+
+def test_focal_length_of_apples_header():
+    key = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
+    (guess,) = focal_guesses(reader({key: "26"}))
+    assert guess.focal_px == pytest.approx(26 * math.hypot(1920, 1080) / 43.27, rel=1e-3)
+    assert "26 mm" in guess.source
+    assert focal_guesses(reader({key: "0"}))[0].sigma >= 0.25  # not plausible: the usual field of view
+
+
+def test_focal_length_of_exif(tmp_path):
+    image = pytest.importorskip("PIL.Image").new("RGB", (64, 48))
+    exif = image.getexif()
+    exif.get_ifd(0x8769)[0xA405] = 28
+    image.save(tmp_path / "000000.jpg", exif=exif)
+    (guess,) = focal_guesses(reader({}, tmp_path, (64, 48)))
+    assert guess.focal_px == pytest.approx(28 * 80 / 43.27, rel=1e-3)
+
+
+def test_known_cameras():
+    assert camera_named("comma eon").focal_px(1164) == pytest.approx(910)
+    assert camera_named("nothing") is None
+    (guess,) = focal_guesses(reader({}), "Comma Three")
+    assert guess.focal_px == pytest.approx(2648 * 1920 / 1928)
+    with pytest.raises(UsageError, match="comma EON"):
+        focal_guesses(reader({}), "unknown")
+    (guess,) = focal_guesses(reader({"firmware": "HD9.01.01.60.00"}))
+    assert "HERO9" in guess.source
+    for camera in KNOWN_CAMERAS:
+        assert 20 < math.degrees(2 * math.atan(0.5 / camera.focal_px(1))) < 130, camera
+        assert camera.source
+
+
+def test_mounting_in_rig_yaml(tmp_path):
+    camera = PinholeCamera.of_focal_length(900.0, (1280, 720))
+    path = tmp_path / "rig.yaml"
+    save_camera(camera, path, mounting=MOUNTING)
+    assert load_camera(path, size_px=(1280, 720))[0] == camera
+    assert mounting_of(path) == MOUNTING
+    save_camera(camera, path)
+    assert mounting_of(path) is None
+
+
+def test_wrong_commands(tmp_path, cli, film):
+    out = tmp_path / "rig.yaml"
+    status, _, complaint = cli("calibrate", "--out", out)
+    assert (status, "--mono" in complaint) == (2, True)
+    video = film(tmp_path / "a.mp4", range(4))
+    status, _, complaint = cli("calibrate", "--mono", video, "--known-distance", "0,1,1,900,40=5", "--out", out)
+    assert (status, "64x48" in complaint) == (2, True)
+    status, _, complaint = cli("calibrate", "--mono", video, "--known-distance", "99,1,1,20,40=5", "--out", out)
+    assert (status, "end of the video" in complaint) == (2, True)
+    assert not out.exists()
+
+
+@pytest.mark.slow
+def test_simulated_video(tmp_path, cli, small_drive):
+    rows = np.genfromtxt(small_drive.table, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    usable = (rows["frame"] == 0) & (rows["class"] == "car") if "class" in rows.dtype.names else rows["frame"] == 0
+    camera, _ = load_camera(small_drive.rig, size_px=None)
+    inside = usable & (rows["x1"] > 2) & (rows["x2"] < camera.width_px - 3) & (rows["y2"] < camera.height_px - 3)
+    row = rows[np.flatnonzero(inside)[np.argmin(rows["distance_m"][inside])]]
+    box = ",".join(str(row[name]) for name in ("x1", "y1", "x2", "y2"))
+    out, figures = tmp_path / "rig.yaml", tmp_path / "f.json"
+    status, printed, complaint = cli(
+        "calibrate",
+        "--mono",
+        small_drive.left,
+        "--known-distance",
+        f"0,{box},car={row['distance_m']}",
+        "--known-height",
+        f"0,{box},car=1.5",
+        "--camera-height-m",
+        1.65,
+        "--out",
+        out,
+        "--json",
+        figures,
+    )
+    assert status == 0, complaint
+    assert "known height" in printed
+    assert "as measured" in printed
+    fitted, mounting = load_camera(out, size_px=None)[0], mounting_of(out)
+    assert fitted.fx_px == pytest.approx(camera.fx_px, rel=4 * mounting.focal_sigma)
+    assert mounting.camera_height_m == pytest.approx(1.65, abs=0.1)
+    assert json.loads(figures.read_text())["focal_px"] == pytest.approx(fitted.fx_px)
+    status, printed, complaint = cli(
+        "run",
+        "--mono",
+        small_drive.left,
+        "--rig",
+        out,
+        "--detections",
+        small_drive.detections,
+        "--out",
+        tmp_path / "run",
+    )
+    assert status == 0, complaint
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["calibration"] == "rig"

@@ -1,0 +1,287 @@
+"""Calibration of one camera from a drive: known metres, shapes of road users, lane lines and the file's metadata.
+
+guesses of the focal length (focal_sources) -> boxes and horizon of parts of the video (road_view)
+-> focal length from guesses and shapes (focal_evidence) -> all measurements together (camera_fit) -> rig.yaml
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from track_range.calibration.road.focal_sources import focal_guesses
+from track_range.calibration.road.measurement_text import KnownMetres, known_lanes, known_metres
+from track_range.calibration.road.road_view import RoadView
+from track_range.calibration.road.separability import separability
+from track_range.calibration.settings import CalibrationSettings
+from track_range.detection.boxes import iou
+from track_range.detection.detections import Detections
+from track_range.foundation.errors import UsageError
+from track_range.foundation.progress import StepProgress, no_progress
+from track_range.ranging.fitting.camera.camera_fit import HEIGHT_M, HEIGHT_SIGMA, CameraFit, fit_camera
+from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior, focal_posterior
+from track_range.ranging.fitting.camera.measurements import FocalGuess, KnownObject
+from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.curve import load_curves
+from track_range.ranging.size_models.size_model import SIZE_CLASSES
+from track_range.results.output_files import check_outputs, write_text
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.rig_formats.rig_yaml import save_camera
+from track_range.video.names import VideoName, files_of, video_name
+from track_range.video.reader import VideoReader
+from track_range.video.recording import open_recording
+
+_PART_S = 10.0
+"""Length of each part of the video that is read."""
+
+_PARTS = (0.1, 0.5, 0.85)
+"""Starts of the parts, as fractions of the video, if it is longer than all of them."""
+
+_MIN_IOU = 0.4
+"""Smallest IoU of a detection with a box of the user whose class it gives."""
+
+_MEASURED_HEIGHT_SIGMA_M = 0.03
+"""Standard deviation of a measured camera height."""
+
+_PICK_S = 0.5
+"""Length of the part that is read for the frame of a measurement."""
+
+Detect = Callable[[Frame], Detections]
+
+
+@dataclass(frozen=True, slots=True)
+class RoadCalibration:
+    """A camera calibrated from a drive.
+
+    Attributes:
+        fit: the camera.
+        guesses: guesses of the focal length from outside of the images.
+        by_shape: focal length from these and the shapes of road users.
+        sentences: what the measurements determine, in words.
+        notes: messages for the user about the measurements.
+        n_frames: number of frames that were read.
+        figures: all values, as plain values for JSON.
+    """
+
+    fit: CameraFit
+    guesses: tuple[FocalGuess, ...]
+    by_shape: FocalPosterior
+    sentences: tuple[str, ...]
+    notes: tuple[str, ...]
+    n_frames: int
+    figures: dict[str, Any]
+
+    @property
+    def mounting(self) -> Mounting:
+        """Height and pitch of the camera, and the uncertainty of its focal length."""
+        fit = self.fit
+        return Mounting(
+            focal_sigma=round(fit.focal_sigma, 4),
+            camera_height_m=round(fit.height_m, 3),
+            camera_height_sigma_m=round(fit.height_sigma_m, 3),
+            pitch_deg=round(float(np.degrees(fit.pitch_rad)), 3),
+            pitch_sigma_deg=round(float(np.degrees(fit.pitch_sigma_rad)), 3),
+        )
+
+    def save(self, settings: CalibrationSettings) -> list[Path]:
+        """Write the camera and, if `settings.json_file` is given, the results; returns the files' paths.
+
+        Raises:
+            OutputError, RigError: a file cannot be written.
+        """
+        known = len({residual.name for residual in self.fit.residuals})
+        comments = [f"track-range calibrate: from the road, {known} measurements, no lens distortion"]
+        save_camera(self.fit.camera, settings.out, comments=comments, mounting=self.mounting)
+        if settings.json_file is None:
+            return [settings.out]
+        write_text(settings.json_file, json.dumps(self.figures, indent=2, allow_nan=False) + "\n")
+        return [settings.out, settings.json_file]
+
+
+def calibrate_on_road(
+    settings: CalibrationSettings, open_detect: Callable[[], Detect], progress: StepProgress = no_progress
+) -> RoadCalibration:
+    """Calibrate the camera of the video `settings.mono`; nothing is written before `RoadCalibration.save`.
+
+    Args:
+        settings: of the command.
+        open_detect: opens the detector.
+        progress: shows the progress.
+
+    Raises:
+        UsageError: a measurement is invalid, or outside of the image or the video.
+        VideoError: the video cannot be read.
+    """
+    if settings.mono is None:
+        raise UsageError("expected --mono VIDEO; without --board one camera is calibrated from its drive.")
+    objects = known_metres(settings.known_distance, settings.known_height, settings.known_width)
+    lanes = known_lanes(settings.known_lane_width)
+    video = video_name(settings.mono)
+    check_outputs([file for file in (settings.out, settings.json_file) if file is not None], files_of(video))
+    with closing(VideoReader(_recorded(video))) as reader:
+        size_px = reader.width_px, reader.height_px
+        duration_s = (reader.n_frames or 0) / reader.fps if reader.fps else 0.0
+        guesses = focal_guesses(reader, settings.camera_model)
+    _check_inside(objects, size_px, duration_s)
+    start = focal_posterior(guesses, RoadView(PinholeCamera.of_focal_length(1.0, size_px)).scene, size_px, None)
+    camera = PinholeCamera.of_focal_length(start.guess[0], size_px)
+    detect = open_detect()
+    view = RoadView(camera)
+    with progress("watching the road") as advance:
+        for start_s, part_s in _parts(duration_s):
+            _add_part(view, video, (start_s, part_s), detect, advance)
+    known, notes = _known_objects(objects, video, camera, detect)
+    sizes = load_curves(settings.curves)
+    cuboids = sizes if isinstance(sizes, CuboidSizes) else None
+    by_shape = focal_posterior(guesses, view.scene, size_px, cuboids)
+    focal_px, sigma = by_shape.guess
+    height = HEIGHT_M, HEIGHT_SIGMA * HEIGHT_M
+    if settings.camera_height_m is not None:
+        height = settings.camera_height_m, _MEASURED_HEIGHT_SIGMA_M
+    fit = fit_camera(
+        size_px,
+        FocalGuess(focal_px, sigma, ""),
+        sizes,
+        objects=known,
+        lanes=lanes,
+        horizon=view.horizon,
+        scene=view.scene,
+        scene_noise=by_shape.relative_noise,
+        height=height,
+    )
+    sentences = separability(fit, guesses, by_shape, has_height=settings.camera_height_m is not None)
+    calibration = RoadCalibration(fit, guesses, by_shape, sentences, notes, view.n_frames, {})
+    calibration.figures.update(_figures(calibration, settings))
+    return calibration
+
+
+def focal_from_video(
+    video: VideoName, guesses: Sequence[FocalGuess], detect: Detect, *, span_s: tuple[float, float | None]
+) -> FocalPosterior:
+    """Focal length from guesses and the shapes of road users in the first seconds of a part of a video.
+
+    Args:
+        video: the recording.
+        guesses: guesses from outside of the images.
+        detect: returns the boxes of a frame.
+        span_s: start and length of the part.
+    """
+    start_s, duration_s = span_s
+    recording = open_recording(
+        video, focal_px=guesses[0].focal_px, start_s=start_s, duration_s=min(duration_s or _PART_S, _PART_S)
+    )
+    view = RoadView(recording.camera)
+    with closing(recording):
+        view.add(recording.frames, detect, has_horizon=False)
+    sizes = load_curves()
+    cuboids = sizes if isinstance(sizes, CuboidSizes) else None
+    return focal_posterior(guesses, view.scene, recording.size_px, cuboids)
+
+
+def _recorded(video: VideoName) -> Any:
+    if not files_of(video):
+        raise UsageError(f"--mono {video}: expected a recorded video; record the camera first.")
+    return video
+
+
+def _parts(duration_s: float) -> list[tuple[float, float]]:
+    """Start and length of the parts of a video that are read."""
+    if duration_s <= _PART_S * len(_PARTS):
+        return [(0.0, _PART_S * len(_PARTS))]
+    return [(share * duration_s, _PART_S) for share in _PARTS]
+
+
+def _add_part(
+    view: RoadView,
+    video: VideoName,
+    span_s: tuple[float, float],
+    detect: Detect,
+    advance: Callable[[int, int | None], None],
+) -> None:
+    recording = open_recording(video, focal_px=view.camera.fx_px, start_s=span_s[0], duration_s=span_s[1])
+    with closing(recording):
+        view.add(recording.frames, detect, advance)
+
+
+def _check_inside(objects: Sequence[KnownMetres], size_px: tuple[int, int], duration_s: float) -> None:
+    for known in objects:
+        x1, y1, x2, y2 = known.xyxy_px
+        if x1 < -1 or y1 < -1 or x2 > size_px[0] or y2 > size_px[1]:
+            raise UsageError(
+                f"{known.text}: expected a box inside of the image of {size_px[0]}x{size_px[1]} px; measure it in the "
+                "original video."
+            )
+        if duration_s and known.time_s > duration_s + 1.0:
+            raise UsageError(f"{known.text}: expected a time up to {duration_s:.1f} s, the end of the video.")
+
+
+def _known_objects(
+    objects: Sequence[KnownMetres], video: VideoName, camera: PinholeCamera, detect: Detect
+) -> tuple[list[KnownObject], tuple[str, ...]]:
+    """The measured objects with their classes, and notes on those that the detector does not find."""
+    known, notes = [], []
+    for metres in objects:
+        name = metres.class_name or _detected_class(metres, video, camera, detect)
+        if not name:
+            name = "car"
+            notes.append(
+                f"{metres.text}: the detector finds no object there; taken as a car. Add another class behind the box, "
+                f"such as '{metres.text},van=...'."
+            )
+        known.append(
+            KnownObject(
+                name=metres.text,
+                xyxy_px=metres.xyxy_px,
+                size_class=SIZE_CLASSES.index(name),
+                distance_m=metres.distance_m,
+                height_m=metres.height_m,
+                width_m=metres.width_m,
+            )
+        )
+    return known, tuple(notes)
+
+
+def _detected_class(metres: KnownMetres, video: VideoName, camera: PinholeCamera, detect: Detect) -> str:
+    """Class of the detection that overlaps most with a box; "" = none."""
+    recording = open_recording(video, focal_px=camera.fx_px, start_s=max(metres.time_s - 0.02, 0), duration_s=_PICK_S)
+    with closing(recording):
+        frame = next(recording.frames, None)
+        if frame is None:
+            return ""
+        detections = detect(frame)
+    if not len(detections):
+        return ""
+    overlap = iou(np.array([metres.xyxy_px]), detections.xyxy_px)[0]
+    best = int(np.argmax(overlap))
+    return SIZE_CLASSES[int(detections.class_id[best])] if overlap[best] >= _MIN_IOU else ""
+
+
+def _figures(calibration: RoadCalibration, settings: CalibrationSettings) -> dict[str, Any]:
+    fit = calibration.fit
+    shape_px, shape_sigma = calibration.by_shape.guess
+    return {
+        "source": settings.mono,
+        "frames": calibration.n_frames,
+        "focal_px": fit.camera.fx_px,
+        **asdict(calibration.mounting),
+        "roll_deg": float(np.degrees(fit.roll_rad)),
+        "focal_height_sigma": fit.product_sigma,
+        "guesses": [asdict(guess) for guess in calibration.guesses],
+        "by_shape": {
+            "focal_px": shape_px,
+            "sigma": shape_sigma,
+            "tracks": calibration.by_shape.n_tracks,
+            "box_noise": calibration.by_shape.relative_noise,
+        },
+        "residuals": [asdict(residual) for residual in fit.residuals],
+        "determined": list(calibration.sentences),
+        "notes": list(calibration.notes),
+    }
