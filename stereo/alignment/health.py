@@ -172,7 +172,9 @@ class RigHealth:
         if self.state == "good":
             return f"Rig: fits the images; expected distance error at {distance}: {after} (1 sigma)."
         if not self.has_disparity_error:
-            return f"Rig: left and right differ in rows; corrected, expected error at {distance}: {after} (1 sigma)."
+            return (
+                f"Rig: left and right differ in rows; expected error at {distance} once corrected: {after} (1 sigma)."
+            )
         left_pct, middle_pct, right_pct = self.before_pct(REFERENCE_M).tolist()
         before = f"{middle_pct:+.1f} % in the middle, {left_pct:+.1f} and {right_pct:+.1f} % half-way to the edges"
         if not all(map(math.isfinite, (left_pct, middle_pct, right_pct))):

@@ -146,14 +146,18 @@ class Alignment:
         """The values by their keys in alignment files and JSON."""
         return {KEYS.get(name, name): value for name, value in asdict(self).items()}
 
-    def sentence(self) -> str:
-        """The alignment and its effect, as one sentence for users."""
+    def sentence(self, *, correction: str = "corrected") -> str:
+        """The alignment and its effect, as one sentence for users.
+
+        Args:
+            correction: what happens to the disparities where the alignment corrects them.
+        """
         if self.is_correcting:
             error = f"{abs(self.offset_px):.2f} ± {self.offset_sigma_px:.2f} px {_direction(self.offset_px)}"
             if self.curvature_px:
                 edge_error = f"{abs(self.curvature_px):.2f} px {_direction(self.curvature_px)}"
                 error += f", and another {edge_error} at the image edges"
-            return f"Alignment: disparities {error} (source: {self.source}); corrected."
+            return f"Alignment: disparities {error} (source: {self.source}); {correction}."
         if self.is_measured:
             return (
                 f"Alignment: no significant disparity error, ± {self.offset_sigma_px:.2f} px (source: {self.source}); "

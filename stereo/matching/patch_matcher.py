@@ -52,10 +52,6 @@ from track_range.stereo.matching.tiles import (
 )
 from track_range.stereo.matching.window_sgm import WindowMatches, match_windows
 
-_STEPS_MULTIPLE = 4
-"""The number of disparities less 1 is a multiple of this, so that strips end at whole pixels (see `tiles`)."""
-
-
 _EXPECTED_SIGMAS, _MIN_EXPECTED_LOG_SIGMA = 2.0, 0.1
 """Largest deviation of an expected disparity from that by size, in standard deviations, and the smallest of these."""
 
@@ -294,7 +290,7 @@ class PatchMatcher:
         scale = tile_scale(known.xyxy_px, COARSE)[0]
         first_px = settings.min_disparity_px - scale
         n_steps = int(np.ceil((known.limit_px - first_px) / scale).max()) + 3
-        n_disparities = max(-(-n_steps // _STEPS_MULTIPLE) * _STEPS_MULTIPLE, 2 * settings.search_px) + 1
+        n_disparities = max(n_steps, 2 * settings.search_px) + 1
         return self._search(left, right, known, first_px, n_disparities, COARSE)
 
     def _full_range(self, left: Image, right: ImageView, known: KnownBoxes) -> PatchMatches:
@@ -318,11 +314,11 @@ class PatchMatcher:
         n_disparities: int,
         shape: TileShape,
     ) -> SurfaceSearch:
-        """Windows and surfaces of boxes at `n_disparities` disparities from first_px (N,)."""
+        """Windows and surfaces of boxes at `n_disparities` or a few more disparities from first_px (N,)."""
         tiles = box_tiles(left, right, known.xyxy_px, first_px, n_disparities, shape)
         cost = window_costs(tiles)
         # All boxes have the range of the largest one; disparities beyond a box's limits are no matches.
-        disparity = tiles.first + np.arange(n_disparities)[:, None]
+        disparity = tiles.first + np.arange(tiles.n_disparities)[:, None]
         beyond = disparity > known.limit_px / tiles.scale[0] + 2
         if beyond.any():
             cost[np.broadcast_to(beyond[:, None], cost.shape)] = np.nan
@@ -333,7 +329,6 @@ class PatchMatcher:
         phi = features(
             surfaces,
             tiles,
-            weight,
             matches.cost,
             by_size=known.by_size,
             track_px=known.track_px,
@@ -381,7 +376,7 @@ class PatchMatcher:
             np.where(is_matched, disparity_px, np.nan),
             np.where(is_matched, sigma_px, np.nan),
             outcome,
-            np.asarray(choice.n_surfaces, np.int64),
+            choice.n_surfaces,
             probability,
         )
 

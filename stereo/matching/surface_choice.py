@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.stereo.matching.patch_matches import ExpectedDisparity
 from track_range.stereo.matching.surfaces import Surfaces
 from track_range.stereo.matching.tiles import BoxTiles
@@ -47,25 +47,25 @@ _OTHER_BOX_SHARE = 0.12
 """Largest relative difference between a surface and the expected disparity of another box that it belongs to."""
 
 THETA = {
-    "area": 0.36,
-    "centre": 0.48,
-    "both_sides": 0.24,
-    "one_side": -0.02,
-    "middle_columns": -0.08,
-    "top": 0.27,
+    "area": 0.27,
+    "centre": 0.28,
+    "both_sides": 0.42,
+    "one_side": 0.19,
+    "middle_columns": 0.09,
+    "top": 0.29,
     "bottom": 0.12,
-    "middle_rows": 0.11,
-    "width": 0.77,
-    "height": -0.12,
-    "cost": -0.34,
-    "in_front": 2.16,
-    "behind": -3.09,
-    "nearer_than_size": -0.83,
-    "nearer_than_size_squared": -0.15,
-    "farther_than_size": -0.32,
-    "farther_than_size_squared": -0.18,
+    "middle_rows": 0.28,
+    "width": -0.03,
+    "height": -0.14,
+    "cost": -0.31,
+    "in_front": 2.73,
+    "behind": -2.74,
+    "nearer_than_size": -1.10,
+    "nearer_than_size_squared": -0.16,
+    "farther_than_size": -0.47,
+    "farther_than_size_squared": -0.14,
     "off_track": -0.20,
-    "of_other_box": -1.41,
+    "of_other_box": -1.24,
 }
 """theta: multinomial logistic regression of the right surface on the features, with an L2 penalty of 2, on the scenario
 `occlusion` of the simulation, seeds 0-19, with and without sizes and priors (`python -m benchmarks surface_choice`)."""
@@ -81,9 +81,9 @@ class SurfaceChoice:
         n_surfaces: (N,) number of surfaces with at least two windows.
     """
 
-    chosen: FloatArray
+    chosen: IntArray
     probability: FloatArray
-    n_surfaces: FloatArray
+    n_surfaces: IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,14 +124,22 @@ class OtherBoxes:
 def features(
     surfaces: Surfaces,
     tiles: BoxTiles,
-    weight: FloatArray,
     cost: FloatArray,
     *,
     by_size: ExpectedDisparity,
     track_px: FloatArray,
     others_share: FloatArray,
 ) -> dict[str, FloatArray]:
-    """Phi: (S, N) each."""
+    """Phi, by name: (S, N) each.
+
+    Args:
+        surfaces: the surfaces of N boxes.
+        tiles: their tiles.
+        cost: (N, G) costs of the windows' minima, bits per pixel.
+        by_size: disparities expected from the sizes of the objects.
+        track_px: (N,) last matches of the boxes' tracks; NaN = none.
+        others_share: (N, G) 1 = the window belongs to another box (`OtherBoxes.windows`).
+    """
     u, v, used = tiles.u, tiles.v, tiles.is_used
     masks = np.stack(
         [

@@ -79,21 +79,20 @@ def centre_weights(u: FloatArray, v: FloatArray) -> FloatArray:
     return np.asarray(np.exp(-(u**2 + v**2) / (2 * _CENTRE_SIGMA**2)))
 
 
-def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles, *, n: int = N_SURFACES) -> Surfaces:
-    """The `n` surfaces with most support.
+def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles) -> Surfaces:
+    """The S surfaces with most support.
 
     Args:
         index: (N, G) disparities of the windows relative to index 0, px of the tile.
         weight: (N, G) weights of the windows; 0 = no match.
         tiles: the boxes' tiles.
-        n: S.
     """
     u, v = tiles.u, tiles.v
     tolerance = np.maximum(_SAME_SURFACE_SHARE * (tiles.first[:, None] + index), _SAME_SURFACE_PX)
     near_object = np.exp(-8.0 * u**2 - 8.0 * (v - _LOWER_MIDDLE) ** 2)
     agree = (np.abs(index[:, None, :] - index[:, :, None]) <= tolerance[:, :, None]).astype(np.float64)
     rest, members, planes = weight, [], []
-    for number in range(n):
+    for number in range(N_SURFACES):
         rows = np.flatnonzero(rest.any(axis=1))
         is_member, plane = np.zeros(weight.shape, np.bool_), SurfaceFit(np.zeros((len(weight), 5)))
         if len(rows):

@@ -49,6 +49,10 @@ _SCALES = np.concatenate([np.arange(1.0, 2.0, 0.25), np.arange(2.0, 4.0, 0.5), n
 """Possible scales of tiles, px of the image per px of the tile."""
 
 
+_STEPS_MULTIPLE = 4
+"""D - 1 is a multiple of this, so that strips end at whole pixels at each scale."""
+
+
 class TileShape(NamedTuple):
     """Resolution of a tile.
 
@@ -149,9 +153,10 @@ def box_tiles(
         right: the same size.
         xyxy_px: (N, 4) boxes.
         first_px: (N,) smallest disparities, px of the image; rounded to whole pixels.
-        n_disparities: D, in steps of one px of the tile; D - 1 must be a multiple of 4.
+        n_disparities: smallest D, in steps of one px of the tile.
         shape: resolution.
     """
+    n_disparities = -(-(n_disparities - 1) // _STEPS_MULTIPLE) * _STEPS_MULTIPLE + 1
     n, (height, width) = len(xyxy_px), shape.hw
     scale = tile_scale(xyxy_px, shape)
     centre_px = (xyxy_px[:, :2] + xyxy_px[:, 2:]).T / 2 + 0.5  # coordinates of pixel edges

@@ -41,7 +41,6 @@ def features_of(
     phi = features(
         surfaces,
         TILES,
-        weight,
         COST,
         by_size=ExpectedDisparity(np.array([by_size_px]), np.array([0.15])),
         track_px=np.array([track_px]),

@@ -32,6 +32,7 @@ from track_range.stereo.rig_formats.reading import find_rig
 from track_range.video.recording import Recording
 
 _MATCHER = "patch"
+_CORRECTION = "a run with this alignment corrects it"
 _N_ROW_PAIRS = 12
 """Number of image pairs on which the row offset is measured; it hardly varies between pairs."""
 
@@ -79,8 +80,9 @@ class RigAlignment:
     @property
     def sentences(self) -> list[str]:
         """The alignment, its meaning for distances, and the notes, for the user."""
-        health = (self.health.sentence(), self.health.move_sentence(), UNSEEN)
-        return [sentence for sentence in (self.applied.sentence(), *health, *self.notes) if sentence]
+        alignment = self.applied.sentence(correction=_CORRECTION)
+        sentences = (alignment, self.health.sentence(), self.health.move_sentence(), UNSEEN, *self.notes)
+        return [sentence for sentence in sentences if sentence]
 
     def save(self, settings: AlignmentSettings) -> None:
         """Write the alignment file and, if `settings.json_file` is given, the results.

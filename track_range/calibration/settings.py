@@ -14,6 +14,26 @@ OFF, LEAVE_TWO_OUT = "off", "leave-two-out"
 """Values of --align that name no file."""
 
 
+_Stereo = Annotated[
+    tuple[Path, Path] | None,
+    option(
+        "Left and right video of a drive past static objects (buildings, parked cars, trees).", metavar="LEFT RIGHT"
+    ),
+]
+
+_Drives = Annotated[
+    tuple[Path, ...],
+    option(
+        "Folder with left.mp4 and right.mp4; repeat the option for further drives with the same rig.",
+        flag="--drive",
+        metavar="DIR",
+        is_repeated=True,
+    ),
+]
+
+_Rig = Annotated[Path | None, option("Calibration file (default: the one in the folder of the images).")]
+
+
 class CalibrationSettings(Options):
     """Images, board and output files of `track-range calibrate`."""
 
@@ -111,21 +131,8 @@ class CalibrationSettings(Options):
 class AlignmentSettings(Options):
     """Drives or references, and output files, of `track-range align`."""
 
-    stereo: Annotated[
-        tuple[Path, Path] | None,
-        option(
-            "Left and right video of a drive past static objects (buildings, parked cars, trees).", metavar="LEFT RIGHT"
-        ),
-    ] = None
-    drives: Annotated[
-        tuple[Path, ...],
-        option(
-            "Folder with left.mp4 and right.mp4; repeat the option for further drives with the same rig.",
-            flag="--drive",
-            metavar="DIR",
-            is_repeated=True,
-        ),
-    ] = ()
+    stereo: _Stereo = None
+    drives: _Drives = ()
     reference: Annotated[
         Path | None,
         option(
@@ -134,7 +141,7 @@ class AlignmentSettings(Options):
             metavar="DIR|LABELS|CSV",
         ),
     ] = None
-    rig: Annotated[Path | None, option("Calibration file (default: the one in the folder of the images).")] = None
+    rig: _Rig = None
     out: Annotated[Path, option("Alignment file to write, for the option --align of a run.", metavar="FILE")]
     seed: Annotated[int, option("Random seed for the resampling that estimates the uncertainty.", ge=0)] = 0
     json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
@@ -143,22 +150,9 @@ class AlignmentSettings(Options):
 class RigCheckSettings(Options):
     """Drives of `track-range rig check`."""
 
-    stereo: Annotated[
-        tuple[Path, Path] | None,
-        option(
-            "Left and right video of a drive past static objects (buildings, parked cars, trees).", metavar="LEFT RIGHT"
-        ),
-    ] = None
-    drives: Annotated[
-        tuple[Path, ...],
-        option(
-            "Folder with left.mp4 and right.mp4; repeat the option for further drives with the same rig.",
-            flag="--drive",
-            metavar="DIR",
-            is_repeated=True,
-        ),
-    ] = ()
-    rig: Annotated[Path | None, option("Calibration file (default: the one in the folder of the images).")] = None
+    stereo: _Stereo = None
+    drives: _Drives = ()
+    rig: _Rig = None
     json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 
 

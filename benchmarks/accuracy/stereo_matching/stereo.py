@@ -5,7 +5,7 @@ medians. Scenes are pairs of KITTI 2015 (or rendered ones) at their size and ren
 each: the cars of the scene, and the same boxes shifted by up to a tenth of their size. `patch, prior` searches around
 the true disparity + 3 px, as for tracks; `patch, full range` has no prior. Dense is OpenCV's SGBM with 128 disparities,
 without the evaluation of boxes. Rectification: the whole right frame, and the strips searched for the 15 boxes. Goals:
-25 times as fast as the fastest dense mode at 1242 x 375, 50 times at 1280 x 720; 12 times over the full range.
+25 times as fast as the fastest dense mode at 1242 x 375, 50 times at 1280 x 720; 15 and 35 times over the full range.
 Protocol, accuracy: `stereo_accuracy.py`.
 """
 
