@@ -11,9 +11,17 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 
 from track_range.foundation.arrays import FloatArray32
-from track_range.stereo.matching.tiles import MARGIN_PX, N_CELLS, N_SIDE, N_WINDOWS, BoxTiles, Grey
+from track_range.stereo.matching.tiles import (
+    MARGIN_PX,
+    N_SIDE,
+    N_WINDOWS,
+    BoxTiles,
+    Grey,
+    window_sums,
+)
 
 Census = npt.NDArray[np.uint32]
 
@@ -27,39 +35,44 @@ _NEIGHBOURS = [(row, column) for row in range(_SIDE) for column in range(_SIDE) 
 
 _BITS_PER_BYTE = 8
 
+_WORDS_AT_ONCE = 2**17
+"""Number of words that are compared in one operation: 1 MiB."""
+
 
 def census(grey: Grey) -> Census:
     """(H - 4, W - 4, N) census words xi of N images (H, W, N), without their margin."""
-    height, width = grey.shape[0] - _SIDE + 1, grey.shape[1] - _SIDE + 1
-    centre = grey[_REACH_PX:, _REACH_PX:][:height, :width]
+    (height, width, n), rows = grey.shape, grey.reshape(len(grey), -1)  # columns of all images in one axis
+    hw = height - _SIDE + 1, width - _SIDE + 1
+    shifted = [[rows[row:, column * n :][: hw[0], : hw[1] * n] for column in range(_SIDE)] for row in range(_SIDE)]
+    centre = shifted[_REACH_PX][_REACH_PX]
     words = np.zeros(centre.shape, np.uint32)
     brighter = np.empty(centre.shape, np.bool_)
     for first in range(0, len(_NEIGHBOURS), _BITS_PER_BYTE):  # bytes are four times as fast to shift as words
         byte = np.zeros(centre.shape, np.uint8)
         for row, column in _NEIGHBOURS[first : first + _BITS_PER_BYTE]:
-            np.greater(grey[row : row + height, column : column + width], centre, out=brighter)
+            np.greater(shifted[row][column], centre, out=brighter)
             np.add(byte, byte, out=byte)
-            np.bitwise_or(byte, brighter.view(np.uint8), out=byte)
+            np.add(byte, brighter.view(np.uint8), out=byte)
         words |= byte.astype(np.uint32) << np.uint32(first)
-    return words
+    return words.reshape(*hw, n)
 
 
 def window_costs(tiles: BoxTiles) -> FloatArray32:
     """(D, G, N) costs C(w, d) of the windows, bits per pixel; NaN where the window is outside the right image."""
     n_disparities, (cell_height, cell_width) = tiles.n_disparities, tiles.shape.cell_hw
-    (_, width), n = tiles.shape.hw, tiles.left.shape[2]
+    (height, width), n = tiles.shape.hw, tiles.left.shape[2]
     margin = slice(MARGIN_PX - _REACH_PX, -(MARGIN_PX - _REACH_PX))
-    left = _row_pairs(census(tiles.left[margin, margin]))
-    right = _row_pairs(census(tiles.right[margin, margin]))
-    column_sum = np.empty((n_disparities, N_CELLS, width, n), np.uint8)  # at most 4 rows of 24 bits
-    for k in range(n_disparities):
-        start = n_disparities - 1 - k
-        bits = np.bitwise_count(left ^ right[:, start : start + width])
-        bits.reshape(N_CELLS, cell_height // 2, width, n).sum(axis=1, dtype=np.uint8, out=column_sum[k])
-    cells = column_sum.reshape(n_disparities, N_CELLS, N_CELLS, cell_width, n).sum(axis=3, dtype=np.uint16)
-    windows = cells[:, :-1] + cells[:, 1:]
-    windows = windows[:, :, :-1] + windows[:, :, 1:]
-    cost = windows.astype(np.float32)
+    words = _row_pairs(census(tiles.both[margin, margin])).reshape(height // 2, -1)
+    left = words[:, : width * n]
+    # Views of the strip at each disparity, the smallest first, which is farthest to the right.
+    right = sliding_window_view(words[:, (width + 2 * MARGIN_PX) * n :], width * n, axis=1)[:, ::-n].swapaxes(0, 1)
+    row_pairs = np.empty((n_disparities, *left.shape), np.uint8)  # at most 2 rows of 24 bits
+    n_at_once = max(_WORDS_AT_ONCE // left.size, 1)
+    for first in range(0, n_disparities, n_at_once):
+        part = slice(first, first + n_at_once)
+        np.bitwise_count(left ^ right[part], out=row_pairs[part])
+    bits = row_pairs.reshape(n_disparities, height // 2, width, n).astype(np.float32)
+    cost = window_sums(bits, (cell_height // 2, cell_width))
     cost *= np.float32(1 / tiles.shape.window_px)
     _mark_unseen(cost, tiles)
     return np.asarray(cost.reshape(n_disparities, N_WINDOWS, n))

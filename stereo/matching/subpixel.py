@@ -17,7 +17,6 @@ one vertical offset per box is fitted to the residuals, and its effect on each w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -26,7 +25,7 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32
 from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces
 from track_range.stereo.matching.surfaces import centre_weights
-from track_range.stereo.matching.tiles import MARGIN_PX, N_CELLS, BoxTiles, Grey
+from track_range.stereo.matching.tiles import MARGIN_PX, BoxTiles, Grey, window_sums
 
 _N_FIT_ITERATIONS = (2, 3)
 """Iterations of the fit of the surface, for each iteration of the least squares on grey values."""
@@ -75,11 +74,14 @@ class RefinedSurface:
     is_confirmed: BoolArray
 
 
-def refine_surface(tiles: BoxTiles, index: FloatArray, is_member: BoolArray, plane: SurfaceFit) -> RefinedSurface:
+def refine_surface(
+    tiles: BoxTiles, terms: FloatArray, index: FloatArray, is_member: BoolArray, plane: SurfaceFit
+) -> RefinedSurface:
     """The surface with subpixel disparities.
 
     Args:
         tiles: the boxes' tiles.
+        terms: (N, G, 5) terms of surfaces (`surface_terms`).
         index: (N, G) disparities by census relative to index 0, px of the tile.
         is_member: (N, G) windows of the surface.
         plane: the plane through them.
@@ -106,7 +108,7 @@ def refine_surface(tiles: BoxTiles, index: FloatArray, is_member: BoolArray, pla
         fit = fit_surfaces(
             refined,
             weight * central,
-            positions=(u, v),
+            terms,
             disparity=disparity,
             is_curved=True,
             n_iterations=_N_FIT_ITERATIONS[iteration],
@@ -161,48 +163,46 @@ class _Equations(NamedTuple):
         l: (H, W, N) left grey values, less the tile's mean.
         g: (H, W, N) their derivative along the row.
         h: (H, W, N) their derivative down the column.
-        right: (H, W + 2 + D - 1, N) right grey values of the strip with one column on both sides, less the same mean.
+        grey: (H, W', N) grey values of both images, less the same mean.
         sums: (9, N, G) sums of l, g, h, l l, g g, h h, g l, g h and h l over the windows' pixels.
-        n_disparities: D.
-        n_pixels: K.
-        cell_hw: height and width of a cell.
+        tiles: the tiles.
     """
 
     l: FloatArray32  # noqa: E741 (as in the equations)
     g: FloatArray32
     h: FloatArray32
-    right: FloatArray32
+    grey: FloatArray32
     sums: FloatArray
-    n_disparities: int
-    n_pixels: int
-    cell_hw: tuple[int, int]
+    tiles: BoxTiles
 
     @classmethod
     def of(cls, tiles: BoxTiles) -> _Equations:
+        (height, width), n = tiles.shape.hw, tiles.both.shape[2]
         inner = slice(MARGIN_PX - 2, -(MARGIN_PX - 2))
-        left, right = _smooth(tiles.left[inner, inner]), _smooth(tiles.right[inner, inner])
-        mean = left.mean(axis=(0, 1))  # small numbers keep the precision of 32 bits
-        left -= mean
-        right -= mean
-        l = np.ascontiguousarray(left[1:-1, 1:-1])  # noqa: E741
-        g, h = 0.5 * (left[1:-1, 2:] - left[1:-1, :-2]), 0.5 * (left[2:, 1:-1] - left[:-2, 1:-1])
-        return cls(
-            l=l,
-            g=g,
-            h=h,
-            right=np.ascontiguousarray(right[1:-1]),
-            sums=_window_sums([(l,), (g,), (h,), (l, l), (g, g), (h, h), (g, l), (g, h), (h, l)], tiles.shape.cell_hw),
-            n_disparities=tiles.n_disparities,
-            n_pixels=tiles.shape.window_px,
-            cell_hw=tiles.shape.cell_hw,
-        )
+        grey = _smooth(tiles.both[inner, inner])
+        left = grey[:, : width + 2]
+        grey -= left.mean(axis=(0, 1))  # small numbers keep the precision of 32 bits
+        values = np.empty((9, height, width, n), np.float32)
+        l, g, h = values[:3]  # noqa: E741
+        l[:] = left[1:-1, 1:-1]
+        np.subtract(left[1:-1, 2:], left[1:-1, :-2], out=g)
+        np.subtract(left[2:, 1:-1], left[:-2, 1:-1], out=h)
+        values[1:3] *= np.float32(0.5)
+        np.square(values[:3], out=values[3:6])
+        np.multiply(g, l, out=values[6])
+        np.multiply(h, values[1::-1], out=values[7:])
+        return cls(l, g, h, np.ascontiguousarray(grey[1:-1]), _by_window(values, tiles), tiles)
 
     def solve(self, index: FloatArray32, *, has_vertical_offset: bool) -> _Step:
         """The solution with the right values at the disparities index (H, W, N)."""
-        l, g, h, r, n = self.l, self.g, self.h, self._right_at(index), self.n_pixels  # noqa: E741
+        l, g, h, n = self.l, self.g, self.h, self.tiles.shape.window_px  # noqa: E741
+        values = np.empty((5 if has_vertical_offset else 4, *l.shape), np.float32)
+        r = self._right_at(index, values[0])
+        np.square(r, out=values[1])
+        for product, factor in zip(values[2:], (g, l, h), strict=False):
+            np.multiply(r, factor, out=product)
         sum_l, sum_g, sum_h, sum_ll, sum_gg, sum_hh, sum_gl, sum_gh, sum_hl = self.sums
-        products = [(r,), (r, r), (g, r), (r, l)] + [(h, r)] * has_vertical_offset
-        sum_r, sum_rr, sum_gr, sum_rl, *sum_hr = _window_sums(products, self.cell_hw)
+        sum_r, sum_rr, sum_gr, sum_rl, *sum_hr = _by_window(values, self.tiles)
         ll, gg, rr = sum_ll - sum_l * sum_l / n, sum_gg - sum_g * sum_g / n, sum_rr - sum_r * sum_r / n
         gl, gr, rl = sum_gl - sum_g * sum_l / n, sum_gr - sum_g * sum_r / n, sum_rl - sum_r * sum_l / n
         determinant = gg * rr - gr**2 + 1e-3
@@ -219,43 +219,46 @@ class _Equations(NamedTuple):
             vertical = _Vertical(share, (hl - s * gh - a * hr) / noise, (hh - share * gh) / noise)
         return _Step(s, a, noise / information, vertical)
 
-    def _right_at(self, index: FloatArray32) -> FloatArray32:
+    def _right_at(self, index: FloatArray32, out: FloatArray32) -> FloatArray32:
         """(H, W, N) right values at the disparities index (H, W, N), by Lagrange's cubic through four pixels."""
         height, width, n = index.shape
-        strip_width = self.right.shape[1]
-        # Column of the strip, which has one more on the left, counted from the first of the four pixels.
-        column = np.arange(self.n_disparities - 1, self.n_disparities - 1 + width, dtype=np.float32)[:, None] - index
+        # Column of the first of the four pixels; the strip follows the left tile with its margins.
+        zero = width + 2 * MARGIN_PX + self.tiles.n_disparities - 1
+        column = np.arange(zero, zero + width, dtype=np.float32)[:, None] - index
         first = column.astype(np.int32)  # positive, so that this is the floor
-        t = column - first
-        first += np.arange(height, dtype=np.int32)[:, None, None] * np.int32(strip_width)
+        t = column
+        t -= first
         first *= np.int32(n)
         first += np.arange(n, dtype=np.int32)
-        pixels = self.right.reshape(-1)
+        first += np.arange(height, dtype=np.int32)[:, None, None] * np.int32(self.grey.shape[1] * n)
+        pixels = self.grey.reshape(-1)
         before, at, after, next_after = (pixels[k * n :].take(first, mode="wrap") for k in range(4))
-        t_less, t_more, t_two = t - 1, t + 1, t - 2
-        outer = t_more * next_after
-        outer -= t_two * before
-        outer *= t * t_less
-        outer *= np.float32(1 / 6)
-        inner = t_less * at
-        inner -= t * after
-        inner *= t_more * t_two
-        inner *= np.float32(1 / 2)
-        outer += inner
-        return np.asarray(outer, np.float32)
+        # at + t (c1 + t (c2 + t c3))
+        c3 = at - after
+        c3 *= np.float32(3)
+        c3 += next_after
+        c3 -= before
+        c3 *= np.float32(1 / 6)
+        c2 = before
+        c2 += after
+        c2 *= np.float32(0.5)
+        c2 -= at
+        c1 = after
+        c1 -= at
+        c1 -= c2
+        c1 -= c3
+        np.multiply(c3, t, out=out)
+        for coefficient in (c2, c1):
+            out += coefficient
+            out *= t
+        out += at
+        return out
 
 
-def _window_sums(products: Sequence[tuple[FloatArray32, ...]], cell_hw: tuple[int, int]) -> FloatArray:
-    """(K, N, G) sums over the windows of K arrays (H, W, N) or products of two: products with matrices of 0 and 1."""
-    height, width, n = products[0][0].shape
-    values = np.empty((len(products), height, width, n), np.float32)
-    for value, factors in zip(values, products, strict=True):
-        np.multiply(factors[0], factors[1] if len(factors) > 1 else np.float32(1.0), out=value)
-    down = values.reshape(len(values), N_CELLS, cell_hw[0], width, n).sum(axis=2)
-    cells = down.reshape(len(values), N_CELLS, N_CELLS, cell_hw[1], n).sum(axis=3)
-    windows = cells[:, :-1] + cells[:, 1:]
-    windows = windows[:, :, :-1] + windows[:, :, 1:]
-    return np.asarray(windows.reshape(len(values), -1, n).swapaxes(1, 2), np.float64)
+def _by_window(values: FloatArray32, tiles: BoxTiles) -> FloatArray:
+    """(K, N, G) sums over the windows of arrays (K, H, W, N)."""
+    sums = window_sums(values, tiles.shape.cell_hw)
+    return sums.reshape(len(sums), -1, sums.shape[-1]).swapaxes(1, 2).astype(np.float64)
 
 
 def _vertical_offset_share(vertical: _Vertical, is_confirmed: BoolArray) -> FloatArray:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray
 
 _FLOOR_SHARE, _FLOOR_PX = 0.015, 0.05
 """f: residual below which windows have equal weights, as a fraction of the mean disparity, and its minimum in px."""
@@ -41,71 +41,64 @@ class SurfaceFit:
     """Surfaces of N boxes; disparities in px of the tile.
 
     Attributes:
-        p: (N, 5) coefficients p0 .. p4, with p0 relative to index 0 of the costs.
+        p: (..., N, 5) coefficients p0 .. p4, with p0 relative to index 0 of the costs.
     """
 
     p: FloatArray
 
     def at(self, u: FloatArray, v: FloatArray) -> FloatArray:
-        """(N, G) disparities at positions (N, G), or broadcastable to that."""
-        p0, p1, p2, p3, p4 = self.p.T[:, :, None]
+        """(..., N, G) disparities at positions (N, G), or broadcastable to that."""
+        p0, p1, p2, p3, p4 = np.moveaxis(self.p, -1, 0)[..., None]
         return np.asarray(p0 + u * (p1 + p3 * u) + v * (p2 + p4 * v))
+
+
+def surface_terms(u: FloatArray, v: FloatArray) -> FloatArray:
+    """(N, G, 5) rows of A, the terms 1, u, v, u^2 and v^2, at positions u and v, (N, G) each."""
+    return np.stack([np.ones_like(u), u, v, u * u, v * v], axis=2)
 
 
 def fit_surfaces(
     index: FloatArray,
     weight: FloatArray,
+    terms: FloatArray,
     *,
-    positions: tuple[FloatArray, FloatArray],
     disparity: FloatArray,
     is_curved: bool = False,
     n_iterations: int = 4,
 ) -> SurfaceFit:
-    """The surfaces through disparities `index` (N, G) with weights (N, G), px of the tile; 0 = not part of it.
+    """The surfaces through disparities `index` with weights (..., N, G), px of the tile; 0 = not part of it.
 
     Each iteration solves (A^T W A + ridge) p = A^T W d with the rows (1, u, v, u^2, v^2) of A.
 
     Args:
-        index: disparities relative to any disparity of the box, for example index 0 of the costs.
+        index: (N, G) or (..., N, G) disparities relative to any disparity of the box, for example index 0 of the costs.
         weight: 1 / variance of the windows.
-        positions: u and v, (N, G) each.
-        disparity: (N,) disparity of the box, px of the tile, for the scale of residuals and curvature.
+        terms: (N, G, 5) A.
+        disparity: (..., N) disparity of the box, px of the tile, for the scale of residuals and curvature.
         is_curved: whether the curvature is fitted; False = a plane.
         n_iterations: iterations of the reweighted least squares.
     """
-    u, v = positions
-    total = weight.sum(axis=1)
-    reference = (weight * index).sum(axis=1, keepdims=True) / np.maximum(total, 1e-12)[:, None]
-    d, parts = index - reference, [np.ones_like(u), u, v, u * u, v * v]
-    a = np.stack(parts if is_curved else parts[:3], axis=1)  # (N, P, G)
-    n_parameters = a.shape[1]
-    upper, symmetric = _UPPER[n_parameters]
-    products = np.concatenate([a[:, upper[0]] * a[:, upper[1]], a * d[:, None]], axis=1)  # of A'A and A'd
-    ridge = np.full((len(index), n_parameters), 1e-9)
-    ridge[:, 1:3] += (_RIDGE * total)[:, None]
+    n_parameters = 5 if is_curved else 3
+    a = np.ascontiguousarray(terms[..., :n_parameters])
+    transposed = np.ascontiguousarray(a.swapaxes(1, 2))
+    total = weight.sum(axis=-1)
+    reference = (weight * index).sum(axis=-1) / np.maximum(total, 1e-12)
+    d = (index - reference[..., None])[..., None]
+    ridge = np.zeros((*total.shape, n_parameters, n_parameters))
+    diagonal = np.einsum("...ii->...i", ridge)
+    diagonal[..., :3] = 1e-9
+    diagonal[..., 1:3] += (_RIDGE * total)[..., None]
     if is_curved:
-        ridge[:, 3:] += (_OVERLAP / (_CURVATURE * disparity) ** 2)[:, None]
-    ridge = ridge[:, :, None] * np.eye(n_parameters)
-    inverse_f = 1.0 / np.maximum(_FLOOR_SHARE * disparity, _FLOOR_PX)[:, None]
+        diagonal[..., 3:] = (_OVERLAP / np.square(_CURVATURE * disparity))[..., None]
+    inverse_f = 1.0 / np.maximum(_FLOOR_SHARE * disparity, _FLOOR_PX)[..., None]
     w = weight
     for iteration in range(n_iterations):
-        sums = (products @ w[:, :, None])[:, :, 0]
-        p = np.linalg.solve(sums[:, symmetric] + ridge, sums[:, len(upper[0]) :, None])
+        weighted = transposed * w[..., None, :]
+        p = np.linalg.solve(weighted @ a + ridge, weighted @ d)
         if iteration < n_iterations - 1:
-            r = np.abs(d - (p.swapaxes(1, 2) @ a)[:, 0]) * inverse_f
+            r = np.abs(d - a @ p)[..., 0] * inverse_f
             w = weight / (np.maximum(r, 1.0) * (1.0 + np.square(r * (1.0 / _BOUND_FLOORS))))
-    coefficients = np.zeros((len(index), 5))
-    coefficients[:, :n_parameters] = p[..., 0]
-    coefficients[:, 0] += reference[:, 0]
+    coefficients = np.zeros((*total.shape, 5))
+    coefficients[..., :n_parameters] = p[..., 0]
+    coefficients[..., 0] += reference
     return SurfaceFit(coefficients)
-
-
-def _upper(n_parameters: int) -> tuple[tuple[IntArray, IntArray], IntArray]:
-    """Rows and columns of the upper triangle of a symmetric matrix, and the place in it of each entry of the matrix."""
-    rows, columns = np.triu_indices(n_parameters)
-    places = np.zeros((n_parameters, n_parameters), np.int64)
-    places[rows, columns] = places[columns, rows] = np.arange(len(rows))
-    return (rows, columns), places
-
-
-_UPPER = {n_parameters: _upper(n_parameters) for n_parameters in (3, 5)}

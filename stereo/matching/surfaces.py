@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces
 from track_range.stereo.matching.tiles import BoxTiles
 from track_range.stereo.matching.window_sgm import WindowMatches
@@ -31,6 +31,9 @@ _MIN_ON_PLANE = 0.8
 
 _N_GROWTHS = 2
 """Number of times that a plane is fitted to the first surface, and its windows selected: it grows along its plane."""
+
+_N_FIT_ITERATIONS = 3
+"""Iterations of each fit of a plane."""
 
 _CENTRE_SIGMA = 0.2
 """Standard deviation of the Gaussian weight about the box's centre, in box sizes: the corners of cars are rounded."""
@@ -54,13 +57,13 @@ class Surfaces:
         is_member: (S, N, G) windows of each surface; none = the box shows fewer surfaces.
         centre: (S, N) disparity at the box's centre relative to index 0 of the costs, px of the tile; NaN = none.
         disparity: (S, N) the same, from 0.
-        planes: planes of the S surfaces.
+        planes: their planes.
     """
 
     is_member: BoolArray
     centre: FloatArray
     disparity: FloatArray
-    planes: tuple[SurfaceFit, ...]
+    planes: SurfaceFit
 
     @property
     def n_windows(self) -> FloatArray:
@@ -79,78 +82,56 @@ def centre_weights(u: FloatArray, v: FloatArray) -> FloatArray:
     return np.asarray(np.exp(-(u**2 + v**2) / (2 * _CENTRE_SIGMA**2)))
 
 
-def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles) -> Surfaces:
+def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles, terms: FloatArray) -> Surfaces:
     """The S surfaces with most support.
+
+    The first one grows along its plane before the others are found in what remains; these grow at once.
 
     Args:
         index: (N, G) disparities of the windows relative to index 0, px of the tile.
         weight: (N, G) weights of the windows; 0 = no match.
         tiles: the boxes' tiles.
+        terms: (N, G, 5) terms of surfaces (`surface_terms`).
     """
     u, v = tiles.u, tiles.v
     tolerance = np.maximum(_SAME_SURFACE_SHARE * (tiles.first[:, None] + index), _SAME_SURFACE_PX)
     near_object = np.exp(-8.0 * u**2 - 8.0 * (v - _LOWER_MIDDLE) ** 2)
     agree = (np.abs(index[:, None, :] - index[:, :, None]) <= tolerance[:, :, None]).astype(np.float64)
-    rest, members, planes = weight, [], []
-    for number in range(N_SURFACES):
-        rows = np.flatnonzero(rest.any(axis=1))
-        is_member, plane = np.zeros(weight.shape, np.bool_), SurfaceFit(np.zeros((len(weight), 5)))
-        if len(rows):
-            is_member[rows], plane.p[rows] = _next_surface(
-                index[rows],
-                rest[rows],
-                (rest * near_object)[rows],
-                agree[rows],
-                tolerance[rows],
-                tiles,
-                rows,
-                n_growths=_N_GROWTHS if number == 0 else 1,
-            )
-        members.append(is_member)
-        planes.append(plane)
-        rest = np.where(is_member, 0.0, rest)
-    is_surface = np.array(members)
-    centre = np.array([np.where(m.any(axis=1), p.p[:, 0], np.nan) for m, p in zip(members, planes, strict=True)])
-    return Surfaces(is_surface, centre, tiles.first + centre, tuple(planes))
+    central = centre_weights(u, v)
 
+    def modes(free: FloatArray, n: int) -> tuple[BoolArray, FloatArray, FloatArray]:
+        """Windows (n, N, G) that agree with the one of most support, its disparity and its tolerance (n, N, 1)."""
+        found = []
+        for _ in range(n):
+            support = np.where(free > 0, (agree @ (free * near_object)[:, :, None])[..., 0], 0.0)
+            best = np.arange(len(free)), support.argmax(axis=1)
+            best_index, limit = index[best][:, None], tolerance[best][:, None]
+            is_member = (free > 0) & (np.abs(index - best_index) <= limit)
+            found.append((is_member, best_index, limit))
+            free = np.where(is_member, 0.0, free)
+        is_members, best_indices, limits = zip(*found, strict=True)
+        return np.stack(is_members), np.stack(best_indices), np.stack(limits)
 
-def _next_surface(
-    index: FloatArray,
-    weight: FloatArray,
-    vote: FloatArray,
-    agree: FloatArray,
-    tolerance: FloatArray,
-    tiles: BoxTiles,
-    rows: IntArray,
-    *,
-    n_growths: int,
-) -> tuple[BoolArray, FloatArray]:
-    """Windows (N, G) and coefficients (N, 5) of the surface with most support, of the boxes in `rows` (N,) of `tiles`.
+    def grown(free: FloatArray, n: int, *, n_growths: int) -> tuple[BoolArray, FloatArray]:
+        """Windows (n, N, G) and coefficients (n, N, 5) of the n surfaces with most support among free windows."""
+        is_member, best_index, limit = modes(free, n)
+        disparity = np.maximum(tiles.first + best_index[..., 0], 0.1)
+        for _ in range(n_growths):
+            fit_weight = np.where(is_member, free * central, 0.0)
+            plane = fit_surfaces(index, fit_weight, terms, disparity=disparity, n_iterations=_N_FIT_ITERATIONS)
+            n_windows = is_member.sum(axis=-1)
+            constant = np.concatenate([best_index, np.zeros((*n_windows.shape, 4))], axis=-1)
+            plane = SurfaceFit(np.where(n_windows[..., None] < _MIN_WINDOWS, constant, plane.p))
+            on_plane = (free > 0) & (np.abs(index - plane.at(u, v)) <= _ON_PLANE * limit)
+            is_plane = on_plane.sum(axis=-1) >= _MIN_ON_PLANE * n_windows
+            is_member = np.where(is_plane[..., None], on_plane, is_member)
+        return is_member, plane.p
 
-    Args:
-        index: (N, G) disparities.
-        weight: (N, G) weights; 0 = no match, or part of an earlier surface.
-        vote: (N, G) weights of the windows' votes.
-        agree: (N, G, G) 1 = two windows agree.
-        tolerance: (N, G) largest difference of two windows that agree.
-        tiles: the tiles of all boxes.
-        rows: boxes.
-        n_growths: number of fits of a plane.
-    """
-    u, v, first = tiles.u[rows], tiles.v[rows], tiles.first[rows]
-    support = np.where(weight > 0, (agree @ vote[:, :, None])[..., 0], 0.0)
-    best = support.argmax(axis=1)[:, None]
-    best_index, limit = np.take_along_axis(index, best, 1), np.take_along_axis(tolerance, best, 1)
-    is_member = (weight > 0) & (np.abs(index - best_index) <= limit)
-    disparity, fit_weight = np.maximum(first + best_index[:, 0], 0.1), weight * centre_weights(u, v)
-    for _ in range(n_growths):
-        plane = fit_surfaces(
-            index, np.where(is_member, fit_weight, 0.0), positions=(u, v), disparity=disparity, n_iterations=3
-        )
-        has_few = is_member.sum(axis=1) < _MIN_WINDOWS
-        plane.p[has_few] = 0.0
-        plane.p[has_few, 0] = best_index[has_few, 0]
-        on_plane = (weight > 0) & (np.abs(index - plane.at(u, v)) <= _ON_PLANE * limit)
-        is_plane = on_plane.sum(axis=1) >= _MIN_ON_PLANE * is_member.sum(axis=1)
-        is_member = np.where(is_plane[:, None], on_plane, is_member)
-    return is_member, plane.p
+    first, first_p = grown(weight, 1, n_growths=_N_GROWTHS)
+    rest = np.where(first[0], 0.0, weight)
+    others, others_p = grown(rest, N_SURFACES - 1, n_growths=1)
+    for later in range(1, len(others)):
+        others[later] &= ~others[:later].any(axis=0)
+    is_member, p = np.concatenate([first, others]), np.concatenate([first_p, others_p])
+    centre = np.where(is_member.any(axis=2), p[..., 0], np.nan)
+    return Surfaces(is_member, centre, tiles.first + centre, SurfaceFit(p))

@@ -12,13 +12,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.foundation.arrays import BoolArray, FloatArray, Image, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
 from track_range.stereo.geometry.frames import ImageView
 
 Grey = npt.NDArray[np.uint8]
@@ -93,8 +94,7 @@ class BoxTiles:
 
     Attributes:
         shape: resolution of the tiles.
-        left: (H + 8, W + 8, N) grey values of the left image, with a margin of 4 px.
-        right: (H + 8, W + 8 + D - 1, N) grey values of the right image.
+        both: (H + 8, 2 W + 16 + D - 1, N) grey values: `left` and, beside it, `right`.
         scale: (2, N) px of the image per px of the tile, in x and in y.
         first_px: (N,) disparity of index 0 in px of the image; that of index k is first_px + k scale[0].
         n_disparities: D.
@@ -105,8 +105,7 @@ class BoxTiles:
     """
 
     shape: TileShape
-    left: Grey
-    right: Grey
+    both: Grey
     scale: FloatArray
     first_px: FloatArray
     n_disparities: int
@@ -114,6 +113,16 @@ class BoxTiles:
     v: FloatArray
     is_used: BoolArray
     is_seen: BoolArray
+
+    @property
+    def left(self) -> Grey:
+        """(H + 8, W + 8, N) grey values of the left image, with a margin of 4 px."""
+        return self.both[:, : self.shape.hw[1] + 2 * MARGIN_PX]
+
+    @property
+    def right(self) -> Grey:
+        """(H + 8, W + 8 + D - 1, N) grey values of the right image."""
+        return self.both[:, self.shape.hw[1] + 2 * MARGIN_PX :]
 
     @property
     def first(self) -> FloatArray:
@@ -168,8 +177,8 @@ def box_tiles(
     first_px = start_px[0] - strip_px - (n_disparities - 1) * scale[0]
     strip_width = width + 2 * MARGIN_PX + n_disparities - 1
 
-    left_tiles = np.empty((n, tile_wh[1, 0], tile_wh[0, 0]), np.uint8)
-    strips = np.empty((n, tile_wh[1, 0], strip_width), np.uint8)
+    both = np.empty((n, tile_wh[1, 0], tile_wh[0, 0] + strip_width), np.uint8)
+    left_tiles, strips = both[:, :, : tile_wh[0, 0]], both[:, :, tile_wh[0, 0] :]
     tops, starts = start_px[1].tolist(), start_px[0].tolist()
     bottoms = np.rint(start_px[1] + tile_wh[1] * scale[1]).astype(np.int64).tolist()
     ends = np.rint(start_px[0] + tile_wh[0] * scale[0]).astype(np.int64).tolist()
@@ -183,8 +192,7 @@ def box_tiles(
     is_used &= _is_inside(start_px, scale, shape, (left.shape[0], left.shape[1]))
     return BoxTiles(
         shape,
-        np.ascontiguousarray(left_tiles.transpose(1, 2, 0)),
-        np.ascontiguousarray(strips.transpose(1, 2, 0)),
+        np.ascontiguousarray(both.transpose(1, 2, 0)),
         scale,
         np.asarray(first_px, np.float64),
         n_disparities,
@@ -240,7 +248,18 @@ def _crop(image: ImageView, top: int, bottom: int, start: int, end: int) -> Grey
 
 def _resample(crop: Grey, tile: Grey) -> None:
     """Fill a tile with the means of a crop's pixels."""
-    if crop.shape == tile.shape:
-        tile[:] = crop
-    else:
-        cv2.resize(crop, tile.shape[::-1], dst=tile, interpolation=cv2.INTER_AREA)
+    tile[:] = crop if crop.shape == tile.shape else cv2.resize(crop, tile.shape[::-1], interpolation=cv2.INTER_AREA)
+
+
+def window_sums(values: FloatArray32, cell_hw: tuple[int, int]) -> FloatArray32:
+    """(K, 7, 7, N) sums over the windows of K arrays (K, H, W, N), as products with matrices of 0 and 1."""
+    n_arrays, height, width, n = values.shape
+    down = _window_matrix(cell_hw[0]) @ values.reshape(n_arrays, height, width * n)
+    return np.asarray(_window_matrix(cell_hw[1]) @ down.reshape(n_arrays, N_SIDE, width, n))
+
+
+@lru_cache
+def _window_matrix(cell: int) -> FloatArray32:
+    """(7, 8 cell) 1 = the pixel belongs to the window, along one axis."""
+    first, pixel = cell * np.arange(N_SIDE)[:, None], np.arange(N_CELLS * cell)
+    return np.asarray((pixel >= first) & (pixel < first + 2 * cell), np.float32)
