@@ -43,9 +43,9 @@ def match_confidence(cost: FloatArray32, surface: RefinedSurface, tiles: BoxTile
     last = len(cost) - 1
     curve = _object_curve(cost, surface, tiles)
     centre = surface.fit.p[:, 0]
-    best = np.nan_to_num(np.rint(centre), nan=-1.0).astype(np.int64)
+    best = np.where(np.isfinite(centre), np.rint(centre), -1.0).astype(np.int64)
     is_inside = (best > 0) & (best < last)
-    best_cost = curve[np.clip(best, 0, last), np.arange(len(best))]
+    best_cost = curve[np.minimum(np.maximum(best, 0), last), np.arange(len(best))]
     margin = _chance_cost(curve) - best_cost
     half_width = _PEAK_HALF_WIDTH + (tiles.first + best) // _PEAK_HALF_WIDTH_PER_DISPARITY
     is_other = np.abs(np.arange(len(cost))[:, None] - best) > half_width
@@ -77,9 +77,10 @@ def _object_curve(cost: FloatArray32, surface: RefinedSurface, tiles: BoxTiles) 
     is_object = np.isfinite(surface.residual).T
     shift = np.rint(surface.fit.at(tiles.u, tiles.v) - surface.fit.p[:, :1]).T.astype(np.int64)
     k = np.arange(len(cost))[:, None, None] + shift
+    inside = np.minimum(np.maximum(k, 0), last)
     window = np.arange(shift.size).reshape(shift.shape)
-    shifted = cost.reshape(-1).take(np.clip(k, 0, last) * shift.size + window)  # a third of `take_along_axis`'s time
-    is_seen = (k >= 0) & (k <= last) & is_object & np.isfinite(shifted)
+    shifted = cost.reshape(-1).take(inside * shift.size + window)  # a third of `take_along_axis`'s time
+    is_seen = (inside == k) & is_object & np.isfinite(shifted)
     n_seen = is_seen.sum(axis=1)
     total = np.where(is_seen, shifted, np.float32(0.0)).sum(axis=1)
     is_enough = n_seen >= np.maximum(0.5 * is_object.sum(axis=0), 1)

@@ -410,7 +410,7 @@ class PatchMatcher:
         noise = np.sqrt(n_inliers / np.maximum(n_inliers / 4.0, 1.0) / total)
         scatter = 1.25 * np.where(is_inlier, np.abs(surface.residual), 0.0).sum(axis=1) / n_inliers
         tilt = np.abs(surface.fit.p[:, 1:3]).sum(axis=1) / 2
-        difference = np.nan_to_num(surfaces.centre - surface.fit.p[:, 0], nan=0.0)
+        difference = np.where(np.isfinite(surfaces.centre), surfaces.centre - surface.fit.p[:, 0], 0.0)
         is_other = np.arange(len(difference))[:, None] != choice.chosen
         other = np.where(is_other, choice.probability * difference**2, 0.0).sum(axis=0)
         shape = settings.floor_share * np.maximum(tiles.first + surface.fit.p[:, 0], 0.0)

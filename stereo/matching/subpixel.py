@@ -97,12 +97,12 @@ def refine_surface(
         p0, p1, p2, p3, p4 = fit.p.T
         rows, columns = row_v * (p2 + p4 * row_v), p0 + column_u * (p1 + p3 * column_u)
         at_pixels = rows.astype(np.float32)[:, None] + columns.astype(np.float32)
-        np.clip(at_pixels, 1.0, last, out=at_pixels)
+        at_pixels = np.minimum(np.maximum(at_pixels, np.float32(1.0)), np.float32(last))
         step = equations.solve(at_pixels, has_vertical_offset=iteration == len(_N_FIT_ITERATIONS) - 1)
         is_fitted = (np.abs(step.s) < _MAX_STEP_PX) & (step.a > _MIN_GAIN) & (step.a * _MIN_GAIN < 1.0)
         is_confirmed = is_fitted & (step.variance < _MAX_SIGMA_PX**2) & is_member
         s = step.s if step.vertical is None else step.s - _vertical_offset_share(step.vertical, is_confirmed)
-        refined = np.where(is_confirmed, np.clip(fit.at(u, v), 1.0, last) - s, index)
+        refined = np.where(is_confirmed, np.minimum(np.maximum(fit.at(u, v), 1.0), last) - s, index)
         variance = np.where(is_confirmed, step.variance, _UNCONFIRMED_SIGMA_PX**2) + floor
         weight = np.where(is_member, 1.0 / variance, 0.0)
         fit = fit_surfaces(
@@ -181,7 +181,7 @@ class _Equations(NamedTuple):
         inner = slice(MARGIN_PX - 2, -(MARGIN_PX - 2))
         grey = _smooth(tiles.both[inner, inner])
         left = grey[:, : width + 2]
-        grey -= left.mean(axis=(0, 1))  # small numbers keep the precision of 32 bits
+        grey -= left[::4, ::4].mean(axis=(0, 1))  # small numbers keep the precision of 32 bits
         values = np.empty((9, height, width, n), np.float32)
         l, g, h = values[:3]  # noqa: E741
         l[:] = left[1:-1, 1:-1]

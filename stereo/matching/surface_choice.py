@@ -141,27 +141,27 @@ def features(
         others_share: (N, G) 1 = the window belongs to another box (`OtherBoxes.windows`).
     """
     u, v, used = tiles.u, tiles.v, tiles.is_used
-    masks = np.stack(
-        [
-            used,
-            used * np.exp(-(u**2 + v**2) / (2 * _CENTRE_SIGMA**2)),
-            used & (u < -_SIDE_U),
-            used & (u > _SIDE_U),
-            used & (np.abs(u) <= _SIDE_U),
-            used & (v < -_SIDE_V),
-            used & (v > _SIDE_V),
-            used & (np.abs(v) <= _SIDE_V),
-        ]
-    )
+    n_boxes, n_windows = u.shape
+    masks = np.empty((n_boxes, n_windows, 8))
+    masks[:] = used[..., None]
+    masks[..., 1] *= np.exp(-(u**2 + v**2) / (2 * _CENTRE_SIGMA**2))
+    masks[..., 2] *= u < -_SIDE_U
+    masks[..., 3] *= u > _SIDE_U
+    masks[..., 4] *= np.abs(u) <= _SIDE_U
+    masks[..., 5] *= v < -_SIDE_V
+    masks[..., 6] *= v > _SIDE_V
+    masks[..., 7] *= np.abs(v) <= _SIDE_V
+    is_surface = np.isfinite(surfaces.centre)
     member = surfaces.is_member.astype(np.float64)
-    n = member.sum(axis=2)
-    share = np.einsum("sng,mng->msn", member, masks) / np.maximum(masks.sum(axis=2), 1e-6)[:, None]
-    log_share = np.log(share + _MIN_SHARE)
-    area, disparity = share[0], np.nan_to_num(surfaces.disparity, nan=0.0)
+    n = np.maximum(member.sum(axis=2), 1.0)
+    share = member.swapaxes(0, 1) @ masks / np.maximum(masks.sum(axis=1), 1e-6)[:, None]  # (N, S, 8)
+    log_share = np.log(share + _MIN_SHARE).transpose(2, 1, 0)
+    area, disparity = share[..., 0].T, np.where(is_surface, surfaces.disparity, 0.0)
     single, parts = disparity[:, None], area[:, None]
     in_front = (single > disparity[None] * _NEARER) * parts  # surface t in front of s, (t, s, N)
     behind = (single < disparity[None] * _FARTHER) * parts
-    disparity_px = np.maximum(tiles.first_px + tiles.scale[0] * np.nan_to_num(surfaces.centre, nan=0.0), 0.1)
+    centre = np.where(is_surface, surfaces.centre, 0.0)
+    disparity_px = np.maximum(tiles.first_px + tiles.scale[0] * centre, 0.1)
     by_size_z = _deviation(disparity_px, by_size.disparity_px, np.hypot(by_size.log_sigma, _MIN_LOG_SIGMA))
     track_z = _deviation(disparity_px, track_px, np.full(len(track_px), _TRACK_LOG_SIGMA))
     nearer, farther = np.maximum(by_size_z, 0.0), np.maximum(-by_size_z, 0.0)
@@ -176,7 +176,7 @@ def features(
         "middle_rows": log_share[7],
         "width": _extent(u, surfaces.is_member),
         "height": _extent(v, surfaces.is_member),
-        "cost": (member * cost).sum(axis=2) / np.maximum(n, 1.0),
+        "cost": (member * cost).sum(axis=2) / n,
         "in_front": in_front.sum(axis=0),
         "behind": behind.sum(axis=0),
         "nearer_than_size": nearer,
@@ -184,7 +184,7 @@ def features(
         "farther_than_size": farther,
         "farther_than_size_squared": farther**2,
         "off_track": track_z**2,
-        "of_other_box": np.einsum("sng,ng->sn", member, others_share) / np.maximum(n, 1.0),
+        "of_other_box": (member * others_share).sum(axis=2) / n,
     }
 
 
@@ -204,11 +204,11 @@ def _deviation(disparity_px: FloatArray, expected_px: FloatArray, log_sigma: Flo
     """(S, N) deviations of log disparity in standard deviations; 0 where nothing is expected."""
     with np.errstate(invalid="ignore", divide="ignore"):  # the logarithm of expected disparities of infinity
         z = np.log(disparity_px / expected_px) / log_sigma
-    return np.clip(np.nan_to_num(z, nan=0.0), -_MAX_DEVIATION, _MAX_DEVIATION)
+    return np.where(np.isnan(z), 0.0, np.minimum(np.maximum(z, -_MAX_DEVIATION), _MAX_DEVIATION))
 
 
 def _extent(position: FloatArray, is_member: BoolArray) -> FloatArray:
     """(S, N) range of the positions (N, G) of the members."""
-    last = np.where(is_member, position, -np.inf).max(axis=2)
-    first = np.where(is_member, position, np.inf).min(axis=2)
-    return np.where(np.isfinite(last), last - first, 0.0)
+    last = np.where(is_member, position, -1.0).max(axis=2)
+    first = np.where(is_member, position, 1.0).min(axis=2)
+    return np.maximum(last - first, 0.0)

@@ -48,7 +48,7 @@ class SurfaceFit:
 
     def at(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """(..., N, G) disparities at positions (N, G), or broadcastable to that."""
-        p0, p1, p2, p3, p4 = np.moveaxis(self.p, -1, 0)[..., None]
+        p0, p1, p2, p3, p4 = (self.p[..., i, None] for i in range(5))
         return np.asarray(p0 + u * (p1 + p3 * u) + v * (p2 + p4 * v))
 
 
@@ -84,12 +84,11 @@ def fit_surfaces(
     total = weight.sum(axis=-1)
     reference = (weight * index).sum(axis=-1) / np.maximum(total, 1e-12)
     d = (index - reference[..., None])[..., None]
-    ridge = np.zeros((*total.shape, n_parameters, n_parameters))
-    diagonal = np.einsum("...ii->...i", ridge)
-    diagonal[..., :3] = 1e-9
+    diagonal = np.full((*total.shape, n_parameters), 1e-9)
     diagonal[..., 1:3] += (_RIDGE * total)[..., None]
     if is_curved:
-        diagonal[..., 3:] = (_OVERLAP / np.square(_CURVATURE * disparity))[..., None]
+        diagonal[..., 3:] += (_OVERLAP / np.square(_CURVATURE * disparity))[..., None]
+    ridge = diagonal[..., None] * np.eye(n_parameters)
     inverse_f = 1.0 / np.maximum(_FLOOR_SHARE * disparity, _FLOOR_PX)[..., None]
     w = weight
     for iteration in range(n_iterations):

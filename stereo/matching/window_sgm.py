@@ -50,8 +50,10 @@ def match_windows(cost: FloatArray32) -> WindowMatches:
     """The disparity of each window from costs (D, G, N), bits per pixel, with D >= 3; NaN = outside the right image."""
     c = np.where(np.isfinite(cost), cost, _UNSEEN_BITS)
     last = len(cost) - 2
-    d = np.clip(_path_costs(c).argmin(axis=0), 1, last)
-    d = np.clip(d - 1 + np.stack([_at(c, d - 1), _at(c, d), _at(c, d + 1)]).argmin(axis=0), 1, last)
+    d = _inside(_path_costs(c).argmin(axis=0), last)
+    before, at, after = _at(c, d - 1), _at(c, d), _at(c, d + 1)
+    is_before = (before <= at) & (before <= after)
+    d = _inside(d - is_before + ((after < at) & ~is_before), last)
     c_minus, c_0, c_plus = _at(cost, d - 1), _at(cost, d), _at(cost, d + 1)
     slope = np.maximum(c_minus, c_plus) - c_0
     is_minimum = (c_0 <= np.minimum(c_minus, c_plus)) & (slope > 0)  # False where one of the three is NaN
@@ -59,8 +61,13 @@ def match_windows(cost: FloatArray32) -> WindowMatches:
     return WindowMatches(
         index=(d + offset).T.astype(np.float64),
         slope=np.where(is_minimum, slope, 0.0).T.astype(np.float64),
-        cost=np.nan_to_num(c_0, nan=float(_UNSEEN_BITS)).T.astype(np.float64),
+        cost=_at(c, d).T.astype(np.float64),
     )
+
+
+def _inside(d: IntArray, last: int) -> IntArray:
+    """Disparities that have a neighbour on both sides."""
+    return np.minimum(np.maximum(d, 1), last)
 
 
 def _at(values: FloatArray32, index: IntArray) -> FloatArray32:
@@ -75,18 +82,23 @@ def _path_costs(c: FloatArray32) -> FloatArray32:
     side = math.isqrt(n_windows)
     rows = c.reshape(n_disparities, side, side, n)
     columns = rows.swapaxes(1, 2)
-    # L of all paths at once: (step along the path, path direction, D + a border of infinity, parallel paths, N)
-    path = np.full((side, 4, n_disparities + 2, side, n), np.float32(np.inf), np.float32)
+    # L of all paths at once: (step along the path, D + a border of infinity, path direction, parallel paths, N)
+    path = np.empty((side, n_disparities + 2, 4, side, n), np.float32)
+    path[:, 0], path[:, -1] = np.inf, np.inf
     for direction, costs in enumerate((rows, rows[:, :, ::-1], columns, columns[:, :, ::-1])):
-        path[:, direction, 1:-1] = np.moveaxis(costs, 2, 0)
+        path[:, 1:-1, direction] = costs.transpose(2, 0, 1, 3)
     for l_w, l_v in zip(path[1:], path[:-1], strict=True):
-        least = l_v[:, 1:-1].min(axis=1, keepdims=True)
-        step = np.minimum(l_v[:, :-2], l_v[:, 2:])
+        least = l_v[1:-1].min(axis=0)
+        step = np.minimum(l_v[:-2], l_v[2:])
         step += _P1_BITS
-        np.minimum(step, l_v[:, 1:-1], out=step)
+        np.minimum(step, l_v[1:-1], out=step)
         np.minimum(step, least + _P2_BITS, out=step)
         step -= least
-        l_w[:, 1:-1] += step
-    right, left, down, up = (np.moveaxis(path[:, direction, 1:-1], 0, 2) for direction in range(4))
-    total = right + left[:, :, ::-1] + (down + up[:, :, ::-1]).swapaxes(1, 2)
-    return np.asarray(total.reshape(c.shape))
+        l_w[1:-1] += step
+    right, left, down, up = (path[:, 1:-1, direction].transpose(1, 2, 0, 3) for direction in range(4))
+    total = np.empty(rows.shape, np.float32)
+    np.add(right, left[:, :, ::-1], out=total)
+    by_column = total.swapaxes(1, 2)
+    by_column += down
+    by_column += up[:, :, ::-1]
+    return total.reshape(c.shape)
