@@ -39,7 +39,7 @@ from track_range.stereo.matching.surface_choice import (
     choose_surface,
     features,
 )
-from track_range.stereo.matching.surface_fit import SurfaceFit, surface_terms
+from track_range.stereo.matching.surface_fit import SurfaceFit
 from track_range.stereo.matching.surfaces import Surfaces, find_surfaces, window_weights
 from track_range.stereo.matching.tiles import (
     COARSE,
@@ -154,7 +154,6 @@ class SurfaceSearch(NamedTuple):
 
     Attributes:
         tiles: tiles and strips.
-        terms: (N, G, 5) terms of surfaces (`surface_terms`).
         cost: (D, G, N) costs of the windows.
         matches: matches of the windows.
         weight: (N, G) weights of the windows.
@@ -164,7 +163,6 @@ class SurfaceSearch(NamedTuple):
     """
 
     tiles: BoxTiles
-    terms: FloatArray
     cost: FloatArray32
     matches: WindowMatches
     weight: FloatArray
@@ -283,7 +281,7 @@ class PatchMatcher:
         """Matches of boxes near disparities (N,); is_known = these are results of the full search in the same pair."""
         search = self.search_near(left, right, known, centre_px, search_px)
         members, plane = _chosen(search)
-        refined = refine_surface(search.tiles, search.terms, search.matches.index, members, plane)
+        refined = refine_surface(search.tiles, search.matches.index, members, plane)
         return self._checked(search, refined, known, is_known=is_known)
 
     def search_full_range(self, left: Image, right: ImageView, known: KnownBoxes) -> SurfaceSearch:
@@ -326,8 +324,7 @@ class PatchMatcher:
             cost[np.broadcast_to(beyond[:, None], cost.shape)] = np.nan
         matches = match_windows(cost)
         weight = window_weights(matches, tiles)
-        terms = surface_terms(tiles.u, tiles.v)
-        surfaces = find_surfaces(matches.index, weight, tiles, terms)
+        surfaces = find_surfaces(matches.index, weight, tiles)
         others = known.others.windows(known.xyxy_px, known.expected_px, tiles, tiles.disparity_px(matches.index))
         phi = features(
             surfaces,
@@ -337,7 +334,7 @@ class PatchMatcher:
             track_px=known.track_px,
             others_share=others,
         )
-        return SurfaceSearch(tiles, terms, cost, matches, weight, surfaces, phi, choose_surface(phi, surfaces))
+        return SurfaceSearch(tiles, cost, matches, weight, surfaces, phi, choose_surface(phi, surfaces))
 
     def _checked(
         self, search: SurfaceSearch, surface: RefinedSurface, known: KnownBoxes, *, is_known: bool

@@ -7,9 +7,10 @@ along the row,
     left(x) = a right(x - d(x, y)) + s g(x) + b        d of the window <- d - s        twice
 
 The gain a and the bias b belong to each window, so that the cameras' exposures may differ, as with census. The
-derivative is the left tile's in both iterations, and the cubic that interpolates right(x - d) shifts all frequencies
-of a smoothed image by nearly the same amount: no fraction of a pixel is preferred. The variance of d is that of the
-least squares, with the residuals as the noise. The surface is fitted again to the windows that the grey values confirm.
+derivative is the left tile's in both iterations. The first one interpolates right(x - d) linearly, the last one by a
+cubic, which shifts all frequencies of a smoothed image by nearly the same amount: no fraction of a pixel is preferred.
+The variance of d is that of the least squares, with the residuals as the noise. The surface is fitted again to the
+windows that the grey values confirm.
 
 A vertical offset between the images shifts slanted edges sideways: on KITTI's cars by up to half a pixel per pixel. So
 one vertical offset per box is fitted to the residuals, and its effect on each window's d removed.
@@ -23,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32
-from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces
+from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces, surface_terms
 from track_range.stereo.matching.surfaces import centre_weights
 from track_range.stereo.matching.tiles import MARGIN_PX, BoxTiles, Grey, window_sums
 
@@ -74,14 +75,11 @@ class RefinedSurface:
     is_confirmed: BoolArray
 
 
-def refine_surface(
-    tiles: BoxTiles, terms: FloatArray, index: FloatArray, is_member: BoolArray, plane: SurfaceFit
-) -> RefinedSurface:
+def refine_surface(tiles: BoxTiles, index: FloatArray, is_member: BoolArray, plane: SurfaceFit) -> RefinedSurface:
     """The surface with subpixel disparities.
 
     Args:
         tiles: the boxes' tiles.
-        terms: (N, G, 5) terms of surfaces (`surface_terms`).
         index: (N, G) disparities by census relative to index 0, px of the tile.
         is_member: (N, G) windows of the surface.
         plane: the plane through them.
@@ -90,7 +88,7 @@ def refine_surface(
     column_u, row_v = tiles.pixel_positions()
     disparity = np.maximum(tiles.first + plane.p[:, 0], 0.1)
     floor = _FLOOR_PX**2 + (_FLOOR_SHARE * disparity[:, None]) ** 2
-    central = centre_weights(u, v)
+    central, terms = centre_weights(u, v), surface_terms(u, v)
     equations, fit = _Equations.of(tiles), plane
     last = tiles.n_disparities - 2.0
     for iteration in range(len(_N_FIT_ITERATIONS)):
@@ -98,7 +96,7 @@ def refine_surface(
         rows, columns = row_v * (p2 + p4 * row_v), p0 + column_u * (p1 + p3 * column_u)
         at_pixels = rows.astype(np.float32)[:, None] + columns.astype(np.float32)
         at_pixels = np.minimum(np.maximum(at_pixels, np.float32(1.0)), np.float32(last))
-        step = equations.solve(at_pixels, has_vertical_offset=iteration == len(_N_FIT_ITERATIONS) - 1)
+        step = equations.solve(at_pixels, is_last=iteration == len(_N_FIT_ITERATIONS) - 1)
         is_fitted = (np.abs(step.s) < _MAX_STEP_PX) & (step.a > _MIN_GAIN) & (step.a * _MIN_GAIN < 1.0)
         is_confirmed = is_fitted & (step.variance < _MAX_SIGMA_PX**2) & is_member
         s = step.s if step.vertical is None else step.s - _vertical_offset_share(step.vertical, is_confirmed)
@@ -193,11 +191,14 @@ class _Equations(NamedTuple):
         np.multiply(h, values[1::-1], out=values[7:])
         return cls(l, g, h, np.ascontiguousarray(grey[1:-1]), _by_window(values, tiles), tiles)
 
-    def solve(self, index: FloatArray32, *, has_vertical_offset: bool) -> _Step:
-        """The solution with the right values at the disparities index (H, W, N)."""
+    def solve(self, index: FloatArray32, *, is_last: bool) -> _Step:
+        """The solution with the right values at the disparities index (H, W, N).
+
+        The first steps interpolate linearly; only the last one needs exact fractions and the vertical offset.
+        """
         l, g, h, n = self.l, self.g, self.h, self.tiles.shape.window_px  # noqa: E741
-        values = np.empty((5 if has_vertical_offset else 4, *l.shape), np.float32)
-        r = self._right_at(index, values[0])
+        values = np.empty((5 if is_last else 4, *l.shape), np.float32)
+        r = self._right_at(index, values[0], is_linear=not is_last)
         np.square(r, out=values[1])
         for product, factor in zip(values[2:], (g, l, h), strict=False):
             np.multiply(r, factor, out=product)
@@ -212,15 +213,15 @@ class _Equations(NamedTuple):
         information = np.maximum(determinant / (np.maximum(rr, 0.0) + 1e-3), 1e-6)
         noise = _NOISE_CORRELATION * (residual + _MIN_NOISE_GREY2)
         vertical = None
-        if has_vertical_offset:
+        if is_last:
             hh, gh = sum_hh - sum_h * sum_h / n, sum_gh - sum_g * sum_h / n
             hl, hr = sum_hl - sum_h * sum_l / n, sum_hr[0] - sum_h * sum_r / n
             share = gh / np.maximum(gg, 1e-3)
             vertical = _Vertical(share, (hl - s * gh - a * hr) / noise, (hh - share * gh) / noise)
         return _Step(s, a, noise / information, vertical)
 
-    def _right_at(self, index: FloatArray32, out: FloatArray32) -> FloatArray32:
-        """(H, W, N) right values at the disparities index (H, W, N), by Lagrange's cubic through four pixels."""
+    def _right_at(self, index: FloatArray32, out: FloatArray32, *, is_linear: bool) -> FloatArray32:
+        """Fill (H, W, N) right values at the disparities index, by Lagrange's cubic through four pixels, or a line."""
         height, width, n = index.shape
         # Column of the first of the four pixels; the strip follows the left tile with its margins.
         zero = width + 2 * MARGIN_PX + self.tiles.n_disparities - 1
@@ -232,6 +233,12 @@ class _Equations(NamedTuple):
         first += np.arange(n, dtype=np.int32)
         first += np.arange(height, dtype=np.int32)[:, None, None] * np.int32(self.grey.shape[1] * n)
         pixels = self.grey.reshape(-1)
+        if is_linear:
+            at, after = (pixels[k * n :].take(first, mode="wrap") for k in (1, 2))
+            after -= at
+            np.multiply(after, t, out=out)
+            out += at
+            return out
         before, at, after, next_after = (pixels[k * n :].take(first, mode="wrap") for k in range(4))
         # at + t (c1 + t (c2 + t c3))
         c3 = at - after

@@ -204,11 +204,11 @@ def _deviation(disparity_px: FloatArray, expected_px: FloatArray, log_sigma: Flo
     """(S, N) deviations of log disparity in standard deviations; 0 where nothing is expected."""
     with np.errstate(invalid="ignore", divide="ignore"):  # the logarithm of expected disparities of infinity
         z = np.log(disparity_px / expected_px) / log_sigma
-    return np.where(np.isnan(z), 0.0, np.minimum(np.maximum(z, -_MAX_DEVIATION), _MAX_DEVIATION))
+    return np.asarray(np.where(np.isnan(z), 0.0, np.minimum(np.maximum(z, -_MAX_DEVIATION), _MAX_DEVIATION)))
 
 
 def _extent(position: FloatArray, is_member: BoolArray) -> FloatArray:
     """(S, N) range of the positions (N, G) of the members."""
     last = np.where(is_member, position, -1.0).max(axis=2)
     first = np.where(is_member, position, 1.0).min(axis=2)
-    return np.maximum(last - first, 0.0)
+    return np.asarray(np.maximum(last - first, 0.0))

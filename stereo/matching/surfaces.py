@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray
-from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces
+from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces, surface_terms
 from track_range.stereo.matching.tiles import BoxTiles
 from track_range.stereo.matching.window_sgm import WindowMatches
 
@@ -82,7 +82,7 @@ def centre_weights(u: FloatArray, v: FloatArray) -> FloatArray:
     return np.asarray(np.exp(-(u**2 + v**2) / (2 * _CENTRE_SIGMA**2)))
 
 
-def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles, terms: FloatArray) -> Surfaces:
+def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles) -> Surfaces:
     """The S surfaces with most support.
 
     The first one grows along its plane before the others are found in what remains; these grow at once.
@@ -91,13 +91,12 @@ def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles, terms:
         index: (N, G) disparities of the windows relative to index 0, px of the tile.
         weight: (N, G) weights of the windows; 0 = no match.
         tiles: the boxes' tiles.
-        terms: (N, G, 5) terms of surfaces (`surface_terms`).
     """
     u, v = tiles.u, tiles.v
     tolerance = np.maximum(_SAME_SURFACE_SHARE * (tiles.first[:, None] + index), _SAME_SURFACE_PX)
     near_object = np.exp(-8.0 * u**2 - 8.0 * (v - _LOWER_MIDDLE) ** 2)
     agree = (np.abs(index[:, None, :] - index[:, :, None]) <= tolerance[:, :, None]).astype(np.float64)
-    central = centre_weights(u, v)
+    central, terms = centre_weights(u, v), surface_terms(u, v)
 
     def modes(free: FloatArray, n: int) -> tuple[BoolArray, FloatArray, FloatArray]:
         """Windows (n, N, G) that agree with the one of most support, its disparity and its tolerance (n, N, 1)."""

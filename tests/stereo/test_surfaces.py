@@ -8,7 +8,7 @@ import pytest
 
 from tests.stereo.tile_cases import EXACT_BOX, tiles_of
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces
+from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces, surface_terms
 from track_range.stereo.matching.surfaces import Surfaces, find_surfaces, window_weights
 from track_range.stereo.matching.window_sgm import WindowMatches
 
@@ -20,7 +20,7 @@ FIRST = 12.0
 
 def fit_of(disparity: FloatArray, weight: FloatArray = WEIGHT, *, is_curved: bool = False) -> FloatArray:
     """The coefficients p (5,) of the surface through the disparities of one box of about 30 px."""
-    fit = fit_surfaces(disparity, weight, positions=(U, V), disparity=np.array([30.0]), is_curved=is_curved)
+    fit = fit_surfaces(disparity, weight, surface_terms(U, V), disparity=np.array([30.0]), is_curved=is_curved)
     return fit.p[0]
 
 
@@ -77,14 +77,14 @@ def test_values_of_a_surface() -> None:
 def test_fits_of_boxes_are_independent() -> None:
     rng = np.random.default_rng(2)
     disparity, weight = rng.uniform(18, 24, (5, 49)), rng.uniform(0, 5, (5, 49))
-    positions = np.repeat(U, 5, axis=0), np.repeat(V, 5, axis=0)
+    terms = np.repeat(surface_terms(U, V), 5, axis=0)
     scale = np.linspace(10.0, 50.0, 5)
     for is_curved in (False, True):
-        together = fit_surfaces(disparity, weight, positions=positions, disparity=scale, is_curved=is_curved)
+        together = fit_surfaces(disparity, weight, terms, disparity=scale, is_curved=is_curved)
         for i in range(5):
             one = slice(i, i + 1)
             alone = fit_surfaces(
-                disparity[one], weight[one], positions=(U, V), disparity=scale[one], is_curved=is_curved
+                disparity[one], weight[one], surface_terms(U, V), disparity=scale[one], is_curved=is_curved
             )
             assert together.p[i] == pytest.approx(alone.p[0])
 
@@ -151,7 +151,7 @@ def test_few_windows_have_no_tilt() -> None:
     weight[0, [17, 24, 31]] = 4.0
     surfaces = surfaces_of(20.0 + 2.0 * V, weight)
     assert surfaces.n_windows[0, 0] == 3
-    assert surfaces.planes[0].p[0, 1:].tolist() == [0.0] * 4
+    assert surfaces.planes.p[0, 0, 1:].tolist() == [0.0] * 4
     assert 19.7 < surfaces.disparity[0, 0] < 20.3
 
 
