@@ -30,8 +30,14 @@ from track_range.stereo.rig_formats.rig_format import RigFormat
 
 _LINE = re.compile(r"^[ \t]*(P|S)(?:_rect_0)?([0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
 
-_NAMELESS = re.compile(r"\s*[-+.\d][^\s,]*(?:[\s,]+[-+.\d][^\s,]*){11}\s*")
-"""A line of 12 words that begin as numbers do."""
+_NUMBER = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
+"""Beginning of a word that is a number."""
+
+_MIN_NAMELESS = 9
+"""Smallest number of words of a line that is meant as a projection matrix; lines of other files have fewer numbers."""
+
+_BRACKETS = str.maketrans("[](),;", "      ")
+"""Separators, and the brackets of copied matrices."""
 
 _RAW_LINE = re.compile(r"^[ \t]*([SKDRT]_0[0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
 _RAW_COUNTS = {"S": 2, "K": 9, "D": 5, "R": 9, "T": 3}
@@ -45,14 +51,18 @@ _COLOUR, _GREY = (2, 3), (0, 1)
 
 
 def _has_projections(text: str) -> bool:
-    """Whether a line of a file is one of KITTI's projections, or all are 12 numbers."""
-    return any(kind == "P" for kind, _, _ in _LINE.findall(text)) or bool(_nameless(text))
+    """Whether a line of a file is one of KITTI's, or all are numbers."""
+    return any(kind == "P" for kind, _, _ in _LINE.findall(text)) or bool(_RAW_LINE.search(text) or _nameless(text))
 
 
 def _nameless(text: str) -> list[str]:
-    """The lines of a file of numbers only, 12 per line; empty for other files."""
-    lines = [line for line in text.splitlines() if line.strip()]
-    return lines if all(_NAMELESS.fullmatch(line) for line in lines) else []
+    """The lines of a file of numbers only, about 12 per line, without comments; empty for other files."""
+    lines = [line.partition("#")[0].translate(_BRACKETS) for line in text.splitlines()]
+    lines = [line for line in lines if line.strip()]
+    is_matrix = [
+        len(words) >= _MIN_NAMELESS and all(map(_NUMBER.match, words)) for words in (line.split() for line in lines)
+    ]
+    return lines if all(is_matrix) else []
 
 
 def _read(text: str, source: object, is_grey: bool) -> Calibration:
@@ -64,6 +74,11 @@ def _read(text: str, source: object, is_grey: bool) -> Calibration:
     if lines := _nameless(text):
         return _read_nameless(lines, source)
     matrix, size = _matrices(text, source), _sizes(text, source)
+    if not matrix:
+        raise RigError(
+            f"{source}: expected the projection matrices P_rect_02 and P_rect_03, found none; give the complete "
+            "calib_cam_to_cam.txt."
+        )
     pairs = (_GREY, _COLOUR) if is_grey else (_COLOUR, _GREY)
     left, right = next((pair for pair in pairs if pair[0] in matrix or pair[1] in matrix), pairs[0])
     if left not in matrix:
@@ -97,7 +112,7 @@ def _read_nameless(lines: Sequence[str], source: object) -> Calibration:
             f"{source}: expected one or two lines of 12 numbers, the projection matrices of the left and right camera, "
             f"found {len(lines)}; give KITTI's calib.txt with its names P0 to P3."
         )
-    matrices = [_matrix(line.replace(",", " "), f"{source}: line {n}") for n, line in enumerate(lines, 1)]
+    matrices = [_matrix(line, f"{source}: line {n}") for n, line in enumerate(lines, 1)]
     offsets_m = [float(matrix[0, 3] / matrix[0, 0]) for matrix in matrices]
     if len(lines) == 1:
         note = f"{source}: a line without a name is taken as the projection matrix P of rectified images."
@@ -221,6 +236,8 @@ def _matrix(values: str, name: str) -> FloatArray:
     """The (3, 4) projection matrix of a line."""
     matrix = _numbers(values, 12, name)
     matrix = matrix.reshape(3, 4)
+    if not np.isfinite(matrix).all():
+        raise RigError(f"{name}: expected a projection matrix of 12 finite numbers, found {quoted(values.strip())}; correct the line.")
     is_upper = matrix[1, 0] == matrix[2, 0] == matrix[2, 1] == 0 and matrix[2, 2] == 1
     if not (is_upper and np.abs(matrix).max() <= _MAX_VALUE and matrix[0, 0] > 0 and matrix[1, 1] > 0):
         raise RigError(

@@ -228,3 +228,33 @@ def test_raw_file_by_image_size(tmp_path: Path) -> None:
 def test_wrong_raw_files(tmp_path: Path, old: str, new: str, key_word: str) -> None:
     path = written(tmp_path, raw_file(raw_pair()).replace(old, new), "calib_cam_to_cam.txt")
     assert key_word in refused(path, size_px=(1392, 512))
+
+
+LEFT = "721.5 0 609.5 44.85 0 721.5 172.85 0.2163 0 0 1 0.002745"
+RIGHT = "721.5 0 609.5 -339.5 0 721.5 172.85 2.199 0 0 1 0.002729"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"# left and right\n{LEFT} # camera 2\n{RIGHT}\n",
+        f"[{LEFT}]\n[{RIGHT}]\n",
+        f"{LEFT.replace(' ', ', ')};\n{RIGHT.replace(' ', ', ')};\n",
+    ],
+)
+def test_copied_matrices_with_comments_and_brackets(tmp_path: Path, text: str) -> None:
+    rig, _ = load_rig(written(tmp_path, text), size_px=(1242, 375))
+    assert rig.baseline_m == pytest.approx((339.5 + 44.85) / 721.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (f"{LEFT.rpartition(' ')[0]}\n{RIGHT}", "line 1: expected 12 numbers, found 11"),
+        (f"{LEFT}\n{RIGHT.replace('2.199', 'nan')}", "line 2: expected a projection matrix of 12 finite numbers"),
+        ("R_02: 1 0 0 0 1 0 0 0 1\nT_02: 0 0 0\n", "expected the projection matrices P_rect_02 and P_rect_03"),
+    ],
+)
+def test_damaged_lines_without_names(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(RigError, match=message):
+        load_rig(written(tmp_path, text), size_px=(1242, 375))

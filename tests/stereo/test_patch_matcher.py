@@ -149,6 +149,12 @@ def test_settings_for_a_rig_reach_the_nearest_distance() -> None:
     assert PatchMatcherSettings.for_rig(rig, nearest_m=0.1).max_disparity_px == 640  # half the image width
 
 
+@pytest.mark.parametrize("search_px", [1, 3, 6, 7, 11])
+def test_any_search_width(search_px: int) -> None:
+    matcher = PatchMatcher(PatchMatcherSettings(search_px=search_px))
+    assert of_box(pair(20.3), prior_px=20.5, matcher=matcher)[0] == pytest.approx(20.3, abs=0.05)
+
+
 # Several surfaces
 
 
@@ -168,6 +174,21 @@ def test_of_two_surfaces_the_object_is_measured(
         images = pair_of_two(front, front_px=front_px, behind_px=behind_px, seed=seed)
         for prior_px in (NONE, object_px + 2.0):
             assert of_box(images, prior_px=prior_px)[0] == pytest.approx(object_px, abs=0.15)
+
+
+@pytest.mark.xfail(strict=True, reason="without a size, the wall's two thirds of the box outvote the person before it")
+def test_a_person_in_a_third_of_its_box() -> None:
+    images = pair_of_two((np.abs(COLUMNS - 240) <= 12) & (ROWS >= 40), front_px=25, behind_px=10)
+    assert of_box(images)[0] == pytest.approx(25, abs=0.15)
+
+
+@pytest.mark.xfail(strict=True, reason="windows on the edge between the halves pull the nearer one by 0.7 px")
+def test_a_half_is_exact() -> None:
+    errors = [
+        of_box(pair_of_two(COLUMNS < 240, front_px=40, behind_px=20, seed=seed), prior_px=40.0)[0] - 40.0
+        for seed in range(4)
+    ]
+    assert np.abs(errors).max() < 0.6
 
 
 def test_the_prior_decides_between_halves() -> None:
@@ -326,7 +347,7 @@ def test_a_partly_saturated_box_is_measured() -> None:
 
 
 @pytest.mark.parametrize("make", ["noise", "texture"])
-@pytest.mark.parametrize(("with_prior", "most_pct"), [(False, 1), (True, 8)])
+@pytest.mark.parametrize(("with_prior", "most_pct"), [(False, 0), (True, 8)])
 def test_unrelated_images_are_refused(make: str, with_prior: bool, most_pct: int) -> None:
     boxes = np.array([[210.0 + 10 * i, 30.0, 230.0 + 12 * i, 60.0 + 3 * i] for i in range(10)])
     n_found = 0

@@ -72,7 +72,7 @@ def motion(before: Image, now: Image, boxes_before: Array = NO_BOXES, boxes_now:
 
 
 @given(dx=st.integers(-60, 60), dy=st.integers(-40, 40))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_shift_is_recovered(dx: int, dy: int) -> None:
     estimate = motion(cut(CROP_PX, CROP_PX), cut(CROP_PX - dx, CROP_PX - dy))
     assert corner_error_px(estimate, np.array([[1.0, 0, dx], [0, 1.0, dy]]), cut(0, 0)) < 0.2

@@ -17,7 +17,7 @@ from track_range.tracking.tracks import Tracks
 
 CAR, TRUCK, PERSON = (ROAD_CLASSES.index(name) for name in ("car", "truck", "person"))
 IMAGE = np.zeros((375, 1242, 3), np.uint8)
-SEEDS = range(10)  # of random frames
+SEEDS = range(15)  # of random frames
 NO_PREDICTION = DeepSortSettings(prediction=PredictionGates(max_missing_s=0.0))
 EARLY_PREDICTION = DeepSortSettings(prediction=PredictionGates(min_hit_streak_visible=5))
 
