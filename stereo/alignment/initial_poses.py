@@ -279,8 +279,14 @@ def _motion(step: _Step, rig: StereoRig) -> _Motion | None:
     )
     if not is_solved or inliers is None or len(inliers) < _MIN_INLIERS:
         return None
-    motion = _Motion(np.asarray(cv2.Rodrigues(rvec)[0], np.float64), np.asarray(tvec, np.float64).reshape(3))
-    return _refined(step, rig, motion, (_MAX_ERROR_PX,)) or motion
+    if refined := _refined(step, rig, _pose(rvec, tvec), (_MAX_ERROR_PX,)):
+        return refined
+    # OpenCV's last step, EPnP on all inliers, may end far from the pose that has them.
+    rows = inliers.ravel()
+    is_solved, rvec, tvec = cv2.solvePnP(
+        step.points_m[rows], step.xy_px[rows], rig.left.matrix, np.zeros(5), flags=cv2.SOLVEPNP_SQPNP
+    )
+    return _refined(step, rig, _pose(rvec, tvec), (_MAX_ERROR_PX,)) if is_solved else None
 
 
 def _refined(
@@ -300,5 +306,11 @@ def _refined(
             cv2.Rodrigues(motion.rotation)[0],
             motion.translation_m.reshape(3, 1).copy(),
         )
-        motion = _Motion(np.asarray(cv2.Rodrigues(rvec)[0], np.float64), np.asarray(tvec, np.float64).reshape(3))
+        motion = _pose(rvec, tvec)
     return motion
+
+
+def _pose(rvec: npt.ArrayLike, tvec: npt.ArrayLike) -> _Motion:
+    """The motion of OpenCV's rotation vector and translation."""
+    rotation = cv2.Rodrigues(np.asarray(rvec, np.float64))[0]
+    return _Motion(np.asarray(rotation, np.float64), np.asarray(tvec, np.float64).reshape(3))
