@@ -100,15 +100,15 @@ def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles) -> Sur
 
     def modes(free: FloatArray, n: int) -> tuple[BoolArray, FloatArray, FloatArray]:
         """Windows (n, N, G) that agree with the one of most support, its disparity and its tolerance (n, N, 1)."""
-        found = []
+        chosen = []
         for _ in range(n):
             support = np.where(free > 0, (agree @ (free * near_object)[:, :, None])[..., 0], 0.0)
             best = np.arange(len(free)), support.argmax(axis=1)
             best_index, limit = index[best][:, None], tolerance[best][:, None]
             is_member = (free > 0) & (np.abs(index - best_index) <= limit)
-            found.append((is_member, best_index, limit))
+            chosen.append((is_member, best_index, limit))
             free = np.where(is_member, 0.0, free)
-        is_members, best_indices, limits = zip(*found, strict=True)
+        is_members, best_indices, limits = zip(*chosen, strict=True)
         return np.stack(is_members), np.stack(best_indices), np.stack(limits)
 
     def grown(free: FloatArray, n: int, *, n_growths: int) -> tuple[BoolArray, FloatArray]:

@@ -237,8 +237,8 @@ def _matrix(values: str, name: str) -> FloatArray:
     matrix = _numbers(values, 12, name)
     matrix = matrix.reshape(3, 4)
     if not np.isfinite(matrix).all():
-        found = quoted(values.strip())
-        raise RigError(f"{name}: expected a projection matrix of 12 finite numbers, found {found}; correct the line.")
+        words = quoted(values.strip())
+        raise RigError(f"{name}: expected a projection matrix of 12 finite numbers, found {words}; correct the line.")
     is_upper = matrix[1, 0] == matrix[2, 0] == matrix[2, 1] == 0 and matrix[2, 2] == 1
     if not (is_upper and np.abs(matrix).max() <= _MAX_VALUE and matrix[0, 0] > 0 and matrix[1, 1] > 0):
         raise RigError(
