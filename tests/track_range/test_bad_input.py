@@ -112,11 +112,9 @@ def test_truncated_video(render_drive, succeeds, tmp_path):
     assert 9 <= max(frames) < 14
 
 
-def test_empty_folder_and_no_focal_length(fails, options, drive, tmp_path):
+def test_empty_folder(fails, options, tmp_path):
     (tmp_path / "images").mkdir()
     assert "images" in fails(*options(left=tmp_path / "images"))
-    lonely = shutil.copy(drive.left, tmp_path / "lonely.mp4")
-    assert "--focal-px" in fails("--mono", lonely, "--detections", drive.detections)
 
 
 def changed_rig(drive, path, **changes):

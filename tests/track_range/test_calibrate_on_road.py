@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from types import SimpleNamespace
 
 import numpy as np
@@ -161,3 +162,22 @@ def test_simulated_video(tmp_path, cli, small_drive):
     )
     assert status == 0, complaint
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["calibration"] == "rig"
+
+
+@pytest.mark.slow
+def test_run_without_a_calibration(tmp_path, cli, small_drive):
+    video = shutil.copy(small_drive.left, tmp_path / "drive.mp4")  # without the rig.yaml beside it
+    out = tmp_path / "run"
+    status, printed, complaint = cli(
+        "run", "--mono", video, "--detections", small_drive.detections, "--out", out, "--no-overlay"
+    )
+    assert status == 0, complaint
+    assert "No calibration" in printed
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["calibration"] == "estimated"
+    assert 0.08 < summary["focal_sigma"] < 0.31
+    true_px = load_camera(small_drive.rig, size_px=None)[0].fx_px
+    assert abs(math.log(summary["focal_px"] / true_px)) < 3 * summary["focal_sigma"]
+    rows = np.genfromtxt(out / "tracks.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    share = rows["fused_sigma_m"] / rows["fused_m"]
+    assert np.nanmin(share) >= summary["focal_sigma"] - 1e-3

@@ -46,14 +46,14 @@ def test_pair_without_a_rig_is_scaled_by_sizes(drive, run, tmp_path):
     assert "alignment" not in summary
     scale, stereo = summary["learnt_scale"], summary["methods"]["stereo"]
     assert scale["n_tracks"] >= 5
-    assert 0.25 < scale["relative_sigma"] < 0.35
+    assert 0.1 < scale["relative_sigma"] < 0.35
     rig, _ = load_rig(drive.rig, size_px=(620, 188))
     expected = rig.left.fx_px * rig.baseline_m
     assert scale["focal_px"] * scale["baseline_m"] == pytest.approx(expected, rel=2 * scale["relative_sigma"])
-    assert 1 < stereo["median_relative_error_pct"] < 40
+    assert 0.2 < stereo["median_relative_error_pct"] < 40
     assert stereo["within_2_sigma"] > 0.9
     share = columns["stereo_sigma_m"] / columns["stereo_m"]
-    assert np.nanmin(share) > 0.25
+    assert np.nanmin(share) > summary["focal_sigma"]
     assert "sgbm" not in summary["methods"]
     assert "track-range calibrate" in printed
     assert "No disparity.mp4" in printed

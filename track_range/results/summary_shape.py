@@ -95,6 +95,7 @@ class _Summary(_Section):
     wall_s: Figure = None
     frames_per_s: Figure = None
     focal_px: Figure = None
+    focal_sigma: Figure = None
     baseline_m: Figure = None
     truth: Text = None
     calibration: Text = None

@@ -33,6 +33,7 @@ from track_range.results.replay import frames_of_rows
 from track_range.results.truth import matched_truth, with_truth
 from track_range.run.box_source import BoxSource, boxes_of, open_box_source
 from track_range.run.build import open_input, open_pipeline
+from track_range.run.focal_estimate import with_focal_length
 from track_range.run.frame_result import FrameResult
 from track_range.run.interrupts import defer_interrupts, ignore_interrupts
 from track_range.run.options.detector_options import open_detector
@@ -209,6 +210,9 @@ class Run:
             if self._prepared is not None:
                 self._prepared.report(LOADING)
             boxes = self._boxes(recording)
+            if self._detector is None:  # another object may depend on the order of the frames
+                recording = with_focal_length(recording, settings, boxes, curves, self._step_progress)
+                calibration = recording.calibration
             truth = None
             if settings.truth is not None:
                 truth = read_truth(settings.truth, calibration.camera, calibration.left_from_reference_m)

@@ -241,6 +241,7 @@ class RunSession:
             "events": events_section(self.events, self.seconds),
             "calibration": calibration.kind,
             "focal_px": source.camera.fx_px,
+            "focal_sigma": round(calibration.focal_sigma, 4),
             "baseline_m": source.rig.baseline_m if source.rig else None,
             **({"alignment": calibration.alignment.summary()} if calibration.alignment else {}),
             **{key: value for ranger in rangers for key, value in ranger.summary().items()},

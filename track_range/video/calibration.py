@@ -9,20 +9,28 @@ from typing import Literal
 
 import numpy as np
 
+from track_range.calibration.road.focal_sources import focal_guesses
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.ranging.fitting.camera.focal_evidence import best_guess, default_guess
+from track_range.ranging.fitting.camera.measurements import FocalGuess
 from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
-from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera, check_rig, fitted_to_size
 from track_range.stereo.rig_formats.camera_info import camera_of, is_undistorted, rig_of
 from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_camera, load_rig, mounting_of
 from track_range.video.inputs import Inputs
 from track_range.video.names import VideoName, files_of
 from track_range.video.pairs.auto_alignment import PairAlignment
-from track_range.video.pairs.uncalibrated import ASSUMED_BASELINE_M, UncalibratedPair, camera_of_focal_length
+from track_range.video.pairs.uncalibrated import (
+    ASSUMED_BASELINE_M,
+    GIVEN_FOCAL_SIGMA,
+    UncalibratedPair,
+    focal_sentence,
+)
 from track_range.video.reader import VideoReader
 
 _MAX_HEIGHT_SIGMA = 0.05
@@ -48,6 +56,8 @@ class Calibration:
         search_notes: the sentence that names the file if it was not given but found.
         alignment: disparity correction of a calibrated pair.
         uncalibrated: assumptions about a pair without calibration.
+        guesses: guesses of a focal length that is not known; empty = it is.
+        focal: estimate of a focal length that is not known; None = it is.
         mounting: height and pitch of a camera that was calibrated from the road, and the uncertainty of its focal
             length; None = unknown.
     """
@@ -63,6 +73,8 @@ class Calibration:
     search_notes: tuple[str, ...] = ()
     alignment: PairAlignment | None = None
     uncalibrated: UncalibratedPair | None = None
+    guesses: tuple[FocalGuess, ...] = ()
+    focal: FocalGuess | None = None
     mounting: Mounting | None = None
 
     @property
@@ -70,6 +82,8 @@ class Calibration:
         """Relative standard deviation of the focal length, which all distances share; 0 = calibrated."""
         if self.uncalibrated is not None:
             return self.uncalibrated.focal_sigma
+        if self.focal is not None:
+            return self.focal.sigma
         return 0.0 if self.mounting is None else self.mounting.focal_sigma
 
     @property
@@ -85,7 +99,22 @@ class Calibration:
         """Messages for the user."""
         alignment = () if self.alignment is None else self.alignment.notes
         uncalibrated = () if self.uncalibrated is None else self.uncalibrated.notes
-        return (*self.search_notes, *self.file_notes, *alignment, *uncalibrated)
+        return (*self.search_notes, *self.file_notes, *alignment, *uncalibrated, *self._focal_notes)
+
+    @property
+    def _focal_notes(self) -> tuple[str, ...]:
+        """Messages about the uncertainty of the focal length of one camera."""
+        if self.uncalibrated is not None or not self.focal_sigma:
+            return ()
+        if self.focal is None:
+            return (
+                f"The focal length of {self.path} is known within {100 * self.focal_sigma:.1f} %, which is part of the "
+                "sigma of every distance.",
+            )
+        return (
+            f"No calibration: {focal_sentence(self.focal)}, and all distances share its error; a known distance "
+            "reduces it: track-range calibrate --mono VIDEO --known-distance 'T_S,X1,Y1,X2,Y2=METRES' --out rig.yaml.",
+        )
 
     @property
     def rectified_boxes(self) -> Callable[[FloatArray], FloatArray]:
@@ -122,16 +151,26 @@ class Calibration:
         rectifier = Rectifier(_assumed_rig(self.camera), row_offset_px=pair.row_offset_px)
         return replace(self, rectifier=rectifier, uncalibrated=pair)
 
+    def with_focal_length(self, guess: FocalGuess) -> Calibration:
+        """A copy of an uncalibrated camera or pair with another estimate of its focal length.
+
+        The rectified images do not depend on it.
+        """
+        pair = None if self.uncalibrated is None else self.uncalibrated.with_focal_length(guess)
+        size_px = self.camera.width_px, self.camera.height_px
+        camera = PinholeCamera.of_focal_length(guess.focal_px, size_px)
+        return replace(self, camera=camera, uncalibrated=pair, focal=guess)
+
 
 def find_calibration(left: VideoName, inputs: Inputs, *, rig: Path | None, focal_px: float | None) -> Calibration:
     """The calibration of opened videos: from the file `rig`, the focal length, the bag, or a file next to `left`.
 
     The first of these is used.
 
-    A pair without any of these is uncalibrated.
+    Without any of these, the focal length is estimated, and the distances are uncalibrated.
 
     Raises:
-        RigError: the file cannot be used or does not fit the images; or one camera has neither file nor focal length.
+        RigError: the file cannot be used or does not fit the images.
         VideoError: the videos of an uncalibrated pair differ in size.
     """
     if rig is None and focal_px is None and (in_bag := _calibration_in_bag(inputs)) is not None:
@@ -143,20 +182,30 @@ def find_calibration(left: VideoName, inputs: Inputs, *, rig: Path | None, focal
     if path is not None:
         loaded = _loaded_pair(path, inputs) if inputs.pairs is not None else _loaded_camera(path, inputs)
         return replace(loaded, search_notes=search_notes)
+    guesses = () if focal_px is not None else _guesses(inputs)
+    guess = best_guess(guesses) if focal_px is None else FocalGuess(focal_px, GIVEN_FOCAL_SIGMA, "--focal-px")
+    camera = PinholeCamera.of_focal_length(guess.focal_px, inputs.size_px)
+    check_camera(camera, "--focal-px" if focal_px is not None else f"{left}: focal length")
+    focal = None if focal_px is not None else guess
     if inputs.pairs is not None:
         inputs.check_equal_sizes()
-        pair = UncalibratedPair.of(inputs.size_px, focal_px)
-        check_camera(pair.camera, "--focal-px")
-        rectifier = Rectifier(_assumed_rig(pair.camera))
-        return Calibration(kind="estimated", camera=pair.camera, rectifier=rectifier, uncalibrated=pair)
-    if focal_px is None:
-        raise RigError(
-            f"{left}: distances need the focal length; give --focal-px F or --rig FILE, or put a rig.yaml or calib.txt "
-            "next to the video."
+        return Calibration(
+            kind="estimated",
+            camera=camera,
+            rectifier=Rectifier(_assumed_rig(camera)),
+            uncalibrated=UncalibratedPair.of(inputs.size_px, guess, is_given=focal_px is not None),
+            guesses=guesses,
+            focal=focal,
         )
-    camera = camera_of_focal_length(focal_px, inputs.size_px)
-    check_camera(camera, "--focal-px")
-    return Calibration(kind="focal length", camera=camera, rectifier=Undistorter(camera))
+    kind: CalibrationKind = "focal length" if focal is None else "estimated"
+    return Calibration(kind=kind, camera=camera, rectifier=Undistorter(camera), guesses=guesses, focal=focal)
+
+
+def _guesses(inputs: Inputs) -> tuple[FocalGuess, ...]:
+    """Guesses of the focal length from the header of the left video, or the usual one."""
+    if isinstance(inputs.left, VideoReader):
+        return focal_guesses(inputs.left)
+    return (default_guess(inputs.size_px[0]),)
 
 
 def _loaded_pair(path: Path, inputs: Inputs) -> Calibration:

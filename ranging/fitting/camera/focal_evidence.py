@@ -88,6 +88,12 @@ class FocalPosterior:
     n_tracks: int = 0
     relative_noise: float = BoxNoise().relative
 
+    def as_guess(self, guesses: Sequence[FocalGuess]) -> FocalGuess:
+        """The result as a guess that names the guesses it was computed from."""
+        source = " and ".join(guess.source for guess in guesses)
+        shapes = f", and the shapes of {self.n_tracks} vehicles" if self.n_tracks else ""
+        return FocalGuess(*self.guess, source + shapes)
+
     @property
     def guess(self) -> tuple[float, float]:
         """Focal length in px (geometric mean) and its relative standard deviation."""
@@ -103,6 +109,14 @@ def default_guess(width_px: int) -> FocalGuess:
         DEFAULT_FIELD_SIGMA,
         f"the usual field of view of road cameras, {DEFAULT_FIELD_DEG:.0f} degrees",
     )
+
+
+def best_guess(guesses: Sequence[FocalGuess]) -> FocalGuess:
+    """The mean of independent guesses of the focal length, weighted by their precision."""
+    precision = np.array([guess.sigma**-2 for guess in guesses])
+    log_f = float(precision @ np.log([guess.focal_px for guess in guesses]) / precision.sum())
+    source = " and ".join(guess.source for guess in guesses)
+    return FocalGuess(math.exp(log_f), float(precision.sum() ** -0.5), source)
 
 
 def focal_of_field(field_deg: float, side_px: int) -> float:

@@ -10,8 +10,9 @@ import pytest
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import whole_image
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.rig_formats.rig_yaml import save_rig
+from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 from track_range.video import inputs
 from track_range.video.frame import VideoError
 from track_range.video.recording import open_recording
@@ -108,7 +109,7 @@ def test_pair_without_rig_is_uncalibrated(pair, tmp_path):
     assert (recording.rig, recording.calibration.kind, recording.calibration.alignment) == (None, "estimated", None)
     assert recording.camera.fx_px == pytest.approx(WIDTH_PX / 2 / np.tan(np.radians(75 / 2)))
     assert recording.calibration.uncalibrated.has_equal_rows
-    assert recording.calibration.uncalibrated.focal_sigma == 0.25
+    assert recording.calibration.uncalibrated.focal_sigma == 0.3
     frame = next(recording.frames)
     assert (frame.left[:, SHIFT_PX:] == frame.right[:, :-SHIFT_PX]).all()
     assert any("75 degrees" in note and "track-range calibrate" in note for note in recording.notes)
@@ -137,10 +138,25 @@ def test_uncalibrated_rows_corrected_or_stereo_off(pair, tmp_path):
     assert any("needs a rig" in note for note in recording.notes)
 
 
-def test_one_camera_needs_rig_or_focal_length(pair, tmp_path):
+def test_one_camera_without_rig_or_focal_length(pair, tmp_path):
     (tmp_path / "rig.yaml").unlink()
-    with pytest.raises(RigError, match="focal length"):
-        open_recording(pair[0])
+    recording = open_recording(pair[0])
+    calibration = recording.calibration
+    assert (calibration.kind, calibration.focal_sigma, len(calibration.guesses)) == ("estimated", 0.3, 1)
+    assert any("75 degrees" in note and "--known-distance" in note for note in recording.notes)
+    recording.close()
+
+
+def test_uncertain_focal_length_of_a_file(pair, tmp_path):
+    camera = PinholeCamera.of_focal_length(300.0, (WIDTH_PX, HEIGHT_PX))
+    mounting = Mounting(
+        focal_sigma=0.04, camera_height_m=1.4, camera_height_sigma_m=0.05, pitch_deg=1.5, pitch_sigma_deg=0.2
+    )
+    save_camera(camera, tmp_path / "rig.yaml", mounting=mounting)
+    recording = open_recording(pair[0])
+    assert (recording.calibration.focal_sigma, recording.calibration.camera_height_m) == (0.04, 1.4)
+    assert any("4.0 %" in note for note in recording.notes)
+    recording.close()
 
 
 def test_swapped_uncalibrated_pair_is_an_error(pair, tmp_path):

@@ -29,7 +29,7 @@ from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior, fo
 from track_range.ranging.fitting.camera.measurements import FocalGuess, KnownObject
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import load_curves
-from track_range.ranging.size_models.size_model import SIZE_CLASSES
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
 from track_range.results.output_files import check_outputs, write_text
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
@@ -164,26 +164,35 @@ def calibrate_on_road(
 
 
 def focal_from_video(
-    video: VideoName, guesses: Sequence[FocalGuess], detect: Detect, *, span_s: tuple[float, float | None]
+    video: VideoName,
+    guesses: Sequence[FocalGuess],
+    detect: Detect,
+    sizes: SizeModel,
+    *,
+    span_s: tuple[float, float | None],
+    folder_fps: float = 10.0,
+    advance: Callable[[int, int | None], None] | None = None,
 ) -> FocalPosterior:
-    """Focal length from guesses and the shapes of road users in the first seconds of a part of a video.
+    """Focal length from guesses and the shapes of road users in the first `_PART_S` of a part of a video.
 
     Args:
         video: the recording.
         guesses: guesses from outside of the images.
         detect: returns the boxes of a frame.
-        span_s: start and length of the part.
+        sizes: sizes of road users.
+        span_s: start and length of the part; None = to the end.
+        folder_fps: frame rate of folders of images.
+        advance: called after each frame with the number of frames so far.
     """
     start_s, duration_s = span_s
+    duration_s = _PART_S if duration_s is None else min(duration_s, _PART_S)
     recording = open_recording(
-        video, focal_px=guesses[0].focal_px, start_s=start_s, duration_s=min(duration_s or _PART_S, _PART_S)
+        video, focal_px=guesses[0].focal_px, start_s=start_s, duration_s=duration_s, folder_fps=folder_fps
     )
     view = RoadView(recording.camera)
     with closing(recording):
-        view.add(recording.frames, detect, has_horizon=False)
-    sizes = load_curves()
-    cuboids = sizes if isinstance(sizes, CuboidSizes) else None
-    return focal_posterior(guesses, view.scene, recording.size_px, cuboids)
+        view.add(recording.frames, detect, advance, has_horizon=False)
+    return focal_posterior(guesses, view.scene, recording.size_px, sizes if isinstance(sizes, CuboidSizes) else None)
 
 
 def _recorded(video: VideoName) -> Any:
