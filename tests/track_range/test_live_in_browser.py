@@ -85,3 +85,20 @@ def test_injected_script_is_blocked(open_live_page: Callable[[LiveView], tuple[A
         page.wait_for_timeout(300)
         assert page.title() == "track-range, live"
         assert any("Content Security Policy" in message for message in messages)
+
+
+def test_known_distance_gives_a_command(open_live_page: Callable[[LiveView], tuple[Any, list[str]]]) -> None:
+    with LiveView("127.0.0.1", 0) as view:
+        view.begin(lambda shown: shown.frame.left, video="my drive.mp4")
+        page, messages = open_live_page(view)
+        view.offer(result([[10.0, 8.0, 40.0, 30.0], [44.0, 8.0, 60.0, 20.0]], image=np.full((48, 64, 3), 90, np.uint8)))
+        page.wait_for_selector("#measure")
+        page.click("#measure")
+        page.wait_for_selector("rect")
+        page.click("rect >> nth=0")
+        page.fill("#metres", "12.4")
+        page.click("#distance button")
+        command = page.inner_text("#command")
+        assert "--mono 'my drive.mp4'" in command
+        assert "--known-distance '0.723,10,8,40,30,car=12.4'" in command
+        assert messages == []

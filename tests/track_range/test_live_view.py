@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import json
 import socket
 import threading
 import time
@@ -334,3 +335,14 @@ def test_viewer_that_reads_nothing_is_dropped(monkeypatch: pytest.MonkeyPatch) -
 def test_two_host_headers(view: LiveView) -> None:
     answer = raw(view, b"GET /state HTTP/1.1\r\nHost: localhost\r\nHost: other.example\r\nConnection: close\r\n\r\n")
     assert b" 403 " in answer.partition(b"\r\n")[0]
+
+
+def test_boxes_for_known_distances(view: LiveView) -> None:
+    assert get(view, "/boxes") == (204, b"")
+    view.offer(result([[4.0, 5.2, 30.0, 25.0]]))
+    assert get(view, "/boxes") == (204, b"")  # not a recording without a calibration
+    view.begin(lambda shown: shown.frame.left, video="drive.mp4")
+    status, content = get(view, "/boxes")
+    assert status == 200
+    assert json.loads(content)["video"] == "drive.mp4"
+    assert json.loads(content)["boxes"] == [{"name": "car", "xyxy": [4, 5, 30, 25]}]

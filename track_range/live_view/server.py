@@ -4,6 +4,8 @@
 /stream.mjpg  every new picture
 /frame.jpg    the newest picture
 /state        "live" while the run is in progress
+/boxes        the newest boxes in px with their time, and the name of the video, as JSON; no content where a known
+              distance has no use
 
 By default only this machine is served, and only under loopback names, so that other web pages cannot read the pictures
 (DNS rebinding). The number of streams and of connections, the size of a request and the time for it are limited, so
@@ -138,6 +140,7 @@ class LivePage:
         port: port to listen on; 0 = any free port.
         host: address to listen on; 127.0.0.1 = only this machine.
         n_viewers: largest number of streams at a time; the next one is refused with status 503.
+        boxes: returns the content of /boxes; empty = none.
 
     Attributes:
         url: address of the page on this machine.
@@ -149,9 +152,15 @@ class LivePage:
     """
 
     def __init__(
-        self, next_picture: NextPicture, port: int, *, host: str = LOOPBACK, n_viewers: int = DEFAULT_VIEWERS
+        self,
+        next_picture: NextPicture,
+        port: int,
+        *,
+        host: str = LOOPBACK,
+        n_viewers: int = DEFAULT_VIEWERS,
+        boxes: Callable[[], bytes] = bytes,
     ) -> None:
-        self.next_picture = next_picture
+        self.next_picture, self.boxes = next_picture, boxes
         self.is_private = _is_loopback(host)
         self.n_viewers = n_viewers
         self.free_streams = threading.BoundedSemaphore(n_viewers)
@@ -250,6 +259,7 @@ class _Handler(BaseHTTPRequestHandler):
             "/stream.mjpg": self._send_stream,
             "/frame.jpg": self._send_frame,
             "/state": self._send_state,
+            "/boxes": self._send_boxes,
             "/favicon.ico": self._send_no_icon,
         }
         answer = answers.get(self.path.partition("?")[0])
@@ -288,6 +298,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send_state(self) -> None:
         self._send("text/plain; charset=utf-8", b"live")
+
+    def _send_boxes(self) -> None:
+        boxes = self._page.boxes()
+        self._send("application/json", boxes, HTTPStatus.OK if boxes else HTTPStatus.NO_CONTENT)
 
     def _send_no_icon(self) -> None:
         self._send("image/x-icon", b"", HTTPStatus.NO_CONTENT)  # browsers request it and report a missing one

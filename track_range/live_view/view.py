@@ -5,6 +5,7 @@ results --> [ newest ] <-- connection threads, which share one drawing of each r
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import sys
@@ -15,7 +16,9 @@ from types import TracebackType
 from typing import Self
 
 import cv2
+import numpy as np
 
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UsageError
 from track_range.live_view.server import DEFAULT_VIEWERS, LOOPBACK, LivePage
@@ -50,7 +53,8 @@ class LiveView:
         self._number, self._is_over = 0, False
         self._changed = threading.Condition()
         self._drawing, self._drawn = threading.Lock(), (b"", 0)
-        self.page = LivePage(self.next_picture, port, host=host, n_viewers=n_viewers)
+        self._video: str | None = None
+        self.page = LivePage(self.next_picture, port, host=host, n_viewers=n_viewers, boxes=self.boxes)
 
     def __enter__(self) -> Self:
         return self
@@ -61,9 +65,12 @@ class LiveView:
             self._changed.notify_all()
         self.page.close()
 
-    def begin(self, draw: Callable[[FrameResult], Image]) -> str:
-        """Set the function that draws results, called from one thread at a time; returns a message for the user."""
-        self._picture = draw
+    def begin(self, draw: Callable[[FrameResult], Image], *, video: str | None = None) -> str:
+        """Set the function that draws results, called from one thread at a time; returns a message for the user.
+
+        `video` is the recording of one camera that known distances can calibrate; None = another.
+        """
+        self._picture, self._video = draw, video
         if self._opens_browser and has_screen() and webbrowser.open(self.page.url):
             return f"Live view in your browser: {self.page.url}"
         elsewhere = self.page.url_elsewhere
@@ -92,6 +99,24 @@ class LiveView:
                 _, jpeg = cv2.imencode(".jpg", self._picture(newest), (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))
                 self._drawn = (jpeg.tobytes(), newest_number)
             return self._drawn
+
+    def boxes(self) -> bytes:
+        """Observed boxes of the newest result as JSON, for the command that calibrates the camera; empty = none.
+
+        Keys: `video`, its name; `time_s`; `boxes`, a list of objects with `name` and `xyxy`, whole pixels.
+        """
+        newest = self._newest
+        if newest is None or self._video is None:
+            return b""
+        tracks = newest.tracks
+        boxes = [
+            {
+                "name": ROAD_CLASSES[int(tracks.class_id[row])],
+                "xyxy": [round(side) for side in tracks.xyxy_px[row].tolist()],
+            }
+            for row in np.flatnonzero(tracks.observed)
+        ]
+        return json.dumps({"video": self._video, "time_s": round(newest.time_s, 3), "boxes": boxes}).encode()
 
 
 def open_view(*, show: bool, serve: str | None, n_viewers: int = DEFAULT_VIEWERS) -> LiveView | None:

@@ -36,6 +36,7 @@ from track_range.report.comparison import (
 )
 from track_range.report.content.errors import calibration_curves, error_curves
 from track_range.report.content.events import clips_of, event_records, hidden_events_note, shown_events
+from track_range.report.content.known_distances import box_columns, uncalibrated_video
 from track_range.report.content.road import camera_of_rows, road_columns
 from track_range.report.content.series import track_records
 from track_range.report.content.timeline import timeline
@@ -58,6 +59,7 @@ _SCRIPTS = (
     "birds_eye",
     "timeline",
     "playback",
+    "known_distances",
     "run_charts",
     "start",
 )
@@ -121,7 +123,7 @@ def report_page(
     clips: Mapping[str, str] | None = None,
 ) -> str:
     """HTML of the report of a run; `events`: see `write_report`; `clips`: addresses by file name."""
-    columns = {**columns, **road_columns(columns)}
+    columns = {**columns, **road_columns(columns), **box_columns(columns, summary)}
     shown = None if events is None else shown_events(events)
     content = run_content(summary, columns, shown or ())
     accuracy, mot = accuracy_grids(summary), mot_grid(summary.get("tracks") or {})
@@ -152,6 +154,7 @@ def report_page(
         cards=list(cards(summary)),
         notes=summary.get("notes") or [],
         video=video_link(summary),
+        has_known_distances=content["known_distances"] is not None and bool(content["tracks"]),
         truth=summary.get("truth"),
         accuracy=accuracy,
         speed=speed,
@@ -200,6 +203,7 @@ def run_content(summary: Mapping[str, Any], columns: Columns, events: Sequence[E
         "timeline": timeline(columns, summary),
         "events": event_records(events),
         "camera": _camera(columns),
+        "known_distances": uncalibrated_video(summary),
         "has_warnings": "contact_probability" in columns and bool(np.isfinite(columns["contact_probability"]).any()),
     }
 

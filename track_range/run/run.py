@@ -407,6 +407,14 @@ class Run:
         return self.session.source.rig
 
     @property
+    def uncalibrated_video(self) -> str | None:
+        """Name of the one recorded video, if its focal length is not known exactly; None = calibrated, or another."""
+        shown, calibration = self.session.inputs.get("mono"), self.session.source.calibration
+        is_known = calibration.kind == "rig" and not calibration.focal_sigma
+        is_live = self.session.source.inputs.live is not None
+        return None if is_known or is_live or not isinstance(shown, str) else shown
+
+    @property
     def n_frames(self) -> int | None:
         """Expected number of frames; None = unknown."""
         return self.session.source.n_frames

@@ -247,13 +247,15 @@ class RunSession:
             **{key: value for ranger in rangers for key, value in ranger.summary().items()},
             "truth": self.truth.protocol if self.truth is not None else None,
             "notes": self.notes,
-            "inputs": self._inputs(),
+            "inputs": self.inputs,
             "files": {name: f"{name}.mp4" for name in pictures(self.settings, source)},
             "versions": _versions(),
             **self.provenance.section(),
         }
 
-    def _inputs(self) -> dict[str, Any]:
+    @property
+    def inputs(self) -> dict[str, Any]:
+        """Names of the inputs, for summary.json."""
         shown = self.settings.model_dump(mode="json", exclude_none=True)
         if self.settings.stereo is not None:
             shown["left"], shown["right"] = shown["stereo"]

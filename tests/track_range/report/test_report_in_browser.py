@@ -545,3 +545,21 @@ def test_several_runs_are_compared(page_of: Callable[..., Any], tmp_path: Path) 
     assert [text.strip() for text in page.locator("#run-chart .legend > span").all_inner_texts()] == ["one", EVIL]
     assert json.loads(page.locator("#run-content").inner_text())["lines"][0]["x"] == [25.0]
     assert page.get_by_role("link", name="one", exact=True).get_attribute("href") == "one/report.html"
+
+
+def test_known_distance_gives_a_command(page_of: Callable[..., Any], tmp_path: Path) -> None:
+    uncalibrated = summary(calibration="estimated", inputs={"mono": "my drive.mp4"}, files={})
+    write_report(tmp_path / "report.html", uncalibrated, rows(10))
+    page = page_of(tmp_path / "report.html")
+    page.goto((tmp_path / "report.html").as_uri() + "#t=0.25")
+    page.click("#known summary")
+    page.fill("#known-metres", "12.4")
+    page.click("#known-add")
+    command = page.inner_text("#known-command")
+    assert "--mono 'my drive.mp4'" in command
+    assert "--known-distance '0.200,420,100,460,140,car=12.4'" in command
+    page.click("#known-list button")
+    assert not page.is_visible("#known-result")
+    write_report(tmp_path / "report.html", summary(calibration="rig", inputs={"mono": "a.mp4"}, files={}), rows(10))
+    page.reload()
+    assert page.query_selector("#known") is None

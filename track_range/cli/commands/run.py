@@ -106,7 +106,7 @@ def _process(run: Run, console: Console, view: LiveView | None, print_results: C
     with _ignore_broken_pipe():
         print_notes(console, opening_notes)
     if view is not None:
-        print_notes(console, [view.begin(run.draw)])
+        print_notes(console, [view.begin(run.draw, video=run.uncalibrated_video)])
     try:
         with closing(iter(run)) as frames:
             for frame in frames:

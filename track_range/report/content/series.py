@@ -38,6 +38,10 @@ _SERIES = (
     ("passing_sigma", "pass_s", TICKS_PER_M),
     ("contact_probability", "p", 100.0),
     ("warning", "warning", 1.0),
+    ("box_left", "x1", 1.0),
+    ("box_top", "y1", 1.0),
+    ("box_right", "x2", 1.0),
+    ("box_bottom", "y2", 1.0),
 )
 """Column, key in the page and resolution of the series of a track besides its distances."""
 

@@ -45,6 +45,7 @@ function showMoment() {
   showPresent();
   showTimeline();
   showRoad();
+  showKnown();
 }
 
 const metres = (track, row) => {

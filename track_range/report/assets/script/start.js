@@ -10,6 +10,7 @@ if (content.timeline) {
   for (const button of document.querySelectorAll(".headline[data-time]"))
     button.addEventListener("click", () => seek(Number(button.dataset.time)));
   if (video) startVideo();
+  startKnown();
   if (roadView) startRoad();
   const follow = () => { // links such as report.html#t=12.5
     const match = /^#t=(\d+(?:\.\d+)?)$/.exec(location.hash);
