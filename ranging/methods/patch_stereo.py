@@ -71,7 +71,8 @@ class StereoRanger(Ranger):
             image_hw = (frame.left.shape[0], frame.left.shape[1])
             by_size = disparities_by_size(others["mono"], tracks.xyxy_px, self._rig, image_hw)
         disparity_px, sigma_px = self._matcher.match(tracks, frame, by_size)
-        self._count_surfaces()
+        if frame.right is not None:
+            self._count_surfaces()
         return self._triangulate.ranges(tracks, disparity_px, sigma_px, time_s=frame.time_s)
 
     @property
