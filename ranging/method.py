@@ -137,6 +137,7 @@ class RangingMethod:
         is_scale_reference: whether fusion takes the scale of this method as correct: its systematic error is part of
             the covariance, but is not estimated from differences to other methods.
         is_filtered: whether it also has a filter over time (`NAME_kf_m`).
+        details: names of further values of each track, in `Ranges.details`; their columns are NAME_DETAIL.
     """
 
     name: str
@@ -150,9 +151,10 @@ class RangingMethod:
     fallback_for: str | None = None
     is_scale_reference: bool = False
     is_filtered: bool = False
+    details: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for field_name, names in (("needs", self.needs), ("reads", self.reads)):
+        for field_name, names in (("needs", self.needs), ("reads", self.reads), ("details", self.details)):
             is_list = isinstance(names, Collection) and not isinstance(names, str)
             if not is_list or not all(isinstance(name, str) for name in names):
                 raise MethodError(
@@ -160,6 +162,7 @@ class RangingMethod:
                 )
         object.__setattr__(self, "needs", frozenset(self.needs))
         object.__setattr__(self, "reads", tuple(self.reads))
+        object.__setattr__(self, "details", tuple(self.details))
         sources, needs = get_args(SourceName), get_args(Requirement)
         parts = [part for source in self.error_sources for part in (source.systematic, source.independent)]
         checks = (
@@ -168,6 +171,10 @@ class RangingMethod:
             (self.name not in RESERVED_NAMES, f"expected a name that is not reserved ({', '.join(RESERVED_NAMES)})"),
             (len(self.letter) == 1 and self.letter.isprintable(), f"expected one letter, got {self.letter!r}"),
             (re.fullmatch(r"#[0-9a-f]{6}", self.colour), f"expected a colour as #rrggbb, got {self.colour!r}"),
+            (
+                all(re.fullmatch(r"[a-z][a-z0-9_]*(?<!_m)", name) for name in self.details),
+                "expected lower-case details for columns, without the ending _m",
+            ),
             (
                 self.name not in (*self.reads, self.fallback_for),
                 "expected reads and fallback_for to name other methods",
@@ -227,4 +234,5 @@ def checked_ranges(method: str, ranges: Any, tracks: Tracks) -> Ranges:
         np.where(is_measured, distance_m, np.nan),
         np.where(is_measured, sigma_m, np.nan),
         None if systematic_m is None else np.where(is_measured, systematic_m, np.nan),
+        ranges.details,
     )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -25,12 +26,14 @@ class Ranges:
             frame; NaN = not measured.
         sigma_m: (N,) standard deviation of distance_m; NaN where distance_m is.
         sigma_systematic_m: (N,) systematic part of sigma_m, constant over a track; None = unknown.
+        details: (N,) further values by the names in `RangingMethod.details`; NaN = none.
     """
 
     track_id: IntArray
     distance_m: FloatArray
     sigma_m: FloatArray
     sigma_systematic_m: FloatArray | None = None
+    details: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = len(self.track_id)
@@ -39,6 +42,8 @@ class Ranges:
         check_shape("sigma_m", self.sigma_m, (n,))
         if self.sigma_systematic_m is not None:
             check_shape("sigma_systematic_m", self.sigma_systematic_m, (n,))
+        for name, values in self.details.items():
+            check_shape(f"details[{name!r}]", values, (n,))
 
     def __len__(self) -> int:
         return len(self.track_id)

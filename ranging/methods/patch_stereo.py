@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from track_range.foundation.arrays import FloatArray
 from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.methods.size_scaled_stereo import SizeScaledRanger
 from track_range.ranging.methods.triangulation import TrackMatcher, Triangulation, disparities_by_size
@@ -19,6 +20,8 @@ from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.stereo.matching.patch_matches import REASONS, BoxMatcher, Outcome, PatchMatches
 from track_range.tracking.tracks import Tracks
+
+_DETAILS = ("surfaces", "probability")
 
 
 class StereoRanger(Ranger):
@@ -71,18 +74,24 @@ class StereoRanger(Ranger):
             image_hw = (frame.left.shape[0], frame.left.shape[1])
             by_size = disparities_by_size(others["mono"], tracks.xyxy_px, self._rig, image_hw)
         disparity_px, sigma_px = self._matcher.match(tracks, frame, by_size)
-        if frame.right is not None:
-            self._count_surfaces()
-        return self._triangulate.ranges(tracks, disparity_px, sigma_px, time_s=frame.time_s)
+        details = self._surfaces(tracks) if frame.right is not None else None
+        return self._triangulate.ranges(tracks, disparity_px, sigma_px, time_s=frame.time_s, details=details)
 
     @property
     def matches(self) -> PatchMatches | None:
         """Matches of the observed boxes in the last frame, with the number of surfaces; None before the first."""
         return self._matcher.matches
 
-    def _count_surfaces(self) -> None:
+    def _surfaces(self, tracks: Tracks) -> dict[str, FloatArray]:
+        """Number of surfaces, and probability of the measured one, of the tracks that were matched in this frame."""
+        details = {name: np.full(len(tracks), np.nan) for name in _DETAILS}
         if (matches := self._matcher.matches) is not None:
+            rows = np.flatnonzero(tracks.observed)
+            is_known = np.isfinite(matches.disparity_px) & (matches.n_surfaces > 0)
+            for name, values in zip(_DETAILS, (matches.n_surfaces, matches.probability), strict=True):
+                details[name][rows] = np.where(is_known, values, np.nan)
             self._n_surfaces.update(matches.n_surfaces[np.isfinite(matches.disparity_px)].tolist())
+        return details
 
     def summary(self) -> dict[str, Any]:
         """Number of boxes that were not matched, by reason, and of matched boxes by the number of their surfaces."""
@@ -113,4 +122,5 @@ STEREO = RangingMethod(
     error_sources=(ErrorSource("baseline", systematic=0.91), ErrorSource("own", independent=0.09)),
     is_scale_reference=True,
     is_filtered=True,
+    details=_DETAILS,
 )

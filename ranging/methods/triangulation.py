@@ -9,6 +9,7 @@ Pengyu, eq. 5-6, with the disparity at the centre of the box.)
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,14 +49,22 @@ class Triangulation:
     rig: StereoRig
     alignment: AlignmentSource
 
-    def ranges(self, tracks: Tracks, disparity_px: FloatArray, sigma_px: FloatArray, *, time_s: float = 0.0) -> Ranges:
+    def ranges(
+        self,
+        tracks: Tracks,
+        disparity_px: FloatArray,
+        sigma_px: FloatArray,
+        *,
+        time_s: float = 0.0,
+        details: Mapping[str, FloatArray] | None = None,
+    ) -> Ranges:
         """Distances of N tracks at a time from (N,) disparities and their standard deviations; NaN unless d > 0."""
         x_px = (tracks.xyxy_px[:, 0] + tracks.xyxy_px[:, 2]) / 2
         alignment = self.alignment.at(time_s)
         d, sigma_d = alignment.corrected(disparity_px, sigma_px, x_px=x_px, camera=self.rig.left)
         Z = self.rig.distance_m(d)
         sigma_Z = Z**2 / (self.rig.left.fx_px * self.rig.baseline_m) * sigma_d
-        return Ranges(tracks.track_id, Z, sigma_Z)
+        return Ranges(tracks.track_id, Z, sigma_Z, details=details or {})
 
 
 def disparities_by_size(

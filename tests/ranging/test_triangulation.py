@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -161,13 +163,18 @@ def test_matched_boxes_are_counted_by_surfaces():
         def match(self, *arguments):
             matches = super().match(*arguments)
             matches.n_surfaces[:] = [1, 2, 2, 3][: len(matches.n_surfaces)]
+            matches.probability[:] = [1.0, 0.9, 0.7, 0.4][: len(matches.n_surfaces)]
             matches.disparity_px[3:] = np.nan
             return matches
 
     ranger = StereoRanger(RIG, SurfaceMatcher())
     assert ranger.matches is None
     for step in range(2):
-        ranger.measure(tracks_of(1, 2, 3, 4), frame_at(0.1 * step))
+        ranges = ranger.measure(tracks_of(1, 2, 3, 4), frame_at(0.1 * step))
+    np.testing.assert_array_equal(ranges.details["surfaces"], [1, 2, 2, np.nan])
+    np.testing.assert_array_equal(ranges.details["probability"], [1.0, 0.9, 0.7, np.nan])
+    without = ranger.measure(tracks_of(1, 2, 3, 4), replace(frame_at(0.2), right=None))
+    assert (len(without.details), without.distance_m.tolist()) == (0, pytest.approx([np.nan] * 4, nan_ok=True))
     assert ranger.summary()["stereo_surfaces"] == {"1": 2, "2": 4}
     assert ranger.matches.n_surfaces.tolist() == [1, 2, 2, 3]
     assert StereoRanger(RIG, Recorder()).summary() == {"stereo_unmatched": {}, "stereo_surfaces": {}}

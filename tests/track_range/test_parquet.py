@@ -101,7 +101,7 @@ def test_last_frame_is_discarded(tmp_path: Path) -> None:
 
 def test_full_disk(tmp_path: Path) -> None:
     """The frames before the failure are in tracks.parquet; without space for it, in tracks.arrows."""
-    for limit in (12_000, 20_345):
+    for limit in (14_000, 22_345):
         with writing(tmp_path, ("csv", "parquet")) as rows, file_size_limit(limit):
             with pytest.raises(OutputError, match=ARROWS):  # noqa: PT012
                 for index in range(50):

@@ -29,7 +29,7 @@ CONTRACT = (
     "stereo_m,stereo_sigma_m,sgbm_m,sgbm_sigma_m,fused_m,fused_sigma_m,closing_mps,ttc_s,"
     "mono_kf_m,stereo_kf_m,fused_kf_m,ground_m,x_m,y_m,"
     "mono_kf_sigma_m,stereo_kf_sigma_m,fused_kf_sigma_m,ground_sigma_m,closing_sigma_mps,ttc_sigma_s,utc,"
-    "ego_mps,contact_probability,warning,path_offset_m"
+    "ego_mps,contact_probability,warning,path_offset_m,stereo_surfaces,stereo_probability"
 ).split(",")
 
 

@@ -135,11 +135,13 @@ def no_rows() -> dict[str, npt.NDArray[Any]]:
 
 
 def _method_columns() -> Iterator[ResultColumn]:
-    """Columns NAME_m and NAME_sigma_m of every ranging method, and of its filter if it has one."""
+    """Columns NAME_m and NAME_sigma_m of every ranging method and of its filter if it has one, and NAME_DETAIL."""
     for method in methods():
         for name in (method.name, *([f"{method.name}_kf"] if method.is_filtered else [])):
             yield _distance(name)
             yield _sigma(name)
+        for detail in method.details:
+            yield _detail(method.name, detail)
 
 
 def _warnings(result: FrameResult) -> Warnings:
@@ -158,3 +160,11 @@ def _sigma(method: str) -> ResultColumn:
         return result.ranges[method].sigma_m if method in result.ranges else np.full(len(result.tracks), np.nan)
 
     return ResultColumn(f"{method}_sigma_m", "m", read)
+
+
+def _detail(method: str, detail: str) -> ResultColumn:
+    def read(result: FrameResult) -> FloatArray:
+        nothing = np.full(len(result.tracks), np.nan)
+        return result.ranges[method].details.get(detail, nothing) if method in result.ranges else nothing
+
+    return ResultColumn(f"{method}_{detail}", "", read)

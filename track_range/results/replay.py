@@ -9,6 +9,7 @@ import numpy as np
 
 from track_range.detection.classes import map_to_road_classes
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.registry import methods as ranging_methods
 from track_range.ranging.warning.warnings import Warnings
 from track_range.results.columns import Columns, methods_with_sigma
 from track_range.results.truth import boxes_px
@@ -35,6 +36,10 @@ def frames_of_rows(
     ego_mps = columns.get("ego_mps", np.full(len(columns["frame"]), np.nan))
     warnings = _warnings(columns)
     measured = [name for name in methods_with_sigma() if name in set(methods)]
+    details = {
+        method.name: [key for key in method.details if f"{method.name}_{key}" in columns]
+        for method in ranging_methods()
+    }
     class_id = map_to_road_classes([str(name) for name in columns["class"]])
     track_id, boxes = columns["track_id"].astype(np.int64), boxes_px(columns)
     observed = columns["observed"] > 0
@@ -46,7 +51,13 @@ def frames_of_rows(
             frame=Frame(index, time_s.at(index), _NO_IMAGE, None, float(utc_s[first]) if last > first else math.nan),
             tracks=Tracks(ids, boxes[rows], class_id[rows], columns["score"][rows], observed[rows]),
             ranges={
-                name: Ranges(ids, columns[f"{name}_m"][rows], columns[f"{name}_sigma_m"][rows]) for name in measured
+                name: Ranges(
+                    ids,
+                    columns[f"{name}_m"][rows],
+                    columns[f"{name}_sigma_m"][rows],
+                    details={key: columns[f"{name}_{key}"][rows] for key in details.get(name, ())},
+                )
+                for name in measured
             },
             closing_mps=columns["closing_mps"][rows],
             closing_sigma_mps=columns["closing_sigma_mps"][rows],
