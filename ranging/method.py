@@ -8,12 +8,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from track_range.foundation.errors import UserError
+from track_range.ranging.drive_bias import DriveBias
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.size_model import SizeModel
@@ -70,6 +71,7 @@ class MethodContext:
         sgbm_options: parameters of dense stereo set by the user.
         runtime: threads and device for networks; None = the defaults.
         rangers: rangers created so far, by method name; the methods of `RangingMethod.reads` are created first.
+        drive_bias: bias of distances by size, which methods with a known scale learn and methods by size correct.
     """
 
     camera: PinholeCamera
@@ -88,6 +90,7 @@ class MethodContext:
     sgbm_options: Mapping[str, Any] = field(default_factory=dict)
     runtime: Runtime | None = None
     rangers: dict[str, Ranger] = field(default_factory=dict)
+    drive_bias: DriveBias = field(default_factory=DriveBias)
 
     @property
     def available(self) -> frozenset[Requirement]:
@@ -229,10 +232,9 @@ def checked_ranges(method: str, ranges: Any, tracks: Tracks) -> Ranges:
         is_measured &= (systematic_m >= 0) & (systematic_m < np.inf)
     if np.all(is_measured | (np.isnan(distance_m) & np.isnan(sigma_m))):
         return ranges
-    return Ranges(
-        ranges.track_id,
-        np.where(is_measured, distance_m, np.nan),
-        np.where(is_measured, sigma_m, np.nan),
-        None if systematic_m is None else np.where(is_measured, systematic_m, np.nan),
-        ranges.details,
+    return replace(
+        ranges,
+        distance_m=np.where(is_measured, distance_m, np.nan),
+        sigma_m=np.where(is_measured, sigma_m, np.nan),
+        sigma_systematic_m=None if systematic_m is None else np.where(is_measured, systematic_m, np.nan),
     )

@@ -10,6 +10,7 @@ from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray32
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.road_horizon import RoadView
 from track_range.tracking.tracks import Tracks
 
 
@@ -17,8 +18,8 @@ class Ranger(ABC):
     """Measures the distance of each track of a frame; an implementation may have state per track id.
 
     Only `measure` is required. The other members are hooks that a run calls or reads; their defaults do nothing.
-    For each frame a run calls `start` (in another thread, up to a few frames ahead), `update_lanes` if lanes were
-    detected in the frame, and `measure_with`; after the last frame it calls `close`.
+    For each frame a run calls `start` (in another thread, up to a few frames ahead), `update_road` if the motion of the
+    images shows the road, `update_lanes` if lanes were detected in the frame, and `measure_with`; after the last frame it calls `close`.
 
     Attributes:
         background_s: seconds of work so far in the ranger's own threads; a run adds them to the time of its stage.
@@ -48,6 +49,9 @@ class Ranger(ABC):
 
     def update_lanes(self, lines: LaneLines) -> None:  # noqa: B027
         """Store newly detected lines of the ego lane; called a few times per second, valid until the next call."""
+
+    def update_road(self, road: RoadView) -> None:  # noqa: B027
+        """Store the road in the frame that is measured next, from image motion; lengths in metres."""
 
     def close(self) -> None:  # noqa: B027
         """Stop threads and release resources; no measurement follows."""

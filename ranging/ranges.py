@@ -27,6 +27,8 @@ class Ranges:
         sigma_m: (N,) standard deviation of distance_m; NaN where distance_m is.
         sigma_systematic_m: (N,) systematic part of sigma_m, constant over a track; None = unknown.
         details: (N,) further values by the names in `RangingMethod.details`; NaN = none.
+        is_fallback: whether the method is the fallback that it declares to be (`RangingMethod.fallback_for`) also in
+            this frame; False = it did not need the other method.
     """
 
     track_id: IntArray
@@ -34,6 +36,7 @@ class Ranges:
     sigma_m: FloatArray
     sigma_systematic_m: FloatArray | None = None
     details: Mapping[str, FloatArray] = field(default_factory=dict)
+    is_fallback: bool = True
 
     def __post_init__(self) -> None:
         n = len(self.track_id)

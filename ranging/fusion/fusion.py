@@ -139,7 +139,8 @@ class Fusion:
         track = track.decayed(np.exp(elapsed_s / -_MEMORY_S), model)
 
         # Select methods, estimate, reject outliers.
-        superseded = (model.superseded_by[:, :, None] & measured.valid).any(axis=1)
+        is_fallback = np.array([name not in by_method or by_method[name].is_fallback for name in model.names])
+        superseded = (model.superseded_by[:, :, None] & measured.valid).any(axis=1) & is_fallback[:, None]
         usable = measured.valid & ~superseded
         usable &= ~inconsistent_with_size(measured, usable, track, model)
         used = measured.only(usable)

@@ -8,15 +8,24 @@ r"""GroundRanger: distance from the contact point of an object, the camera heigh
     __________|________\[object]___
 
 The horizon y0 is not part of a calibration: it moves with every bump, and differs between roads by 3 degrees or 40 px.
-It is estimated from the objects on the road: with its distance d_i by size, object i is a measurement
+Image motion measures it, and the curvature k of the road in the vertical plane (`stereo.odometry.road_horizon`):
 
-    y_i = y0 + H s_i,   s_i = fy / d_i,   variance = (H s_i)^2 (sigma_i / d_i)^2 + R
-    R = pitch^2 + edge^2 + (kerb s_i)^2
+    y = y0 + H s - fy k d / 2,   s = fy / d
 
-of y0 and H, which are solved for by weighted least squares over all tracks (with H nearly known if the camera height is
-given). A track contributes the average of its recent measurements once, since its size error is the same in every
-frame. For the same reason each object is ranged with the horizon from the other objects only; otherwise its distance
-would repeat that by size. The pitch variance (pitch, slopes) is estimated from the residuals.
+The objects on the road add to it, and replace it where there are no images or no motion. With its distance d_i by size,
+object i is a measurement
+
+    y_i = y0 + H s_i (1 - b) - fy k d_i / 2,   variance = (H s_i)^2 (sigma_i / d_i)^2 + R
+    R = pitch^2 + edge^2 + (kerb s_i)^2 + curvature ahead^2
+
+of y0, H, k and the bias b that all distances by size share, which are solved for by weighted least squares over all
+tracks, with priors from image motion, the camera height and the drive (`DriveBias`). A track contributes the average of
+its recent measurements once, since its size error is the same in every frame. For the same reason each object is ranged
+with the road from the other objects only; otherwise its distance would repeat that by size. Without image motion, k and
+b are 0, and the pitch variance (pitch, slopes) is estimated from the residuals.
+
+Where the camera height is known, distances from image motion alone, without any size, are the reference from which the
+drive's bias is learnt.
 
 The bottom edge belongs to the nearest point on the ground, while `distance_m` is where the ray through the box centre
 meets the object, for a car seen from the side up to half a metre farther (`surface_offset_m`).
@@ -33,14 +42,15 @@ import numpy as np
 
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.ranging.drive_bias import DriveBias
 from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.size_models.shared_ground import solve_ground
 from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES
 from track_range.ranging.size_models.surface_offset import surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.road_horizon import RoadView, curvature_share, unknown_curvature_variance
 from track_range.tracking.tracks import Tracks
 
 GROUND_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van")
@@ -51,6 +61,9 @@ _ON_GROUND = np.array([name in GROUND_CLASSES for name in SIZE_CLASSES])
 
 _HUBER_SIGMA = 2.0
 """Residual in standard deviations beyond which measurements are down-weighted (Huber)."""
+
+_REFERENCE_SIGMA = 0.015
+"""Relative error of all distances from image motion: camera height, and the horizon's mean error."""
 
 _LANES_ID = -1
 """Id of the horizon measured by lane lines among the track ids, which are positive."""
@@ -80,14 +93,14 @@ class GroundSettings:
     memory_s: float = 1.5
     pitch_sigma_rad: float = 0.008
     pitch_memory_s: float = 5.0
-    kerb_m: float = 0.1
+    kerb_m: float = 0.08
     box_sigma_px: float = 1.5
     max_sigma: float = 0.5
 
     @classmethod
     def of_known_height(cls, height_m: float) -> GroundSettings:
         """Settings for a camera with a measured height."""
-        return cls(height_m=height_m, height_sigma_m=0.05)
+        return cls(height_m=height_m, height_sigma_m=0.03)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,33 +118,53 @@ class Horizon:
     height_m: float
 
 
-_N_TERMS = 5
-"""Terms of the normal equations for (y0, H): a symmetric 2 x 2 matrix (3) and a vector (2)."""
+_N = 4
+"""Number of unknowns: y0, H, fy k, b."""
+
+_UPPER = np.triu_indices(_N)
+"""Rows and columns of the upper triangle of a matrix of the unknowns."""
+
+_N_TERMS = len(_UPPER[0]) + _N
+"""Terms of the normal equations: the upper triangle of their matrix, and a vector."""
+
+_FIXED = 1e-3
+"""Standard deviation of unknowns that are taken to be 0, in px/m and as a fraction."""
+
+_N_CURVE_ROUNDS = 3
+"""Rounds of fixed-point iteration for the distance on a curved road; the share of the curvature changes slowly."""
+
+_MIN_SLOPE = 0.3
+"""Smallest change of the row with distance, relative to that on a plane road: near a crest."""
+
+_MIN_OWN = 0.4
+"""Smallest share of the variance of a distance by size that belongs to the object and the box."""
+
+_MOVING_PITCH_RAD = 0.001
+"""Error of the horizon from image motion that is new in every frame."""
 
 _MIN_INFORMATION = 1e-3
 """Smallest information of a track about the horizon, relative to a new measurement; tracks with less are dropped."""
 
 
 class _Plane(NamedTuple):
-    """Least-squares estimates of ground planes and their covariances, (N,) each.
+    """Least-squares estimates of the road.
 
     Attributes:
-        y0: horizon in px below the camera's axis.
-        H: camera height in m.
-        y0_variance: variance of `y0`.
-        covariance: covariance of `y0` and `H`.
-        H_variance: variance of `H`.
+        x: (..., 4) y0 in px below the expected horizon, H in m, fy k in px/m, b.
+        P: (..., 4, 4) covariance.
     """
 
-    y0: FloatArray
-    H: FloatArray
-    y0_variance: FloatArray
-    covariance: FloatArray
-    H_variance: FloatArray
+    x: FloatArray
+    P: FloatArray
 
-    def variance(self, s: FloatArray) -> FloatArray:
-        """(N,) variance in px^2 of the row y0 + H s of the ground, for s = fy / d (N,) in px/m."""
-        return self.y0_variance + s * (2 * self.covariance + s * self.H_variance)
+    def rows(self, basis: FloatArray) -> FloatArray:
+        """(N,) rows of the ground, in px below the expected horizon, from the `_basis` (4, N) of their distances."""
+        return np.asarray((basis.T * self.x).sum(axis=-1))
+
+    def variance(self, basis: FloatArray) -> FloatArray:
+        """(N,) variances of `rows` in px^2."""
+        P = np.broadcast_to(self.P, (basis.shape[1], _N, _N))
+        return np.asarray(np.einsum("in,nij,jn->n", basis, P, basis))
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +172,7 @@ class _Contacts:
     """Contact points of the tracks of one frame, (N,) each.
 
     Attributes:
-        y: row of the bottom edge in px below the camera's axis.
+        y: row of the bottom edge in px below the expected horizon at its column.
         offset_m: distance from the contact point to the visible surface.
         s: fy / d with the distance by size, in px/m; 1 = no distance by size.
         s_variance: variance of `s`.
@@ -158,7 +191,7 @@ class _Contacts:
 
 
 class GroundPlane:
-    """Estimator of the horizon and the camera height from the tracks of a video."""
+    """Estimator of the horizon, the camera height and the curvature of the road from the tracks of a video."""
 
     def __init__(self, camera: PinholeCamera, settings: GroundSettings | None = None) -> None:
         """Start from the prior in the settings; `camera` is undistorted."""
@@ -168,27 +201,52 @@ class GroundPlane:
         self._terms = np.zeros((_N_TERMS, 0))
         self._pitch_px2 = (self._settings.pitch_sigma_rad * camera.fy_px) ** 2
         self._time_s: float | None = None
-        self._prior = _information(self._settings, camera)
+        self._road: RoadView | None = None
+        self._bias_variance = _FIXED**2
+        self._prior = self._prior_terms()
 
     @property
     def horizon(self) -> Horizon:
         """Current estimate of the horizon and the camera height."""
         plane = _solved(self._information)
-        return Horizon(float(self._camera.cy_px + plane.y0), float(np.sqrt(plane.y0_variance)), float(plane.H))
+        y_px = float(self._expected_px(np.array(self._camera.cx_px)) + plane.x[0])
+        return Horizon(y_px, math.sqrt(plane.P[0, 0]), float(plane.x[1]))
 
     @property
     def _information(self) -> FloatArray:
-        """(5,) information of the prior and of all tracks."""
+        """(14,) information of the prior and of all tracks."""
         return np.asarray(self._prior + self._terms.sum(axis=1))
 
+    def update_road(self, road: RoadView, *, bias_sigma: float) -> None:
+        """Set the road in the next frame as image motion shows it, with lengths in metres.
+
+        Args:
+            road: the road.
+            bias_sigma: standard deviation of the bias that all distances by size share.
+        """
+        self._road, self._bias_variance = road, bias_sigma**2
+        self._prior = self._prior_terms()
+
+    def set_height(self, height_m: float, sigma_m: float) -> None:
+        """Set the prior of the camera height."""
+        self._settings = replace(self._settings, height_m=height_m, height_sigma_m=sigma_m)
+        self._prior = self._prior_terms()
+
     def add_horizon(self, y_px: float, sigma_px: float) -> None:
-        """Add the row at which lane lines meet as a measurement of the horizon; it decays like that of a track."""
+        """Add the row at which lane lines meet as a measurement of the horizon; it decays like that of a track.
+
+        It is ignored where image motion measures the horizon, which differs from that of lines on a curved road.
+        """
+        if self._road is not None:
+            return
         weight = 1.0 / (sigma_px**2 + self._pitch_px2)
         (slot,) = self._slots(np.array([_LANES_ID]))
-        self._terms[:, slot] = [weight, 0.0, 0.0, weight * (y_px - self._camera.cy_px), 0.0]
+        self._terms[:, slot] = _normal_terms(np.eye(_N, 1), np.array([y_px - self._camera.cy_px]), np.array([weight]))[
+            :, 0
+        ]
 
     def measure(self, tracks: Tracks, by_size: Ranges, frame: Frame) -> Ranges:
-        """Distances of the tracks on the ground; their distances by size update the horizon first.
+        """Distances of the tracks on the ground; their distances by size update the road first.
 
         NaN for predicted boxes, boxes truncated at the bottom or above the horizon, and sigmas above `max_sigma`.
         """
@@ -200,12 +258,46 @@ class GroundPlane:
         contacts = self._contacts(tracks, by_size, frame)
         slots = self._slots(tracks.track_id)
         own = self._accumulated(contacts, slots, step_s=step_s)
-        others = _solved(self._information[:, None] - own)
+        others = _solved((self._information[:, None] - own).T)
         self._update_pitch(contacts, others, step_s=step_s)
         return self._ranges(tracks.track_id, contacts, others)
 
+    def measure_alone(self, tracks: Tracks, frame: Frame) -> Ranges:
+        """Distances of the tracks on the ground from image motion and the camera height, without any size."""
+        contacts = self._contacts(tracks, Ranges.unmeasured(tracks.track_id), frame)
+        return self._ranges(tracks.track_id, contacts, _solved(self._prior))
+
+    def _prior_terms(self) -> FloatArray:
+        """(14,) information of the settings, of image motion and of the drive's bias."""
+        settings, fy, road = self._settings, self._camera.fy_px, self._road
+        mean, P = np.zeros(_N), np.zeros((_N, _N))
+        mean[1], P[1, 1], P[3, 3] = settings.height_m, settings.height_sigma_m**2, self._bias_variance
+        if road is None:
+            P[0, 0], P[2, 2] = (settings.horizon_sigma_rad * fy) ** 2, _FIXED**2
+        else:
+            mean[2] = fy * road.curvature_per_m
+            P[0, 0], P[2, 2] = fy**2 * road.horizon_variance, fy**2 * road.curvature_variance
+            P[0, 2] = P[2, 0] = fy**2 * road.covariance
+        information = np.linalg.inv(P)
+        return np.concatenate([information[_UPPER], information @ mean])
+
+    def _expected_px(self, x_px: FloatArray) -> FloatArray:
+        """Row (...) of the expected horizon at columns (...): that of image motion, or of the camera's axis."""
+        camera, road = self._camera, self._road
+        if road is None:
+            return np.full(x_px.shape, camera.cy_px)
+        tangent = road.horizon + road.slope * (x_px - camera.cx_px) / camera.fx_px
+        return np.asarray(camera.cy_px + camera.fy_px * tangent)
+
+    def _basis(self, s: FloatArray) -> FloatArray:
+        """(4, N) derivatives of the row of the ground at s = fy / d (N,) by the unknowns, without b."""
+        distance_m = self._camera.fy_px / s
+        ahead_m = curvature_share(distance_m) * distance_m
+        return np.array([np.ones_like(s), s, -ahead_m / 2, np.zeros_like(s)])
+
     def _contacts(self, tracks: Tracks, by_size: Ranges, frame: Frame) -> _Contacts:
         y = tracks.xyxy_px[:, 3]
+        x = (tracks.xyxy_px[:, 0] + tracks.xyxy_px[:, 2]) / 2
         last_px = frame.left.shape[0] - 0.5 - BORDER_PX
         on_ground = tracks.observed & _ON_GROUND[tracks.class_id] & (y <= last_px)
         offset_m = surface_offset_m(tracks.xyxy_px, tracks.class_id)
@@ -213,10 +305,10 @@ class GroundPlane:
         s = self._camera.fy_px / np.where(is_informative, by_size.distance_m - offset_m, self._camera.fy_px)
         s_sigma = s * np.where(is_informative, by_size.sigma_m / by_size.distance_m, 1.0)
         return _Contacts(
-            y=y - self._camera.cy_px,
+            y=y - self._expected_px(x),
             offset_m=offset_m,
             s=s,
-            s_variance=s_sigma * s_sigma,
+            s_variance=np.maximum(s_sigma * s_sigma - self._bias_variance * s * s, _MIN_OWN * s_sigma * s_sigma),
             R=self._row_variance(s),
             on_ground=on_ground,
             is_informative=is_informative,
@@ -235,29 +327,30 @@ class GroundPlane:
         return np.asarray((track_id[:, None] == self._ids).argmax(axis=1))
 
     def _accumulated(self, contacts: _Contacts, slots: IntArray, *, step_s: float) -> FloatArray:
-        """(5, N) information of the tracks, with this frame's measurements in their running averages."""
+        """(14, N) information of the tracks, with this frame's measurements in their running averages."""
         plane = _solved(self._information)
-        s, y = contacts.s, contacts.y
-        variance = plane.H**2 * contacts.s_variance + contacts.R
-        excess = np.abs(y - plane.y0 - plane.H * s)
-        excess /= _HUBER_SIGMA * np.sqrt(variance + plane.variance(s))
+        basis, H = self._basis(contacts.s), float(plane.x[1])
+        variance = H**2 * contacts.s_variance + contacts.R
+        a = basis.copy()
+        a[3] = -H * contacts.s  # by b: an object farther by b is at s (1 - b)
+        excess = np.abs(contacts.y - plane.rows(a))
+        excess /= _HUBER_SIGMA * np.sqrt(variance + plane.variance(a))
         weight = 1.0 / (variance * np.maximum(1.0, excess))
         previous = self._terms.take(slots, axis=1)
         gain = contacts.is_informative * np.where(
             previous[0] == 0, 1.0, 1.0 - math.exp(-step_s / self._settings.average_s)
         )
-        terms = np.array([np.ones_like(s), s, s * s, y, s * y])
-        average = gain * weight * terms + (1.0 - gain) * previous
+        average = gain * _normal_terms(a, contacts.y, weight) + (1.0 - gain) * previous
         self._terms[:, slots] = average
         return np.asarray(average)
 
     def _update_pitch(self, contacts: _Contacts, plane: _Plane, *, step_s: float) -> None:
         """Update the pitch variance so that the squared residuals agree with their expected values."""
-        if step_s == 0.0:
+        if step_s == 0.0 or self._road is not None:
             return
-        s, pitch_px2 = contacts.s, self._pitch_px2
-        residual = contacts.y - plane.y0 - plane.H * s
-        expected = plane.H**2 * contacts.s_variance + plane.variance(s) + contacts.R
+        basis, pitch_px2 = self._basis(contacts.s), self._pitch_px2
+        residual = contacts.y - plane.rows(basis)
+        expected = plane.x[:, 1] ** 2 * contacts.s_variance + plane.variance(basis) + contacts.R
         excess = np.minimum(residual**2, 10 * expected) - expected
         weight = contacts.is_informative * (pitch_px2 / expected) ** 2  # small if other errors dominate
         gain = 1.0 - math.exp(-step_s / self._settings.pitch_memory_s)
@@ -266,30 +359,57 @@ class GroundPlane:
         self._pitch_px2 = min(max(pitch_px2, initial_px2 / 16), 9 * initial_px2)
 
     def _ranges(self, track_id: IntArray, contacts: _Contacts, plane: _Plane) -> Ranges:
-        below_px = contacts.y - plane.y0
-        is_below = contacts.on_ground & (below_px > 1.0) & (plane.H > 0.1)
-        below_px, H = np.where(is_below, (below_px, plane.H), 1.0)
-        s = below_px / H
-        sigma = np.sqrt(plane.variance(s) + self._row_variance(s)) / below_px
+        fy, (y0, H, fy_k, _) = self._camera.fy_px, plane.x.T
+        below_px = contacts.y - y0
+        is_below = contacts.on_ground & (below_px > 1.0) & (H > 0.1)
+        below_px, H, fy_k = np.where(is_below, (below_px, H + 0 * below_px, fy_k + 0 * below_px), 1.0)
+        contact_m = _distance_on_curve_m(below_px / fy, H, fy_k / fy)
+        s = fy / contact_m
+        basis = self._basis(s)
+        per_log_m = np.maximum(H * s - basis[2] * fy_k, _MIN_SLOPE * H * s)  # -d row / d log d
+        sigma = np.sqrt(plane.variance(basis) + self._row_variance(s)) / per_log_m
         is_valid = is_below & (sigma < self._settings.max_sigma)
-        contact_m = np.where(is_valid, self._camera.fy_px / s, np.nan)
+        contact_m = np.where(is_valid, contact_m, np.nan)
         return Ranges(track_id, contact_m + contacts.offset_m, contact_m * sigma)
 
     def _row_variance(self, s: FloatArray) -> FloatArray:
-        """(N,) variance R in px^2 of bottom edges about the ground plane, for s = fy / d (N,) in px/m."""
-        return np.asarray(self._pitch_px2 + self._settings.box_sigma_px**2 + (self._settings.kerb_m * s) ** 2)
+        """(N,) variance R in px^2 of bottom edges about the estimated road, for s = fy / d (N,) in px/m."""
+        box_and_kerb = self._settings.box_sigma_px**2 + (self._settings.kerb_m * s) ** 2
+        if self._road is None:
+            return np.asarray(self._pitch_px2 + box_and_kerb)
+        fy = self._camera.fy_px
+        distance_m = fy / s
+        ahead_px2 = unknown_curvature_variance(distance_m) * (fy * distance_m / 2) ** 2
+        return np.asarray((_MOVING_PITCH_RAD * fy) ** 2 + ahead_px2 + box_and_kerb)
 
 
 class GroundRanger(Ranger):
-    """Ranges objects on the ground plane; its horizon is estimated from mono's distances and from lane lines.
+    """Ranges objects on the road; its horizon is that of image motion, or of mono's distances and lane lines.
 
     Attributes:
         plane: estimator of the horizon.
     """
 
-    def __init__(self, camera: PinholeCamera, settings: GroundSettings | None = None) -> None:
-        """Create a ranger for `camera` (undistorted)."""
+    def __init__(
+        self,
+        camera: PinholeCamera,
+        settings: GroundSettings | None = None,
+        *,
+        drive_bias: DriveBias | None = None,
+        is_reference: bool = False,
+    ) -> None:
+        """Create a ranger.
+
+        Args:
+            camera: the camera, undistorted.
+            settings: None = the defaults.
+            drive_bias: bias of mono's distances; None = unknown.
+            is_reference: whether the camera height is known, so that the drive's bias is learnt from image motion.
+        """
         self.plane = GroundPlane(camera, settings)
+        self._drive_bias = drive_bias or DriveBias()
+        self._is_reference = is_reference
+        self._road: RoadView | None = None
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances of the objects on the ground, from the horizon estimated so far."""
@@ -298,7 +418,15 @@ class GroundRanger(Ranger):
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
         """Distances of the objects on the ground (`GroundPlane.measure`); mono's distances update the horizon."""
         by_size = others.get("mono", Ranges.unmeasured(tracks.track_id))
-        return self.plane.measure(tracks, by_size, frame)
+        is_independent = self._is_reference and self._road is not None
+        if is_independent and "mono" in others:
+            self._drive_bias.learn(self.plane.measure_alone(tracks, frame), frame.time_s, shared_sigma=_REFERENCE_SIGMA)
+        return replace(self.plane.measure(tracks, by_size, frame), is_fallback=not is_independent)
+
+    def update_road(self, road: RoadView) -> None:
+        """Use the road in the next frame as image motion shows it."""
+        self._road = road
+        self.plane.update_road(road, bias_sigma=self._drive_bias.of_class("car").sigma)
 
     def update_lanes(self, lines: LaneLines) -> None:
         """Add the row at which the lane lines meet as a measurement of the horizon."""
@@ -306,16 +434,34 @@ class GroundRanger(Ranger):
             self.plane.add_horizon(*horizon)
 
 
-def _information(settings: GroundSettings, camera: PinholeCamera) -> FloatArray:
-    """(5,) information of the prior in the settings."""
-    of_y0 = 1.0 / (settings.horizon_sigma_rad * camera.fy_px) ** 2
-    of_H = 1.0 / settings.height_sigma_m**2
-    return np.array([of_y0, 0.0, of_H, 0.0, of_H * settings.height_m])
+def _normal_terms(a: FloatArray, y: FloatArray, weight: FloatArray) -> FloatArray:
+    """(14, N) terms of the normal equations of single measurements y = a' x with a (4, N) and weights (N,)."""
+    return np.concatenate([a[_UPPER[0]] * a[_UPPER[1]], a * y]) * weight
 
 
 def _solved(terms: FloatArray) -> _Plane:
-    """Least-squares solutions of (5, ...) normal equations, with their covariances."""
-    return _Plane(*solve_ground(*terms))
+    """Least-squares solutions of (..., 14) normal equations, with their covariances."""
+    information = np.empty((*terms.shape[:-1], _N, _N))
+    information[..., _UPPER[0], _UPPER[1]] = information[..., _UPPER[1], _UPPER[0]] = terms[..., :-_N]
+    P = np.linalg.inv(information)
+    return _Plane(np.einsum("...ij,...j->...i", P, terms[..., -_N:]), P)
+
+
+def _distance_on_curve_m(below: FloatArray, H: FloatArray, k: FloatArray) -> FloatArray:
+    """(N,) distances d of contact points: below = H / d - share(d) k d / 2.
+
+    Beyond a crest, the largest distance that is visible.
+
+    Args:
+        below: (N,) tangents below the horizon, positive.
+        H: (N,) camera heights in m.
+        k: (N,) curvatures of the road in 1/m.
+    """
+    distance_m = H / below
+    for _ in range(_N_CURVE_ROUNDS):
+        root = np.sqrt(np.maximum(below**2 + 2 * curvature_share(distance_m) * k * H, 0.0))
+        distance_m = 2 * H / (below + root)
+    return np.asarray(distance_m)
 
 
 def _create(context: MethodContext) -> Ranger:
@@ -323,7 +469,7 @@ def _create(context: MethodContext) -> Ranger:
     settings = GroundSettings() if height_m is None else GroundSettings.of_known_height(height_m)
     if box_sigma_px is not None:
         settings = replace(settings, box_sigma_px=box_sigma_px)
-    return GroundRanger(context.camera, settings)
+    return GroundRanger(context.camera, settings, drive_bias=context.drive_bias, is_reference=height_m is not None)
 
 
 GROUND = RangingMethod(
@@ -334,11 +480,11 @@ GROUND = RangingMethod(
     create=_create,
     reads=("mono",),
     error_sources=(
-        ErrorSource("horizon", systematic=0.64),
-        ErrorSource("contact_point", independent=0.315),
-        ErrorSource("own", independent=0.045),
+        ErrorSource("horizon", systematic=0.25),
+        ErrorSource("contact_point", systematic=0.2, independent=0.4),
+        ErrorSource("own", independent=0.15),
     ),
     fallback_for="mono",
 )
-"""The ground plane as a ranging method. It is a fallback for mono: its horizon comes from mono's distances, so it adds
-no information for a track that mono has measured."""
+"""The ground plane as a ranging method. It is a fallback for mono, unless image motion and a known camera height
+determine it: else its horizon comes from mono's distances, and it adds no information for a track that mono measures."""

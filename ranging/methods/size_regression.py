@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from track_range.ranging.drive_bias import DriveBias
 from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
@@ -38,6 +41,7 @@ class SizeRanger(Ranger):
         *,
         box_sigma_px: float | None = None,
         noise: BoxNoise | None = None,
+        drive_bias: DriveBias | None = None,
     ) -> None:
         """Create a ranger for `camera` (undistorted).
 
@@ -46,7 +50,9 @@ class SizeRanger(Ranger):
             curves: model of the sizes of road users; None = the packaged priors.
             box_sigma_px: standard deviation of a box edge, if it is the same for all boxes.
             noise: noise model of the box edges, overrides `box_sigma_px`; None = typical noise of a detector.
+            drive_bias: bias of the drive, which other methods learn; None = not corrected.
         """
+        self._drive_bias = drive_bias or DriveBias()
         self._camera = camera
         self._curves = curves or load_curves()
         uniform = None if box_sigma_px is None else BoxNoise(box_sigma_px, 0.0, 0.0)
@@ -71,11 +77,17 @@ class SizeRanger(Ranger):
         measured = self._curves.measure(boxes)
         columns = np.full((3, len(tracks)), np.nan)
         columns[:, rows] = measured.distance_m, measured.sigma_m, measured.sigma_systematic_m
-        return Ranges(tracks.track_id, *columns)
+        return self._drive_bias.corrected(Ranges(tracks.track_id, *columns), tracks.class_id)
+
+    def summary(self) -> dict[str, Any]:
+        """Bias of the drive by class, if another method measured it."""
+        return {"drive_bias": self._drive_bias.summary()} if self._drive_bias.n_tracks else {}
 
 
 def _create(context: MethodContext) -> Ranger:
-    return SizeRanger(context.camera, context.size_model, box_sigma_px=context.box_sigma_px)
+    return SizeRanger(
+        context.camera, context.size_model, box_sigma_px=context.box_sigma_px, drive_bias=context.drive_bias
+    )
 
 
 MONO = RangingMethod(

@@ -1,17 +1,18 @@
-r"""GroundOdometry: speed of one camera at a known height above the road, one frame after another.
+r"""GroundOdometry: speed of one camera in units of its height above the road, and the horizon, one frame after another.
 
 The road ahead is resampled on a grid of X and Z as seen from above, in the previous frame and in this one, with the
 rotation between them removed. Driving s metres then shifts the picture along Z:
 
     now(X, Z - s) = before(X, Z)        pixel of (X, Z): pi(R C [X, h, Z])
 
-C is the rotation of a level frame that looks along the direction of travel to the camera's, R that from frame to frame,
-both from `ImageMotion`: a car drives parallel to the road, so the horizon has the row of the epipole. It follows the
-pitch rate from frame to frame, and the epipole over a second. A horizon in a wrong row makes distant parts of the road
-shift more, or less, than near ones: `HorizonOffset` corrects it.
+C is the rotation of a level frame that looks along the direction of travel to the camera's, R that from frame to frame
+(`ImageMotion`): a car drives parallel to the road, so the horizon has the row of the epipole. `RoadHorizon` filters it.
 
 The picture is divided into strips. The shift is the maximum of their mean normalised correlation; strips under boxes of
-road users or without texture do not count. The speed is unknown if the maximum is low or not unique.
+road users or without texture do not count. The speed is unknown if the maximum is low or not unique. A horizon in a
+wrong row makes distant parts of the road shift more, or less, than near ones: if it is taken to be d rad too low, a
+point at distance Z seems to be at Z + d Z^2 / h, and a shift s with its middle at Z becomes s (1 + 2 Z d / h). So the
+slope of the shifts over the distances measures the horizon, whatever the height.
 
 An error of the camera height is an equal relative error of the speed. The road is taken to be plane up to 15 m.
 """
@@ -31,6 +32,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEstimator
+from track_range.stereo.odometry.road_horizon import RoadHorizon, RoadView
 from track_range.stereo.odometry.speed_filter import SpeedFilter
 
 _MIN_STRIP_GREY = 1.0
@@ -39,17 +41,31 @@ _MIN_STRIP_GREY = 1.0
 _MAX_MASKED_SHARE = 0.05
 """Largest fraction of a strip under boxes of road users."""
 
-_HORIZON_SIGMA_RAD, _HORIZON_DRIFT_RAD = 0.01, 0.005
-"""Standard deviation of the difference of epipole and horizon in rad, and its random walk per square root of a second;
-chosen on simulated drives, seeds 0-9, where errors of the epipole's row are 0.005 to 0.01 rad."""
+_MIN_STRIPS, _STRIP_SIGMA_M, _STRIPS_SIGMA_RAD = 4, 0.015, 0.0015
+"""Minimum number of strips for a measurement of the horizon; standard deviations of the shift of one strip, and of the
+horizon by errors that the strips share. Errors are 0.0015 to 0.002 rad on simulated drives, seeds 0-2."""
 
-_MIN_STRIPS, _STRIP_SIGMA_M = 4, 0.05
-"""Minimum number of strips for a correction of the horizon, and standard deviation of the shift of one strip: half a
-cell, as strips overlap."""
+_EPIPOLE_SIGMA_RAD = 0.012
+"""Standard deviation of the row of the epipole as a measurement of the horizon: 0.002 to 0.005 rad on simulated drives,
+seeds 0-2, correlated over a second, and the camera moves up and down on the springs."""
+
+_SURE_RAD, _TRAVEL_SIGMA_RAD = 0.004, 0.004
+"""Standard deviation of the horizon below which the epipole is expected there, and its deviation from the horizon: the
+camera of a car at 10 m/s moves up and down on the springs by 0.04 m/s."""
 
 _MAX_STRIP_CELLS, _MIN_STRIP_CORRELATION = 6, 0.4
 """Largest difference of a strip's shift from the common one in cells, that of the farthest strip for an error of 0.012
 rad at 30 m/s, and minimum correlation of the strip."""
+
+_PICTURE_M = 9.0
+"""Distance of the middle of the picture, at which its plane has the slope of the road."""
+
+_OUTLIER_SIGMA, _MAX_FRAMES = 4.0, 50.0
+"""Innovation of the horizon in standard deviations above which the shifts are wrong, and largest amplification of an
+error of the rotation, by slow motion."""
+
+_TYPICAL_MPS = 10.0
+"""Speed for the curvature of the road until the first speed is known."""
 
 _MIN_UNIQUE_M = 0.35
 """Shifts nearer than this to the maximum belong to it."""
@@ -71,7 +87,7 @@ class GroundOdometrySettings:
         shift_sigma_m: standard deviation of a shift; assumed, a fifth of a cell.
         scale_sigma: relative error of all speeds, from a road that is not plane and the camera height; the errors on
             simulated drives, seeds 0-9, then have a standard deviation of 0.6 in units of their sigma.
-        horizon_time_s: time constant with which the horizon follows the epipole.
+        travel_time_s: time constant with which the direction to the side follows the epipole.
     """
 
     half_width_m: float = 1.5
@@ -85,7 +101,7 @@ class GroundOdometrySettings:
     min_uniqueness: float = 0.05
     shift_sigma_m: float = 0.02
     scale_sigma: float = 0.03
-    horizon_time_s: float = 1.0
+    travel_time_s: float = 1.0
 
 
 class _Strip(NamedTuple):
@@ -96,13 +112,17 @@ class _Strip(NamedTuple):
 
 
 class GroundOdometry:
-    """Measures the speed of one camera; the state belongs to the instance.
+    """Measures the speed of one camera and the horizon; the state belongs to the instance.
 
     Args:
         camera: the camera without distortion.
-        height_m: its height above the road.
+        height_m: its height above the road; a wrong one only scales the lengths.
         settings: None = the defaults.
         flow: flow of the background, which other estimators of the same stream may use too; None = a separate one.
+
+    Attributes:
+        motion: motion between the last two frames.
+        has_horizon: whether the horizon was measured so far.
     """
 
     source = "the motion of the road in the images"
@@ -120,13 +140,24 @@ class GroundOdometry:
         self._flow = flow or BackgroundFlow()
         self._image_motion = ImageMotionEstimator(camera, flow=self._flow)
         self._filter = SpeedFilter()
-        self._travel: FloatArray | None = None
-        self._horizon = HorizonOffset(height_m)
+        self._horizon = RoadHorizon()
+        self._side = math.nan
+        self._speed_mps = _TYPICAL_MPS
         self._before: Image | None = None
         self._boxes_before: FloatArray = np.zeros((0, 4))
+        self._last = math.nan, EgoMotion()
+        self.motion = ImageMotion(time_s=math.nan)
+        self.has_horizon = False
+
+    @property
+    def view(self) -> RoadView:
+        """The road in the last frame; lengths are in units of the camera height of this instance."""
+        return self._horizon.view
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
         """Motion since the previous frame; the speed is unknown for the first one, and where it is not reliable.
+
+        A second call for the same frame returns the same motion.
 
         Args:
             frame: the image.
@@ -136,20 +167,30 @@ class GroundOdometry:
             ValueError: an argument has another shape.
         """
         check_shape("xyxy_px", xyxy_px, (None, 4))
-        motion = self._image_motion.update(frame.left, frame.time_s, xyxy_px)
+        if frame.time_s != self._last[0]:
+            self._last = frame.time_s, self._updated(frame, xyxy_px)
+        return self._last[1]
+
+    def _updated(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
+        self.motion = motion = self._image_motion.update(frame.left, frame.time_s, xyxy_px)
         now = self._flow.now
         before, self._before = self._before, small_grey(frame.left, 0) if now is None else now.grey
         boxes_before, self._boxes_before = self._boxes_before, xyxy_px
-        if not motion.is_known or before is None:
-            self._travel = None if math.isnan(motion.dt_s) else self._travel
+        if math.isnan(motion.dt_s) or before is None:
+            self._side = math.nan
             return self._filtered(motion, math.nan)
-        if motion.is_still:
-            return self._filtered(motion, 0.0)
-        travel_before = self._followed(motion)
-        if travel_before is None:
-            return self._filtered(motion, math.nan)
-        shift_m = self._shift_m(motion, travel_before, before, self._before, (boxes_before, xyxy_px))
-        return self._filtered(motion, shift_m / motion.dt_s)
+        if not motion.is_known or motion.is_still:
+            ego = self._filtered(motion, 0.0 if motion.is_still else math.nan)
+            self._predict(motion, ego.speed_mps)
+            return ego
+        self._follow_side(motion)
+        shift_m = math.nan
+        if math.isfinite(self._side):
+            shift_m = self._shift_m(motion, before, self._before, (boxes_before, xyxy_px))
+        ego = self._filtered(motion, shift_m / motion.dt_s)
+        self._predict(motion, ego.speed_mps)
+        self._measure_epipole(motion)
+        return ego
 
     def _filtered(self, motion: ImageMotion, speed_mps: float) -> EgoMotion:
         if math.isnan(motion.dt_s):
@@ -164,41 +205,48 @@ class GroundOdometry:
         )
         return EgoMotion(speed_mps, sigma_mps, motion.yaw_rad_s, motion.is_still)
 
-    def _followed(self, motion: ImageMotion) -> FloatArray | None:
-        """(2,) x, y of the ray of travel in the previous frame; the state moves on to this frame."""
-        camera = self._camera
-        x_px, y_px = motion.epipole_px
-        if not (math.isfinite(x_px) and math.isfinite(y_px)):
-            return None
-        measured = np.array([(x_px - camera.cx_px) / camera.fx_px, (y_px - camera.cy_px) / camera.fy_px])
-        pitched = np.array([0.0, motion.pitch_rad_s * motion.dt_s])
-        if self._travel is None:
-            self._travel = measured
-            return np.asarray(measured - pitched, np.float64)
-        before = self._travel
-        share = min(1.0, motion.dt_s / self._settings.horizon_time_s)
-        self._travel = before + pitched + share * (measured - before - pitched)
-        return np.asarray(self._travel - pitched, np.float64)
+    def _predict(self, motion: ImageMotion, speed_mps: float) -> None:
+        """Move the horizon on to this frame."""
+        if math.isfinite(speed_mps):
+            self._speed_mps = speed_mps
+        dt_s = motion.dt_s
+        self._horizon.predict(
+            dt_s,
+            pitch_rad=motion.pitch_rad_s * dt_s,
+            roll_rad=motion.roll_rad_s * dt_s,
+            way_m=self._speed_mps * dt_s,
+        )
 
-    def _shift_m(
-        self,
-        motion: ImageMotion,
-        travel: FloatArray,
-        before: Image,
-        now: Image,
-        boxes: tuple[FloatArray, FloatArray],
-    ) -> float:
-        """Distance driven between two frames; NaN = not reliable."""
+    def _measure_epipole(self, motion: ImageMotion) -> None:
+        """Add the row of the epipole to the horizon, and expect the next one there."""
+        row = (motion.epipole_px[1] - self._camera.cy_px) / self._camera.fy_px
+        if math.isfinite(row):
+            self._horizon.measure(row, _EPIPOLE_SIGMA_RAD**2)
+            self.has_horizon = True
+        view = self._horizon.view
+        if view.horizon_variance < _SURE_RAD**2:
+            self._image_motion.expect_travel(view.horizon, view.horizon_variance + _TRAVEL_SIGMA_RAD**2)
+
+    def _follow_side(self, motion: ImageMotion) -> None:
+        """Update the direction of travel to the side."""
+        side = (motion.epipole_px[0] - self._camera.cx_px) / self._camera.fx_px
+        if math.isfinite(side):
+            share = 1.0 if math.isnan(self._side) else min(1.0, motion.dt_s / self._settings.travel_time_s)
+            self._side = side if share == 1.0 else self._side + share * (side - self._side)
+
+    def _shift_m(self, motion: ImageMotion, before: Image, now: Image, boxes: tuple[FloatArray, FloatArray]) -> float:
+        """Way between two frames; NaN = not reliable. The shifts of the strips are added to the horizon before."""
         settings = self._settings
-        travel = travel - [0.0, self._horizon.offset_rad]
+        view = self._horizon.view
+        horizon = view.horizon - view.curvature_per_m * _PICTURE_M / 2
         nearest_m = max(
             settings.nearest_m,
-            self._height_m / ((self._camera.height_px - 2 - self._camera.cy_px) / self._camera.fy_px - travel[1]),
+            self._height_m / ((self._camera.height_px - 2 - self._camera.cy_px) / self._camera.fy_px - horizon),
         )
         if not 0 < nearest_m < settings.farthest_m - 2 * settings.strip_m:
             return math.nan
         turn = np.array([-motion.pitch_rad_s, -motion.yaw_rad_s, -motion.roll_rad_s]) * motion.dt_s
-        level = cv2.Rodrigues(np.array([-travel[1], travel[0], 0.0]))[0]
+        level = cv2.Rodrigues(np.array([-horizon, self._side, 0.0]))[0]
         Z = np.arange(settings.farthest_m, nearest_m, -settings.step_z_m)
         X = np.arange(-settings.half_width_m, settings.half_width_m, settings.step_x_m)
         road = np.stack([np.tile(X, len(Z)), np.full(len(X) * len(Z), self._height_m), np.repeat(Z, len(X))], axis=1)
@@ -210,15 +258,28 @@ class GroundOdometry:
         )
         strips = self._strips(pictures[0], pictures[1], masked_share, motion.dt_s)
         best = self._best_shift(strips)
-        if best is None:
-            return math.nan
+        if best is None or (len(strips) < _MIN_STRIPS and math.isnan(self._last[1].speed_mps)):
+            return math.nan  # two strips only confirm a speed
         shift_m = settings.step_z_m * best
-        return self._horizon.update(
-            shift_m,
-            np.array([strip.distance_m for strip in strips]) - shift_m / 2,
-            settings.step_z_m * np.array([_peak_near(strip.score, round(best)) for strip in strips]),
-            motion.dt_s,
+        distance_m = np.array([strip.distance_m for strip in strips]) - shift_m / 2
+        shifts_m = settings.step_z_m * np.array([_peak_near(strip.score, round(best)) for strip in strips])
+        slope = horizon_error(shift_m, distance_m, shifts_m, self._height_m)
+        if slope is None:
+            return shift_m
+        ahead_m = slope.distance_m + shift_m  # the camera follows the curve, too
+        is_consistent = self._horizon.measure(
+            horizon - slope.error,
+            slope.variance,
+            ahead_m=ahead_m,
+            frames=min(slope.distance_m / shift_m - 0.5, _MAX_FRAMES),
+            max_sigma=_OUTLIER_SIGMA,
         )
+        if not is_consistent:
+            return math.nan
+        self.has_horizon = True
+        view = self._horizon.view
+        error = horizon - view.horizon + view.curvature_per_m * ahead_m / 2
+        return shift_m * (1 - 2 * slope.distance_m * error / self._height_m)
 
     def _strips(self, before: FloatArray32, now: FloatArray32, masked_share: FloatArray, dt_s: float) -> list[_Strip]:
         """Usable strips of two pictures, whose rows run from far to near."""
@@ -254,44 +315,32 @@ class GroundOdometry:
         return _vertex(score, best)
 
 
-class HorizonOffset:
-    r"""Corrects the row of the horizon from the shifts of near and distant strips, and the shift for it.
+class HorizonError(NamedTuple):
+    """Error of the assumed horizon: how much too low it is, as a tangent; its variance; mean distance of the strips."""
 
-    If the horizon is taken to be d rad too low, a point at distance Z seems to be at Z + d Z^2 / h. A shift s with its
-    middle at Z then becomes s (1 + 2 Z d / h): the slope of the shifts over the distances gives d.
+    error: float
+    variance: float
+    distance_m: float
+
+
+def horizon_error(shift_m: float, distance_m: FloatArray, shifts_m: FloatArray, height_m: float) -> HorizonError | None:
+    """Error of the horizon from the slope of the shifts over the distances; None = too few strips.
 
     Args:
-        height_m: height h of the camera above the road.
+        shift_m: common shift of the strips.
+        distance_m: (K,) distances of their centres, in the middle of the shift.
+        shifts_m: (K,) the shift of each of them; NaN = unknown.
+        height_m: height of the camera above the road.
     """
-
-    def __init__(self, height_m: float) -> None:
-        self.offset_rad = 0.0
-        self._height_m = height_m
-        self._variance = _HORIZON_SIGMA_RAD**2
-
-    def update(self, shift_m: float, distance_m: FloatArray, shifts_m: FloatArray, dt_s: float) -> float:
-        """Shift for the corrected horizon.
-
-        Args:
-            shift_m: common shift of the strips.
-            distance_m: (K,) distances of their centres, in the middle of the shift.
-            shifts_m: (K,) the shift of each of them; NaN = unknown.
-            dt_s: time since the previous frame.
-        """
-        self._variance = min(self._variance + _HORIZON_DRIFT_RAD**2 * dt_s, _HORIZON_SIGMA_RAD**2)
-        is_known = np.isfinite(shifts_m)
-        if is_known.sum() < _MIN_STRIPS or shift_m <= 0:
-            return shift_m
-        centred = distance_m[is_known] - distance_m[is_known].mean()
-        spread = float(centred @ centred)
-        slope = float(centred @ shifts_m[is_known]) / spread
-        to_rad = self._height_m / (2 * shift_m)
-        variance = (to_rad * _STRIP_SIGMA_M) ** 2 / spread
-        gain = self._variance / (self._variance + variance)
-        change_rad = gain * slope * to_rad
-        self.offset_rad += change_rad
-        self._variance *= 1 - gain
-        return shift_m * (1 - 2 * float(distance_m[is_known].mean()) * change_rad / self._height_m)
+    is_known = np.isfinite(shifts_m)
+    if is_known.sum() < _MIN_STRIPS or shift_m <= 0:
+        return None
+    mean_m = float(distance_m[is_known].mean())
+    centred = distance_m[is_known] - mean_m
+    spread = float(centred @ centred)
+    slope = float(centred @ shifts_m[is_known]) / spread
+    to_rad = height_m / (2 * shift_m)
+    return HorizonError(slope * to_rad, (to_rad * _STRIP_SIGMA_M) ** 2 / spread + _STRIPS_SIGMA_RAD**2, mean_m)
 
 
 def _peak_near(score: FloatArray, cell: int) -> float:

@@ -144,6 +144,22 @@ class ImageMotionEstimator:
         self._direction = np.array([0.0, 0.0, -1.0])
         self._direction_variance = np.full(2, _DIRECTION_SIGMA_RAD**2)
 
+    def expect_travel(self, row: float, variance: float) -> None:
+        """Combine the direction of travel with its expected row in the next frame.
+
+        Args:
+            row: tangent of the direction below the camera's axis, from the horizon of the road.
+            variance: variance of `row`.
+        """
+        forward = self._direction[2]
+        if abs(forward) < _MIN_FORWARD:
+            return
+        share = self._direction_variance[1] / (self._direction_variance[1] + variance)
+        direction = self._direction / forward
+        direction[1] += share * (row - direction[1])
+        self._direction = direction * (math.copysign(1.0, forward) / np.linalg.norm(direction))
+        self._direction_variance = self._direction_variance * [1.0, 1.0 - share]
+
     def update(self, image: Image, time_s: float, xyxy_px: FloatArray | None = None) -> ImageMotion:
         """Motion since the previous frame, which must be earlier; unknown for the first frame and after a gap.
 

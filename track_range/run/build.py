@@ -10,6 +10,7 @@ from track_range.foundation.progress import StepProgress, no_progress
 from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.method import MethodContext
+from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.registry import create_rangers, method_notes
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.ranging.warning.collision_warning import CollisionWarning
@@ -21,7 +22,6 @@ from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ego_motion import Odometry
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
-from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 from track_range.telemetry.speed_source import AUTO
 from track_range.tracking.registry import create_tracker
@@ -90,6 +90,7 @@ def open_pipeline(
         runtime=runtime,
     )
     flow = BackgroundFlow()
+    road_motion = GroundOdometry(source.camera, context.camera_height_m or GroundSettings().height_m, flow=flow)
     tracker_options = replace(open_tracker_options(settings.reid, runtime), flow=flow)
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     return Pipeline(
@@ -100,8 +101,8 @@ def open_pipeline(
         rangers=create_rangers(context),
         lane_finder=open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None,
         ego_speed=ego_speed,
-        odometry=_odometry(context, flow) if settings.ego_speed == AUTO and ego_speed is None else None,
-        image_motion=ImageMotionEstimator(source.camera, flow=flow),
+        odometry=_odometry(context, flow, road_motion) if settings.ego_speed == AUTO and ego_speed is None else None,
+        road_motion=road_motion,
         warning=CollisionWarning(settings.warning_settings),
         shared_sigma=context.focal_sigma,
         depths=LIVE_DEPTHS if source.inputs.live is not None else QueueDepths(),
@@ -109,10 +110,10 @@ def open_pipeline(
     )
 
 
-def _odometry(context: MethodContext, flow: BackgroundFlow) -> Odometry | None:
+def _odometry(context: MethodContext, flow: BackgroundFlow, road_motion: GroundOdometry) -> Odometry | None:
     """Odometry of a calibrated pair, or of a camera at a known height; None = no scale is known."""
     if context.rig is not None:
         return StereoOdometry(context.rig, context.alignment, flow=flow)
     if context.camera_height_m is not None:
-        return GroundOdometry(context.camera, context.camera_height_m, flow=flow)
+        return road_motion
     return None

@@ -13,12 +13,13 @@ Frame numbers are those of the left file: dropped frames have no number and no g
 
 from __future__ import annotations
 
+import math
 import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
@@ -73,6 +74,8 @@ class DriveOptions:
         is_lossless: whether to write folders of PNGs instead of videos.
         has_disparity: whether to write pairs, disparities and objects in KITTI 2015's layout too.
         has_masks: whether to write masks of heads and number plates too.
+        car_size: size of all cars relative to the scenario's.
+        camera_pitch_deg: pitch of the cameras relative to the ego car, positive = up.
     """
 
     scenario: str = DEFAULT_SCENARIO
@@ -81,6 +84,8 @@ class DriveOptions:
     is_lossless: bool = False
     has_disparity: bool = False
     has_masks: bool = False
+    car_size: float = 1.0
+    camera_pitch_deg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,6 +149,9 @@ def write_drive(
     if n_frames < 1:
         raise ValueError(f"seconds: expected at least one frame, got {seconds:g} s at {fps:g} frames/s")
     scene = make_scenario(options.scenario, seed=seed, seconds=seconds)
+    if options.car_size != 1.0:
+        scene = scene.with_car_sizes(options.car_size)
+    scene = replace(scene, camera_pitch_rad=math.radians(options.camera_pitch_deg))
     renderer = Renderer(scene, rig, noise_grey=options.noise_grey, faults=options.faults)
     make_folder(folder)
     drive = Drive.in_folder(folder, is_lossless=options.is_lossless)

@@ -50,6 +50,23 @@ class SimulationSettings(Options):
             panel=_DRIVE,
         ),
     ] = None
+    car_size: Annotated[
+        float | None,
+        option(
+            "Size of all cars relative to the scenario's (default: 1).", metavar="FACTOR", panel=_DRIVE, ge=0.5, le=2
+        ),
+    ] = None
+    camera_pitch_deg: Annotated[
+        float | None,
+        option(
+            "Pitch of the cameras relative to the ego car in degrees, positive = up (default: 0).",
+            flag="--camera-pitch",
+            metavar="DEG",
+            panel=_DRIVE,
+            ge=-20,
+            le=20,
+        ),
+    ] = None
     lossless: Annotated[
         bool, option("Folders of PNG images, left/ and right/, instead of H.264 videos.", panel=_OUTPUT)
     ] = False
@@ -171,7 +188,10 @@ class SimulationSettings(Options):
     @property
     def has_drive_options(self) -> bool:
         """Whether an option is given that applies only to drives."""
-        given = (self.scenario, self.seconds, self.fps, self.rig, self.noise_grey)
+        given = (
+            *(self.scenario, self.seconds, self.fps, self.rig),
+            *(self.car_size, self.camera_pitch_deg, self.noise_grey),
+        )
         return (
             any(value is not None for value in given)
             or self.lossless

@@ -84,6 +84,8 @@ def _drive(settings: SimulationSettings, progress: StepProgress) -> Simulated:
         is_lossless=settings.lossless,
         has_disparity=settings.disparity,
         has_masks=settings.masks,
+        car_size=settings.car_size or 1.0,
+        camera_pitch_deg=settings.camera_pitch_deg or 0.0,
     )
     rig, notes = (None, ()) if settings.rig is None else _rig(settings.rig)
     with locked_output(settings.out), progress("rendering") as advance:

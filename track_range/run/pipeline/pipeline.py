@@ -37,6 +37,7 @@ from track_range.run.pipeline.stage_clock import StageClock
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import EgoMotion, Odometry
+from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.tracking.registry import checked_tracks
 from track_range.tracking.tracker import Tracker
@@ -92,7 +93,8 @@ class Pipeline:
         lane_finder: detects the lines of the ego lane; None = off.
         ego_speed: speed of the camera from telemetry or a setting; None = unknown.
         odometry: measures the motion of the camera, where `ego_speed` is None; None = off.
-        image_motion: yaw rate of the camera, for the path of the ego vehicle; None = unknown.
+        road_motion: measures the horizon of the road and the yaw rate of the camera; None = off.
+        image_motion: yaw rate of the camera, for the path of the ego vehicle, without `road_motion`; None = unknown.
         warning: collision warning.
         shared_sigma: relative error shared by all methods, from an uncalibrated focal length.
         depths: queue depths of the threads.
@@ -108,6 +110,7 @@ class Pipeline:
     lane_finder: LaneFinder | None = None
     ego_speed: EgoSpeed | None = None
     odometry: Odometry | None = None
+    road_motion: GroundOdometry | None = None
     image_motion: ImageMotionEstimator | None = None
     warning: CollisionWarning = field(default_factory=CollisionWarning)
     shared_sigma: float = 0.0
@@ -148,8 +151,9 @@ class Pipeline:
     ) -> FrameResult:
         """Result of one frame from its lane lines and boxes; frames must be passed in order."""
         tracks = self._tracks(frame, detections)
-        ranges = self._ranges(frame, lanes, tracks)
         ego = self._ego_motion(frame, detections)
+        self._update_road()
+        ranges = self._ranges(frame, lanes, tracks)
         ego_mps, yaw_rad_s = ego.speed_mps, ego.yaw_rad_s
         with self.clock.stage("fuse"):
             motion = self._fused_motion(frame, tracks, ranges, ego)
@@ -228,6 +232,9 @@ class Pipeline:
 
     def _ego_motion(self, frame: Frame, detections: Detections) -> EgoMotion:
         """Speed and yaw rate of the camera, NaN = unknown."""
+        if self.road_motion is not None:
+            with self.clock.stage("motion"):
+                self.road_motion.update(frame, detections.xyxy_px)
         if self.odometry is not None:
             with self.clock.stage("motion"):
                 return self.odometry.update(frame, detections.xyxy_px)
@@ -236,8 +243,17 @@ class Pipeline:
             return EgoMotion(yaw_rad_s=yaw_rad_s)
         return EgoMotion(speed.at(frame.time_s), speed.sigma_at(frame.time_s), yaw_rad_s)
 
+    def _update_road(self) -> None:
+        """Pass the road that the motion of the images shows to the rangers."""
+        if self.road_motion is None or not self.road_motion.has_horizon:
+            return
+        for ranger in self.rangers.values():
+            ranger.update_road(self.road_motion.view)
+
     def _yaw_rad_s(self, frame: Frame, detections: Detections) -> float:
         """Yaw rate of the camera, positive = to the right; NaN = unknown."""
+        if self.road_motion is not None:
+            return self.road_motion.motion.yaw_rad_s
         if self.image_motion is None:
             return math.nan
         with self.clock.stage("motion"):

@@ -97,7 +97,8 @@ class Renderer:
             for is_shadow in (True, False)
         )
         self._cameras = {"left": _finer(rig.left), "right": _finer(faults.right_camera(rig.left))}
-        self._rotates = not scene.road.is_straight or scene.wobble.pitch_rad > 0 or scene.wobble.roll_rad > 0
+        wobble = scene.wobble
+        self._rotates = not scene.road.is_straight or any((wobble.pitch_rad, wobble.roll_rad, scene.camera_pitch_rad))
         self._sky = self._sky_picture(rng)
 
     def render(self, time_s: float, *, side: Side = "left") -> Image:

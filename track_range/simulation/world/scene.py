@@ -12,7 +12,7 @@ winding road (`road_shape.py`), x counts from the centre of the ego lane. The to
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -110,6 +110,7 @@ class Scene:
         ego_speed_mps: speed of the camera along the road.
         ego_speed_changes: (time, speed) pairs, used instead of `ego_speed_mps`; empty = constant speed.
         camera_height_m: height of the left camera above the road.
+        camera_pitch_rad: pitch of the left camera relative to the ego car, positive = up.
         road: shape of the road.
         wobble: pitch and roll of the ego car.
         surroundings: kind of road, a key of `surroundings.SURROUNDINGS`.
@@ -122,6 +123,7 @@ class Scene:
     ego_speed_mps: float = 10.0
     ego_speed_changes: SpeedChanges = ()
     camera_height_m: float = 1.65
+    camera_pitch_rad: float = 0.0
     road: RoadShape = STRAIGHT
     wobble: Wobble = STEADY
     surroundings: str = "town"
@@ -132,6 +134,17 @@ class Scene:
         ids = [user.track_id for user in self.road_users]
         if len(set(ids)) != len(ids):
             raise ValueError(f"road_users: expected unique track ids, got {sorted(ids)}")
+
+    def with_car_sizes(self, factor: float) -> Scene:
+        """The scene with all cars `factor` times as high, wide and long."""
+        users = (
+            replace(user, size_hwl_m=(factor * height, factor * width, factor * length))
+            if user.kitti_type == "Car"
+            else user
+            for user in self.road_users
+            for height, width, length in (user.size_hwl_m,)
+        )
+        return replace(self, road_users=tuple(users))
 
     def ego_z_m(self, time_s: float) -> float:
         """Z of the camera at a time."""
@@ -144,8 +157,13 @@ class Scene:
 
     def pose(self, time_s: float) -> CameraPose:
         """Pose of the left camera at a time."""
-        wobble = self.wobble.pitch_roll_rad(time_s)
-        return pose_on_road(self.road, self.ego_z_m(time_s), height_m=self.camera_height_m, pitch_roll_rad=wobble)
+        pitch_rad, roll_rad = self.wobble.pitch_roll_rad(time_s)
+        return pose_on_road(
+            self.road,
+            self.ego_z_m(time_s),
+            height_m=self.camera_height_m,
+            pitch_roll_rad=(pitch_rad + self.camera_pitch_rad, roll_rad),
+        )
 
     def location_m(self, time_s: float) -> FloatArray:
         """(N, 3) bottom centres of the 3-D boxes in the left camera's frame at a time."""

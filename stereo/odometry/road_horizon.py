@@ -1,0 +1,168 @@
+r"""RoadHorizon: horizon, roll and vertical curvature of the road ahead of one camera, from its motion, frame by frame.
+
+    row(Z) = y + h / Z - k(Z) Z / 2        tangent, below the camera's axis, of the road at distance Z
+
+y is the horizon, the vanishing line of the road under the car; h the height of the camera; k the curvature of the road
+in the vertical plane, positive where it turns upwards. A Kalman filter has the state
+
+    x = [y, m, k, g]        m: mean of y over the drive (mounting, load); g: error of the measured rotation per frame
+
+    y' = y + (pitch - g) - k V dt       the camera turns with the road, its horizon only with the pitch of the car
+    k' = k exp(-V dt / l)               a random road with standard deviation and correlation length of its curvature
+
+A car pitches on its springs about its mean, so y - m is near 0. The measurements of y are the direction of travel, since
+a car drives parallel to the road, and the slope of the shifts of near and distant strips of the road (`GroundOdometry`),
+which is the slope of the road some metres ahead, so the horizon
+y - k Z / 2. The curvature at Z is that half-way ahead: k(Z) = k exp(-Z / 3l),
+as the height of a curved road is a mean of curvatures with their centre at Z / 3.
+
+Lengths are in units of the height that the speeds were measured with: if it is wrong by a factor, so is 1 / k.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+
+_MOUNTING_RAD = 0.03
+"""Standard deviation of the mean angle between the camera's axis and the road at the start."""
+
+_MOUNTING_DRIFT_RAD = 0.0005
+"""Random walk of the mean angle, rad per square root of a second: load, long phases of braking."""
+
+_SPRINGS_RAD, _SPRINGS_S = 0.0025, 0.3
+"""Standard deviation of a car's pitch on its springs, and the time over which it is correlated."""
+
+_ROTATION_RAD, _ROTATION_BIAS_RAD = 0.0002, 0.00012
+"""Errors of the pitch between two frames, independent and constant: 0.15 and 0.08 px at KITTI's focal length on
+simulated drives, seeds 0-2."""
+
+_LOST_RAD = 0.003
+"""Standard deviation of the pitch between two frames if it is not measured."""
+
+_CURVATURE_PER_M, _CURVATURE_LENGTH_M = 0.0003, 80.0
+"""Standard deviation of the vertical curvature (radii of 3 km are usual on roads) and its correlation length."""
+
+_ROLL_S = 3.0
+"""Time constant with which the roll returns to 0: springs and bends."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoadView:
+    """The road as the camera sees it in one frame; angles are tangents in the image.
+
+    Attributes:
+        horizon: tangent of the horizon below the camera's axis, at the middle column.
+        horizon_variance: its variance.
+        slope: slope of the horizon in the image, positive = lower on the right-hand side.
+        curvature_per_m: curvature k in the vertical plane below the camera, positive = turns upwards.
+        curvature_variance: variance of k.
+        covariance: covariance of the horizon and k.
+    """
+
+    horizon: float
+    horizon_variance: float
+    slope: float = 0.0
+    curvature_per_m: float = 0.0
+    curvature_variance: float = 0.0
+    covariance: float = 0.0
+
+    def scaled(self, factor: float) -> RoadView:
+        """The road if all lengths are `factor` times as long."""
+        return RoadView(
+            horizon=self.horizon,
+            horizon_variance=self.horizon_variance,
+            slope=self.slope,
+            curvature_per_m=self.curvature_per_m / factor,
+            curvature_variance=self.curvature_variance / factor**2,
+            covariance=self.covariance / factor,
+        )
+
+
+def curvature_share(distance_m: FloatArray) -> FloatArray:
+    """Share of the curvature at the camera, (...), in the mean curvature up to distances (...): exp(-Z / 3l)."""
+    return np.asarray(np.exp(distance_m / (-3.0 * _CURVATURE_LENGTH_M)))
+
+
+def unknown_curvature_variance(distance_m: FloatArray) -> FloatArray:
+    """Variance of the mean curvature (...) up to distances (...) that the curvature at the camera does not show."""
+    return np.asarray(_CURVATURE_PER_M**2 * (1.0 - curvature_share(distance_m) ** 2))
+
+
+class RoadHorizon:
+    """Kalman filter of the horizon; the state belongs to the instance."""
+
+    def __init__(self) -> None:
+        self._x = np.zeros(4)
+        mounting, springs = _MOUNTING_RAD**2, _SPRINGS_RAD**2
+        self._P = np.diag([mounting + springs, mounting, _CURVATURE_PER_M**2, _ROTATION_BIAS_RAD**2])
+        self._P[0, 1] = self._P[1, 0] = mounting
+        self._roll = 0.0
+
+    @property
+    def view(self) -> RoadView:
+        """The road in the last frame."""
+        return RoadView(
+            horizon=float(self._x[0]),
+            horizon_variance=float(self._P[0, 0]),
+            slope=-self._roll,
+            curvature_per_m=float(self._x[2]),
+            curvature_variance=float(self._P[2, 2]),
+            covariance=float(self._P[0, 2]),
+        )
+
+    def predict(self, dt_s: float, *, pitch_rad: float, roll_rad: float, way_m: float) -> None:
+        """Move on to the next frame.
+
+        Args:
+            dt_s: time since the previous frame.
+            pitch_rad: measured pitch between the frames, positive = upwards; NaN = unknown.
+            roll_rad: measured roll, positive = clockwise as the driver sees it; NaN = unknown.
+            way_m: way between the frames; NaN = unknown.
+        """
+        is_known = math.isfinite(pitch_rad)
+        way_m = abs(way_m) if math.isfinite(way_m) else 0.0
+        stays = math.exp(-way_m / _CURVATURE_LENGTH_M)
+        F = np.eye(4)
+        F[0, 2:] = -way_m, -1.0
+        F[2, 2] = stays
+        if not is_known:
+            F[0, 2:] = 0.0
+        noise_rad = _ROTATION_RAD if is_known else _LOST_RAD
+        Q = [noise_rad**2, _MOUNTING_DRIFT_RAD**2 * dt_s, _CURVATURE_PER_M**2 * (1 - stays**2), 0.0]
+        self._x = F @ self._x
+        self._P = F @ self._P @ F.T + np.diag(Q)
+        if is_known:
+            self._x[0] += pitch_rad
+        self._roll = math.exp(-dt_s / _ROLL_S) * (self._roll + (roll_rad if math.isfinite(roll_rad) else 0.0))
+        frames_per_pitch = max(2 * _SPRINGS_S / dt_s, 1.0)
+        self._update(np.array([1.0, -1.0, 0.0, 0.0]), 0.0, _SPRINGS_RAD**2 * frames_per_pitch)
+
+    def measure(
+        self, horizon: float, variance: float, *, ahead_m: float = 0.0, frames: float = 0.0, max_sigma: float = math.inf
+    ) -> bool:
+        """Add a measurement of the horizon, as a tangent; False = not added, an outlier.
+
+        Args:
+            horizon: the measurement.
+            variance: its variance.
+            ahead_m: distance to which the road was seen: the measurement is y - k ahead / 2.
+            frames: error of the measurement per constant error of the rotation between two frames.
+            max_sigma: largest innovation, in standard deviations.
+        """
+        h = np.array([1.0, 0.0, -ahead_m / 2, frames])
+        S = float(h @ self._P @ h) + variance
+        if abs(horizon - float(h @ self._x)) > max_sigma * math.sqrt(S):
+            return False
+        self._update(h, horizon, variance)
+        return True
+
+    def _update(self, h: FloatArray, z: float, R: float) -> None:
+        Ph = self._P @ h
+        S = float(h @ Ph) + R
+        self._x = self._x + Ph * ((z - float(h @ self._x)) / S)
+        self._P = self._P - np.outer(Ph, Ph) / S
