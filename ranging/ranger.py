@@ -19,7 +19,8 @@ class Ranger(ABC):
 
     Only `measure` is required. The other members are hooks that a run calls or reads; their defaults do nothing.
     For each frame a run calls `start` (in another thread, up to a few frames ahead), `update_road` if the motion of the
-    images shows the road, `update_lanes` if lanes were detected in the frame, and `measure_with`; after the last frame it calls `close`.
+    images shows the road, `update_lanes` if lanes were detected in the frame, and `measure_with`; after the last frame
+    it calls `close`.
 
     Attributes:
         background_s: seconds of work so far in the ranger's own threads; a run adds them to the time of its stage.

@@ -1,11 +1,12 @@
 """Horizon: distances of one camera at a known height, on simulated drives with changed car sizes and on KITTI.
 
-Protocol: the `run` command on the left video with its rig file, lanes as by default. Simulated drives: wobble, hills and
-curves of the scenario, the camera pitched down by `--pitch`, all cars `--car-size` times as large, boxes of the playback
-detector. Known are the camera height (height), the ego speed (speed), both, or nothing (none). Errors against truth.csv at
-10-50 m, over the track-frames that mono, ground and fused all measured; cover: share of the boxes that a method measured; within: share within 1 and 2 sigma. `bias`: median of
-the signed error over all boxes of a drive at 10-50 m from the time on; its magnitude is the mean over the drives. KITTI 0003
-and 0005: YOLOv5n's boxes, truth from the labels, camera height 1.65 m, errors at 5-100 m.
+Protocol: the `run` command on the left video with its rig file, lanes as by default. Simulated drives: wobble, hills
+and curves of the scenario, the camera pitched by `--pitch`, all cars `--car-size` times as large, boxes of the playback
+detector. Known are the camera height (height), the ego speed (speed), both, or nothing (none). Errors against truth.csv
+at 10-50 m, over the track-frames that mono, ground and fused all measured; cover: share of the boxes that a method
+measured; within: share within 1 and 2 sigma. `bias`: median of the signed errors of a drive at 10-50 m from a time on;
+its magnitude is the mean over the drives. Seeds 0-2 are for settings, 300-302 for judgement. KITTI 0003 and 0005:
+YOLOv5n's boxes, truth from the labels, camera height 1.65 m, errors at 5-100 m.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 import os
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -168,7 +170,7 @@ def _scores(columns: Columns, span_m: tuple[float, float]) -> dict[str, dict[str
         score = score_rows(method, true_m, _is_between(true_m, span_m) & common)
         score["bands"] = [
             score_rows(method, true_m, _is_between(true_m, band) & common)["median_relative_error_pct"]
-            for band in zip(BANDS_M[:-1], BANDS_M[1:], strict=True)
+            for band in pairwise(BANDS_M)
         ]
         score["coverage"] = score_rows(method, true_m, _is_between(true_m, span_m))["coverage"]
         scores[name] = score
@@ -192,7 +194,7 @@ def _biases(columns: Columns, span_m: tuple[float, float]) -> dict[str, list[flo
 
 
 def _print_errors(figures: Mapping[str, Any], title: str) -> None:
-    bands = [f"{low:g}-{high:g} m" for low, high in zip(BANDS_M[:-1], BANDS_M[1:], strict=True)]
+    bands = [f"{low:g}-{high:g} m" for low, high in pairwise(BANDS_M)]
     table = plain_table(
         f"{title}: median error, %", "drive", "method", "n", "cover", "all", *bands, "mean", "within", n_words=2
     )

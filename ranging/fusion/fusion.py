@@ -63,6 +63,10 @@ _MAX_BIAS_SIGMA = 2.5
 """Largest difference between size and matching methods, in standard deviations, that biases are learnt from: larger
 differences are due to matches on another object or to occluded boxes."""
 
+_VAGUE_SIGMA = 0.4
+"""Relative sigma above which a method is not used if another one is better: biases are in units of sigma, and one that
+is learnt while sigma is several times its usual value would be too large in the frames that follow."""
+
 _REFERENCE_S = 0.5
 """Time in s after the last measurement of a scale reference during which the scale counts as that of the reference."""
 
@@ -142,6 +146,8 @@ class Fusion:
         is_fallback = np.array([name not in by_method or by_method[name].is_fallback for name in model.names])
         superseded = (model.superseded_by[:, :, None] & measured.valid).any(axis=1) & is_fallback[:, None]
         usable = measured.valid & ~superseded
+        is_vague = measured.sigma > _VAGUE_SIGMA
+        usable &= ~(is_vague & (usable & ~is_vague).any(axis=0))
         usable &= ~inconsistent_with_size(measured, usable, track, model)
         used = measured.only(usable)
         estimate = least_squares(used, track, model)

@@ -276,7 +276,7 @@ class GroundPlane:
             P[0, 0], P[2, 2] = (settings.horizon_sigma_rad * fy) ** 2, _FIXED**2
         else:
             mean[2] = fy * road.curvature_per_m
-            P[0, 0], P[2, 2] = fy**2 * road.horizon_variance, fy**2 * road.curvature_variance
+            P[0, 0], P[2, 2] = fy**2 * road.horizon_variance, fy**2 * road.curvature_variance + _FIXED**2
             P[0, 2] = P[2, 0] = fy**2 * road.covariance
         information = np.linalg.inv(P)
         return np.concatenate([information[_UPPER], information @ mean])
@@ -486,5 +486,5 @@ GROUND = RangingMethod(
     ),
     fallback_for="mono",
 )
-"""The ground plane as a ranging method. It is a fallback for mono, unless image motion and a known camera height
-determine it: else its horizon comes from mono's distances, and it adds no information for a track that mono measures."""
+"""The ground plane as a ranging method. It is a fallback for mono unless image motion and a known camera height
+determine it: otherwise its horizon comes from mono's distances, and it adds nothing for a track that mono measures."""

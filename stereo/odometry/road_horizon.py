@@ -10,11 +10,10 @@ in the vertical plane, positive where it turns upwards. A Kalman filter has the 
     y' = y + (pitch - g) - k V dt       the camera turns with the road, its horizon only with the pitch of the car
     k' = k exp(-V dt / l)               a random road with standard deviation and correlation length of its curvature
 
-A car pitches on its springs about its mean, so y - m is near 0. The measurements of y are the direction of travel, since
-a car drives parallel to the road, and the slope of the shifts of near and distant strips of the road (`GroundOdometry`),
-which is the slope of the road some metres ahead, so the horizon
-y - k Z / 2. The curvature at Z is that half-way ahead: k(Z) = k exp(-Z / 3l),
-as the height of a curved road is a mean of curvatures with their centre at Z / 3.
+A car pitches on its springs about its mean, so y - m is near 0. Measurements of y are the direction of travel, since a
+car drives parallel to the road, and the slope of the shifts of near and distant strips of the road (`GroundOdometry`):
+that of the road Z ahead, whose horizon is y - k Z / 2. The height of a curved road at Z is a mean of the curvatures on
+the way with their centre at Z / 3, so k(Z) = k exp(-Z / 3l).
 
 Lengths are in units of the height that the speeds were measured with: if it is wrong by a factor, so is 1 / k.
 """

@@ -243,7 +243,7 @@ def test_correlations_of_the_built_in_methods():
         model.names.index(name) for name in ("mono", "ground", "lane", "stereo", "sgbm")
     )
     noise = model.independent_covariance[..., 0] / (model.independent * model.independent.T)
-    assert [noise[mono, ground], noise[mono, lane], noise[ground, lane]] == pytest.approx([0.5, 0.4, 0.7])
+    assert [noise[mono, ground], noise[mono, lane], noise[ground, lane]] == pytest.approx([0.456, 0.4, 0.638], abs=1e-3)
     assert noise[[mono, ground, lane], stereo] == pytest.approx([0, 0, 0])
     assert model.systematic_correlation[stereo, sgbm] == pytest.approx(1.0)
     assert model.systematic_correlation[mono, [ground, lane, stereo]] == pytest.approx([0, 0, 0])

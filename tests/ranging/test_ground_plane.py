@@ -4,11 +4,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.ranging.drive_bias import DriveBias
 from track_range.ranging.methods.ground_plane import GroundPlane, GroundRanger, GroundSettings
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.surface_offset import surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.road_horizon import RoadView, curvature_share
 from track_range.tracking.tracks import Tracks
 
 F_PX, CY_PX, HEIGHT_M = 700.0, 180.0, 1.65
@@ -199,3 +201,69 @@ def test_ranger_estimates_the_horizon_from_mono():
     assert ranger.plane.horizon.y_px == pytest.approx(CY_PX + 20.0, abs=5.0)
     error = [np.abs(result.distance_m / [20.0, 40.0, 60.0] - 1)[0] for result in (alone, ranges)]
     assert error[1] < error[0] < 0.6
+
+
+def road_view(horizon_px=CY_PX, sigma_px=0.5, **fields):
+    return RoadView(horizon=(horizon_px - CY_PX) / F_PX, horizon_variance=(sigma_px / F_PX) ** 2, **fields)
+
+
+def test_horizon_of_image_motion_replaces_sizes():
+    """All cars are 20 % larger than their class, and the distances are right."""
+    tracks, by_size = cars_at([12.0, 20.0, 30.0, 40.0], horizon_px=200.0, size_error=-0.17)
+    ranger = GroundRanger(CAMERA, SMOOTH, is_reference=True)
+    for k in range(10):
+        ranger.update_road(road_view(200.0))
+        ranges = ranger.measure_with(tracks, at(0.1 * k, k), {"mono": by_size})
+    assert ranges.distance_m == pytest.approx([12.0, 20.0, 30.0, 40.0], rel=0.02)
+    assert not ranges.is_fallback
+    without = GroundRanger(CAMERA, SMOOTH).measure_with(tracks, at(0.0), {"mono": by_size})
+    assert without.is_fallback
+    assert np.abs(without.distance_m / [12.0, 20.0, 30.0, 40.0] - 1).max() > 0.05
+
+
+@pytest.mark.parametrize("curvature_per_m", [-3e-4, 3e-4])
+def test_contact_points_on_a_curved_road(curvature_per_m):
+    """By hand: y = y0 + f H / d - f k share(d) d / 2."""
+    distance_m = np.array([15.0, 30.0, 45.0])
+    tracks, by_size = cars_at(distance_m)
+    raised_px = F_PX * curvature_per_m * curvature_share(distance_m) * distance_m / 2
+    boxes = tracks.xyxy_px - raised_px[:, None] * [0.0, 1.0, 0.0, 1.0]
+    raised = Tracks(tracks.track_id, boxes, tracks.class_id, tracks.score, tracks.observed)
+    plane = GroundPlane(CAMERA, SMOOTH)
+    plane.update_road(road_view(curvature_per_m=curvature_per_m, curvature_variance=1e-10), bias_sigma=0.06)
+    assert plane.measure_alone(raised, at(0.0)).distance_m == pytest.approx(distance_m, rel=0.01)
+    assert plane.measure(raised, by_size, at(0.0)).distance_m == pytest.approx(distance_m, rel=0.02)
+
+
+def test_slope_of_the_horizon():
+    """A car 300 px to the right of the middle, where the horizon is 300 * 0.02 = 6 px lower."""
+    tracks, _ = cars_at([20.0])
+    boxes = tracks.xyxy_px + np.array([300.0, 6.0, 300.0, 6.0])
+    moved = Tracks(tracks.track_id, boxes, tracks.class_id, tracks.score, tracks.observed)
+    plane = GroundPlane(CAMERA, SMOOTH)
+    plane.update_road(road_view(slope=0.02), bias_sigma=0.06)
+    assert plane.measure_alone(moved, at(0.0)).distance_m == pytest.approx([20.0], rel=0.02)
+
+
+def test_drive_bias_is_learnt_from_image_motion():
+    bias = DriveBias()
+    ranger = GroundRanger(CAMERA, SMOOTH, drive_bias=bias, is_reference=True)
+    for k in range(30):
+        tracks, by_size = cars_at(np.linspace(10.0, 40.0, 12), size_error=-0.09)
+        ranger.update_road(road_view())
+        corrected = bias.corrected(by_size, tracks.class_id)
+        ranger.measure_with(tracks, at(0.1 * k, k), {"mono": corrected})
+    assert bias.of_class("car").log_factor == pytest.approx(-np.log(0.91), abs=0.02)
+    unknown = DriveBias()
+    without_height = GroundRanger(CAMERA, drive_bias=unknown)
+    without_height.update_road(road_view())
+    unknown.corrected(by_size, tracks.class_id)
+    without_height.measure_with(tracks, at(0.0), {"mono": by_size})
+    assert unknown.n_tracks == 0
+
+
+def test_lane_lines_are_ignored_where_image_motion_shows_the_road():
+    plane = GroundPlane(CAMERA, SMOOTH)
+    plane.update_road(road_view(190.0), bias_sigma=0.06)
+    plane.add_horizon(150.0, 1.0)
+    assert plane.horizon.y_px == pytest.approx(190.0)

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.truth import label_scene
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.odometry.ground_odometry import GroundOdometry, HorizonOffset
+from track_range.stereo.odometry.ground_odometry import GroundOdometry, horizon_error
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator, fit_epipolar
 from track_range.stereo.odometry.speed_filter import SpeedFilter
 from track_range.stereo.odometry.stereo_odometry import RigidMotion, StereoOdometry, fit_motion
@@ -117,24 +118,21 @@ def test_filter_ignores_one_outlier_and_bridges_gaps():
 
 @pytest.mark.parametrize("offset_rad", [-0.008, 0.0, 0.008])
 @pytest.mark.parametrize("speed_mps", [10.0, 30.0])
-def test_horizon_offset_from_strips(offset_rad, speed_mps):
-    """A horizon that is too low lengthens the shifts of distant strips; the correction finds it within 2 s."""
-    height_m, true_m = 1.65, speed_mps / 10
-    horizon, rng = HorizonOffset(height_m), np.random.default_rng(0)
+def test_horizon_error_from_strips(offset_rad, speed_mps):
+    """A horizon that is too low lengthens the shifts of distant strips: s (1 + 2 Z d / h)."""
+    height_m, shift_m = 1.65, speed_mps / 10
     distance_m = np.arange(6.0, 14.0)
-    for _ in range(20):
-        error_rad = offset_rad - horizon.offset_rad
-        shifts_m = true_m * (1 + 2 * distance_m * error_rad / height_m) + 0.02 * rng.normal(size=8)
-        shifts_m[3] = math.nan
-        shift_m = horizon.update(float(np.nanmedian(shifts_m)), distance_m, shifts_m, 0.1)
-    assert horizon.offset_rad == pytest.approx(offset_rad, abs=0.002)
-    assert shift_m == pytest.approx(true_m, rel=0.02)
+    shifts_m = shift_m * (1 + 2 * distance_m * offset_rad / height_m)
+    shifts_m[3] = math.nan
+    slope = horizon_error(shift_m, distance_m, shifts_m, height_m)
+    assert slope is not None
+    assert slope.error == pytest.approx(offset_rad, abs=1e-6)
+    assert slope.distance_m == pytest.approx(np.delete(distance_m, 3).mean())
+    assert 0.001 < math.sqrt(slope.variance) < 0.005
 
 
-def test_horizon_offset_with_few_strips():
-    horizon = HorizonOffset(1.65)
-    assert horizon.update(1.0, np.array([6.0, 8.0, 9.0]), np.array([1.0, 1.1, math.nan]), 0.1) == 1.0
-    assert horizon.offset_rad == 0.0
+def test_horizon_error_of_few_strips_is_unknown():
+    assert horizon_error(1.0, np.array([6.0, 8.0, 9.0]), np.array([1.0, 1.1, math.nan]), 1.65) is None
 
 
 def textured_pair(seed=0):
@@ -215,3 +213,33 @@ def test_yaw_rate_in_curve_with_lane_lines():
     assert np.mean(yaw_rad_s) > 0.01
     assert abs(np.mean(errors)) < 0.1 * np.mean(yaw_rad_s)
     assert np.percentile(np.abs(errors), 90) < 0.005
+
+
+def test_expected_travel_moves_the_direction():
+    motion = ImageMotionEstimator(CAMERA)
+    motion.expect_travel(0.02, 0.05**2)
+    row = motion._direction[1] / motion._direction[2]
+    assert row == pytest.approx(0.01)  # equal variances: half-way
+    assert motion._direction_variance == pytest.approx([0.05**2, 0.05**2 / 2])
+
+
+@pytest.mark.slow
+def test_horizon_of_a_rendered_drive_with_hills():
+    """Within 2 px of the true horizon after 2 s, on average, with hills, pitch, and a camera that is pitched down."""
+    scene = replace(make_scenario("highway", seed=40, seconds=4.0), camera_pitch_rad=-0.015)
+    renderer = Renderer(scene, kitti_like_rig())
+    camera, height_m = renderer.rig.left, scene.camera_height_m
+    ground, errors_px, curvatures = GroundOdometry(camera, height_m), [], []
+    for k in range(40):
+        boxes = label_scene(scene, [0.1 * k], camera=camera).xyxy_px
+        ground.update(Frame(k, 0.1 * k, renderer.render(0.1 * k), None), boxes)
+        z = np.array(scene.ego_z_m(0.1 * k))
+        climb_rad = float(scene.road.climb_rad(z))
+        normal = scene.pose(0.1 * k).camera_from_world @ [0.0, math.cos(climb_rad), math.sin(climb_rad)]
+        errors_px.append(camera.fy_px * (ground.view.horizon + normal[2] / normal[1]))
+        true = (scene.road.climb_rad(z + 1) - scene.road.climb_rad(z - 1)) / 2
+        curvatures.append((ground.view.curvature_per_m, float(true)))
+    assert ground.has_horizon
+    assert np.abs(errors_px[20:]).mean() < 2.0
+    measured, true = np.array(curvatures[30:]).T
+    assert np.abs(measured - true).mean() < 2e-4

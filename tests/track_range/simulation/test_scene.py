@@ -1,5 +1,6 @@
 """Tests of the positions of road users, and that they do not collide."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import cv2
@@ -78,3 +79,20 @@ def test_no_collisions(seed):
 
 def test_longer_drive_has_more_parked_cars():
     assert len(make_scene(0, seconds=20.0).road_users) > len(make_scene(0, seconds=5.0).road_users)
+
+
+def test_larger_cars():
+    scene = make_scene(seed=3)
+    larger = scene.with_car_sizes(1.1)
+    for before, after in zip(scene.road_users, larger.road_users, strict=True):
+        factor = 1.1 if before.kitti_type == "Car" else 1.0
+        assert after.size_hwl_m == pytest.approx(tuple(factor * size for size in before.size_hwl_m))
+
+
+def test_pitched_camera():
+    """Pitched up by 2 degrees, the point straight ahead at 50 m appears 50 tan(2 degrees) = 1.746 m lower."""
+    scene = make_scene(seed=3)
+    pitched = replace(scene, camera_pitch_rad=np.radians(2.0))
+    ahead = scene.pose(0.0).position_m + np.array([0.0, 0.0, 50.0])
+    seen = pitched.pose(0.0).camera_from_world @ (ahead - pitched.pose(0.0).position_m)
+    assert seen[1] / seen[2] * 50.0 == pytest.approx(1.746, abs=1e-3)

@@ -1,0 +1,100 @@
+import math
+
+import numpy as np
+import pytest
+
+from track_range.stereo.odometry.road_horizon import (
+    RoadHorizon,
+    RoadView,
+    curvature_share,
+    unknown_curvature_variance,
+)
+
+DT_S = 0.1
+
+
+def driven(n, *, mounting=0.01, curvature_per_m=0.0, way_m=1.0, springs_rad=0.0, bias_rad=0.0, noise=0.002, seed=0):
+    """The filter after `n` frames of a car on a road of constant curvature, and the true horizon."""
+    rng = np.random.default_rng(seed)
+    road = RoadHorizon()
+    before = 0.0
+    for _ in range(n):
+        springs = springs_rad * rng.normal()
+        pitch_rad = curvature_per_m * way_m + springs - before + bias_rad
+        before = springs
+        road.predict(DT_S, pitch_rad=pitch_rad, roll_rad=0.0, way_m=way_m)
+        road.measure(mounting + springs + noise * rng.normal(), noise**2)
+    return road.view, mounting + before
+
+
+def test_prior_is_wide():
+    view = RoadHorizon().view
+    assert (view.horizon, view.curvature_per_m) == (0.0, 0.0)
+    assert 0.02 < math.sqrt(view.horizon_variance) < 0.05
+
+
+@pytest.mark.parametrize("springs_rad", [0.0, 0.002])
+def test_horizon_follows_the_springs(springs_rad):
+    view, true = driven(50, springs_rad=springs_rad)
+    sigma = math.sqrt(view.horizon_variance)
+    assert sigma < 0.001
+    assert abs(view.horizon - true) < 3 * sigma
+
+
+@pytest.mark.parametrize("curvature_per_m", [-4e-4, 3e-4])
+def test_curvature_is_rotation_without_a_moving_horizon(curvature_per_m):
+    """The camera turns by k V dt per frame while the horizon stays."""
+    view, true = driven(100, curvature_per_m=curvature_per_m, way_m=2.0)
+    assert view.curvature_per_m == pytest.approx(curvature_per_m, abs=1.5e-4)
+    assert view.horizon == pytest.approx(true, abs=0.0015)
+
+
+def test_measurement_ahead_is_the_slope_of_the_road_there():
+    road = RoadHorizon()
+    road.measure(0.0, 1e-8)
+    road.measure(-0.004, 1e-8, ahead_m=20.0)  # y - k 20 / 2
+    assert road.view.curvature_per_m == pytest.approx(4e-4, rel=0.01)
+
+
+def test_outlier_is_refused():
+    road = RoadHorizon()
+    road.measure(0.01, 1e-6)
+    before = road.view
+    assert not road.measure(0.1, 1e-6, max_sigma=4.0)
+    assert road.view == before
+    assert road.measure(0.011, 1e-6, max_sigma=4.0)
+
+
+def test_unknown_rotation_widens_the_horizon():
+    view, _ = driven(50)
+    road = RoadHorizon()
+    road.measure(0.01, 1e-8)
+    before = road.view.horizon_variance
+    road.predict(DT_S, pitch_rad=math.nan, roll_rad=math.nan, way_m=math.nan)
+    assert road.view.horizon_variance > before
+    assert view.slope == 0.0
+
+
+def test_roll_tilts_the_horizon_and_returns():
+    road = RoadHorizon()
+    road.predict(DT_S, pitch_rad=0.0, roll_rad=0.02, way_m=1.0)
+    assert road.view.slope == pytest.approx(-0.02, rel=0.05)  # clockwise: the horizon rises on the right-hand side
+    for _ in range(100):
+        road.predict(DT_S, pitch_rad=0.0, roll_rad=0.0, way_m=1.0)
+    assert abs(road.view.slope) < 0.001
+
+
+def test_scaled_lengths():
+    view = RoadView(
+        horizon=0.01, horizon_variance=1e-6, curvature_per_m=2e-4, curvature_variance=4e-8, covariance=1e-9
+    ).scaled(2.0)
+    assert (view.horizon, view.curvature_per_m, view.curvature_variance, view.covariance) == pytest.approx(
+        (0.01, 1e-4, 1e-8, 5e-10)
+    )
+
+
+def test_share_of_the_curvature_decreases_with_distance():
+    distance_m = np.array([0.0, 10.0, 50.0, 1e4])
+    assert curvature_share(distance_m)[0] == 1.0
+    assert (np.diff(curvature_share(distance_m)) < 0).all()
+    assert unknown_curvature_variance(distance_m)[[0, -1]] == pytest.approx([0.0, 9e-8])
