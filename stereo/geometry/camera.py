@@ -1,4 +1,9 @@
-"""PinholeCamera: u = fx X / Z + cx, v = fy Y / Z + cy, with OpenCV's lens distortion (k1 k2 p1 p2 k3 ...)."""
+"""PinholeCamera: u = fx X / Z + cx, v = fy Y / Z + cy, with a lens distortion.
+
+The distortion is OpenCV's (k1 k2 p1 p2 k3 ...), or that of a wide lens (`lenses`), which images angles up to and beyond
+90 degrees from the optical axis. Images are undistorted before anything is measured in them; of a wide lens to the
+virtual pinhole of `virtual_pinhole.py`.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.stereo.geometry.lenses.registry import LENSES, PINHOLE
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +32,8 @@ class PinholeCamera:
         cy_px: principal point, y.
         width_px: image width.
         height_px: image height.
-        distortion: OpenCV's distortion coefficients (4, 5, 8, 12 or 14 of them); empty = no distortion.
+        distortion: coefficients of the lens model; of a pinhole OpenCV's (4, 5, 8, 12 or 14 of them); empty = none.
+        lens: name of the lens model, one of `lenses.registry.LENSES`.
     """
 
     fx_px: float
@@ -36,6 +43,7 @@ class PinholeCamera:
     width_px: int
     height_px: int
     distortion: tuple[float, ...] = ()
+    lens: str = PINHOLE
 
     @classmethod
     def of_focal_length(cls, focal_px: float, size_px: tuple[int, int]) -> PinholeCamera:
@@ -50,12 +58,27 @@ class PinholeCamera:
 
     @property
     def is_distorted(self) -> bool:
-        """Whether any distortion coefficient differs from 0."""
-        return any(coefficient != 0.0 for coefficient in self.distortion)
+        """Whether the images differ from those of an ideal pinhole."""
+        return self.is_wide or any(coefficient != 0.0 for coefficient in self.distortion)
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether the lens model is one for fields of view up to and beyond 180 degrees."""
+        return LENSES[self.lens].is_wide
 
     def without_distortion(self) -> PinholeCamera:
-        """The ideal camera of undistorted images."""
-        return replace(self, distortion=())
+        """The ideal pinhole with the same matrix: the camera of undistorted images, except of a wide lens."""
+        return replace(self, distortion=(), lens=PINHOLE)
+
+    def recorded_rays(self, xy_px: FloatArray) -> FloatArray:
+        """(N, 3) unit direction of each pixel (N, 2) of the images with distortion; NaN outside the image circle."""
+        normalised = (xy_px - (self.cx_px, self.cy_px)) / (self.fx_px, self.fy_px)
+        return LENSES[self.lens].undistort(normalised, self.distortion)
+
+    def recorded_px(self, xyz_m: FloatArray) -> FloatArray:
+        """(N, 2) pixels of the images with distortion of points (N, 3) in the camera's frame; NaN where not imaged."""
+        normalised = LENSES[self.lens].distort(xyz_m, self.distortion)
+        return np.asarray(normalised * (self.fx_px, self.fy_px) + (self.cx_px, self.cy_px))
 
     def rays(self, xy_px: FloatArray) -> FloatArray:
         """(N, 3) ray of each undistorted pixel (N, 2), scaled to z = 1: a ray times z in metres is a point."""

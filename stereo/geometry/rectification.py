@@ -2,7 +2,8 @@
 
 Both cameras are rotated about their centres until their x axes lie along the baseline and their image planes coincide
 (Bouguet's method, OpenCV's stereoRectify); the same remapping removes the lens distortion. Distances are measured along
-the z axis of the rotated left camera.
+the z axis of the rotated left camera. Images of wide lenses are remapped to virtual pinholes (`virtual_pinhole.py`),
+whose image size differs from the recorded one.
 
 The left image is rectified completely, for the detector; the right one only where it is read: remapping the strips in
 which 15 boxes are matched takes a tenth of the time of the entire image.
@@ -23,6 +24,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS, check_rig
+from track_range.stereo.geometry.virtual_pinhole import axial_focal_px, virtual_pinhole
 
 Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]
 """OpenCV's fixed-point maps: whole pixels and fractions."""
@@ -39,6 +41,9 @@ _FOCAL_SCATTER = 0.1
 
 _MIN_REDUCTION = 1.3
 """Factor by which the right image is reduced above which it is smoothed first, against aliasing."""
+
+_OUTSIDE_PX = -100.0
+"""Source of the pixels of a remapped image that the lens does not image; black, as everything outside of the image."""
 
 
 class Rectifier:
@@ -61,6 +66,7 @@ class Rectifier:
         row_offset_px: float = 0.0,
         right_correction: FloatArray | None = None,
         shift_px: float = 0.0,
+        fov_deg: float | None = None,
         source: object = "the rig",
     ) -> None:
         """Compute the remapping.
@@ -72,24 +78,27 @@ class Rectifier:
             right_correction: (3, 3) matrix from directions in the rectified right image to corrected ones; None = no
                 correction.
             shift_px: horizontal shift of the right image to the left, which increases all disparities.
+            fov_deg: horizontal field of view to which the images of wide lenses are undistorted; None = that of the
+                left lens, up to 120 degrees.
             source: file of the rig, for messages.
 
         Raises:
             RigError: the rig is implausible, the cameras are not side by side, or one of them is upside down.
         """
         check_rig(rig, source)
-        self._size_px = (rig.left.width_px, rig.left.height_px)
+        self._left_size_px = (rig.left.width_px, rig.left.height_px)
         self._right_size_px = (rig.right.width_px, rig.right.height_px)
         views = _Views(rig, None, _View(rig.right, np.eye(3), rig.right.matrix))
         if not rig.is_rectified:
-            views = _rectified(rig, source)
+            views = _rectified(rig, fov_deg, source)
         self.rig, self._left_view = views.rig, views.left
-        self._left_maps = None if views.left is None else _maps(views.left, self._size_px)
-        reduction = rig.right.fx_px / self.rig.left.fx_px
+        size_px = (self.rig.left.width_px, self.rig.left.height_px)
+        self._left_maps = None if views.left is None else _maps(views.left, size_px)
+        reduction = axial_focal_px(rig.right) / self.rig.left.fx_px
         self._right_blur_px = 0.5 * math.sqrt(reduction**2 - 1) if reduction > _MIN_REDUCTION else 0.0
         is_moved = not rig.is_rectified or row_offset_px != 0.0 or shift_px != 0.0 or right_correction is not None
         self._right_view = views.right.rotated(right_correction).shifted(shift_px, row_offset_px) if is_moved else None
-        self._right_maps = None if self._right_view is None else _maps(self._right_view, self._size_px)
+        self._right_maps = None if self._right_view is None else _maps(self._right_view, size_px)
 
     def rectify(self, left: Image, right: Image) -> tuple[Image, ImageView]:
         """Both images, (H, W) or (H, W, 3), rectified; the same arrays if the rig is already rectified.
@@ -99,7 +108,7 @@ class Rectifier:
         Raises:
             ValueError: the size of an image differs from that of its camera.
         """
-        _check_size(left, self._size_px, "left")
+        _check_size(left, self._left_size_px, "left")
         _check_size(right, self._right_size_px, "right")
         if self._right_blur_px:
             right = np.asarray(cv2.GaussianBlur(right, (0, 0), self._right_blur_px), np.uint8)
@@ -111,6 +120,10 @@ class Rectifier:
     def left_boxes(self, xyxy_px: FloatArray) -> FloatArray:
         """Boxes (N, 4) in pixels of the left video -> in pixels of its rectified images."""
         return xyxy_px if self._left_view is None else self._left_view.boxes(xyxy_px)
+
+    def recorded_points(self, xy_px: FloatArray) -> FloatArray:
+        """Points (N, 2) in pixels of the rectified left images -> in pixels of the left video; NaN where not imaged."""
+        return xy_px if self._left_view is None else self._left_view.recorded_points(xy_px)
 
     def points(self, left_px: FloatArray, right_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points (N, 2) in pixels of the left and of the right video -> in pixels of the rectified images."""
@@ -147,15 +160,22 @@ class RemappedView:
 class Undistorter:
     """Removes the lens distortion from the images of one camera.
 
+    Args:
+        camera: the camera.
+        fov_deg: horizontal field of view to which the images of a wide lens are undistorted; None = that of the lens,
+            up to 120 degrees.
+
     Attributes:
-        camera: the ideal camera of the undistorted images; its matrix is that of the distorted camera.
+        camera: the ideal camera of the undistorted images; its matrix is that of the distorted camera, or for a wide
+            lens that of its virtual pinhole.
     """
 
-    def __init__(self, camera: PinholeCamera) -> None:
-        self.camera = camera.without_distortion()
+    def __init__(self, camera: PinholeCamera, *, fov_deg: float | None = None) -> None:
+        self.camera = virtual_pinhole(camera, fov_deg) if camera.is_wide else camera.without_distortion()
         self._size_px = (camera.width_px, camera.height_px)
-        self._view = _View(camera, np.eye(3), camera.matrix)
-        self._maps = _maps(self._view, self._size_px) if camera.is_distorted else None
+        self._view = _View(camera, np.eye(3), self.camera.matrix)
+        size_px = (self.camera.width_px, self.camera.height_px)
+        self._maps = _maps(self._view, size_px) if camera.is_distorted else None
 
     def undistort(self, image: Image) -> Image:
         """The image, (H, W) or (H, W, 3), without distortion; the same array if the camera has none.
@@ -169,6 +189,10 @@ class Undistorter:
     def boxes(self, xyxy_px: FloatArray) -> FloatArray:
         """Boxes (N, 4) in pixels of the video -> in pixels of its undistorted images."""
         return xyxy_px if self._maps is None else self._view.boxes(xyxy_px)
+
+    def recorded_points(self, xy_px: FloatArray) -> FloatArray:
+        """Points (N, 2) in pixels of the undistorted images -> in pixels of the video; NaN where not imaged."""
+        return xy_px if self._maps is None else self._view.recorded_points(xy_px)
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,11 +214,23 @@ class _View:
         return self if matrix is None else _View(self.camera, matrix @ np.asarray(self.rotation), self.matrix)
 
     def points(self, xy_px: FloatArray) -> FloatArray:
-        """Points (N, 2) in pixels of this view."""
-        distortion, matrix = distortion_coefficients(self.camera), np.ascontiguousarray(self.matrix[:, :3])
+        """Points (N, 2) of the recorded image in pixels of this view; NaN for directions that it cannot show."""
+        matrix = np.ascontiguousarray(self.matrix[:, :3])
+        if self.camera.is_wide:
+            rays = self.camera.recorded_rays(np.asarray(xy_px, np.float64)) @ np.asarray(self.rotation).T
+            projected = rays @ matrix.T
+            depth = np.where(projected[:, 2:] > 0, projected[:, 2:], np.nan)
+            return np.asarray(projected[:, :2] / depth, np.float64)
+        distortion = distortion_coefficients(self.camera)
         source = np.ascontiguousarray(xy_px, np.float64).reshape(-1, 1, 2)
         moved = cv2.undistortPoints(source, self.camera.matrix, distortion, R=np.asarray(self.rotation), P=matrix)
         return np.asarray(moved, np.float64).reshape(-1, 2)
+
+    def recorded_points(self, xy_px: FloatArray) -> FloatArray:
+        """Points (N, 2) of this view in pixels of the recorded image; NaN where the lens shows nothing."""
+        homogeneous = np.concatenate([xy_px, np.ones((len(xy_px), 1))], axis=1)
+        rays = homogeneous @ np.linalg.inv(self.matrix[:, :3]).T @ np.asarray(self.rotation)
+        return self.camera.recorded_px(np.asarray(rays, np.float64))
 
     def boxes(self, xyxy_px: FloatArray) -> FloatArray:
         """Boxes (N, 4) in pixels of this view: each edge is moved like its midpoint."""
@@ -224,12 +260,15 @@ class StereoRectification(NamedTuple):
     q: cv2.typing.MatLike
 
 
-def stereo_rectification(rig: StereoRig) -> StereoRectification:
+def stereo_rectification(rig: StereoRig, fov_deg: float | None = None) -> StereoRectification:
     """Bouguet's rectification of a rig (`cv2.stereoRectify`), without plausibility checks.
 
     Unequal cameras are rectified to the field of view and the resolution of the left one: OpenCV knows one image size,
-    and would cut both images to what the narrower camera sees.
+    and would cut both images to what the narrower camera sees. So are pairs with wide lenses, to the left one's virtual
+    pinhole with the horizontal field of view `fov_deg`, None = that of the lens up to 120 degrees.
     """
+    if rig.left.is_wide or rig.right.is_wide:
+        return _wide_rectification(rig, fov_deg)
     right = rig.left if _is_unequal(rig) else rig.right
     result = cv2.stereoRectify(
         rig.left.matrix,
@@ -245,6 +284,45 @@ def stereo_rectification(rig: StereoRig) -> StereoRectification:
     return StereoRectification(*result[:5])
 
 
+def _wide_rectification(rig: StereoRig, fov_deg: float | None) -> StereoRectification:
+    """Bouguet's rotations with the left camera's virtual pinhole: wide lenses also image what the rotations move in."""
+    camera = _ideal(rig.left, fov_deg)
+    size_px, rotation, translation = (camera.width_px, camera.height_px), *_parts(rig.right_from_left)
+    r1, r2, *_ = cv2.stereoRectify(
+        camera.matrix, np.zeros(4), camera.matrix, np.zeros(4), size_px, rotation, translation
+    )
+    moved_m = (np.asarray(r2) @ translation).ravel()
+    p1 = np.concatenate([camera.matrix, np.zeros((3, 1))], axis=1)
+    p2 = p1 + np.outer((1.0, 0.0, 0.0), (0.0, 0.0, 0.0, camera.fx_px * moved_m[0]))
+    p2[1, 3] = camera.fy_px * moved_m[1]
+    q = np.array(
+        [
+            [1.0, 0.0, 0.0, -camera.cx_px],
+            [0.0, 1.0, 0.0, -camera.cy_px],
+            [0.0, 0.0, 0.0, camera.fx_px],
+            [0.0, 0.0, -1.0 / (moved_m[0] or np.nan), 0.0],
+        ]
+    )
+    return StereoRectification(r1, r2, p1, p2, q)
+
+
+def _parts(transform: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotation (3, 3) and translation (3, 1) of a transform (4, 4)."""
+    return transform[:3, :3], transform[:3, 3:]
+
+
+def rectified_points(
+    camera: PinholeCamera, rotation: cv2.typing.MatLike, projection: cv2.typing.MatLike, xy_px: FloatArray
+) -> FloatArray:
+    """(N, 2) points of a recorded image after the rectification of its camera by `rotation` and `projection`."""
+    return _View(camera, rotation, projection).points(xy_px)
+
+
+def _ideal(camera: PinholeCamera, fov_deg: float | None) -> PinholeCamera:
+    """The virtual pinhole of a wide lens; other cameras without their distortion."""
+    return virtual_pinhole(camera, fov_deg) if camera.is_wide else camera.without_distortion()
+
+
 def _is_unequal(rig: StereoRig) -> bool:
     """Whether the cameras differ in image size, or in focal length beyond the scatter of equal lenses."""
     left, right = rig.left, rig.right
@@ -252,11 +330,12 @@ def _is_unequal(rig: StereoRig) -> bool:
     return (left.width_px, left.height_px) != (right.width_px, right.height_px) or has_other_focal
 
 
-def _rectified(rig: StereoRig, source: object) -> _Views:
+def _rectified(rig: StereoRig, fov_deg: float | None, source: object) -> _Views:
     """The rectified rig, and the remappings of both cameras."""
     _check_relative_rotation(rig.right_from_left[:3, :3], source)
-    size_px = (rig.left.width_px, rig.left.height_px)
-    r1, r2, p1, p2, _ = stereo_rectification(rig)
+    target = _ideal(rig.left, fov_deg)
+    size_px = (target.width_px, target.height_px)
+    r1, r2, p1, p2, _ = stereo_rectification(rig, fov_deg)
     focal_px = float(p1[0, 0])
     _check_rectifying_rotations(r1, r2, p2, source)
     _check_zoom(focal_px, rig.left, source)
@@ -292,7 +371,7 @@ def _check_rectifying_rotations(
 
 
 def _check_zoom(focal_px: float, camera: PinholeCamera, source: object) -> None:
-    zoom = focal_px / camera.fx_px
+    zoom = focal_px / axial_focal_px(camera)
     if not 1 / _MAX_ZOOM <= zoom <= _MAX_ZOOM:
         raise RigError(
             f"{source}: expected a rectification that changes the focal length by a factor of at most {_MAX_ZOOM:g}, "
@@ -302,6 +381,12 @@ def _check_zoom(focal_px: float, camera: PinholeCamera, source: object) -> None:
 
 def _maps(view: _View, size_px: tuple[int, int]) -> Maps:
     """Source of each pixel of the remapped image, in OpenCV's fixed-point form (1/32 px), which is the fastest."""
+    if view.camera.is_wide:
+        x, y = np.meshgrid(np.arange(size_px[0], dtype=np.float64), np.arange(size_px[1], dtype=np.float64))
+        source_px = view.recorded_points(np.stack([x.ravel(), y.ravel()], axis=1)).reshape(*x.shape, 2)
+        known_px = np.where(np.isfinite(source_px), source_px, _OUTSIDE_PX).astype(np.float32)
+        whole, fraction = cv2.convertMaps(known_px[..., 0], known_px[..., 1], cv2.CV_16SC2)
+        return np.asarray(whole, np.int16), np.asarray(fraction, np.uint16)
     distortion = distortion_coefficients(view.camera)
     whole, fraction = cv2.initUndistortRectifyMap(
         view.camera.matrix, distortion, view.rotation, view.matrix[:, :3], size_px, cv2.CV_16SC2

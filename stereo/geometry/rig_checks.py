@@ -15,6 +15,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted, shortened
 from track_range.foundation.validation import Integer
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.lenses.registry import LENSES
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rig import RigError, StereoRig
 
@@ -54,6 +55,12 @@ have one far from the centre."""
 
 _N_DISTORTION_COEFFICIENTS = (0, 4, 5, 8, 12, 14)
 """Possible numbers of distortion coefficients in OpenCV's model."""
+
+_COEFFICIENTS = "0, 4, 5, 8, 12 or 14 finite distortion coefficients"
+"""Description of them for messages."""
+
+_MIN_IMAGED = 0.5
+"""Share of the image width around the principal point that a plausible wide lens images at least."""
 
 
 NO_VERTICAL_PAIRS = "mount them side by side, or run on one video with --mono"
@@ -131,12 +138,17 @@ def check_rig(rig: StereoRig, source: object) -> None:
 
 
 def shared_view(rig: StereoRig) -> float:
-    """Share of the left image, 0 to 1, that the right camera sees at a large distance; lens distortion is neglected."""
+    """Share of the left image, 0 to 1, that the right camera sees at a large distance.
+
+    The distortion of lenses that are not wide is neglected.
+    """
     x, y = np.meshgrid(
         np.linspace(0, rig.left.width_px - 1, _N_VIEW_POINTS), np.linspace(0, rig.left.height_px - 1, _N_VIEW_POINTS)
     )
-    rays = rig.left.rays(np.stack([x.ravel(), y.ravel()], axis=1))
-    u, v = rig.right.project(rays @ rig.right_from_left[:3, :3].T).T
+    xy_px = np.stack([x.ravel(), y.ravel()], axis=1)
+    rays = rig.left.recorded_rays(xy_px) if rig.left.is_wide else rig.left.rays(xy_px)
+    rays = rays[np.isfinite(rays).all(axis=1)] @ rig.right_from_left[:3, :3].T
+    u, v = (rig.right.recorded_px(rays) if rig.right.is_wide else rig.right.project(rays)).T
     is_seen = (u >= 0) & (u <= rig.right.width_px - 1) & (v >= 0) & (v <= rig.right.height_px - 1)
     return float(is_seen.mean())
 
@@ -208,12 +220,31 @@ def check_camera(camera: PinholeCamera, source: object) -> None:
             f"least {_MIN_MARGIN:.0%} of the side from its border, found ({camera.cx_px:g}, {camera.cy_px:g}); "
             "calibrate again."
         )
-    coefficients = camera.distortion
+    _check_distortion(camera, source)
+
+
+def _check_distortion(camera: PinholeCamera, source: object) -> None:
+    coefficients, names = camera.distortion, LENSES[camera.lens].coefficients
+    numbers = (len(names),) if camera.is_wide else _N_DISTORTION_COEFFICIENTS
     is_plausible = all(abs(value) <= _MAX_DISTORTION for value in coefficients)  # not NaN
-    if len(coefficients) not in _N_DISTORTION_COEFFICIENTS or not is_plausible:
+    if len(coefficients) not in numbers or not is_plausible:
+        expected = f"{len(names)} finite coefficients ({' '.join(names)})" if camera.is_wide else _COEFFICIENTS
         raise RigError(
-            f"{source}: expected 0, 4, 5, 8, 12 or 14 finite distortion coefficients, found {len(coefficients)}: "
-            f"{quoted(list(coefficients))}; calibrate again."
+            f"{source}: expected {expected}, found {len(coefficients)}: {quoted(list(coefficients))}; calibrate again."
+        )
+    if camera.is_wide and camera.width_px:
+        _check_wide(camera, source)
+
+
+def _check_wide(camera: PinholeCamera, source: object) -> None:
+    """Check that a wide lens images the middle of its images, each pixel from another direction."""
+    steps_px = np.linspace(-_MIN_IMAGED, _MIN_IMAGED, 2 * _N_VIEW_POINTS) * camera.width_px / 2
+    row_px = np.stack([camera.cx_px + steps_px, np.full_like(steps_px, camera.cy_px)], axis=1)
+    rays = camera.recorded_rays(row_px)
+    if not (np.diff(np.arctan2(rays[:, 0], rays[:, 2])) > 0).all():  # false for NaN
+        raise RigError(
+            f"{source}: expected coefficients of the lens model {camera.lens} that image at least the middle "
+            f"{_MIN_IMAGED:.0%} of the picture, found {quoted(list(camera.distortion))}; calibrate again."
         )
 
 

@@ -15,11 +15,16 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.lenses.kannala_brandt import KANNALA_BRANDT
+from track_range.stereo.geometry.lenses.registry import PINHOLE
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS
 
 _MODELS = ("", "plumb_bob", "rational_polynomial", "pinhole", "none")
 """Distortion models that are OpenCV's."""
+
+_FISHEYE_MODELS = ("equidistant", "fisheye")
+"""Distortion models that are OpenCV's fisheye model."""
 
 _FOCAL_DIFFERENCE, _ROW_DIFFERENCE_PX = 0.01, 2.0
 """Largest relative difference of the focal lengths, and difference of the principal rows, of two rectified cameras."""
@@ -56,6 +61,7 @@ def camera_of(message: CameraInfo, path: Path, *, is_rectified: bool) -> Pinhole
     matrix = message.p[:, :3] if is_rectified else message.k
     width_px, height_px = message.size_px
     distortion = () if is_rectified else _distortion(message, path)
+    is_fisheye = message.model in _FISHEYE_MODELS and not is_rectified
     return PinholeCamera(
         float(matrix[0, 0]),
         float(matrix[1, 1]),
@@ -64,6 +70,7 @@ def camera_of(message: CameraInfo, path: Path, *, is_rectified: bool) -> Pinhole
         width_px,
         height_px,
         distortion,
+        KANNALA_BRANDT.name if is_fisheye else PINHOLE,
     )
 
 
@@ -117,16 +124,22 @@ def _check_equal_projection(left: CameraInfo, right: CameraInfo, path: Path) -> 
 def is_undistorted(message: CameraInfo) -> bool:
     """Whether the message describes rectified images: no distortion, and P equals K."""
     return (
-        not any(message.distortion) and np.allclose(message.r, np.eye(3)) and np.allclose(message.p[:, :3], message.k)
+        not any(message.distortion)
+        and message.model not in _FISHEYE_MODELS
+        and np.allclose(message.r, np.eye(3))
+        and np.allclose(message.p[:, :3], message.k)
     )
 
 
 def _distortion(message: CameraInfo, path: Path) -> tuple[float, ...]:
+    if message.model in _FISHEYE_MODELS and len(message.distortion) == 4:
+        return message.distortion
     if not any(message.distortion):
         return ()
     if message.model not in _MODELS or len(message.distortion) not in _COEFFICIENTS:
         raise RigError(
-            f"{path}: expected a distortion model plumb_bob or rational_polynomial, found {quoted(message.model)} with "
-            f"{len(message.distortion)} coefficients; use rectified images, or give a rig.yaml."
+            f"{path}: expected a distortion model plumb_bob, rational_polynomial or equidistant, found "
+            f"{quoted(message.model)} with {len(message.distortion)} coefficients; use rectified images, or give a "
+            "rig.yaml."
         )
     return message.distortion

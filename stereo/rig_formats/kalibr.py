@@ -4,21 +4,29 @@
            distortion_coeffs: [k1, k2, r1, r2], resolution: [width, height]}
     cam1: {..., T_cn_cnm1: 4 x 4, transforms points from cam0's frame to cam1's, metres}
 
-Kalibr's radtan coefficients are OpenCV's first four. (github.com/ethz-asl/kalibr, wiki: YAML formats.)
+Kalibr's radtan coefficients are OpenCV's first four. Wide lenses have other models, and before fu the intrinsics of the
+lens:
+
+    pinhole + equidistant   [fu, fv, pu, pv], [k1, k2, k3, k4]          Kannala-Brandt, OpenCV's fisheye
+    omni + radtan or none   [xi, fu, fv, pu, pv], [k1, k2, r1, r2]      unified
+    ds + none               [xi, alpha, fu, fv, pu, pv]                 double sphere
+
+Files for other programs, such as OpenVINS's, begin with OpenCV's `%YAML:1.0` and have T_cam_imu (camera from IMU) or
+its inverse T_imu_cam instead of T_cn_cnm1. (github.com/ethz-asl/kalibr, wiki: Supported models, YAML formats.)
 """
 
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.structured_text import parse_yaml
-from track_range.foundation.validation import Number, PositiveNumber, validated
+from track_range.foundation.validation import Number, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.geometry.rig_checks import Calibration, ImageSide
@@ -27,7 +35,11 @@ from track_range.stereo.rig_formats.rig_format import RigFormat
 _CAMERA = re.compile(r"^cam\d+\s*:", re.MULTILINE)
 _HINT = "give Kalibr's camchain.yaml unchanged"
 
+_OPENCV_HEAD = re.compile(r"\A\s*%YAML:[^\n]*\n")
+"""First line of OpenCV's YAML, which YAML does not have."""
+
 _Row = tuple[Number, Number, Number, Number]
+_Transform = tuple[_Row, _Row, _Row, _Row]
 
 
 class _CameraBlock(BaseModel):
@@ -35,10 +47,32 @@ class _CameraBlock(BaseModel):
 
     camera_model: Any = None
     distortion_model: Any = None
-    intrinsics: tuple[PositiveNumber, PositiveNumber, Number, Number]
+    intrinsics: Annotated[list[Number], Field(min_length=4, max_length=6)]
     resolution: tuple[ImageSide, ImageSide]
-    distortion_coeffs: _Row = (0.0, 0.0, 0.0, 0.0)
-    T_cn_cnm1: tuple[_Row, _Row, _Row, _Row] | None = None
+    distortion_coeffs: Annotated[list[Number], Field(max_length=4)] = []
+    T_cn_cnm1: _Transform | None = None
+    T_cam_imu: _Transform | None = None
+    T_imu_cam: _Transform | None = None
+
+
+class _Model(NamedTuple):
+    """A camera model: Kalibr's names, the number of the lens's intrinsics before fu, and the name of the lens."""
+
+    camera: str
+    distortion: str
+    n_intrinsics: int
+    lens: str
+
+
+_MODELS = (
+    _Model("pinhole", "radtan", 0, "pinhole"),
+    _Model("pinhole", "none", 0, "pinhole"),
+    _Model("pinhole", "equidistant", 0, "kannala-brandt"),
+    _Model("omni", "radtan", 1, "omni"),
+    _Model("omni", "none", 1, "omni"),
+    _Model("ds", "none", 2, "double-sphere"),
+)
+"""Models that are read; a missing distortion_model is none."""
 
 
 def _has_cameras(text: str) -> bool:
@@ -52,14 +86,15 @@ def _read(text: str, source: object) -> Calibration:
     Raises:
         RigError: the file is not YAML, a value is missing or wrong, or a camera model is not supported.
     """
-    content = parse_yaml(text, source, RigError, "Kalibr's camchain.yaml")
+    content = parse_yaml(_OPENCV_HEAD.sub("\n", text), source, RigError, "Kalibr's camchain.yaml")
     if not isinstance(content, dict) or not isinstance(content.get("cam0"), dict):
         raise RigError(f"{source}: expected a block cam0, found none; {_HINT}.")
-    first, _ = _camera(content["cam0"], f"{source}: cam0")
+    first, first_block = _camera(content["cam0"], f"{source}: cam0")
     if not isinstance(content.get("cam1"), dict):
         return Calibration(first, None, None)
     notes = [f"{source}: using cam0 and cam1 of {len(content)} cameras."] if "cam2" in content else []
-    second, second_from_first = _camera(content["cam1"], f"{source}: cam1")
+    second, second_block = _camera(content["cam1"], f"{source}: cam1")
+    second_from_first = _second_from_first(first_block, second_block)
     if second_from_first is None or not np.allclose(second_from_first[3], [0.0, 0.0, 0.0, 1.0]):
         raise RigError(
             f"{source}: cam1: expected 'T_cn_cnm1' with 0, 0, 0, 1 in the last row, found none or others; {_HINT}."
@@ -78,28 +113,52 @@ def _inverse(transform: FloatArray) -> FloatArray:
     return inverse
 
 
-def _camera(content: object, name: str) -> tuple[PinholeCamera, FloatArray | None]:
-    """The camera of a block, and the (4, 4) transform from the previous camera's frame; None without one.
+def _second_from_first(first: _CameraBlock, second: _CameraBlock) -> FloatArray | None:
+    """(4, 4) transform from the first camera's frame to the second's, if needed by way of the IMU; None = unknown."""
+    if second.T_cn_cnm1 is not None:
+        return np.array(second.T_cn_cnm1)
+    first_from_imu, second_from_imu = _camera_from_imu(first), _camera_from_imu(second)
+    if first_from_imu is None or second_from_imu is None:
+        return None
+    return np.asarray(second_from_imu @ _inverse(first_from_imu))
+
+
+def _camera_from_imu(block: _CameraBlock) -> FloatArray | None:
+    """(4, 4) transform from the IMU's frame to the camera's; None = not in the file."""
+    if block.T_cam_imu is not None:
+        return np.array(block.T_cam_imu)
+    return None if block.T_imu_cam is None else _inverse(np.array(block.T_imu_cam))
+
+
+def _camera(content: object, name: str) -> tuple[PinholeCamera, _CameraBlock]:
+    """The camera of a block, and the block.
 
     Raises:
         RigError: a value is missing or wrong, or the camera model is not supported.
     """
     block = validated(_CameraBlock, content, name, RigError)
-    if block.camera_model != "pinhole":
+    names = (block.camera_model, block.distortion_model or "none")
+    model = next((model for model in _MODELS if (model.camera, model.distortion) == names), None)
+    if model is None:
         raise RigError(
-            f"{name}: expected the camera_model pinhole, found {quoted(block.camera_model)}; calibrate with "
-            "pinhole-radtan."
+            f"{name}: expected the camera_model and distortion_model pinhole with radtan, equidistant or none, omni "
+            f"with radtan, or ds, found {quoted(names[0])} with {quoted(names[1])}; calibrate with one of these."
         )
-    if block.distortion_model not in ("radtan", "none", None):
+    if len(block.intrinsics) != model.n_intrinsics + 4:
         raise RigError(
-            f"{name}: expected the distortion_model radtan or none, found {quoted(block.distortion_model)}; calibrate "
-            "with pinhole-radtan, or undistort the videos first."
+            f"{name}: expected {model.n_intrinsics + 4} intrinsics of {model.camera}, found {len(block.intrinsics)}; "
+            f"{_HINT}."
         )
-    is_distorted = block.distortion_model == "radtan"
-    if is_distorted and "distortion_coeffs" not in block.model_fields_set:
-        raise RigError(f"{name}: expected the key 'distortion_coeffs', found none; {_HINT}.")
-    camera = PinholeCamera(*block.intrinsics, *block.resolution, block.distortion_coeffs if is_distorted else ())
-    return camera, None if block.T_cn_cnm1 is None else np.array(block.T_cn_cnm1)
+    of_lens, matrix = block.intrinsics[: model.n_intrinsics], block.intrinsics[model.n_intrinsics :]
+    if not min(matrix[:2]) > 0:
+        raise RigError(f"{name}: expected positive focal lengths in intrinsics, found {quoted(matrix[:2])}; {_HINT}.")
+    coefficients = block.distortion_coeffs
+    if model.distortion == "none":
+        coefficients = [0.0] * 4 if model.lens == "omni" else []
+    elif len(coefficients) != 4:
+        raise RigError(f"{name}: expected four numbers in 'distortion_coeffs', found {len(coefficients)}; {_HINT}.")
+    fu, fv, pu, pv = matrix
+    return PinholeCamera(fu, fv, pu, pv, *block.resolution, (*of_lens, *coefficients), model.lens), block
 
 
 KALIBR = RigFormat(

@@ -3,6 +3,8 @@
     stereo_calib.cpp   intrinsics.yml  M1 D1 M2 D2     extrinsics.yml  R T (R1 R2 P1 P2 Q are not needed)
     calibration.cpp    camera_matrix distortion_coefficients image_width image_height        one camera
 
+    cv::fisheye        K1 D1 K2 D2 R T, or one of the above with fisheye_model: 1, as calibration.cpp writes it
+
 T has the unit of the chessboard's square size, so that size must have been given in metres. The files are read without
 OpenCV: its parser overflows the stack on nested lists, writes outside its memory on damaged JSON, and does not return
 from some base64 data. Only the keys needed are read; base64 data are refused.
@@ -29,6 +31,8 @@ from track_range.foundation.files.input_files import quoted, read_text, shortene
 from track_range.foundation.files.structured_text import parse_json, parse_yaml
 from track_range.foundation.validation import Integer, Number, validated
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.lenses.kannala_brandt import KANNALA_BRANDT
+from track_range.stereo.geometry.lenses.registry import PINHOLE
 from track_range.stereo.geometry.rectification import distortion_coefficients, stereo_rectification
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX, Calibration, check_camera, check_rig
@@ -39,6 +43,9 @@ _NONE: FloatArray = np.zeros(0)
 
 _EXTRINSIC = ("R", "T")
 """Keys of the extrinsics."""
+
+_FISHEYE_MATRICES = {"K1": "M1", "K2": "M2"}
+"""Names of camera matrices in files of cv::fisheye, and those in files of stereo_calib."""
 
 _OF_PAIR = ("M2", "D2", *_EXTRINSIC)
 """Keys of two cameras; a file without all of them describes one camera."""
@@ -52,6 +59,7 @@ _YAML_HEAD = re.compile(r"\A\s*%YAML[^\n]*\n|!!opencv-[a-z-]+")
 _KEYS = (
     *("M1", "D1", "M2", "D2", *_EXTRINSIC, "camera_matrix", "distortion_coefficients"),
     *("image_width", "image_height", "imageSize"),
+    *("fisheye_model", *_FISHEYE_MATRICES),
 )
 """Keys that are read."""
 
@@ -100,10 +108,11 @@ def _read(text: str, path: Path) -> Calibration:
             f"{path}: expected the matrix M1 in this file or in an intrinsics file in its folder, found none; give "
             "stereo_calib's intrinsics.yml."
         )
-    left = _camera(values, "1", path)
+    is_fisheye, fisheye_notes = _fisheye(values, path)
+    left = _camera(values, "1", path, is_fisheye=is_fisheye)
     missing = [key for key in _OF_PAIR if key not in values]
     if len(missing) == len(_OF_PAIR):
-        return Calibration(left, None, None)
+        return Calibration(left, None, None, notes=fisheye_notes)
     if missing:
         raise RigError(
             f"{path}: expected {', '.join(_OF_PAIR)} of two cameras in this file or in "
@@ -115,10 +124,20 @@ def _read(text: str, path: Path) -> Calibration:
     right_from_left[:3, 3] = _shaped(values["T"], (3,), "T", path)
     baseline_m = float(np.linalg.norm(right_from_left[:3, 3]))
     note = f"{path}: the baseline is {baseline_m:.4g} m, assuming that the square size was given in metres."
-    return Calibration(left, _camera(values, "2", path), right_from_left, notes=(note,))
+    right = _camera(values, "2", path, is_fisheye=is_fisheye)
+    return Calibration(left, right, right_from_left, notes=(note, *fisheye_notes))
 
 
-def _camera(values: Mapping[str, FloatArray], number: str, path: Path) -> PinholeCamera:
+def _fisheye(values: Mapping[str, FloatArray], path: Path) -> tuple[bool, tuple[str, ...]]:
+    """Whether the distortion is that of cv::fisheye, and a note if only the names of the matrices show it."""
+    if "fisheye_model" in values:
+        return bool(values["fisheye_model"].any()), ()
+    is_fisheye = "K1" in values and values.get("D1", _NONE).size == 4
+    note = f"{path}: read as OpenCV's fisheye model, since it has K1 and four coefficients; else add fisheye_model: 0."
+    return is_fisheye, (note,) if is_fisheye else ()
+
+
+def _camera(values: Mapping[str, FloatArray], number: str, path: Path, *, is_fisheye: bool) -> PinholeCamera:
     matrix = _shaped(values[f"M{number}"], (3, 3), f"M{number}", path)
     if not np.array_equal(matrix[2], (0.0, 0.0, 1.0)):
         raise RigError(
@@ -133,7 +152,8 @@ def _camera(values: Mapping[str, FloatArray], number: str, path: Path) -> Pinhol
         )
     width, height = (round(side) for side in values.get("size", np.zeros(2)).tolist())
     fx, fy, cx, cy = (float(matrix[index]) for index in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return PinholeCamera(fx, fy, cx, cy, width, height, tuple(distortion.tolist()))
+    lens = KANNALA_BRANDT.name if is_fisheye else PINHOLE
+    return PinholeCamera(fx, fy, cx, cy, width, height, tuple(distortion.tolist()), lens)
 
 
 def _shaped(values: FloatArray, shape: tuple[int, ...], name: str, path: Path) -> FloatArray:
@@ -165,6 +185,7 @@ def _matrices(text: str, path: Path) -> dict[str, FloatArray]:
     """
     content = _content(text, path)
     numbers = {key: _numbers(content[key], key, path) for key in _KEYS if key in content}
+    numbers |= {name: numbers[key] for key, name in _FISHEYE_MATRICES.items() if key in numbers and name not in numbers}
     size_px = np.concatenate([numbers.get(key, _NONE) for key in ("image_width", "image_height")])
     size_px = size_px if size_px.size else numbers.get("imageSize", _NONE)
     if size_px.size and not (size_px.size == 2 and ((size_px >= 1) & (size_px <= MAX_SIDE_PX)).all()):
@@ -246,6 +267,7 @@ def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
     Raises:
         RigError: the cameras are implausible or of different image sizes, or the file cannot be written.
     """
+    _check_lens(cameras, path)
     if isinstance(cameras, StereoRig):
         check_rig(cameras, path)
         left, right = cameras.left, cameras.right
@@ -262,9 +284,23 @@ def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
     storage = cv2.FileStorage(path.suffix or ".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     storage.write("image_width", left.width_px)
     storage.write("image_height", left.height_px)
+    if left.is_wide:
+        storage.write("fisheye_model", 1)
     for key, matrix in matrices.items():
         storage.write(key, np.asarray(matrix, np.float64))
     write_rig_text(path, storage.releaseAndGetString())
+
+
+def _check_lens(cameras: StereoRig | PinholeCamera, path: Path) -> None:
+    """Raise an error for lenses that OpenCV's files cannot describe."""
+    lenses = {
+        camera.lens for camera in ((cameras.left, cameras.right) if isinstance(cameras, StereoRig) else (cameras,))
+    }
+    if len(lenses) > 1 or not lenses <= {PINHOLE, KANNALA_BRANDT.name}:
+        raise RigError(
+            f"{path}: expected the lens {PINHOLE} or {KANNALA_BRANDT.name} for OpenCV's format, the same of both "
+            f"cameras, got {' and '.join(sorted(lenses))}; write a rig.yaml."
+        )
 
 
 def _rig_matrices(rig: StereoRig) -> Mapping[str, npt.ArrayLike]:
@@ -278,7 +314,7 @@ def _rig_matrices(rig: StereoRig) -> Mapping[str, npt.ArrayLike]:
 
 
 def _distortion_row(camera: PinholeCamera) -> FloatArray:
-    return distortion_coefficients(camera)[None]
+    return np.array(camera.distortion)[None] if camera.is_wide else distortion_coefficients(camera)[None]
 
 
 OPENCV = RigFormat(

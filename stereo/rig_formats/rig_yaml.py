@@ -1,6 +1,7 @@
 """rig.yaml, track-range's format for rigs and single cameras; numbers are written with full precision.
 
-Keys contain their unit; a file for one camera has only `left`; distortion is OpenCV's k1, k2, p1, p2, k3, ...:
+Keys contain their unit; a file for one camera has only `left`; distortion is OpenCV's k1, k2, p1, p2, k3, ..., or that
+of the wide lens named by the key `lens` (kannala-brandt: k1 .. k4, double-sphere: xi alpha, omni: xi k1 k2 p1 p2):
 
     track_range_rig: 1
     left: {fx_px: 721.5, fy_px: 721.5, cx_px: 609.6, cy_px: 172.9, width_px: 1242, height_px: 375, distortion: []}
@@ -17,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -48,10 +49,11 @@ class _CameraFile(BaseModel):
     width_px: ImageSide
     height_px: ImageSide
     distortion: list[Number] = []
+    lens: Literal["pinhole", "kannala-brandt", "double-sphere", "omni"] = "pinhole"
 
     def camera(self) -> PinholeCamera:
         size = (self.width_px, self.height_px)
-        return PinholeCamera(self.fx_px, self.fy_px, self.cx_px, self.cy_px, *size, tuple(self.distortion))
+        return PinholeCamera(self.fx_px, self.fy_px, self.cx_px, self.cy_px, *size, tuple(self.distortion), self.lens)
 
 
 class _MotionFile(BaseModel):
@@ -127,7 +129,7 @@ def _write(cameras: StereoRig | PinholeCamera, path: Path, comments: Sequence[st
         save_camera(cameras, path, comments=comments)
 
 
-def _camera_content(camera: PinholeCamera) -> dict[str, float | list[float]]:
+def _camera_content(camera: PinholeCamera) -> dict[str, float | list[float] | str]:
     return {
         "fx_px": camera.fx_px,
         "fy_px": camera.fy_px,
@@ -136,6 +138,7 @@ def _camera_content(camera: PinholeCamera) -> dict[str, float | list[float]]:
         "width_px": camera.width_px,
         "height_px": camera.height_px,
         "distortion": list(camera.distortion),
+        **({"lens": camera.lens} if camera.is_wide else {}),
     }
 
 

@@ -93,7 +93,7 @@ def test_no_distortion(tmp_path):
     [
         (chain(camera_model="omni"), "omni"),
         (chain(cam0_camera_model=None), "cam0"),
-        (chain(distortion_model="equidistant"), "equidistant"),
+        (chain(distortion_model="fov"), "fov"),
         (chain(T_cn_cnm1=None), "T_cn_cnm1"),
         (chain(cam0_intrinsics=[1, 2, 3]), "intrinsics"),
         (chain(cam0_intrinsics=[1, 2, 3, "x"]), "intrinsics"),
@@ -117,3 +117,67 @@ def test_wrong_chains(tmp_path, content, key_word):
     assert key_word in str(error.value)
     assert str(path) in str(error.value)
     assert "\n" not in str(error.value)
+
+
+WIDE = {
+    "kannala-brandt": {
+        "camera_model": "pinhole",
+        "distortion_model": "equidistant",
+        "intrinsics": [230.0, 231.0, 367.0, 248.0],
+        "distortion_coeffs": [0.003, 0.0007, -0.002, 0.0002],
+    },
+    "omni": {
+        "camera_model": "omni",
+        "distortion_model": "radtan",
+        "intrinsics": [1.6, 800.0, 801.0, 367.0, 248.0],
+        "distortion_coeffs": [-0.1, 0.03, 0.001, -0.0005],
+    },
+    "double-sphere": {
+        "camera_model": "ds",
+        "distortion_model": "none",
+        "intrinsics": [-0.2, 0.6, 240.0, 241.0, 367.0, 248.0],
+        "distortion_coeffs": [],
+    },
+}
+
+
+@pytest.mark.parametrize("lens", list(WIDE))
+def test_wide_lenses(tmp_path, lens):
+    camera, _ = load_camera(
+        written(tmp_path, chain(**{f"cam0_{key}": value for key, value in WIDE[lens].items()})), size_px=SIZE
+    )
+    assert camera.lens == lens
+    focal_px, coefficients = WIDE[lens]["intrinsics"][-4:], WIDE[lens]["distortion_coeffs"]
+    assert [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px] == focal_px
+    assert list(camera.distortion) == [*WIDE[lens]["intrinsics"][:-4], *coefficients]
+
+
+@pytest.mark.parametrize(
+    ("lens", "changes", "key_word"),
+    [
+        ("omni", {"intrinsics": [800.0, 801.0, 367.0, 248.0]}, "5 intrinsics"),
+        ("double-sphere", {"intrinsics": [-0.2, 0.6, 240.0, 241.0, 367.0]}, "6 intrinsics"),
+        ("double-sphere", {"intrinsics": [-0.2, 9.0, 240.0, 241.0, 367.0, 248.0]}, "double-sphere"),
+        ("kannala-brandt", {"distortion_coeffs": [0.1]}, "distortion_coeffs"),
+        ("kannala-brandt", {"distortion_coeffs": [0.0, 0.0, -90.0, 0.0]}, "kannala-brandt"),
+        ("kannala-brandt", {"intrinsics": [-230.0, 231.0, 367.0, 248.0]}, "positive"),
+    ],
+)
+def test_wrong_wide_lenses(tmp_path, lens, changes, key_word):
+    block = WIDE[lens] | changes
+    path = written(tmp_path, chain(**{f"cam0_{key}": value for key, value in block.items()}))
+    with pytest.raises(RigError) as error:
+        load_camera(path, size_px=SIZE)
+    assert key_word in str(error.value)
+    assert str(path) in str(error.value)
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("name", "size_px", "lens", "baseline_m"),
+    [("tum_vi", (512, 512), "kannala-brandt", 0.10109), ("euroc_mav", (752, 480), "pinhole", 0.11008)],
+)
+def test_files_of_openvins(shared_data, name, size_px, lens, baseline_m):
+    rig, _ = load_rig(shared_data / "fisheye" / "kalibr" / f"{name}.yaml", size_px=size_px)
+    assert (rig.left.lens, rig.right.lens) == (lens, lens)
+    assert rig.baseline_m == pytest.approx(baseline_m, abs=1e-5)

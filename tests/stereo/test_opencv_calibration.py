@@ -8,7 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.rig_formats.opencv import save_opencv
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_camera, load_rig
 
 SIZE = (1280, 720)
@@ -131,3 +133,56 @@ def test_opencv_left_camera_only(tmp_path: Path) -> None:
 
 def test_opencv_baseline_in_millimetres(tmp_path: Path) -> None:
     assert "120" in refused(opencv_files(tmp_path, baseline=120.0)[0])
+
+
+def fisheye_file(path: Path, names: tuple[str, str], *, flag: int | None) -> Path:
+    """A rig of cv::fisheye with camera matrices under these names and, with a flag, the key fisheye_model."""
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, number in zip(names, "12", strict=True):
+        storage.write(name, np.array([[400.0, 0, 640], [0, 400, 360], [0, 0, 1]]))
+        storage.write(f"D{number}", np.array([[0.1], [0.01], [0.0], [0.0]]))
+    if flag is not None:
+        storage.write("fisheye_model", flag)
+    storage.write("R", np.eye(3))
+    storage.write("T", np.array([[-0.12], [0.0], [0.0]]))
+    storage.release()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("names", "flag", "lens"),
+    [
+        (("M1", "M2"), 1, "kannala-brandt"),
+        (("K1", "K2"), 1, "kannala-brandt"),
+        (("K1", "K2"), None, "kannala-brandt"),
+        (("K1", "K2"), 0, "pinhole"),
+        (("M1", "M2"), None, "pinhole"),
+    ],
+)
+def test_fisheye_files(tmp_path, names, flag, lens):
+    rig, notes = load_rig(fisheye_file(tmp_path / "rig.yml", names, flag=flag), size_px=SIZE)
+    assert (rig.left.lens, rig.right.lens) == (lens, lens)
+    assert rig.left.distortion == (0.1, 0.01, 0.0, 0.0)
+    assert any("fisheye model" in note for note in notes) == (names[0] == "K1" and flag is None)
+
+
+def test_fisheye_of_the_calibration_sample(tmp_path):
+    path = written(
+        tmp_path,
+        "%YAML:1.0\n---\nimage_width: 1280\nimage_height: 720\nfisheye_model: 1\n"
+        "camera_matrix: !!opencv-matrix {rows: 3, cols: 3, dt: d, data: [400., 0., 640., 0., 400., 360., 0., 0., 1.]}\n"
+        "distortion_coefficients: !!opencv-matrix {rows: 4, cols: 1, dt: d, data: [0.1, 0., 0., 0.]}\n",
+        "camera.yml",
+    )
+    assert load_camera(path, size_px=SIZE)[0].lens == "kannala-brandt"
+
+
+def test_wide_lenses_are_written_as_fisheye_or_refused(tmp_path):
+    rig = StereoRig.rectified(
+        PinholeCamera(400.0, 400.0, 640.0, 360.0, *SIZE, (0.1, 0.0, 0.0, 0.0), "kannala-brandt"), 0.2
+    )
+    save_opencv(rig, tmp_path / "rig.yml")
+    again, _ = load_rig(tmp_path / "rig.yml", size_px=SIZE)
+    assert (again.left, again.right) == (rig.left, rig.right)
+    with pytest.raises(RigError, match="double-sphere"):
+        save_opencv(PinholeCamera(400.0, 400.0, 640.0, 360.0, *SIZE, (0.0, 0.5), "double-sphere"), tmp_path / "ds.yml")

@@ -187,3 +187,13 @@ def test_line_of_a_damaged_second_document(tmp_path):
     text = path.read_text() + "  bad: [\n"
     path.write_text(text)
     assert f"line {text.count(chr(10))}" in refused(path) or f"line {text.count(chr(10)) + 1}" in refused(path)
+
+
+@pytest.mark.parametrize("model", ["equidistant", "fisheye"])
+def test_fisheye_model(tmp_path, model):
+    fisheye = calibration(LEFT) | {
+        "distortion_model": model,
+        "distortion_coefficients": {"rows": 1, "cols": 4, "data": [0.1, 0.01, 0.0, 0.0]},
+    }
+    camera, _ = load_camera(written(tmp_path / "camera.yaml", fisheye), size_px=SIZE)
+    assert (camera.lens, camera.distortion) == ("kannala-brandt", (0.1, 0.01, 0.0, 0.0))

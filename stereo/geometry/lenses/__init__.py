@@ -1,0 +1,1 @@
+"""Lens models: the relation of viewing directions to points of the normalised image plane."""

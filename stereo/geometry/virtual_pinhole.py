@@ -1,0 +1,90 @@
+"""virtual_pinhole: the ideal pinhole to which the images of a wide lens are undistorted.
+
+    f = the lens's own resolution on its axis, pixels per radian
+    W = f (tan left + tan right),  H = f (tan up + tan down)
+
+with the angles from the axis that the lens images, up to a limit. Objects on the axis keep their size in pixels;
+towards the edges a pinhole stretches the image by 1 / cos^2, which limits a useful field of view to about 120 degrees.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from track_range.stereo.geometry.camera import PinholeCamera
+
+FOV_LIMITS_DEG = (20.0, 120.0)
+"""Smallest and largest horizontal field of view of a virtual pinhole, degrees; the largest one is the default."""
+
+_MAX_HALF_HEIGHT_RAD = math.radians(45.0)
+"""Largest angle above and below the axis that is shown; a road user that is cut there is nearer than the hood."""
+
+_MARGIN_RAD = math.radians(0.5)
+"""Margin of a rim that the lens does not image."""
+
+_SMALL_RAD = 1e-3
+"""Angle from the axis at which the resolution on the axis is measured."""
+
+_N_SAMPLES = 257
+"""Number of pixels along a row or column at which the field of view is sampled."""
+
+
+class FieldOfView(NamedTuple):
+    """Angles from the optical axis that a camera images along the row and column of its principal point, radians."""
+
+    left_rad: float
+    right_rad: float
+    up_rad: float
+    down_rad: float
+
+    @property
+    def horizontal_deg(self) -> float:
+        """Horizontal field of view, degrees."""
+        return math.degrees(self.left_rad + self.right_rad)
+
+    @property
+    def vertical_deg(self) -> float:
+        """Vertical field of view, degrees."""
+        return math.degrees(self.up_rad + self.down_rad)
+
+
+def field_of_view(camera: PinholeCamera) -> FieldOfView:
+    """The field of view of a camera's images with their distortion."""
+    x = np.linspace(-0.5, camera.width_px - 0.5, _N_SAMPLES)
+    y = np.linspace(-0.5, camera.height_px - 0.5, _N_SAMPLES)
+    row = camera.recorded_rays(np.stack([x, np.full_like(x, camera.cy_px)], axis=1))
+    column = camera.recorded_rays(np.stack([np.full_like(y, camera.cx_px), y], axis=1))
+    across, along = np.arctan2(row[:, 0], row[:, 2]), np.arctan2(column[:, 1], column[:, 2])
+    limits = -np.nanmin(across), np.nanmax(across), -np.nanmin(along), np.nanmax(along)
+    return FieldOfView(*(float(limit) for limit in limits))
+
+
+def axial_focal_px(camera: PinholeCamera) -> float:
+    """Resolution on the optical axis, pixels per radian: the focal length of a pinhole with the same resolution."""
+    if not camera.is_wide:
+        return camera.fx_px
+    rays = np.array([[math.sin(_SMALL_RAD), 0.0, 1.0], [0.0, math.sin(_SMALL_RAD), 1.0]])
+    offset_px = camera.recorded_px(rays) - (camera.cx_px, camera.cy_px)
+    return math.sqrt(offset_px[0, 0] * offset_px[1, 1]) / _SMALL_RAD
+
+
+def virtual_pinhole(camera: PinholeCamera, fov_deg: float | None = None) -> PinholeCamera:
+    """The ideal pinhole with the axis of `camera`, the same resolution on it, and an even image size.
+
+    Args:
+        camera: a camera with a wide lens.
+        fov_deg: horizontal field of view within `FOV_LIMITS_DEG`; None = that of the lens up to the largest. What the
+            lens does not image on one side is left out.
+    """
+    own = field_of_view(camera)
+    half_rad = math.radians(FOV_LIMITS_DEG[1] if fov_deg is None else fov_deg) / 2
+    focal_px = axial_focal_px(camera)
+    left_px, right_px, up_px, down_px = (
+        focal_px * math.tan(min(angle_rad - _MARGIN_RAD, limit_rad))
+        for angle_rad, limit_rad in zip(own, (half_rad, half_rad, *[_MAX_HALF_HEIGHT_RAD] * 2), strict=True)
+    )
+    width_px, height_px = (2 * max(round(side_px / 2), 1) for side_px in (left_px + right_px, up_px + down_px))
+    return PinholeCamera(focal_px, focal_px, left_px - 0.5, up_px - 0.5, width_px, height_px)

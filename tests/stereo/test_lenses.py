@@ -1,0 +1,117 @@
+"""Lens models: inverse of each other, equal to OpenCV's, hand-worked values, and limits of what they image."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.lenses.kannala_brandt import KANNALA_BRANDT, largest_angle_rad
+from track_range.stereo.geometry.lenses.registry import LENSES, PINHOLE
+
+TUM_VI = (0.0034823894, 0.0007150348, -0.0020532361, 0.00020293673)
+"""Kannala-Brandt coefficients of a lens with 190 degrees."""
+
+EXAMPLES = {
+    PINHOLE: (-0.25, 0.08, 0.001, -0.0005, 0.0),
+    "kannala-brandt": TUM_VI,
+    "double-sphere": (-0.18, 0.59),
+    "omni": (1.7, -0.15, 0.05, 0.001, -0.0008),
+}
+
+ANGLES_DEG = {PINHOLE: 40.0, "kannala-brandt": 100.0, "double-sphere": 100.0, "omni": 100.0}
+"""Largest angle from the axis that is tested."""
+
+
+def directions(largest_deg: float) -> np.ndarray:
+    theta, phi = (
+        part.ravel() for part in np.meshgrid(np.radians(np.linspace(0, largest_deg, 31)), np.linspace(0, 2 * np.pi, 24))
+    )
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
+
+
+@pytest.mark.parametrize("name", list(EXAMPLES))
+def test_undistortion_inverts_distortion(name):
+    lens, rays = LENSES[name], directions(ANGLES_DEG[name])
+    projected = lens.distort(5.0 * rays, EXAMPLES[name])  # the length of a direction has no effect
+    assert np.isfinite(projected).all()
+    assert np.allclose(lens.undistort(projected, EXAMPLES[name]), rays, atol=1e-7)
+
+
+@given(st.tuples(*[st.floats(-0.02, 0.02)] * 4), st.floats(0.0, 1.4), st.floats(0, 6.28))
+def test_kannala_brandt_inverse_for_any_coefficients(k, theta, phi):
+    theta = min(theta, largest_angle_rad(k))
+    ray = np.array([[math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)]])
+    assert np.allclose(KANNALA_BRANDT.undistort(KANNALA_BRANDT.distort(ray, k), k), ray, atol=1e-5)
+
+
+def test_kannala_brandt_equals_opencvs_fisheye():
+    rays = directions(80)
+    expected = cv2.fisheye.projectPoints(rays[:, None], np.zeros(3), np.zeros(3), np.eye(3), np.array(TUM_VI))[0]
+    assert np.allclose(KANNALA_BRANDT.distort(rays, TUM_VI), expected.reshape(-1, 2), atol=1e-9)
+
+
+def test_pinhole_equals_opencvs_projection():
+    rays = directions(40)
+    expected = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.eye(3), np.array(EXAMPLES[PINHOLE]))[0]
+    assert np.allclose(LENSES[PINHOLE].distort(rays, EXAMPLES[PINHOLE]), expected.reshape(-1, 2), atol=1e-9)
+
+
+def test_double_sphere_by_hand():
+    # xi = 0.5, alpha = 0.5, X = (3, 0, 4): d1 = 5, xi d1 + z = 6.5, d2 = sqrt(9 + 42.25)
+    scale = 1 / (0.5 * math.sqrt(51.25) + 0.5 * 6.5)
+    projected = LENSES["double-sphere"].distort(np.array([[3.0, 0.0, 4.0]]), (0.5, 0.5))
+    assert projected.tolist() == [pytest.approx([3 * scale, 0.0])]
+
+
+def test_omni_without_distortion_by_hand():
+    # xi = 1, X = (3, 4, 0): |X| = 5, m = (3, 4) / 5
+    projected = LENSES["omni"].distort(np.array([[3.0, 4.0, 0.0]]), (1.0, 0.0, 0.0, 0.0, 0.0))
+    assert projected.tolist() == [pytest.approx([0.6, 0.8])]
+
+
+def test_double_sphere_and_omni_without_offset_are_pinholes():
+    rays = directions(60)
+    ideal = rays[:, :2] / rays[:, 2:]
+    assert np.allclose(LENSES["double-sphere"].distort(rays, (0.0, 0.0)), ideal)
+    assert np.allclose(LENSES["omni"].distort(rays, (0.0,) * 5), ideal)
+
+
+@pytest.mark.parametrize("name", list(EXAMPLES))
+def test_what_a_lens_does_not_image_is_nan(name):
+    lens = LENSES[name]
+    behind = np.array([[0.0, 0.01, -1.0]])
+    if name == "kannala-brandt":
+        falling = (0.0, -0.1, 0.0, 0.0)  # the polynomial falls beyond 68 degrees
+        assert np.degrees(largest_angle_rad(falling)) == pytest.approx(np.degrees((1 / 0.5) ** 0.25), abs=0.1)
+        assert np.isnan(lens.distort(behind, falling)).all()
+        assert np.isnan(lens.undistort(np.array([[5.0, 0.0]]), falling)).all()
+    else:
+        assert np.isnan(lens.distort(behind, EXAMPLES[name])).all()
+
+
+def test_outside_the_image_circle_is_nan():
+    assert np.isnan(LENSES["double-sphere"].undistort(np.array([[9.0, 0.0]]), (0.5, 0.7))).all()
+    assert np.isnan(LENSES["omni"].undistort(np.array([[9.0, 0.0]]), (1.5, 0.0, 0.0, 0.0, 0.0))).all()
+
+
+@pytest.mark.parametrize("name", list(EXAMPLES))
+def test_no_points(name):
+    assert LENSES[name].distort(np.zeros((0, 3)), EXAMPLES[name]).shape == (0, 2)
+    assert LENSES[name].undistort(np.zeros((0, 2)), EXAMPLES[name]).shape == (0, 3)
+
+
+@pytest.mark.parametrize("name", list(EXAMPLES))
+def test_recorded_pixels_of_a_camera(name):
+    camera = PinholeCamera(200.0, 210.0, 320.0, 240.0, 640, 480, EXAMPLES[name], name)
+    rays = directions(ANGLES_DEG[name])
+    assert np.allclose(camera.recorded_rays(camera.recorded_px(rays)), rays, atol=1e-7)
+    assert camera.recorded_px(np.array([[0.0, 0.0, 3.0]])).tolist() == [pytest.approx([320.0, 240.0])]
+    assert camera.is_wide == (name != PINHOLE)
+    assert camera.is_distorted
+    assert not camera.without_distortion().is_distorted
