@@ -29,6 +29,9 @@ from track_range.stereo.calibration.boards import (
 _MIN_CHARUCO_CORNERS = 6
 """Minimum number of corners of a ChArUco board that determine its pose well enough."""
 
+_THOROUGH = cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE
+"""Flags of a slower search for chessboards that the first one misses: in dark images, and curved by a wide lens."""
+
 _PATCH_SHARE = 0.35
 """Half side of the patch around a corner in which the edge width is measured, as a fraction of the corner spacing."""
 
@@ -79,6 +82,8 @@ class BoardFinder:
         """The board in an image (H, W) or (H, W, 3) BGR."""
         grey = _grey(image)
         corner_id, xy_px = self._chess_corners(grey) if not self._charuco else self._charuco_corners(grey)
+        if not len(corner_id) and not self._charuco:
+            corner_id, xy_px = self._chess_corners(grey, flags=_THOROUGH)
         if not len(corner_id):
             return RejectedView(name, "no complete board found")
         if len(corner_id) < _MIN_CHARUCO_CORNERS or _is_in_line(self._corners_m[corner_id]):

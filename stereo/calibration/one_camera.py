@@ -1,5 +1,7 @@
 """Calibration of one camera: several views of a flat board -> PinholeCamera (Zhang 2000; OpenCV's calibrateCamera).
 
+Wide lenses are fitted by `fisheye_fit.py`.
+
     minimise  sum over views v and corners i of | xy_vi - project(camera, pose_v, xyz_i) |^2
 
 Views with outlying residuals are rejected, worst first. The errors of the corners in a view are correlated (a board
@@ -11,8 +13,8 @@ gives a third of them on real photographs:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 
 import cv2
@@ -24,12 +26,34 @@ from track_range.foundation.robust_statistics import jackknife_sigma, mad_sigma
 from track_range.stereo.calibration.board_views import BoardView, RejectedView
 from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.calibration.coverage import Coverage, coverage_of, is_static
+from track_range.stereo.calibration.fisheye_fit import fit_fisheye
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.lenses.registry import PINHOLE
 
 Advance = Callable[[int, int], None]
 """Progress callback: number of finished steps, and the total."""
 
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class CameraModel:
+    """What is fitted to the views.
+
+    Attributes:
+        lens: name of the lens model, pinhole or kannala-brandt.
+        n_distortion_coefficients: number of distortion coefficients of a pinhole: 0, 4, 5 or 8.
+        start: a camera near the result, for wide lenses; None = searched for.
+    """
+
+    lens: str = PINHOLE
+    n_distortion_coefficients: int = 5
+    start: PinholeCamera | None = None
+
+    def started(self, views: Sequence[BoardView]) -> CameraModel:
+        """The model with the camera of these views as start, for the fits of parts of them."""
+        return replace(self, start=fit_camera(views, self)[0]) if self.lens != PINHOLE else self
+
 
 DISTORTION_FLAGS: dict[int, int] = {
     0: cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3,
@@ -121,13 +145,18 @@ class CameraCalibration:
 
 
 def calibrate_camera(
-    views: Sequence[BoardView], *, n_distortion_coefficients: int = 5, advance: Advance | None = None
+    views: Sequence[BoardView],
+    *,
+    n_distortion_coefficients: int = 5,
+    lens: str = PINHOLE,
+    advance: Advance | None = None,
 ) -> CameraCalibration:
     """Calibrate a camera from views of a board, all of the first view's image size.
 
     Args:
         views: views of one board by one camera.
-        n_distortion_coefficients: number of distortion coefficients: 0, 4, 5 or 8.
+        n_distortion_coefficients: number of distortion coefficients of a pinhole: 0, 4, 5 or 8.
+        lens: name of the lens model, pinhole or kannala-brandt.
         advance: progress callback.
 
     Raises:
@@ -135,16 +164,15 @@ def calibrate_camera(
     """
     check_views(len(views))
     check_motion(views)
-    used, rejected = without_outliers(list(views), lambda subset: fit_camera(subset, n_distortion_coefficients)[1])
-    camera, fits = fit_camera(used, n_distortion_coefficients)
+    model = CameraModel(lens, n_distortion_coefficients).started(views)
+    used, rejected = without_outliers(list(views), lambda subset: fit_camera(subset, model)[1])
+    camera, fits = fit_camera(used, model)
     coverage = coverage_of(used, np.stack([fit.board_to_camera for fit in fits]))
     if coverage.is_parallel:
         raise CalibrationError(PARALLEL)
-    sampled = leave_out_groups(
-        used, lambda subset: _intrinsics(fit_camera(subset, n_distortion_coefficients)[0]), advance
-    )
+    sampled = leave_out_groups(used, lambda subset: _intrinsics(fit_camera(subset, model)[0]), advance)
     # With few views the jackknife is uncertain itself; the scatter of the corners is a lower limit.
-    std = IntrinsicStd(*np.maximum(jackknife_sigma(sampled), _corner_std(used, n_distortion_coefficients)).tolist())
+    std = IntrinsicStd(*np.maximum(jackknife_sigma(sampled), _corner_std(used, model)).tolist())
     check_determined(std, camera)
     return CameraCalibration(camera, std, total_rms_px(fits), fits, rejected, coverage)
 
@@ -156,9 +184,12 @@ PARALLEL = (
 """Message about views without different tilts."""
 
 
-def fit_camera(views: Sequence[BoardView], n_distortion_coefficients: int) -> tuple[PinholeCamera, tuple[ViewFit, ...]]:
+def fit_camera(views: Sequence[BoardView], model: CameraModel) -> tuple[PinholeCamera, tuple[ViewFit, ...]]:
     """The least-squares camera of all views, and the fit of each view."""
-    size_px = views[0].size_px
+    if model.lens != PINHOLE:
+        fit = fit_fisheye(views, model.start)
+        return fit.camera, _view_fits(views, fit.poses, fit.camera)
+    size_px, n_distortion_coefficients = views[0].size_px, model.n_distortion_coefficients
     with_points = ([view.xyz_m.astype(np.float32) for view in views], [view.xy_px.astype(np.float32) for view in views])
     try:
         _, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(
@@ -174,17 +205,20 @@ def fit_camera(views: Sequence[BoardView], n_distortion_coefficients: int) -> tu
         ) from error
     camera = camera_of(matrix, distortion, size_px, n_distortion_coefficients)
     poses = [pose_of(rvec, tvec) for rvec, tvec in zip(rvecs, tvecs, strict=True)]
-    return camera, tuple(
-        ViewFit(view, residuals_px(view, pose, camera), pose) for view, pose in zip(views, poses, strict=True)
+    return camera, _view_fits(views, poses, camera)
+
+
+def _view_fits(
+    views: Sequence[BoardView], board_to_camera: Iterable[FloatArray], camera: PinholeCamera
+) -> tuple[ViewFit, ...]:
+    return tuple(
+        ViewFit(view, residuals_px(view, pose, camera), pose) for view, pose in zip(views, board_to_camera, strict=True)
     )
 
 
 def residuals_px(view: BoardView, board_to_camera: FloatArray, camera: PinholeCamera) -> FloatArray:
     """(N, 2) measured minus projected corners."""
-    rvec = np.asarray(cv2.Rodrigues(board_to_camera[:3, :3])[0])
-    distortion = np.array(camera.distortion or (0.0,) * 4)
-    projected = cv2.projectPoints(view.xyz_m, rvec, board_to_camera[:3, 3], camera.matrix, distortion)[0]
-    return view.xy_px - np.asarray(projected, np.float64).reshape(-1, 2)
+    return view.xy_px - camera.recorded_px(view.xyz_m @ board_to_camera[:3, :3].T + board_to_camera[:3, 3])
 
 
 def camera_of(
@@ -280,8 +314,11 @@ def leave_out_groups(
     return np.stack(samples)
 
 
-def _corner_std(views: Sequence[BoardView], n_distortion_coefficients: int) -> FloatArray:
-    """(4,) standard deviations of fx, fy, cx, cy for independent errors of the corners (OpenCV's)."""
+def _corner_std(views: Sequence[BoardView], model: CameraModel) -> FloatArray:
+    """(4,) standard deviations of fx, fy, cx, cy for independent errors of the corners."""
+    if model.lens != PINHOLE:
+        return fit_fisheye(views, model.start).std[:4]
+    n_distortion_coefficients = model.n_distortion_coefficients
     corners = ([view.xyz_m.astype(np.float32) for view in views], [view.xy_px.astype(np.float32) for view in views])
     distortion, flags = np.zeros(max(n_distortion_coefficients, 5)), DISTORTION_FLAGS[n_distortion_coefficients]
     std = cv2.calibrateCameraExtended(*corners, views[0].size_px, np.eye(3), distortion, flags=flags)[5]

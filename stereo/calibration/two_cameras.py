@@ -1,8 +1,8 @@
 """Calibration of two cameras: pairs of views of one board -> StereoRig (OpenCV's stereoCalibrate).
 
 Each camera is calibrated alone first, which gives initial values and reveals bad views; then the intrinsics of both
-cameras, their relative pose and the poses of the board are optimised together. The row error is also evaluated on pairs
-held out of the fit:
+cameras, their relative pose and the poses of the board are optimised together; wide lenses by `fisheye_fit.py`. The row
+error is also evaluated on pairs held out of the fit:
 
     dy = | y_left - y_right | of a corner in the rectified images, 0 for a perfect rig
 """
@@ -21,11 +21,13 @@ from track_range.foundation.robust_statistics import jackknife_sigma
 from track_range.stereo.calibration.board_views import BoardView, RejectedView
 from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.calibration.coverage import coverage_of
+from track_range.stereo.calibration.fisheye_fit import fit_fisheye_pair
 from track_range.stereo.calibration.one_camera import (
     DISTORTION_FLAGS,
     PARALLEL,
     Advance,
     CameraCalibration,
+    CameraModel,
     IntrinsicStd,
     ViewFit,
     camera_of,
@@ -40,12 +42,16 @@ from track_range.stereo.calibration.one_camera import (
     without_outliers,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.rectification import Rectifier, distortion_coefficients, stereo_rectification
+from track_range.stereo.geometry.lenses.registry import PINHOLE
+from track_range.stereo.geometry.rectification import Rectifier, rectified_points, stereo_rectification
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import BASELINE_M
 
 ViewPair = tuple[BoardView, BoardView]
 """Views of the left and the right camera with the same corners."""
+
+Models = tuple[CameraModel, CameraModel]
+"""Models of the left and the right camera."""
 
 _UPSIDE_DOWN_DEG = 120.0
 """Angle between the cameras above which one of them is upside down."""
@@ -88,6 +94,8 @@ class PairCalibration:
         left, right: its cameras, from the common fit.
         baseline_std_m: standard deviation of the baseline, from leaving out pairs.
         rms_px: root mean square residual of all corners.
+        single_rms_px: the same of the left and of the right camera fitted alone; the difference to `rms_px` is due to
+            boards or cameras that moved between the two images of a pair.
         row_error_px: mean |dy| after rectification, of the pairs that the rig was fitted to.
         held_out_row_error_px: mean |dy| after rectification, of pairs held out of the fit.
         fits: the pairs used.
@@ -99,6 +107,7 @@ class PairCalibration:
     right: CameraCalibration
     baseline_std_m: float
     rms_px: float
+    single_rms_px: tuple[float, float]
     row_error_px: float
     held_out_row_error_px: float
     fits: tuple[PairFit, ...]
@@ -106,13 +115,18 @@ class PairCalibration:
 
 
 def calibrate_pair(
-    pairs: Sequence[ViewPair], *, n_distortion_coefficients: int = 5, advance: Advance | None = None
+    pairs: Sequence[ViewPair],
+    *,
+    n_distortion_coefficients: int = 5,
+    lens: str = PINHOLE,
+    advance: Advance | None = None,
 ) -> PairCalibration:
     """Calibrate a rig from pairs of views.
 
     Args:
         pairs: the same corners of one board in simultaneous images of the left and the right camera.
-        n_distortion_coefficients: number of distortion coefficients: 0, 4, 5 or 8.
+        n_distortion_coefficients: number of distortion coefficients of a pinhole: 0, 4, 5 or 8.
+        lens: name of the lens model, pinhole or kannala-brandt.
         advance: progress callback.
 
     Raises:
@@ -122,14 +136,16 @@ def calibrate_pair(
     check_views(len(pairs))
     for side in (0, 1):
         check_motion([pair[side] for pair in pairs])
-    used, rejected = without_outliers(list(pairs), lambda subset: _fit(subset, n_distortion_coefficients)[1])
-    rig, fits = _fit(used, n_distortion_coefficients)
-    _check_consistency(used, fits, n_distortion_coefficients)
+    models = _models(CameraModel(lens, n_distortion_coefficients), pairs)
+    used, rejected = without_outliers(list(pairs), lambda subset: _fit(subset, models)[1])
+    rig, fits = _fit(used, models)
+    single_px = _single_rms_px(used, models)
+    _check_consistency(single_px, fits)
     _check_relative_pose(rig)
     held_out_px: list[float] = []
 
     def parameters_of(subset: list[ViewPair]) -> FloatArray:
-        partial, _ = _fit(subset, n_distortion_coefficients)
+        partial, _ = _fit(subset, models)
         held_out_px.extend(row_error_px(partial, pair) for pair in used if not any(pair is member for member in subset))
         return _parameters(partial)
 
@@ -144,6 +160,7 @@ def calibrate_pair(
         right,
         baseline_std_m=float(std[8]),
         rms_px=math.sqrt((left.rms_px**2 + right.rms_px**2) / 2),
+        single_rms_px=single_px,
         row_error_px=float(np.mean([fit.row_error_px for fit in fits])),
         held_out_row_error_px=float(np.mean(held_out_px)),
         fits=fits,
@@ -155,17 +172,32 @@ def row_error_px(rig: StereoRig, pair: ViewPair) -> float:
     """Mean |dy| of the corners of a pair in the rectified images."""
     r1, r2, p1, p2, _ = stereo_rectification(rig)
     y_left, y_right = (
-        cv2.undistortPoints(view.xy_px.reshape(-1, 1, 2), camera.matrix, distortion_coefficients(camera), R=r, P=p)[
-            :, 0, 1
-        ]
+        rectified_points(camera, r, p, view.xy_px)[:, 1]
         for view, camera, r, p in zip(pair, (rig.left, rig.right), (r1, r2), (p1, p2), strict=True)
     )
     return float(np.abs(y_left - y_right).mean())
 
 
-def _fit(pairs: Sequence[ViewPair], n_distortion_coefficients: int) -> tuple[StereoRig, tuple[PairFit, ...]]:
+def _models(model: CameraModel, pairs: Sequence[ViewPair]) -> Models:
+    """The model with the start of each camera."""
+    left, right = (model.started([pair[side] for pair in pairs]) for side in (0, 1))
+    return left, right
+
+
+def _fit(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoRig, tuple[PairFit, ...]]:
     """The least-squares rig, starting from the calibrations of the single cameras."""
-    cameras = [fit_camera([pair[side] for pair in pairs], n_distortion_coefficients)[0] for side in (0, 1)]
+    left, right = (fit_camera([pair[side] for pair in pairs], models[side])[0] for side in (0, 1))
+    if models[0].lens != PINHOLE:
+        fit = fit_fisheye_pair(pairs, (left, right))
+        rig = StereoRig(fit.left, fit.right, fit.right_from_left)
+        return rig, tuple(_pair_fit(rig, pair, pose) for pair, pose in zip(pairs, fit.poses, strict=True))
+    return _fit_pinholes(pairs, (left, right), models[0].n_distortion_coefficients)
+
+
+def _fit_pinholes(
+    pairs: Sequence[ViewPair], cameras: tuple[PinholeCamera, PinholeCamera], n_distortion_coefficients: int
+) -> tuple[StereoRig, tuple[PairFit, ...]]:
+    """The least-squares rig of pinholes, starting from the cameras calibrated alone."""
     distortion = [np.array(camera.distortion or (0.0,) * 5) for camera in cameras]
     _, m1, d1, m2, d2, r, t, _, _, rvecs, tvecs, _ = (
         cv2.stereoCalibrateExtended(
@@ -203,11 +235,14 @@ def _camera_calibration(camera: PinholeCamera, fits: Sequence[ViewFit], std: Flo
     return CameraCalibration(camera, intrinsic_std, total_rms_px(fits), tuple(fits), (), coverage)
 
 
-def _check_consistency(pairs: Sequence[ViewPair], fits: Sequence[PairFit], n_distortion_coefficients: int) -> None:
+def _single_rms_px(pairs: Sequence[ViewPair], models: Models) -> tuple[float, float]:
+    """Residuals of the cameras fitted alone."""
+    left, right = (total_rms_px(fit_camera([pair[side] for pair in pairs], models[side])[1]) for side in (0, 1))
+    return left, right
+
+
+def _check_consistency(single_px: tuple[float, float], fits: Sequence[PairFit]) -> None:
     """Raise an error if the images of pairs are not simultaneous: they fit each camera alone, but not both."""
-    single_px = [
-        total_rms_px(fit_camera([pair[side] for pair in pairs], n_distortion_coefficients)[1]) for side in (0, 1)
-    ]
     common_px = math.sqrt(np.mean([fit.rms_px**2 for fit in fits]))
     if common_px > max(_MAX_RMS_RATIO * max(single_px), 1.0):
         raise CalibrationError(

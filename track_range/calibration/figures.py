@@ -41,6 +41,7 @@ def pair_figures(calibration: PairCalibration, search: BoardSearch) -> dict[str,
         "baseline_m": calibration.rig.baseline_m,
         "baseline_sd_m": calibration.baseline_std_m,
         "rms_px": calibration.rms_px,
+        "single_rms_px": list(calibration.single_rms_px),
         "rows_px": calibration.row_error_px,
         "held_out_rows_px": calibration.held_out_row_error_px,
         "views": [

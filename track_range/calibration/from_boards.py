@@ -22,7 +22,16 @@ from track_range.results.output_files import check_outputs, write_bytes, write_t
 from track_range.stereo.calibration.boards import Board, board_of
 from track_range.stereo.calibration.one_camera import CameraCalibration, calibrate_camera
 from track_range.stereo.calibration.two_cameras import PairCalibration, calibrate_pair
+from track_range.stereo.geometry.lenses.kannala_brandt import KANNALA_BRANDT
+from track_range.stereo.geometry.lenses.registry import PINHOLE
+from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
+
+LENS_NAMES = {"pinhole": PINHOLE, "fisheye": KANNALA_BRANDT.name}
+"""Names of the lens models by value of --lens."""
+
+_REACH_DEG = 5.0
+"""Angle by which the corners of the boards should reach at least as far from the axis as the images, degrees."""
 
 _BOARD_M = (0.1, 20.0)
 """Plausible range of the median distance of the board, m; outside, --square-mm is probably wrong."""
@@ -104,14 +113,15 @@ def calibrate_views(
 ) -> BoardCalibration:
     """Calibrate from the views of the board; the second part of `calibrate`."""
     result: CameraCalibration | PairCalibration
+    lens = LENS_NAMES[settings.lens]
     with progress("calibrating") as advance:
         if settings.stereo is None:
             views = [shot[0] for shot in search.shots]
-            result = calibrate_camera(views, n_distortion_coefficients=settings.lens_terms, advance=advance)
+            result = calibrate_camera(views, n_distortion_coefficients=settings.lens_terms, lens=lens, advance=advance)
             measured = mono_figures(result, search)
         else:
             pairs = [(shot[0], shot[1]) for shot in search.shots]
-            result = calibrate_pair(pairs, n_distortion_coefficients=settings.lens_terms, advance=advance)
+            result = calibrate_pair(pairs, n_distortion_coefficients=settings.lens_terms, lens=lens, advance=advance)
             measured = pair_figures(result, search)
     board = _board(settings)
     figures = {
@@ -154,6 +164,9 @@ def _warnings(search: BoardSearch, cameras: Mapping[str, CameraCalibration]) -> 
         warnings.append(f"the median distance of the boards is {distance_m:.3g} m; check --square-mm.")
     if float(np.median([view.edge_px for shot in search.shots for view in shot])) > _OUT_OF_FOCUS_PX:
         warnings.append("most images are out of focus; focus and lock the lens before calibrating.")
+    warnings += [
+        _reach_warning(name, calibration) for name, calibration in cameras.items() if calibration.camera.is_wide
+    ]
     cameras_px = [calibration.camera for calibration in cameras.values()]
     sizes = {f"{camera.width_px}x{camera.height_px} px" for camera in cameras_px}
     if len(sizes) > 1:
@@ -161,3 +174,13 @@ def _warnings(search: BoardSearch, cameras: Mapping[str, CameraCalibration]) -> 
             f"images of the two cameras differ in size ({', '.join(sorted(sizes))}); a run needs videos of equal size."
         )
     return warnings
+
+
+def _reach_warning(name: str, calibration: CameraCalibration) -> str:
+    """How far from the optical axis the corners determine a wide lens."""
+    corners_px = np.concatenate([fit.view.xy_px for fit in calibration.fits])
+    reach_deg = float(np.degrees(np.arccos(np.clip(calibration.camera.recorded_rays(corners_px)[:, 2], -1, 1))).max())
+    return (
+        f"{name}: corners reach {reach_deg:.0f} degrees from the optical axis, the image "
+        f"{field_of_view(calibration.camera).horizontal_deg / 2:.0f}; the lens is extrapolated beyond the corners."
+    )

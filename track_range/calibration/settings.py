@@ -60,10 +60,17 @@ class CalibrationSettings(Options):
         ),
     ] = None
     square_mm: Annotated[float | None, option("Side length of the chessboard's squares in mm.", metavar="MM")] = None
+    lens: Annotated[
+        str,
+        option(
+            "Lens model: pinhole, or fisheye (Kannala-Brandt) for fields of view from about 100 degrees.",
+            metavar="pinhole|fisheye",
+        ),
+    ] = "pinhole"
     lens_terms: Annotated[
         int,
         option(
-            "Number of distortion coefficients: 4 = k1 k2 p1 p2, 5 = also k3, 8 = also k4 k5 k6.",
+            "Number of distortion coefficients of a pinhole: 4 = k1 k2 p1 p2, 5 = also k3, 8 = also k4 k5 k6.",
             metavar="0|4|5|8",
         ),
     ] = 5

@@ -7,7 +7,7 @@ from functools import partial
 
 from track_range.calibration.board_search import BoardSearch
 from track_range.calibration.figures import tilt_deg
-from track_range.calibration.from_boards import calibrate_views, find_boards
+from track_range.calibration.from_boards import LENS_NAMES, calibrate_views, find_boards
 from track_range.calibration.settings import CalibrationSettings
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
@@ -31,6 +31,8 @@ def _calibrate(settings: CalibrationSettings) -> None:
     if settings.lens_terms not in _N_COEFFICIENTS:
         numbers = ", ".join(map(str, _N_COEFFICIENTS))
         raise UsageError(f"--lens-terms {settings.lens_terms}: expected one of {numbers}.")
+    if settings.lens not in LENS_NAMES:
+        raise UsageError(f"--lens {settings.lens}: expected one of {', '.join(LENS_NAMES)}.")
     progress = partial(step_progress, console)
     search = find_boards(settings, progress)
     _print_search(search)
@@ -115,7 +117,8 @@ def _print_cameras(cameras: Mapping[str, CameraCalibration]) -> None:
             f"residual {calibration.rms_px:.3f} px RMS over {len(calibration.fits)} views.",
         )
         lens = ", ".join(f"{term:.4g}" for term in camera.distortion) or "none"
-        print_line(console, f"{' ' * len(name)}  distortion coefficients {lens}.")
+        model = f" of the lens model {camera.lens}" if camera.is_wide else ""
+        print_line(console, f"{' ' * len(name)}  distortion coefficients{model} {lens}.")
         print_line(
             console,
             f"{' ' * len(name)}  coverage: corners at {_percent(coverage.x_span)} of the width and "
@@ -133,6 +136,12 @@ def _print_pair(pair: PairCalibration) -> None:
         console,
         f"baseline {1000 * pair.rig.baseline_m:.2f} ± {1000 * pair.baseline_std_m:.2f} mm, given the size of the "
         f"squares; residual {pair.rms_px:.3f} px RMS over {len(pair.fits)} pairs.",
+    )
+    left_px, right_px = pair.single_rms_px
+    print_line(
+        console,
+        f"Residuals of the cameras calibrated alone: left {left_px:.3f}, right {right_px:.3f} px RMS; a larger one of the "
+        "pairs is due to boards that moved between their images.",
     )
     print_line(
         console,

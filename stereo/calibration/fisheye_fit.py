@@ -1,0 +1,257 @@
+"""Fit of one or two Kannala-Brandt cameras to views of a flat board, without an initial focal length.
+
+1. For focal lengths f from a telephoto to a 300-degree lens, corners become directions of an ideal equidistant lens
+   (theta = r / f about the image centre), and each view a pose of the board:
+
+       d x (H (X, Y, 1)^T) = 0,   H = s (r1 r2 t)        d = direction of a corner (X, Y) of the board
+
+   The f with the smallest residual, as the median of the views, is the start. Directions need no division by z, so
+   corners beyond 90 degrees do no harm; cv2.fisheye.calibrate divides by it, and stops with an error.
+2. Intrinsics, coefficients and poses are optimised together (`block_least_squares.py`), with both cameras of a pair and
+   their relative pose in one problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.stereo.calibration.block_least_squares import BlockSolution, solve_blocks
+from track_range.stereo.calibration.board_views import BoardView
+from track_range.stereo.calibration.boards import CalibrationError
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.lenses.kannala_brandt import KANNALA_BRANDT, distorted_angle
+
+N_INTRINSICS = 8
+"""fx, fy, cx, cy, k1, k2, k3, k4."""
+
+_FOCAL_PER_WIDTH = np.geomspace(0.18, 3.0, 36)
+"""Focal lengths that are tried, as multiples of the image width: equidistant lenses of 318 to 19 degrees."""
+
+_LARGEST_RAD = np.pi * 0.98
+"""Largest angle from the axis of a corner at the start."""
+
+_N_STARTS = 3
+"""Number of the best focal lengths from which the optimisation starts."""
+
+
+@dataclass(frozen=True, slots=True)
+class FisheyeFit:
+    """The least-squares camera of some views.
+
+    Attributes:
+        camera: the camera.
+        poses: (V, 4, 4) board to camera.
+        std: (8,) standard deviations of the parameters for independent errors of the corners.
+    """
+
+    camera: PinholeCamera
+    poses: FloatArray
+    std: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class FisheyePairFit:
+    """The least-squares cameras of some pairs of views.
+
+    Attributes:
+        left, right: the cameras.
+        right_from_left: (4, 4) transform, metres.
+        poses: (V, 4, 4) board to left camera.
+    """
+
+    left: PinholeCamera
+    right: PinholeCamera
+    right_from_left: FloatArray
+    poses: FloatArray
+
+
+def fit_fisheye(views: Sequence[BoardView], start: PinholeCamera | None = None) -> FisheyeFit:
+    """The camera of all views; `start` = a camera near it, which saves the search for the focal length.
+
+    Raises:
+        CalibrationError: the views do not determine the camera.
+    """
+    starts = _initial_cameras(views) if start is None else [start]
+    solutions = [solution for camera in starts if (solution := _solved([views], [camera], None)) is not None]
+    if not solutions:
+        raise CalibrationError(_UNDETERMINED)
+    best = min(solutions, key=lambda solution: float(solution.residuals @ solution.residuals))
+    camera = _camera(best.common, views[0].size_px)
+    return FisheyeFit(camera, _matrices(best.of_views), np.sqrt(np.maximum(np.diag(best.covariance), 0.0)))
+
+
+def fit_fisheye_pair(
+    pairs: Sequence[tuple[BoardView, BoardView]], starts: tuple[PinholeCamera, PinholeCamera]
+) -> FisheyePairFit:
+    """Both cameras and their relative pose, from cameras that were fitted alone.
+
+    Raises:
+        CalibrationError: the pairs do not determine the rig.
+    """
+    views = [[pair[side] for pair in pairs] for side in (0, 1)]
+    in_left, in_right = (
+        np.stack([board_pose(camera, view) for view in side]) for camera, side in zip(starts, views, strict=True)
+    )
+    relative = in_right @ np.linalg.inv(in_left)
+    middle = int(np.argsort(relative[:, 0, 3])[len(relative) // 2])
+    solution = _solved(views, starts, relative[middle])
+    if solution is None:
+        raise CalibrationError(_UNDETERMINED)
+    left, right = (_camera(solution.common[side * N_INTRINSICS :], views[side][0].size_px) for side in (0, 1))
+    return FisheyePairFit(
+        left, right, _matrices(solution.common[None, 2 * N_INTRINSICS :])[0], _matrices(solution.of_views)
+    )
+
+
+_UNDETERMINED = (
+    "the views do not determine the camera; add views with the board tilted and in other parts of the image."
+)
+
+
+def board_pose(camera: PinholeCamera, view: BoardView) -> FloatArray:
+    """(4, 4) board to camera, from the directions of the corners that the camera images (direct linear transform).
+
+    Raises:
+        CalibrationError: fewer than four corners have a direction.
+    """
+    rays = camera.recorded_rays(view.xy_px)
+    known = np.isfinite(rays).all(axis=1)
+    if known.sum() < 4:
+        raise CalibrationError(_UNDETERMINED)
+    rays, board_m = rays[known], view.xyz_m[known, :2]
+    centre_m, scale_m = board_m.mean(axis=0), float(np.ptp(board_m))
+    plane = np.concatenate([(board_m - centre_m) / scale_m, np.ones((len(board_m), 1))], axis=1)
+    skew = np.cross(np.eye(3)[None], rays[:, None, :])  # rows e_i x d, so that skew @ v = d x v up to the sign
+    equations = np.einsum("nij,nk->nijk", skew, plane).reshape(-1, 9)
+    homography = np.linalg.svd(equations, full_matrices=False)[2][-1].reshape(3, 3)
+    homography *= np.sign(np.median((rays * (plane @ homography.T)).sum(axis=1)) or 1.0)
+    axes = homography[:, :2] / scale_m
+    scale = 2.0 / np.linalg.norm(axes, axis=0).sum()
+    first, second = axes.T * scale
+    u, _, vt = np.linalg.svd(np.stack([first, second, np.cross(first, second)], axis=1))
+    pose = np.eye(4)
+    pose[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    pose[:3, 3] = homography[:, 2] * scale - pose[:3, :2] @ centre_m
+    return pose
+
+
+def _initial_cameras(views: Sequence[BoardView]) -> list[PinholeCamera]:
+    """Equidistant lenses with the focal lengths that fit best, the best one first."""
+    width_px, height_px = views[0].size_px
+    centre_px = ((width_px - 1) / 2, (height_px - 1) / 2)
+    reach_px = max(float(np.linalg.norm(view.xy_px - centre_px, axis=1).max()) for view in views)
+    focal_px = [focal_px for focal_px in width_px * _FOCAL_PER_WIDTH if reach_px / focal_px < _LARGEST_RAD]
+    cameras = [
+        PinholeCamera(float(f), float(f), *centre_px, width_px, height_px, (0.0,) * 4, KANNALA_BRANDT.name)
+        for f in focal_px
+    ]
+    errors_px = [float(np.median([_pose_error_px(camera, view) for view in views])) for camera in cameras]
+    return [cameras[i] for i in np.argsort(errors_px)[:_N_STARTS]]
+
+
+def _pose_error_px(camera: PinholeCamera, view: BoardView) -> float:
+    """Root mean square residual of the linear pose of a view."""
+    pose = board_pose(camera, view)
+    projected = camera.recorded_px(view.xyz_m @ pose[:3, :3].T + pose[:3, 3])
+    squared = ((projected - view.xy_px) ** 2).sum(axis=1)
+    return float(np.sqrt(np.where(np.isfinite(squared), squared, camera.width_px**2).mean()))
+
+
+def _solved(
+    views: Sequence[Sequence[BoardView]], cameras: Sequence[PinholeCamera], right_from_left: FloatArray | None
+) -> BlockSolution | None:
+    """The optimum of one camera, or of two with their relative pose, from these values; None = undetermined.
+
+    Args:
+        views: the views of each camera.
+        cameras: initial cameras.
+        right_from_left: (4, 4) initial relative pose; None = one camera.
+    """
+    sides = [_Corners.of(side) for side in views]
+    order = np.argsort(np.concatenate([corners.rows_view for corners in sides]), kind="stable")
+    common = np.concatenate([_parameters(camera) for camera in cameras])
+    if right_from_left is not None:
+        common = np.concatenate([common, _vectors(right_from_left[None])[0]])
+
+    def residuals_of(common: FloatArray, poses: FloatArray) -> FloatArray:
+        matrices = _matrices(poses)
+        residuals = []
+        for side, corners in enumerate(sides):
+            in_camera = matrices if side == 0 else _matrices(common[None, -6:]) @ matrices
+            residuals.append(corners.residuals_px(common[side * N_INTRINSICS :], in_camera).ravel())
+        return np.concatenate(residuals)[order]
+
+    try:
+        poses = _vectors(np.stack([board_pose(cameras[0], view) for view in views[0]]))
+        n_residuals = np.sum([corners.n_residuals for corners in sides], axis=0)
+        return solve_blocks(residuals_of, n_residuals, common, poses)
+    except (np.linalg.LinAlgError, CalibrationError):
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class _Corners:
+    """Corners of all views of one camera: view (N,), positions on the board (N, 3), metres, and in the image (N, 2)."""
+
+    view: IntArray
+    xyz_m: FloatArray
+    xy_px: FloatArray
+
+    @classmethod
+    def of(cls, views: Sequence[BoardView]) -> _Corners:
+        """The corners of these views, in their order."""
+        index = np.repeat(np.arange(len(views)), [len(view.xy_px) for view in views])
+        return cls(
+            index, np.concatenate([view.xyz_m for view in views]), np.concatenate([view.xy_px for view in views])
+        )
+
+    @property
+    def rows_view(self) -> IntArray:
+        """(2 N,) view of each residual."""
+        return np.repeat(self.view, 2)
+
+    @property
+    def n_residuals(self) -> IntArray:
+        """(V,) number of residuals of each view."""
+        return 2 * np.bincount(self.view)
+
+    def residuals_px(self, intrinsics: FloatArray, board_to_camera: FloatArray) -> FloatArray:
+        """(N, 2) projected minus measured corners for intrinsics (8 or more,) and poses (V, 4, 4).
+
+        The polynomial is not limited to its increasing part, since it changes during the optimisation.
+        """
+        fx, fy, cx, cy, *k = intrinsics[:N_INTRINSICS].tolist()
+        matrices = board_to_camera[self.view]
+        x, y, z = (np.einsum("nij,nj->ni", matrices[:, :3, :3], self.xyz_m) + matrices[:, :3, 3]).T
+        r = np.maximum(np.hypot(x, y), 1e-12)
+        scale = distorted_angle(np.arctan2(r, z), k) / r
+        return np.stack([fx * x * scale + cx, fy * y * scale + cy], axis=1) - self.xy_px
+
+
+def _parameters(camera: PinholeCamera) -> FloatArray:
+    """(8,) fx, fy, cx, cy, k1 .. k4."""
+    return np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion])
+
+
+def _camera(parameters: FloatArray, size_px: tuple[int, int]) -> PinholeCamera:
+    """The camera with parameters (8 or more,)."""
+    fx, fy, cx, cy, *k = parameters[:N_INTRINSICS].tolist()
+    return PinholeCamera(fx, fy, cx, cy, *size_px, tuple(k), KANNALA_BRANDT.name)
+
+
+def _matrices(vectors: FloatArray) -> FloatArray:
+    """(V, 4, 4) transforms of rotation vectors and translations (V, 6)."""
+    matrices = np.tile(np.eye(4), (len(vectors), 1, 1))
+    matrices[:, :3, :3] = Rotation.from_rotvec(vectors[:, :3]).as_matrix()
+    matrices[:, :3, 3] = vectors[:, 3:]
+    return matrices
+
+
+def _vectors(matrices: FloatArray) -> FloatArray:
+    """(V, 6) rotation vectors and translations of transforms (V, 4, 4)."""
+    return np.concatenate([Rotation.from_matrix(matrices[:, :3, :3]).as_rotvec(), matrices[:, :3, 3]], axis=1)
