@@ -286,7 +286,7 @@ def without_outliers(
         fitted: gives the fits of some views, in their order.
     """
     used, rejected = list(views), []
-    n_min = max(MIN_VIEWS, round(_MIN_SHARE_USED * len(views)))
+    n_min = min_used(len(views))
     while len(used) > n_min:
         fits = fitted(used)
         rms_px = np.array([fit.rms_px for fit in fits])
@@ -299,6 +299,11 @@ def without_outliers(
         reason = f"outlier: residual {rms_px[worst]:.2f} px, median of the views {median_px:.2f} px"
         rejected.append(RejectedView(fits[worst].view.name, reason))
     return used, tuple(rejected)
+
+
+def min_used(n_views: int) -> int:
+    """Minimum number of views that are used of `n_views`."""
+    return max(MIN_VIEWS, round(_MIN_SHARE_USED * n_views))
 
 
 def leave_out_groups(

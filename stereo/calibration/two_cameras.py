@@ -36,6 +36,7 @@ from track_range.stereo.calibration.one_camera import (
     check_views,
     fit_camera,
     leave_out_groups,
+    min_used,
     pose_of,
     residuals_px,
     total_rms_px,
@@ -61,6 +62,10 @@ _MAX_ANGLE_DEG = 45.0
 
 _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-7)
 """Stop criteria of the optimisation: number of iterations and relative change."""
+
+_MOVED_RATIO = 2.0
+"""Ratio of a pair's residual in the joint fit to that in fits of the single cameras above which the board moved between
+its images. For wide lenses only: their boards are near, so that small movements show."""
 
 _MAX_RMS_RATIO = 5.0
 """Largest ratio of the joint fit's residual to the single cameras' residuals; above, the pairs are inconsistent."""
@@ -138,6 +143,7 @@ def calibrate_pair(
         check_motion([pair[side] for pair in pairs])
     models = _models(CameraModel(lens, n_distortion_coefficients), pairs)
     used, rejected = without_outliers(list(pairs), lambda subset: _fit(subset, models)[1])
+    used, moved = _without_moved_boards(used, min_used(len(pairs)), models) if lens != PINHOLE else (used, ())
     rig, fits = _fit(used, models)
     single_px = _single_rms_px(used, models)
     _check_consistency(single_px, fits)
@@ -164,7 +170,7 @@ def calibrate_pair(
         row_error_px=float(np.mean([fit.row_error_px for fit in fits])),
         held_out_row_error_px=float(np.mean(held_out_px)),
         fits=fits,
-        rejected=rejected,
+        rejected=(*rejected, *moved),
     )
 
 
@@ -186,11 +192,12 @@ def _models(model: CameraModel, pairs: Sequence[ViewPair]) -> Models:
 
 def _fit(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoRig, tuple[PairFit, ...]]:
     """The least-squares rig, starting from the calibrations of the single cameras."""
-    left, right = (fit_camera([pair[side] for pair in pairs], models[side])[0] for side in (0, 1))
-    if models[0].lens != PINHOLE:
-        fit = fit_fisheye_pair(pairs, (left, right))
+    starts = [model.start for model in models if model.start is not None]
+    if len(starts) == 2:
+        fit = fit_fisheye_pair(pairs, (starts[0], starts[1]))
         rig = StereoRig(fit.left, fit.right, fit.right_from_left)
         return rig, tuple(_pair_fit(rig, pair, pose) for pair, pose in zip(pairs, fit.poses, strict=True))
+    left, right = (fit_camera([pair[side] for pair in pairs], models[side])[0] for side in (0, 1))
     return _fit_pinholes(pairs, (left, right), models[0].n_distortion_coefficients)
 
 
@@ -233,6 +240,25 @@ def _camera_calibration(camera: PinholeCamera, fits: Sequence[ViewFit], std: Flo
     intrinsic_std = IntrinsicStd(*std.tolist())
     check_determined(intrinsic_std, camera)
     return CameraCalibration(camera, intrinsic_std, total_rms_px(fits), tuple(fits), (), coverage)
+
+
+def _without_moved_boards(
+    pairs: list[ViewPair], n_min: int, models: Models
+) -> tuple[list[ViewPair], tuple[RejectedView, ...]]:
+    """At least `n_min` pairs, without those in which the board moved between the images, and these, worst first."""
+    alone = [fit_camera([pair[side] for pair in pairs], models[side])[1] for side in (0, 1)]
+    alone_px = np.sqrt([(left.rms_px**2 + right.rms_px**2) / 2 for left, right in zip(*alone, strict=True)])
+    used, rejected = list(range(len(pairs))), []
+    while len(used) > n_min:
+        fits = _fit([pairs[i] for i in used], models)[1]
+        ratios = np.array([fit.rms_px for fit in fits]) / np.maximum(alone_px[used], 1e-6)
+        worst = int(ratios.argmax())
+        if not ratios[worst] > _MOVED_RATIO:
+            break
+        row = used.pop(worst)
+        reason = f"board moved between the images: residual {fits[worst].rms_px:.2f} px, alone {alone_px[row]:.2f} px"
+        rejected.append(RejectedView(pairs[row][0].name, reason))
+    return [pairs[i] for i in used], tuple(rejected)
 
 
 def _single_rms_px(pairs: Sequence[ViewPair], models: Models) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +32,7 @@ LENS_NAMES = {"pinhole": PINHOLE, "fisheye": KANNALA_BRANDT.name}
 """Names of the lens models by value of --lens."""
 
 _REACH_DEG = 5.0
-"""Angle by which the corners of the boards should reach at least as far from the axis as the images, degrees."""
+"""Angle by which images may reach farther from the optical axis than the corners of the boards, degrees."""
 
 _BOARD_M = (0.1, 20.0)
 """Plausible range of the median distance of the board, m; outside, --square-mm is probably wrong."""
@@ -164,9 +165,8 @@ def _warnings(search: BoardSearch, cameras: Mapping[str, CameraCalibration]) -> 
         warnings.append(f"the median distance of the boards is {distance_m:.3g} m; check --square-mm.")
     if float(np.median([view.edge_px for shot in search.shots for view in shot])) > _OUT_OF_FOCUS_PX:
         warnings.append("most images are out of focus; focus and lock the lens before calibrating.")
-    warnings += [
-        _reach_warning(name, calibration) for name, calibration in cameras.items() if calibration.camera.is_wide
-    ]
+    for name, calibration in cameras.items():
+        warnings += _reach_warnings(name, calibration)
     cameras_px = [calibration.camera for calibration in cameras.values()]
     sizes = {f"{camera.width_px}x{camera.height_px} px" for camera in cameras_px}
     if len(sizes) > 1:
@@ -176,11 +176,18 @@ def _warnings(search: BoardSearch, cameras: Mapping[str, CameraCalibration]) -> 
     return warnings
 
 
-def _reach_warning(name: str, calibration: CameraCalibration) -> str:
-    """How far from the optical axis the corners determine a wide lens."""
+def _reach_warnings(name: str, calibration: CameraCalibration) -> list[str]:
+    """A warning if the corners determine a wide lens not as far from its axis as its images reach."""
+    camera = calibration.camera
+    if not camera.is_wide:
+        return []
     corners_px = np.concatenate([fit.view.xy_px for fit in calibration.fits])
-    reach_deg = float(np.degrees(np.arccos(np.clip(calibration.camera.recorded_rays(corners_px)[:, 2], -1, 1))).max())
-    return (
-        f"{name}: corners reach {reach_deg:.0f} degrees from the optical axis, the image "
-        f"{field_of_view(calibration.camera).horizontal_deg / 2:.0f}; the lens is extrapolated beyond the corners."
-    )
+    reach_deg = float(np.degrees(np.nanmax(np.arccos(np.clip(camera.recorded_rays(corners_px)[:, 2], -1, 1)))))
+    image_deg = max(math.degrees(angle_rad) for angle_rad in field_of_view(camera))
+    if image_deg <= reach_deg + _REACH_DEG:
+        return []
+    return [
+        f"{name}: the corners reach {reach_deg:.0f} degrees from the optical axis, the image {image_deg:.0f}: the lens "
+        "model is extrapolated beyond the corners; show the board near the edges, and use at most --fov-deg "
+        f"{2 * reach_deg:.0f}."
+    ]

@@ -140,8 +140,8 @@ def _print_pair(pair: PairCalibration) -> None:
     left_px, right_px = pair.single_rms_px
     print_line(
         console,
-        f"Residuals of the cameras calibrated alone: left {left_px:.3f}, right {right_px:.3f} px RMS; a larger one of the "
-        "pairs is due to boards that moved between their images.",
+        f"Residuals of the cameras calibrated alone: left {left_px:.3f}, right {right_px:.3f} px RMS; a larger one of "
+        "the pairs is due to boards that moved between their images.",
     )
     print_line(
         console,
