@@ -21,6 +21,7 @@ from benchmarks.accuracy import (
     recall,
     tracking,
     warnings,
+    wide_lenses,
 )
 from benchmarks.accuracy.stereo_matching import alignment, occlusion, rig_health, stereo, surface_choice
 from benchmarks.fleet import faults, throughput
@@ -55,6 +56,7 @@ WORKLOADS = {
     "stereo": stereo,
     "surface_choice": surface_choice,
     "warnings": warnings,
+    "wide_lenses": wide_lenses,
     "writers": writers,
 }
 """Module of each workload, with `add_options(parser)` and `measure(options) -> figures`, which prints its tables."""

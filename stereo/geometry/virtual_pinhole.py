@@ -17,7 +17,8 @@ import numpy as np
 from track_range.stereo.geometry.camera import PinholeCamera
 
 FOV_LIMITS_DEG = (20.0, 120.0)
-"""Smallest and largest horizontal field of view of a virtual pinhole, degrees; the largest one is the default."""
+"""Smallest and largest horizontal field of view of a virtual pinhole, degrees (also in the option --fov-deg); the
+largest one is the default."""
 
 _MAX_HALF_HEIGHT_RAD = math.radians(45.0)
 """Largest angle above and below the axis that is shown; a road user that is cut there is nearer than the hood."""

@@ -74,6 +74,17 @@ def test_points_and_boxes_there_and_back(camera):
     assert np.allclose((boxes[:, :2] + boxes[:, 2:]) / 2, undistorted_px, atol=0.05)
 
 
+@pytest.mark.parametrize("camera", WIDE)
+def test_recorded_boxes_invert_the_undistortion_of_boxes(camera):
+    undistorter = Undistorter(camera, fov_deg=110)
+    rng = np.random.default_rng(0)
+    corner, size = rng.uniform((50, 50), (600, 350), (40, 2)), rng.uniform(5, 160, (40, 2))
+    recorded = np.concatenate([corner, corner + size], axis=1)
+    boxes = undistorter.boxes(recorded)
+    assert np.allclose(undistorter.boxes(undistorter.recorded_boxes(boxes)), boxes, atol=0.1)
+    assert undistorter.recorded_boxes(np.zeros((0, 4))).shape == (0, 4)
+
+
 def test_undistorted_spots_lie_where_the_pinhole_projects_them():
     points_m = np.array([[-2.0, 0.5, 4.0], [0.5, -0.8, 5.0], [3.0, 1.0, 4.0]])
     undistorter = Undistorter(FISHEYE)

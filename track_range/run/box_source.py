@@ -119,7 +119,10 @@ def _recorded(
     recorded = read_detections(path, default_class_id=class_id[0] if len(class_id) == 1 else 0, size_px=size_px)
     if not recorded.is_rectified:
         boxes = recorded.detections
-        recorded = replace(recorded, detections=replace(boxes, xyxy_px=rectified_boxes(boxes.xyxy_px)))
+        xyxy_px = rectified_boxes(boxes.xyxy_px)
+        shown = np.flatnonzero(np.isfinite(xyxy_px).all(axis=1))  # of wide lenses only a part of the field of view
+        boxes = replace(boxes, xyxy_px=xyxy_px).select(shown)
+        recorded = replace(recorded, frame=recorded.frame[shown], detections=boxes)
 
     def detect(frame: Frame) -> Detections:
         detections = recorded.at(frame.index)

@@ -38,6 +38,7 @@ def open_input(settings: RunSettings, progress: StepProgress = no_progress) -> R
         right,
         rig=settings.rig,
         focal_px=settings.focal_px,
+        fov_deg=settings.fov_deg,
         align=settings.align,
         start_s=settings.start_s,
         duration_s=settings.duration_s,

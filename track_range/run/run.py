@@ -245,7 +245,7 @@ class Run:
             self.settings,
             recording.calibration.rectified_boxes,
             lambda name: ready_model(name, self._console),
-            size_px=recording.size_px,
+            size_px=recording.inputs.size_px,
             opened=self._open_detector,
         )
 

@@ -125,6 +125,17 @@ class RunSettings(Options):
             allow_inf_nan=False,
         ),
     ] = None
+    fov_deg: Annotated[
+        float | None,
+        option(
+            "Horizontal field of view in degrees to which the images of a wide lens are undistorted (default: that of "
+            "the lens, at most 120).",
+            metavar="DEG",
+            panel=_INPUT,
+            ge=20,
+            le=120,
+        ),
+    ] = None
     start_s: Annotated[
         float,
         option(

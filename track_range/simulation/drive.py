@@ -8,6 +8,8 @@ contacts.csv            contacts of the ego vehicle, real and without braking (`
 image_2/, image_3/, disp_occ_0/, obj_map/           optional: pairs, disparities and objects in KITTI 2015's layout
 masks/, mask_ids/                                   optional: visible heads and number plates (`masks.py`)
 
+With wide lenses, boxes of the ground truth are in pixels of the undistorted images of a run without --fov-deg.
+
 Frame numbers are those of the left file: dropped frames have no number and no ground truth.
 """
 
@@ -43,6 +45,7 @@ from track_range.simulation.camera.kitti_rows import kitti_text
 from track_range.simulation.camera.masks import MaskFolder
 from track_range.simulation.camera.playback import play_back
 from track_range.simulation.camera.truth_table import HEADER, ego_speed_text, truth_rows
+from track_range.simulation.camera.wide_lens import WideLens
 from track_range.simulation.render.renderer import NOISE_GREY, Renderer, kitti_like_rig
 from track_range.simulation.world.contacts import find_contacts
 from track_range.simulation.world.scenarios import make_scenario
@@ -134,13 +137,14 @@ def write_drive(
         seed: random seed of the scene, textures, sensor noise and simulated detections.
         seconds: length of the drive.
         fps: frame rate.
-        rig: a rectified pair; None = KITTI's angle of view, 1240 x 376 px and 0.54 m. Odd image sizes grow by one, also
-            in the rig file.
+        rig: a rectified pair, or equal, parallel cameras with wide lenses; None = KITTI's angle of view, 1240 x 376 px
+            and 0.54 m. Odd image sizes grow by one, also in the rig file.
         options: scenario, faults and files; None = the defaults.
         progress: called after each frame with the number of finished frames and the total.
 
     Raises:
-        ValueError: less than one frame, an unknown scenario, or a rig that is not rectified.
+        ValueError: less than one frame, an unknown scenario, a rig that is not rectified, or disparities or masks of a
+            wide lens.
         OutputError, VideoError: the folder or a file in it cannot be written.
     """
     options = options or DriveOptions()
@@ -152,7 +156,11 @@ def write_drive(
     if options.car_size != 1.0:
         scene = scene.with_car_sizes(options.car_size)
     scene = replace(scene, camera_pitch_rad=math.radians(options.camera_pitch_deg))
-    renderer = Renderer(scene, rig, noise_grey=options.noise_grey, faults=options.faults)
+    wide_lens = WideLens.of(rig) if rig.left.is_wide else None
+    if wide_lens is not None and (options.has_disparity or options.has_masks):
+        raise ValueError("options: disparities and masks are those of a pinhole, and the rig has wide lenses")
+    rendered = rig if wide_lens is None else wide_lens.pinholes
+    renderer = Renderer(scene, rendered, noise_grey=options.noise_grey, faults=options.faults, wide_lens=wide_lens)
     make_folder(folder)
     drive = Drive.in_folder(folder, is_lossless=options.is_lossless)
     save_rig(options.faults.rig_in_file(rig), drive.rig)
@@ -172,7 +180,10 @@ def write_drive(
     ):
         recorder.write(left, right, pool, progress)
     truth = joined(recorder.labels)
-    detections = play_back(truth, seed=seed, image_size_px=(camera.width_px, camera.height_px))
+    pinhole = rendered.left
+    detections = play_back(truth, seed=seed, image_size_px=(pinhole.width_px, pinhole.height_px))
+    if wide_lens is not None:
+        detections = wide_lens.recorded_labels(detections)
     write_text(drive.truth, kitti_text(truth))
     write_text(drive.table, HEADER + "".join(recorder.rows))
     write_text(drive.ego_speed, ego_speed_text(scene, [times_s[k] for k in recorder.kept_left]))

@@ -46,7 +46,8 @@ class SimulationSettings(Options):
     rig: Annotated[
         Path | None,
         option(
-            "Calibration file of the rectified pair to simulate (default: KITTI's angle of view, 1240 x 376 pixels).",
+            "Calibration file of the pair to simulate, rectified or with equal, parallel wide lenses (default: KITTI's "
+            "angle of view, 1240 x 376 pixels).",
             panel=_DRIVE,
         ),
     ] = None

@@ -88,6 +88,8 @@ def _drive(settings: SimulationSettings, progress: StepProgress) -> Simulated:
         camera_pitch_deg=settings.camera_pitch_deg or 0.0,
     )
     rig, notes = (None, ()) if settings.rig is None else _rig(settings.rig)
+    if rig is not None and rig.left.is_wide and (settings.disparity or settings.masks):
+        raise UsageError("--disparity, --masks: expected a rig of pinholes, found a wide lens; omit these options.")
     with locked_output(settings.out), progress("rendering") as advance:
         drive = write_drive(
             settings.out,
@@ -118,6 +120,8 @@ def _rig(path: Path) -> tuple[StereoRig, tuple[str, ...]]:
         width_px, height_px = KITTI_SIZE_PX
         notes.append(f"Note: {path} contains no image size; KITTI's {width_px} x {height_px} px is used.")
         calibration = _resized(calibration, KITTI_SIZE_PX)
+    if calibration.left.is_wide:
+        return _wide_rig(calibration, path), tuple(notes)
     if not _is_nearly_rectified(calibration):
         raise RigError(
             f"{path}: expected a rectified pair (KITTI's calib.txt, or equal, parallel cameras without distortion); "
@@ -129,6 +133,22 @@ def _rig(path: Path) -> tuple[StereoRig, tuple[str, ...]]:
         old, new = (f"{camera.width_px} x {camera.height_px}" for camera in (rig.left, even.left))
         notes.append(f"Note: images of {new} px are rendered; videos need even sizes, and {path.name} has {old} px.")
     return even, tuple(notes)
+
+
+def _wide_rig(rig: StereoRig, path: Path) -> StereoRig:
+    """The pair with wide lenses, with an even image size.
+
+    Raises:
+        RigError: the cameras are not equal and parallel.
+    """
+    parallel = StereoRig.rectified(rig.left, rig.baseline_m)
+    is_parallel = np.allclose(rig.right_from_left, parallel.right_from_left, atol=1e-5)
+    if rig.left != rig.right or not is_parallel:
+        raise RigError(
+            f"{path}: expected equal, parallel cameras side by side for the simulation of wide lenses, found others; "
+            "copy 'left' to 'right' and use the identity as rotation."
+        )
+    return with_even_size(parallel)
 
 
 def _resized(rig: StereoRig, size_px: tuple[int, int]) -> StereoRig:

@@ -18,8 +18,9 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
-from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera, check_rig, fitted_to_size
+from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats.camera_info import camera_of, is_undistorted, rig_of
 from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_camera, load_rig, mounting_of
 from track_range.video.inputs import Inputs
@@ -50,6 +51,8 @@ class Calibration:
         rectifier: computes the rectified (one camera: undistorted) images.
         rig: the rectified pair; None = one camera, or a pair without calibration.
         raw_rig: the pair as loaded.
+        raw_camera: the left or only camera as loaded; None = as recorded images are.
+        fov_deg: horizontal field of view to which the images of wide lenses are undistorted; None = that of the lens.
         path: the calibration file; None = a focal length.
         left_from_reference_m: (3,) translation of labels from the rig's reference camera to the left camera's frame.
         file_notes: messages for the user about the file.
@@ -67,6 +70,8 @@ class Calibration:
     rectifier: Rectifier | Undistorter
     rig: StereoRig | None = None
     raw_rig: StereoRig | None = None
+    raw_camera: PinholeCamera | None = None
+    fov_deg: float | None = None
     path: Path | None = None
     left_from_reference_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     file_notes: tuple[str, ...] = ()
@@ -139,6 +144,7 @@ class Calibration:
                 self.raw_rig,
                 right_correction=view.matrix(self.camera),
                 shift_px=shift_px,
+                fov_deg=self.fov_deg,
                 source=self.path or "the rig",
             )
         return replace(self, rectifier=rectifier, alignment=alignment)
@@ -162,25 +168,41 @@ class Calibration:
         return replace(self, camera=camera, uncalibrated=pair, focal=guess)
 
 
-def find_calibration(left: VideoName, inputs: Inputs, *, rig: Path | None, focal_px: float | None) -> Calibration:
+def find_calibration(
+    left: VideoName, inputs: Inputs, *, rig: Path | None, focal_px: float | None, fov_deg: float | None = None
+) -> Calibration:
     """The calibration of opened videos: from the file `rig`, the focal length, the bag, or a file next to `left`.
 
     The first of these is used.
 
-    Without any of these, the focal length is estimated, and the distances are uncalibrated.
+    Without any of these, the focal length is estimated, and the distances are uncalibrated. Images of wide lenses are
+    undistorted to the horizontal field of view `fov_deg`, None = that of the lens up to 120 degrees.
 
     Raises:
-        RigError: the file cannot be used or does not fit the images.
+        RigError: the file cannot be used or does not fit the images; or there is a field of view, but no wide lens.
         VideoError: the videos of an uncalibrated pair differ in size.
     """
-    if rig is None and focal_px is None and (in_bag := _calibration_in_bag(inputs)) is not None:
+    calibration = _found_calibration(left, inputs, rig, focal_px, fov_deg)
+    if fov_deg is not None and (calibration.raw_camera is None or not calibration.raw_camera.is_wide):
+        raise RigError(
+            f"--fov-deg {fov_deg:g}: expected a calibration with a wide lens (kannala-brandt, double-sphere or omni), "
+            "found a pinhole; omit --fov-deg."
+        )
+    return replace(calibration, fov_deg=fov_deg)
+
+
+def _found_calibration(
+    left: VideoName, inputs: Inputs, rig: Path | None, focal_px: float | None, fov_deg: float | None
+) -> Calibration:
+    if rig is None and focal_px is None and (in_bag := _calibration_in_bag(inputs, fov_deg)) is not None:
         return in_bag
     first_file = next(iter(files_of(left)), None) if rig is None and focal_px is None else None
     neighbour = None if first_file is None else find_rig(first_file)
     search_notes = () if neighbour is None else (f"Using calibration {neighbour} found next to the left video.",)
     path = neighbour if rig is None else rig
     if path is not None:
-        loaded = _loaded_pair(path, inputs) if inputs.pairs is not None else _loaded_camera(path, inputs)
+        load = _loaded_pair if inputs.pairs is not None else _loaded_camera
+        loaded = load(path, inputs, fov_deg)
         return replace(loaded, search_notes=search_notes)
     guesses = () if focal_px is not None else _guesses(inputs)
     guess = best_guess(guesses) if focal_px is None else FocalGuess(focal_px, GIVEN_FOCAL_SIGMA, "--focal-px")
@@ -208,23 +230,24 @@ def _guesses(inputs: Inputs) -> tuple[FocalGuess, ...]:
     return (default_guess(inputs.size_px[0]),)
 
 
-def _loaded_pair(path: Path, inputs: Inputs) -> Calibration:
+def _loaded_pair(path: Path, inputs: Inputs, fov_deg: float | None) -> Calibration:
     is_grey = inputs.left.is_grey
     raw_rig, notes = load_rig(path, size_px=inputs.size_px, right_size_px=inputs.right_size_px, is_grey=is_grey)
-    rectifier = Rectifier(raw_rig, source=path)
+    rectifier = Rectifier(raw_rig, fov_deg=fov_deg, source=path)
     return Calibration(
         kind="rig",
         camera=rectifier.rig.left,
         rectifier=rectifier,
         rig=rectifier.rig,
         raw_rig=raw_rig,
+        raw_camera=raw_rig.left,
         path=path,
         left_from_reference_m=left_from_reference_m(path, is_grey=is_grey, size_px=inputs.size_px),
-        file_notes=notes,
+        file_notes=(*notes, *_wide_notes(raw_rig.left, rectifier.rig.left)),
     )
 
 
-def _calibration_in_bag(inputs: Inputs) -> Calibration | None:
+def _calibration_in_bag(inputs: Inputs, fov_deg: float | None) -> Calibration | None:
     """The calibration of the cameras in the bag or bags of a recording; None = not (all) calibrated."""
     bags = [reader.bag for reader in inputs.readers if isinstance(reader, VideoReader) and reader.bag is not None]
     messages = [bag.camera for bag in bags if bag.camera is not None]
@@ -235,37 +258,54 @@ def _calibration_in_bag(inputs: Inputs) -> Calibration | None:
     if len(messages) == 1:
         camera, notes = fitted_to_size(camera_of(messages[0], path, is_rectified=is_rectified), inputs.size_px, path)
         check_camera(camera, path)
-        undistorter = Undistorter(camera)
-        return Calibration(kind="rig", camera=undistorter.camera, rectifier=undistorter, path=path, file_notes=notes)
+        return _of_camera(camera, path, notes, fov_deg)
     given = rig_of(messages[0], messages[1], path, is_rectified=is_rectified)
     check_rig(given, path)
     left, left_notes = fitted_to_size(given.left, inputs.size_px, f"{path} (left)")
     right, right_notes = fitted_to_size(given.right, inputs.right_size_px, f"{path} (right)")
     rig = StereoRig(left, right, given.right_from_left)
-    rectifier = Rectifier(rig)
+    rectifier = Rectifier(rig, fov_deg=fov_deg)
     return Calibration(
         kind="rig",
         camera=rectifier.rig.left,
         rectifier=rectifier,
         rig=rectifier.rig,
         raw_rig=rig,
+        raw_camera=rig.left,
         path=path,
-        file_notes=(*left_notes, *right_notes),
+        file_notes=(*left_notes, *right_notes, *_wide_notes(rig.left, rectifier.rig.left)),
     )
 
 
-def _loaded_camera(path: Path, inputs: Inputs) -> Calibration:
+def _loaded_camera(path: Path, inputs: Inputs, fov_deg: float | None) -> Calibration:
     is_grey = inputs.left.is_grey
     camera, notes = load_camera(path, size_px=inputs.size_px, is_grey=is_grey)
-    undistorter = Undistorter(camera)
+    shift_m = left_from_reference_m(path, is_grey=is_grey, size_px=inputs.size_px)
+    loaded = _of_camera(camera, path, notes, fov_deg)
+    return replace(loaded, left_from_reference_m=shift_m, mounting=mounting_of(path))
+
+
+def _of_camera(camera: PinholeCamera, path: Path, notes: tuple[str, ...], fov_deg: float | None) -> Calibration:
+    undistorter = Undistorter(camera, fov_deg=fov_deg)
     return Calibration(
         kind="rig",
         camera=undistorter.camera,
         rectifier=undistorter,
+        raw_camera=camera,
         path=path,
-        left_from_reference_m=left_from_reference_m(path, is_grey=is_grey, size_px=inputs.size_px),
-        file_notes=notes,
-        mounting=mounting_of(path),
+        file_notes=(*notes, *_wide_notes(camera, undistorter.camera)),
+    )
+
+
+def _wide_notes(recorded: PinholeCamera, shown: PinholeCamera) -> tuple[str, ...]:
+    """A note on the part of a wide lens's field of view that is measured."""
+    if not recorded.is_wide:
+        return ()
+    lens, view = field_of_view(recorded), field_of_view(shown)
+    return (
+        f"The lens sees {lens.horizontal_deg:.0f} x {lens.vertical_deg:.0f} degrees; its images are undistorted to "
+        f"{view.horizontal_deg:.0f} x {view.vertical_deg:.0f} degrees, {shown.width_px}x{shown.height_px} px "
+        f"(--fov-deg), the rest is not measured.",
     )
 
 

@@ -62,8 +62,8 @@ class Recording:
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Width and height of the frames."""
-        return self.inputs.size_px
+        """Width and height of the rectified frames."""
+        return self.camera.width_px, self.camera.height_px
 
     @property
     def fps(self) -> float:
@@ -99,6 +99,7 @@ def open_recording(
     *,
     rig: str | Path | None = None,
     focal_px: float | None = None,
+    fov_deg: float | None = None,
     align: str | Path | Alignment = "auto",
     start_s: float = 0.0,
     duration_s: float | None = None,
@@ -116,6 +117,8 @@ def open_recording(
         right: the same; None = one camera.
         rig: calibration file: rig.yaml, KITTI's calib.txt, OpenCV's or Kalibr's; None = one next to `left`, if any.
         focal_px: focal length of cameras without a calibration file.
+        fov_deg: horizontal field of view, 20 to 120 degrees, to which the images of wide lenses are undistorted; None =
+            that of the lens, up to 120 degrees.
         align: disparity correction of a calibrated pair: "auto" = estimated from its first frames (at most 8 s),
             "off", an alignment file, or an alignment.
         start_s: start of the part to read, in seconds after the left video's first frame.
@@ -144,7 +147,8 @@ def open_recording(
     with ExitStack() as on_error:
         inputs = Inputs.open(left, right, start_s=start_s, duration_s=duration_s, folder_fps=folder_fps)
         on_error.callback(inputs.close)
-        calibration = find_calibration(left, inputs, rig=None if rig is None else Path(rig), focal_px=focal_px)
+        rig_path = None if rig is None else Path(rig)
+        calibration = find_calibration(left, inputs, rig=rig_path, focal_px=focal_px, fov_deg=fov_deg)
         monitors: tuple[Monitor, ...] = ()
         if calibration.uncalibrated is not None:
             calibration, monitors = _with_row_correction(calibration, inputs)

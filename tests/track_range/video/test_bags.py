@@ -303,9 +303,15 @@ def test_missing_package_is_named(
         VideoReader(bag)
 
 
-def test_fisheye_model_is_refused(tmp_path: Path) -> None:
+def test_fisheye_model(tmp_path: Path) -> None:
     message = CameraInfo((64, 48), "equidistant", (0.1, 0.2, 0.3, 0.4), np.eye(3), np.eye(3), np.eye(3, 4))
-    with pytest.raises(RigError, match="equidistant"):
+    assert camera_of(message, tmp_path, is_rectified=False).lens == "kannala-brandt"
+    assert camera_of(message, tmp_path, is_rectified=True).lens == "pinhole"
+
+
+def test_unknown_lens_model_is_refused(tmp_path: Path) -> None:
+    message = CameraInfo((64, 48), "fov", (0.1,), np.eye(3), np.eye(3), np.eye(3, 4))
+    with pytest.raises(RigError, match="fov"):
         camera_of(message, tmp_path, is_rectified=False)
 
 

@@ -18,6 +18,7 @@ from track_range.report.tables import Column, grid_of
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.virtual_pinhole import FieldOfView, field_of_view
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_calibration
 from track_range.stereo.rig_formats.registry import rig_writers
 
@@ -90,7 +91,8 @@ def _show(options: ShowOptions) -> None:
     print_grid(console, grid_of(str(options.source), "camera", list(cameras), columns))
     for name, camera in cameras.items():
         terms = ", ".join(f"{term:.5g}" for term in camera.distortion) or "none"
-        print_line(console, f"{name}: distortion coefficients {terms}.")
+        model = f" of the lens model {camera.lens}" if camera.is_wide else ""
+        print_line(console, f"{name}: distortion coefficients{model} {terms}.")
     if isinstance(calibration, StereoRig):
         _show_pair(calibration, options.source)
     for note in notes:
@@ -110,15 +112,14 @@ def _camera_columns(cameras: list[PinholeCamera]) -> list[Column]:
         Column("width px", [camera.width_px for camera in cameras], "{:.0f}"),
         Column("height px", [camera.height_px for camera in cameras], "{:.0f}"),
         *columns,
-        Column("horizontal deg", [_view_deg(camera.width_px, camera.cx_px, camera.fx_px) for camera in cameras]),
-        Column("vertical deg", [_view_deg(camera.height_px, camera.cy_px, camera.fy_px) for camera in cameras]),
+        Column("horizontal deg", [_field_of_view(camera).horizontal_deg for camera in cameras]),
+        Column("vertical deg", [_field_of_view(camera).vertical_deg for camera in cameras]),
     ]
 
 
-def _view_deg(side_px: int, centre_px: float, focal_px: float) -> float:
-    """Angle of view in degrees between the outer edges of the first and the last pixel, without distortion."""
-    first, last = (centre_px + 0.5) / focal_px, (side_px - 0.5 - centre_px) / focal_px
-    return math.degrees(math.atan(first) + math.atan(last))
+def _field_of_view(camera: PinholeCamera) -> FieldOfView:
+    """Angles of view between the outer edges of the first and the last pixel; of pinholes without distortion."""
+    return field_of_view(camera if camera.is_wide else camera.without_distortion())
 
 
 def _show_pair(rig: StereoRig, source: Path) -> None:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.camera.faults import NO_FAULTS, Faults, with_rain
+from track_range.simulation.camera.wide_lens import WideLens
 from track_range.simulation.render.canvas import Canvas
 from track_range.simulation.render.crowd import Crowd
 from track_range.simulation.render.night import lamps_of, night_image
@@ -70,13 +71,20 @@ class Renderer:
         rig: a rectified pair; the left camera is the scene's camera.
         noise_grey: standard deviation of the sensor noise in grey levels, 0 = none.
         faults: faults of the cameras.
+        wide_lens: lens of both cameras whose pinholes are `rig`; None = the pinholes. It changes images only.
 
     Attributes:
         bodies: faces of each road user in its frame.
     """
 
     def __init__(
-        self, scene: Scene, rig: StereoRig, *, noise_grey: float = NOISE_GREY, faults: Faults = NO_FAULTS
+        self,
+        scene: Scene,
+        rig: StereoRig,
+        *,
+        noise_grey: float = NOISE_GREY,
+        faults: Faults = NO_FAULTS,
+        wide_lens: WideLens | None = None,
     ) -> None:
         if not rig.is_rectified:
             raise ValueError("rig: expected a rectified pair of equal, parallel, undistorted cameras")
@@ -84,6 +92,7 @@ class Renderer:
         self.rig = rig
         self.noise_grey = noise_grey
         self.faults = faults
+        self.wide_lens = wide_lens
         self._store = TextureStore()
         rng = np.random.default_rng([scene.seed, 3])
         with ThreadPoolExecutor(1) as other:
@@ -154,8 +163,12 @@ class Renderer:
 
     def _exposed(self, canvas: Canvas, time_s: float, side: Side) -> Image:
         """The image of a drawing after lens, lighting, faults and sensor noise."""
-        lens = cv2.GaussianBlur(canvas.bgra, (3, 3), LENS_BLUR_SAMPLES)
-        small = cv2.resize(lens, self._size_px, interpolation=cv2.INTER_AREA)
+        samples = np.asarray(cv2.GaussianBlur(canvas.bgra, (3, 3), LENS_BLUR_SAMPLES), np.uint8)
+        is_lit = self.scene.is_night or self.faults.rain > 0  # both are added to the pinhole's pixels
+        if self.wide_lens is not None and not is_lit:
+            image = np.asarray(cv2.cvtColor(self.wide_lens.recorded(samples), cv2.COLOR_BGRA2BGR), np.uint8)
+            return self._with_noise(self.faults.apply(image, is_right=side == "right"), time_s, side)
+        small = cv2.resize(samples, self._size_px, interpolation=cv2.INTER_AREA)
         image = np.asarray(cv2.cvtColor(small, cv2.COLOR_BGRA2BGR), np.uint8)
         if self.scene.is_night:
             camera = self.rig.left if side == "left" else self.faults.right_camera(self.rig.left)
@@ -166,6 +179,8 @@ class Renderer:
         if self.faults.rain > 0:
             drops_seed = [self.scene.seed, 7, round(time_s * 1e6) % 2**32]
             image = with_rain(image, self.rig, drops_seed, rain=self.faults.rain, is_right=is_right)
+        if self.wide_lens is not None:
+            image = self.wide_lens.recorded(image)
         return self._with_noise(self.faults.apply(image, is_right=is_right), time_s, side)
 
     def _drawn(self, time_s: float, side: Side, *, has_labels: bool = False, solids: Crowd | None = None) -> Canvas:
