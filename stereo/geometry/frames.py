@@ -40,6 +40,7 @@ class Frame:
         right: rectified right image of equal size, in colour or grey, possibly computed only where it is read
             (`whole_image` gives all of it); None for one camera.
         utc_s: time of the frame in seconds since 1970-01-01 00:00 UTC; NaN = unknown.
+        recorded: left image of a wide lens before it was undistorted; None for other lenses.
     """
 
     index: int
@@ -47,3 +48,4 @@ class Frame:
     left: Image
     right: ImageView | None
     utc_s: float = math.nan
+    recorded: Image | None = None

@@ -78,7 +78,7 @@ def anonymized_results(
     for result, regions in with_regions(results, look_ahead):
         image = blurred(result.frame.left, regions, rng)
         image.flags.writeable = False
-        yield replace(result, frame=replace(result.frame, left=image), candidates=None)
+        yield replace(result, frame=replace(result.frame, left=image, recorded=None), candidates=None)
 
 
 def with_regions(results: Iterable[FrameResult], look_ahead: LookAhead) -> Iterator[tuple[FrameResult, Regions]]:
@@ -89,7 +89,9 @@ def with_regions(results: Iterable[FrameResult], look_ahead: LookAhead) -> Itera
     try:
         for result in results:
             history.add(result)
-            held.append(replace(result, frame=replace(result.frame, right=None)))  # whose memory is not needed
+            held.append(
+                replace(result, frame=replace(result.frame, right=None, recorded=None))
+            )  # whose memory is not needed
             while held and (len(held) > look_ahead.max_frames or result.time_s - held[0].time_s >= look_ahead.time_s):
                 yield _next(held, history)
     except (Exception, KeyboardInterrupt) as raised:  # every error is raised after the results before it

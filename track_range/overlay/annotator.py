@@ -18,11 +18,12 @@ from track_range.overlay.birds_eye import BirdsEye
 from track_range.overlay.colours import track_colour
 from track_range.overlay.label_layout import LabelPlacer
 from track_range.overlay.labels import BOLD, Lines, corner_lines, label_lines, text_sizes_px
-from track_range.overlay.marks import draw_box, draw_inner_windows, draw_lanes, draw_leader
+from track_range.overlay.marks import draw_box, draw_inner_windows, draw_lanes, draw_leader, draw_outline
 from track_range.overlay.text_renderer import TextRenderer
 from track_range.ranging.registry import methods
 from track_range.run.frame_result import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.recorded_view import RecordedView
 
 Status = Callable[[], Sequence[str]]
 """Returns short texts on the state of the run, such as the frame rate."""
@@ -39,6 +40,7 @@ class Overlay:
         camera: camera of the images, for the bird's-eye view.
         status: texts for the upper left corner, after frame number and time.
         warning: text in amber after these.
+        recorded: the recorded image of a wide lens to draw on, in which boxes are curved; None = the left image.
     """
 
     def __init__(
@@ -48,28 +50,32 @@ class Overlay:
         camera: PinholeCamera | None = None,
         status: Status = tuple,
         warning: str = "",
+        recorded: RecordedView | None = None,
     ) -> None:
         self.class_names = tuple(class_names)
+        self._recorded = recorded
         self._status, self._warning = status, warning
         self._text = TextRenderer()
         self._inset = BirdsEye(camera)
         self._placer = LabelPlacer()
 
     def draw(self, result: FrameResult) -> Image:
-        """A new (H, W, 3) uint8 BGR image: the left frame with its tracks drawn on it.
+        """A new (H, W, 3) uint8 BGR image: the left frame, or the recorded one, with its tracks drawn on it.
 
         Boxes may extend beyond the image; boxes with NaN are skipped; a NaN distance is shown as "-".
         """
-        canvas = result.frame.left.copy()
+        view = self._recorded
+        canvas = (result.frame.left if view is None or result.frame.recorded is None else result.frame.recorded).copy()
         line_px = text_sizes_px((canvas.shape[1], canvas.shape[0]))[2]
-        boxes = result.tracks.xyxy_px
+        boxes = result.tracks.xyxy_px if view is None else view.boxes(result.tracks.xyxy_px)
         valid = np.flatnonzero(np.isfinite(boxes).all(axis=1))
         nearest_first = valid[np.argsort(-boxes[valid, 3])].tolist()
         # Edges far outside the image are clipped: drawing takes 32-bit pixels, and time for each dash.
         size_px = np.array(canvas.shape[1::-1], np.float64)
         boxes = np.clip(boxes, -8.0 * line_px, np.tile(size_px, 2) + 8.0 * line_px)
         if result.lanes is not None:
-            draw_lanes(canvas, result.lanes, line_px=line_px)
+            moved = None if view is None else view.points
+            draw_lanes(canvas, result.lanes, line_px=line_px, moved=moved)
         self._draw_boxes(canvas, result, boxes, nearest_first[::-1])
         self._inset.draw(canvas, result)
         self._draw_labels(canvas, result, boxes, nearest_first)
@@ -81,6 +87,11 @@ class Overlay:
         uses_right = any("right_image" in method.needs and method.name in result.ranges for method in methods())
         observed = result.tracks.observed.tolist()
         colours = {row: track_colour(int(result.tracks.track_id[row])) for row in rows}
+        if self._recorded is not None:
+            outlines = self._recorded.outlines(result.tracks.xyxy_px)
+            for row in rows:
+                draw_outline(canvas, outlines[row], bgr=colours[row], line_px=line_px, dashed=not observed[row])
+            return
         for row in rows:
             draw_box(canvas, boxes[row], bgr=colours[row], line_px=line_px, dashed=not observed[row])
         matched = [row for row in rows if observed[row] and uses_right]

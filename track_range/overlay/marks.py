@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
@@ -46,6 +46,16 @@ def draw_box(canvas: Image, box: FloatArray, *, bgr: Bgr, line_px: int, dashed: 
     cv2.polylines(canvas, list(strokes), False, bgr, line_px)
 
 
+def draw_outline(canvas: Image, outline: FloatArray, *, bgr: Bgr, line_px: int, dashed: bool) -> None:
+    """Draw a closed curve (N, 2) with a dark border, dashed for a predicted box; parts with NaN are omitted."""
+    size_px = np.array(canvas.shape[1::-1], np.float64)
+    segments = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
+    segments = segments[np.isfinite(segments).all(axis=(1, 2))][:: 2 if dashed else 1]
+    strokes = list(np.rint(np.clip(segments, -size_px, 2 * size_px)).astype(np.int32))
+    cv2.polylines(canvas, strokes, False, BLACK, line_px + 2)
+    cv2.polylines(canvas, strokes, False, bgr, line_px)
+
+
 def draw_inner_windows(canvas: Image, boxes: FloatArray, colours: Sequence[Bgr]) -> None:
     """Draw the corners of the inner half of each box, which the patch matcher uses; small boxes are skipped."""
     halves = inner_halves(boxes, canvas.shape[:2], margin_px=0, min_side_px=_MIN_WINDOW_PX)
@@ -84,13 +94,20 @@ def _nearest(low: float, high: float, other_low: float, other_high: float) -> tu
     return round(start), round(end), shared_low - shared_high
 
 
-def draw_lanes(canvas: Image, lanes: LaneLines, *, line_px: int) -> None:
-    """Draw the lines of the ego lane over the range in which they were detected."""
+def draw_lanes(
+    canvas: Image,
+    lanes: LaneLines,
+    *,
+    line_px: int,
+    moved: Callable[[FloatArray], FloatArray] | None = None,
+) -> None:
+    """Draw the lines of the ego lane over the range in which they were detected; `moved` maps points to the canvas."""
     size_px = np.array(canvas.shape[1::-1], np.float64)
     for line in (lanes.left, lanes.right):
         if line is None:
             continue
-        along = np.clip(np.nan_to_num(points(line, n=_LANE_POINTS)), -size_px, 2 * size_px)
+        drawn = points(line, n=_LANE_POINTS)
+        along = np.clip(np.nan_to_num(drawn if moved is None else moved(drawn)), -size_px, 2 * size_px)
         stroke = [np.rint(along).astype(np.int32)]
         cv2.polylines(canvas, stroke, False, BLACK, line_px + 2)
         cv2.polylines(canvas, stroke, False, LANE_COLOUR, line_px, cv2.LINE_AA)

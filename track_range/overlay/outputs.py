@@ -21,21 +21,27 @@ def pictures(settings: RunSettings, source: Recording, status: Status = tuple) -
 
 def missing_outputs(settings: RunSettings, source: Recording) -> tuple[str, ...]:
     """Messages about requested videos that are not possible because the recording has no rig."""
+    lens = (
+        ("--overlay-recorded: the calibration has no wide lens, so the overlay shows the rectified images.",)
+        if settings.overlay_recorded and not source.calibration.has_wide_lens
+        else ()
+    )
     if source.rig is not None:
-        return ()
+        return lens
     disparity = ("No disparity.mp4: dense stereo requires a calibrated pair.",) if settings.disparity else ()
     below = (
         ("No disparities below the overlay: dense stereo requires a calibrated pair.",)
         if settings.overlay_disparity
         else ()
     )
-    return (*disparity, *below)
+    return (*lens, *disparity, *below)
 
 
 def overlay_picture(settings: RunSettings, source: Recording, status: Status = tuple) -> Draw:
     """Drawing function of a new overlay, with the disparities below it if requested and possible."""
     warning = "uncalibrated" if source.calibration.kind == "estimated" else ""
-    overlay = Overlay(camera=source.camera, status=status, warning=warning)
+    recorded = source.calibration.recorded_view if settings.overlay_recorded else None
+    overlay = Overlay(camera=source.camera, status=status, warning=warning, recorded=recorded)
     if settings.overlay_disparity and source.rig is not None:
         return StackedPicture(overlay, source.rig).draw
     return overlay.draw
@@ -43,6 +49,7 @@ def overlay_picture(settings: RunSettings, source: Recording, status: Status = t
 
 def video_format(name: str, settings: RunSettings, source: Recording) -> VideoFormat:
     """Size and frame rate of one of `pictures`."""
-    width_px, height_px = source.size_px
+    recorded = source.calibration.recorded_view if settings.overlay_recorded and name == "overlay" else None
+    width_px, height_px = source.size_px if recorded is None else recorded.size_px
     is_double = name == "overlay" and settings.overlay_disparity and source.rig is not None
     return VideoFormat((width_px, 2 * height_px if is_double else height_px), source.fps)

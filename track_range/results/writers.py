@@ -14,7 +14,7 @@ from pathlib import Path, PureWindowsPath
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
-from track_range.foundation.arrays import Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.entry_points import entry_points
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.atomic_files import describe
@@ -48,6 +48,11 @@ def left_image(result: FrameResult) -> Image | None:
     return result.frame.left if result.frame.left.size else None
 
 
+def same_boxes(xyxy_px: FloatArray) -> FloatArray:
+    """The boxes themselves: those of a video that is not rectified."""
+    return xyxy_px
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunInfo:
     """Properties of a run that are known before its first frame.
@@ -63,6 +68,7 @@ class RunInfo:
         overlay: annotated video of the run, finished before `close`; None = not written.
         shown_image: returns the (H, W, 3) uint8 BGR image of a frame that files may show, None if there is none.
             Writers take images from nowhere else.
+        recorded_boxes: function from boxes (N, 4) in pixels of the left images to boxes in pixels of the left video.
     """
 
     camera: PinholeCamera
@@ -74,6 +80,7 @@ class RunInfo:
     notes: tuple[str, ...] = ()
     overlay: Path | None = None
     shown_image: Callable[[FrameResult], Image | None] = left_image
+    recorded_boxes: Callable[[FloatArray], FloatArray] = same_boxes
 
 
 class ResultWriter(Protocol):
@@ -120,6 +127,7 @@ _registered: dict[str, WriterFactory | str] = {
     "mot": "track_range.results.formats.mot_file:MotWriter",
     "parquet": "track_range.results.formats.parquet_file:ParquetWriter",
     "kitti": "track_range.results.formats.kitti_file:KittiWriter",
+    "recorded": "track_range.results.formats.recorded_boxes_file:RecordedBoxesWriter",
     "mcap": "track_range.results.formats.mcap.writer:McapWriter",
     "rrd": "track_range.results.formats.rerun_file:RerunWriter",
 }

@@ -139,6 +139,7 @@ class RunSession:
             start_utc_s=None if self.source.utc is None else self.source.utc.start_s,
             provenance=self.provenance,
             notes=tuple(self.notes),
+            recorded_boxes=self.source.calibration.rectifier.recorded_boxes,
         )
 
     @property

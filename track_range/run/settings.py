@@ -379,6 +379,14 @@ class RunSettings(Options):
             old_names=("overlay_side",),
         ),
     ] = False
+    overlay_recorded: Annotated[
+        bool,
+        option(
+            "Overlay on the recorded images of a wide lens instead of the undistorted ones.",
+            flag="--overlay-recorded/--no-overlay-recorded",
+            panel=_OUTPUT,
+        ),
+    ] = False
 
     @model_validator(mode="before")
     @classmethod
@@ -490,6 +498,11 @@ class RunSettings(Options):
             raise ValueError(
                 "--overlay-disparity shows dense stereo below the overlay: it requires --stereo, and cannot be "
                 "combined with --no-sgbm or --no-overlay"
+            )
+        if self.overlay_recorded and (not self.overlay or self.overlay_disparity or self.anonymize):
+            raise ValueError(
+                "--overlay-recorded draws on the images as recorded: it cannot be combined with --no-overlay, "
+                "--overlay-disparity or --anonymize"
             )
         if self.disparity and (self.stereo is None or not self.sgbm):
             raise ValueError(

@@ -17,6 +17,7 @@ from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.geometry.recorded_view import RecordedView
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera, check_rig, fitted_to_size
@@ -122,6 +123,18 @@ class Calibration:
         )
 
     @property
+    def has_wide_lens(self) -> bool:
+        """Whether the left or only camera has a wide lens."""
+        return self.raw_camera is not None and self.raw_camera.is_wide
+
+    @property
+    def recorded_view(self) -> RecordedView | None:
+        """The recorded image behind the undistorted left images of a wide lens; None for other lenses."""
+        if self.raw_camera is None or not self.raw_camera.is_wide:
+            return None
+        return RecordedView(self.rectifier, (self.raw_camera.width_px, self.raw_camera.height_px))
+
+    @property
     def rectified_boxes(self) -> Callable[[FloatArray], FloatArray]:
         """Function from boxes (N, 4) in pixels of the left video to boxes in pixels of its rectified images."""
         return self.rectifier.boxes if isinstance(self.rectifier, Undistorter) else self.rectifier.left_boxes
@@ -183,7 +196,7 @@ def find_calibration(
         VideoError: the videos of an uncalibrated pair differ in size.
     """
     calibration = _found_calibration(left, inputs, rig, focal_px, fov_deg)
-    if fov_deg is not None and (calibration.raw_camera is None or not calibration.raw_camera.is_wide):
+    if fov_deg is not None and not calibration.has_wide_lens:
         raise RigError(
             f"--fov-deg {fov_deg:g}: expected a calibration with a wide lens (kannala-brandt, double-sphere or omni), "
             "found a pinhole; omit --fov-deg."

@@ -255,6 +255,9 @@ def _frames(
 def _frame(images: Images, calibration: Calibration, inputs: Inputs, utc: UtcStart | None = None) -> Frame:
     """The images of one time, cropped to their common size and rectified."""
     left, _ = images
-    left_image, right_image = calibration.rectified(*inputs.cut(images))
+    cut = inputs.cut(images)
+    left_image, right_image = calibration.rectified(*cut)
     time_s, start = left.time_s - inputs.left.first_time_s, utc or inputs.utc
-    return Frame(left.index, time_s, left_image, right_image, math.nan if start is None else start.start_s + time_s)
+    utc_s = math.nan if start is None else start.start_s + time_s
+    recorded = cut[0] if calibration.has_wide_lens else None
+    return Frame(left.index, time_s, left_image, right_image, utc_s, recorded)
