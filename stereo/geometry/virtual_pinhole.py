@@ -26,7 +26,7 @@ _MAX_HALF_HEIGHT_RAD = math.radians(45.0)
 _MARGIN_RAD = math.radians(0.5)
 """Margin of a rim that the lens does not image."""
 
-_SMALL_RAD = 1e-3
+_SMALL_RAD = 1e-5
 """Angle from the axis at which the resolution on the axis is measured."""
 
 _N_SAMPLES = 257
@@ -67,7 +67,7 @@ def axial_focal_px(camera: PinholeCamera) -> float:
     """Resolution on the optical axis, pixels per radian: the focal length of a pinhole with the same resolution."""
     if not camera.is_wide:
         return camera.fx_px
-    rays = np.array([[math.sin(_SMALL_RAD), 0.0, 1.0], [0.0, math.sin(_SMALL_RAD), 1.0]])
+    rays = np.array([[_SMALL_RAD, 0.0, 1.0], [0.0, _SMALL_RAD, 1.0]])
     offset_px = camera.recorded_px(rays) - (camera.cx_px, camera.cy_px)
     return math.sqrt(offset_px[0, 0] * offset_px[1, 1]) / _SMALL_RAD
 

@@ -18,6 +18,9 @@ from track_range.overlay.labels import (
     shown_name,
 )
 from track_range.ranging.filtering.collision_course import PassingOffsets
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.recorded_view import RecordedView
+from track_range.stereo.geometry.rectification import Undistorter
 
 
 def test_frame_is_not_modified() -> None:
@@ -214,3 +217,18 @@ def test_label_keeps_its_place() -> None:
         rows.append(bool((label > 284).any()))
     assert rows[0]
     assert rows[0] == rows[1]
+
+
+def test_boxes_are_curved_in_the_recorded_image_of_a_wide_lens() -> None:
+    lens = PinholeCamera(200.0, 200.0, 319.5, 199.5, 640, 400, (0.0,) * 4, "kannala-brandt")
+    undistorter = Undistorter(lens)
+    camera = undistorter.camera
+    box = [camera.cx_px + 150, camera.cy_px + 40, camera.cx_px + 300, camera.cy_px + 180]
+    shown = result([box], image=grey(camera.height_px, camera.width_px))
+    recorded = replace(shown, frame=replace(shown.frame, recorded=grey(400, 640)))
+    drawn = Overlay(camera=camera, recorded=RecordedView(undistorter, (640, 400))).draw(recorded)
+    assert drawn.shape == (400, 640, 3)
+    middle_px = undistorter.recorded_points(np.array([[box[2], (box[1] + box[3]) / 2], [box[2], box[3]]]))
+    for x, y in np.rint(middle_px).astype(int):
+        assert painted(drawn, track_colour(1))[y - 2 : y + 3, x - 2 : x + 3].any()
+    assert middle_px[0, 0] - middle_px[1, 0] > 4  # the right edge is curved
