@@ -25,7 +25,7 @@ _STEP = 1e-6
 """Relative step of the differences, at least as large as for a parameter of 1e-3."""
 
 _FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e8
-"""Damping of the first step, and above which no step reduces the residuals any more."""
+"""Damping of the first step, and the damping above which the minimum is reached."""
 
 _MAX_ITERATIONS = 100
 _TOLERANCE = 1e-9

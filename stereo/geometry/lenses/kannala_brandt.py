@@ -5,7 +5,7 @@
     m       = theta_d (x, y) / |(x, y)|
 
 The polynomial is used up to its first maximum, at most to 180 degrees. (Kannala and Brandt 2006: A Generic Camera Model
-and Calibration Method for Conventional, Wide-Angle, and Fish-Eye Lenses, equation 6 divided by k1.)
+and Calibration Method, IEEE TPAMI 28(8), equation 6 divided by k1; docs.opencv.org, fisheye camera model.)
 """
 
 from __future__ import annotations
