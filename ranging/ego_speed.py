@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -75,6 +75,12 @@ class EgoSpeed:
     source: str
     speed_sigma_mps: float = TABLE_SIGMA_MPS
     time_sigma_s: float = 0.0
+
+    def along(self, yaw_deg: float) -> EgoSpeed:
+        """The speed along an axis that is `yaw_deg` to the side of the camera's."""
+        share = math.cos(math.radians(yaw_deg))
+        sigma_mps = abs(share) * self.speed_sigma_mps
+        return replace(self, speed_mps=share * self.speed_mps, speed_sigma_mps=sigma_mps)
 
     def at(self, time_s: float) -> float:
         """Speed at `time_s` in m/s, NaN = unknown."""

@@ -25,7 +25,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS, check_rig
-from track_range.stereo.geometry.virtual_pinhole import axial_focal_px, virtual_pinhole
+from track_range.stereo.geometry.virtual_pinhole import axial_focal_px, view_from_camera, virtual_pinhole
 
 Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]
 """OpenCV's fixed-point maps: whole pixels and fractions."""
@@ -172,16 +172,17 @@ class Undistorter:
         camera: the camera.
         fov_deg: horizontal field of view to which the images of a wide lens are undistorted; None = that of the lens,
             up to 120 degrees.
+        yaw_deg: direction of the axis of the undistorted images of a wide lens, to the right of the camera's.
 
     Attributes:
         camera: the ideal camera of the undistorted images; its matrix is that of the distorted camera, or for a wide
             lens that of its virtual pinhole.
     """
 
-    def __init__(self, camera: PinholeCamera, *, fov_deg: float | None = None) -> None:
-        self.camera = virtual_pinhole(camera, fov_deg) if camera.is_wide else camera.without_distortion()
+    def __init__(self, camera: PinholeCamera, *, fov_deg: float | None = None, yaw_deg: float = 0.0) -> None:
+        self.camera = virtual_pinhole(camera, fov_deg, yaw_deg) if camera.is_wide else camera.without_distortion()
         self._size_px = (camera.width_px, camera.height_px)
-        self._view = _View(camera, np.eye(3), self.camera.matrix)
+        self._view = _View(camera, view_from_camera(yaw_deg), self.camera.matrix)
         size_px = (self.camera.width_px, self.camera.height_px)
         self._maps = _maps(self._view, size_px) if camera.is_distorted else None
 

@@ -5,6 +5,7 @@
 
 with the angles from the axis that the lens images, up to a limit. Objects on the axis keep their size in pixels;
 towards the edges a pinhole stretches the image by 1 / cos^2, which limits a useful field of view to about 120 degrees.
+Wider lenses need several virtual pinholes with axes in other directions.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import RigError
 
 FOV_LIMITS_DEG = (20.0, 120.0)
 """Smallest and largest horizontal field of view of a virtual pinhole, degrees (also in the option --fov-deg); the
@@ -23,8 +26,11 @@ largest one is the default."""
 _MAX_HALF_HEIGHT_RAD = math.radians(45.0)
 """Largest angle above and below the axis that is shown; a road user that is cut there is nearer than the hood."""
 
-_MARGIN_RAD = math.radians(0.5)
-"""Margin of a rim that the lens does not image."""
+_N_ANGLES = 1201
+"""Number of angles at which the reach of a lens is sampled, 0.05 degrees apart."""
+
+_MIN_SIDE_PX = 32
+"""Smallest width and height of a virtual pinhole's images."""
 
 _SMALL_RAD = 1e-5
 """Angle from the axis at which the resolution on the axis is measured."""
@@ -72,20 +78,53 @@ def axial_focal_px(camera: PinholeCamera) -> float:
     return math.sqrt(offset_px[0, 0] * offset_px[1, 1]) / _SMALL_RAD
 
 
-def virtual_pinhole(camera: PinholeCamera, fov_deg: float | None = None) -> PinholeCamera:
-    """The ideal pinhole with the axis of `camera`, the same resolution on it, and an even image size.
+def view_from_camera(yaw_deg: float) -> FloatArray:
+    """(3, 3) rotation from a camera's frame to that of a view whose axis is `yaw_deg` to the right of the camera's."""
+    sine, cosine = math.sin(math.radians(yaw_deg)), math.cos(math.radians(yaw_deg))
+    return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
+
+
+def virtual_pinhole(camera: PinholeCamera, fov_deg: float | None = None, yaw_deg: float = 0.0) -> PinholeCamera:
+    """The ideal pinhole with the resolution of `camera` on its axis, and an even image size.
 
     Args:
         camera: a camera with a wide lens.
         fov_deg: horizontal field of view within `FOV_LIMITS_DEG`; None = that of the lens up to the largest. What the
             lens does not image on one side is left out.
+        yaw_deg: direction of the pinhole's axis, to the right of the camera's.
+
+    Raises:
+        RigError: the lens images hardly anything in this direction.
     """
-    own = field_of_view(camera)
     half_rad = math.radians(FOV_LIMITS_DEG[1] if fov_deg is None else fov_deg) / 2
     focal_px = axial_focal_px(camera)
     left_px, right_px, up_px, down_px = (
-        focal_px * math.tan(min(angle_rad - _MARGIN_RAD, limit_rad))
-        for angle_rad, limit_rad in zip(own, (half_rad, half_rad, *[_MAX_HALF_HEIGHT_RAD] * 2), strict=True)
+        focal_px * math.tan(_reach_rad(camera, yaw_deg, across, limit_rad))
+        for across, limit_rad in (
+            *(((sign, 0.0), half_rad) for sign in (-1.0, 1.0)),
+            *(((0.0, sign), _MAX_HALF_HEIGHT_RAD) for sign in (-1.0, 1.0)),
+        )
     )
-    width_px, height_px = (2 * max(round(side_px / 2), 1) for side_px in (left_px + right_px, up_px + down_px))
+    width_px, height_px = (2 * round(side_px / 2) for side_px in (left_px + right_px, up_px + down_px))
+    if min(width_px, height_px) < _MIN_SIDE_PX:
+        raise RigError(
+            f"--yaw-deg {yaw_deg:g}: expected a direction that the lens sees, found {width_px}x{height_px} px of it; "
+            "choose one nearer to the middle of the image."
+        )
     return PinholeCamera(focal_px, focal_px, left_px - 0.5, up_px - 0.5, width_px, height_px)
+
+
+def _reach_rad(camera: PinholeCamera, yaw_deg: float, across: tuple[float, float], limit_rad: float) -> float:
+    """Largest angle from a view's axis up to which the camera images all directions of one half row or column.
+
+    Args:
+        camera: the camera.
+        yaw_deg: direction of the view's axis.
+        across: direction (x, y) of the half row or column in the view, of length 1.
+        limit_rad: largest result.
+    """
+    angles = np.linspace(0.0, limit_rad, _N_ANGLES)
+    rays = np.stack([np.sin(angles) * across[0], np.sin(angles) * across[1], np.cos(angles)], axis=1)
+    x, y = camera.recorded_px(rays @ view_from_camera(yaw_deg)).T
+    is_imaged = (x >= -0.5) & (x <= camera.width_px - 0.5) & (y >= -0.5) & (y <= camera.height_px - 0.5)
+    return float(angles[max(int(np.append(~is_imaged, True).argmax()) - 1, 0)])

@@ -9,9 +9,9 @@ import pytest
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import whole_image
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
-from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_rig, shared_view
-from track_range.stereo.geometry.virtual_pinhole import axial_focal_px, field_of_view, virtual_pinhole
+from track_range.stereo.geometry.virtual_pinhole import axial_focal_px, field_of_view, view_from_camera, virtual_pinhole
 
 FISHEYE = PinholeCamera(300.0, 300.0, 399.5, 249.5, 800, 500, (0.01, 0.002, -0.001, 0.0), "kannala-brandt")
 WIDE = [
@@ -34,7 +34,7 @@ def test_field_of_view():
 
 
 @pytest.mark.parametrize(
-    ("lens_deg", "fov_deg", "expected_deg"), [(100, None, 99), (190, None, 120), (190, 80, 80), (100, 120, 99)]
+    ("lens_deg", "fov_deg", "expected_deg"), [(100, None, 100), (190, None, 120), (190, 80, 80), (100, 120, 100)]
 )
 def test_width_of_the_virtual_pinhole(lens_deg, fov_deg, expected_deg):
     camera = equidistant(lens_deg)
@@ -72,6 +72,27 @@ def test_points_and_boxes_there_and_back(camera):
     assert np.allclose(undistorter.recorded_points(undistorted_px), xy_px, atol=1e-6)
     boxes = undistorter.boxes(np.concatenate([xy_px - 1, xy_px + 1], axis=1))
     assert np.allclose((boxes[:, :2] + boxes[:, 2:]) / 2, undistorted_px, atol=0.05)
+
+
+@pytest.mark.parametrize("yaw_deg", [-60, 45])
+def test_view_to_the_side(yaw_deg):
+    camera = equidistant(190.0)
+    undistorter = Undistorter(camera, fov_deg=60, yaw_deg=yaw_deg)
+    shown = undistorter.camera
+    assert field_of_view(shown).horizontal_deg == pytest.approx(60, abs=0.2)
+    middle = np.array([[np.sin(np.radians(yaw_deg)), 0.0, np.cos(np.radians(yaw_deg))]])
+    middle_px = undistorter.recorded_points(np.array([[shown.cx_px, shown.cy_px]]))
+    assert np.allclose(middle_px, camera.recorded_px(middle), atol=1e-6)
+    points_m = middle * 5 + np.array([[0.3, 0.4, 0.2], [-0.5, -0.2, 0.1]])
+    in_view_m = points_m @ view_from_camera(yaw_deg).T
+    assert np.allclose(undistorter.recorded_points(shown.project(in_view_m)), camera.recorded_px(points_m), atol=1e-6)
+    image = np.full((camera.height_px, camera.width_px), 200, np.uint8)
+    assert (undistorter.undistort(image)[shown.height_px // 2] == 200).all()
+
+
+def test_direction_that_the_lens_does_not_see():
+    with pytest.raises(RigError, match="--yaw-deg 80"):
+        Undistorter(equidistant(100.0), yaw_deg=80)
 
 
 @pytest.mark.parametrize("camera", WIDE)

@@ -50,6 +50,10 @@ def test_stereo_run(cli, drive, tmp_path):
     assert len(rows) == len(columns["frame"])
     boxes = np.stack([columns[f"{name}_px"] for name in ("x1", "y1", "x2", "y2")], axis=1)
     recorded = np.array([[float(row[f"{name}_px"]) for name in ("x1", "y1", "x2", "y2")] for row in rows])
+    points_m = [[row[name] for name in ("x_m", "y_m", "z_m")] for row in rows if row["z_m"]]
+    assert np.allclose(
+        np.array(points_m, float)[:, 2], columns["fused_m"][[bool(row["z_m"]) for row in rows]], atol=0.01
+    )
     assert np.allclose(recorded, Undistorter(LENS).recorded_boxes(boxes), atol=0.02)
     assert not np.allclose(recorded, boxes, atol=5)
 
@@ -63,6 +67,52 @@ def test_one_camera_with_a_field_of_view(cli, drive, tmp_path):
     assert "80 x" in printed
     camera = Undistorter(LENS, fov_deg=80).camera
     assert size_px(tmp_path / "run" / "overlay.mp4") == (camera.width_px, camera.height_px)
+
+
+@pytest.mark.slow
+def test_several_views(cli, drive, tmp_path):
+    save_camera(LENS, tmp_path / "camera.yaml")
+    options = ("--rig", tmp_path / "camera.yaml", "--fov-deg", 60, "--detections", drive.detections, "--no-overlay")
+    out = tmp_path / "out"
+    status, printed, errors = cli("--mono", drive.left, *options, "--views=40,-40,0", "--write", "csv", "--out", out)
+    assert status == 0, errors
+    assert "views.csv" in printed
+    assert "no lane lines" in printed
+    with (out / "views.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["view_deg"] for row in rows} == {"-40", "0", "40"}
+    assert [int(row["frame"]) for row in rows] == sorted(int(row["frame"]) for row in rows)
+    n_single = sum(len(recorded_boxes(out / f"view{name}")) for name in ("-40", "+0", "+40"))
+    assert len(rows) < n_single  # objects in two views have one row
+    with drive.table.open(newline="") as file:
+        truth = [row for row in csv.DictReader(file) if float(row["visible_share"]) > 0.8]
+    undistorter = Undistorter(LENS)
+    edges = np.array([[float(row[name]) for name in ("x1", "y1", "x2", "y2")] for row in truth])
+    recorded = undistorter.recorded_boxes(edges)
+    n_matched, errors_of_views = 0, {"-40": [], "0": [], "40": []}
+    for row in rows:
+        box = np.array([float(row[f"{name}_px"]) for name in ("x1", "y1", "x2", "y2")])
+        of_frame = [i for i, label in enumerate(truth) if label["frame"] == row["frame"]]
+        distance_px = np.abs(recorded[of_frame] - box).max(axis=1)
+        if row["z_m"] and distance_px.min() < 6:
+            true_m = float(truth[of_frame[int(distance_px.argmin())]]["distance_m"])
+            errors_of_views[row["view_deg"]].append(abs(float(row["z_m"]) / true_m - 1))
+            n_matched += 1
+    assert n_matched > 30
+    assert all(np.median(errors) < 0.15 for errors in errors_of_views.values())
+
+
+@pytest.mark.parametrize("views", ["0", "0,0", "left", "0,150", ""])
+def test_wrong_views(cli, small_drive, tmp_path, views):
+    status, _, errors = cli("--mono", small_drive.left, f"--views={views}", "--focal-px", 300, "--out", tmp_path)
+    assert status == 2
+    assert "--views" in errors
+
+
+def test_views_of_a_pair_are_refused(cli, small_drive, tmp_path):
+    pair = ("--stereo", small_drive.left, small_drive.right)
+    assert "--views" in cli(*pair, "--views=0,60", "--out", tmp_path)[2]
+    assert "--yaw-deg" in cli(*pair, "--yaw-deg", 60, "--out", tmp_path)[2]
 
 
 def test_field_of_view_needs_a_wide_lens(cli, small_drive, tmp_path):

@@ -9,15 +9,19 @@ from typing import Any
 
 import numpy as np
 
+from track_range.detection.boxes import area_px2
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
 from track_range.detection.detector import Detector, checked_detections
-from track_range.detection.formats.detection_files import read_detections
+from track_range.detection.formats.detection_files import RecordedDetections, read_detections
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.run.options.detector_options import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.frames import Frame
+
+_MIN_SHOWN = 0.5
+"""Smallest share of a recorded box inside the undistorted image of a wide lens, without which it is not used."""
 
 CANDIDATE_SCORE = np.where(np.isin(ROAD_CLASSES, ("person", "bicycle")), 0.02, 0.1)
 """(8,) minimum confidence of the candidates for anonymization by road class: low for people, since the regions of false
@@ -50,6 +54,7 @@ def open_box_source(
     ready_model: Callable[[str], Path],
     *,
     size_px: tuple[int, int] | None = None,
+    view_size_px: tuple[int, int] | None = None,
     opened: Callable[[Path, DetectorOptions], YoloDetector] = open_detector,
 ) -> BoxSource:
     """The detector or the recorded detections of the settings.
@@ -59,6 +64,8 @@ def open_box_source(
         rectified_boxes: converts (N, 4) boxes of the recorded images to rectified pixels.
         ready_model: returns the file of a model by name or path, downloading it first if necessary.
         size_px: (width, height) of the recorded images, which YOLO labels need; None = unknown.
+        view_size_px: (width, height) of the undistorted images of a wide lens, which do not show all recorded boxes;
+            None = they do.
         opened: returns the detector of a file and options.
 
     Raises:
@@ -67,7 +74,7 @@ def open_box_source(
     """
     class_id = tuple(int(i) for i in road_class_ids(settings.classes))
     if settings.detections is not None:
-        return _recorded(settings.detections, class_id, rectified_boxes, size_px)
+        return _recorded(settings.detections, class_id, rectified_boxes, size_px, view_size_px)
     path = ready_model(settings.detector or "")
     network = opened(path, DetectorOptions.of(settings))
     detector: Detector = network
@@ -114,15 +121,16 @@ def _recorded(
     class_id: tuple[int, ...],
     rectified_boxes: Callable[[FloatArray], FloatArray],
     size_px: tuple[int, int] | None,
+    view_size_px: tuple[int, int] | None,
 ) -> BoxSource:
     # MOTChallenge files have no classes: a single one in --classes applies, else person, as in MOTChallenge
     recorded = read_detections(path, default_class_id=class_id[0] if len(class_id) == 1 else 0, size_px=size_px)
     if not recorded.is_rectified:
         boxes = recorded.detections
-        xyxy_px = rectified_boxes(boxes.xyxy_px)
-        shown = np.flatnonzero(np.isfinite(xyxy_px).all(axis=1))  # of wide lenses only a part of the field of view
-        boxes = replace(boxes, xyxy_px=xyxy_px).select(shown)
-        recorded = replace(recorded, frame=recorded.frame[shown], detections=boxes)
+        boxes = replace(boxes, xyxy_px=rectified_boxes(boxes.xyxy_px))
+        recorded = replace(recorded, detections=boxes)
+        if view_size_px is not None:
+            recorded = _in_view(recorded, view_size_px)
 
     def detect(frame: Frame) -> Detections:
         detections = recorded.at(frame.index)
@@ -135,3 +143,13 @@ def _recorded(
         description={"detections": path.name},
         notes=lambda: recorded.notes,
     )
+
+
+def _in_view(recorded: RecordedDetections, size_px: tuple[int, int]) -> RecordedDetections:
+    """The boxes of which at least half is inside an image of `size_px`, cut at its edges."""
+    boxes = recorded.detections
+    cut_px = np.clip(boxes.xyxy_px, 0.0, np.tile(np.array(size_px, np.float64) - 1, 2))
+    share = area_px2(cut_px) / np.maximum(area_px2(boxes.xyxy_px), 1e-9)
+    shown = np.flatnonzero(share >= _MIN_SHOWN)  # false for NaN, behind the view
+    cut = replace(boxes, xyxy_px=cut_px).select(shown)
+    return replace(recorded, frame=recorded.frame[shown], detections=cut)

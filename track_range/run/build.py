@@ -29,6 +29,12 @@ from track_range.tracking.tracker import Tracker
 from track_range.video.pairs.uncalibrated import ASSUMED_BASELINE_M
 from track_range.video.recording import Recording, open_recording
 
+_SIDE_VIEW = (
+    "--yaw-deg: in a view to the side there are no lane lines, no horizon from image motion, no times to collision and "
+    "no collision warnings; distances are along the axis of the view."
+)
+"""Note of a run with a view to the side, along whose axis the vehicle does not drive."""
+
 
 def open_input(settings: RunSettings, progress: StepProgress = no_progress) -> Recording:
     """The recording of the settings; raises the errors of `open_recording`."""
@@ -39,6 +45,7 @@ def open_input(settings: RunSettings, progress: StepProgress = no_progress) -> R
         rig=settings.rig,
         focal_px=settings.focal_px,
         fov_deg=settings.fov_deg,
+        yaw_deg=settings.yaw_deg,
         align=settings.align,
         start_s=settings.start_s,
         duration_s=settings.duration_s,
@@ -73,6 +80,7 @@ def open_pipeline(
         TrackerError: the tracker cannot be created.
         MethodError: ranging methods of other packages depend on each other in a cycle.
     """
+    is_ahead = settings.yaw_deg == 0
     runtime = Runtime(n_threads=settings.threads, device=settings.device)
     pair = source.calibration.uncalibrated
     context = MethodContext(
@@ -85,7 +93,7 @@ def open_pipeline(
         size_model=size_model,
         camera_height_m=settings.camera_height_m or source.calibration.camera_height_m,
         lane_width_m=settings.lane_width_m,
-        has_lane_lines=settings.lanes != "off",
+        has_lane_lines=settings.lanes != "off" and is_ahead,
         has_dense_disparity=settings.sgbm,
         sgbm_options=settings.sgbm_options,
         runtime=runtime,
@@ -101,13 +109,15 @@ def open_pipeline(
         tracker=tracker or create_tracker(settings.tracker, tracker_options),
         rangers=create_rangers(context),
         lane_finder=open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None,
-        ego_speed=ego_speed,
-        odometry=_odometry(context, flow, road_motion) if settings.ego_speed == AUTO and ego_speed is None else None,
-        road_motion=road_motion,
-        warning=CollisionWarning(settings.warning_settings),
+        ego_speed=ego_speed if ego_speed is None or is_ahead else ego_speed.along(settings.yaw_deg),
+        odometry=_odometry(context, flow, road_motion)
+        if settings.ego_speed == AUTO and ego_speed is None and is_ahead
+        else None,
+        road_motion=road_motion if is_ahead else None,
+        warning=CollisionWarning(settings.warning_settings) if is_ahead else None,
         shared_sigma=context.focal_sigma,
         depths=LIVE_DEPTHS if source.inputs.live is not None else QueueDepths(),
-        notes=(*appearance_notes, *method_notes()),
+        notes=(*appearance_notes, *method_notes(), *(() if is_ahead else (_SIDE_VIEW,))),
     )
 
 

@@ -246,6 +246,7 @@ class Run:
             recording.calibration.rectified_boxes,
             lambda name: ready_model(name, self._console),
             size_px=recording.inputs.size_px,
+            view_size_px=recording.size_px if recording.calibration.has_wide_lens else None,
             opened=self._open_detector,
         )
 

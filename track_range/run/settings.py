@@ -136,6 +136,17 @@ class RunSettings(Options):
             le=120,
         ),
     ] = None
+    yaw_deg: Annotated[
+        float,
+        option(
+            "With --mono, direction in degrees to the right of the camera's axis to which the images of a wide lens "
+            "are undistorted.",
+            metavar="DEG",
+            panel=_INPUT,
+            ge=-120,
+            le=120,
+        ),
+    ] = 0.0
     start_s: Annotated[
         float,
         option(
@@ -314,7 +325,8 @@ class RunSettings(Options):
         tuple[str, ...],
         option(
             "Formats of the result files: csv (tracks.csv), mot (mot.txt), parquet (tracks.parquet), kitti "
-            "(kitti.txt), mcap (run.mcap, for Foxglove and ROS 2), rrd (run.rrd, for rerun), or "
+            "(kitti.txt), recorded (recorded_boxes.csv, in pixels of the video), mcap (run.mcap, for Foxglove and "
+            "ROS 2), rrd (run.rrd, for rerun), or "
             "formats of installed packages.",
             metavar="A,B,...",
             panel=_OUTPUT,
@@ -485,6 +497,10 @@ class RunSettings(Options):
             raise ValueError("give --detector or --detections, not both")
         if self.rig is not None and self.focal_px is not None:
             raise ValueError("give --rig or --focal-px, not both")
+        if self.yaw_deg and self.mono is None:
+            raise ValueError(
+                "--yaw-deg needs --mono: the right camera of a pair is to the side of the left one only ahead"
+            )
         if self.keep_gps and self.anonymize:
             raise ValueError("give --keep-gps or --anonymize, not both: positions show where people live")
         check_tracker(self.tracker, self.reid)

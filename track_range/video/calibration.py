@@ -42,6 +42,22 @@ CalibrationKind = Literal["rig", "focal length", "estimated"]
 """Source of the metric scale: a file, a given focal length, or the sizes of road users."""
 
 
+@dataclass(frozen=True, slots=True)
+class LensView:
+    """The part of a wide lens's field of view that its images are undistorted to.
+
+    Attributes:
+        fov_deg: horizontal field of view; None = that of the lens, up to 120 degrees.
+        yaw_deg: direction of its axis, to the right of the camera's; 0 for pairs.
+    """
+
+    fov_deg: float | None = None
+    yaw_deg: float = 0.0
+
+
+WHOLE_VIEW = LensView()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Calibration:
     """The camera models of a recording's rectified images.
@@ -53,7 +69,7 @@ class Calibration:
         rig: the rectified pair; None = one camera, or a pair without calibration.
         raw_rig: the pair as loaded.
         raw_camera: the left or only camera as loaded; None = as recorded images are.
-        fov_deg: horizontal field of view to which the images of wide lenses are undistorted; None = that of the lens.
+        view: the part of the field of view of wide lenses to which their images are undistorted.
         path: the calibration file; None = a focal length.
         left_from_reference_m: (3,) translation of labels from the rig's reference camera to the left camera's frame.
         file_notes: messages for the user about the file.
@@ -72,7 +88,7 @@ class Calibration:
     rig: StereoRig | None = None
     raw_rig: StereoRig | None = None
     raw_camera: PinholeCamera | None = None
-    fov_deg: float | None = None
+    view: LensView = WHOLE_VIEW
     path: Path | None = None
     left_from_reference_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     file_notes: tuple[str, ...] = ()
@@ -157,7 +173,7 @@ class Calibration:
                 self.raw_rig,
                 right_correction=view.matrix(self.camera),
                 shift_px=shift_px,
-                fov_deg=self.fov_deg,
+                fov_deg=self.view.fov_deg,
                 source=self.path or "the rig",
             )
         return replace(self, rectifier=rectifier, alignment=alignment)
@@ -182,32 +198,37 @@ class Calibration:
 
 
 def find_calibration(
-    left: VideoName, inputs: Inputs, *, rig: Path | None, focal_px: float | None, fov_deg: float | None = None
+    left: VideoName,
+    inputs: Inputs,
+    *,
+    rig: Path | None,
+    focal_px: float | None,
+    view: LensView = WHOLE_VIEW,
 ) -> Calibration:
     """The calibration of opened videos: from the file `rig`, the focal length, the bag, or a file next to `left`.
 
     The first of these is used.
 
     Without any of these, the focal length is estimated, and the distances are uncalibrated. Images of wide lenses are
-    undistorted to the horizontal field of view `fov_deg`, None = that of the lens up to 120 degrees.
+    undistorted to `view`.
 
     Raises:
         RigError: the file cannot be used or does not fit the images; or there is a field of view, but no wide lens.
         VideoError: the videos of an uncalibrated pair differ in size.
     """
-    calibration = _found_calibration(left, inputs, rig, focal_px, fov_deg)
-    if fov_deg is not None and not calibration.has_wide_lens:
+    calibration = _found_calibration(left, inputs, rig, focal_px, view)
+    if view != WHOLE_VIEW and not calibration.has_wide_lens:
         raise RigError(
-            f"--fov-deg {fov_deg:g}: expected a calibration with a wide lens (kannala-brandt, double-sphere or omni), "
-            "found a pinhole; omit --fov-deg."
+            "--fov-deg, --yaw-deg: expected a calibration with a wide lens (kannala-brandt, double-sphere or omni), "
+            "found a pinhole; omit these options."
         )
-    return replace(calibration, fov_deg=fov_deg)
+    return replace(calibration, view=view)
 
 
 def _found_calibration(
-    left: VideoName, inputs: Inputs, rig: Path | None, focal_px: float | None, fov_deg: float | None
+    left: VideoName, inputs: Inputs, rig: Path | None, focal_px: float | None, view: LensView
 ) -> Calibration:
-    if rig is None and focal_px is None and (in_bag := _calibration_in_bag(inputs, fov_deg)) is not None:
+    if rig is None and focal_px is None and (in_bag := _calibration_in_bag(inputs, view)) is not None:
         return in_bag
     first_file = next(iter(files_of(left)), None) if rig is None and focal_px is None else None
     neighbour = None if first_file is None else find_rig(first_file)
@@ -215,7 +236,7 @@ def _found_calibration(
     path = neighbour if rig is None else rig
     if path is not None:
         load = _loaded_pair if inputs.pairs is not None else _loaded_camera
-        loaded = load(path, inputs, fov_deg)
+        loaded = load(path, inputs, view)
         return replace(loaded, search_notes=search_notes)
     guesses = () if focal_px is not None else _guesses(inputs)
     guess = best_guess(guesses) if focal_px is None else FocalGuess(focal_px, GIVEN_FOCAL_SIGMA, "--focal-px")
@@ -243,10 +264,10 @@ def _guesses(inputs: Inputs) -> tuple[FocalGuess, ...]:
     return (default_guess(inputs.size_px[0]),)
 
 
-def _loaded_pair(path: Path, inputs: Inputs, fov_deg: float | None) -> Calibration:
+def _loaded_pair(path: Path, inputs: Inputs, view: LensView) -> Calibration:
     is_grey = inputs.left.is_grey
     raw_rig, notes = load_rig(path, size_px=inputs.size_px, right_size_px=inputs.right_size_px, is_grey=is_grey)
-    rectifier = Rectifier(raw_rig, fov_deg=fov_deg, source=path)
+    rectifier = Rectifier(raw_rig, fov_deg=view.fov_deg, source=path)
     return Calibration(
         kind="rig",
         camera=rectifier.rig.left,
@@ -256,11 +277,11 @@ def _loaded_pair(path: Path, inputs: Inputs, fov_deg: float | None) -> Calibrati
         raw_camera=raw_rig.left,
         path=path,
         left_from_reference_m=left_from_reference_m(path, is_grey=is_grey, size_px=inputs.size_px),
-        file_notes=(*notes, *_wide_notes(raw_rig.left, rectifier.rig.left)),
+        file_notes=(*notes, *_wide_notes(raw_rig.left, rectifier.rig.left, view)),
     )
 
 
-def _calibration_in_bag(inputs: Inputs, fov_deg: float | None) -> Calibration | None:
+def _calibration_in_bag(inputs: Inputs, view: LensView) -> Calibration | None:
     """The calibration of the cameras in the bag or bags of a recording; None = not (all) calibrated."""
     bags = [reader.bag for reader in inputs.readers if isinstance(reader, VideoReader) and reader.bag is not None]
     messages = [bag.camera for bag in bags if bag.camera is not None]
@@ -271,13 +292,13 @@ def _calibration_in_bag(inputs: Inputs, fov_deg: float | None) -> Calibration | 
     if len(messages) == 1:
         camera, notes = fitted_to_size(camera_of(messages[0], path, is_rectified=is_rectified), inputs.size_px, path)
         check_camera(camera, path)
-        return _of_camera(camera, path, notes, fov_deg)
+        return _of_camera(camera, path, notes, view)
     given = rig_of(messages[0], messages[1], path, is_rectified=is_rectified)
     check_rig(given, path)
     left, left_notes = fitted_to_size(given.left, inputs.size_px, f"{path} (left)")
     right, right_notes = fitted_to_size(given.right, inputs.right_size_px, f"{path} (right)")
     rig = StereoRig(left, right, given.right_from_left)
-    rectifier = Rectifier(rig, fov_deg=fov_deg)
+    rectifier = Rectifier(rig, fov_deg=view.fov_deg)
     return Calibration(
         kind="rig",
         camera=rectifier.rig.left,
@@ -286,39 +307,40 @@ def _calibration_in_bag(inputs: Inputs, fov_deg: float | None) -> Calibration | 
         raw_rig=rig,
         raw_camera=rig.left,
         path=path,
-        file_notes=(*left_notes, *right_notes, *_wide_notes(rig.left, rectifier.rig.left)),
+        file_notes=(*left_notes, *right_notes, *_wide_notes(rig.left, rectifier.rig.left, view)),
     )
 
 
-def _loaded_camera(path: Path, inputs: Inputs, fov_deg: float | None) -> Calibration:
+def _loaded_camera(path: Path, inputs: Inputs, view: LensView) -> Calibration:
     is_grey = inputs.left.is_grey
     camera, notes = load_camera(path, size_px=inputs.size_px, is_grey=is_grey)
     shift_m = left_from_reference_m(path, is_grey=is_grey, size_px=inputs.size_px)
-    loaded = _of_camera(camera, path, notes, fov_deg)
+    loaded = _of_camera(camera, path, notes, view)
     return replace(loaded, left_from_reference_m=shift_m, mounting=mounting_of(path))
 
 
-def _of_camera(camera: PinholeCamera, path: Path, notes: tuple[str, ...], fov_deg: float | None) -> Calibration:
-    undistorter = Undistorter(camera, fov_deg=fov_deg)
+def _of_camera(camera: PinholeCamera, path: Path, notes: tuple[str, ...], view: LensView) -> Calibration:
+    undistorter = Undistorter(camera, fov_deg=view.fov_deg, yaw_deg=view.yaw_deg)
     return Calibration(
         kind="rig",
         camera=undistorter.camera,
         rectifier=undistorter,
         raw_camera=camera,
         path=path,
-        file_notes=(*notes, *_wide_notes(camera, undistorter.camera)),
+        file_notes=(*notes, *_wide_notes(camera, undistorter.camera, view)),
     )
 
 
-def _wide_notes(recorded: PinholeCamera, shown: PinholeCamera) -> tuple[str, ...]:
+def _wide_notes(recorded: PinholeCamera, shown: PinholeCamera, view: LensView) -> tuple[str, ...]:
     """A note on the part of a wide lens's field of view that is measured."""
     if not recorded.is_wide:
         return ()
-    lens, view = field_of_view(recorded), field_of_view(shown)
+    lens, part = field_of_view(recorded), field_of_view(shown)
+    direction = f", {view.yaw_deg:+g} degrees to the right of its axis" if view.yaw_deg else ""
     return (
         f"The lens sees {lens.horizontal_deg:.0f} x {lens.vertical_deg:.0f} degrees; its images are undistorted to "
-        f"{view.horizontal_deg:.0f} x {view.vertical_deg:.0f} degrees, {shown.width_px}x{shown.height_px} px "
-        f"(--fov-deg), the rest is not measured.",
+        f"{part.horizontal_deg:.0f} x {part.vertical_deg:.0f} degrees{direction}, {shown.width_px}x{shown.height_px} "
+        "px (--fov-deg, --views); the rest is not measured.",
     )
 
 

@@ -20,7 +20,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.video.bags.bag import is_bag
-from track_range.video.calibration import Calibration, find_calibration
+from track_range.video.calibration import Calibration, LensView, find_calibration
 from track_range.video.frame import VideoError
 from track_range.video.inputs import Images, Inputs
 from track_range.video.names import BagTopic, VideoName, video_name
@@ -100,6 +100,7 @@ def open_recording(
     rig: str | Path | None = None,
     focal_px: float | None = None,
     fov_deg: float | None = None,
+    yaw_deg: float = 0.0,
     align: str | Path | Alignment = "auto",
     start_s: float = 0.0,
     duration_s: float | None = None,
@@ -119,6 +120,8 @@ def open_recording(
         focal_px: focal length of cameras without a calibration file.
         fov_deg: horizontal field of view, 20 to 120 degrees, to which the images of wide lenses are undistorted; None =
             that of the lens, up to 120 degrees.
+        yaw_deg: direction of the axis of the undistorted images of one camera with a wide lens, to the right of its
+            own.
         align: disparity correction of a calibrated pair: "auto" = estimated from its first frames (at most 8 s),
             "off", an alignment file, or an alignment.
         start_s: start of the part to read, in seconds after the left video's first frame.
@@ -148,7 +151,7 @@ def open_recording(
         inputs = Inputs.open(left, right, start_s=start_s, duration_s=duration_s, folder_fps=folder_fps)
         on_error.callback(inputs.close)
         rig_path = None if rig is None else Path(rig)
-        calibration = find_calibration(left, inputs, rig=rig_path, focal_px=focal_px, fov_deg=fov_deg)
+        calibration = find_calibration(left, inputs, rig=rig_path, focal_px=focal_px, view=LensView(fov_deg, yaw_deg))
         monitors: tuple[Monitor, ...] = ()
         if calibration.uncalibrated is not None:
             calibration, monitors = _with_row_correction(calibration, inputs)

@@ -31,6 +31,15 @@ class RunView(Options):
         Path | None,
         option("Settings of an earlier run (settings.yaml); other options override them.", panel="Input"),
     ] = None
+    views: Annotated[
+        str | None,
+        option(
+            "With --mono, several runs on one video of a wide lens, in these directions in degrees to the right of its "
+            "axis, in folders of the output folder, which also gets views.csv with the tracks of all of them.",
+            metavar="DEG,DEG,...",
+            panel="Input",
+        ),
+    ] = None
     show: Annotated[bool, option("Live view of the overlay in a browser.", panel="Output")] = False
     serve: Annotated[
         str | None,
@@ -58,9 +67,23 @@ def _run(**values: Any) -> None:
 
     view_options = RunView.of(given_values(RunView, values))
     settings = settings_from(_with_sources(given_values(RunSettings, values)), view_options.settings)
+    if view_options.views is not None:
+        _run_views(settings, view_options)
+        return
     view = open_view(show=view_options.show, serve=view_options.serve, n_viewers=view_options.viewers)
     with view or nullcontext():
         run_and_print(settings, console, view)
+
+
+def _run_views(settings: RunSettings, view_options: RunView) -> None:
+    from track_range.cli.console import console, print_line
+    from track_range.run.views import directions_deg, run_views
+
+    if view_options.show or view_options.serve is not None:
+        raise UsageError("--views makes several runs: it cannot be combined with --show or --serve.")
+    views_deg = directions_deg(view_options.views or "", settings)
+    path = run_views(settings, views_deg, lambda of_view: run_and_print(of_view, console))
+    print_line(console, f"Tracks of all views in {path}.")
 
 
 def run_and_print(

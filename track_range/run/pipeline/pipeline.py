@@ -95,7 +95,8 @@ class Pipeline:
         odometry: measures the motion of the camera, where `ego_speed` is None; None = off.
         road_motion: measures the horizon of the road and the yaw rate of the camera; None = off.
         image_motion: yaw rate of the camera, for the path of the ego vehicle, without `road_motion`; None = unknown.
-        warning: collision warning.
+        warning: collision warning; None = neither warnings nor times to collision, since the vehicle does not drive
+            along the camera's axis.
         shared_sigma: relative error shared by all methods, from an uncalibrated focal length.
         depths: queue depths of the threads.
         notes: messages for the user about the parts of the pipeline.
@@ -112,7 +113,7 @@ class Pipeline:
     odometry: Odometry | None = None
     road_motion: GroundOdometry | None = None
     image_motion: ImageMotionEstimator | None = None
-    warning: CollisionWarning = field(default_factory=CollisionWarning)
+    warning: CollisionWarning | None = field(default_factory=CollisionWarning)
     shared_sigma: float = 0.0
     depths: QueueDepths = field(default_factory=QueueDepths)
     notes: tuple[str, ...] = ()
@@ -172,7 +173,7 @@ class Pipeline:
                 ranges=self._with_shared_error(ranges),
                 closing_mps=-motion.rate_mps,
                 closing_sigma_mps=motion.rate_sigma_mps,
-                ttc_s=motion.ttc_s,
+                ttc_s=motion.ttc_s if self.warning is not None else np.full(len(tracks), np.nan),
                 ttc_sigma_s=motion.ttc_sigma_s,
                 xyz_m=self._points_m(tracks, ranges["fused"].distance_m),
                 disparity=next(
@@ -180,9 +181,9 @@ class Pipeline:
                 ),
                 lanes=lanes,
                 misses=passing_offsets(lateral, motion.ttc_s),
-                warnings=self.warning.update(
-                    tracks, motion, lateral, frame.time_s, ego_mps=ego_mps, yaw_rad_s=yaw_rad_s
-                ),
+                warnings=None
+                if self.warning is None
+                else self.warning.update(tracks, motion, lateral, frame.time_s, ego_mps=ego_mps, yaw_rad_s=yaw_rad_s),
                 candidates=candidates,
                 ego_mps=ego_mps,
                 ego_sigma_mps=ego.speed_sigma_mps,
