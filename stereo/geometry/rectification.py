@@ -253,8 +253,9 @@ class _View:
         """Boxes (N, 4) in pixels of the recorded image whose `boxes` are these of this view."""
         target = _moved_boxes(xyxy_px, self.recorded_points)
         recorded = target
-        for _ in range(_N_BOX_STEPS):  # midpoints of edges become points beside the midpoints
-            recorded = recorded + target - _moved_boxes(self.boxes(recorded), self.recorded_points)
+        with np.errstate(over="ignore", invalid="ignore"):  # of boxes far outside the image
+            for _ in range(_N_BOX_STEPS):  # midpoints of edges become points beside the midpoints
+                recorded = recorded + target - _moved_boxes(self.boxes(recorded), self.recorded_points)
         return recorded
 
 
