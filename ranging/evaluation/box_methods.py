@@ -226,4 +226,5 @@ def labelled_sizes(boxes: BoxSet) -> LabelledSizes:
         size_hwl_m=boxes.size_hwl_m,
         rotation_y_rad=boxes.rotation_y_rad,
         is_whole=(xyxy_px[:, 0] > 1.5) & (xyxy_px[:, 2] < border),
+        drive=boxes.sequence,
     )

@@ -2,7 +2,9 @@
 
 The samples of a size distribution are objects, not boxes: an object that is labelled in n frames has the weight n^0.8,
 not 1, since objects that are visible for long are also more frequent in other drives. The covariance over all drives
-covers the variation between objects and between drives. The standard size of a class counts as one more object.
+covers the variation between objects and between drives; the part between drives is estimated from the mean log heights
+of the drives by the method of moments (DerSimonian and Laird 1986), and averaged with a standard value. The standard
+size of a class counts as one more object.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.ranging.fitting.body_types import fit_body_types
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import CurveError
@@ -27,6 +30,9 @@ _OBJECT_POWER, _BOX_POWER = 0.8, -0.5
 
 _STANDARD_OBJECTS = 1.0
 """Weight of the standard size of a class, as a number of objects."""
+
+_STANDARD_DRIVES, _STANDARD_DRIVE_SIGMA = 6.0, 0.03
+"""Weight, as a number of drives, and value of the standard deviation of the mean log height of drives."""
 
 _UNIFORM_YAW_SHARE = 0.1
 """Fraction of objects with a uniformly distributed yaw, so that no yaw is impossible."""
@@ -74,6 +80,7 @@ class LabelledSizes:
         size_hwl_m: (N, 3) height, width, length of the 3-D box.
         rotation_y_rad: (N,) yaw of the 3-D box in KITTI's convention.
         is_whole: (N,) whether the box is not truncated by the image border.
+        drive: (N,) index of the drive.
     """
 
     size_class: npt.NDArray[np.str_]
@@ -84,6 +91,7 @@ class LabelledSizes:
     size_hwl_m: FloatArray
     rotation_y_rad: FloatArray
     is_whole: BoolArray
+    drive: IntArray
 
     def select(self, rows: BoolArray | IntArray) -> LabelledSizes:
         """The boxes selected by a mask or an index array."""
@@ -132,6 +140,7 @@ def _standard(name: str) -> SizePrior:
         n_boxes=0,
         n_tracks=0,
         source=f"standard size, not fitted: {source}",
+        bodies=fit_body_types(name, np.zeros((0, 3)), np.zeros(0)),
     )
 
 
@@ -155,6 +164,8 @@ def _fitted(name: str, labels: LabelledSizes, source: str) -> SizePrior:
         n_boxes=len(labels.object_id),
         n_tracks=len(counts),
         source=source,
+        drive_sigma=_drive_sigma(np.log(labels.size_hwl_m[first, 0]), labels.drive[first]),
+        bodies=fit_body_types(name, np.log(labels.size_hwl_m[first]), _object_weights(counts)),
     )
 
 
@@ -167,15 +178,37 @@ def _sizes(name: str, size_hwl_m: FloatArray, counts: IntArray) -> tuple[FloatAr
         counts: (M,) number of boxes of each object.
     """
     standard_m, sigma, _ = STANDARD_SIZES[name]
-    log_size, weight = np.log(size_hwl_m), counts.astype(np.float64) ** _OBJECT_POWER
-    n_effective = weight.sum() ** 2 / (weight**2).sum()
-    weight = weight / weight.sum() * n_effective
-    total = n_effective + _STANDARD_OBJECTS
+    log_size, weight = np.log(size_hwl_m), _object_weights(counts)
+    total = weight.sum() + _STANDARD_OBJECTS
     mean = (weight @ log_size + _STANDARD_OBJECTS * np.log(standard_m)) / total
     residual, standard_residual = log_size - mean, np.log(standard_m) - mean
     scatter = (residual * weight[:, None]).T @ residual
     scatter += _STANDARD_OBJECTS * (np.diag(np.square(sigma)) + np.outer(standard_residual, standard_residual))
     return mean, scatter / (total - 1.0)
+
+
+def _object_weights(counts: IntArray) -> FloatArray:
+    """(M,) weights of objects with the given numbers of boxes, which sum to the effective number of objects."""
+    weight = counts.astype(np.float64) ** _OBJECT_POWER
+    return np.asarray(weight * weight.sum() / (weight**2).sum())
+
+
+def _drive_sigma(log_height: FloatArray, drive: IntArray) -> float:
+    """Standard deviation of the mean log height of a drive, from (M,) objects and the standard value.
+
+    The weighted variance Q of the drives' means has the expected value (D - 1) s^2 + tau^2 (M - sum n_k^2 / M), for D
+    drives with n_k objects each, the variance s^2 of the objects of a drive, and the variance tau^2 of drives.
+    """
+    _, index, n = np.unique(drive, return_inverse=True, return_counts=True)
+    m, n_drives = len(log_height), len(n)
+    tau2 = 0.0
+    if 1 < n_drives < m:
+        means = np.bincount(index, log_height) / n
+        within = ((log_height - means[index]) ** 2).sum() / (m - n_drives)
+        Q = (n * (means - log_height.mean()) ** 2).sum()
+        tau2 = max((Q - (n_drives - 1) * within) / (m - (n**2).sum() / m), 0.0)
+    total = n_drives + _STANDARD_DRIVES
+    return round(float(np.sqrt((n_drives * tau2 + _STANDARD_DRIVES * _STANDARD_DRIVE_SIGMA**2) / total)), 4)
 
 
 def _yaw_weights(yaw_deg: FloatArray, weight: FloatArray) -> FloatArray:

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.validation import Integer, Number
+from track_range.ranging.size_models.drive_state import DriveState
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, Sigma, SizeClass, SizeRanges
 
 KIND = "log-linear"
@@ -79,7 +80,7 @@ class SizeCurves:
         self.height_only = dict(height_only)
         self._tables = np.stack([_table(self.height_only), _table(self.whole)])
 
-    def measure(self, boxes: BoxExtents) -> SizeRanges:
+    def measure(self, boxes: BoxExtents, drive: DriveState | None = None) -> SizeRanges:
         """Distances of the boxes, each ranged separately."""
         table = self._tables[boxes.uses_width.astype(np.int64), boxes.size_class]
         log_size = np.log(boxes.wh_over_f)

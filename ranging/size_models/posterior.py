@@ -2,13 +2,14 @@
 
     p(log d | box)  ~  p(log d)  sum_k w_k N(log h, log w; m_k(log d), S_k + R)  p(bottom | log d)
 
-The sum is over yaw bins and size classes k with prior weight w_k; m_k and S_k are mean and covariance of the log box
+The sum is over yaw bins and body types k with prior weight w_k; m_k and S_k are mean and covariance of the log box
 size, R the noise of the box. m_k is linear in log d about a node of the `ShapeTables`, so that without the bottom edge
 log d is a mixture of Gaussians. The likelihood of the bottom edge is not linear, so the product of both is evaluated on
 a grid of log d.
 
 The reported distance has the smallest expected relative error: it is the median under p(log d) / d. Sigma is half the
-width of the central 68 %, which a possible but unlikely class (a van detected as a car) does not widen.
+width of the central 68 %, or half the distance to the farther end of the central 95 % if it is larger: a second body
+type that is likely enough widens it, an unlikely one does not.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.size_models.prior import NODE_RANGE, ShapeTables
-from track_range.ranging.size_models.shared_ground import GroundContacts, GroundPrior, ground_from_others
+from track_range.ranging.size_models.shared_ground import GroundContacts, GroundFromOthers, GroundPrior
 from track_range.ranging.size_models.size_model import BoxExtents
 
 IMPOSSIBLE = -1e9
-"""Log probability of a size class that a box cannot have."""
+"""Log probability of a body type that a box cannot have."""
 
 _UNSEEN_VARIANCE = 1e4
 """Variance of the log width of a box truncated at a side: the width carries no information."""
@@ -32,8 +33,8 @@ _UNSEEN_VARIANCE = 1e4
 _MAX_NOISE = np.array([np.inf, 1.0], np.float32).reshape(2, 1, 1, 1)
 """Largest variance of log height and log width that counts as noise of the box, without `_UNSEEN_VARIANCE`."""
 
-N_TERMS = 9
-"""Number of Gaussians per box: the most likely yaw bins and classes."""
+N_TERMS = 24
+"""Number of Gaussians per box: the most likely yaw bins and body types."""
 
 _N_GRID = 37
 """Number of points of the grid of log distance."""
@@ -67,6 +68,9 @@ class SizeMixture:
         weight: (K, N) weights, which sum to 1 per box.
         frame_variance: (N,) part of the variance of log d that comes from the noise of the box.
         log_contact_ratio: (N,) log of the distance divided by that of the nearest point on the ground.
+        body: (K, N) index of each Gaussian's body type among the M possible ones.
+        chi2: (N,) smallest squared deviation of the box from the sizes of a body type, in units of its covariance, plus
+            twice the log of the weight of the most likely yaw and type over that of the best one.
     """
 
     mean: FloatArray
@@ -74,6 +78,8 @@ class SizeMixture:
     weight: FloatArray
     frame_variance: FloatArray
     log_contact_ratio: FloatArray
+    body: IntArray
+    chi2: FloatArray
 
     @property
     def moments(self) -> tuple[FloatArray, FloatArray]:
@@ -83,31 +89,38 @@ class SizeMixture:
         return mean, np.sqrt(variance)
 
 
-def mixture_by_size(tables: ShapeTables, boxes: BoxExtents, size_class: IntArray, log_share: FloatArray) -> SizeMixture:
+def mixture_by_size(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_share: FloatArray) -> SizeMixture:
     """Log distance of N boxes from their size, without the bottom edge.
 
     Args:
-        tables: shape tables of all classes.
+        tables: shape tables of all body types.
         boxes: N boxes.
-        size_class: (M, N) possible size classes of each box.
-        log_share: (M, N) log probability of each size class; `IMPOSSIBLE` = excluded.
+        body: (M, N) possible body types of each box.
+        log_share: (M, N) log probability of each body type; `IMPOSSIBLE` = excluded.
     """
-    terms = _terms(tables, boxes, size_class, log_share)
-    best = np.argpartition(-terms[0], N_TERMS, axis=0)[:N_TERMS]
+    terms = _terms(tables, boxes, body, log_share)
+    n_terms = min(N_TERMS, terms.shape[1])
+    best = np.argpartition(-terms[0], n_terms - 1, axis=0)[:n_terms]
     index = best * len(boxes) + np.arange(len(boxes))
-    log_weight, mean, variance, noise_variance, log_contact_ratio = (
-        terms.reshape(5, -1).take(index, axis=1).astype(np.float64)
+    log_weight, mean, variance, noise_variance, log_contact_ratio, chi2 = (
+        terms.reshape(len(terms), -1).take(index, axis=1).astype(np.float64)
     )
     weight = np.exp(log_weight - log_weight.max(axis=0))
     weight /= weight.sum(axis=0)
     return SizeMixture(
-        mean, variance, weight, (weight * noise_variance).sum(axis=0), (weight * log_contact_ratio).sum(axis=0)
+        mean=mean,
+        variance=variance,
+        weight=weight,
+        frame_variance=(weight * noise_variance).sum(axis=0),
+        log_contact_ratio=(weight * log_contact_ratio).sum(axis=0),
+        body=best % len(body),
+        chi2=chi2.min(axis=0),
     )
 
 
-def log_evidence(tables: ShapeTables, boxes: BoxExtents, size_class: IntArray, log_share: FloatArray) -> FloatArray:
+def log_evidence(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_share: FloatArray) -> FloatArray:
     """(N,) log likelihood of log height and log width of N boxes, up to a constant per box; arguments as above."""
-    log_weight = _terms(tables, boxes, size_class, log_share)[0].astype(np.float64)
+    log_weight = _terms(tables, boxes, body, log_share)[0].astype(np.float64)
     largest = log_weight.max(axis=0)
     return np.asarray(largest + np.log(np.exp(log_weight - largest).sum(axis=0)))
 
@@ -116,7 +129,7 @@ def log_evidence(tables: ShapeTables, boxes: BoxExtents, size_class: IntArray, l
 class _AtNodes:
     """N boxes relative to their nearest nodes, in single precision.
 
-    Arrays are (K, M, N), for K yaw bins and M classes, or broadcastable to that.
+    Arrays are (K, M, N), for K yaw bins and M body types, or broadcastable to that.
 
     Attributes:
         nodes: (11, K, M, N) node values (`ShapeTables.at`).
@@ -135,12 +148,12 @@ class _AtNodes:
     R: _Float32
 
 
-def _at_nodes(tables: ShapeTables, boxes: BoxExtents, size_class: IntArray) -> _AtNodes:
+def _at_nodes(tables: ShapeTables, boxes: BoxExtents, body: IntArray) -> _AtNodes:
     log_hw = np.log(boxes.wh_over_f.T[::-1])
-    log_height, mean_log_m, p0 = tables.typical.take(size_class, axis=1)
+    log_height, mean_log_m, p0 = tables.typical.take(body, axis=1)
     guess = log_height - log_hw[0]
     inside = np.minimum(np.maximum(guess, NODE_RANGE[0]), NODE_RANGE[1])
-    bearing_step, log_step, nodes = tables.at(size_class, np.abs(boxes.bearing), inside)
+    bearing_step, log_step, nodes = tables.at(body, np.abs(boxes.bearing), inside)
     scaled = log_hw[:, None] + (guess - inside)  # outside the nodes, size is inversely proportional to distance
     R = boxes.log_variance.T[::-1]
     R[1] += np.where(boxes.uses_width, 0.0, _UNSEEN_VARIANCE)
@@ -155,8 +168,8 @@ def _at_nodes(tables: ShapeTables, boxes: BoxExtents, size_class: IntArray) -> _
     )
 
 
-def _terms(tables: ShapeTables, boxes: BoxExtents, size_class: IntArray, log_share: FloatArray) -> _Float32:
-    """(5, K M, N) log weight, mean, variance, variance due to box noise, and log contact ratio of all K M Gaussians.
+def _terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_share: FloatArray) -> _Float32:
+    """(6, K M, N) log weight, mean, variance, variance due to box noise, log contact ratio, chi^2 of the Gaussians.
 
     With x = log d - log_m, slopes s of the log size at the node, V = S + R and prior x ~ N(x0, 1 / p0), the log size
     relative to the node is e = s x + N(0, V). Completing the square gives one Gaussian for x:
@@ -167,7 +180,7 @@ def _terms(tables: ShapeTables, boxes: BoxExtents, size_class: IntArray, log_sha
 
     For V = [v_h b; b v_w], in the code (a, c) = (v_h, v_w) / |V| and b / |V| are the entries of V^-1 = [c -b; -b a].
     """
-    at = _at_nodes(tables, boxes, size_class)
+    at = _at_nodes(tables, boxes, body)
     x0, p0, s, (b, log_contact_ratio, log_weight) = at.x0, at.p0, at.nodes[2:4], at.nodes[8:]
     V = at.nodes[6:8] + at.R
     scale = 1.0 / (V[0] * V[1] - b * b)  # 1 / |V|
@@ -180,14 +193,15 @@ def _terms(tables: ShapeTables, boxes: BoxExtents, size_class: IntArray, log_sha
     (a, c), (e_h, e_w) = V, at.e
     chi2 = (c * e_h - 2 * b * e_w) * e_h + a * e_w * e_w + x0 * x0 * p0 - p * x * x
     noise_variance = g * g * np.minimum(at.R, _MAX_NOISE)
-    terms = np.empty((5, *b.shape), np.float32)
+    log_weight = log_weight + _float32(log_share)
+    terms = np.empty((6, *b.shape), np.float32)
     terms[0] = log_weight - 0.5 * (chi2 + np.log(p / (scale * p0)))
-    terms[0] += log_share
     terms[1] = at.log_m + x
     terms[2] = 1.0 / p
     terms[3] = (noise_variance[0] + noise_variance[1]) / (p * p)
     terms[4] = log_contact_ratio
-    return terms.reshape(5, -1, len(boxes))
+    terms[5] = chi2 + 2.0 * (log_weight.max(axis=(0, 1)) - log_weight)
+    return terms.reshape(len(terms), -1, len(boxes))
 
 
 def _float32(values: FloatArray) -> _Float32:
@@ -201,15 +215,17 @@ class LogGrid:
     Attributes:
         log_m: (G, N) grid points, evenly spaced per box.
         density: (G, N) density, scaled to the maximum 1 per box.
+        by_term: (K, G, N) densities of the Gaussians of the mixture by size, which further evidence leaves unchanged.
     """
 
     log_m: FloatArray
     density: FloatArray
+    by_term: _Float32
 
     def times(self, likelihood: FloatArray) -> LogGrid:
         """The product with the likelihood (G, N) of further evidence."""
         density = self.density * likelihood
-        return LogGrid(self.log_m, density / np.maximum(density.max(axis=0), 1e-300))
+        return LogGrid(self.log_m, density / np.maximum(density.max(axis=0), 1e-300), self.by_term)
 
     def quantiles(self, levels: FloatArray, *, is_relative: BoolArray | None = None) -> FloatArray:
         """(L, N) log distance at the quantiles `levels` (L, 1) of the density, or of density / d if `is_relative`.
@@ -243,11 +259,17 @@ def on_grid(mixture: SizeMixture) -> LogGrid:
     np.exp(terms, out=terms)
     terms *= _float32(peak)[:, None]
     density = terms.sum(axis=0).astype(np.float64)
-    return LogGrid(log_m, density / density.max(axis=0))
+    return LogGrid(log_m, density / density.max(axis=0), terms)
 
 
 def ground_likelihood(
-    log_m: FloatArray, log_contact_ratio: FloatArray, *, contacts: GroundContacts, prior: GroundPrior
+    log_m: FloatArray,
+    log_contact_ratio: FloatArray,
+    *,
+    contacts: GroundContacts,
+    ground: GroundFromOthers,
+    prior: GroundPrior,
+    roughness: float,
 ) -> FloatArray:
     """(G, N) likelihood of the bottom edges at the distances of a grid, with the ground plane from the other objects.
 
@@ -255,34 +277,42 @@ def ground_likelihood(
         log_m: (G, N) log distances of the grid.
         log_contact_ratio: (N,) log of the distance divided by that of the nearest point on the ground.
         contacts: contact points of the N objects; the likelihood of those not on the ground is 1.
+        ground: ground plane at each object, from the others.
         prior: prior of the ground plane.
+        roughness: roughness lambda of the drive.
     """
-    ground = ground_from_others(contacts, prior)
     nearness = np.exp(log_contact_ratio - log_m)
     residual2 = (contacts.bottom - ground.horizon - ground.height_m * nearness) ** 2
-    edge_variance = contacts.edge_sigma**2
-    likelihood = _kerb_mixture(residual2, ground.variance + edge_variance, nearness, prior)
-    prior_only = ground.is_prior_only  # a Student's t prior of the horizon, instead of a Gaussian estimate
-    if prior_only.any():
-        variance = edge_variance[prior_only] + (prior.camera_height_sigma_m * nearness[:, prior_only]) ** 2
-        likelihood[:, prior_only] = sum(
+    edge_variance = contacts.edge_sigma**2 + roughness * (prior.roll_sigma * contacts.bearing) ** 2
+    kerbs = _Kerbs(prior.kerb_m, prior.rough_share, roughness)
+    likelihood = kerbs.likelihood(residual2, ground.variance + edge_variance, nearness)
+    alone = ground.is_prior_only  # a Student's t prior of the horizon, instead of a Gaussian estimate
+    if alone.any():
+        variance = edge_variance[alone] + (prior.camera_height_sigma_m * nearness[:, alone]) ** 2
+        likelihood[:, alone] = sum(
             weight
-            * _kerb_mixture(
-                residual2[:, prior_only], variance + (scale * prior.horizon_sigma) ** 2, nearness[:, prior_only], prior
-            )
+            * kerbs.likelihood(residual2[:, alone], variance + (scale * prior.horizon_sigma) ** 2, nearness[:, alone])
             for weight, scale in _T_COMPONENTS
         )
     return np.where(contacts.is_on_ground, likelihood + _NOT_ON_THE_ROAD, 1.0)
 
 
-def _kerb_mixture(residual2: FloatArray, variance: FloatArray, nearness: FloatArray, prior: GroundPrior) -> FloatArray:
-    """Likelihood of squared residuals for a mixture of contact points at the height of the road and off it (kerbs)."""
-    half, squared = -0.5 * residual2, nearness * nearness
-    smooth, rough = (
-        share * np.exp(half / total) / np.sqrt(total)
-        for share, total in (
-            (1 - prior.rough_share, variance + prior.kerb_m[0] ** 2 * squared),
-            (prior.rough_share, variance + prior.kerb_m[1] ** 2 * squared),
+@dataclass(frozen=True, slots=True)
+class _Kerbs:
+    """Mixture of contact points at the height of the road and off it (kerbs): see `GroundPrior`."""
+
+    kerb_m: tuple[float, float]
+    rough_share: float
+    roughness: float
+
+    def likelihood(self, residual2: FloatArray, variance: FloatArray, nearness: FloatArray) -> FloatArray:
+        """Likelihood of squared residuals with the rest `variance` of their variance."""
+        half, squared = -0.5 * residual2, self.roughness * nearness * nearness
+        smooth, rough = (
+            share * np.exp(half / total) / np.sqrt(total)
+            for share, total in (
+                (1 - self.rough_share, variance + self.kerb_m[0] ** 2 * squared),
+                (self.rough_share, variance + self.kerb_m[1] ** 2 * squared),
+            )
         )
-    )
-    return np.asarray(smooth + rough)
+        return np.asarray(smooth + rough)

@@ -1,8 +1,10 @@
 """SizePrior: prior of the size, yaw and distance of objects of a class; ShapeTables: the boxes that follow from it.
 
-    log (height, width, length) ~ N(mean, covariance)       over the objects of all drives
+    log (height, width, length) ~ sum_b share_b N(mean_b, covariance_b)     over the objects of all drives
     yaw                         ~ weights of a few angles to the camera's axis, the same to the left and right
-    log distance                ~ N(mean, sigma)            wide: it only makes 500 m unlikely
+    log distance                ~ N(mean, sigma)                            wide: it only makes 500 m unlikely
+
+The components b are body types (small van, high-roof van, lorry); classes whose sizes vary little have one.
 
 `ShapeTables` contain the geometry of `cuboid.py` at nodes of yaw, bearing and log distance, with slopes for linear
 interpolation, so that the boxes of a frame need a single look-up.
@@ -62,34 +64,18 @@ _Weight = Annotated[Number, Field(ge=0, le=100)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SizePrior:
-    """Prior of one class; the names of the attributes are keys of curve files.
+class BodySizes:
+    """Sizes of objects of one body type; the names of the attributes are keys of curve files.
 
     Attributes:
         hwl_m: typical height, width and length in metres.
         log_sigma: standard deviations of log height, log width and log length.
         correlation: correlations of log height and width, height and length, width and length.
-        turn_weights: probability of each yaw in `YAW_DEG`; they sum to 1.
-        log_distance: mean and standard deviation of log distance, in metres.
-        offset: mean of the log height and log width of boxes minus those of the cuboid.
-        scatter: standard deviations about `offset`, from shapes that are not cuboids (mirrors, swinging arms).
-        stands: whether objects of the class are on the road.
-        n_boxes: number of labels that the prior was fitted to; 0 = a standard size.
-        n_tracks: number of objects in these labels; 0 = a standard size.
-        source: origin of the values.
     """
 
     hwl_m: tuple[SizeM, SizeM, SizeM]
     log_sigma: tuple[Sigma, Sigma, Sigma]
     correlation: tuple[_Correlation, _Correlation, _Correlation]
-    turn_weights: tuple[_Weight, ...]
-    log_distance: tuple[_Log, Sigma]
-    offset: tuple[_Log, _Log]
-    scatter: tuple[Sigma, Sigma]
-    stands: bool
-    n_boxes: Integer
-    n_tracks: Integer
-    source: str
 
     @property
     def covariance(self) -> FloatArray:
@@ -98,40 +84,90 @@ class SizePrior:
         correlation = np.array([[1.0, hw, hl], [hw, 1.0, wl], [hl, wl, 1.0]])
         return np.asarray(correlation * np.outer(self.log_sigma, self.log_sigma))
 
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BodyType(BodySizes):
+    """One component of the sizes of a class.
+
+    Attributes:
+        name: name of the body type, such as "high roof".
+        share: probability of the type within the class.
+    """
+
+    name: str
+    share: Annotated[Number, Field(gt=0, le=1)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SizePrior(BodySizes):
+    """Prior of one class; the names of the attributes are keys of curve files. The sizes are those over all body types.
+
+    Attributes:
+        turn_weights: probability of each yaw in `YAW_DEG`; they sum to 1.
+        log_distance: mean and standard deviation of log distance, in metres.
+        offset: mean of the log height and log width of boxes minus those of the cuboid.
+        scatter: standard deviations about `offset`, from shapes that are not cuboids (mirrors, swinging arms).
+        stands: whether objects of the class are on the road.
+        n_boxes: number of labels that the prior was fitted to; 0 = a standard size.
+        n_tracks: number of objects in these labels; 0 = a standard size.
+        source: origin of the values.
+        drive_sigma: standard deviation of the mean log height of the objects of a drive, part of `log_sigma`.
+        bodies: body types whose mixture describes the sizes; empty = a single Gaussian.
+    """
+
+    turn_weights: tuple[_Weight, ...]
+    log_distance: tuple[_Log, Sigma]
+    offset: tuple[_Log, _Log]
+    scatter: tuple[Sigma, Sigma]
+    stands: bool
+    n_boxes: Integer
+    n_tracks: Integer
+    source: str
+    drive_sigma: Sigma = 0.03
+    bodies: tuple[BodyType, ...] = ()
+
+    @property
+    def components(self) -> tuple[tuple[float, BodySizes], ...]:
+        """Share and sizes of each body type; one for a class without body types."""
+        return tuple((body.share, body) for body in self.bodies) or ((1.0, self),)
+
     def faults(self) -> str:
         """Description of the first invalid value; empty = all are valid."""
         if len(self.turn_weights) != len(YAW_DEG) or sum(self.turn_weights) <= 0:
             return f"expected {len(YAW_DEG)} turn_weights, not all 0"
-        if not np.linalg.eigvalsh(self.covariance).min() > 0:
+        if not all(np.linalg.eigvalsh(sizes.covariance).min() > 0 for sizes in (self, *self.bodies)):
             return "the correlation matrix must be positive definite"
         return ""
 
 
 class ShapeTables:
-    """Boxes of all classes at nodes of yaw, bearing and log distance, as values with slopes.
+    """Boxes of all body types at nodes of yaw, bearing and log distance, as values with slopes.
 
     Attributes:
-        typical: (3, classes) log height, and mean and 1 / variance of log distance.
+        class_name: (B,) class of each body type.
+        share: (B,) probability of the body type within its class.
+        typical: (3, B) log height, and mean and 1 / variance of log distance.
     """
 
     def __init__(self, priors: Mapping[str, SizePrior]) -> None:
-        """Compute the nodes of every class from its prior, in about 15 ms per class."""
-        n = len(SIZE_CLASSES)
-        n_cells = len(_BEARINGS) * len(_LOG_M)
-        self._nodes = np.full((n * n_cells, N_NODE_VALUES * len(_YAW_RAD)), np.nan, np.float32)
-        self.typical = np.ones((3, n))
-        for name, prior in priors.items():
-            k = SIZE_CLASSES.index(name)
-            self._nodes[k * n_cells : (k + 1) * n_cells] = _nodes(prior).reshape(n_cells, -1)
-            self.typical[:, k] = np.log(prior.hwl_m[0]), prior.log_distance[0], prior.log_distance[1] ** -2
+        """Compute the nodes of every body type from its prior, in about 15 ms each."""
+        types = [(name, prior, share, sizes) for name, prior in priors.items() for share, sizes in prior.components]
+        self.class_name = tuple(name for name, *_ in types)
+        self.share = np.array([share for _, _, share, _ in types])
+        self._nodes = np.concatenate(
+            [_nodes(prior, sizes).reshape(len(_BEARINGS) * len(_LOG_M), -1) for _, prior, _, sizes in types]
+        )
+        self.typical = np.array(
+            [(np.log(sizes.hwl_m[0]), p.log_distance[0], p.log_distance[1] ** -2) for _, p, _, sizes in types]
+        ).T
 
     def at(
-        self, size_class: IntArray, bearing: FloatArray, log_m: FloatArray
+        self, body: IntArray, bearing: FloatArray, log_m: FloatArray
     ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.float32]]:
-        """The nodes nearest to the bearing and log distance of N boxes, for M classes each.
+        """The nodes nearest to the bearing and log distance of N boxes, for M body types each.
 
         Args:
-            size_class: (M, N) size classes.
+            body: (M, N) body types.
             bearing: (N,) |tan bearing|.
             log_m: (M, N) log distance within `NODE_RANGE`.
 
@@ -144,14 +180,14 @@ class ShapeTables:
         b = np.minimum((bearing / _BEARING_STEP + 0.5).astype(np.int64), len(_BEARINGS) - 1)
         d = ((log_m - _LOG_M[0]) / _LOG_STEP + 0.5).astype(np.int64)
         bearing_step = np.minimum(bearing - b * _BEARING_STEP, _BEARING_STEP)
-        nodes = self._nodes.take((size_class * len(_BEARINGS) + b) * len(_LOG_M) + d, axis=0)
+        nodes = self._nodes.take((body * len(_BEARINGS) + b) * len(_LOG_M) + d, axis=0)
         nodes = np.ascontiguousarray(nodes.reshape(log_m.size, -1).T)
         return bearing_step, log_m - _LOG_M[d], nodes.reshape(N_NODE_VALUES, len(_YAW_RAD), *log_m.shape)
 
 
-@lru_cache(maxsize=2 * len(SIZE_CLASSES))
-def _nodes(prior: SizePrior) -> Floats:
-    """(bearings, distances, 11, yaw bins) node values of one class; read-only, since equal priors share them."""
+@lru_cache(maxsize=4 * len(SIZE_CLASSES))
+def _nodes(prior: SizePrior, sizes: BodySizes) -> Floats:
+    """(bearings, distances, 11, yaw bins) node values of one body type; read-only, since equal priors share them."""
     bearing, log_m, yaw = (axis.astype(np.float32) for axis in np.ix_(_BEARINGS, _LOG_M, _YAW_RAD))
     box_for = partial(
         box_of_cuboid,
@@ -160,7 +196,7 @@ def _nodes(prior: SizePrior) -> Floats:
         distance_m=np.exp(log_m),
         camera_height_m=NODE_CAMERA_HEIGHT_M,
     )
-    mean = np.log(prior.hwl_m).astype(np.float32)
+    mean = np.log(sizes.hwl_m).astype(np.float32)
     typical = box_for(mean)
     value = _log_size(typical)
     by_size = np.stack(
@@ -170,9 +206,8 @@ def _nodes(prior: SizePrior) -> Floats:
             for step in (_SIZE_STEP * np.identity(3)).astype(np.float32)
         ]
     )
-    a, c, b = (
-        np.einsum("i...,ij,j...", by_size[:, i], prior.covariance, by_size[:, j]) for i, j in ((0, 0), (1, 1), (0, 1))
-    )
+    covariance = sizes.covariance
+    a, c, b = (np.einsum("i...,ij,j...", by_size[:, i], covariance, by_size[:, j]) for i, j in ((0, 0), (1, 1), (0, 1)))
     a, c = a + prior.scatter[0] ** 2, c + prior.scatter[1] ** 2
     slopes = [np.gradient(value, step, axis=axis) for axis, step in ((2, _LOG_STEP), (1, _BEARING_STEP))]
     value += np.array(prior.offset, np.float32)[:, None, None, None]

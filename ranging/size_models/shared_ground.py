@@ -1,12 +1,14 @@
 """Ground plane common to the objects of one frame: horizon and camera height from their sizes and bottom edges.
 
-    y_i = y0 + H x_i,   x_i = 1 / z_i        y_i: bottom edge, y0: horizon, as tangents below the camera's axis
-                                             z_i: distance of the contact point by size, H: camera height
+    y_i = y0 + H x_i + r_i                  y_i: bottom edge, y0: horizon, as tangents below the camera's axis
+    x_i = 1 / z_i                           z_i: distance of the contact point by size, H: camera height
+    var r_i = (roll b_i)^2 + (kerb x_i)^2   b_i: tangent of the bearing
 
-z_i has a relative error of about 8 %, and contact points are 0.14 m above or below the road on KITTI, 0.5 m for
-a fifth of the objects (kerbs, camber, hills). Both matter little for far objects, which determine the horizon for the
-near ones. y0 and H are estimated for each object from the other objects only, so that they are independent of its size.
-The estimate is from a single frame; a horizon tracked over time can be given as the prior.
+z_i has a relative error of about 8 %. On KITTI, contact points within 4 m of the camera's axis are 0.1 m above or
+below the plane, those at 8-14 m 0.36 m, at 14-25 m 0.6 m: cross slopes, roll and side roads, which act as an angle
+times the bearing. Far objects, whose contact points matter little, determine the horizon for the near ones. y0 and H
+are estimated for each object from the other objects only, so that they are independent of its size: those of the frame,
+and those that were seen earlier in the drive (`drive_state`), between which the pitch has changed.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from pydantic import Field
 
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.validation import Number
+from track_range.ranging.size_models.drive_state import DriveState, GroundTerms
 from track_range.ranging.size_models.size_model import Sigma
 
 _N_ITERATIONS = 3
@@ -39,16 +42,22 @@ class GroundPrior:
         camera_height_sigma_m: standard deviation of H.
         horizon: mean of the horizon y0, a tangent below the camera's axis.
         horizon_sigma: scale of y0, with long tails (Student's t with 2 degrees of freedom).
-        kerb_m: standard deviations of the height of contact points above the road, for most objects and for the
-            fraction `rough_share`; twice the measured ones, since neighbouring objects have correlated heights.
+        pitch_sigma: standard deviation of y0 over the time of a drive, by pitch and slope.
+        roll_sigma: standard deviation of the cross slope relative to the camera, tangent.
+        kerb_m: standard deviations of the height of contact points above the plane ahead, for most objects and for the
+            fraction `rough_share`.
         rough_share: fraction of objects with the second standard deviation.
+
+    The last four are larger than those measured, since neighbouring objects have correlated heights.
     """
 
     camera_height_m: Annotated[Number, Field(ge=0.05, le=100)] = 1.5
     camera_height_sigma_m: Sigma = 0.3
     horizon: Annotated[Number, Field(ge=-10, le=10)] = 0.0
     horizon_sigma: Sigma = 0.04
-    kerb_m: tuple[Sigma, Sigma] = (0.3, 1.0)
+    pitch_sigma: Sigma = 0.015
+    roll_sigma: Sigma = 0.05
+    kerb_m: tuple[Sigma, Sigma] = (0.15, 0.5)
     rough_share: Annotated[Number, Field(ge=0, lt=1)] = 0.18
 
 
@@ -58,6 +67,7 @@ class GroundContacts:
 
     Attributes:
         bottom: tangent y of the bottom edge below the camera's axis.
+        bearing: tangent b of the bearing.
         nearness: x = 1 / z of the nearest point on the ground, by size, in 1/m.
         sigma: relative standard deviation of `nearness`.
         edge_sigma: standard deviation of `bottom`.
@@ -65,6 +75,7 @@ class GroundContacts:
     """
 
     bottom: FloatArray
+    bearing: FloatArray
     nearness: FloatArray
     sigma: FloatArray
     edge_sigma: FloatArray
@@ -79,27 +90,40 @@ class GroundFromOthers:
         horizon: tangent y0 of the horizon below the camera's axis.
         height_m: height H of the camera above the road.
         variance: variance of the bottom edge y0 + H x predicted for the object.
-        is_prior_only: True if no other object is on the ground, so that the estimate is the prior.
+        is_prior_only: True if no other object is or was on the ground, so that the estimate is the prior.
+        terms: measurements of the ground plane by the objects, for `DriveState`.
     """
 
     horizon: FloatArray
     height_m: FloatArray
     variance: FloatArray
     is_prior_only: BoolArray
+    terms: GroundTerms
 
 
-def ground_from_others(contacts: GroundContacts, prior: GroundPrior) -> GroundFromOthers:
-    """Ground plane for each object of a frame, by robust least squares over the other objects."""
+def ground_from_others(
+    contacts: GroundContacts, prior: GroundPrior, drive: DriveState | None = None
+) -> GroundFromOthers:
+    """Ground plane for each object of a frame, by robust least squares over the other objects.
+
+    Args:
+        contacts: contact points of the N objects of the frame.
+        prior: prior of the ground plane.
+        drive: state of the drive, of the objects seen before; None = only this frame is known.
+    """
+    drive = drive or DriveState()
     x, y = contacts.nearness, contacts.bottom
     basis = np.array([np.ones_like(x), x, x * x, y, x * y])  # terms of the normal equations for (y0, H)
-    size_sigma = prior.camera_height_m * x * contacts.sigma
-    R = (prior.kerb_m[0] * x) ** 2 + contacts.edge_sigma**2 + size_sigma**2
+    rough = (prior.kerb_m[0] * x) ** 2 + (prior.roll_sigma * contacts.bearing) ** 2
+    other = contacts.edge_sigma**2 + (prior.camera_height_m * x * contacts.sigma) ** 2
+    R = drive.roughness * rough + other
     information = contacts.is_on_ground / R
     y0, H, plane_variance = prior.horizon, prior.camera_height_m, np.asarray(prior.horizon_sigma**2)
     for _ in range(_N_ITERATIONS):
-        residual = y - y0 - H * x
-        weight = information / (1.0 + residual * residual / (_CAUCHY_SIGMA**2 * (R + plane_variance)))
-        terms = [a + b for a, b in zip(_prior_information(prior, y0), (basis @ weight).tolist(), strict=True)]
+        residual2 = (y - y0 - H * x) ** 2
+        robust = 1.0 / (1.0 + residual2 / (_CAUCHY_SIGMA**2 * (R + plane_variance)))
+        weight = information * robust
+        terms = [a + b for a, b in zip(_prior_information(prior, y0, drive), (basis @ weight).tolist(), strict=True)]
         y0, H, y0_variance, covariance, H_variance = solve_ground(*terms)
         plane_variance = y0_variance + x * (2 * covariance + x * H_variance)
     terms_of_others: FloatArray = np.array(terms)[:, None] - basis * weight
@@ -107,14 +131,34 @@ def ground_from_others(contacts: GroundContacts, prior: GroundPrior) -> GroundFr
     variance = P[0] + x * (2 * P[1] + x * P[2])
     # True for the only object on the ground; for all objects if there is none.
     is_prior_only = contacts.is_on_ground == np.count_nonzero(contacts.is_on_ground)
-    return GroundFromOthers(horizon, height_m, variance, is_prior_only)
+    is_prior_only &= drive.information[0] <= 0.0
+    pitch_variance = drive.roughness * prior.pitch_sigma**2
+    measured = GroundTerms(
+        normal=basis * (contacts.is_on_ground * robust / (R + pitch_variance)),
+        residual2=(y - y0 - H * x) ** 2,
+        rough=rough,
+        other=other + plane_variance,
+        is_on_ground=contacts.is_on_ground,
+    )
+    return GroundFromOthers(horizon, height_m, variance, is_prior_only, measured)
 
 
-def _prior_information(prior: GroundPrior, y0: float) -> tuple[float, ...]:
-    """Terms (a, b, c, u, v) of the prior in `solve_ground`; its variance of y0 is that of Student's t at `y0`."""
+def _prior_information(prior: GroundPrior, y0: float, drive: DriveState) -> tuple[float, ...]:
+    """Terms (a, b, c, u, v) of `solve_ground` before the frame: of the prior, and of the earlier objects of the drive.
+
+    The prior's variance of y0 is that of Student's t at `y0`. Since the earlier objects the pitch has changed.
+    """
     scale = (2.0 + ((y0 - prior.horizon) / prior.horizon_sigma) ** 2) / 3.0
     of_y0, of_H = 1.0 / (prior.horizon_sigma**2 * scale), prior.camera_height_sigma_m**-2
-    return of_y0, 0.0, of_H, of_y0 * prior.horizon, of_H * prior.camera_height_m
+    terms = (of_y0, 0.0, of_H, of_y0 * prior.horizon, of_H * prior.camera_height_m)
+    if drive.information[0] <= 0.0:
+        return terms
+    sums = (a + b for a, b in zip(terms, drive.information.tolist(), strict=True))
+    mean_y0, mean_H, y0_variance, covariance, H_variance = solve_ground(*sums)
+    y0_variance += drive.roughness * prior.pitch_sigma**2
+    scale = 1.0 / (y0_variance * H_variance - covariance**2)
+    a, b, c = H_variance * scale, -covariance * scale, y0_variance * scale
+    return a, b, c, a * mean_y0 + b * mean_H, b * mean_y0 + c * mean_H
 
 
 def solve_ground(a: _Real, b: _Real, c: _Real, u: _Real, v: _Real) -> tuple[_Real, _Real, _Real, _Real, _Real]:

@@ -12,6 +12,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.validation import Number
+from track_range.ranging.size_models.drive_state import DriveState
 from track_range.stereo.geometry.camera import PinholeCamera
 
 SIZE_CLASSES = (*ROAD_CLASSES, "van")
@@ -53,7 +54,7 @@ class BoxNoise:
         relative_person: fraction of the box size for people and two-wheelers.
     """
 
-    px: float = 0.5
+    px: float = 0.35
     relative: float = 0.01
     relative_person: float = 0.04
 
@@ -149,8 +150,8 @@ class SizeRanges:
 class SizeModel(Protocol):
     """Model of object sizes: curves, or priors over cuboids."""
 
-    def measure(self, boxes: BoxExtents) -> SizeRanges:
-        """Distances of the boxes of one frame."""
+    def measure(self, boxes: BoxExtents, drive: DriveState | None = None) -> SizeRanges:
+        """Distances of the boxes of one frame; `drive` has a frame started for their tracks."""
         ...
 
 

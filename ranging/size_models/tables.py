@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.validation import Integer, Number
+from track_range.ranging.size_models.drive_state import DriveState
 from track_range.ranging.size_models.plain_curves import MEASURES, FittedTable
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, Sigma, SizeClass, SizeRanges
 
@@ -74,7 +75,7 @@ class TableSizes:
         self.box_measure = measure
         self.curves = dict(curves)
 
-    def measure(self, boxes: BoxExtents) -> SizeRanges:
+    def measure(self, boxes: BoxExtents, drive: DriveState | None = None) -> SizeRanges:
         """Distances of the boxes, each ranged separately; NaN if a side is cut and the curves need the width."""
         distance_m, sigma_m, systematic_m = np.full((3, len(boxes)), np.nan)
         usable = boxes.uses_width | (self.box_measure == "height")

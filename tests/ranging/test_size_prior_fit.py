@@ -28,7 +28,15 @@ def labelled(n_objects=120, n_each=10, *, seed=0, name="car"):
     box = box_of_cuboid(np.log(hwl).T, yaw_rad=turn, bearing=bearing, distance_m=distance_m, camera_height_m=1.65)
     sizes = np.exp(np.stack([box.log_width, box.log_height + 0.02 + rng.normal(0, 0.03, n)], axis=1))
     return LabelledSizes(
-        np.full(n, name), object_id, sizes, bearing, distance_m, hwl, turn - np.pi / 2, np.ones(n, np.bool_)
+        np.full(n, name),
+        object_id,
+        sizes,
+        bearing,
+        distance_m,
+        hwl,
+        turn - np.pi / 2,
+        np.ones(n, np.bool_),
+        object_id % 5,
     )
 
 
@@ -78,7 +86,7 @@ def test_tables_interpolate_the_geometry():
     tables = ShapeTables({"car": prior})
     rng = np.random.default_rng(1)
     bearing, log_m = rng.uniform(0, 0.6, 50), rng.uniform(np.log(8), np.log(90), 50)
-    off, step, nodes = tables.at(np.full(50, 2), bearing, log_m)
+    off, step, nodes = tables.at(np.zeros(50, np.int64), bearing, log_m)
     seen = nodes[0] + step * nodes[2] + off * nodes[4]
     for k, turn in enumerate(np.radians(YAW_DEG)):
         box = box_of_cuboid(
@@ -107,10 +115,11 @@ def test_cross_validated_error_on_kitti(kitti, noise_px):
     column = cross_validated(boxes, kitti, size_fitter(MONO, MethodOptions(box_sigma_px=noise_px)))
     mono = figures(boxes, column.distance_m, column.sigma_m)
     key = "mean_relative_error_pct"
-    for kind, share, least in (("car", 0.9, 4.0), ("person", 0.95, 4.0), ("bicycle", 0.95, 2.0)):
+    for kind, share, least in (("car", 0.9, 4.0), ("person", 0.9, 3.4), ("bicycle", 0.95, 2.0)):
         best = min(rows[kind][key] for rows in plain.values())
         assert least < mono[kind][key] < share * best, kind
-        assert mono[kind]["within_2_sigma"] > 0.92
-    assert mono["van"][key] < 0.85 * plain["log-linear"]["van"][key]
-    for kind in ("car", "van", "person"):
-        assert 0.60 < mono[kind]["within_1_sigma"] < 0.76, kind
+    assert mono["van"][key] < 0.75 * plain["log-linear"]["van"][key]
+    assert mono["truck"][key] < 9.0
+    for kind in ("car", "van", "person", "bicycle"):
+        assert 0.60 < mono[kind]["within_1_sigma"] < 0.78, kind
+        assert mono[kind]["within_2_sigma"] > 0.925, kind
