@@ -261,6 +261,8 @@ def test_wrong_usage(boards, tmp_path, cli):
         ((*out, *mono, "--board", "9x6"), "--square-mm"),
         ((*out, *mono, "--board", "9x6", "--square-mm", 0.03), "0.03 mm"),
         ((*out, *mono, "--board", "9x6", "--square-mm", 30, "--lens-terms", 6), "--lens-terms"),
+        ((*out, *mono, "--board", "9x6", "--square-mm", 30, "--lens", "wide"), "--lens wide"),
+        ((*out, *mono, "--board", "9x6", "--square-mm", 30, "--lens", "fisheye", "--lens-terms", 4), "--lens pinhole"),
     ):
         assert word in error_line(cli("calibrate", *options), status=2)
 

@@ -33,6 +33,8 @@ def _calibrate(settings: CalibrationSettings) -> None:
         raise UsageError(f"--lens-terms {settings.lens_terms}: expected one of {numbers}.")
     if settings.lens not in LENS_NAMES:
         raise UsageError(f"--lens {settings.lens}: expected one of {', '.join(LENS_NAMES)}.")
+    if settings.lens != "pinhole" and settings.lens_terms != CalibrationSettings.model_fields["lens_terms"].default:
+        raise UsageError("--lens-terms: expected --lens pinhole, since a fisheye always has four terms; omit it.")
     progress = partial(step_progress, console)
     search = find_boards(settings, progress)
     _print_search(search)
