@@ -54,6 +54,14 @@ COCO_CLASSES = (
 # fmt: on
 """COCO's 80 class names, in the order that networks trained on COCO use."""
 
+_UNUSED_COCO_IDS = (0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 83)
+"""Category ids up to 90 that COCO's annotations do not use."""
+
+_COCO_NAME_OF_ID = dict(zip((i for i in range(91) if i not in _UNUSED_COCO_IDS), COCO_CLASSES, strict=True))
+
+COCO_CATEGORIES = tuple(_COCO_NAME_OF_ID.get(i, "N/A") for i in range(91))
+"""COCO's class names by category id 0 to 90, in the order of DETR's and RF-DETR's outputs; "N/A" for unused ids."""
+
 # fmt: off
 VOC_CLASSES = (
     "aeroplane", "bicycle", "bird", "boat", "bottle", "bus", "car", "cat", "chair", "cow", "diningtable", "dog",

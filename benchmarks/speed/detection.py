@@ -56,7 +56,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="numbers of threads")
 
 
-_DETECTORS = ("yolov5n_coco_640", "yolov5n_coco_dyn", "yolov4tiny_voc_416", "yolox_nano_416")
+_DETECTORS = (
+    "yolov5n_coco_640",
+    "yolov5n_coco_dyn",
+    "yolov4tiny_voc_416",
+    "yolox_nano_416",
+    "nanodet_m_416",
+    "picodet_s_416",
+)
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:

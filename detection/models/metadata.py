@@ -7,7 +7,11 @@ family's default is used. All sources use the same keys:
     family     name of the family, for display           names      class names, in the network's order
     anchors    per output head, [width, height] pixels   scale_x_y  per output head, Darknet's scale of the centres
     letterbox  such as centred-114                       colours    rgb or bgr          divisor  255 or 1
+    mean, std  per channel, of pixel / divisor           scores     sigmoid or softmax, of outputs that are logits
     size       longer side in pixels of an input of variable size
+    end2end    whether Ultralytics' exporter included the suppression
+
+RF-DETR's exporter writes one JSON document, `rfdetr_inference`, whose class names, mean and std are used.
 """
 
 from __future__ import annotations
@@ -73,6 +77,7 @@ def read_metadata(path: Path, metadata: Mapping[str, str], options: ModelOptions
         ModelError: a value is invalid, or `MODEL.yaml` cannot be read.
     """
     option_values = {key: getattr(options, key) for key in ModelOptions.__dataclass_fields__}
+    metadata = {**_rfdetr_metadata(metadata), **metadata}
     sidecar = path.with_suffix(".yaml")
     sidecar_values = _read_yaml(sidecar) if sidecar.is_file() else {}
     attributes: dict[str, Attribute] = {}
@@ -86,6 +91,22 @@ def read_metadata(path: Path, metadata: Mapping[str, str], options: ModelOptions
             source = f"from {sidecar.name}"
             attributes[key] = Attribute(_parsed(parse, sidecar_values[key], f"{sidecar}: '{key}'"), source)
     return ModelMetadata(attributes)
+
+
+_RFDETR_KEY = "rfdetr_inference"
+"""Key of RF-DETR's JSON document in a model's metadata."""
+
+
+def _rfdetr_metadata(metadata: Mapping[str, str]) -> dict[str, str]:
+    """Class names, mean and std from RF-DETR's JSON document, as metadata texts; empty without one."""
+    document = _literal(metadata.get(_RFDETR_KEY, ""))
+    if not isinstance(document, Mapping):
+        return {}
+    texts = {key: repr(document[source]) for key, source in (("mean", "means"), ("std", "stds")) if source in document}
+    by_id, n = document.get("class_id_to_name"), document.get("num_classes")
+    if isinstance(by_id, Mapping) and isinstance(n, int) and 0 < n <= _MAX_CLASSES:
+        texts["names"] = repr([str(by_id.get(str(i), "N/A")) for i in range(n)])
+    return texts
 
 
 def _parsed(parse: Callable[[Any], Any], value: object, place: str) -> Any:
@@ -123,6 +144,9 @@ def _literal(text: str) -> object:
 
 _MAX_NAME = 100
 """Largest number of characters of a class name."""
+
+_MAX_CLASSES = 10_000
+"""Largest number of classes in RF-DETR's metadata."""
 
 
 def names_of(value: object) -> tuple[str, ...]:
@@ -207,6 +231,30 @@ def _divisor(value: Any) -> float:
     return float(value)
 
 
+def _triple(value: Any) -> tuple[float, ...]:
+    numbers = tuple(_number(item) for item in value) if isinstance(value, Sequence) else ()
+    if len(numbers) != 3 or not all(abs(number) <= 65535 for number in numbers):
+        raise ValueError(f"expected three numbers, one for each channel, got {quoted(value)}")
+    return numbers
+
+
+def _std(value: Any) -> tuple[float, ...]:
+    numbers = _triple(value)
+    if not all(number > 0 for number in numbers):
+        raise ValueError(f"expected three positive numbers, one for each channel, got {quoted(value)}")
+    return numbers
+
+
+def _score_function(value: object) -> str:
+    if str(value).lower() not in ("sigmoid", "softmax"):
+        raise ValueError(f"expected sigmoid or softmax, got {quoted(value)}")
+    return str(value).lower()
+
+
+def _flag(value: object) -> bool:
+    return str(value).lower() == "true"
+
+
 def _size(value: Any) -> int:
     if not 32 <= _number(value) <= 4096:
         raise ValueError(f"expected 32 to 4096 pixels, got {quoted(value)}")
@@ -221,5 +269,9 @@ _PARSERS: Mapping[str, Callable[[Any], Any]] = {
     "letterbox": _letterbox,
     "colours": _colours,
     "divisor": _divisor,
+    "mean": _triple,
+    "std": _std,
+    "scores": _score_function,
     "size": _size,
+    "end2end": _flag,
 }

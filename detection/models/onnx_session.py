@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 import onnxruntime as ort
 
 from track_range.foundation.arrays import FloatArray32
@@ -36,6 +37,12 @@ _MAX_VALUES = 2**28
 
 _INPUT_TYPES = ("tensor(float)", "tensor(float16)")
 """Number types of image inputs."""
+
+TARGET_SIZES = "orig_target_sizes"
+"""Name of the input [batch, 2] of RT-DETR, D-FINE and DEIM: width and height to which the network scales its boxes."""
+
+_SIZE_TYPES = {"tensor(int64)": np.int64, "tensor(int32)": np.int32, "tensor(float)": np.float32}
+"""Number types of that input."""
 
 _LOCATION_KEY = b"location"
 """Key of the path of external data in ONNX files."""
@@ -71,6 +78,9 @@ def available_providers() -> list[str]:
 class OnnxSession:
     """A network with one image input, ready to run.
 
+    DETR-like networks may have the input `orig_target_sizes` as well; it is the size of the image input, so that boxes
+    are in pixels of that input.
+
     Attributes:
         path: the model's file.
         input_shape: shape of the image input; None for dimensions of variable size.
@@ -96,9 +106,7 @@ class OnnxSession:
                 f"--device {device} is not available on this machine (not part of this onnxruntime, or its libraries "
                 f"are missing); using {self.device}.",
             )
-        inputs = self._session.get_inputs()
-        _check_input(path, inputs)
-        self._input = inputs[0]
+        self._input, self._size_input = _checked_inputs(path, self._session.get_inputs())
         self.input_shape = tuple(d if isinstance(d, int) else None for d in self._input.shape)
         self.metadata: Mapping[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
 
@@ -119,6 +127,19 @@ class OnnxSession:
         """Number type of the image input."""
         return np.float16 if self._input.type == "tensor(float16)" else np.float32
 
+    @property
+    def has_target_sizes(self) -> bool:
+        """Whether the network has the input `orig_target_sizes`."""
+        return self._size_input is not None
+
+    def _inputs(self, blob: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+        """All inputs by name, for an input blob (batch, 3, height, width) of the network's type."""
+        inputs: dict[str, npt.NDArray[Any]] = {self._input.name: blob}
+        if self._size_input is not None:
+            n, _, height, width = blob.shape
+            inputs[self._size_input.name] = np.array([[width, height]] * n, _SIZE_TYPES[self._size_input.type])
+        return inputs
+
     def run(self, blob: FloatArray32) -> list[FloatArray32]:
         """The outputs as float32, in the file's order, for one input blob (batch, 3, height, width).
 
@@ -126,7 +147,7 @@ class OnnxSession:
             ModelError: onnxruntime fails on this input.
         """
         try:
-            outputs = self._session.run(None, {self._input.name: blob.astype(self.input_dtype, copy=False)})
+            outputs = self._session.run(None, self._inputs(blob.astype(self.input_dtype, copy=False)))
         except Exception as error:  # as above
             raise self._failure(error) from error
         return [np.asarray(output, np.float32) for output in outputs]
@@ -178,19 +199,31 @@ def check_model_file(path: Path) -> None:
         check_regular(folder / location, ModelError, f"weights of {path.name}")
 
 
-def _check_input(path: Path, inputs: Sequence[Any]) -> None:
-    """Raise ModelError unless there is one image input of a plausible size with float values."""
-    if len(inputs) != 1 or len(inputs[0].shape) != 4:
-        shapes = shortened(", ".join(f"{i.name} {i.shape}" for i in inputs), 120)
-        raise ModelError(f"{path}: expected one input [batch, 3, height, width], got {shapes}.")
-    sizes = [size for size in inputs[0].shape if isinstance(size, int)]
-    if min(sizes, default=1) < 1 or max(sizes, default=1) > _MAX_SIDE or math.prod(sizes) > _MAX_VALUES:
+def _checked_inputs(path: Path, inputs: Sequence[Any]) -> tuple[Any, Any | None]:
+    """The image input and, if there is one, the input `orig_target_sizes`.
+
+    Raises:
+        ModelError: there are other inputs, or the image input has an implausible size or another type.
+    """
+    images = [i for i in inputs if len(i.shape) == 4]
+    sizes = [i for i in inputs if i.name == TARGET_SIZES and len(i.shape) == 2 and i.type in _SIZE_TYPES]
+    if len(images) != 1 or len(inputs) != 1 + len(sizes):
+        shapes = shortened(", ".join(f"{i.name} {i.shape}" for i in inputs), 100)
+        advice = "export without postprocessing" if len(inputs) > 1 else "choose another model"
+        raise ModelError(
+            f"{path}: expected one input [batch, 3, height, width], and at most {TARGET_SIZES} [batch, 2] of int64, "
+            f"got {shapes}; {advice}."
+        )
+    (image,) = images
+    lengths = [length for length in image.shape if isinstance(length, int)]
+    if min(lengths, default=1) < 1 or max(lengths, default=1) > _MAX_SIDE or math.prod(lengths) > _MAX_VALUES:
         raise ModelError(
             f"{path}: expected an input [batch, 3, height, width] of 1 to {_MAX_SIDE} pixels a side and at most "
-            f"{_MAX_VALUES:,} values, got {shortened(str(inputs[0].shape))}."
+            f"{_MAX_VALUES:,} values, got {shortened(str(image.shape))}."
         )
-    if inputs[0].type not in _INPUT_TYPES:
-        raise ModelError(f"{path}: expected an input of the type {' or '.join(_INPUT_TYPES)}, got {inputs[0].type}.")
+    if image.type not in _INPUT_TYPES:
+        raise ModelError(f"{path}: expected an input of the type {' or '.join(_INPUT_TYPES)}, got {image.type}.")
+    return image, sizes[0] if sizes else None
 
 
 def _reason(error: Exception, path: Path) -> str:
@@ -205,21 +238,31 @@ class BoundNetwork:
     Attributes:
         blob: (1, 3, height, width) input of the next `run`, float32 or float16 as the network requires.
         output_shapes: shapes of the outputs by name, in the file's order.
+        integer_outputs: names of the outputs of integers, such as labels.
     """
 
     def __init__(self, session: OnnxSession, input_hw: tuple[int, int]) -> None:
         self._owner = session
         self.blob = np.zeros((1, 3, *input_hw), session.input_dtype)
-        network, name = session._session, session._input.name
+        network, batch = session._session, session.input_shape[0]
+        if batch not in (None, 1):
+            raise ModelError(
+                f"{session.path}: expected a batch size of 1 or a variable one, got {batch}; export with batch size 1."
+            )
+        inputs = session._inputs(self.blob)
         try:
-            outputs = network.run(None, {name: self.blob})
+            outputs = network.run(None, inputs)
         except Exception as error:  # onnxruntime raises a dozen unrelated types
             raise session._failure(error) from error
         self._buffers = [np.empty_like(np.asarray(output), order="C") for output in outputs]
         names = [output.name for output in network.get_outputs()]
-        self.output_shapes = {key: buffer.shape for key, buffer in zip(names, self._buffers, strict=True)}
+        named = dict(zip(names, self._buffers, strict=True))
+        self.output_shapes = {key: buffer.shape for key, buffer in named.items()}
+        self.integer_outputs = frozenset(key for key, buffer in named.items() if buffer.dtype.kind in "iu")
         self._binding = network.io_binding()
-        self._binding.bind_cpu_input(name, self.blob)
+        for key, array in inputs.items():
+            self._binding.bind_cpu_input(key, array)
+        self._bound_inputs = inputs  # the binding refers to their memory
         for key, buffer in zip(names, self._buffers, strict=True):
             self._binding.bind_output(key, "cpu", 0, buffer.dtype, buffer.shape, buffer.ctypes.data)
 

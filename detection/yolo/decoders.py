@@ -15,7 +15,10 @@ from typing import Protocol
 import numpy as np
 
 from track_range.detection.boxes import xyxy_from_cxcywh
-from track_range.foundation.arrays import FloatArray, FloatArray32, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, IntArray
+
+_ROUNDING = 1e-3
+"""Excess over 1 of scores by rounding in half precision."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +29,7 @@ class Candidates:
         xyxy_net: (N, 4) in the network's corner coordinates, finite.
         score: (N,) confidence in [0, 1].
         class_index: (N,) index into the network's class names.
-        n_invalid: number of boxes dropped because of NaN or infinite numbers.
+        n_invalid: number of boxes dropped because of NaN, infinite numbers or labels without a class name.
     """
 
     xyxy_net: FloatArray
@@ -40,12 +43,29 @@ class Candidates:
         class_index = class_score.argmax(axis=1) if len(class_score) else np.zeros(0, np.int64)
         score = class_score[np.arange(len(class_score)), class_index].astype(np.float64)
         is_finite = np.isfinite(score) & np.isfinite(xyxy_net).all(axis=1)
-        is_candidate = is_finite & (score >= min_score[class_index])
+        return cls._of_valid(xyxy_net, score, class_index, is_finite, min_score)
+
+    @classmethod
+    def of_labels(cls, xyxy_net: FloatArray, score: FloatArray, label: FloatArray, min_score: FloatArray) -> Candidates:
+        """The boxes (N, 4) whose `score` (N,) reaches the `min_score` (C,) of the class `label` (N,).
+
+        Scores above 1 and labels that are not whole numbers from 0 to C - 1 are invalid, like numbers that are not
+        finite: the outputs are of another network, or the class names are too few.
+        """
+        is_label = (label >= 0) & (label < len(min_score)) & (label == np.floor(label))
+        is_valid = is_label & (score <= 1 + _ROUNDING) & np.isfinite(xyxy_net).all(axis=1)
+        return cls._of_valid(xyxy_net, score, np.where(is_label, label, 0).astype(np.int64), is_valid, min_score)
+
+    @classmethod
+    def _of_valid(
+        cls, xyxy_net: FloatArray, score: FloatArray, class_index: IntArray, is_valid: BoolArray, min_score: FloatArray
+    ) -> Candidates:
+        is_candidate = is_valid & (score >= min_score[class_index])
         return cls(
             xyxy_net[is_candidate],
             np.minimum(score[is_candidate], 1.0),
             class_index[is_candidate],
-            int(np.count_nonzero(~is_finite)),
+            int(np.count_nonzero(~is_valid)),
         )
 
 
@@ -206,21 +226,22 @@ def _boxes_of_head(head: Head, raw: FloatArray32, min_objectness: float) -> tupl
     """Boxes (K, 4) and class scores (K, C) of the cells of `raw` (A (5 + C), rows, columns) above `min_objectness`."""
     n_rows, n_columns = raw.shape[1:]
     cells = raw.reshape(len(head.anchors_px), -1, n_rows, n_columns)
-    min_logit = np.float32(_logit(min_objectness))
+    min_logit = np.float32(logit(min_objectness))
     anchor, row, column = np.nonzero(~(cells[:, 4] < min_logit))
     t = cells[anchor, :, row, column].astype(np.float64)
     s, cell = head.scale_x_y, np.stack([column, row], axis=1)
-    centre = (s * _sigmoid(t[:, :2]) - (s - 1) / 2 + cell) * head.stride_px
+    centre = (s * sigmoid(t[:, :2]) - (s - 1) / 2 + cell) * head.stride_px
     size = head.anchors_px[anchor] * np.exp(t[:, 2:4])
-    scores = _sigmoid(t[:, 4:5]) * _sigmoid(t[:, 5:])
+    scores = sigmoid(t[:, 4:5]) * sigmoid(t[:, 5:])
     return xyxy_from_cxcywh(np.concatenate([centre, size], axis=1)), scores.astype(np.float32)
 
 
-def _sigmoid(x: FloatArray) -> FloatArray:
+def sigmoid(x: FloatArray) -> FloatArray:
+    """1 / (1 + exp(-x))."""
     return np.asarray(1 / (1 + np.exp(-x)))
 
 
-def _logit(probability: float) -> float:
+def logit(probability: float) -> float:
     """log(p / (1 - p)), the inverse of the sigmoid; -inf for p <= 0, +inf for p >= 1."""
     if probability >= 1:
         return np.inf

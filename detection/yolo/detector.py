@@ -1,5 +1,7 @@
 """YoloDetector: detection of road users with any network whose output layout is in `detection.yolo.layouts`.
 
+The networks are YOLO and others: DETR-like ones, NanoDet and PicoDet.
+
 `detect` consists of three steps that reuse their buffers: `fill` resizes the image into the network's input, `infer`
 runs the network, `decode` turns the outputs into detections.
 """
@@ -19,6 +21,7 @@ from track_range.detection.models.metadata import Attribute, ModelMetadata, Mode
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
 from track_range.detection.yolo.layouts import YoloModel, identify_layout
 from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
+from track_range.detection.yolo.network_outputs import NetworkOutputs
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray
 from track_range.foundation.files.input_files import quoted, shortened
 
@@ -27,6 +30,9 @@ _MAX_BOUND = 8
 
 DEFAULT_SIZE_PX = 640
 """Longer side of a network's input of variable size, unless specified; most public networks were trained at it."""
+
+_SAME_BOX_IOU = 0.95
+"""IoU above which two boxes of an end-to-end network are the same box with two classes that are easily confused."""
 
 _UNREACHABLE_SCORE = 2.0
 """Score threshold of classes that are left out; scores are at most 1."""
@@ -39,11 +45,13 @@ class YoloSettings:
     Attributes:
         min_score: confidence threshold; low, since the tracker uses low-confidence boxes to continue tracks.
         class_min_score: (class id, score) of road classes with a separate threshold.
-        max_iou: IoU threshold of non-maximum suppression among classes that are easily confused.
+        max_iou: IoU threshold of non-maximum suppression among classes that are easily confused; end-to-end networks
+            need none, only equal boxes are removed.
         max_boxes: largest number of boxes per image.
         size_px: longer side of the network's input if its size is variable; None = the size in the model's metadata,
             else `DEFAULT_SIZE_PX`.
-        is_square: an input of variable size is square; otherwise it has the image's aspect ratio, padded to strides.
+        is_square: an input of variable size is square; otherwise it has the image's aspect ratio, padded to strides,
+            except for DETR-like networks.
         class_id: ids of the road classes to detect; empty = all.
     """
 
@@ -71,7 +79,7 @@ class YoloDetector:
     Attributes:
         model: family, input format and class names, explicit or default.
         size: longer side in pixels of an input of variable size, and the source of this value.
-        n_invalid: number of boxes dropped so far because of NaN or infinite numbers.
+        n_invalid: number of boxes dropped so far because of NaN, infinite numbers or labels without a class name.
     """
 
     def __init__(
@@ -132,7 +140,7 @@ class YoloDetector:
         if not self.n_invalid:
             return (*self._session.notes, names)
         boxes = "1 box" if self.n_invalid == 1 else f"{self.n_invalid} boxes"
-        invalid = f"The network returned NaN or infinite numbers; {boxes} dropped."
+        invalid = f"The network returned NaN, infinite numbers or unknown labels; {boxes} dropped."
         return (*self._session.notes, names, invalid)
 
     def detect(self, image: Image) -> Detections:
@@ -194,7 +202,7 @@ class YoloDetector:
             candidates.xyxy_net,
             candidates.score,
             SAME_OBJECT_GROUP[class_id],
-            max_iou=self._settings.max_iou,
+            max_iou=_SAME_BOX_IOU if self.model.is_end_to_end else self._settings.max_iou,
             max_boxes=self._settings.max_boxes,
         )
         xyxy_px = self._letterbox.to_image_clipped(candidates.xyxy_net[best])
@@ -208,8 +216,16 @@ class YoloDetector:
             if len(self._bound) == _MAX_BOUND:
                 del self._bound[next(iter(self._bound))]
             network = self._session.bound(input_hw)
-            model = identify_layout(self._session.path, input_hw, network.output_shapes, self._metadata)
-            self._bound[input_hw] = network, model
+            outputs = NetworkOutputs(
+                path=self._session.path,
+                input_hw=input_hw,
+                names=tuple(network.output_shapes),
+                shapes=tuple(network.output_shapes.values()),
+                is_integer=tuple(name in network.integer_outputs for name in network.output_shapes),
+                has_target_sizes=self._session.has_target_sizes,
+                metadata=self._metadata,
+            )
+            self._bound[input_hw] = network, identify_layout(outputs)
         self._network, self.model = self._bound[input_hw]
         input_format = self.model.input_format
         self._letterbox = Letterbox.of_placement(input_format.placement, image_hw, input_hw)
@@ -220,8 +236,8 @@ class YoloDetector:
         _, _, height, width = self._session.input_shape
         if height is not None and width is not None:
             return height, width
-        size_px = int(self.size.value)
-        return rectangular_input_hw((1, 1) if self._settings.is_square else image_hw, size_px=size_px)
+        is_square = self._settings.is_square or any(model.is_square for _, model in self._bound.values())
+        return rectangular_input_hw((1, 1) if is_square else image_hw, size_px=int(self.size.value))
 
 
 def _check_is_detector(session: OnnxSession) -> None:

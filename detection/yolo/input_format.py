@@ -1,4 +1,4 @@
-"""InputFormat: a network's input format (placement, padding, channel order, divisor) and the conversion of images.
+"""InputFormat: a network's input format (placement, padding, channel order, scale) and the conversion of images.
 
 An image is written into the network's buffer with one resize and one multiplication per channel and without temporary
 arrays: a third of the time of OpenCV's blobFromImage, whose result would also have to be copied into the padding.
@@ -19,6 +19,12 @@ from track_range.foundation.files.input_files import quoted
 
 Colours = Literal["rgb", "bgr"]
 
+Triple = tuple[float, float, float]
+
+IMAGENET_MEAN: Triple = (0.485, 0.456, 0.406)
+IMAGENET_STD: Triple = (0.229, 0.224, 0.225)
+"""Mean and standard deviation of ImageNet's pixels, RGB / 255, which many backbones are trained with."""
+
 LETTERBOXES = "centred-114, centred-128, top-left-114, stretch"
 """Common values of `--letterbox`: a placement and the grey level (0..255) of the padding."""
 
@@ -34,12 +40,16 @@ class InputFormat:
         pad_grey: grey level of the padding, 0..255.
         colours: channel order.
         divisor: number by which pixel values 0..255 are divided.
+        mean, std: value that is subtracted from the divided pixel values and number by which the result is divided, for
+            each channel in the order of `colours`: input = (pixel / divisor - mean) / std.
     """
 
     placement: Placement = "centred"
     pad_grey: int = 114
     colours: Colours = "rgb"
     divisor: float = 255.0
+    mean: Triple = (0.0, 0.0, 0.0)
+    std: Triple = (1.0, 1.0, 1.0)
 
     @property
     def letterbox(self) -> str:
@@ -48,7 +58,8 @@ class InputFormat:
 
     def fill_padding(self, buffer: npt.NDArray[Any]) -> None:
         """Fill a network's input with the grey of the padding."""
-        buffer[:] = self.pad_grey / self.divisor
+        for channel in range(3):
+            buffer[:, channel] = (self.pad_grey / self.divisor - self.mean[channel]) / self.std[channel]
 
     def write(self, image: Image, letterbox: Letterbox, buffer: npt.NDArray[Any], *, scaled: Image) -> None:
         """Write a scaled image into a network's input without changing the padding.
@@ -61,10 +72,13 @@ class InputFormat:
         """
         pixels = letterbox.scaled(image, buffer=scaled)
         rows, columns = letterbox.inside
-        factor = np.float32(1 / self.divisor)
         for channel in range(3):
             source = 2 - channel if self.colours == "rgb" else channel
-            np.multiply(pixels[..., source], factor, out=buffer[0, channel, rows, columns], casting="unsafe")
+            target = buffer[0, channel, rows, columns]
+            factor = np.float32(1 / (self.divisor * self.std[channel]))
+            np.multiply(pixels[..., source], factor, out=target, casting="unsafe")
+            if self.mean[channel]:
+                target -= buffer.dtype.type(self.mean[channel] / self.std[channel])
 
 
 def placement_and_grey(text: object) -> tuple[Placement, int]:

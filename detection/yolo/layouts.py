@@ -1,4 +1,4 @@
-"""Output layouts of YOLO networks, and the family, decoder, input format and class names that follow from them.
+"""Output layouts of detectors, and the family, decoder, input format and class names that follow from them.
 
     outputs, for an input of h x w with n = sum of (h / s)(w / s) cells       default family
     [1, 3 n, 5 + C]              strides 8, 16, 32 (or 8 .. 64)                 YOLOv5
@@ -9,19 +9,20 @@
     [1, A (5 + C), h/s, w/s]     three of them                                  YOLOv4, raw heads
     [1, N, 1, 4] or [1, N, 4] with [1, N, C]                                    YOLOv4, decoded
 
-s = stride, A = anchors per cell, C = classes. The shapes determine the decoder; the family's other defaults can be
+s = stride, A = anchors per cell, C = classes. `end_to_end` and `distribution` have the layouts of the networks without
+non-maximum suppression and of NanoDet and PicoDet. The shapes determine the decoder; the family's other defaults can be
 overridden (`detection.models.metadata`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from track_range.detection.classes import COCO_CLASSES, VOC_CLASSES
+from track_range.detection.classes import COCO_CATEGORIES, COCO_CLASSES, VOC_CLASSES
 from track_range.detection.models.metadata import Anchors, Attribute, ModelMetadata
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.decoders import (
@@ -33,11 +34,17 @@ from track_range.detection.yolo.decoders import (
     HeadDecoder,
     RowDecoder,
 )
+from track_range.detection.yolo.distribution import score_and_bin_rows, scores_and_bins
+from track_range.detection.yolo.end_to_end import labelled_rows, labels_boxes_scores, logits_and_boxes, query_rows
 from track_range.detection.yolo.input_format import InputFormat, placement_and_grey
+from track_range.detection.yolo.network_outputs import DetectorLayout, MatchedLayout, NetworkOutputs
 from track_range.foundation.files.input_files import shortened
 
-_EXPORT_HINT = "n = number of cells; export with batch size 1 and without NMS"
+_EXPORT_HINT = "export with batch size 1 and without postprocessing (docs/detectors.md)"
 """Advice at the end of the message on unknown outputs."""
+
+_SUPPRESSED_HINT = "they are the result of a suppression that returns any number of boxes: export without it"
+"""Advice on outputs [N, 6] and [N, 7], as of PaddleDetection and of YOLOv7's `--end2end`."""
 
 _STRIDES_PX = (8, 16, 32)
 """Strides of the grids of YOLOX, YOLOv8 and YOLO11."""
@@ -48,7 +55,7 @@ _ANCHOR_STRIDES_PX = {(8, 16, 32): "YOLOv5", (8, 16, 32, 64): "YOLOv5", (16, 32)
 _ANCHORS_PER_CELL = 3
 """Anchors per cell of YOLOv3, v4 and v5."""
 
-_DEFAULT_NAMES = {80: ("COCO", COCO_CLASSES), 20: ("VOC", VOC_CLASSES)}
+_DEFAULT_NAMES = {80: ("COCO", COCO_CLASSES), 20: ("VOC", VOC_CLASSES), 91: ("COCO", COCO_CATEGORIES)}
 """Class list by number of classes, for networks without class names."""
 
 YOLOV4_TINY_ANCHORS: Anchors = (((81, 82), (135, 169), (344, 319)), ((23, 27), (37, 58), (81, 82)))
@@ -71,7 +78,7 @@ _YOLOX_INPUT = InputFormat(placement="top-left", colours="bgr", divisor=1.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class YoloModel:
-    """Everything needed to run a YOLO network on images and decode its outputs.
+    """Everything needed to run a detection network on images and decode its outputs.
 
     Attributes:
         family: name of the family, for display.
@@ -80,6 +87,8 @@ class YoloModel:
         input_format: format of the input image.
         names: class names in the network's order.
         attributes: explicit and default attributes by key, for `models info`.
+        is_end_to_end: whether the network itself returns one box per object, without non-maximum suppression.
+        is_square: whether an input of variable size has to be square.
     """
 
     family: str
@@ -88,84 +97,25 @@ class YoloModel:
     input_format: InputFormat
     names: tuple[str, ...]
     attributes: Mapping[str, Attribute]
+    is_end_to_end: bool
+    is_square: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MatchedLayout:
-    """A known output layout and its defaults, matched to a network.
-
-    Attributes:
-        family: default family of networks with this layout.
-        text: description of the outputs, for display.
-        n_classes: number of classes.
-        input_format: default input format of the family.
-        decoder: decoder of the outputs.
-        attributes: attributes used by the decoder, by key, for `models info`.
-    """
-
-    family: str
-    text: str
-    n_classes: int
-    input_format: InputFormat
-    decoder: Decoder
-    attributes: Mapping[str, Attribute] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class NetworkOutputs:
-    """A network's input size, output shapes and metadata, from which its layout is identified.
-
-    Attributes:
-        path: the model's file, for messages.
-        input_hw: (height, width) of the network's input in pixels.
-        shapes: shape of each output, in the network's order.
-        metadata: explicit attributes of the model, such as its anchors.
-    """
-
-    path: Path
-    input_hw: tuple[int, int]
-    shapes: tuple[tuple[int, ...], ...]
-    metadata: ModelMetadata
-
-    def n_cells(self, strides_px: Sequence[int]) -> int:
-        """Total number of grid cells of the input at these strides."""
-        return sum((self.input_hw[0] // stride) * (self.input_hw[1] // stride) for stride in strides_px)
-
-    def matrices(self) -> Iterator[tuple[int, int, int]]:
-        """Index, rows and columns of each output [1, rows, columns]; older YOLOv5 exports also have raw grids."""
-        for i, shape in enumerate(self.shapes):
-            if len(shape) == 3 and shape[0] == 1:
-                yield i, shape[1], shape[2]
-
-
-@dataclass(frozen=True, slots=True)
-class DetectorLayout:
-    """One known output layout of detectors.
-
-    Attributes:
-        name: description of the layout, for messages that list the known ones.
-        match: function that returns the matched layout of a network's outputs, None if they have another layout.
-    """
-
-    name: str
-    match: Callable[[NetworkOutputs], MatchedLayout | None]
-
-
-def identify_layout(
-    path: Path, input_hw: tuple[int, int], outputs: Mapping[str, tuple[int, ...]], metadata: ModelMetadata
-) -> YoloModel:
-    """The YOLO model with outputs of these shapes, by output name.
+def identify_layout(network: NetworkOutputs) -> YoloModel:
+    """The model with these outputs.
 
     Raises:
         ModelError: the layout is unknown, or explicit attributes of the model do not fit it.
     """
-    network = NetworkOutputs(path, input_hw, tuple(outputs.values()), metadata)
+    path, metadata = network.path, network.metadata
     matches = (layout.match(network) for layout in DETECTOR_LAYOUTS)
     matched = next((match for match in matches if match is not None), None)
     if matched is None:
-        shapes = shortened(", ".join(f"{name} {list(shape)}" for name, shape in outputs.items()))
-        known = ", ".join(layout.name for layout in DETECTOR_LAYOUTS)
-        raise ModelError(f"{path}: unknown outputs {shapes}; expected {known}; {_EXPORT_HINT}.")
+        shapes = ", ".join(f"{name} {list(shape)}" for name, shape in zip(network.names, network.shapes, strict=True))
+        known = ", ".join(dict.fromkeys(layout.name for layout in DETECTOR_LAYOUTS))
+        is_suppressed = any(len(shape) == 2 and shape[1] in (6, 7) for shape in network.shapes)
+        hint = _SUPPRESSED_HINT if is_suppressed else _EXPORT_HINT
+        raise ModelError(f"{path}: unknown outputs {shortened(shapes, 80)}; expected those of {known}; {hint}.")
     used = {"family": metadata.get("family", matched.family, "from its outputs")}
     used["names"] = _names(path, matched.n_classes, metadata)
     input_format = _input_format(matched.input_format, matched.family, metadata, used)
@@ -176,6 +126,8 @@ def identify_layout(
         input_format=input_format,
         names=used["names"].value,
         attributes={**used, **matched.attributes},
+        is_end_to_end=matched.is_end_to_end,
+        is_square=matched.is_square,
     )
 
 
@@ -296,9 +248,13 @@ def _check_anchors(path: Path, anchors: Attribute, n_heads: int) -> None:
         )
 
 
-def _names(path: Path, n_classes: int, metadata: ModelMetadata) -> Attribute:
+def _names(path: Path, n_classes: int | None, metadata: ModelMetadata) -> Attribute:
     """The network's class names: explicit, or the names of COCO or VOC if the number of classes matches."""
     explicit = metadata.get("names", None, "")
+    if n_classes is None:
+        return metadata.get(
+            "names", COCO_CLASSES, "not in the model; COCO's, although the outputs do not show how many"
+        )
     if explicit.value is None:
         if n_classes not in _DEFAULT_NAMES:
             raise ModelError(
@@ -322,6 +278,8 @@ def _input_format(
     used["letterbox"] = metadata.get("letterbox", default.letterbox, source)
     used["colours"] = metadata.get("colours", default.colours, source)
     used["divisor"] = metadata.get("divisor", default.divisor, source)
+    used["mean"] = metadata.get("mean", default.mean, source)
+    used["std"] = metadata.get("std", default.std, source)
     placement, pad_grey = placement_and_grey(used["letterbox"].value)
     return replace(
         default,
@@ -329,14 +287,22 @@ def _input_format(
         pad_grey=pad_grey,
         colours=used["colours"].value,
         divisor=used["divisor"].value,
+        mean=used["mean"].value,
+        std=used["std"].value,
     )
 
 
 DETECTOR_LAYOUTS: tuple[DetectorLayout, ...] = (
-    DetectorLayout("YOLOv4 [1, N, 1, 4] and [1, N, classes]", _boxes_and_scores),
-    DetectorLayout("YOLOv5 [1, 3 n, 5 + classes]", _anchor_rows),
-    DetectorLayout("YOLOX [1, n, 5 + classes]", _cell_rows),
-    DetectorLayout("YOLOv8/YOLO11 [1, 4 + classes, n]", _cell_columns),
-    DetectorLayout("Darknet heads [1, A (5 + classes), rows, columns]", _raw_heads),
+    DetectorLayout("RF-DETR", logits_and_boxes),
+    DetectorLayout("D-FINE/DEIM", labels_boxes_scores),
+    DetectorLayout("YOLOv4", _boxes_and_scores),
+    DetectorLayout("YOLOv5", _anchor_rows),
+    DetectorLayout("NanoDet", score_and_bin_rows),
+    DetectorLayout("NanoDet", scores_and_bins),
+    DetectorLayout("YOLOX", _cell_rows),
+    DetectorLayout("YOLOv8", _cell_columns),
+    DetectorLayout("YOLOv10", labelled_rows),
+    DetectorLayout("RT-DETR", query_rows),
+    DetectorLayout("Darknet", _raw_heads),
 )
-"""The known layouts, in the order in which they are tried; n = number of cells of strides 8, 16, 32."""
+"""The known layouts, in the order in which they are tried."""

@@ -24,6 +24,86 @@ def write_model(path, *outputs, metadata=None, input_shape=(1, 3, 64, 64), is_ha
     return _save(path, graph, metadata)
 
 
+def write_outputs(path, outputs, *, inputs=None, metadata=None):
+    """Write a network with constant `outputs`, arrays by name: integers as int64, other numbers as float32.
+
+    Args:
+        outputs: array of each output, in the network's order.
+        inputs: shape of each input by name, with texts for variable sizes; [N, 2] is int64, others are float32.
+    """
+    inputs = inputs or {"images": (1, 3, 64, 64)}
+    values = {
+        name: np.asarray(array, np.int64 if np.asarray(array).dtype.kind in "iu" else np.float32)
+        for name, array in outputs.items()
+    }
+    nodes = [helper.make_node("Identity", [f"{name}_value"], [name]) for name in values]
+    weights = [numpy_helper.from_array(array, f"{name}_value") for name, array in values.items()]
+    return _save(path, helper.make_graph(nodes, "constant", _infos(inputs), _output_infos(values), weights), metadata)
+
+
+def write_dfine(path, logits, boxes, *, inputs, n_selected):
+    """Write a network with constant logits (N, C) and boxes (N, 4) and the postprocessing that D-FINE's exporter adds.
+
+    DFINEPostProcessor.forward: boxes scaled to orig_target_sizes, the `n_selected` best pairs of query and class.
+    """
+    n_classes = logits.shape[1]
+    constants = {
+        "logits": logits[None].astype(np.float32),
+        "cxcywh": boxes[None].astype(np.float32),
+        "half": np.float32(0.5),
+        "flat": np.array([1, -1]),
+        "k": np.array([n_selected]),
+        "n_classes": np.array(n_classes),
+        "middle": np.array([1]),
+        "last": np.array([2]),
+        "wide": np.array([1, 1, 4]),
+    }
+    nodes = [
+        helper.make_node("Split", ["cxcywh", "split"], ["centre", "size"], axis=2),
+        helper.make_node("Mul", ["size", "half"], ["half_size"]),
+        helper.make_node("Sub", ["centre", "half_size"], ["low"]),
+        helper.make_node("Add", ["centre", "half_size"], ["high"]),
+        helper.make_node("Concat", ["low", "high"], ["fractions"], axis=2),
+        helper.make_node("Cast", ["orig_target_sizes"], ["sizes"], to=TensorProto.FLOAT),
+        helper.make_node("Concat", ["sizes", "sizes"], ["scale_row"], axis=1),
+        helper.make_node("Unsqueeze", ["scale_row", "middle"], ["scale"]),
+        helper.make_node("Mul", ["fractions", "scale"], ["scaled"]),
+        helper.make_node("Sigmoid", ["logits"], ["probabilities"]),
+        helper.make_node("Reshape", ["probabilities", "flat"], ["pairs"]),
+        helper.make_node("TopK", ["pairs", "k"], ["scores", "index"], axis=1),
+        helper.make_node("Mod", ["index", "n_classes"], ["labels"]),
+        helper.make_node("Div", ["index", "n_classes"], ["query"]),
+        helper.make_node("Unsqueeze", ["query", "last"], ["query_column"]),
+        helper.make_node("Expand", ["query_column", "wide"], ["query_columns"]),
+        helper.make_node("GatherElements", ["scaled", "query_columns"], ["boxes"], axis=1),
+    ]
+    weights = [numpy_helper.from_array(value, name) for name, value in constants.items()]
+    weights.append(numpy_helper.from_array(np.array([2, 2]), "split"))
+    outputs = {
+        "labels": np.zeros((1, n_selected), np.int64),
+        "boxes": np.zeros((1, n_selected, 4)),
+        "scores": np.zeros((1, n_selected)),
+    }
+    return _save(path, helper.make_graph(nodes, "d-fine", _infos(inputs), _output_infos(outputs), weights), None)
+
+
+def _infos(inputs):
+    numbers = {2: TensorProto.INT64}
+    return [
+        helper.make_tensor_value_info(name, numbers.get(len(shape), TensorProto.FLOAT), shape)
+        for name, shape in inputs.items()
+    ]
+
+
+def _output_infos(values):
+    return [
+        helper.make_tensor_value_info(
+            name, TensorProto.INT64 if array.dtype.kind in "iu" else TensorProto.FLOAT, array.shape
+        )
+        for name, array in values.items()
+    ]
+
+
 def write_rectangle_finder(path, *, side_px, grey, metadata=None):
     """Write a YOLOv5-like network of one class: its first row is the box of what is brighter than `grey` (0..1).
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from track_range.detection.classes import (
+    COCO_CATEGORIES,
     COCO_CLASSES,
     ROAD_CLASSES,
     SAME_OBJECT_GROUP,
@@ -19,6 +20,20 @@ def test_names_and_synonyms():
 def test_unknown_name_suggests_the_nearest():
     with pytest.raises(ClassNameError, match="'trcuk': did you mean 'truck'"):
         road_class_ids(["trcuk"])
+
+
+def test_coco_categories_by_id():
+    by_id = {
+        1: "person",
+        3: "car",
+        10: "traffic light",
+        13: "stop sign",
+        44: "bottle",
+        67: "dining table",
+        90: "toothbrush",
+    }
+    assert {i: COCO_CATEGORIES[i] for i in by_id} == by_id  # ids in COCO's instances_val2017.json
+    assert tuple(name for name in COCO_CATEGORIES if name != "N/A") == COCO_CLASSES
 
 
 def test_coco_maps_onto_all_road_classes():

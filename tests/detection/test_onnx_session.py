@@ -7,7 +7,7 @@ import onnxruntime as ort
 import pytest
 from onnx import TensorProto, helper
 
-from tests.detection.onnx_models import write_model, write_rectangle_finder
+from tests.detection.onnx_models import write_dfine, write_model, write_rectangle_finder
 from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
 
 
@@ -22,6 +22,17 @@ def test_bound_network_reads_its_buffer(tmp_path):
         np.testing.assert_allclose(rows[0, 0, :4], [(x1 + x2) / 2, 30, x2 - x1, 20], rtol=1e-5)
         np.testing.assert_array_equal(rows, session.run(network.blob)[0])
     assert network.output_shapes == {"output0": (1, 567, 6)}
+
+
+def test_boxes_are_scaled_to_the_input(tmp_path):
+    inputs = {"images": ("N", 3, 32, 96), "orig_target_sizes": ("N", 2)}
+    logits, boxes = np.array([[3.0, -3.0]]), np.array([[0.5, 0.5, 0.5, 1.0]])
+    session = OnnxSession(write_dfine(tmp_path / "m.onnx", logits, boxes, inputs=inputs, n_selected=1))
+    network = session.bound((32, 96))
+    for outputs in (network.run(), session.run(np.zeros((1, 3, 32, 96), np.float32))):
+        np.testing.assert_allclose(outputs[1], [[[24, 0, 72, 32]]])
+    assert network.integer_outputs == {"labels"}
+    assert session.input_shape == (None, 3, 32, 96)
 
 
 def test_unsupported_input_size(tmp_path):

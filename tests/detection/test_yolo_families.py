@@ -51,7 +51,7 @@ def test_all_layouts_are_identified(tmp_path):
         [(1, 83, 85)],
         [(1, 3 * CELLS)],
         [(1, 3 * CELLS, 5)],
-        [(1, 300, 6)],
+        [(1, 2000, 6)],
         [(2, CELLS, 85)],
         [(1, 255, 2, 2)],
         [(1, 255, 2, 2), (1, 75, 4, 4)],
@@ -61,7 +61,7 @@ def test_all_layouts_are_identified(tmp_path):
 )
 def test_unknown_outputs_list_known_layouts(tmp_path, shapes):
     model = write_model(tmp_path / "m.onnx", *(np.zeros(shape) for shape in shapes))
-    with pytest.raises(ModelError, match=r"m\.onnx: .*expected YOLOv4"):
+    with pytest.raises(ModelError, match=r"m\.onnx: .*expected those of .*YOLOv4"):
         YoloDetector(model)
 
 
@@ -235,6 +235,8 @@ def test_sidecar_attributes(tmp_path):
         ("yolov5n_coco_640.onnx", "YOLOv5", 80),
         ("yolov4tiny_voc_416.onnx", "YOLOv4-tiny", 20),
         ("yolox_nano_416.onnx", "YOLOX", 80),
+        ("nanodet_m_416.onnx", "NanoDet", 80),
+        ("picodet_s_416.onnx", "PicoDet", 80),
     ],
 )
 def test_real_networks_are_identified(shared_data, file, family, n_names):

@@ -23,6 +23,9 @@ from track_range.run.options.detector_options import DetectorOptions, open_detec
 _ABOUT = ("data", "date", "epochs", "licence", "license")
 """Metadata on the origin of a model."""
 
+_IDENTITY = {"mean": (0.0, 0.0, 0.0), "std": (1.0, 1.0, 1.0)}
+"""Attributes that have no effect, and are not shown, with these values."""
+
 
 class InfoOptions(Options):
     """Options of `track-range models info`."""
@@ -73,8 +76,8 @@ def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
     yield "input", f"[{shape}] {session.input_dtype.__name__}", _rectangular(detector)
     if None in session.input_shape[2:]:
         yield "size", str(detector.size.value), detector.size.source
-    for key in ("letterbox", "colours", "divisor", "anchors", "scale_x_y"):
-        if key in model.attributes:
+    for key in ("letterbox", "colours", "divisor", "mean", "std", "anchors", "scale_x_y", "scores"):
+        if key in model.attributes and model.attributes[key].value != _IDENTITY.get(key):
             yield key, _text(model.attributes[key].value), model.attributes[key].source
     yield f"{len(model.names)} classes", ", ".join(model.names), model.attributes["names"].source
     yield "road classes", ", ".join(ROAD_CLASSES[i] for i in detector.known_class_id), ""
