@@ -2,14 +2,14 @@
 
 The models are not part of track-range: `detection/models/download.py` downloads a model from the release of its project
 into the user's cache folder. A model is listed only if the checksums of all its files are published elsewhere (OpenCV's
-opencv_extra and opencv_zoo, OpenVINO's Open Model Zoo, or several independent projects).
+opencv_extra and opencv_zoo, OpenVINO's Open Model Zoo, Git LFS, or several independent projects).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from track_range.detection.classes import COCO_CLASSES
+from track_range.detection.classes import COCO_CATEGORIES, COCO_CLASSES
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +49,8 @@ class CatalogueEntry:
         licence: licence of the model.
         project, release: project and release that publish the model.
         classes: class names in the network's order.
+        size_px: side of the input in pixels for a network of variable input size that was trained at one size; None =
+            the input's own size, or the default.
     """
 
     name: str
@@ -59,6 +61,7 @@ class CatalogueEntry:
     project: str
     release: str
     classes: tuple[str, ...] = COCO_CLASSES
+    size_px: int | None = None
 
     @property
     def is_darknet(self) -> bool:
@@ -93,6 +96,10 @@ PUBLIC_DOMAIN = Licence("public domain", "Darknet's licence permits any use.")
 _YOLOX = "https://github.com/Megvii-BaseDetection/YOLOX/releases/download/0.1.1rc0"
 _DARKNET = "https://github.com/AlexeyAB/darknet/releases/download"
 _DARKNET_TEXT = "https://raw.githubusercontent.com/AlexeyAB/darknet"
+_OPENCV_ZOO = (
+    "https://media.githubusercontent.com/media/opencv/opencv_zoo/47534e27c9851bb1128ccc0102f1145e27f23f98/models"
+)
+_ONNX_COMMUNITY = "https://huggingface.co/onnx-community"
 
 
 def _yolox(name: str, side_px: int, checksum: str, size_bytes: int) -> CatalogueEntry:
@@ -170,6 +177,89 @@ CATALOGUE: tuple[CatalogueEntry, ...] = (
         licence=AGPL,
         project="ultralytics/yolov5",
         release="v7.0",
+    ),
+    CatalogueEntry(
+        name="yolov10n",
+        family="yolov10",
+        input="640x640",
+        files=(
+            ModelFile(
+                "yolov10n.onnx",
+                "https://github.com/THU-MIG/yolov10/releases/download/v1.1/yolov10n.onnx",
+                "sha256:7025ea1913f9a259cf8a8465ed608e10610d1bb376db2e0348b13e3bd286e0d3",
+                9_386_466,
+            ),
+        ),
+        licence=AGPL,
+        project="THU-MIG/yolov10",
+        release="v1.1",
+    ),
+    CatalogueEntry(
+        name="yolo26n",
+        family="yolo26",
+        input="640x640",
+        files=(
+            ModelFile(
+                "yolo26n.onnx",
+                "https://github.com/ultralytics/assets/releases/download/v8.4.0/yolo26n.onnx",
+                "sha256:2e947b787d9e787b93a16772a5f55b1d4d8c4d86f53146149c5d6a642442d6f7",
+                9_941_957,
+            ),
+        ),
+        licence=AGPL,
+        project="ultralytics/assets",
+        release="v8.4.0",
+    ),
+    CatalogueEntry(
+        name="nanodet-m",
+        family="nanodet",
+        input="416x416",
+        files=(
+            ModelFile(
+                "nanodet-m.onnx",
+                f"{_OPENCV_ZOO}/object_detection_nanodet/object_detection_nanodet_2022nov.onnx",
+                "sha256:4b82da9944b88577175ee23a459dce2e26e6e4be573def65b1055dc2d9720186",
+                3_800_954,
+            ),
+        ),
+        licence=APACHE,
+        project="opencv/opencv_zoo",
+        release="object_detection_nanodet_2022nov",
+    ),
+    CatalogueEntry(
+        name="dfine-s",
+        family="d-fine",
+        input="640x640",
+        files=(
+            ModelFile(
+                "dfine-s.onnx",
+                f"{_ONNX_COMMUNITY}/dfine_s_coco-ONNX/resolve/a3cf03147a9b86c78475139115c8ac142577352d/onnx/model.onnx",
+                "sha256:cd8a49a945feda6d28c6304ae8ae85c2759ba1d78a5a83a22c5ce8db82ef7238",
+                41_535_197,
+            ),
+        ),
+        licence=APACHE,
+        project="onnx-community/dfine_s_coco-ONNX",
+        release="a3cf0314",
+        size_px=640,
+    ),
+    CatalogueEntry(
+        name="rf-detr-nano",
+        family="rf-detr",
+        input="384x384",
+        files=(
+            ModelFile(
+                "rf-detr-nano.onnx",
+                f"{_ONNX_COMMUNITY}/rfdetr_nano-ONNX/resolve/eae21cee0687a91bcf9fa071605c48d7705d2d91/onnx/model.onnx",
+                "sha256:9cbac6b11ce34a03034e4d5a24cfac5f18632fd6761d1311dd640232088d7fee",
+                108_074_865,
+            ),
+        ),
+        licence=APACHE,
+        project="onnx-community/rfdetr_nano-ONNX",
+        release="eae21cee",
+        classes=COCO_CATEGORIES,
+        size_px=384,
     ),
 )
 

@@ -20,6 +20,7 @@ from urllib.parse import urlparse
 from track_range.detection.darknet.importer import import_darknet
 from track_range.detection.models.catalogue import CatalogueEntry, ModelFile
 from track_range.foundation.errors import UserError
+from track_range.foundation.files.atomic_files import write_text
 from track_range.foundation.files.input_files import shortened
 
 Progress = Callable[[int, int | None], None]
@@ -48,6 +49,8 @@ class DownloadError(UserError):
 def pull(entry: CatalogueEntry, cache: Path, progress: Progress | None = None) -> Path:
     """Path of the entry's ONNX file in the cache folder, downloaded and converted if it is not there yet.
 
+    The size of an input of variable size is written to `NAME.yaml` beside it (`detection.models.metadata`).
+
     Raises:
         DownloadError: the download failed, or the cache folder cannot be written.
         ModelError: the Darknet files cannot be imported.
@@ -61,11 +64,23 @@ def pull(entry: CatalogueEntry, cache: Path, progress: Progress | None = None) -
         raise DownloadError(
             f"{cache}: cannot create this folder for models ({error.strerror}); set TRACK_RANGE_CACHE to another one."
         ) from error
+    if entry.size_px is not None:
+        _write_size(cache / f"{entry.name}.yaml", entry.size_px)
     paths = {Path(file.name).suffix: fetch(file, cache / file.name, progress) for file in entry.files}
     if entry.is_darknet:
         import_darknet(paths[".cfg"], paths[".weights"], model, names=entry.classes)
         paths[".weights"].unlink()
     return model
+
+
+def _write_size(sidecar: Path, size_px: int) -> None:
+    """Write the attribute `size`, unless the user has attributes for this model."""
+    if sidecar.exists():
+        return
+    try:
+        write_text(sidecar, f"size: {size_px}\n")
+    except OSError as error:
+        raise DownloadError(f"{sidecar}: cannot be written ({error.strerror or error}).") from error
 
 
 def fetch(file: ModelFile, target: Path, progress: Progress | None = None) -> Path:

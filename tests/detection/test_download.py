@@ -107,6 +107,17 @@ def test_complete_part_is_only_verified(server, tmp_path):
     assert fetch(file_of(server), tmp_path / "model.onnx").read_bytes() == BODY
 
 
+def test_size_of_a_variable_input_is_stored(server, tmp_path):
+    file = ModelFile("rf-detr-nano.onnx", server.url, CHECKSUM, None)
+    entry = replace(entry_named("rf-detr-nano"), files=(file,))
+    pull(entry, tmp_path)
+    assert (tmp_path / "rf-detr-nano.yaml").read_text() == "size: 384\n"
+    (tmp_path / "rf-detr-nano.yaml").write_text("size: 512\n")  # the user's
+    (tmp_path / "rf-detr-nano.onnx").unlink()
+    pull(entry, tmp_path)
+    assert (tmp_path / "rf-detr-nano.yaml").read_text() == "size: 512\n"
+
+
 def test_wrong_checksum_removes_the_file(server, tmp_path):
     checksum = "sha1:" + "0" * 40
     with pytest.raises(DownloadError, match=rf"model\.onnx: expected checksum {checksum}, got sha1:{SHA1}"):
