@@ -1,0 +1,263 @@
+"""Focal lengths and distances of cameras without a calibration, with no, one and three known distances.
+
+Simulated drives: boxes as the packaged detector finds them (`simulation/boxes`), 20 s at 5 Hz, every other frame used,
+1280 x 720 px; per drive a random field of view of 50 to 100 degrees, camera height of 1.2 to 1.8 m and pitch (standard
+deviation 2 degrees). KITTI: tracking labels, or the boxes of a detector, every fifth frame of a sequence; five random
+choices of known objects per sequence. A known distance is that of a visible car at 5 to 30 m within half of the image width
+about its middle, with a tape error of 1 % and box edges drawn with an error of 1.5 px.
+
+Errors of the focal length are |log(f / f_true)|; errors of distances those of ranging by size on all unhidden boxes at 5
+to 60 m, per drive their median, and over the drives the median of these.
+"""
+
+from __future__ import annotations
+
+import math
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from benchmarks.plain_tables import figure_text, plain_table
+from track_range.foundation.arrays import FloatArray
+from track_range.ranging.fitting.camera.camera_fit import fit_camera
+from track_range.ranging.fitting.camera.focal_evidence import default_guess, focal_of_field, focal_posterior
+from track_range.ranging.fitting.camera.measurements import FocalGuess, KnownObject, SceneBoxes, unhidden
+from track_range.ranging.fitting.labelled_boxes import box_set
+from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.curve import load_curves
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
+from track_range.simulation.boxes.box_drive import BoxDrive
+from track_range.simulation.world.scenarios import make_scenario
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
+
+SCENARIOS = ("city", "town", "highway", "queue")
+"""Scenarios of each seed."""
+
+SIZE_PX, KITTI_SIZE_PX = (1280, 720), (1242, 375)
+"""Size of the images."""
+
+SECONDS, STEP_S = 20.0, 0.4
+"""Length of a simulated drive and time between its frames, s."""
+
+TAPE_SIGMA, EDGE_PX = 0.01, 1.5
+"""Relative error of a known distance, and error of the edges of its box in px."""
+
+NEAREST_M, FARTHEST_M, KNOWN_M = 5.0, 60.0, 30.0
+"""Distances that are compared, and the largest known distance, m."""
+
+CHOICES = 5
+"""Number of choices of known objects per sequence of KITTI."""
+
+NAMES = ("no measurement", "one distance", "three distances", "75 degrees assumed")
+"""Rows of the tables."""
+
+
+@dataclass(frozen=True, slots=True)
+class RoadDrive:
+    """Boxes of a drive with a camera of unknown focal length.
+
+    Attributes:
+        name: of the group in the tables.
+        size_px: (width, height) of the images.
+        focal_px: true focal length.
+        scene: boxes that are not hidden.
+        true_m: (N,) their true distances.
+        known: choices of known objects, at least three each.
+    """
+
+    name: str
+    size_px: tuple[int, int]
+    focal_px: float
+    scene: SceneBoxes
+    true_m: FloatArray
+    known: tuple[tuple[KnownObject, ...], ...]
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Options of the workload."""
+    parser.add_argument("--first-seed", type=int, default=100, help="first seed; 0-9 were used for the design")
+    parser.add_argument("--seeds", type=int, default=20, help="number of seeds")
+    parser.add_argument("--labels", type=Path, help="folder with label_02, calib and rrc of KITTI")
+
+
+def measure(options: Namespace) -> dict[str, Any]:
+    """Print the tables; returns their figures by group of drives."""
+    sizes = load_curves()
+    if not isinstance(sizes, CuboidSizes):
+        raise TypeError("the packaged curves have no priors")
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    groups = [[simulated_drive(name, seed) for seed in seeds] for name in SCENARIOS]
+    figures = {SCENARIOS[k]: _figures(group, sizes) for k, group in enumerate(groups)}
+    figures["all simulated"] = _figures([drive for group in groups for drive in group], sizes)
+    if options.labels:
+        for name, boxes, noise_px in (
+            ("KITTI labels", "labels", 0.0),
+            ("KITTI 2 px", "labels", 2.0),
+            ("KITTI RRC", f"rrc:{options.labels / 'rrc'}", 0.0),
+        ):
+            figures[name] = _figures(list(kitti_drives(options.labels, name, boxes, noise_px)), sizes)
+    _print(figures)
+    return figures
+
+
+def simulated_drive(scenario: str, seed: int) -> RoadDrive:
+    """A simulated drive with a random camera."""
+    rng = np.random.default_rng([seed, 77, len(scenario), ord(scenario[0])])
+    focal_px = focal_of_field(rng.uniform(50, 100), SIZE_PX[0])
+    pitch_rad, height_m = math.radians(rng.normal(0, 2)), rng.uniform(1.2, 1.8)
+    camera = PinholeCamera.of_focal_length(focal_px, SIZE_PX)
+    camera = replace(camera, cy_px=camera.cy_px - focal_px * math.tan(pitch_rad))  # a pitched camera, nearly
+    scene = replace(make_scenario(scenario, seed=seed, seconds=SECONDS), camera_height_m=height_m)
+    times_s = np.arange(0, SECONDS - STEP_S / 2, STEP_S / 2)
+    drive = BoxDrive(scene, times_s, StereoRig.rectified(camera, 0.5), seed=seed)
+    parts, distances = [], []
+    for frame in list(drive)[::2]:
+        boxes = frame.detections
+        rows = np.flatnonzero((frame.user >= 0) & unhidden(boxes.xyxy_px))
+        parts.append(SceneBoxes(boxes.xyxy_px[rows], boxes.class_id[rows], frame.user[rows]))
+        distances.append(frame.true_m[rows])
+    true = drive.true
+    is_car = np.array([scene.road_users[user].kitti_type == "Car" for user in true.user])
+    rows = np.flatnonzero(is_car & (true.hidden_share < 0.05) & (true.outside_share <= 0))
+    known = _chosen(true.xyxy_px[rows], true.distance_m[rows], true.user[rows], SIZE_PX, rng)
+    return RoadDrive(scenario, SIZE_PX, focal_px, SceneBoxes.joined(parts), np.concatenate(distances), (known,))
+
+
+def kitti_drives(folder: Path, name: str, boxes: str, noise_px: float) -> Iterator[RoadDrive]:
+    """KITTI's sequences, with boxes of the labels (with noise) or of a detector."""
+    labelled = box_set(folder / "label_02", folder / "calib", boxes=boxes, noise_px=noise_px, seed=1)
+    for k in range(len(labelled.sequence_names)):
+        rows = labelled.select(labelled.sequence == k)
+        if len(rows) < 5:
+            continue
+        shown = np.zeros(len(rows), np.bool_)
+        for frame in np.unique(rows.frame[rows.frame % 5 == 0]):
+            of_frame = np.flatnonzero(rows.frame == frame)
+            shown[of_frame] = unhidden(rows.xyxy_px[of_frame])
+        scene = SceneBoxes(rows.xyxy_px[shown], rows.class_id[shown], rows.track_id[shown])
+        is_car = np.flatnonzero((rows.class_name == "car") & (rows.occluded == 0))
+        choices = tuple(
+            _chosen(
+                rows.xyxy_px[is_car],
+                rows.distance_m[is_car],
+                rows.track_id[is_car],
+                KITTI_SIZE_PX,
+                np.random.default_rng([k, n]),
+            )
+            for n in range(CHOICES)
+        )
+        focal_px = float(rows.fxycxy_px[0, 0])
+        yield RoadDrive(name, KITTI_SIZE_PX, focal_px, scene, rows.distance_m[shown], choices)
+
+
+def _chosen(
+    xyxy_px: FloatArray, distance_m: FloatArray, identity: Any, size_px: tuple[int, int], rng: np.random.Generator
+) -> tuple[KnownObject, ...]:
+    """Up to three different objects in random order, as a person would measure them."""
+    offset_px = (xyxy_px[:, 0] + xyxy_px[:, 2] - size_px[0]) / 2
+    usable = (np.abs(offset_px) < size_px[0] / 4) & (xyxy_px[:, 3] < size_px[1] - 4)
+    usable &= (distance_m > NEAREST_M) & (distance_m < KNOWN_M)
+    chosen: dict[int, KnownObject] = {}
+    for row in rng.permutation(np.flatnonzero(usable)).tolist():
+        box = xyxy_px[row] + rng.normal(0, EDGE_PX, 4)
+        chosen.setdefault(
+            int(identity[row]),
+            KnownObject(
+                name=str(row),
+                xyxy_px=(float(box[0]), float(box[1]), float(box[2]), float(box[3])),
+                size_class=SIZE_CLASSES.index("car"),
+                distance_m=float(distance_m[row] * (1 + rng.normal(0, TAPE_SIGMA))),
+            ),
+        )
+    return tuple(chosen.values())[:3]
+
+
+def _figures(drives: Sequence[RoadDrive], sizes: CuboidSizes) -> dict[str, dict[str, float]]:
+    """Figures of each row of `NAMES` over the drives."""
+    errors: dict[str, list[tuple[float, float, float]]] = {name: [] for name in NAMES}
+    for drive in drives:
+        for name, guess in _estimates(drive, sizes):
+            log_error = math.log(guess.focal_px / drive.focal_px)
+            errors[name].append((log_error, guess.sigma, _distance_error(drive, guess.focal_px, sizes)))
+    return {name: _summary(np.array(values)) for name, values in errors.items() if values}
+
+
+def _estimates(drive: RoadDrive, sizes: CuboidSizes) -> Iterator[tuple[str, FocalGuess]]:
+    """Focal lengths with their sigmas, by row of `NAMES`."""
+    default = default_guess(drive.size_px[0])
+    yield NAMES[3], default
+    posterior = focal_posterior([default], drive.scene, drive.size_px, sizes)
+    prior = posterior.as_guess([default])
+    yield NAMES[0], prior
+    for known in drive.known:
+        for name, n in ((NAMES[1], 1), (NAMES[2], 3)):
+            if len(known) < n:
+                continue
+            fit = fit_camera(
+                drive.size_px,
+                prior,
+                sizes,
+                objects=known[:n],
+                scene=drive.scene,
+                scene_noise=posterior.relative_noise,
+            )
+            yield name, FocalGuess(fit.camera.fx_px, fit.focal_sigma, "")
+
+
+def _distance_error(drive: RoadDrive, focal_px: float, sizes: CuboidSizes) -> float:
+    """Median relative error of distances by size with this focal length, without the ground plane."""
+    rows = np.flatnonzero((drive.true_m >= NEAREST_M) & (drive.true_m <= FARTHEST_M))
+    scene = drive.scene.select(rows)
+    xyxy_px = scene.xyxy_px
+    is_whole = (xyxy_px[:, 0] > 2) & (xyxy_px[:, 2] < drive.size_px[0] - 3) & (xyxy_px[:, 3] > xyxy_px[:, 1])
+    scene, true_m = scene.select(is_whole), drive.true_m[rows][is_whole]
+    camera = PinholeCamera.of_focal_length(focal_px, drive.size_px)
+    no_bottom = np.ones(len(scene), np.bool_), np.zeros(len(scene), np.bool_)
+    boxes = measured_boxes(
+        scene.xyxy_px, scene.size_class, camera=camera, noise=BoxNoise(), uses_width_bottom=no_bottom
+    )
+    return float(np.nanmedian(np.abs(sizes.measure(boxes).distance_m / true_m - 1)))
+
+
+def _summary(values: FloatArray) -> dict[str, float]:
+    log_error, sigma, distance_error = values.T
+    size = np.abs(log_error)
+    return {
+        "n": len(values),
+        "focal_median_pct": 100 * float(np.median(size)),
+        "focal_p90_pct": 100 * float(np.quantile(size, 0.9)),
+        "focal_bias_pct": 100 * float(np.median(log_error)),
+        "sigma_pct": 100 * float(np.median(sigma)),
+        "within_1_sigma": float(np.mean(size < sigma)),
+        "within_2_sigma": float(np.mean(size < 2 * sigma)),
+        "distance_median_pct": 100 * float(np.median(distance_error)),
+    }
+
+
+def _print(figures: dict[str, dict[str, dict[str, float]]]) -> None:
+    console = Console()
+    for group, rows in figures.items():
+        table = plain_table(
+            f"{group}: errors in %", "known", "n", "focal", "90 %", "bias", "sigma", "<=1 s", "<=2 s", "mono"
+        )
+        for name in NAMES:
+            if name not in rows:
+                continue
+            row = rows[name]
+            table.add_row(
+                name,
+                str(row["n"]),
+                *(
+                    figure_text(row[key], digits=1)
+                    for key in ("focal_median_pct", "focal_p90_pct", "focal_bias_pct", "sigma_pct")
+                ),
+                *(figure_text(row[key], digits=0, times=100) for key in ("within_1_sigma", "within_2_sigma")),
+                figure_text(row["distance_median_pct"], digits=1),
+            )
+        console.print(table)
