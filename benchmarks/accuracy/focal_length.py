@@ -3,11 +3,12 @@
 Simulated drives: boxes as the packaged detector finds them (`simulation/boxes`), 20 s at 5 Hz, every other frame used,
 1280 x 720 px; per drive a random field of view of 50 to 100 degrees, camera height of 1.2 to 1.8 m and pitch (standard
 deviation 2 degrees). KITTI: tracking labels, or the boxes of a detector, every fifth frame of a sequence; five random
-choices of known objects per sequence. A known distance is that of a visible car at 5 to 30 m within half of the image width
-about its middle, with a tape error of 1 % and box edges drawn with an error of 1.5 px.
+choices of known objects per sequence. A known distance is that of a visible car at 5 to 30 m, within half of the image
+width about its middle, with a tape error of 1 % and box edges drawn with an error of 1.5 px.
 
-Errors of the focal length are |log(f / f_true)|; errors of distances those of ranging by size on all unhidden boxes at 5
-to 60 m, per drive their median, and over the drives the median of these.
+Errors of the focal length are |log(f / f_true)|. Errors of distances are those of ranging by size on all unhidden boxes
+at 5 to 60 m: per drive their median ("mono") and the magnitude of their common factor ("scale"), the median of the log
+ratio; and over the drives the median of these.
 """
 
 from __future__ import annotations
@@ -180,11 +181,11 @@ def _chosen(
 
 def _figures(drives: Sequence[RoadDrive], sizes: CuboidSizes) -> dict[str, dict[str, float]]:
     """Figures of each row of `NAMES` over the drives."""
-    errors: dict[str, list[tuple[float, float, float]]] = {name: [] for name in NAMES}
+    errors: dict[str, list[tuple[float, ...]]] = {name: [] for name in NAMES}
     for drive in drives:
         for name, guess in _estimates(drive, sizes):
             log_error = math.log(guess.focal_px / drive.focal_px)
-            errors[name].append((log_error, guess.sigma, _distance_error(drive, guess.focal_px, sizes)))
+            errors[name].append((log_error, guess.sigma, *_distance_errors(drive, guess.focal_px, sizes)))
     return {name: _summary(np.array(values)) for name, values in errors.items() if values}
 
 
@@ -210,8 +211,8 @@ def _estimates(drive: RoadDrive, sizes: CuboidSizes) -> Iterator[tuple[str, Foca
             yield name, FocalGuess(fit.camera.fx_px, fit.focal_sigma, "")
 
 
-def _distance_error(drive: RoadDrive, focal_px: float, sizes: CuboidSizes) -> float:
-    """Median relative error of distances by size with this focal length, without the ground plane."""
+def _distance_errors(drive: RoadDrive, focal_px: float, sizes: CuboidSizes) -> tuple[float, float]:
+    """Median error, and magnitude of the common scale error, of distances by size with this focal length."""
     rows = np.flatnonzero((drive.true_m >= NEAREST_M) & (drive.true_m <= FARTHEST_M))
     scene = drive.scene.select(rows)
     xyxy_px = scene.xyxy_px
@@ -222,11 +223,12 @@ def _distance_error(drive: RoadDrive, focal_px: float, sizes: CuboidSizes) -> fl
     boxes = measured_boxes(
         scene.xyxy_px, scene.size_class, camera=camera, noise=BoxNoise(), uses_width_bottom=no_bottom
     )
-    return float(np.nanmedian(np.abs(sizes.measure(boxes).distance_m / true_m - 1)))
+    log_ratio = np.log(sizes.measure(boxes).distance_m / true_m)
+    return float(np.nanmedian(np.abs(log_ratio))), abs(float(np.nanmedian(log_ratio)))
 
 
 def _summary(values: FloatArray) -> dict[str, float]:
-    log_error, sigma, distance_error = values.T
+    log_error, sigma, distance_error, scale_error = values.T
     size = np.abs(log_error)
     return {
         "n": len(values),
@@ -237,6 +239,7 @@ def _summary(values: FloatArray) -> dict[str, float]:
         "within_1_sigma": float(np.mean(size < sigma)),
         "within_2_sigma": float(np.mean(size < 2 * sigma)),
         "distance_median_pct": 100 * float(np.median(distance_error)),
+        "scale_median_pct": 100 * float(np.median(scale_error)),
     }
 
 
@@ -244,7 +247,7 @@ def _print(figures: dict[str, dict[str, dict[str, float]]]) -> None:
     console = Console()
     for group, rows in figures.items():
         table = plain_table(
-            f"{group}: errors in %", "known", "n", "focal", "90 %", "bias", "sigma", "<=1 s", "<=2 s", "mono"
+            f"{group}: errors in %", "known", "n", "focal", "90 %", "bias", "sigma", "<=1 s", "<=2 s", "mono", "scale"
         )
         for name in NAMES:
             if name not in rows:
@@ -258,6 +261,6 @@ def _print(figures: dict[str, dict[str, dict[str, float]]]) -> None:
                     for key in ("focal_median_pct", "focal_p90_pct", "focal_bias_pct", "sigma_pct")
                 ),
                 *(figure_text(row[key], digits=0, times=100) for key in ("within_1_sigma", "within_2_sigma")),
-                figure_text(row["distance_median_pct"], digits=1),
+                *(figure_text(row[key], digits=1) for key in ("distance_median_pct", "scale_median_pct")),
             )
         console.print(table)

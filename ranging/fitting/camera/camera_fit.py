@@ -13,12 +13,12 @@ Residuals, each divided by its standard deviation (u, v: column and row from the
     the same with a known distance    log(s Z / (f S))
     lane of width W in a row          v - y0 - r u - H w / W
     horizon in a row                  v - y0                           lane lines, direction of travel
-    other road users                  v - y0 - r u - H e^-b f / D'(f)  Cauchy's loss; D' = D(f) - offset
+    other road users                  v - y0 - r u - H e^-b f / D'     Cauchy's loss; D' = D(f) - offset with the last f
     priors                            f (focal_evidence), H, y0, r, b
 
 Sizes with contact points give H and y0, but not f: scaling f and all distances alike leaves all images of flat objects
 unchanged. Known distances and the prior of f separate the two. The covariance is (J'J)^-1 at the solution (Laplace's
-approximation).
+approximation). Standard deviations are those at the parameters of the fit before, so that they do not attract it.
 """
 
 from __future__ import annotations
@@ -298,8 +298,9 @@ class _Terms:
         self._scene_offset_m = surface_offset_m(self._scene.xyxy_px, self._scene.size_class)
         size_of_boxes_px = self._scene.xyxy_px[:, 2:] - self._scene.xyxy_px[:, :2]
         self._scene_edge_px = BoxNoise(relative=scene_noise).sigma_px(size_of_boxes_px, self._scene.size_class)[:, 1]
-        self._scene_sigma_px = self._sigma_of_scene(self.prior_mean, self._scene_slope(self.prior_mean))
         self._scene_weight = np.sqrt(np.minimum(1.0, _VIEWS_PER_TRACK / self._scene.views))
+        self._start_from(self.prior_mean)
+        self._scene_sigma_px = self._sigma_of_scene(self._scene_slope)
 
     def residuals(self, theta: FloatArray) -> FloatArray:
         """(M,) all residuals in standard deviations."""
@@ -334,9 +335,7 @@ class _Terms:
             if is_standing and known.distance_m > 2 * self._offset_m[k]:
                 slope = math.exp(log_f) / (known.distance_m - float(self._offset_m[k]))
                 value = below_px - math.exp(log_h) * slope
-                rows.append(
-                    Residual(known.name, "bottom edge on the road", value, self._row_sigma(theta, slope, known), "px")
-                )
+                rows.append(Residual(known.name, "bottom edge on the road", value, self._row_sigma(slope, known), "px"))
         for side_px, side_m, name in ((h, known.height_m, "height"), (w, known.width_m, "width")):
             if not math.isfinite(side_m):
                 continue
@@ -347,7 +346,7 @@ class _Terms:
             if is_standing:
                 slope = side_px / side_m
                 value = below_px - math.exp(log_h) * slope
-                sigma = math.hypot(self._row_sigma(theta, slope, known), math.exp(log_h) * slope * side_sigma)
+                sigma = math.hypot(self._row_sigma(slope, known), math.exp(self._fixed[_LOG_H]) * slope * side_sigma)
                 rows.append(Residual(known.name, f"bottom edge with the known {name}", value, sigma, "px"))
         return rows
 
@@ -357,37 +356,46 @@ class _Terms:
         drop_px = math.exp(theta[_LOG_H]) * slope
         value = self._below_horizon(theta, (lane.x1_px + lane.x2_px) / 2, lane.y_px) - drop_px
         share = math.hypot(lane.relative_sigma, math.sqrt(2) * _PICKED_EDGE_PX / w)
-        sigma = math.hypot(_PITCHING_RAD * math.exp(theta[_LOG_F]), _PICKED_EDGE_PX, drop_px * share)
+        fixed_drop_px = math.exp(self._fixed[_LOG_H]) * slope
+        sigma = math.hypot(_PITCHING_RAD * math.exp(self._fixed[_LOG_F]), _PICKED_EDGE_PX, fixed_drop_px * share)
         return Residual(lane.name, "width of the lane", value, sigma, "px")
 
     def reweight(self, theta: FloatArray) -> None:
-        """Compute the standard deviations of the scene's residuals from the fitted distances.
+        """Compute the standard deviations of the residuals, and the scene's distances by size, from a first fit.
 
-        Those by size are noisy, and weights that depend on the noise would prefer boxes that are too small.
+        The standard deviations of the scene follow from the fitted distances: those by size are noisy, and weights
+        that depend on the noise would prefer boxes that are too small.
         """
+        self._start_from(theta)
         x1, _, x2, y2 = self._scene.xyxy_px.T
-        observed = self._scene_slope(theta)
+        observed = self._scene_slope * math.exp(-theta[_SIZE])
         fitted = self._below_horizon(theta, (x1 + x2) / 2, y2) / math.exp(theta[_LOG_H])
-        slope = np.clip(fitted, observed / _MAX_SLOPE_RATIO, observed * _MAX_SLOPE_RATIO)
-        self._scene_sigma_px = self._sigma_of_scene(theta, slope)
+        self._scene_sigma_px = self._sigma_of_scene(
+            np.clip(fitted, observed / _MAX_SLOPE_RATIO, observed * _MAX_SLOPE_RATIO)
+        )
+
+    def _start_from(self, theta: FloatArray) -> None:
+        """Fix what must not depend on the parameters during a fit.
+
+        That are standard deviations, and f / Z' in px/m of other road users with Z' by size, which would repeat what
+        the shapes of their boxes contribute to the prior of f.
+        """
+        self._fixed = theta
+        distance_m = np.exp(self._scene_by_size.at(theta[_LOG_F])) - self._scene_offset_m
+        self._scene_slope = math.exp(theta[_LOG_F]) / np.maximum(distance_m, 1.0)
 
     def _of_scene(self, theta: FloatArray) -> FloatArray:
         """(N,) residuals of the bottom edges of other road users."""
         x1, _, x2, y2 = self._scene.xyxy_px.T
-        below_px = self._below_horizon(theta, (x1 + x2) / 2, y2)
-        residual = (below_px - math.exp(theta[_LOG_H]) * self._scene_slope(theta)) / self._scene_sigma_px
+        drop_px = math.exp(theta[_LOG_H] - theta[_SIZE]) * self._scene_slope
+        residual = (self._below_horizon(theta, (x1 + x2) / 2, y2) - drop_px) / self._scene_sigma_px
         robust = _CAUCHY * np.sqrt(np.log1p((residual / _CAUCHY) ** 2)) * np.sign(residual)
         return np.asarray(self._scene_weight * robust)
 
-    def _scene_slope(self, theta: FloatArray) -> FloatArray:
-        """(N,) f / Z' in px/m of other road users, with Z' by size."""
-        distance_m = np.exp(self._scene_by_size.at(theta[_LOG_F]) + theta[_SIZE]) - self._scene_offset_m
-        return np.asarray(math.exp(theta[_LOG_F]) / np.maximum(distance_m, 1.0))
-
-    def _sigma_of_scene(self, theta: FloatArray, slope: FloatArray) -> FloatArray:
+    def _sigma_of_scene(self, slope: FloatArray) -> FloatArray:
         """(N,) standard deviations in px of the bottom edges of other road users about the road."""
-        by_size_px = math.exp(theta[_LOG_H]) * slope * self._scene_by_size.sigma
-        pitching_px = _PITCHING_RAD * math.exp(theta[_LOG_F])
+        by_size_px = math.exp(self._fixed[_LOG_H]) * slope * self._scene_by_size.sigma
+        pitching_px = _PITCHING_RAD * math.exp(self._fixed[_LOG_F])
         return np.asarray(np.sqrt(by_size_px**2 + pitching_px**2 + (_KERB_M * slope) ** 2 + self._scene_edge_px**2))
 
     def _below_horizon(self, theta: FloatArray, x_px: _Real, y_px: _Real) -> _Real:
@@ -395,10 +403,10 @@ class _Terms:
         y0, roll = float(theta[_Y0]), float(theta[_ROLL])
         return y_px - (self._centre_px[1] + y0) - (x_px - self._centre_px[0]) * roll
 
-    def _row_sigma(self, theta: FloatArray, slope: float, known: KnownObject) -> float:
+    def _row_sigma(self, slope: float, known: KnownObject) -> float:
         """Standard deviation in px of a bottom edge about the road, for `slope` = f / Z in px/m."""
-        pitching_px = _PITCHING_RAD * math.exp(theta[_LOG_F])
-        tape_px = known.relative_sigma * math.exp(theta[_LOG_H]) * slope
+        pitching_px = _PITCHING_RAD * math.exp(self._fixed[_LOG_F])
+        tape_px = known.relative_sigma * math.exp(self._fixed[_LOG_H]) * slope
         return math.hypot(pitching_px, _PICKED_EDGE_PX, _KERB_M * slope, tape_px)
 
 

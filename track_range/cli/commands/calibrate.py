@@ -25,6 +25,10 @@ _N_COEFFICIENTS = (0, 4, 5, 8)
 
 
 def _calibrate(settings: CalibrationSettings) -> None:
+    if settings.is_from_road and settings.lens != "pinhole":
+        raise UsageError(
+            f"--lens {settings.lens}: expected --board, since a drive does not show the lens's distortion."
+        )
     if settings.is_from_road:
         _calibrate_on_road(settings)
         return
