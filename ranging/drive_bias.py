@@ -9,7 +9,8 @@ information, in which errors are correlated over `_CORRELATED_S`. The estimate i
 (ridge regression) with Cauchy weights, since vans are detected as cars and contact points are hidden.
 
 Distances by size are multiplied by exp(a + c_k). Their sigma has the variance of the bias in place of its prior one: it
-shrinks as evidence comes, first that of other classes, then that of the class.
+shrinks as evidence comes, first that of other classes, then that of the class. A reference that is not used elsewhere
+(`is_own` of `learn`) also corrects its own track, by the posterior mean of a + c_k + e_i.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.track_state import TrackState
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
@@ -36,6 +38,9 @@ _CORRELATED_S = 0.5
 
 _MEMORY_S = 180.0
 """Time constant with which tracks are forgotten: streets change."""
+
+_OWN_S = 5.0
+"""Time for which a track without references stays corrected by its own ones."""
 
 _MAX_TRACKS = 400
 """Largest number of tracks; more do not change the estimate."""
@@ -71,8 +76,11 @@ class DriveBias:
         self._ids = np.zeros(0, np.int64)
         self._class_id = np.zeros(0, np.int64)
         self._tracks = _Columns(*np.zeros((4, 0)))
+        self._own = TrackState(np.zeros(3))
+        """By track: information of its own references, their weighted log ratio, time of the last one."""
         self._by_size: tuple[Ranges, IntArray] | None = None
         self._time_s = 0.0
+        self._last_s: dict[str, float] = {}
         self._log_factor = np.zeros(len(SIZE_CLASSES))
         self._variance = np.full(len(SIZE_CLASSES), _PRIOR_VARIANCE)
 
@@ -95,26 +103,52 @@ class DriveBias:
         self._by_size = by_size, class_id
         if not len(self._ids):
             return by_size
-        factor = np.exp(self._log_factor[class_id])
+        log_factor = self._log_factor[class_id]
         with np.errstate(invalid="ignore", divide="ignore"):
             variance = (by_size.sigma_m / by_size.distance_m) ** 2
             systematic = _systematic_variance(by_size)
         explained = np.minimum(_PRIOR_VARIANCE, _MAX_SHARED * systematic)
         explained = explained * (1.0 - self._variance[class_id] / _PRIOR_VARIANCE)
-        distance_m = by_size.distance_m * factor
+        left = systematic - explained
+        information, weighted_ratio, _ = self._own.get(by_size.track_id)
+        gain = left * information / (1.0 + left * information)
+        mean = weighted_ratio / np.where(information > 0, information, 1.0)
+        log_factor = log_factor + gain * (mean - log_factor)
+        explained, left = explained + gain * left, (1.0 - gain) * left
+        distance_m = by_size.distance_m * np.exp(log_factor)
         sigma_m = distance_m * np.sqrt(variance - explained)
-        systematic_m = distance_m * np.sqrt(systematic - explained)
-        return Ranges(by_size.track_id, distance_m, sigma_m, systematic_m)
+        return Ranges(by_size.track_id, distance_m, sigma_m, distance_m * np.sqrt(left))
 
-    def learn(self, reference: Ranges, time_s: float, *, shared_sigma: float) -> None:
+    def expected(self, by_size: Ranges, class_id: IntArray) -> Ranges:
+        """N distances by size corrected by all references of their tracks so far."""
+        of_drive = self.corrected(by_size, class_id)
+        if not len(self._ids):
+            return of_drive
+        is_same = by_size.track_id[:, None] == self._ids
+        row, is_known = is_same.argmax(axis=1), is_same.any(axis=1)
+        information, weighted_ratio = (column[row] for column in self._tracks[:2])
+        systematic = _systematic_variance(of_drive)
+        gain = np.where(is_known, systematic * information / (1.0 + systematic * information), 0.0)
+        log_factor = self._log_factor[class_id]
+        mean = weighted_ratio / information
+        return Ranges(
+            by_size.track_id,
+            by_size.distance_m * np.exp(log_factor + gain * (mean - log_factor)),
+            of_drive.sigma_m * by_size.distance_m / of_drive.distance_m,
+        )
+
+    def learn(self, reference: Ranges, time_s: float, *, shared_sigma: float, is_own: bool = False) -> None:
         """Add the reference distances of the tracks last corrected, NaN = none, and update the bias.
 
         Args:
             reference: distances of the same N tracks.
             time_s: time of the frame.
             shared_sigma: relative standard deviation of an error that all references share.
+            is_own: whether the tracks are corrected by their own references, too.
         """
-        step_s, self._time_s = min(max(time_s - self._time_s, 0.0), _CORRELATED_S), time_s
+        key = "own" if is_own else "others"
+        step_s = min(max(time_s - self._last_s.get(key, 0.0), 0.0), _CORRELATED_S)
+        self._last_s[key] = self._time_s = time_s
         if self._by_size is None or step_s == 0.0:
             return
         by_size, class_id = self._by_size
@@ -127,6 +161,23 @@ class DriveBias:
             own = systematic - np.minimum(_PRIOR_VARIANCE, _MAX_SHARED * systematic)
             self._add(by_size.track_id[rows], class_id[rows], ratio[rows], noise[rows], own[rows], step_s)
             self._solve(shared_sigma)
+        if is_own and len(rows):
+            ids = by_size.track_id[rows]
+            information, weighted_ratio, _ = self._own.get(ids)
+            added = step_s / _CORRELATED_S / (noise[rows] + shared_sigma**2)
+            limit = 1.0 / ((reference.sigma_m / reference.distance_m)[rows] ** 2)  # errors of a track's references last
+            stays = np.minimum(1.0, limit / (information + added))
+            self._own.put(
+                ids,
+                np.array(
+                    [
+                        stays * (information + added),
+                        stays * (weighted_ratio + added * ratio[rows]),
+                        np.full(len(rows), time_s),
+                    ]
+                ),
+                keep_known=time_s - self._own.known[2] < _OWN_S,
+            )
 
     def _add(
         self,

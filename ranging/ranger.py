@@ -10,6 +10,7 @@ from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray32
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.camera_step import CameraStep
 from track_range.stereo.odometry.road_horizon import RoadView
 from track_range.tracking.tracks import Tracks
 
@@ -18,9 +19,9 @@ class Ranger(ABC):
     """Measures the distance of each track of a frame; an implementation may have state per track id.
 
     Only `measure` is required. The other members are hooks that a run calls or reads; their defaults do nothing.
-    For each frame a run calls `start` (in another thread, up to a few frames ahead), `update_road` if the motion of the
-    images shows the road, `update_lanes` if lanes were detected in the frame, and `measure_with`; after the last frame
-    it calls `close`.
+    For each frame a run calls `start` (in another thread, up to a few frames ahead), `update_road` and `update_motion`
+    if the images show the road and the motion of the camera, `update_lanes` if lanes were detected in the frame, and
+    `measure_with`; after the last frame it calls `close`.
 
     Attributes:
         background_s: seconds of work so far in the ranger's own threads; a run adds them to the time of its stage.
@@ -53,6 +54,9 @@ class Ranger(ABC):
 
     def update_road(self, road: RoadView) -> None:  # noqa: B027
         """Store the road in the frame that is measured next, from image motion; lengths in metres."""
+
+    def update_motion(self, step: CameraStep) -> None:  # noqa: B027
+        """Store the motion of the camera to the frame that is measured next; not called where it is unknown."""
 
     def close(self) -> None:  # noqa: B027
         """Stop threads and release resources; no measurement follows."""

@@ -16,7 +16,7 @@ The objects on the road add to it, and replace it where there are no images or n
 object i is a measurement
 
     y_i = y0 + H s_i (1 - b) - fy k d_i / 2,   variance = (H s_i)^2 (sigma_i / d_i)^2 + R
-    R = pitch^2 + edge^2 + (kerb s_i)^2 + curvature ahead^2
+    R = pitch^2 + edge^2 + (kerb s_i)^2 + (crossfall x_i)^2 + curvature ahead^2
 
 of y0, H, k and the bias b that all distances by size share, which are solved for by weighted least squares over all
 tracks, with priors from image motion, the camera height and the drive (`DriveBias`). A track contributes the average of
@@ -62,6 +62,9 @@ _ON_GROUND = np.array([name in GROUND_CLASSES for name in SIZE_CLASSES])
 _HUBER_SIGMA = 2.0
 """Residual in standard deviations beyond which measurements are down-weighted (Huber)."""
 
+_MAX_HEIGHT_SIGMA = 0.05
+"""Largest relative standard deviation of a measured camera height that counts as known."""
+
 _REFERENCE_SIGMA = 0.015
 """Relative error of all distances from image motion: camera height, and the horizon's mean error."""
 
@@ -82,6 +85,7 @@ class GroundSettings:
         pitch_sigma_rad: initial standard deviation of pitch and slope; updated from the residuals.
         pitch_memory_s: time constant of the update of `pitch_sigma_rad`.
         kerb_m: standard deviation of the height of contact points above the road (kerbs, camber).
+        crossfall: standard deviation of the slope of the road and its surroundings to the side.
         box_sigma_px: standard deviation of one box edge.
         max_sigma: largest relative standard deviation of a reported distance.
     """
@@ -94,6 +98,7 @@ class GroundSettings:
     pitch_sigma_rad: float = 0.008
     pitch_memory_s: float = 5.0
     kerb_m: float = 0.08
+    crossfall: float = 0.007
     box_sigma_px: float = 1.5
     max_sigma: float = 0.5
 
@@ -177,6 +182,7 @@ class _Contacts:
         s: fy / d with the distance by size, in px/m; 1 = no distance by size.
         s_variance: variance of `s`.
         R: variance of `y` about the ground plane, px^2.
+        side_px2: part of it from the slope to the side, px^2.
         on_ground: whether the bottom edge is visible and the object is on the ground.
         is_informative: whether there is also a distance by size, so that the track measures the horizon.
     """
@@ -186,6 +192,7 @@ class _Contacts:
     s: FloatArray
     s_variance: FloatArray
     R: FloatArray
+    side_px2: FloatArray
     on_ground: BoolArray
     is_informative: BoolArray
 
@@ -304,12 +311,14 @@ class GroundPlane:
         is_informative = on_ground & (by_size.distance_m > 2 * offset_m)  # False for NaN
         s = self._camera.fy_px / np.where(is_informative, by_size.distance_m - offset_m, self._camera.fy_px)
         s_sigma = s * np.where(is_informative, by_size.sigma_m / by_size.distance_m, 1.0)
+        side_px2 = (self._settings.crossfall * (x - self._camera.cx_px)) ** 2
         return _Contacts(
             y=y - self._expected_px(x),
             offset_m=offset_m,
             s=s,
             s_variance=np.maximum(s_sigma * s_sigma - self._bias_variance * s * s, _MIN_OWN * s_sigma * s_sigma),
-            R=self._row_variance(s),
+            R=self._row_variance(s) + side_px2,
+            side_px2=side_px2,
             on_ground=on_ground,
             is_informative=is_informative,
         )
@@ -367,7 +376,7 @@ class GroundPlane:
         s = fy / contact_m
         basis = self._basis(s)
         per_log_m = np.maximum(H * s - basis[2] * fy_k, _MIN_SLOPE * H * s)  # -d row / d log d
-        sigma = np.sqrt(plane.variance(basis) + self._row_variance(s)) / per_log_m
+        sigma = np.sqrt(plane.variance(basis) + self._row_variance(s) + contacts.side_px2) / per_log_m
         is_valid = is_below & (sigma < self._settings.max_sigma)
         contact_m = np.where(is_valid, contact_m, np.nan)
         return Ranges(track_id, contact_m + contacts.offset_m, contact_m * sigma)
@@ -408,7 +417,7 @@ class GroundRanger(Ranger):
         """
         self.plane = GroundPlane(camera, settings)
         self._drive_bias = drive_bias or DriveBias()
-        self._is_reference = is_reference
+        self._is_reference = self._has_height = is_reference
         self._road: RoadView | None = None
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
@@ -426,6 +435,9 @@ class GroundRanger(Ranger):
     def update_road(self, road: RoadView) -> None:
         """Use the road in the next frame as image motion shows it."""
         self._road = road
+        if road.height_m is not None and not self._has_height:
+            self.plane.set_height(*road.height_m)
+            self._is_reference = road.height_m[1] < _MAX_HEIGHT_SIGMA * road.height_m[0]
         self.plane.update_road(road, bias_sigma=self._drive_bias.of_class("car").sigma)
 
     def update_lanes(self, lines: LaneLines) -> None:

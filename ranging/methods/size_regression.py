@@ -10,6 +10,7 @@ from track_range.detection.boxes import share_inside
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.drive_bias import DriveBias
 from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
+from track_range.ranging.parallax import Parallax
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.curve import load_curves
@@ -17,6 +18,7 @@ from track_range.ranging.size_models.drive_state import DriveState
 from track_range.ranging.size_models.size_model import BORDER_PX, BoxNoise, SizeModel, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.camera_step import CameraStep
 from track_range.tracking.tracks import Tracks
 
 _MIN_HEIGHT_PX = 4.0
@@ -65,6 +67,7 @@ class SizeRanger(Ranger):
         box_sigma_px: float | None = None,
         noise: BoxNoise | None = None,
         drive_bias: DriveBias | None = None,
+        parallax: Parallax | None = None,
     ) -> None:
         """Create a ranger for `camera` (undistorted).
 
@@ -74,7 +77,10 @@ class SizeRanger(Ranger):
             box_sigma_px: standard deviation of a box edge, if it is the same for all boxes.
             noise: noise model of the box edges, overrides `box_sigma_px`; None = typical noise of a detector.
             drive_bias: bias of the drive, which other methods learn; None = not corrected.
+            parallax: triangulation of static objects, which corrects their tracks; None = off.
         """
+        self._parallax = parallax
+        self._step: CameraStep | None = None
         self._drive_bias = drive_bias or DriveBias()
         self._camera = camera
         self._drive = DriveState()
@@ -105,7 +111,18 @@ class SizeRanger(Ranger):
         columns[1:, rows] = np.hypot(
             columns[1:, rows], columns[0, rows] * incomplete_sigma(tracks.xyxy_px, ~uses_width)[rows]
         )
-        return self._drive_bias.corrected(Ranges(tracks.track_id, *columns), tracks.class_id)
+        by_size = Ranges(tracks.track_id, *columns)
+        if self._parallax is not None:
+            step, self._step = self._step, None
+            expected = self._drive_bias.expected(by_size, tracks.class_id)
+            static = self._parallax.measure(tracks, step, expected)
+            if step is not None:
+                self._drive_bias.learn(static, frame.time_s, shared_sigma=step.way_sigma, is_own=True)
+        return self._drive_bias.corrected(by_size, tracks.class_id)
+
+    def update_motion(self, step: CameraStep) -> None:
+        """Triangulate static objects of the next frame from the motion of the camera."""
+        self._step = step
 
     def summary(self) -> dict[str, Any]:
         """Bias of the drive by class, if another method measured it."""
@@ -114,7 +131,11 @@ class SizeRanger(Ranger):
 
 def _create(context: MethodContext) -> Ranger:
     return SizeRanger(
-        context.camera, context.size_model, box_sigma_px=context.box_sigma_px, drive_bias=context.drive_bias
+        context.camera,
+        context.size_model,
+        box_sigma_px=context.box_sigma_px,
+        drive_bias=context.drive_bias,
+        parallax=Parallax(context.camera) if context.has_images and context.rig is None else None,
     )
 
 

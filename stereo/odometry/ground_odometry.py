@@ -30,6 +30,7 @@ from track_range.foundation.arrays import FloatArray, FloatArray32, Image, check
 from track_range.foundation.sparse_flow import BackgroundFlow, small_grey
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.camera_step import CameraStep
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEstimator
 from track_range.stereo.odometry.road_horizon import RoadHorizon, RoadView
@@ -63,6 +64,9 @@ _PICTURE_M = 9.0
 _OUTLIER_SIGMA, _MAX_FRAMES = 4.0, 50.0
 """Innovation of the horizon in standard deviations above which the shifts are wrong, and largest amplification of an
 error of the rotation, by slow motion."""
+
+_UNKNOWN_SIGMA = 0.03
+"""Relative standard deviation of a speed without one."""
 
 _TYPICAL_MPS = 10.0
 """Speed for the curvature of the road until the first speed is known."""
@@ -121,6 +125,7 @@ class GroundOdometry:
         flow: flow of the background, which other estimators of the same stream may use too; None = a separate one.
 
     Attributes:
+        height_m: the assumed height.
         motion: motion between the last two frames.
         has_horizon: whether the horizon was measured so far.
     """
@@ -135,7 +140,7 @@ class GroundOdometry:
         *,
         flow: BackgroundFlow | None = None,
     ) -> None:
-        self._camera, self._height_m = camera, height_m
+        self._camera, self.height_m = camera, height_m
         self._settings = settings or GroundOdometrySettings()
         self._flow = flow or BackgroundFlow()
         self._image_motion = ImageMotionEstimator(camera, flow=self._flow)
@@ -148,6 +153,11 @@ class GroundOdometry:
         self._last = math.nan, EgoMotion()
         self.motion = ImageMotion(time_s=math.nan)
         self.has_horizon = False
+
+    @property
+    def ego(self) -> EgoMotion:
+        """Motion in the last frame, as `update` returned it."""
+        return self._last[1]
 
     @property
     def view(self) -> RoadView:
@@ -170,6 +180,24 @@ class GroundOdometry:
         if frame.time_s != self._last[0]:
             self._last = frame.time_s, self._updated(frame, xyxy_px)
         return self._last[1]
+
+    def step(self, ego: EgoMotion) -> CameraStep | None:
+        """Motion of the camera to the last frame, with the speed of `ego`; None = unknown, or at rest."""
+        motion, now = self.motion, self._flow.now
+        is_known = motion.is_known and not motion.is_still and math.isfinite(ego.speed_mps)
+        if not is_known or now is None or math.isnan(self._side) or ego.speed_mps <= 0:
+            return None
+        turn = np.array([-motion.pitch_rad_s, -motion.yaw_rad_s, -motion.roll_rad_s]) * motion.dt_s
+        return CameraStep(
+            time_s=motion.time_s,
+            dt_s=motion.dt_s,
+            rotation=np.asarray(cv2.Rodrigues(turn)[0], np.float64),
+            rotation_sigma_rad=motion.yaw_sigma_rad_s * motion.dt_s,
+            travel=np.array([self._side, self.view.horizon]),
+            way_m=ego.speed_mps * motion.dt_s,
+            way_sigma=ego.speed_sigma_mps / ego.speed_mps if math.isfinite(ego.speed_sigma_mps) else _UNKNOWN_SIGMA,
+            now=now,
+        )
 
     def _updated(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
         self.motion = motion = self._image_motion.update(frame.left, frame.time_s, xyxy_px)
@@ -241,7 +269,7 @@ class GroundOdometry:
         horizon = view.horizon - view.curvature_per_m * _PICTURE_M / 2
         nearest_m = max(
             settings.nearest_m,
-            self._height_m / ((self._camera.height_px - 2 - self._camera.cy_px) / self._camera.fy_px - horizon),
+            self.height_m / ((self._camera.height_px - 2 - self._camera.cy_px) / self._camera.fy_px - horizon),
         )
         if not 0 < nearest_m < settings.farthest_m - 2 * settings.strip_m:
             return math.nan
@@ -249,7 +277,7 @@ class GroundOdometry:
         level = cv2.Rodrigues(np.array([-horizon, self._side, 0.0]))[0]
         Z = np.arange(settings.farthest_m, nearest_m, -settings.step_z_m)
         X = np.arange(-settings.half_width_m, settings.half_width_m, settings.step_x_m)
-        road = np.stack([np.tile(X, len(Z)), np.full(len(X) * len(Z), self._height_m), np.repeat(Z, len(X))], axis=1)
+        road = np.stack([np.tile(X, len(Z)), np.full(len(X) * len(Z), self.height_m), np.repeat(Z, len(X))], axis=1)
         before_px = self._camera.project(road @ level.T)
         now_px = self._camera.project(road @ (cv2.Rodrigues(turn)[0] @ level).T)
         pictures = [_sampled(image, px, (len(Z), len(X))) for image, px in ((before, before_px), (now, now_px))]
@@ -263,7 +291,7 @@ class GroundOdometry:
         shift_m = settings.step_z_m * best
         distance_m = np.array([strip.distance_m for strip in strips]) - shift_m / 2
         shifts_m = settings.step_z_m * np.array([_peak_near(strip.score, round(best)) for strip in strips])
-        slope = horizon_error(shift_m, distance_m, shifts_m, self._height_m)
+        slope = horizon_error(shift_m, distance_m, shifts_m, self.height_m)
         if slope is None:
             return shift_m
         ahead_m = slope.distance_m + shift_m  # the camera follows the curve, too
@@ -279,7 +307,7 @@ class GroundOdometry:
         self.has_horizon = True
         view = self._horizon.view
         error = horizon - view.horizon + view.curvature_per_m * ahead_m / 2
-        return shift_m * (1 - 2 * slope.distance_m * error / self._height_m)
+        return shift_m * (1 - 2 * slope.distance_m * error / self.height_m)
 
     def _strips(self, before: FloatArray32, now: FloatArray32, masked_share: FloatArray, dt_s: float) -> list[_Strip]:
         """Usable strips of two pictures, whose rows run from far to near."""

@@ -21,7 +21,7 @@ Lengths are in units of the height that the speeds were measured with: if it is 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,6 +61,7 @@ class RoadView:
         curvature_per_m: curvature k in the vertical plane below the camera, positive = turns upwards.
         curvature_variance: variance of k.
         covariance: covariance of the horizon and k.
+        height_m: height of the camera and its standard deviation, if it was measured; None = not.
     """
 
     horizon: float
@@ -69,13 +70,12 @@ class RoadView:
     curvature_per_m: float = 0.0
     curvature_variance: float = 0.0
     covariance: float = 0.0
+    height_m: tuple[float, float] | None = None
 
     def scaled(self, factor: float) -> RoadView:
         """The road if all lengths are `factor` times as long."""
-        return RoadView(
-            horizon=self.horizon,
-            horizon_variance=self.horizon_variance,
-            slope=self.slope,
+        return replace(
+            self,
             curvature_per_m=self.curvature_per_m / factor,
             curvature_variance=self.curvature_variance / factor**2,
             covariance=self.covariance / factor,

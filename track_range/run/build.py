@@ -20,6 +20,7 @@ from track_range.run.pipeline.pipeline import LIVE_DEPTHS, Pipeline, QueueDepths
 from track_range.run.settings import RunSettings
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import Odometry
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.stereo_odometry import StereoOdometry
@@ -114,6 +115,7 @@ def open_pipeline(
         if settings.ego_speed == AUTO and ego_speed is None and is_ahead
         else None,
         road_motion=road_motion if is_ahead else None,
+        camera_height=CameraHeight(road_motion.height_m) if context.camera_height_m is None else None,
         warning=CollisionWarning(settings.warning_settings) if is_ahead else None,
         shared_sigma=context.focal_sigma,
         depths=LIVE_DEPTHS if source.inputs.live is not None else QueueDepths(),

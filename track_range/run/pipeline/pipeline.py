@@ -36,6 +36,7 @@ from track_range.run.pipeline.prefetch import prefetch
 from track_range.run.pipeline.stage_clock import StageClock
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import EgoMotion, Odometry
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
@@ -94,6 +95,7 @@ class Pipeline:
         ego_speed: speed of the camera from telemetry or a setting; None = unknown.
         odometry: measures the motion of the camera, where `ego_speed` is None; None = off.
         road_motion: measures the horizon of the road and the yaw rate of the camera; None = off.
+        camera_height: measures the camera height from a known speed; None = it is known, or no speed is.
         image_motion: yaw rate of the camera, for the path of the ego vehicle, without `road_motion`; None = unknown.
         warning: collision warning; None = neither warnings nor times to collision, since the vehicle does not drive
             along the camera's axis.
@@ -112,6 +114,7 @@ class Pipeline:
     ego_speed: EgoSpeed | None = None
     odometry: Odometry | None = None
     road_motion: GroundOdometry | None = None
+    camera_height: CameraHeight | None = None
     image_motion: ImageMotionEstimator | None = None
     warning: CollisionWarning | None = field(default_factory=CollisionWarning)
     shared_sigma: float = 0.0
@@ -153,7 +156,7 @@ class Pipeline:
         """Result of one frame from its lane lines and boxes; frames must be passed in order."""
         tracks = self._tracks(frame, detections)
         ego = self._ego_motion(frame, detections)
-        self._update_road()
+        self._update_motion(frame, ego)
         ranges = self._ranges(frame, lanes, tracks)
         ego_mps, yaw_rad_s = ego.speed_mps, ego.yaw_rad_s
         with self.clock.stage("fuse"):
@@ -244,12 +247,19 @@ class Pipeline:
             return EgoMotion(yaw_rad_s=yaw_rad_s)
         return EgoMotion(speed.at(frame.time_s), speed.sigma_at(frame.time_s), yaw_rad_s)
 
-    def _update_road(self) -> None:
-        """Pass the road that the motion of the images shows to the rangers."""
+    def _update_motion(self, frame: Frame, ego: EgoMotion) -> None:
+        """Pass the road and the motion of the camera that the images show to the rangers."""
         if self.road_motion is None or not self.road_motion.has_horizon:
             return
+        step, road = self.road_motion.step(ego), self.road_motion.view
+        if self.camera_height is not None:
+            self.camera_height.update(frame.time_s, ego, self.road_motion.ego)
+            if (height_m := self.camera_height.height_m) is not None:
+                road = replace(road.scaled(height_m[0] / self.road_motion.height_m), height_m=height_m)
         for ranger in self.rangers.values():
-            ranger.update_road(self.road_motion.view)
+            ranger.update_road(road)
+            if step is not None:
+                ranger.update_motion(step)
 
     def _yaw_rad_s(self, frame: Frame, detections: Detections) -> float:
         """Yaw rate of the camera, positive = to the right; NaN = unknown."""

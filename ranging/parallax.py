@@ -1,0 +1,220 @@
+r"""Parallax: distances of parked vehicles, signs and lights, triangulated over time from the motion of the camera.
+
+With the rotation between two frames removed, the points of a static object move away from the epipole e by
+
+    p' - e = (1 + g) (R p - e),   g = V dt / Z
+
+so the way V dt of the camera and the growth g give the distance Z, the better the farther the object is from e. Corners
+inside each box are tracked from frame to frame, in an image of twice the size of odometry's; g is their median. A
+filter of 1 / Z follows the object:
+
+    rho' = rho / (1 - rho V dt)
+
+A moving vehicle has a growth as well, by its own speed along the road: a car that moves with half of the camera's speed
+appears twice as far. An object counts as static if its triangulated distance agrees with another one (by size) within
+`_MAX_SIGMA` for `_MIN_STATIC_S`; only vehicles, signs and lights are considered, since people walk slowly.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray, FloatArray32, Image
+from track_range.foundation.robust_statistics import MAD_TO_SIGMA
+from track_range.foundation.sparse_flow import small_grey, tracked_corners
+from track_range.foundation.track_state import TrackState
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_models.size_model import SIZE_CLASSES
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.odometry.camera_step import CameraStep
+from track_range.tracking.tracks import Tracks
+
+_STATIC_CLASSES = ("car", "truck", "bus", "van", "motorcycle", "traffic light", "traffic sign")
+_MAY_BE_STATIC = np.array([name in _STATIC_CLASSES for name in SIZE_CLASSES])
+"""(size classes,) whether objects of the class are often static, and do not move slowly."""
+
+_N_CORNERS, _MIN_CORNERS = 12, 4
+"""Largest number of corners per object, and smallest number of a measurement."""
+
+_MIN_QUALITY, _MIN_DISTANCE_PX = 0.02, 3
+"""Minimum quality of a corner relative to the best one in the box, and distance between corners in the image."""
+
+_INNER = 0.12
+"""Margin of the box, as a fraction of its sides, that may show the background."""
+
+_MIN_SIDE_PX = 8
+"""Smallest side of the inner box, pixels of that image."""
+
+_WINDOW_PX, _N_LEVELS = 9, 2
+"""Tracked window and pyramid levels; the start is predicted from the distance."""
+
+_CORNER_PX = 0.15
+"""Standard deviation of the motion of a tracked corner, pixels of that image."""
+
+_MAX_ACROSS_PX = 0.8
+"""Largest motion of a corner across the direction away from the epipole, in the image; if larger, the object moves."""
+
+_MIN_RADIUS = 0.02
+"""Smallest distance of an object from the epipole, as a tangent."""
+
+_CORRELATED_S = 1.0
+"""Time over which errors of the rotation are correlated."""
+
+_SURFACE_M = 0.4
+"""Standard deviation of the distance of an object's corners from the surface at the middle of its box."""
+
+_MAX_SIGMA, _MIN_STATIC_S = 2.5, 0.2
+"""Largest difference from the other distance of static objects, and time for which it has to be smaller."""
+
+_MAX_REPORTED = 0.15
+"""Largest relative standard deviation of a distance."""
+
+_MIN_WAY_M = 0.1
+"""Smallest way between two frames that is a measurement."""
+
+
+class Parallax:
+    """Triangulates static objects; the state belongs to one camera."""
+
+    def __init__(self, camera: PinholeCamera) -> None:
+        """The estimator for `camera` (undistorted)."""
+        self._camera = camera
+        self._before: tuple[Tracks, Image] | None = None
+        self._state = TrackState(np.array([np.nan, np.nan, np.nan, 0.0]))
+        """By track: 1 / Z, its variance, time of the last measurement, seconds in agreement with the other distance."""
+
+    def measure(self, tracks: Tracks, step: CameraStep | None, other: Ranges) -> Ranges:
+        """Distances of N tracks that are static; NaN = moving, unknown, or not precise.
+
+        Args:
+            tracks: the tracks.
+            step: motion of the camera since the previous frame; None = unknown.
+            other: distances of the tracks by another method.
+        """
+        before, self._before = self._before, None
+        if step is None:
+            return Ranges.unmeasured(tracks.track_id)
+        n_halved = max(step.now.n_halved - 1, 0)
+        self._before = tracks, small_grey(step.now.grey, n_halved)
+        if before is None:
+            return Ranges.unmeasured(tracks.track_id)
+        rho, P, last_s, agreed_s = self._state.get(tracks.track_id)
+        is_followed = np.isfinite(rho) & (step.time_s - last_s < 2.5 * step.dt_s)
+        rho = np.where(is_followed, rho / np.maximum(1.0 - rho * step.way_m, 0.1), np.nan)
+        P = P / np.maximum(1.0 - np.nan_to_num(rho) * step.way_m, 0.1) ** 4
+        if step.way_m >= _MIN_WAY_M:
+            with np.errstate(invalid="ignore"):
+                expected_m = np.where(is_followed, 1.0 / rho, other.distance_m)
+            measured, R = self._growths(before, self._before, step, expected_m, n_halved)
+            measured, R = measured / step.way_m, R / step.way_m**2
+            is_new = np.isfinite(measured) & ~is_followed
+            with np.errstate(invalid="ignore"):
+                gain = np.where(is_new, 1.0, P / (P + R))
+                rho, P = (
+                    np.where(np.isfinite(measured), np.where(is_new, measured, rho + gain * (measured - rho)), rho),
+                    np.where(np.isfinite(measured), np.where(is_new, R, (1.0 - gain) * P), P),
+                )
+            last_s = np.where(np.isfinite(measured), step.time_s, last_s)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            distance_m = np.where(rho > 0, 1.0 / rho, np.nan)
+            relative = np.sqrt(P * distance_m**2 + step.way_sigma**2 + (_SURFACE_M / distance_m) ** 2)
+            difference = np.abs(np.log(distance_m / other.distance_m))
+            agrees = difference < _MAX_SIGMA * np.hypot(relative, other.sigma_m / other.distance_m)
+        moved_s = step.dt_s if step.way_m >= _MIN_WAY_M else 0.0
+        agreed_s = np.where(agrees, agreed_s + moved_s, 0.0)
+        self._state.put(
+            tracks.track_id,
+            np.array([rho, P, last_s, agreed_s]),
+            keep_known=step.time_s - self._state.known[2] < 1.0,
+        )
+        is_static = (agreed_s >= _MIN_STATIC_S) & (relative < _MAX_REPORTED) & (last_s == step.time_s)
+        distance_m = np.where(is_static, distance_m, np.nan)
+        return Ranges(tracks.track_id, distance_m, distance_m * relative)
+
+    def _growths(
+        self,
+        before_image: tuple[Tracks, Image],
+        now_image: tuple[Tracks, Image],
+        step: CameraStep,
+        expected_m: FloatArray,
+        n_halved: int,
+    ) -> tuple[FloatArray, FloatArray]:
+        """(N,) growths g of the present tracks since the frame before, and their variances; NaN = not measured."""
+        (before, image_before), (now, image_now) = before_image, now_image
+        growth, variance = np.full((2, len(now)), np.nan)
+        rows = [
+            (i, j)
+            for i, (key, class_id, observed) in enumerate(
+                zip(now.track_id.tolist(), now.class_id.tolist(), now.observed.tolist(), strict=True)
+            )
+            if observed and _MAY_BE_STATIC[class_id]
+            for j in np.flatnonzero((before.track_id == key) & before.observed).tolist()
+        ]
+        parts = [
+            (i, corners)
+            for i, j in rows
+            if len(corners := _corners_in(image_before, before.xyxy_px[j], n_halved)) >= _MIN_CORNERS
+        ]
+        if not parts:
+            return growth, variance
+        owner = np.concatenate([np.full(len(corners), i) for i, corners in parts])
+        points = np.concatenate([corners for _, corners in parts])
+        turned = self._rays(points, n_halved) @ step.rotation.T
+        turned = turned[:, :2] / turned[:, 2:]
+        from_epipole = turned - step.travel
+        with np.errstate(invalid="ignore", divide="ignore"):
+            expected = step.way_m / expected_m[owner]
+        start = step.travel + from_epipole * (1.0 + np.where(np.isfinite(expected), expected, 0.0))[:, None]
+        found, is_found = tracked_corners(
+            image_before,
+            image_now,
+            points,
+            window_px=_WINDOW_PX,
+            n_levels=_N_LEVELS,
+            start=self._small_px(start, n_halved),
+        )
+        moved = self._rays(found, n_halved)[:, :2] - step.travel
+        radius = np.maximum(np.linalg.norm(from_epipole, axis=1), 1e-6)
+        focal_px = self._camera.fx_px / (1 << n_halved)
+        away = from_epipole / radius[:, None]
+        across_px = focal_px * np.abs(moved[:, 0] * away[:, 1] - moved[:, 1] * away[:, 0])
+        g = (moved * away).sum(axis=1) / radius - 1.0
+        is_good = is_found & (across_px < _MAX_ACROSS_PX) & (radius > _MIN_RADIUS)
+        for i, _ in parts:
+            mine = (owner == i) & is_good
+            if mine.sum() < max(_MIN_CORNERS, 0.5 * (owner == i).sum()):
+                continue
+            growth[i] = float(np.median(g[mine]))
+            spread = MAD_TO_SIGMA * float(np.median(np.abs(g[mine] - growth[i])))
+            mean_radius = float(np.median(radius[mine]))
+            noise = max(spread, _CORNER_PX / focal_px / mean_radius)
+            systematic = step.rotation_sigma_rad / mean_radius
+            variance[i] = (1.25 * noise) ** 2 / mine.sum() + systematic**2 * max(_CORRELATED_S / step.dt_s, 1.0)
+        return growth, variance
+
+    def _rays(self, points: FloatArray32, n_halved: int) -> FloatArray:
+        """(N, 3) rays of points (N, 2) of the image."""
+        factor = 1 << n_halved
+        return self._camera.rays(factor * points.astype(np.float64) + (factor - 1) / 2)
+
+    def _small_px(self, tangents: FloatArray, n_halved: int) -> FloatArray32:
+        """(N, 2) points of the image of rays with tangents (N, 2)."""
+        camera, factor = self._camera, 1 << n_halved
+        full = tangents * [camera.fx_px, camera.fy_px] + [camera.cx_px, camera.cy_px]
+        return np.asarray((full - (factor - 1) / 2) / factor, np.float32)
+
+
+def _corners_in(small: Image, xyxy_px: FloatArray, n_halved: int) -> FloatArray32:
+    """(K, 2) corners of the image in the inner part of a box in pixels of the full image."""
+    margin = _INNER * (xyxy_px[2:] - xyxy_px[:2])
+    inner = np.concatenate([xyxy_px[:2] + margin, xyxy_px[2:] - margin]) / (1 << n_halved)
+    height, width = small.shape
+    x1, y1 = np.maximum(np.ceil(inner[:2]), 0).astype(int).tolist()
+    x2, y2 = np.minimum(np.floor(inner[2:]) + 1, [width, height]).astype(int).tolist()
+    if min(x2 - x1, y2 - y1) < _MIN_SIDE_PX:
+        return np.zeros((0, 2), np.float32)
+    corners = cv2.goodFeaturesToTrack(small[y1:y2, x1:x2], _N_CORNERS, _MIN_QUALITY, _MIN_DISTANCE_PX)
+    if corners is None:
+        return np.zeros((0, 2), np.float32)
+    return np.asarray(corners.reshape(-1, 2) + np.array([x1, y1], np.float32), np.float32)
