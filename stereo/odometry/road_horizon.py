@@ -46,8 +46,8 @@ _LOST_RAD = 0.003
 _CURVATURE_PER_M, _CURVATURE_LENGTH_M = 0.0003, 80.0
 """Standard deviation of the vertical curvature (radii of 3 km are usual on roads) and its correlation length."""
 
-_ROLL_S = 3.0
-"""Time constant with which the roll returns to 0: springs and bends."""
+_ROLL_S = 0.5
+"""Time constant with which the roll returns to 0: errors of the measured rotation add up to more than a car rolls."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
