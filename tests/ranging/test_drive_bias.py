@@ -105,3 +105,26 @@ def test_summary_names_classes_with_evidence():
     assert set(summary) == {"car"}
     assert summary["car"]["n_tracks"] == 10
     assert summary["car"]["bias_pct"] == pytest.approx(-9.0, abs=3.0)
+
+
+def test_own_references_correct_their_track():
+    """A van that was detected as a car: 25 % farther than its size says."""
+    bias, ids, classes = DriveBias(), np.array([1, 2]), np.array([CAR, CAR])
+    for k in range(1, 12):
+        by_size = sizes(np.array([16.0, 20.0]), ids)
+        bias.corrected(by_size, classes)
+        bias.learn(
+            Ranges(ids, np.array([20.0, np.nan]), np.array([0.4, np.nan])), 0.1 * k, shared_sigma=0.02, is_own=True
+        )
+    after = bias.corrected(by_size, classes)
+    assert after.distance_m[0] == pytest.approx(20.0, rel=0.05)
+    assert after.distance_m[1] < 22.5  # the other track has only the drive's share of the 25 %
+    relative = after.sigma_m / after.distance_m
+    assert relative[0] < 0.6 * relative[1]
+    expected = bias.expected(by_size, classes)
+    assert expected.distance_m[0] == pytest.approx(20.0, rel=0.06)
+
+
+def test_expected_distances_without_evidence_are_those_by_size():
+    by_size = sizes(np.array([16.0]), np.array([1]))
+    assert DriveBias().expected(by_size, np.array([CAR])).distance_m == pytest.approx([16.0])

@@ -267,3 +267,17 @@ def test_lane_lines_are_ignored_where_image_motion_shows_the_road():
     plane.update_road(road_view(190.0), bias_sigma=0.06)
     plane.add_horizon(150.0, 1.0)
     assert plane.horizon.y_px == pytest.approx(190.0)
+
+
+def test_measured_camera_height():
+    """With a height of image motion and a known speed, distances are independent of sizes, which are 20 % wrong."""
+    tracks, by_size = cars_at([12.0, 20.0, 30.0], height_m=1.3, size_error=-0.17)
+    ranger = GroundRanger(CAMERA, GroundSettings(kerb_m=0.0, box_sigma_px=0.1))
+    for k in range(5):
+        ranger.update_road(road_view(height_m=(1.3, 0.03)))
+        ranges = ranger.measure_with(tracks, at(0.1 * k, k), {"mono": by_size})
+    assert not ranges.is_fallback
+    assert ranges.distance_m == pytest.approx([12.0, 20.0, 30.0], rel=0.04)
+    known = GroundRanger(CAMERA, SMOOTH, is_reference=True)
+    known.update_road(road_view(height_m=(1.3, 0.03)))
+    assert known.plane.horizon.height_m == pytest.approx(HEIGHT_M)  # a given height stays

