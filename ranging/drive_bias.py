@@ -77,7 +77,7 @@ class DriveBias:
         self._class_id = np.zeros(0, np.int64)
         self._tracks = _Columns(*np.zeros((4, 0)))
         self._own = TrackState(np.zeros(3))
-        """By track: information of its own references, their weighted log ratio, time of the last one."""
+        """By track: information of the references that correct it, their weighted log ratio, time of the last one."""
         self._by_size: tuple[Ranges, IntArray] | None = None
         self._time_s = 0.0
         self._last_s: dict[str, float] = {}

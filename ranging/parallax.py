@@ -17,6 +17,8 @@ appears twice as far. An object counts as static if its triangulated distance ag
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -70,8 +72,19 @@ _MAX_SIGMA, _MIN_STATIC_S = 2.5, 0.2
 _MAX_REPORTED = 0.15
 """Largest relative standard deviation of a distance."""
 
+_MAX_GAP_S, _MIN_APPROACH = 0.3, 0.1
+"""Longest time for which an object is followed without a measurement, and lower bound of 1 - rho V dt."""
+
 _MIN_WAY_M = 0.1
 """Smallest way between two frames that is a measurement."""
+
+
+class _Picture(NamedTuple):
+    """Tracks and image of one frame; the image is halved `n_halved` times."""
+
+    tracks: Tracks
+    image: Image
+    n_halved: int
 
 
 class Parallax:
@@ -80,7 +93,7 @@ class Parallax:
     def __init__(self, camera: PinholeCamera) -> None:
         """The estimator for `camera` (undistorted)."""
         self._camera = camera
-        self._before: tuple[Tracks, Image] | None = None
+        self._before: _Picture | None = None
         self._state = TrackState(np.array([np.nan, np.nan, np.nan, 0.0]))
         """By track: 1 / Z, its variance, time of the last measurement, seconds in agreement with the other distance."""
 
@@ -96,125 +109,116 @@ class Parallax:
         if step is None:
             return Ranges.unmeasured(tracks.track_id)
         n_halved = max(step.now.n_halved - 1, 0)
-        self._before = tracks, small_grey(step.now.grey, n_halved)
-        if before is None:
+        self._before = now = _Picture(tracks, small_grey(step.now.grey, n_halved), n_halved)
+        if before is None or before.image.shape != now.image.shape or step.way_m < _MIN_WAY_M:
             return Ranges.unmeasured(tracks.track_id)
-        rho, P, last_s, agreed_s = self._state.get(tracks.track_id)
-        is_followed = np.isfinite(rho) & (step.time_s - last_s < 2.5 * step.dt_s)
-        rho = np.where(is_followed, rho / np.maximum(1.0 - rho * step.way_m, 0.1), np.nan)
-        P = P / np.maximum(1.0 - np.nan_to_num(rho) * step.way_m, 0.1) ** 4
-        if step.way_m >= _MIN_WAY_M:
-            with np.errstate(invalid="ignore"):
-                expected_m = np.where(is_followed, 1.0 / rho, other.distance_m)
-            measured, R = self._growths(before, self._before, step, expected_m, n_halved)
-            measured, R = measured / step.way_m, R / step.way_m**2
-            is_new = np.isfinite(measured) & ~is_followed
-            with np.errstate(invalid="ignore"):
-                gain = np.where(is_new, 1.0, P / (P + R))
-                rho, P = (
-                    np.where(np.isfinite(measured), np.where(is_new, measured, rho + gain * (measured - rho)), rho),
-                    np.where(np.isfinite(measured), np.where(is_new, R, (1.0 - gain) * P), P),
-                )
-            last_s = np.where(np.isfinite(measured), step.time_s, last_s)
-        with np.errstate(invalid="ignore", divide="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore"):  # NaN = unknown
+            rho, P, measured_s, agreed_s = self._filtered(before, now, step, other)
             distance_m = np.where(rho > 0, 1.0 / rho, np.nan)
             relative = np.sqrt(P * distance_m**2 + step.way_sigma**2 + (_SURFACE_M / distance_m) ** 2)
             difference = np.abs(np.log(distance_m / other.distance_m))
             agrees = difference < _MAX_SIGMA * np.hypot(relative, other.sigma_m / other.distance_m)
-        moved_s = step.dt_s if step.way_m >= _MIN_WAY_M else 0.0
-        agreed_s = np.where(agrees, agreed_s + moved_s, 0.0)
+            agreed_s = np.where(agrees, agreed_s + step.dt_s, 0.0)
+            is_static = (agreed_s >= _MIN_STATIC_S) & (relative < _MAX_REPORTED) & (measured_s == step.time_s)
         self._state.put(
             tracks.track_id,
-            np.array([rho, P, last_s, agreed_s]),
-            keep_known=step.time_s - self._state.known[2] < 1.0,
+            np.array([rho, P, measured_s, agreed_s]),
+            keep_known=step.time_s - self._state.known[2] < _MAX_GAP_S,
         )
-        is_static = (agreed_s >= _MIN_STATIC_S) & (relative < _MAX_REPORTED) & (last_s == step.time_s)
         distance_m = np.where(is_static, distance_m, np.nan)
         return Ranges(tracks.track_id, distance_m, distance_m * relative)
 
+    def _filtered(self, before: _Picture, now: _Picture, step: CameraStep, other: Ranges) -> FloatArray:
+        """(4, N) states of the present tracks, with the growth of this frame."""
+        rho, P, measured_s, agreed_s = self._state.get(now.tracks.track_id)
+        is_followed = np.isfinite(rho) & (step.time_s - measured_s < _MAX_GAP_S)
+        approach = np.maximum(1.0 - rho * step.way_m, _MIN_APPROACH)
+        rho, P = np.where(is_followed, [rho / approach, P / approach**4], np.nan)
+        growth, variance = self._growths(before, now, step, np.where(is_followed, 1.0 / rho, other.distance_m))
+        z, R = growth / step.way_m, variance / step.way_m**2
+        gain = np.where(is_followed, P / (P + R), 1.0)
+        is_measured = np.isfinite(z)
+        rho = np.where(is_measured, np.where(is_followed, rho + gain * (z - rho), z), rho)
+        P = np.where(is_measured, gain * R, P)
+        return np.array([rho, P, np.where(is_measured, step.time_s, measured_s), agreed_s])
+
     def _growths(
-        self,
-        before_image: tuple[Tracks, Image],
-        now_image: tuple[Tracks, Image],
-        step: CameraStep,
-        expected_m: FloatArray,
-        n_halved: int,
+        self, before: _Picture, now: _Picture, step: CameraStep, expected_m: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """(N,) growths g of the present tracks since the frame before, and their variances; NaN = not measured."""
-        (before, image_before), (now, image_now) = before_image, now_image
-        growth, variance = np.full((2, len(now)), np.nan)
-        rows = [
-            (i, j)
-            for i, (key, class_id, observed) in enumerate(
-                zip(now.track_id.tolist(), now.class_id.tolist(), now.observed.tolist(), strict=True)
-            )
-            if observed and _MAY_BE_STATIC[class_id]
-            for j in np.flatnonzero((before.track_id == key) & before.observed).tolist()
-        ]
-        parts = [
-            (i, corners)
-            for i, j in rows
-            if len(corners := _corners_in(image_before, before.xyxy_px[j], n_halved)) >= _MIN_CORNERS
-        ]
+        """(N,) growths g of the present tracks since the frame before, and their variances; NaN = not measured.
+
+        Args:
+            before: the previous frame.
+            now: this frame.
+            step: the motion between them.
+            expected_m: (N,) expected distances, from which the search starts; NaN = unknown.
+        """
+        growth, variance = np.full((2, len(now.tracks)), np.nan)
+        parts = _corners_of_tracks(before, now.tracks)
         if not parts:
             return growth, variance
-        owner = np.concatenate([np.full(len(corners), i) for i, corners in parts])
-        points = np.concatenate([corners for _, corners in parts])
-        turned = self._rays(points, n_halved) @ step.rotation.T
-        turned = turned[:, :2] / turned[:, 2:]
-        from_epipole = turned - step.travel
-        with np.errstate(invalid="ignore", divide="ignore"):
-            expected = step.way_m / expected_m[owner]
-        start = step.travel + from_epipole * (1.0 + np.where(np.isfinite(expected), expected, 0.0))[:, None]
-        found, is_found = tracked_corners(
-            image_before,
-            image_now,
-            points,
-            window_px=_WINDOW_PX,
-            n_levels=_N_LEVELS,
-            start=self._small_px(start, n_halved),
+        owner = np.concatenate([np.full(len(corners), row) for row, corners in parts])
+        corners = np.concatenate([corners for _, corners in parts])
+        turned = self._rays(corners, now.n_halved) @ step.rotation.T
+        from_epipole = turned[:, :2] / turned[:, 2:] - step.travel
+        expected = 1.0 + np.nan_to_num(step.way_m / expected_m[owner])
+        start = self._pixels(step.travel + from_epipole * expected[:, None], now.n_halved)
+        points, is_tracked = tracked_corners(
+            before.image, now.image, corners, window_px=_WINDOW_PX, n_levels=_N_LEVELS, start=start
         )
-        moved = self._rays(found, n_halved)[:, :2] - step.travel
-        radius = np.maximum(np.linalg.norm(from_epipole, axis=1), 1e-6)
-        focal_px = self._camera.fx_px / (1 << n_halved)
+        moved = self._rays(points, now.n_halved)[:, :2] - step.travel
+        focal_px = self._camera.fx_px / (1 << now.n_halved)
+        radius = np.maximum(np.linalg.norm(from_epipole, axis=1), _MIN_RADIUS / 10)
         away = from_epipole / radius[:, None]
         across_px = focal_px * np.abs(moved[:, 0] * away[:, 1] - moved[:, 1] * away[:, 0])
         g = (moved * away).sum(axis=1) / radius - 1.0
-        is_good = is_found & (across_px < _MAX_ACROSS_PX) & (radius > _MIN_RADIUS)
-        for i, _ in parts:
-            mine = (owner == i) & is_good
-            if mine.sum() < max(_MIN_CORNERS, 0.5 * (owner == i).sum()):
+        is_good = is_tracked & (across_px < _MAX_ACROSS_PX) & (radius > _MIN_RADIUS)
+        for row, _ in parts:
+            rows = np.flatnonzero((owner == row) & is_good)
+            if len(rows) < max(_MIN_CORNERS, 0.5 * (owner == row).sum()):
                 continue
-            growth[i] = float(np.median(g[mine]))
-            spread = MAD_TO_SIGMA * float(np.median(np.abs(g[mine] - growth[i])))
-            mean_radius = float(np.median(radius[mine]))
+            growth[row] = np.median(g[rows])
+            spread = MAD_TO_SIGMA * float(np.median(np.abs(g[rows] - growth[row])))
+            mean_radius = float(np.median(radius[rows]))
             noise = max(spread, _CORNER_PX / focal_px / mean_radius)
             systematic = step.rotation_sigma_rad / mean_radius
-            variance[i] = (1.25 * noise) ** 2 / mine.sum() + systematic**2 * max(_CORRELATED_S / step.dt_s, 1.0)
+            variance[row] = (1.25 * noise) ** 2 / len(rows) + systematic**2 * max(_CORRELATED_S / step.dt_s, 1.0)
         return growth, variance
 
     def _rays(self, points: FloatArray32, n_halved: int) -> FloatArray:
-        """(N, 3) rays of points (N, 2) of the image."""
+        """(N, 3) rays of points (N, 2) of an image halved `n_halved` times."""
         factor = 1 << n_halved
         return self._camera.rays(factor * points.astype(np.float64) + (factor - 1) / 2)
 
-    def _small_px(self, tangents: FloatArray, n_halved: int) -> FloatArray32:
-        """(N, 2) points of the image of rays with tangents (N, 2)."""
+    def _pixels(self, tangents: FloatArray, n_halved: int) -> FloatArray32:
+        """(N, 2) points of an image halved `n_halved` times of rays with tangents (N, 2)."""
         camera, factor = self._camera, 1 << n_halved
-        full = tangents * [camera.fx_px, camera.fy_px] + [camera.cx_px, camera.cy_px]
-        return np.asarray((full - (factor - 1) / 2) / factor, np.float32)
+        full_px = tangents * [camera.fx_px, camera.fy_px] + [camera.cx_px, camera.cy_px]
+        return np.asarray((full_px - (factor - 1) / 2) / factor, np.float32)
 
 
-def _corners_in(small: Image, xyxy_px: FloatArray, n_halved: int) -> FloatArray32:
-    """(K, 2) corners of the image in the inner part of a box in pixels of the full image."""
+def _corners_of_tracks(before: _Picture, now: Tracks) -> list[tuple[int, FloatArray32]]:
+    """Rows of present tracks that may be static, and (K, 2) corners in their previous boxes."""
+    row_before = {key: row for row, key in enumerate(before.tracks.track_id.tolist()) if before.tracks.observed[row]}
+    candidates = np.flatnonzero(now.observed & _MAY_BE_STATIC[now.class_id]).tolist()
+    return [
+        (row, corners)
+        for row in candidates
+        if (last := row_before.get(int(now.track_id[row]))) is not None
+        and len(corners := _corners_in(before, before.tracks.xyxy_px[last])) >= _MIN_CORNERS
+    ]
+
+
+def _corners_in(picture: _Picture, xyxy_px: FloatArray) -> FloatArray32:
+    """(K, 2) corners in the inner part of a box in pixels of the full image."""
     margin = _INNER * (xyxy_px[2:] - xyxy_px[:2])
-    inner = np.concatenate([xyxy_px[:2] + margin, xyxy_px[2:] - margin]) / (1 << n_halved)
-    height, width = small.shape
+    inner = np.concatenate([xyxy_px[:2] + margin, xyxy_px[2:] - margin]) / (1 << picture.n_halved)
+    height, width = picture.image.shape
     x1, y1 = np.maximum(np.ceil(inner[:2]), 0).astype(int).tolist()
     x2, y2 = np.minimum(np.floor(inner[2:]) + 1, [width, height]).astype(int).tolist()
     if min(x2 - x1, y2 - y1) < _MIN_SIDE_PX:
         return np.zeros((0, 2), np.float32)
-    corners = cv2.goodFeaturesToTrack(small[y1:y2, x1:x2], _N_CORNERS, _MIN_QUALITY, _MIN_DISTANCE_PX)
+    corners = cv2.goodFeaturesToTrack(picture.image[y1:y2, x1:x2], _N_CORNERS, _MIN_QUALITY, _MIN_DISTANCE_PX)
     if corners is None:
         return np.zeros((0, 2), np.float32)
     return np.asarray(corners.reshape(-1, 2) + np.array([x1, y1], np.float32), np.float32)

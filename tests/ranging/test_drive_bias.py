@@ -120,9 +120,9 @@ def test_own_references_correct_their_track():
     assert after.distance_m[0] == pytest.approx(20.0, rel=0.05)
     assert after.distance_m[1] < 22.5  # the other track has only the drive's share of the 25 %
     relative = after.sigma_m / after.distance_m
-    assert relative[0] < 0.6 * relative[1]
+    assert relative[0] < 0.7 * relative[1]
     expected = bias.expected(by_size, classes)
-    assert expected.distance_m[0] == pytest.approx(20.0, rel=0.06)
+    assert expected.distance_m[0] == pytest.approx(20.0, rel=0.1)
 
 
 def test_expected_distances_without_evidence_are_those_by_size():
