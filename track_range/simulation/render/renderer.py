@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.camera.faults import NO_FAULTS, Faults, with_rain
-from track_range.simulation.camera.wide_lens import WideLens
+from track_range.simulation.camera.wide_lens import SideView, WideLens
 from track_range.simulation.render.canvas import Canvas
 from track_range.simulation.render.crowd import Crowd
 from track_range.simulation.render.night import lamps_of, night_image
@@ -166,7 +166,9 @@ class Renderer:
         samples = np.asarray(cv2.GaussianBlur(canvas.bgra, (3, 3), LENS_BLUR_SAMPLES), np.uint8)
         is_lit = self.scene.is_night or self.faults.rain > 0  # both are added to the pinhole's pixels
         if self.wide_lens is not None and not is_lit:
-            image = np.asarray(cv2.cvtColor(self.wide_lens.recorded(samples), cv2.COLOR_BGRA2BGR), np.uint8)
+            beside = [self._drawn(time_s, side, view=view).bgra for view in self.wide_lens.sides]
+            wide = self.wide_lens.recorded(samples, beside)
+            image = np.asarray(cv2.cvtColor(wide, cv2.COLOR_BGRA2BGR), np.uint8)
             return self._with_noise(self.faults.apply(image, is_right=side == "right"), time_s, side)
         small = cv2.resize(samples, self._size_px, interpolation=cv2.INTER_AREA)
         image = np.asarray(cv2.cvtColor(small, cv2.COLOR_BGRA2BGR), np.uint8)
@@ -183,21 +185,33 @@ class Renderer:
             image = self.wide_lens.recorded(image)
         return self._with_noise(self.faults.apply(image, is_right=is_right), time_s, side)
 
-    def _drawn(self, time_s: float, side: Side, *, has_labels: bool = False, solids: Crowd | None = None) -> Canvas:
-        """The canvas with the street, the road users, the obstacles and the sky."""
+    def _drawn(
+        self,
+        time_s: float,
+        side: Side,
+        *,
+        has_labels: bool = False,
+        solids: Crowd | None = None,
+        view: SideView | None = None,
+    ) -> Canvas:
+        """The canvas with the street, the road users, the obstacles and the sky; `view`: to the side, None = ahead."""
         pose = self.scene.pose(time_s)
-        canvas = Canvas(self._cameras[side], self._store, has_labels=has_labels)
+        camera, turn = (self._cameras[side], np.eye(3)) if view is None else (_finer(view.camera), view.from_camera)
+        canvas = Canvas(camera, self._store, has_labels=has_labels)
         shift_m = np.array([-self.rig.baseline_m if side == "right" else 0.0, 0.0, 0.0])
-        rotation = pose.camera_from_world
+        shift_m = turn @ shift_m
+        rotation = turn @ pose.camera_from_world
         street = self._street.faces(self.scene.ego_z_m(time_s))
         canvas.draw(street.rotated(rotation).moved(shift_m - rotation @ pose.position_m))
-        self._draw_bodies(canvas, time_s, shift_m, solids or self._solids)
+        self._draw_bodies(canvas, time_s, shift_m, solids or self._solids, turn)
         if n_rows := canvas.n_sky_rows():
             canvas.fill_sky(self._background(pose, canvas.camera, n_rows))
         return canvas
 
-    def _draw_bodies(self, canvas: Canvas, time_s: float, shift_m: FloatArray, solids: Crowd) -> None:
+    def _draw_bodies(self, canvas: Canvas, time_s: float, shift_m: FloatArray, solids: Crowd, turn: FloatArray) -> None:
+        """Draw all bodies, whose poses are multiplied by `turn` (3, 3) and then moved by `shift_m` (3,)."""
         location_m, rotations, size_hwl_m = self._poses(time_s)
+        location_m, rotations = location_m @ turn.T, turn @ rotations
         poses = location_m, rotations = location_m + shift_m, rotations
         in_reach = np.flatnonzero((location_m[:, 2] > -LONGEST_HALF_M) & (location_m[:, 2] < FAR_M))
         nearest_first = in_reach[np.argsort(location_m[in_reach, 2], kind="stable")]
