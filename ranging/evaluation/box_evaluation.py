@@ -34,6 +34,9 @@ Predictor = Callable[[BoxSet], MethodColumn]
 Fitter = Callable[[BoxSet], Predictor]
 """Function that fits a predictor to boxes."""
 
+Scheme = Callable[[BoxSet, BoxSet, Fitter], MethodColumn]
+"""Function that fits a method to training boxes and measures boxes: `cross_validated`, `within_drives`, `held_out`."""
+
 
 def figures(boxes: BoxSet, distance_m: FloatArray, sigma_m: FloatArray | None = None) -> dict[str, dict[str, Any]]:
     """Metrics by class for (N,) measured distances, NaN = not measured, and their (N,) sigmas, None = unknown."""
@@ -95,6 +98,11 @@ def within_drives(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
         test = boxes.sequence == number
         parts.append((test, fit(train.select(train.sequence == number))(boxes.select(test))))
     return _combined(parts, len(boxes))
+
+
+def held_out(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
+    """Distances and sigmas of `boxes` by a method fitted to `train`, which has none of the same images."""
+    return fit(train)(boxes)
 
 
 def _combined(parts: Sequence[tuple[BoolArray, MethodColumn]], n: int) -> MethodColumn:

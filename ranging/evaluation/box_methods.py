@@ -9,7 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from track_range.foundation.arrays import IntArray
-from track_range.ranging.evaluation.box_evaluation import Fitter, Predictor, cross_validated, frame_rows, within_drives
+from track_range.ranging.evaluation.box_evaluation import (
+    Fitter,
+    Predictor,
+    Scheme,
+    cross_validated,
+    frame_rows,
+    held_out,
+    within_drives,
+)
 from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.fitting.prior_fit import LabelledSizes, fit_size_priors
@@ -46,6 +54,7 @@ class MethodOptions:
     Attributes:
         curves: curve file for mono; None = the packaged one.
         is_cross_validated: mono is fitted by cross-validation instead; plain curves always are.
+        is_held_out: mono and plain curves are fitted to all training boxes, which are of other drives or images.
         is_same_drive: mono and plain curves are fitted to the same drive that they measure.
         box_sigma_px: standard deviation of one box edge; None = the noise model of a detector.
         camera_height_m: camera height for the ground plane; None = unknown.
@@ -54,8 +63,18 @@ class MethodOptions:
     curves: Path | None = None
     is_cross_validated: bool = False
     is_same_drive: bool = False
+    is_held_out: bool = False
     box_sigma_px: float | None = None
     camera_height_m: float | None = None
+
+    @property
+    def scheme(self) -> Scheme | None:
+        """How mono is fitted and measured; None = it has the curves of a file."""
+        if self.is_same_drive:
+            return within_drives
+        if self.is_held_out:
+            return held_out
+        return cross_validated if self.is_cross_validated else None
 
 
 def measured_by(
@@ -66,12 +85,15 @@ def measured_by(
     Args:
         names: methods among `method_names`.
         boxes: N boxes to measure.
-        train: boxes of the same sequences to fit curves to, for example without noise.
+        train: boxes to fit curves to, of the same sequences, for example without noise.
         options: fitting and measuring; None = the defaults.
     """
     options = options or MethodOptions()
-    scheme = within_drives if options.is_same_drive else cross_validated
-    columns = {name: scheme(boxes, train, plain_fitter(PLAIN_CURVES[name])) for name in names if name in PLAIN_CURVES}
+    scheme = options.scheme or cross_validated
+    reference = train.with_reference()
+    columns = {
+        name: scheme(boxes, reference, plain_fitter(PLAIN_CURVES[name])) for name in names if name in PLAIN_CURVES
+    }
     if not set(names) <= columns.keys():
         columns |= _measured_by_rangers(boxes, train, options)
     return {name: columns[name] for name in names}
@@ -81,10 +103,8 @@ def _measured_by_rangers(boxes: BoxSet, train: BoxSet, options: MethodOptions) -
     """Columns of all box methods and of their fusion; methods with a size model are fitted according to `options`."""
     measured: dict[str, MethodColumn] = {}
     for method in box_methods():
-        if method.uses_size_model and options.is_same_drive:
-            measured[method.name] = within_drives(boxes, train, size_fitter(method, options))
-        elif method.uses_size_model and options.is_cross_validated:
-            measured[method.name] = cross_validated(boxes, train, size_fitter(method, options))
+        if method.uses_size_model and options.scheme is not None:
+            measured[method.name] = options.scheme(boxes, train, size_fitter(method, options))
         elif method.uses_size_model:
             measured |= ranger_columns(boxes, [method], options, size_model=load_curves(options.curves))
     others = [method for method in box_methods() if not method.uses_size_model]
@@ -199,17 +219,21 @@ def _size_classes(boxes: BoxSet) -> IntArray:
 
 
 def as_frames(boxes: BoxSet, class_id: IntArray) -> Iterator[tuple[IntArray, Tracks, Frame, bool]]:
-    """Row indices, tracks, blank image of the right size, and whether it is the first of a sequence, for each frame."""
+    """Row indices, tracks, blank image of the right size, and whether it is the first of a sequence, for each frame.
+
+    Labels without identities are those of separate images, each with a sequence to itself.
+    """
     sequence = -1
     for rows in frame_rows(boxes):
         n = len(rows)
         label_id = boxes.track_id[rows]
-        track_id = label_id + 1 if (label_id >= 0).all() else np.arange(1, n + 1)
+        is_image = bool((label_id < 0).any())
+        track_id = np.arange(1, n + 1) if is_image else label_id + 1
         tracks = Tracks(track_id, boxes.xyxy_px[rows], class_id[rows], np.ones(n), np.ones(n, np.bool_))
         width_px, height_px = boxes.size_px[rows[0]].tolist()
         blank = np.broadcast_to(np.zeros(1, np.uint8), (height_px, width_px, 3))
         frame = Frame(int(boxes.frame[rows[0]]), float(boxes.time_s[rows[0]]), blank, None)
-        yield rows, tracks, frame, int(boxes.sequence[rows[0]]) != sequence
+        yield rows, tracks, frame, is_image or int(boxes.sequence[rows[0]]) != sequence
         sequence = int(boxes.sequence[rows[0]])
 
 

@@ -3,14 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+from track_range.detection.formats.errors import LabelFileError
+from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
+from track_range.foundation.files.input_files import quoted, read_text
 from track_range.ranging.evaluation.box_evaluation import closing_figures, figures, folds
 from track_range.ranging.evaluation.box_filters import filtered
 from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by, method_names
+from track_range.ranging.evaluation.distance_risk import distance_risk
+from track_range.ranging.evaluation.errors import MethodColumn
+from track_range.ranging.evaluation.literature_metrics import literature_metrics
+from track_range.ranging.evaluation.reference_distance import centre_offset_m
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
-from track_range.ranging.fitting.labelled_boxes import BoxSet, box_set
+from track_range.ranging.fitting.labelled_boxes import BoxSelection, BoxSet, box_set
+from track_range.ranging.size_models.plain_curves import PLAIN_CURVES
+
+_TRUTH: Mapping[str, str] = {
+    "surface": "z at which the ray through the label's box centre meets its 3-D box",
+    "centre": "z of the centre of the 3-D box",
+    "lidar": "10th percentile of the depths of the lidar points in the 3-D box",
+}
+"""Definitions of the true distance."""
 
 
 def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
@@ -21,26 +38,63 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
         UsageError: an unknown method, or settings that contradict each other.
     """
     _check(settings)
-    boxes = box_set(
-        settings.labels, settings.calib, boxes=settings.boxes, noise_px=settings.noise_px, seed=settings.seed
-    )
+    boxes = _boxes(settings, settings.frames)
     is_exact = settings.boxes == "labels" and settings.noise_px == 0
-    train = boxes if settings.fit_on == "boxes" or is_exact else box_set(settings.labels, settings.calib)
+    if settings.fit_frames is not None:
+        train = _boxes(settings, settings.fit_frames, is_exact=settings.fit_on == "labels")
+    else:
+        is_same = settings.fit_on == "boxes" or is_exact
+        train = boxes if is_same else _boxes(settings, settings.frames, is_exact=True)
     options = MethodOptions(
         curves=settings.curves,
         is_cross_validated=settings.cross_validate,
         is_same_drive=settings.same_drive,
+        is_held_out=settings.fit_frames is not None,
         box_sigma_px=settings.noise_px if settings.boxes == "labels" else None,
         camera_height_m=settings.camera_height_m,
     )
     columns = measured_by(_selected(settings) or method_names(), boxes, train, options)
+    if settings.truth == "centre":
+        offset_m = centre_offset_m(boxes.class_name, boxes.xyxy_px)
+        columns = {name: c if name in PLAIN_CURVES else _behind(c, offset_m) for name, c in columns.items()}
+    boxes = boxes.with_reference()
     methods: dict[str, Any] = {}
-    for name, column in columns.items():
-        output = filtered(boxes, column, settings.filter)
+    outputs = {name: filtered(boxes, column, settings.filter) for name, column in columns.items()}
+    for name, output in outputs.items():
         scores = figures(boxes, output.column.distance_m, output.column.sigma_m)
         closing = closing_figures(boxes, output.closing_mps) if settings.filter != "none" else {}
         methods[name] = {class_name: {**score, **closing.get(class_name, {})} for class_name, score in scores.items()}
-    return _figures(settings, boxes, methods)
+    measured = {name: output.column for name, output in outputs.items()}
+    return {
+        **_figures(settings, boxes, methods),
+        "literature": literature_metrics(boxes, measured),
+        "risk_coverage": {name: curves for name, c in measured.items() if (curves := distance_risk(boxes, c))},
+    }
+
+
+def _boxes(settings: RangeEvaluationSettings, frames: Path | None, *, is_exact: bool = False) -> BoxSet:
+    """Boxes of the listed frames, all if None: those of the settings, or the labelled ones if `is_exact`."""
+    selection = BoxSelection(
+        frames=frames,
+        has_all_objects=settings.objects == "all",
+        reference=settings.truth,
+        velodyne=settings.velodyne,
+    )
+    if is_exact:
+        return box_set(settings.labels, settings.calib, selection=selection)
+    return box_set(
+        settings.labels,
+        settings.calib,
+        boxes=settings.boxes,
+        noise_px=settings.noise_px,
+        seed=settings.seed,
+        selection=selection,
+    )
+
+
+def _behind(column: MethodColumn, offset_m: FloatArray) -> MethodColumn:
+    """The column with distances that are `offset_m` (N,) larger."""
+    return replace(column, distance_m=column.distance_m + offset_m)
 
 
 def _selected(settings: RangeEvaluationSettings) -> tuple[str, ...]:
@@ -60,6 +114,24 @@ def _check(settings: RangeEvaluationSettings) -> None:
         )
     if settings.cross_validate and settings.same_drive:
         raise UsageError("--cross-validate: not allowed with --same-drive; give only one of them.")
+    _check_frames(settings)
+
+
+def _check_frames(settings: RangeEvaluationSettings) -> None:
+    if (settings.truth == "lidar") != (settings.velodyne is not None):
+        raise UsageError("expected --truth lidar with --velodyne DIR, or neither.")
+    if settings.fit_frames is None:
+        return
+    if settings.cross_validate or settings.same_drive or settings.curves is not None:
+        raise UsageError("--fit-frames: not allowed with --cross-validate, --same-drive or --curves.")
+    if settings.frames is None:
+        raise UsageError("--fit-frames: expected --frames with other frames, which are evaluated.")
+    lists = (settings.fit_frames, settings.frames)
+    fitted, evaluated = (set(read_text(path, LabelFileError, "a list of frames").split()) for path in lists)
+    if common := sorted(fitted & evaluated):
+        raise UsageError(
+            f"--fit-frames {settings.fit_frames}: expected frames that are not in --frames, got {quoted(common[0])}."
+        )
 
 
 def _figures(settings: RangeEvaluationSettings, boxes: BoxSet, methods: Mapping[str, Any]) -> dict[str, Any]:
@@ -73,6 +145,10 @@ def _figures(settings: RangeEvaluationSettings, boxes: BoxSet, methods: Mapping[
         "cross_validated": settings.cross_validate,
         "same_drive": settings.same_drive,
         "fit_on": settings.fit_on,
+        "frames": None if settings.frames is None else str(settings.frames),
+        "fit_frames": None if settings.fit_frames is None else str(settings.fit_frames),
+        "objects": settings.objects,
+        "truth": settings.truth,
         "camera_height_m": settings.camera_height_m,
         "n_boxes": len(boxes),
         "n_sequences": n_sequences,
@@ -83,18 +159,28 @@ def _figures(settings: RangeEvaluationSettings, boxes: BoxSet, methods: Mapping[
 
 def _notes(settings: RangeEvaluationSettings, n_sequences: int, n_folds: int) -> list[str]:
     scheme = f"cross-validated in {n_folds} folds over {n_sequences} sequences"
-    if settings.same_drive:
+    if settings.fit_frames is not None:
+        scheme = f"fitted to the frames of {settings.fit_frames}"
+    elif settings.same_drive:
         scheme = "fitted and tested on the same drive, as by Zhang et al. (no measure of the error on other drives)"
     elif n_sequences == 1:
         scheme = "fitted and tested on the only sequence"
     fitted = "the labels' exact boxes" if settings.fit_on == "labels" else "boxes of the same kind as the measured ones"
-    is_refitted = settings.cross_validate or settings.same_drive
+    is_refitted = settings.cross_validate or settings.same_drive or settings.fit_frames is not None
     mono_curves = "fitted in the same way" if is_refitted else f"{settings.curves or 'packaged'}"
+    objects = "labels at 5-100 m, not truncated, occluded <= 1"
+    if settings.objects == "all":
+        objects = "all labels with a 3-D box"
     notes = [
-        "Ground truth: z at which the ray through the label's box centre meets its 3-D box, for labels at 5-100 m, not "
-        "truncated, occluded <= 1. Metrics by class cover 10-100 m, metrics of far objects 30-100 m, bands 5-100 m.",
+        f"Ground truth: {_TRUTH[settings.truth]}, for {objects}. Metrics by class cover 10-100 m, metrics of far "
+        "objects 30-100 m, bands 5-100 m.",
         f"Plain curves: fitted to {fitted}, {scheme}. Size curves of mono: {mono_curves}.",
     ]
+    if settings.frames is not None and not is_refitted:
+        notes.append(
+            "The packaged size curves were fitted to drives of KITTI's tracking set, some of which are also in its "
+            "object set; for a figure to compare, fit them to the training frames (--fit-frames)."
+        )
     if settings.filter != "none":
         notes.append(
             "Filtered over time with unknown ego speed; the true closing speed is the mean over half a second before "

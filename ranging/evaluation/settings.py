@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from track_range.foundation.options import Options, option
+from track_range.ranging.evaluation.reference_distance import ReferenceName
 
 
 class RangeEvaluationSettings(Options):
@@ -38,6 +39,23 @@ class RangeEvaluationSettings(Options):
         Literal["labels", "boxes"],
         option("Boxes that size curves are fitted to: the labelled ones, or boxes as in --boxes and --noise-px."),
     ] = "labels"
+    frames: Annotated[
+        Path | None,
+        option("File of frame names, one per line, such as val.txt of a split of KITTI's object set.", metavar="FILE"),
+    ] = None
+    fit_frames: Annotated[
+        Path | None,
+        option("File of frame names that all size curves are fitted to, such as train.txt.", metavar="FILE"),
+    ] = None
+    objects: Annotated[
+        Literal["visible", "all"],
+        option("Objects: visible ones at 5-100 m, or all with a 3-D box, also cut, hidden and far ones."),
+    ] = "visible"
+    truth: Annotated[
+        ReferenceName,
+        option("True distance: visible surface, centre of the 3-D box, or 10th percentile of its lidar points."),
+    ] = "surface"
+    velodyne: Annotated[Path | None, option("Folder of lidar files NAME.bin, for --truth lidar.", metavar="DIR")] = None
     methods: Annotated[
         tuple[str, ...], option("Ranging methods to evaluate (default: all).", flag="--method", metavar="A,B,...")
     ] = ()

@@ -22,8 +22,14 @@ from track_range.detection.formats.detection_files import read_detections
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti, read_kitti_image
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.foundation.files.input_files import first_line
+from track_range.foundation.files.input_files import first_line, quoted, read_text
 from track_range.ranging.evaluation.errors import BANDS_M, MIN_IOU
+from track_range.ranging.evaluation.reference_distance import (
+    ReferenceName,
+    centre_distance_m,
+    lidar_distance_m,
+    read_lidar,
+)
 from track_range.ranging.evaluation.truth import MAX_OCCLUDED, surface_of_labels_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_camera
@@ -83,6 +89,7 @@ class BoxSet:
         size_hwl_m: (N, 3) height, width, length of the 3-D box; NaN = no 3-D box.
         rotation_y_rad: (N,) yaw of the 3-D box; NaN = no 3-D box.
         occluded: (N,) 0 = fully visible, 1 = partly occluded.
+        reference_m: (N,) distance by the definition of the evaluation (`BoxSelection.reference`); None = `distance_m`.
     """
 
     sequence_names: tuple[str, ...]
@@ -101,14 +108,19 @@ class BoxSet:
     size_hwl_m: FloatArray
     rotation_y_rad: FloatArray
     occluded: IntArray
+    reference_m: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
 
     def select(self, rows: BoolArray | IntArray) -> BoxSet:
         """The boxes selected by a mask or an index array."""
-        columns = (getattr(self, field.name)[rows] for field in fields(self)[1:])
-        return BoxSet(self.sequence_names, *columns)
+        columns = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
+        return replace(self, **{name: column[rows] for name, column in columns.items() if column is not None})
+
+    def with_reference(self) -> BoxSet:
+        """The boxes with their reference distances as `distance_m`."""
+        return self if self.reference_m is None else replace(self, distance_m=self.reference_m)
 
     @property
     def wh_over_f(self) -> FloatArray:
@@ -146,7 +158,33 @@ class BoxSet:
         return replace(self, xyxy_px=np.concatenate([centre - size / 2, centre + size / 2], axis=1))
 
 
-def box_set(labels: Path, calib: Path, *, boxes: str = "labels", noise_px: float = 0.0, seed: int = 0) -> BoxSet:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoxSelection:
+    """Labels that are used, and their reference distance.
+
+    Attributes:
+        frames: file of names of label files without .txt, one per line, such as the frames of a published split; None =
+            all files.
+        has_all_objects: whether labels that are truncated, occluded or outside 5-100 m are used too.
+        reference: definition of the distance (`reference_distance`).
+        velodyne: folder of lidar files NAME.bin, for the reference "lidar".
+    """
+
+    frames: Path | None = None
+    has_all_objects: bool = False
+    reference: ReferenceName = "surface"
+    velodyne: Path | None = None
+
+
+def box_set(
+    labels: Path,
+    calib: Path,
+    *,
+    boxes: str = "labels",
+    noise_px: float = 0.0,
+    seed: int = 0,
+    selection: BoxSelection | None = None,
+) -> BoxSet:
     """Boxes of KITTI tracking labels (NAME.txt per sequence) or object labels (a file per image), with calibration.
 
     Args:
@@ -155,6 +193,7 @@ def box_set(labels: Path, calib: Path, *, boxes: str = "labels", noise_px: float
         boxes: "labels", or "rrc:DIR" for detections DIR/Car/NAME.txt and DIR/Pedestrian/NAME.txt, matched to labels.
         noise_px: standard deviation of noise added to every edge.
         seed: random seed for the noise.
+        selection: labels that are used; None = visible objects at 5-100 m of all files.
 
     Raises:
         LabelFileError: no files, no 3-D boxes, no usable labels, or detections that cannot be read.
@@ -163,7 +202,10 @@ def box_set(labels: Path, calib: Path, *, boxes: str = "labels", noise_px: float
     files = sorted(file for file in labels.glob("*.txt") if not file.name.startswith("."))
     if not files:
         raise LabelFileError(f"{labels}: expected label files such as 0000.txt, found none.")
-    sequences = [_sequence(file, calib / file.name, boxes) for file in files]
+    selection = selection or BoxSelection()
+    if selection.frames is not None:
+        files = _listed(files, selection.frames, labels)
+    sequences = [_sequence(file, calib / file.name, boxes, selection) for file in files]
     if not any(has_3d for _, has_3d in sequences):
         raise LabelFileError(f"{labels}: expected KITTI labels with 3-D boxes, found no label with a 3-D box.")
     usable = _concatenated([part for part, _ in sequences], files)
@@ -175,16 +217,36 @@ def box_set(labels: Path, calib: Path, *, boxes: str = "labels", noise_px: float
     return usable.with_noise(noise_px, seed=seed) if noise_px > 0 else usable
 
 
-def _sequence(file: Path, calib: Path, boxes: str) -> tuple[BoxSet, bool]:
+def _listed(files: Sequence[Path], frames: Path, labels: Path) -> list[Path]:
+    """The label files whose names are in the list `frames`, in the order of the files."""
+    names = read_text(frames, LabelFileError, "a list of frames").split()
+    if missing := sorted(set(names) - {file.stem for file in files}):
+        raise LabelFileError(
+            f"{frames}: expected names of label files of {labels}, one per line, found {quoted(missing[0])}."
+        )
+    if not names:
+        raise LabelFileError(f"{frames}: expected one name of a label file per line, found an empty file.")
+    listed = set(names)
+    return [file for file in files if file.stem in listed]
+
+
+def _sequence(file: Path, calib: Path, boxes: str, selection: BoxSelection) -> tuple[BoxSet, bool]:
     """Usable boxes of one file, as sequence 0, and whether any of its labels has a 3-D box."""
     labels = _labels_in(file)
     camera, _ = load_camera(calib, size_px=None)
     shift_m = left_from_reference_m(calib, is_grey=False)
     box_set = _rows(labels, camera, shift_m)
     box_set = box_set if boxes == "labels" else _detected(box_set, labels, file.name, boxes)
-    in_span = (box_set.distance_m >= BANDS_M[0]) & (box_set.distance_m <= BANDS_M[-1])
+    if selection.reference == "centre":
+        box_set = replace(box_set, reference_m=centre_distance_m(labels, shift_m))
+    elif selection.reference == "lidar" and selection.velodyne is not None:
+        points_m = read_lidar(selection.velodyne / f"{file.stem}.bin", calib)
+        box_set = replace(box_set, reference_m=lidar_distance_m(labels, points_m, shift_m))
+    distance_m = box_set.with_reference().distance_m
+    in_span = (distance_m >= BANDS_M[0]) & (distance_m <= BANDS_M[-1])
     is_visible = (labels.truncated == 0) & (labels.occluded >= 0) & (labels.occluded <= MAX_OCCLUDED)
-    is_usable = in_span & is_visible & labels.has_3d_box & are_valid_boxes(box_set.xyxy_px)
+    is_chosen = distance_m > 0 if selection.has_all_objects else in_span & is_visible
+    is_usable = is_chosen & labels.has_3d_box & are_valid_boxes(box_set.xyxy_px)
     rows = np.flatnonzero(is_usable & (box_set.class_name != ""))
     return box_set.select(rows[np.argsort(labels.frame[rows], kind="stable")]), bool(labels.has_3d_box.any())
 
@@ -275,9 +337,8 @@ def _concatenated(parts: Sequence[BoxSet], files: Sequence[Path]) -> BoxSet:
     is_images = len(parts) > 1 and all((part.track_id < 0).all() for part in parts)
     names = tuple(f"group-{k}" for k in range(_OBJECT_GROUPS)) if is_images else tuple(file.stem for file in files)
     numbers = [k * _OBJECT_GROUPS // len(parts) if is_images else k for k in range(len(parts))]
-    columns = {
-        field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(BoxSet)[2:]
-    }
+    names_of_columns = [field.name for field in fields(BoxSet)[2:] if getattr(parts[0], field.name) is not None]
+    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names_of_columns}
     if is_images:
         columns["frame"] = np.concatenate([np.full(len(part), k) for k, part in enumerate(parts)])
     sequence = np.concatenate([np.full(len(part), k) for part, k in zip(parts, numbers, strict=True)])

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from track_range.cli.commands.evaluate.json_file import check_json_file
-from track_range.cli.console import console, print_grid, print_notes
+from track_range.cli.commands.evaluate.risk_tables import check_figure, draw_risk, risk_grids
+from track_range.cli.console import console, print_grid, print_line, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.foundation.options import option
@@ -22,16 +23,25 @@ class RangesOptions(RangeEvaluationSettings):
     """Options of `track-range evaluate ranges`."""
 
     table: Annotated[Path | None, option("Markdown file for the tables.", metavar="FILE.md")] = None
+    figure: Annotated[
+        Path | None,
+        option("Chart of the risk-coverage curves to write, an SVG or PNG file.", metavar="FILE.svg"),
+    ] = None
     json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 
 
 def _ranges(options: RangesOptions) -> None:
     check_json_file(options)
+    check_figure(options.figure)
     figures = evaluate_ranges(options)
-    grids = _grids(figures)
+    curves = _curves(figures)
+    grids = [*_grids(figures), *_literature_grids(figures), *(risk_grids(curves) if curves else ())]
     for grid in grids:
         print_grid(console, grid)
     print_notes(console, figures["notes"])
+    if options.figure is not None:
+        draw_risk(curves, options.figure)
+        print_line(console, f"Written: {options.figure}")
     if options.json_file is not None:
         write_text(options.json_file, json.dumps(figures, indent=2, allow_nan=False) + "\n")
     if options.table is not None:
@@ -77,6 +87,49 @@ def _grid(kind: str, rows: Mapping[str, Mapping[str, Any]]) -> tables.Grid:
     ]
     n_tracks = max(int(row["n_tracks"]) for row in rows.values())
     return tables.grid_of(f"{kind}: {n_tracks} tracks", "method", list(rows), columns)
+
+
+_LITERATURE: tuple[tuple[str, str, str, float, tables.Cost | None], ...] = (
+    ("n", "n", "{:.0f}", 1.0, None),
+    ("coverage %", "coverage", "{:.1f}", 100.0, None),
+    ("abs rel %", "abs_rel", "{:.2f}", 100.0, abs),
+    ("sq rel m", "sq_rel_m", "{:.3f}", 1.0, abs),
+    ("RMSE m", "rmse_m", "{:.2f}", 1.0, abs),
+    ("RMSE log", "rmse_log", "{:.3f}", 1.0, abs),
+    ("< 1.25 %", "delta_1_25", "{:.1f}", 100.0, lambda value: -value),
+    ("< 1.25^2 %", "delta_1_25_2", "{:.1f}", 100.0, lambda value: -value),
+)
+"""Columns of the metrics of published evaluations, as in `_COLUMNS`."""
+
+
+def _literature_grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
+    """A table per class, and one over all classes, of the metrics of published evaluations over all distances.
+
+    They are printed for frames, objects or distances as of published evaluations; the JSON file always has them.
+    """
+    is_published = figures["frames"] is not None or figures["objects"] != "visible" or figures["truth"] != "surface"
+    by_method: Mapping[str, Mapping[str, Any]] = figures["literature"] if is_published else {}
+    grids: list[tables.Grid] = []
+    if not by_method:
+        return grids
+    for kind in next(iter(by_method.values())):
+        rows = {name: row[kind] for name, row in by_method.items()}
+        columns = [
+            tables.Column(heading, [tables.figure(row, key) for row in rows.values()], pattern, scale, cost)
+            for heading, key, pattern, scale, cost in _LITERATURE
+        ]
+        title = f"{kind}, all distances, truth: {figures['truth']}"
+        grids.append(tables.grid_of(title, "method", list(rows), columns))
+    return grids
+
+
+def _curves(figures: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Risk-coverage curves by method and class."""
+    return {
+        f"{method}, {kind}": curve
+        for method, by_class in figures["risk_coverage"].items()
+        for kind, curve in by_class.items()
+    }
 
 
 app = single_app(command(RangesOptions, _ranges))

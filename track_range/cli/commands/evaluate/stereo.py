@@ -11,10 +11,10 @@ from typing import Annotated, Any
 from track_range.calibration.settings import StereoEvaluationSettings
 from track_range.calibration.stereo_evaluation import evaluate_stereo
 from track_range.cli.commands.evaluate.json_file import check_json_file
+from track_range.cli.commands.evaluate.risk_tables import check_figure, draw_risk, risk_grids
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
-from track_range.foundation.errors import UsageError
 from track_range.foundation.options import option
 from track_range.report import tables
 from track_range.results.output_files import write_text
@@ -33,21 +33,14 @@ class StereoOptions(StereoEvaluationSettings):
 
 def _stereo(options: StereoOptions) -> None:
     check_json_file(options)
-    if options.figure is not None and options.figure.suffix.lower() not in CHART_SUFFIXES:
-        raise UsageError(f"--figure {options.figure}: expected a name that ends in {' or '.join(CHART_SUFFIXES)}.")
+    check_figure(options.figure)
     figures = evaluate_stereo(options, partial(step_progress, console))
     _print(figures)
     if options.figure is not None:
-        _draw(figures, options.figure)
+        draw_risk(_curves(figures), options.figure)
         print_line(console, f"Written: {options.figure}")
     if options.json_file is not None:
         write_text(options.json_file, json.dumps(figures, indent=2, allow_nan=False) + "\n")
-
-
-def _draw(figures: Mapping[str, Any], path: Path) -> None:
-    from track_range.report.figures import risk_coverage_chart  # imports matplotlib, which takes a third of a second
-
-    risk_coverage_chart({name: curve["curve"] for name, curve in _curves(figures).items()}, path)
 
 
 _Rows = Mapping[str, Mapping[str, Any]]
@@ -69,12 +62,6 @@ _MORE_COLUMNS: tuple[_ColumnSpec, ...] = (
     (tables.WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_2_SIGMA)),
     ("ms/frame", "ms_per_frame", "{:.1f}", 1.0, abs),
 )
-ANSWERED_PCT = (100, 95, 90, 80, 50)
-"""Answered shares of the boxes in the risk-coverage tables, per cent."""
-
-CHART_SUFFIXES = (".svg", ".png")
-"""Accepted endings of the chart's file name."""
-
 _INTERVALS = (
     ("failed %", "failures_pct", "{:.1f} .. {:.1f}"),
     ("median %", "median_relative_error_pct", "{:.2f} .. {:.2f}"),
@@ -95,7 +82,7 @@ def _print(figures: Mapping[str, Any]) -> None:
         n_common = next(iter(common.values()))["n"]
         title = f"On common coverage ({n_common} objects measured by all matchers)"
         print_grid(console, _grid(title, common, _COLUMNS[1:]))
-    for grid in _risk_grids(_curves(figures)):
+    for grid in risk_grids(_curves(figures)):
         print_grid(console, grid)
     for note in figures["notes"]:
         print_line(console, note)
@@ -125,31 +112,6 @@ def _curves(figures: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
         for measure in ("sigma", *([best] if best else [])):
             curves[matcher if measure == "sigma" else f"{matcher}, {measure}"] = by_measure[measure]
     return curves
-
-
-def _risk_grids(curves: _Rows) -> list[tables.Grid]:
-    """Failures and 95th percentile of the error among the most certain boxes, by the share that is answered."""
-    grids = []
-    for title, key, area in (
-        ("Failures (%) when only the most certain boxes are answered", "failures_pct", "area_failures_pct"),
-        ("Mean error (%) of the answered boxes", "mean_relative_error_pct", "area_error_pct"),
-        ("95th percentile of the error (%) of the answered boxes", "p95_relative_error_pct", None),
-    ):
-        columns = []
-        for share_pct in ANSWERED_PCT:
-            values = [_at(curve, share_pct, key) for curve in curves.values()]
-            columns.append(tables.Column(f"{share_pct} %", values, "{:.2f}", cost=abs))
-        if area is not None:
-            columns.append(
-                tables.Column("area", [tables.figure(row, area) for row in curves.values()], "{:.2f}", cost=abs)
-            )
-        grids.append(tables.grid_of(title, "answered", list(curves), columns))
-    return grids
-
-
-def _at(curve: Mapping[str, Any], answered_pct: int, key: str) -> float | None:
-    row = next(row for row in curve["curve"] if row["answered_pct"] == answered_pct)
-    return tables.figure(row, key)
 
 
 def _columns(matchers: _Rows, specs: Sequence[_ColumnSpec]) -> list[tables.Column]:

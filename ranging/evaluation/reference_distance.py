@@ -1,0 +1,108 @@
+"""Reference distances of labelled objects by the definitions of published evaluations.
+
+    surface   z at which the ray through the middle of the box meets the 3-D box: the distance of this project
+    centre    z of the centre of the 3-D box, as in KITTI's labels (Vajgl et al., Dist-YOLO, Applied Sciences 2022)
+    lidar     depth of the (0.1 n)-th nearest of the n lidar points in the 3-D box (Zhu and Fang, Learning
+              object-specific distance from a monocular image, ICCV 2019; Panariello et al., DistFormer, CVIU 2025)
+
+All are depths in the frame of the left camera. The methods measure the surface; for the reference `centre`, half the
+typical length of the class is added for boxes of a rear view and half the width for those of a side view.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.video_labels.kitti import KittiLabels
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.files.input_files import read_text
+from track_range.ranging.fitting.prior_fit import STANDARD_SIZES
+
+ReferenceName = Literal["surface", "centre", "lidar"]
+"""Names of the definitions."""
+
+REFERENCES: tuple[ReferenceName, ...] = get_args(ReferenceName)
+
+_LIDAR_SHARE = 0.1
+"""Fraction of the lidar points of an object that are nearer than the reference distance."""
+
+_NARROW, _WIDE = 1.5, 2.2
+"""Ratios of the width to the height of boxes of vehicles seen from behind, and from the side."""
+
+_MARGIN_M = 0.05
+"""Margin of 3-D boxes within which lidar points belong to the object."""
+
+_ROWS = {"R": ("R0_rect", "R_rect"), "T": ("Tr_velo_to_cam", "Tr_velo_cam")}
+"""Names of the rows of calibration files of the object and of the tracking set."""
+
+
+def centre_distance_m(labels: KittiLabels, left_from_reference_m: FloatArray) -> FloatArray:
+    """(N,) z of the centres of the 3-D boxes in the frame of the left camera."""
+    return np.asarray(labels.location_m[:, 2] + left_from_reference_m[2])
+
+
+def lidar_distance_m(labels: KittiLabels, points_m: FloatArray, left_from_reference_m: FloatArray) -> FloatArray:
+    """(N,) depth of the (0.1 n)-th nearest of the n lidar points in each 3-D box; NaN = no point.
+
+    Args:
+        labels: N labels of one image.
+        points_m: (M, 3) lidar points in the frame of the reference camera.
+        left_from_reference_m: (3,) shift to the frame of the left camera.
+    """
+    distance_m = np.full(len(labels), np.nan)
+    for row in np.flatnonzero(labels.has_3d_box).tolist():
+        height, width, length = labels.size_hwl_m[row]
+        cos, sin = np.cos(labels.rotation_y_rad[row]), np.sin(labels.rotation_y_rad[row])
+        x, y, z = (points_m - labels.location_m[row]).T
+        is_inside = (np.abs(cos * x - sin * z) <= length / 2 + _MARGIN_M) & (
+            np.abs(sin * x + cos * z) <= width / 2 + _MARGIN_M
+        )
+        is_inside &= (y <= _MARGIN_M) & (y >= -height - _MARGIN_M)
+        depth_m = np.sort(points_m[is_inside, 2])
+        if len(depth_m):
+            distance_m[row] = depth_m[int(_LIDAR_SHARE * len(depth_m))] + left_from_reference_m[2]
+    return distance_m
+
+
+def read_lidar(path: Path, calib: Path) -> FloatArray:
+    """(M, 3) points of a KITTI velodyne file (x, y, z, reflectance as float32) in the frame of the reference camera.
+
+    Raises:
+        LabelFileError: the file is missing or is not made of points, or the calibration has no lidar.
+    """
+    try:
+        values = np.fromfile(path, np.float32)
+    except OSError as error:
+        raise LabelFileError(f"{path}: expected the lidar points of an image, found no readable file.") from error
+    if len(values) % 4 or not np.isfinite(values).all():
+        raise LabelFileError(f"{path}: expected points of four float32 numbers each, found {len(values)} numbers.")
+    rotation, transform = _matrix(calib, "R", (3, 3)), _matrix(calib, "T", (3, 4))
+    points_m = values.reshape(-1, 4)[:, :3].astype(np.float64)
+    return np.asarray((points_m @ transform[:, :3].T + transform[:, 3]) @ rotation.T)
+
+
+def centre_offset_m(class_name: npt.NDArray[np.str_], xyxy_px: FloatArray) -> FloatArray:
+    """(N,) depth of the centre of objects behind their visible surface, by class and aspect ratio of their boxes."""
+    aspect = (xyxy_px[:, 2] - xyxy_px[:, 0]) / np.maximum(xyxy_px[:, 3] - xyxy_px[:, 1], 1.0)
+    wide = np.clip((aspect - _NARROW) / (_WIDE - _NARROW), 0.0, 1.0)
+    sizes = np.array([STANDARD_SIZES[str(name)][0] for name in class_name]).reshape(-1, 3)
+    return np.asarray(((1 - wide) * sizes[:, 2] + wide * sizes[:, 1]) / 2)
+
+
+def _matrix(calib: Path, kind: str, shape: tuple[int, int]) -> FloatArray:
+    """A matrix of a calibration file by the names of its row."""
+    for line in read_text(calib, LabelFileError, "a calibration file of KITTI").splitlines():
+        name, *values = line.replace(":", " ").split()[: 1 + shape[0] * shape[1]] or [""]
+        if name in _ROWS[kind] and len(values) == shape[0] * shape[1]:
+            try:
+                return np.array(values, np.float64).reshape(shape)
+            except ValueError:
+                break
+    raise LabelFileError(
+        f"{calib}: expected the row {' or '.join(_ROWS[kind])} of the lidar, found none that is valid."
+    )
