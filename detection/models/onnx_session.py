@@ -209,7 +209,7 @@ def _checked_inputs(path: Path, inputs: Sequence[Any]) -> tuple[Any, Any | None]
     sizes = [i for i in inputs if i.name == TARGET_SIZES and len(i.shape) == 2 and i.type in _SIZE_TYPES]
     if len(images) != 1 or len(inputs) != 1 + len(sizes):
         shapes = shortened(", ".join(f"{i.name} {i.shape}" for i in inputs), 100)
-        advice = "export without postprocessing" if len(inputs) > 1 else "choose another model"
+        advice = "export without other inputs and postprocessing" if len(inputs) > 1 else "choose another model"
         raise ModelError(
             f"{path}: expected one input [batch, 3, height, width], and at most {TARGET_SIZES} [batch, 2] of int64, "
             f"got {shapes}; {advice}."
