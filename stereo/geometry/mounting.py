@@ -22,3 +22,12 @@ class Mounting:
     camera_height_sigma_m: float
     pitch_deg: float
     pitch_sigma_deg: float
+
+    @property
+    def sentence(self) -> str:
+        """Message for the user."""
+        return (
+            f"Calibrated on the road: the focal length is known within {100 * self.focal_sigma:.1f} %, which is part of "
+            f"the sigma of every distance; camera height {self.camera_height_m:.2f} ± {self.camera_height_sigma_m:.2f} m, "
+            f"pitch {self.pitch_deg:+.1f} ± {self.pitch_sigma_deg:.1f} degrees (positive = down)."
+        )

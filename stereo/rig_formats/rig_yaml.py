@@ -155,7 +155,7 @@ def _read(text: str, path: Path, _is_grey: bool) -> Calibration:
     left = rig.left.camera()
     if rig.right is None or rig.right_from_left is None:
         mounting = None if rig.mounting is None else Mounting(**rig.mounting.model_dump())
-        return Calibration(left, None, None, mounting=mounting)
+        return Calibration(left, None, None, mounting=mounting, notes=() if mounting is None else (mounting.sentence,))
     return Calibration(left, rig.right.camera(), rig.right_from_left.matrix())
 
 

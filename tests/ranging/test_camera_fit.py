@@ -61,6 +61,18 @@ def test_lane_width_and_horizon_give_the_height():
     assert fit.pitch_rad == pytest.approx(math.atan(19.5 / 900), abs=0.002)
 
 
+def test_wrong_horizon_is_an_outlier():
+    boxes = [flat_box(d, focal_px=900.0, height_m=1.5, horizon_px=0.0) for d in (6.0, 10.0, 20.0, 35.0)]
+    known = [
+        KnownObject(name=str(d), xyxy_px=box, size_class=CAR, distance_m=d)
+        for d, box in zip((6.0, 10.0, 20.0, 35.0), boxes, strict=True)
+    ]
+    rows = [HorizonRow(359.5, 5.0, "direction of travel"), HorizonRow(300.0, 5.0, "lane lines")]
+    fit = fit_camera(SIZE_PX, VAGUE, SIZES, objects=known, horizon=rows)
+    assert abs(fit.pitch_rad) < 0.008
+    assert fit.residuals[-1].value < -50
+
+
 @pytest.mark.parametrize("focal_px", [640.0, 1400.0])
 def test_two_distances_and_the_height_give_focal_length_and_pitch(focal_px):
     boxes = [flat_box(d, focal_px=focal_px, height_m=1.4, horizon_px=-25.0) for d in (8.0, 30.0)]

@@ -96,12 +96,15 @@ def test_known_cameras():
         assert camera.source
 
 
-def test_mounting_in_rig_yaml(tmp_path):
+def test_mounting_in_rig_yaml(tmp_path, cli):
     camera = PinholeCamera.of_focal_length(900.0, (1280, 720))
     path = tmp_path / "rig.yaml"
     save_camera(camera, path, mounting=MOUNTING)
     assert load_camera(path, size_px=(1280, 720))[0] == camera
     assert mounting_of(path) == MOUNTING
+    status, printed, _ = cli("rig", "show", path)
+    assert (status, "4.0 %" in printed, "1.40" in printed) == (0, True, True)
+    assert "OUT does not store" in cli("rig", "convert", path, tmp_path / "cv.yml", "--to", "opencv")[1]
     save_camera(camera, path)
     assert mounting_of(path) is None
 

@@ -125,14 +125,9 @@ class Calibration:
 
     @property
     def _focal_notes(self) -> tuple[str, ...]:
-        """Messages about the uncertainty of the focal length of one camera."""
-        if self.uncalibrated is not None or not self.focal_sigma:
+        """Message about the estimated focal length of one camera."""
+        if self.uncalibrated is not None or self.focal is None:
             return ()
-        if self.focal is None:
-            return (
-                f"The focal length of {self.path} is known within {100 * self.focal_sigma:.1f} %, which is part of the "
-                "sigma of every distance.",
-            )
         return (
             f"No calibration: {focal_sentence(self.focal)}, and all distances share its error; a known distance "
             "reduces it: track-range calibrate --mono VIDEO --known-distance 'T_S,X1,Y1,X2,Y2=METRES' --out rig.yaml.",

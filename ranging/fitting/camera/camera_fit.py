@@ -12,7 +12,7 @@ Residuals, each divided by its standard deviation (u, v: column and row from the
     known height or width S           v - y0 - r u - H s / S           s = h or w
     the same with a known distance    log(s Z / (f S))
     lane of width W in a row          v - y0 - r u - H w / W
-    horizon in a row                  v - y0                           lane lines, direction of travel
+    horizon in a row                  v - y0                           lane lines, direction of travel; Cauchy's loss
     other road users                  v - y0 - r u - H e^-b f / D'     Cauchy's loss; D' = D(f) - offset with the last f
     priors                            f (focal_evidence), H, y0, r, b
 
@@ -85,7 +85,7 @@ _VIEWS_PER_TRACK = 1.5
 """Number of independent views that the views of one object count as at most."""
 
 _CAUCHY = 2.0
-"""Scale of Cauchy's loss of other road users, in standard deviations."""
+"""Scale of Cauchy's loss of other road users and horizon rows (kerbs taken for lane lines), in standard deviations."""
 
 _STANDS = np.isin(SIZE_CLASSES, ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van"))
 """(size classes,) whether objects of the class are on the road."""
@@ -305,8 +305,9 @@ class _Terms:
     def residuals(self, theta: FloatArray) -> FloatArray:
         """(M,) all residuals in standard deviations."""
         priors = (theta - self.prior_mean) / self.prior_sigma
-        known = [residual.value / residual.sigma for residual in self.table(theta)]
-        return np.concatenate([priors, known, self._of_scene(theta)])
+        known = np.array([residual.value / residual.sigma for residual in self.table(theta)])
+        n_known = len(known) - len(self._horizon)
+        return np.concatenate([priors, known[:n_known], _robust(known[n_known:]), self._of_scene(theta)])
 
     def table(self, theta: FloatArray) -> tuple[Residual, ...]:
         """Residuals of the user's measurements and the horizon rows."""
@@ -389,8 +390,7 @@ class _Terms:
         x1, _, x2, y2 = self._scene.xyxy_px.T
         drop_px = math.exp(theta[_LOG_H] - theta[_SIZE]) * self._scene_slope
         residual = (self._below_horizon(theta, (x1 + x2) / 2, y2) - drop_px) / self._scene_sigma_px
-        robust = _CAUCHY * np.sqrt(np.log1p((residual / _CAUCHY) ** 2)) * np.sign(residual)
-        return np.asarray(self._scene_weight * robust)
+        return np.asarray(self._scene_weight * _robust(residual))
 
     def _sigma_of_scene(self, slope: FloatArray) -> FloatArray:
         """(N,) standard deviations in px of the bottom edges of other road users about the road."""
@@ -408,6 +408,11 @@ class _Terms:
         pitching_px = _PITCHING_RAD * math.exp(self._fixed[_LOG_F])
         tape_px = known.relative_sigma * math.exp(self._fixed[_LOG_H]) * slope
         return math.hypot(pitching_px, _PICKED_EDGE_PX, _KERB_M * slope, tape_px)
+
+
+def _robust(residual: FloatArray) -> FloatArray:
+    """(N,) values whose squares are Cauchy's loss of the residuals (N,), in standard deviations."""
+    return np.asarray(_CAUCHY * np.sqrt(np.log1p((residual / _CAUCHY) ** 2)) * np.sign(residual))
 
 
 def _is_on_road(boxes: SceneBoxes, size_px: tuple[int, int]) -> BoolArray:

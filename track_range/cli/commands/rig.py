@@ -19,7 +19,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.virtual_pinhole import FieldOfView, field_of_view
-from track_range.stereo.rig_formats.reading import left_from_reference_m, load_calibration
+from track_range.stereo.rig_formats.reading import left_from_reference_m, load_calibration, mounting_of
 from track_range.stereo.rig_formats.registry import rig_writers
 
 _Size = Annotated[str | None, option("Size of the images in pixels, for formats without it.", metavar="WIDTHxHEIGHT")]
@@ -64,10 +64,17 @@ def _convert(options: ConvertOptions) -> None:
     calibration, notes = load_calibration(source, size_px=_size_of(options.size))
     _check_image_size(calibration, source)
     writers[options.to](calibration, out, [f"from {source.name}"])
-    for note in (*notes, *_labels_note(source, _size_of(options.size))):
+    for note in (*notes, *_labels_note(source, _size_of(options.size)), *_mounting_note(source)):
         print_line(console, note)
     cameras = "two cameras" if isinstance(calibration, StereoRig) else "one camera"
     print_line(console, f"Written: {out}, {cameras}.")
+
+
+def _mounting_note(source: Path) -> tuple[str, ...]:
+    """Note on the results of a calibration on the road, which are not converted; empty for other files."""
+    if mounting_of(source) is None:
+        return ()
+    return (f"OUT does not store the uncertainty of the focal length and the camera height: use --rig {source.name}.",)
 
 
 def _labels_note(source: Path, size_px: tuple[int, int] | None) -> tuple[str, ...]:
