@@ -26,8 +26,9 @@ class Mounting:
     @property
     def sentence(self) -> str:
         """Message for the user."""
+        height, pitch = self.camera_height_m, self.pitch_deg
         return (
             f"Calibrated on the road: the focal length is known within {100 * self.focal_sigma:.1f} %, which is part of "
-            f"the sigma of every distance; camera height {self.camera_height_m:.2f} ± {self.camera_height_sigma_m:.2f} m, "
-            f"pitch {self.pitch_deg:+.1f} ± {self.pitch_sigma_deg:.1f} degrees (positive = down)."
+            f"the sigma of every distance; camera height {height:.2f} ± {self.camera_height_sigma_m:.2f} m, pitch "
+            f"{pitch:+.1f} ± {self.pitch_sigma_deg:.1f} degrees (positive = down)."
         )
