@@ -28,7 +28,7 @@ class Mounting:
         """Message for the user."""
         height, pitch = self.camera_height_m, self.pitch_deg
         return (
-            f"Calibrated on the road: the focal length is known within {100 * self.focal_sigma:.1f} %, which is part of "
-            f"the sigma of every distance; camera height {height:.2f} ± {self.camera_height_sigma_m:.2f} m, pitch "
+            f"Calibrated on the road: the focal length is known within {100 * self.focal_sigma:.1f} %, which is part "
+            f"of the sigma of every distance; camera height {height:.2f} ± {self.camera_height_sigma_m:.2f} m, pitch "
             f"{pitch:+.1f} ± {self.pitch_sigma_deg:.1f} degrees (positive = down)."
         )
