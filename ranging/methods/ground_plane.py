@@ -406,6 +406,7 @@ class GroundRanger(Ranger):
         *,
         drive_bias: DriveBias | None = None,
         is_reference: bool = False,
+        has_stereo: bool = False,
     ) -> None:
         """Create a ranger.
 
@@ -414,7 +415,10 @@ class GroundRanger(Ranger):
             settings: None = the defaults.
             drive_bias: bias of mono's distances; None = unknown.
             is_reference: whether the camera height is known, so that the drive's bias is learnt from image motion.
+            has_stereo: whether there is a calibrated pair: the ground then remains a fallback in fusion, since kerbs
+                are an error that mono has as well, and both together would outweigh stereo.
         """
+        self._has_stereo = has_stereo
         self.plane = GroundPlane(camera, settings)
         self._drive_bias = drive_bias or DriveBias()
         self._is_reference = self._has_height = is_reference
@@ -430,7 +434,7 @@ class GroundRanger(Ranger):
         is_independent = self._is_reference and self._road is not None
         if is_independent and "mono" in others:
             self._drive_bias.learn(self.plane.measure_alone(tracks, frame), frame.time_s, shared_sigma=_REFERENCE_SIGMA)
-        return replace(self.plane.measure(tracks, by_size, frame), is_fallback=not is_independent)
+        return replace(self.plane.measure(tracks, by_size, frame), is_fallback=self._has_stereo or not is_independent)
 
     def update_road(self, road: RoadView) -> None:
         """Use the road in the next frame as image motion shows it."""
@@ -481,7 +485,13 @@ def _create(context: MethodContext) -> Ranger:
     settings = GroundSettings() if height_m is None else GroundSettings.of_known_height(height_m)
     if box_sigma_px is not None:
         settings = replace(settings, box_sigma_px=box_sigma_px)
-    return GroundRanger(context.camera, settings, drive_bias=context.drive_bias, is_reference=height_m is not None)
+    return GroundRanger(
+        context.camera,
+        settings,
+        drive_bias=context.drive_bias,
+        is_reference=height_m is not None,
+        has_stereo=context.rig is not None,
+    )
 
 
 GROUND = RangingMethod(
