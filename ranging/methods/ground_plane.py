@@ -416,7 +416,7 @@ class GroundRanger(Ranger):
             drive_bias: bias of mono's distances; None = unknown.
             is_reference: whether the camera height is known, so that the drive's bias is learnt from image motion.
             has_stereo: whether there is a calibrated pair: the ground then remains a fallback in fusion, since kerbs
-                are an error that mono has as well, and both together would outweigh stereo.
+                are an error that mono has as well, and the drive's bias is learnt from stereo.
         """
         self._has_stereo = has_stereo
         self.plane = GroundPlane(camera, settings)
@@ -432,7 +432,7 @@ class GroundRanger(Ranger):
         """Distances of the objects on the ground (`GroundPlane.measure`); mono's distances update the horizon."""
         by_size = others.get("mono", Ranges.unmeasured(tracks.track_id))
         is_independent = self._is_reference and self._road is not None
-        if is_independent and "mono" in others:
+        if is_independent and not self._has_stereo and "mono" in others:
             self._drive_bias.learn(self.plane.measure_alone(tracks, frame), frame.time_s, shared_sigma=_REFERENCE_SIGMA)
         return replace(self.plane.measure(tracks, by_size, frame), is_fallback=self._has_stereo or not is_independent)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.ranging.drive_bias import DriveBias
 from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.methods.size_scaled_stereo import SizeScaledRanger
 from track_range.ranging.methods.triangulation import TrackMatcher, Triangulation, disparities_by_size
@@ -22,6 +23,10 @@ from track_range.stereo.matching.patch_matches import REASONS, BoxMatcher, Outco
 from track_range.tracking.tracks import Tracks
 
 _DETAILS = ("surfaces", "probability")
+
+
+_REFERENCE_SIGMA = 0.01
+"""Relative error of all distances of a pair, as a reference for the drive's bias of distances by size."""
 
 
 class StereoRanger(Ranger):
@@ -39,7 +44,12 @@ class StereoRanger(Ranger):
     """
 
     def __init__(
-        self, rig: StereoRig, matcher: BoxMatcher | None = None, *, alignment: AlignmentSource | None = None
+        self,
+        rig: StereoRig,
+        matcher: BoxMatcher | None = None,
+        *,
+        alignment: AlignmentSource | None = None,
+        drive_bias: DriveBias | None = None,
     ) -> None:
         """Create a ranger for a rectified rig.
 
@@ -47,6 +57,7 @@ class StereoRanger(Ranger):
             rig: the rectified pair (`Rectifier.rig`).
             matcher: matcher of boxes; None = the patch matcher with the settings for this rig.
             alignment: correction of the disparities; None = no correction.
+            drive_bias: bias of mono's distances, which stereo measures; None = none.
 
         Raises:
             ValueError: the rig is not rectified.
@@ -54,7 +65,7 @@ class StereoRanger(Ranger):
         if not rig.is_rectified:
             raise ValueError("rig: expected a rectified pair; use Rectifier(rig).rig, and its images")
         self._triangulate = Triangulation(rig, alignment or Alignment())
-        self._rig = rig
+        self._rig, self._drive_bias = rig, drive_bias
         self._n_surfaces: Counter[int] = Counter()
         self._matcher = TrackMatcher(matcher or PatchMatcher(PatchMatcherSettings.for_rig(rig)))
 
@@ -75,7 +86,10 @@ class StereoRanger(Ranger):
             by_size = disparities_by_size(others["mono"], tracks.xyxy_px, self._rig, image_hw)
         disparity_px, sigma_px = self._matcher.match(tracks, frame, by_size)
         details = self._surfaces(tracks) if frame.right is not None else None
-        return self._triangulate.ranges(tracks, disparity_px, sigma_px, time_s=frame.time_s, details=details)
+        ranges = self._triangulate.ranges(tracks, disparity_px, sigma_px, time_s=frame.time_s, details=details)
+        if self._drive_bias is not None and "mono" in others:
+            self._drive_bias.learn(ranges, frame.time_s, shared_sigma=_REFERENCE_SIGMA)
+        return ranges
 
     @property
     def matches(self) -> PatchMatches | None:
@@ -108,7 +122,7 @@ def _create(context: MethodContext) -> Ranger | None:
     if context.rig is None:
         matcher = PatchMatcher(PatchMatcherSettings.for_rig(rig))
         return SizeScaledRanger(matcher, focal_px=context.camera.fx_px, focal_sigma=context.focal_sigma)
-    return StereoRanger(rig, alignment=context.drifting_alignment or context.alignment)
+    return StereoRanger(rig, alignment=context.drifting_alignment or context.alignment, drive_bias=context.drive_bias)
 
 
 STEREO = RangingMethod(

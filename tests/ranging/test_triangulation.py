@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from track_range.ranging.drive_bias import DriveBias
 from track_range.ranging.methods.dense_stereo import DenseRanger
 from track_range.ranging.methods.patch_stereo import StereoRanger
 from track_range.ranging.methods.triangulation import Triangulation, disparities_by_size
@@ -154,6 +155,18 @@ def test_sizes_of_observed_tracks_are_passed_on():
     np.testing.assert_allclose(ranges.distance_m, [50.0, np.nan, 50.0])
     StereoRanger(RIG, matcher).measure(tracks, frame_at(0.0))
     assert matcher.by_size is None
+
+
+def test_stereo_measures_the_drive_bias():
+    """Sizes say 40 m where stereo measures 50 m: a factor of 1.25, of which each class gets a part."""
+    bias = DriveBias()
+    ranger = StereoRanger(RIG, Recorder(), drive_bias=bias)
+    tracks = tracks_of(*range(1, 9))
+    by_size_m = np.full(8, 40.0)
+    for k in range(5):
+        mono = bias.corrected(Ranges(tracks.track_id, by_size_m, 0.08 * by_size_m), tracks.class_id)
+        ranger.measure_with(tracks, frame_at(0.1 * k), {"mono": mono})
+    assert 1.15 < mono.distance_m[0] / 40.0 < 1.25
 
 
 def test_matched_boxes_are_counted_by_surfaces():
