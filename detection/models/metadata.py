@@ -10,6 +10,7 @@ family's default is used. All sources use the same keys:
     mean, std  per channel, of pixel / divisor           scores     sigmoid or softmax, of outputs that are logits
     size       longer side in pixels of an input of variable size
     end2end    whether Ultralytics' exporter included the suppression
+    head       class of the head in Ultralytics' metadata, such as RTDETRDecoder
 
 RF-DETR's exporter writes one JSON document, `rfdetr_inference`, whose class names, mean and std are used.
 """
@@ -77,7 +78,7 @@ def read_metadata(path: Path, metadata: Mapping[str, str], options: ModelOptions
         ModelError: a value is invalid, or `MODEL.yaml` cannot be read.
     """
     option_values = {key: getattr(options, key) for key in ModelOptions.__dataclass_fields__}
-    metadata = {**_rfdetr_metadata(metadata), **metadata}
+    metadata = {**_rfdetr_metadata(metadata), **_ultralytics_head(metadata), **metadata}
     sidecar = path.with_suffix(".yaml")
     sidecar_values = _read_yaml(sidecar) if sidecar.is_file() else {}
     attributes: dict[str, Attribute] = {}
@@ -107,6 +108,16 @@ def _rfdetr_metadata(metadata: Mapping[str, str]) -> dict[str, str]:
     if isinstance(by_id, Mapping) and isinstance(n, int) and 0 < n <= _MAX_CLASSES:
         texts["names"] = repr([str(by_id.get(str(i), "N/A")) for i in range(n)])
     return texts
+
+
+RT_DETR_DESCRIPTION = "RT-DETR by its description"
+"""Value of `head` for RT-DETR of older versions of Ultralytics, whose metadata only have a description."""
+
+
+def _ultralytics_head(metadata: Mapping[str, str]) -> dict[str, str]:
+    """`head` of files whose description, such as "Ultralytics rtdetr-l model", names RT-DETR; else empty."""
+    is_rt_detr = "rtdetr" in metadata.get("description", "").lower().replace("-", "")
+    return {"head": RT_DETR_DESCRIPTION} if is_rt_detr else {}
 
 
 def _parsed(parse: Callable[[Any], Any], value: object, place: str) -> Any:
@@ -210,7 +221,7 @@ def _number(value: Any) -> float:
 
 def _family(value: object) -> str:
     if not isinstance(value, str | int | float) or not 0 < len(str(value)) <= _MAX_NAME:
-        raise ValueError(f"expected the name of a family of networks, got {quoted(value)}")
+        raise ValueError(f"expected the name of a family or head of networks, got {quoted(value)}")
     return str(value)
 
 
@@ -274,4 +285,5 @@ _PARSERS: Mapping[str, Callable[[Any], Any]] = {
     "scores": _score_function,
     "size": _size,
     "end2end": _flag,
+    "head": _family,
 }

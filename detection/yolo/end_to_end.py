@@ -4,7 +4,8 @@
     [1, N, 6] left, top, right, bottom, score, label   YOLOv10, YOLO26; other YOLO networks exported with suppression
     labels [1, N], boxes [1, N, 4], scores [1, N]      RT-DETR, D-FINE, DEIM, DEIMv2, with the input orig_target_sizes
     logits [1, N, K], boxes [1, N, 4]                  RF-DETR; DETR, RT-DETR, D-FINE from Hugging Face's exporter
-    [1, N, 4 + C] box, class scores                    RT-DETR from Ultralytics' exporter
+    [1, N, 6] box, score, label                        RT-DETR from Ultralytics' exporter, by its metadata
+    [1, N, 4 + C] box, class scores                    RT-DETR from older versions of it
 
 The outputs are recognised by shape and type, since RF-DETR calls its logits `labels`; names decide only if two shapes
 are the same. (Carion et al., "End-to-End Object Detection with Transformers", 2020; Wang et al., "YOLOv10", 2024; Peng
@@ -19,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from track_range.detection.boxes import xyxy_from_cxcywh
-from track_range.detection.models.metadata import Attribute
+from track_range.detection.models.metadata import RT_DETR_DESCRIPTION, Attribute
 from track_range.detection.models.onnx_session import TARGET_SIZES, ModelError
 from track_range.detection.yolo.decoders import Candidates, sigmoid
 from track_range.detection.yolo.input_format import IMAGENET_MEAN, IMAGENET_STD, InputFormat
@@ -31,6 +32,9 @@ _MAX_BOXES = 1000
 
 _N_CATEGORIES = 91
 """Number of logits of networks trained on COCO's category ids 0 to 90."""
+
+_RT_DETR_HEAD = "RTDETRDecoder"
+"""Class of RT-DETR's head in the metadata that Ultralytics' exporter writes."""
 
 _LETTERBOX_INPUT = InputFormat()
 _STRETCHED_INPUT = InputFormat(placement="stretch")
@@ -52,6 +56,26 @@ class LabelledRowDecoder:
         rows = outputs[self.output][0].astype(np.float64)
         rows = rows[~(rows[:, 4] < min_score.min())]
         return Candidates.of_labels(rows[:, :4], rows[:, 4], rows[:, 5], min_score)
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledQueryDecoder:
+    """Decoder of one output [1, N, 6]: centre x, y, width, height as fractions of the input size, score, label.
+
+    Attributes:
+        output: index of the output.
+        input_hw: (height, width) of the network's input in pixels.
+    """
+
+    output: int
+    input_hw: tuple[int, int]
+
+    def decode(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
+        """See `Decoder`."""
+        rows = outputs[self.output][0]
+        rows = rows[~(rows[:, 4] < min_score.min())]
+        boxes = _boxes_of_fractions(rows[:, :4], self.input_hw)
+        return Candidates.of_labels(boxes, rows[:, 4].astype(np.float64), rows[:, 5].astype(np.float64), min_score)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,8 +165,10 @@ def _softmax(logits: FloatArray) -> FloatArray:
 
 
 def labelled_rows(network: NetworkOutputs) -> MatchedLayout | None:
-    """Match of [1, N, 6], left, top, right, bottom, score, label: not a grid, or marked `end2end` in the metadata."""
+    """Match of [1, N, 6], left, top, right, bottom, score, label: few rows, or marked `end2end` in the metadata."""
     is_marked = network.metadata.get("end2end", False, "").value
+    if network.metadata.get("head", None, "").value == RT_DETR_DESCRIPTION:
+        return None
     for i, n_rows, n_columns in network.matrices():
         if n_columns == 6 and (n_rows <= _MAX_BOXES or is_marked):
             return MatchedLayout(
@@ -152,6 +178,29 @@ def labelled_rows(network: NetworkOutputs) -> MatchedLayout | None:
                 input_format=_LETTERBOX_INPUT,
                 decoder=LabelledRowDecoder(i),
                 is_end_to_end=True,
+            )
+    return None
+
+
+def labelled_query_rows(network: NetworkOutputs) -> MatchedLayout | None:
+    """Match of [1, N, 6], box as fractions, score, label: as `labelled_rows`, with RT-DETR's head in the metadata.
+
+    Older versions of Ultralytics return [1, N, 4 + C] (`query_rows`), which is the same shape for two classes; their
+    metadata have no `head`.
+    """
+    head = network.metadata.get("head", None, "").value
+    if head != _RT_DETR_HEAD and (head != RT_DETR_DESCRIPTION or network.n_names == 2):
+        return None
+    for i, n_rows, n_columns in network.matrices():
+        if n_columns == 6 and n_rows <= _MAX_BOXES:
+            return MatchedLayout(
+                family="RT-DETR",
+                text=f"rows {[1, n_rows, n_columns]}: box as fractions, score, label",
+                n_classes=None,
+                input_format=_STRETCHED_INPUT,
+                decoder=LabelledQueryDecoder(i, network.input_hw),
+                is_end_to_end=True,
+                is_square=True,
             )
     return None
 

@@ -35,7 +35,13 @@ from track_range.detection.yolo.decoders import (
     RowDecoder,
 )
 from track_range.detection.yolo.distribution import score_and_bin_rows, scores_and_bins
-from track_range.detection.yolo.end_to_end import labelled_rows, labels_boxes_scores, logits_and_boxes, query_rows
+from track_range.detection.yolo.end_to_end import (
+    labelled_query_rows,
+    labelled_rows,
+    labels_boxes_scores,
+    logits_and_boxes,
+    query_rows,
+)
 from track_range.detection.yolo.input_format import InputFormat, placement_and_grey
 from track_range.detection.yolo.network_outputs import DetectorLayout, MatchedLayout, NetworkOutputs
 from track_range.foundation.files.input_files import shortened
@@ -301,6 +307,7 @@ DETECTOR_LAYOUTS: tuple[DetectorLayout, ...] = (
     DetectorLayout("NanoDet", scores_and_bins),
     DetectorLayout("YOLOX", _cell_rows),
     DetectorLayout("YOLOv8", _cell_columns),
+    DetectorLayout("RT-DETR", labelled_query_rows),
     DetectorLayout("YOLOv10", labelled_rows),
     DetectorLayout("RT-DETR", query_rows),
     DetectorLayout("Darknet", _raw_heads),

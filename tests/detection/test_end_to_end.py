@@ -247,16 +247,34 @@ def test_softmax_in_the_sidecar(tmp_path):
     assert detector.model.input_format.std == (2, 2, 2)
 
 
-def test_rt_detr_rows_from_ultralytics(tmp_path):
-    logits, boxes = random_queries(300, 2, seed=8)
-    scores = 1 / (1 + np.exp(-logits))
-    metadata = {"task": "detect", "names": "{0: 'car', 1: 'person'}"}
-    model = write_outputs(tmp_path / "m.onnx", {"output0": np.hstack([boxes, scores])[None]}, metadata=metadata)
-    names_ambiguous_with_labels = YoloDetector(model).model.family
-    assert names_ambiguous_with_labels == "YOLOv10/YOLO26"  # two classes: rows of 6
+def test_rt_detr_from_ultralytics(tmp_path):
     logits, boxes = random_queries(300, 3, seed=8)
+    pairs = sorted(((sigmoid(v), q, c) for q, row in enumerate(logits) for c, v in enumerate(row)), reverse=True)[:300]
+    rows = np.array([[*boxes[query], score, label] for score, query, label in pairs])
+    metadata = {
+        "task": "detect",
+        "end2end": "False",
+        "head": "RTDETRDecoder",
+        "names": "{0: 'car', 1: 'person', 2: 'x'}",
+    }
+    detector = YoloDetector(
+        write_outputs(tmp_path / "m.onnx", {"output0": rows[None]}, metadata=metadata), YoloSettings(min_score=0.1)
+    )
+    # RTDETRPredictor.postprocess: xywh2xyxy, times the image's size
+    expected = [
+        [*corners(row[:4], 160, 48), row[4], (2, 0)[int(row[5])]] for row in rows if row[4] >= 0.1 and row[5] < 2
+    ]
+    assert len(expected) >= 50
+    assert_equal_rows(detector.detect(IMAGE), expected)
+    assert (detector.model.family, detector.model.input_format.placement) == ("RT-DETR", "stretch")
+
+
+@pytest.mark.parametrize("names", ["{0: 'car', 1: 'person', 2: 'bus'}", "{0: 'car', 1: 'person'}"])
+def test_rt_detr_from_older_versions_of_ultralytics(tmp_path, names):
+    n_classes = names.count(":")
+    logits, boxes = random_queries(300, n_classes, seed=8)
     scores = 1 / (1 + np.exp(-logits))
-    metadata["names"] = "{0: 'car', 1: 'person', 2: 'bus'}"
+    metadata = {"task": "detect", "description": "Ultralytics rt-detr-l model", "names": names}
     model = write_outputs(tmp_path / "m.onnx", {"output0": np.hstack([boxes, scores])[None]}, metadata=metadata)
     detector = YoloDetector(model, YoloSettings(min_score=0.1))
     assert_equal_rows(detector.detect(IMAGE), best_of_queries(scores.tolist(), boxes, (160, 48), [2, 0, 4]))
