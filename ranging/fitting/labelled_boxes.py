@@ -64,6 +64,19 @@ _MIN_SIZE_PX = 1.0
 _OBJECT_COLUMNS = (15, 16)
 """Numbers of columns in a line of KITTI object labels, without and with a score; tracking labels have 17 or 18."""
 
+_IMAGE_SIZE_PX: Mapping[float, tuple[int, int]] = {
+    721.5377: (1242, 375),
+    707.0493: (1224, 370),
+    718.3351: (1238, 374),
+    707.0912: (1226, 370),
+    718.856: (1241, 376),
+}
+"""Width and height of the rectified images by focal length, of KITTI's recordings on 26, 28, 29 and 30 September and
+3 October 2011: its calibration files do not contain them."""
+
+_MAX_FOCAL_DIFFERENCE_PX = 1e-3
+"""Largest difference of focal lengths that count as equal."""
+
 _OBJECT_GROUPS = 10
 """Number of groups of images that serve as sequences for object labels, which have none."""
 
@@ -261,9 +274,6 @@ def _rows(labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray) -> Bo
     """All labels of a file, usable or not."""
     n = len(labels)
     location_m = labels.location_m
-    extent_px = np.ceil(np.max(labels.xyxy_px[:, 2:], axis=0, initial=0.0)).astype(np.int64) + 1
-    middle_px = np.array([round(2 * camera.cx_px), round(2 * camera.cy_px)])
-    size_px = np.array([camera.width_px, camera.height_px])
     return BoxSet(
         sequence_names=("",),
         sequence=np.zeros(n, np.int64),
@@ -274,7 +284,7 @@ def _rows(labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray) -> Bo
         class_name=np.array([CLASS_OF.get(str(kitti_type), "") for kitti_type in labels.kitti_type], np.str_),
         xyxy_px=labels.xyxy_px,
         fxycxy_px=np.tile([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px], (n, 1)),
-        size_px=np.tile(np.where(size_px > 0, size_px, np.maximum(extent_px, middle_px)), (n, 1)),
+        size_px=np.tile(_image_size_px(labels, camera), (n, 1)),
         distance_m=surface_of_labels_m(labels, camera, shift_m),
         alpha_rad=labels.rotation_y_rad - np.arctan2(location_m[:, 0], location_m[:, 2]),
         x_m=location_m[:, 0],
@@ -282,6 +292,18 @@ def _rows(labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray) -> Bo
         rotation_y_rad=labels.rotation_y_rad,
         occluded=labels.occluded,
     )
+
+
+def _image_size_px(labels: KittiLabels, camera: PinholeCamera) -> IntArray:
+    """(2,) width and height of the image: that of the camera, of KITTI, or the smallest that contains the labels."""
+    if camera.width_px > 0:
+        return np.array([camera.width_px, camera.height_px])
+    for focal_px, size_px in _IMAGE_SIZE_PX.items():
+        if abs(camera.fx_px - focal_px) < _MAX_FOCAL_DIFFERENCE_PX:
+            return np.array(size_px)
+    objects_px = labels.xyxy_px[labels.kitti_type != "DontCare"]  # regions end one pixel farther
+    extent_px = np.ceil(np.max(objects_px[:, 2:], axis=0, initial=0.0)).astype(np.int64) + 1
+    return np.asarray(np.maximum(extent_px, [round(2 * camera.cx_px), round(2 * camera.cy_px)]))
 
 
 def _detected(box_set: BoxSet, labels: KittiLabels, name: str, boxes: str) -> BoxSet:

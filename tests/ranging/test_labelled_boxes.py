@@ -143,3 +143,14 @@ def test_kitti_counts(shared_data):
     with_detections = box_set(folders / "label_02", folders / "calib", boxes=f"rrc:{folders / 'rrc'}")
     assert set(with_detections.class_name) == {"car", "person"}
     assert 0.85 < (with_detections.class_name == "car").sum() / counts["car"] < 1.0
+
+
+def test_image_size(tmp_path, drives, row):
+    """KITTI's images have the known size of their recording; others contain all labels, but not DontCare regions."""
+    region = "0 -1 DontCare -1 -1 -10 0 0 1700 900 -1 -1 -1 -1000 -1000 -1000 -10"
+    labels, calib = drives(tmp_path, {"0000": [row(0, 0, "Car", 20.0), row(0, 1, "Car", 10.0, x_m=9.0), region]})
+    right_px = 600.0 + 700.0 * (9.0 + 0.85) / 10.0
+    assert box_set(labels, calib).size_px[0].tolist() == [int(np.ceil(right_px)) + 1, 360]
+    text = (calib / "0000.txt").read_text().replace("700.0 ", "718.3351 ")
+    (calib / "0000.txt").write_text(text)
+    assert box_set(labels, calib).size_px[0].tolist() == [1238, 374]
