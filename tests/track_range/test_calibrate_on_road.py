@@ -124,7 +124,7 @@ def test_wrong_commands(tmp_path, cli, film):
 @pytest.mark.slow
 def test_simulated_video(tmp_path, cli, small_drive):
     rows = np.genfromtxt(small_drive.table, delimiter=",", names=True, dtype=None, encoding="utf-8")
-    usable = (rows["frame"] == 0) & (rows["class"] == "car") if "class" in rows.dtype.names else rows["frame"] == 0
+    usable = (rows["frame"] == 0) & (rows["class"] == "car")
     camera, _ = load_camera(small_drive.rig, size_px=None)
     inside = usable & (rows["x1"] > 2) & (rows["x2"] < camera.width_px - 3) & (rows["y2"] < camera.height_px - 3)
     row = rows[np.flatnonzero(inside)[np.argmin(rows["distance_m"][inside])]]
@@ -184,3 +184,21 @@ def test_run_without_a_calibration(tmp_path, cli, small_drive):
     rows = np.genfromtxt(out / "tracks.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
     share = rows["fused_sigma_m"] / rows["fused_m"]
     assert np.nanmin(share) >= summary["focal_sigma"] - 1e-3
+
+
+@pytest.mark.real
+def test_real_drive(shared_data, tmp_path, cli):
+    """KITTI 0005: the car ahead is 1.62 m high, and its rear 33.39 - 4.5 / 2 m away in frame 8; f = 721.5 px."""
+    video, out = shared_data / "kitti_stereo" / "0005" / "left.mp4", tmp_path / "rig.yaml"
+    box = "0.8,573.9,173.4,612.0,211.3"
+    status, printed, complaint = cli("calibrate", "--mono", video, "--known-distance", f"{box}=31.1", "--out", out)
+    assert status == 0, complaint
+    assert "by the measurements" in printed
+    focal_px, mounting = load_camera(out, size_px=None)[0].fx_px, mounting_of(out)
+    assert 0.05 < mounting.focal_sigma < 0.12
+    assert abs(math.log(focal_px / 721.5)) < 2.5 * mounting.focal_sigma
+    known = ("--known-distance", f"{box}=31.1", "--known-height", f"{box}=1.622", "--camera-height-m", 1.65)
+    status, printed, complaint = cli("calibrate", "--mono", video, *known, "--out", out)
+    assert status == 0, complaint
+    assert load_camera(out, size_px=None)[0].fx_px == pytest.approx(721.5, rel=0.06)
+    assert -1.0 < mounting_of(out).pitch_deg < 3.0
