@@ -66,6 +66,7 @@ class MethodContext:
         camera_height_m: height of the camera above the road; None = unknown.
         lane_width_m: distance between the centre lines of the lane markings, given or assumed.
         has_images: whether frames have pixels; False if only boxes are evaluated.
+        has_visible_boxes: whether boxes come from a detector, and not from files, which may be projected 3-D boxes.
         has_lane_lines: whether lane detection is enabled.
         has_dense_disparity: whether dense stereo is enabled.
         sgbm_options: parameters of dense stereo set by the user.
@@ -85,6 +86,7 @@ class MethodContext:
     camera_height_m: float | None = None
     lane_width_m: float = 3.5
     has_images: bool = True
+    has_visible_boxes: bool = False
     has_lane_lines: bool = False
     has_dense_disparity: bool = False
     sgbm_options: Mapping[str, Any] = field(default_factory=dict)

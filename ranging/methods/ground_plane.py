@@ -28,7 +28,8 @@ Where the camera height is known, distances from image motion alone, without any
 drive's bias is learnt.
 
 The bottom edge belongs to the nearest point on the ground, while `distance_m` is where the ray through the box centre
-meets the object, for a car seen from the side up to half a metre farther (`surface_offset_m`).
+meets the object, for a car seen from the side up to half a metre farther (`surface_offset_m`). The box of a detector
+ends at the tyres, which in a rear view are behind the bumper (`overhang_m`).
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES
-from track_range.ranging.size_models.surface_offset import surface_offset_m
+from track_range.ranging.size_models.surface_offset import overhang_m, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.road_horizon import RoadView, curvature_share, unknown_curvature_variance
@@ -85,6 +86,8 @@ class GroundSettings:
         pitch_sigma_rad: initial standard deviation of pitch and slope; updated from the residuals.
         pitch_memory_s: time constant of the update of `pitch_sigma_rad`.
         kerb_m: standard deviation of the height of contact points above the road (kerbs, camber).
+        has_visible_boxes: whether boxes end at the tyres, as a detector sees them, and not below the bumper, as
+            projected 3-D boxes do.
         crossfall: standard deviation of the slope of the road and its surroundings to the side.
         box_sigma_px: standard deviation of one box edge.
         max_sigma: largest relative standard deviation of a reported distance.
@@ -99,6 +102,7 @@ class GroundSettings:
     pitch_memory_s: float = 5.0
     kerb_m: float = 0.08
     crossfall: float = 0.007
+    has_visible_boxes: bool = False
     box_sigma_px: float = 1.5
     max_sigma: float = 0.5
 
@@ -308,6 +312,8 @@ class GroundPlane:
         last_px = frame.left.shape[0] - 0.5 - BORDER_PX
         on_ground = tracks.observed & _ON_GROUND[tracks.class_id] & (y <= last_px)
         offset_m = surface_offset_m(tracks.xyxy_px, tracks.class_id)
+        if self._settings.has_visible_boxes:
+            offset_m = offset_m - overhang_m(tracks.xyxy_px, tracks.class_id)
         is_informative = on_ground & (by_size.distance_m > 2 * offset_m)  # False for NaN
         s = self._camera.fy_px / np.where(is_informative, by_size.distance_m - offset_m, self._camera.fy_px)
         s_sigma = s * np.where(is_informative, by_size.sigma_m / by_size.distance_m, 1.0)
@@ -483,6 +489,7 @@ def _distance_on_curve_m(below: FloatArray, H: FloatArray, k: FloatArray) -> Flo
 def _create(context: MethodContext) -> Ranger:
     height_m, box_sigma_px = context.camera_height_m, context.box_sigma_px
     settings = GroundSettings() if height_m is None else GroundSettings.of_known_height(height_m)
+    settings = replace(settings, has_visible_boxes=context.has_visible_boxes)
     if box_sigma_px is not None:
         settings = replace(settings, box_sigma_px=box_sigma_px)
     return GroundRanger(

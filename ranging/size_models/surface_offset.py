@@ -31,12 +31,30 @@ _WIDE_M = _by_class(
 _DIFFERENCE_M = _WIDE_M - _NARROW_M
 
 
+_OVERHANG_M = _by_class({"car": 0.6, "van": 0.6})
+"""Depth in m of the tyres' contact behind the bumper: overhangs of cars are 0.7 to 0.9 m, the tyre touches the road a
+little before the axle."""
+
+
 def surface_offset_m(xyxy_px: FloatArray, class_id: IntArray) -> FloatArray:
     """(N,) depth in m of the visible surface behind the contact point, for boxes (N, 4) of size classes (N,).
 
     Linear in the aspect ratio between rear and side views.
     """
+    return np.asarray(_NARROW_M[class_id] + _wide_share(xyxy_px) * _DIFFERENCE_M[class_id])
+
+
+def overhang_m(xyxy_px: FloatArray, class_id: IntArray) -> FloatArray:
+    """(N,) depth in m of the tyres behind the visible surface, for boxes (N, 4) of size classes (N,); 0 in side views.
+
+    The boxes of a detector end at the tyres of a car, behind its bumper; labels that are projections of 3-D boxes end
+    where the bumper is above the road.
+    """
+    return np.asarray((1.0 - _wide_share(xyxy_px)) * _OVERHANG_M[class_id])
+
+
+def _wide_share(xyxy_px: FloatArray) -> FloatArray:
+    """(N,) 0 for rear views to 1 for side views, from the aspect ratio."""
     size_px = xyxy_px[:, 2:] - xyxy_px[:, :2]
     aspect = size_px[:, 0] / np.maximum(size_px[:, 1], 1.0)
-    wide_share = np.minimum(np.maximum((aspect - 1.5) / 0.7, 0.0), 1.0)
-    return np.asarray(_NARROW_M[class_id] + wide_share * _DIFFERENCE_M[class_id])
+    return np.asarray(np.minimum(np.maximum((aspect - 1.5) / 0.7, 0.0), 1.0))

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,7 +9,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.ranging.drive_bias import DriveBias
 from track_range.ranging.methods.ground_plane import GroundPlane, GroundRanger, GroundSettings
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.size_models.surface_offset import surface_offset_m
+from track_range.ranging.size_models.surface_offset import overhang_m, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.road_horizon import RoadView, curvature_share
@@ -281,3 +283,14 @@ def test_measured_camera_height():
     known = GroundRanger(CAMERA, SMOOTH, is_reference=True)
     known.update_road(road_view(height_m=(1.3, 0.03)))
     assert known.plane.horizon.height_m == pytest.approx(HEIGHT_M)  # a given height stays
+
+
+def test_tyres_of_a_detected_car_are_behind_its_bumper():
+    """The bottom edge is at 20.6 m, the bumper at 20 m; seen from the side, tyres and surface are at one depth."""
+    tracks, _ = cars_at([20.6])
+    plane = GroundPlane(CAMERA, replace(SMOOTH, has_visible_boxes=True))
+    plane.update_road(road_view(), bias_sigma=0.06)
+    assert plane.measure_alone(tracks, at(0.0)).distance_m == pytest.approx([20.03], abs=0.05)
+    side = np.array([[0.0, 0.0, 220.0, 100.0], [0.0, 0.0, 100.0, 100.0]])
+    assert overhang_m(side, np.array([CAR, CAR])) == pytest.approx([0.0, 0.6])
+    assert overhang_m(side[1:], np.array([PERSON])) == pytest.approx([0.0])

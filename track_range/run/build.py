@@ -94,6 +94,7 @@ def open_pipeline(
         size_model=size_model,
         camera_height_m=settings.camera_height_m or source.calibration.camera_height_m,
         lane_width_m=settings.lane_width_m,
+        has_visible_boxes=settings.detections is None,
         has_lane_lines=settings.lanes != "off" and is_ahead,
         has_dense_disparity=settings.sgbm,
         sgbm_options=settings.sgbm_options,
