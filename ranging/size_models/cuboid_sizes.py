@@ -55,6 +55,9 @@ _USUAL_CHI2 = 6.0
 """Squared deviation of a box from the usual sizes and yaws of its class, 95 % of boxes have less; that of more unusual
 ones shows that the class is wrong, or that the box is not that of the whole object, and scales the variance."""
 
+_MIN_SYSTEMATIC = 1e-4
+"""Smallest systematic fraction of the variance: the size of an object is never known exactly."""
+
 _MIN_SIGMA = 0.01
 """Smallest relative standard deviation of a distance."""
 
@@ -140,7 +143,8 @@ class CuboidSizes:
         sigma = np.sqrt(sigma**2 + (1.0 - reduction) * drive_sigma**2)
         sigma = sigma * np.sqrt(1.0 + np.maximum(by_size.chi2 - _USUAL_CHI2, 0.0) / _USUAL_CHI2)
         # The ground reduces the systematic and the independent part alike, so their ratio is that by size alone.
-        systematic = sigma * np.sqrt(np.maximum(1.0 - by_size.frame_variance / size_sigma**2, 0.0))
+        systematic_share = np.maximum(1.0 - by_size.frame_variance / size_sigma**2, _MIN_SYSTEMATIC)
+        systematic = sigma * np.sqrt(systematic_share)
         distance_m = np.exp(best)
         return distance_m, distance_m * sigma, distance_m * systematic
 

@@ -76,12 +76,6 @@ KNOWN_CAMERAS: tuple[KnownCamera, ...] = (
         field_deg=121.0,
         source="measured by R. Cunniff, racunniff.blogspot.com, December 2012",
     ),
-    KnownCamera(
-        name="BlackVue DR750S", field_deg=116.0, source="maker's specification: 139 deg diagonal, 116 horizontal"
-    ),
-    KnownCamera(
-        name="BlackVue DR900S", field_deg=136.0, source="maker's specification: 162 deg diagonal, 136 horizontal"
-    ),
 )
 """The known cameras; the mode of a camera with several fields of view is part of its name."""
 

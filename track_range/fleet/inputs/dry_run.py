@@ -164,7 +164,7 @@ class _Check:
             )
 
     def _calibration(self, left: _Header, right: _Header | None, rig: Location | None) -> str:
-        """Kind of the calibration; one that cannot be used is a problem."""
+        """Kind of the calibration; one that cannot be used is a problem, none is noted."""
         if "rig" not in self.clip.settings:
             if "focal_px" in self.clip.settings or self.focal_px is not None:
                 return "focal length"
@@ -174,9 +174,7 @@ class _Check:
             rig = None if neighbour is None else Location.of(neighbour)
         if rig is None:
             if self.clip.right is None:
-                self.problems.append(
-                    f"{self.clip.left}: expected a calibration; give --rig or --focal-px, or put a rig.yaml beside it."
-                )
+                self.notes.append("No calibration: the focal length is estimated from the video, with its uncertainty.")
             return "none"
         if rig.is_local:
             self._check_rig(rig.path, left.size_px, left.size_px if right is None else right.size_px)

@@ -60,7 +60,9 @@ def test_sizes_that_differ(pair, tmp_path, film, level):
 def test_calibration_of_one_camera(pair, tmp_path, film):
     (tmp_path / "alone").mkdir()
     clip = Clip("b", str(film(tmp_path / "alone" / "b.mp4", [0, 0.1])))
-    assert "calibration" in check(clip)[0].problems[0]
+    (checked,) = check(clip)
+    assert (checked.calibration, checked.problems) == ("none", ())
+    assert "the focal length is estimated" in checked.notes[0]
     assert check(clip, focal_px=50)[0].calibration == "focal length"
     assert check(replace(clip, settings={"focal_px": "50"}))[0].calibration == "focal length"
     assert check(replace(clip, settings={"rig": str(tmp_path / "calib.txt")}))[0].problems == ()
