@@ -385,7 +385,8 @@ def test_fitted_curves_in_a_run(drive, track_range, cli, tmp_path):
         fit = ("fit", "--labels", labels, "--calib", tmp_path / "calib", "--out")
         assert "car" in track_range(*fit, tmp_path / f"curves{scale}.json")
         track_range(*run, "--curves", tmp_path / f"curves{scale}.json", "--out", tmp_path / f"run{scale}")
-        distances_m.append(read_tracks_csv(tmp_path / f"run{scale}/tracks.csv")["mono_m"])
+        columns = read_tracks_csv(tmp_path / f"run{scale}/tracks.csv")
+        distances_m.append(columns["mono_m"][columns["frame"] < 3])  # later the drive corrects wrong sizes
     assert np.nanmedian(distances_m[1] / distances_m[0]) == pytest.approx(1.2, rel=0.05)
     summary = json.loads((tmp_path / "run1.0/summary.json").read_text())
     assert summary["methods"]["mono"]["mean_relative_error_pct"] < 10
