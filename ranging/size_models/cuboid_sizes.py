@@ -41,11 +41,11 @@ lorries that are 3 m high as vans."""
 _QUANTILES_68 = np.array([[0.158655], [0.5], [0.841345]])
 """Levels of the median and of the central 68 %: one standard deviation to either side of a Gaussian."""
 
-_QUANTILES = np.array([[0.02275], [0.158655], [0.5], [0.841345], [0.97725]])
-"""`_QUANTILES_68` and the levels of the central 95 %: two standard deviations to either side of a Gaussian."""
+_QUANTILES = np.array([[0.02275], [0.158655], [0.841345], [0.97725]])
+"""Levels of the central 95 and 68 %: two and one standard deviations to either side of a Gaussian."""
 
-_IS_RELATIVE = np.array([[False], [False], [True], [False], [False]])
-"""Levels of `_QUANTILES` under p(log d) / d: the median, which then has the smallest expected relative error."""
+_MEDIAN = np.array([[0.5]])
+"""Level of the reported distance under p(log d) / d: it then has the smallest expected relative error."""
 
 _CALIBRATION, _ONE_BODY_CALIBRATION = 0.92, 0.85
 """Factors of sigma for classes with several body types and with one: the larger of the two widths is on average too
@@ -134,7 +134,8 @@ class CuboidSizes:
         if drive is not None:
             drive.add(rows, terms, self._body_likelihood(body, log_share, by_size, grid, likelihood))
         grid = grid.times(likelihood)
-        lowest, low, best, high, highest = grid.quantiles(_QUANTILES, is_relative=_IS_RELATIVE)
+        lowest, low, high, highest = grid.quantiles(_QUANTILES)
+        (best,) = grid.quantiles(_MEDIAN, is_relative=True)
         sigma = np.maximum(np.maximum((high - low) / 2, np.maximum(highest - best, best - lowest) / 2), _MIN_SIGMA)
         # The ground plane comes from sizes that share the deviation of the drive, so that it cannot reduce that part.
         sigma *= self._calibration[boxes.size_class]

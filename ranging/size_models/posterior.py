@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.size_models.prior import NODE_RANGE, ShapeTables
 from track_range.ranging.size_models.shared_ground import GroundContacts, GroundFromOthers, GroundPrior
 from track_range.ranging.size_models.size_model import BoxExtents
@@ -227,21 +227,14 @@ class LogGrid:
         density = self.density * likelihood
         return LogGrid(self.log_m, density / np.maximum(density.max(axis=0), 1e-300), self.by_term)
 
-    def quantiles(self, levels: FloatArray, *, is_relative: BoolArray | None = None) -> FloatArray:
-        """(L, N) log distance at the quantiles `levels` (L, 1) of the density, or of density / d if `is_relative`.
-
-        Args:
-            levels: (L, 1) quantile levels, 0..1.
-            is_relative: (L, 1) whether the quantile is that of density / d; None = all are of the density.
-        """
-        weight = self.density[None]
-        if is_relative is not None:
-            weight = weight * np.where(is_relative[:, None], np.exp(self.log_m[0] - self.log_m), 1.0)
-        cumulative = _TRAPEZOIDS @ weight  # (1, G, N) or (L, G, N)
-        n_per_level, n = cumulative[0].size, cumulative.shape[2]
-        target = levels * cumulative[:, -1]
+    def quantiles(self, levels: FloatArray, *, is_relative: bool = False) -> FloatArray:
+        """(L, N) log distance at the quantiles `levels` (L, 1), 0..1, of the density, or of density / d."""
+        weight = self.density * np.exp(self.log_m[0] - self.log_m) if is_relative else self.density
+        cumulative = _TRAPEZOIDS @ weight
+        n = cumulative.shape[1]
+        target = levels * cumulative[-1]
         before = np.maximum((cumulative >= target[:, None]).argmax(axis=1) - 1, 0)
-        index = before * n + np.arange(n) + n_per_level * np.arange(len(cumulative))[:, None]
+        index = before * n + np.arange(n)
         low, high = cumulative.take(index), cumulative.take(index + n)
         share = (target - low) / np.maximum(high - low, 1e-300)
         return np.asarray(self.log_m[0] + (before + share) * (self.log_m[1] - self.log_m[0]))

@@ -62,6 +62,21 @@ def test_few_objects_keep_the_spread():
     assert prior.log_sigma[0] > 0.02
 
 
+def test_variation_between_drives():
+    """Five drives whose cars differ by 8 % in height have a larger deviation of drives than equal ones."""
+    labels = labelled()
+    factor = np.exp(0.08 * np.array([-1.2, 0.7, 1.4, -0.9, 0.0]))[labels.drive]
+    different = replace(
+        labels, size_hwl_m=labels.size_hwl_m * np.stack([factor, 1 + 0 * factor, 1 + 0 * factor], axis=1)
+    )
+    equal, unequal = (fit_size_priors(part, source="").priors["car"] for part in (labels, different))
+    assert 0.01 < equal.drive_sigma < 0.035
+    assert 0.045 < unequal.drive_sigma < 0.1
+    assert unequal.log_sigma[0] > equal.log_sigma[0]
+    one = fit_size_priors(replace(labels, drive=0 * labels.drive), source="").priors["car"]
+    assert 0.02 < one.drive_sigma <= 0.03  # the standard value has the weight of six drives
+
+
 def test_class_with_few_labels_has_its_standard_size():
     priors = fit_size_priors(labelled(), source="").priors
     assert set(priors) == set(STANDARD_SIZES)
