@@ -48,6 +48,8 @@ def incomplete_sigma(xyxy_px: FloatArray, is_cut: BoolArray) -> FloatArray:
 class SizeRanger(Ranger):
     """Ranges observed boxes by size: truncated at the left or right by height only, at the top or bottom not at all.
 
+    A ranger belongs to one drive: it learns the ground plane and the body types of its tracks (`DriveState`).
+
     Example:
         >>> import numpy as np, track_range as tr
         >>> camera = tr.PinholeCamera(700.0, 700.0, 320.0, 180.0, width_px=640, height_px=360)
