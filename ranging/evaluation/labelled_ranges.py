@@ -22,6 +22,13 @@ from track_range.ranging.evaluation.settings import RangeEvaluationSettings
 from track_range.ranging.fitting.labelled_boxes import BoxSelection, BoxSet, box_set
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES
 
+CHEN = "chen"
+"""Value of --split: the split into 3,712 training and 3,769 validation frames by Chen et al., 3D Object Proposals for
+Accurate Object Class Detection, NeurIPS 2015."""
+
+_IMAGE_SETS, _N_PARENTS = "ImageSets", 3
+"""Folder of its lists in copies of KITTI, and number of folders above the labels in which it may be."""
+
 _TRUTH: Mapping[str, str] = {
     "surface": "z at which the ray through the label's box centre meets its 3-D box",
     "centre": "z of the centre of the 3-D box",
@@ -37,6 +44,7 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
         LabelFileError, RigError, CurveError: labels, calibration or curves cannot be used.
         UsageError: an unknown method, or settings that contradict each other.
     """
+    settings = _with_split(settings)
     _check(settings)
     boxes = _boxes(settings, settings.frames)
     is_exact = settings.boxes == "labels" and settings.noise_px == 0
@@ -115,6 +123,28 @@ def _check(settings: RangeEvaluationSettings) -> None:
     if settings.cross_validate and settings.same_drive:
         raise UsageError("--cross-validate: not allowed with --same-drive; give only one of them.")
     _check_frames(settings)
+
+
+def _with_split(settings: RangeEvaluationSettings) -> RangeEvaluationSettings:
+    """The settings with the lists of frames of --split.
+
+    Raises:
+        UsageError: the lists are given twice, or not found.
+    """
+    if settings.split is None:
+        return settings
+    if settings.frames is not None or settings.fit_frames is not None:
+        raise UsageError("--split: not allowed with --frames or --fit-frames, which it gives.")
+    folders = [Path(settings.split)]
+    if settings.split == CHEN:
+        folders = [parent / _IMAGE_SETS for parent in settings.labels.absolute().parents[:_N_PARENTS]]
+    for folder in folders:
+        train, val = folder / "train.txt", folder / "val.txt"
+        if train.is_file() and val.is_file():
+            return settings.model_copy(update={"frames": val, "fit_frames": train})
+    raise UsageError(
+        f"--split {settings.split}: expected train.txt and val.txt in {folders[0]}, found none; give their folder."
+    )
 
 
 def _check_frames(settings: RangeEvaluationSettings) -> None:

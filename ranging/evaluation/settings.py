@@ -47,6 +47,14 @@ class RangeEvaluationSettings(Options):
         Path | None,
         option("File of frame names that all size curves are fitted to, such as train.txt.", metavar="FILE"),
     ] = None
+    split: Annotated[
+        str | None,
+        option(
+            "Split of KITTI's object set, for --frames and --fit-frames: a folder with val.txt and train.txt; chen = "
+            "the folder ImageSets beside the labels or above them, where most copies have Chen's split.",
+            metavar="chen|DIR",
+        ),
+    ] = None
     objects: Annotated[
         Literal["visible", "all"],
         option("Objects: visible ones at 5-100 m, or all with a 3-D box, also cut, hidden and far ones."),

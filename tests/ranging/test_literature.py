@@ -84,6 +84,25 @@ def test_list_of_frames(tmp_path, images):
     json.dumps(figures, allow_nan=False)
 
 
+def test_split(tmp_path, images):
+    labels, calib, names = images
+    folder = tmp_path / "training" / "label_2"
+    folder.parent.mkdir()
+    folder.symlink_to(labels)
+    lists = tmp_path / "ImageSets"
+    lists.mkdir()
+    val, train = listed(lists / "val.txt", names[:20]), listed(lists / "train.txt", names[20:40])
+    by_lists = evaluate_ranges(
+        RangeEvaluationSettings(labels=folder, calib=calib, frames=val, fit_frames=train, methods=("inverse-height",))
+    )
+    for split in ("chen", str(lists)):
+        settings = RangeEvaluationSettings(labels=folder, calib=calib, split=split, methods=("inverse-height",))
+        assert evaluate_ranges(settings) == by_lists
+    for more, word in (({"split": "chen", "frames": val}, "--frames"), ({"split": str(tmp_path)}, "train.txt")):
+        with pytest.raises(UsageError, match=word):
+            evaluate_ranges(RangeEvaluationSettings(labels=folder, calib=calib, **more))
+
+
 def test_images_are_separate_drives(tmp_path, images):
     """The order of the images and the other images do not matter."""
     labels, calib, names = images
