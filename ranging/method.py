@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from track_range.foundation.errors import UserError
-from track_range.ranging.drive_bias import DriveBias
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_models.drive_bias import DriveBias
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -43,10 +43,10 @@ import numpy as np
 
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.ranging.drive_bias import DriveBias
 from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_models.drive_bias import DriveBias
 from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES
 from track_range.ranging.size_models.surface_offset import overhang_m, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera

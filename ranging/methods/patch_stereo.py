@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.drive_bias import DriveBias
 from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.methods.size_scaled_stereo import SizeScaledRanger
 from track_range.ranging.methods.triangulation import TrackMatcher, Triangulation, disparities_by_size
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_models.drive_bias import DriveBias
 from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig

@@ -8,12 +8,12 @@ import numpy as np
 
 from track_range.detection.boxes import share_inside
 from track_range.foundation.arrays import BoolArray, FloatArray
-from track_range.ranging.drive_bias import DriveBias
 from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.parallax import Parallax
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.curve import load_curves
+from track_range.ranging.size_models.drive_bias import DriveBias
 from track_range.ranging.size_models.drive_state import DriveState
 from track_range.ranging.size_models.size_model import BORDER_PX, BoxNoise, SizeModel, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera

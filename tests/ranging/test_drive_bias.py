@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from track_range.ranging.drive_bias import DriveBias
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_models.drive_bias import DriveBias
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
 CAR, PERSON, TRUCK = (SIZE_CLASSES.index(name) for name in ("car", "person", "truck"))

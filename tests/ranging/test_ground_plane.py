@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.ranging.drive_bias import DriveBias
 from track_range.ranging.methods.ground_plane import GroundPlane, GroundRanger, GroundSettings
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_models.drive_bias import DriveBias
 from track_range.ranging.size_models.surface_offset import overhang_m, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame

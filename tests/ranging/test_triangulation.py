@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from track_range.ranging.drive_bias import DriveBias
 from track_range.ranging.methods.dense_stereo import DenseRanger
 from track_range.ranging.methods.patch_stereo import StereoRanger
 from track_range.ranging.methods.triangulation import Triangulation, disparities_by_size
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_models.drive_bias import DriveBias
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
