@@ -207,6 +207,8 @@ def size_fitter(method: RangingMethod, options: MethodOptions) -> Fitter:
         try:
             model = fit_size_priors(labelled_sizes(train), source="cross-validation")
         except CurveError:
+            if options.is_held_out:
+                raise
             return lambda boxes: MethodColumn(*np.full((2, len(boxes)), np.nan))
         return lambda boxes: ranger_columns(boxes, [method], options, size_model=model)[method.name]
 

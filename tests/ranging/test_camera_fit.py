@@ -61,6 +61,23 @@ def test_lane_width_and_horizon_give_the_height():
     assert fit.pitch_rad == pytest.approx(math.atan(19.5 / 900), abs=0.002)
 
 
+def test_contradicting_distances_widen_all_sigmas():
+    boxes = [flat_box(d, focal_px=900.0, height_m=1.5, horizon_px=0.0) for d in (10.0, 20.0)]
+
+    def fit(*distances_m):
+        known = [
+            KnownObject(name=f"{d:g} m", xyxy_px=box, size_class=CAR, distance_m=d)
+            for box, d in zip(boxes, distances_m, strict=True)
+        ]
+        return fit_camera(SIZE_PX, VAGUE, SIZES, objects=known)
+
+    agreeing, contradicting = fit(10.0, 20.0), fit(10.0, 60.0)
+    assert agreeing.contradiction == 1.0
+    assert contradicting.contradiction > 2.0
+    assert contradicting.focal_sigma > 2 * agreeing.focal_sigma
+    assert "60 m" in contradicting.largest_deviation[0] or "10 m" in contradicting.largest_deviation[0]
+
+
 def test_wrong_horizon_is_an_outlier():
     boxes = [flat_box(d, focal_px=900.0, height_m=1.5, horizon_px=0.0) for d in (6.0, 10.0, 20.0, 35.0)]
     known = [

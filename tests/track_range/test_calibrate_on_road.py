@@ -50,13 +50,18 @@ def test_measurements_of_one_box_are_joined():
     ],
 )
 def test_wrong_measurements(text):
-    with pytest.raises(UsageError):
+    with pytest.raises(UsageError, match="--known-distance|expected a time and a box"):
         known_metres([text], [], [])
+
+
+def test_two_values_of_one_box():
+    with pytest.raises(UsageError, match="found two"):
+        known_metres(["1,2,3,4,8=5", "1,2,3,4,8=9"], [], [])
 
 
 @pytest.mark.parametrize("text", ["1,2,3=3", "1,5,5,9=3", "1,2,3,4=100"])
 def test_wrong_lanes(text):
-    with pytest.raises(UsageError):
+    with pytest.raises(UsageError, match="--known-lane-width"):
         known_lanes([text])
 
 
@@ -105,6 +110,8 @@ def test_mounting_in_rig_yaml(tmp_path, cli):
     status, printed, _ = cli("rig", "show", path)
     assert (status, "4.0 %" in printed, "1.40" in printed) == (0, True, True)
     assert "OUT does not store" in cli("rig", "convert", path, tmp_path / "cv.yml", "--to", "opencv")[1]
+    assert "OUT does not store" not in cli("rig", "convert", path, tmp_path / "copy.yaml")[1]
+    assert mounting_of(tmp_path / "copy.yaml") == MOUNTING
     save_camera(camera, path)
     assert mounting_of(path) is None
 
@@ -118,6 +125,14 @@ def test_wrong_commands(tmp_path, cli, film):
     assert (status, "64x48" in complaint) == (2, True)
     status, _, complaint = cli("calibrate", "--mono", video, "--known-distance", "99,1,1,20,40=5", "--out", out)
     assert (status, "end of the video" in complaint) == (2, True)
+    for option, words in (
+        (("--known-lane-width", "0,1,40,90=3.5"), "64x48"),
+        (("--known-lane-width", "99,1,40,30=3.5"), "end of the video"),
+        (("--square-mm", 24), "--board"),
+        (("--board", "9x6", "--known-distance", "0,1,1,20,40=5"), "--known-distance"),
+    ):
+        status, _, complaint = cli("calibrate", "--mono", video, *option, "--out", out)
+        assert (status, words in complaint) == (2, True), complaint
     assert not out.exists()
 
 
@@ -202,3 +217,11 @@ def test_real_drive(shared_data, tmp_path, cli):
     assert status == 0, complaint
     assert load_camera(out, size_px=None)[0].fx_px == pytest.approx(721.5, rel=0.06)
     assert -1.0 < mounting_of(out).pitch_deg < 3.0
+    one_sigma = mounting.focal_sigma
+    wrong = ("--known-distance", f"{box}=31.1", "--known-distance", "0,257,176,301,200=10")
+    status, printed, complaint = cli("calibrate", "--mono", video, *wrong, "--out", out)
+    assert status == 0, complaint
+    assert "contradict each other" in printed
+    assert mounting_of(out).focal_sigma > 3 * one_sigma
+    status, _, complaint = cli("calibrate", "--mono", video, "--known-distance", "0,900,20,980,60=12", "--out", out)
+    assert (status, "the detector finds none there" in complaint) == (2, True)

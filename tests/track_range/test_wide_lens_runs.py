@@ -109,6 +109,18 @@ def test_wrong_views(cli, small_drive, tmp_path, views):
     assert "--views" in errors
 
 
+@pytest.mark.slow
+def test_impossible_direction_is_found_before_the_first_run(cli, drive, tmp_path):
+    save_camera(LENS, tmp_path / "camera.yaml")
+    options = ("--rig", tmp_path / "camera.yaml", "--fov-deg", 60, "--detections", drive.detections, "--no-overlay")
+    out = tmp_path / "out"
+    status, _, errors = cli("--mono", drive.left, *options, "--views=0,115", "--out", out)
+    assert (status, "--yaw-deg 115" in errors) == (1, True), errors
+    assert not list(out.glob("view*"))
+    status, _, errors = cli("--mono", drive.left, *options, "--views=0,40", "--table", tmp_path / "t.md", "--out", out)
+    assert (status, "--table" in errors) == (2, True), errors
+
+
 def test_views_of_a_pair_are_refused(cli, small_drive, tmp_path):
     pair = ("--stereo", small_drive.left, small_drive.right)
     assert "--views" in cli(*pair, "--views=0,60", "--out", tmp_path)[2]

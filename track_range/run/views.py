@@ -20,6 +20,7 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.results.formats.recorded_boxes_file import COLUMNS, FILE
 from track_range.results.output_files import OutputError, write_text
+from track_range.run.build import open_input
 from track_range.run.settings import RunSettings
 
 VIEWS_FILE = "views.csv"
@@ -44,6 +45,8 @@ def run_views(settings: RunSettings, views_deg: Sequence[float], run: Callable[[
         views_deg: directions of the views, degrees to the right of the camera's axis.
         run: processes a run with these settings.
     """
+    for view_deg in views_deg:  # an impossible direction must not be found after runs of the others
+        open_input(settings.model_copy(update={"yaw_deg": view_deg, "align": "off"})).close()
     folders = []
     for view_deg in views_deg:
         folder = settings.out_dir / f"view{view_deg:+g}"
@@ -63,6 +66,8 @@ def directions_deg(text: str, settings: RunSettings) -> tuple[float, ...]:
     """
     if settings.mono is None or settings.yaw_deg:
         raise UsageError("--views: expected --mono and no --yaw-deg, since each view has its own.")
+    if settings.table is not None:
+        raise UsageError("--table: not allowed with --views, since each view would replace the file; omit one.")
     try:
         views_deg = tuple(sorted(float(part) for part in text.split(",")))
     except ValueError:

@@ -93,6 +93,10 @@ _STANDS = np.isin(SIZE_CLASSES, ("person", "bicycle", "car", "motorcycle", "bus"
 _MIN_HEIGHT_PX = 12.0
 """Height of a box of the scene below which it is not used."""
 
+_MAX_DEVIATION = 2.0
+"""Root mean square of the deviations of measurements and priors, in standard deviations per measurement, above which
+they contradict each other; below, it hardly differs from chance with few measurements."""
+
 _N_REWEIGHTS = 2
 """Number of fits with updated standard deviations of the scene."""
 
@@ -132,9 +136,12 @@ class CameraFit:
     Attributes:
         camera: its model, without distortion.
         theta: (5,) parameters.
-        covariance: (5, 5) their covariance.
+        covariance: (5, 5) their covariance; larger if measurements and priors contradict each other.
         prior_sigma: (5,) standard deviations of the priors.
         residuals: residuals of the user's measurements and the horizon rows.
+        contradiction: factor of all standard deviations because measurements and priors contradict each other (Birge's
+            ratio); 1 = they agree.
+        largest_deviation: measurement or prior with the largest deviation, and this in standard deviations.
     """
 
     camera: PinholeCamera
@@ -142,6 +149,8 @@ class CameraFit:
     covariance: FloatArray
     prior_sigma: FloatArray
     residuals: tuple[Residual, ...] = field(default=())
+    contradiction: float = 1.0
+    largest_deviation: tuple[str, float] = ("", 0.0)
 
     @property
     def focal_sigma(self) -> float:
@@ -252,14 +261,26 @@ def fit_camera(
         terms.reweight(fit.x)
         fit = least_squares(terms.residuals, fit.x, x_scale=terms.prior_sigma)
     jacobian = np.asarray(fit.jac, np.float64)
-    covariance: FloatArray = np.asarray(np.linalg.inv(jacobian.T @ jacobian), np.float64)
+    deviations = terms.deviations(fit.x)
+    contradiction = _contradiction(deviations)
+    covariance: FloatArray = np.asarray(np.linalg.inv(jacobian.T @ jacobian), np.float64) * contradiction**2
     return CameraFit(
         camera=PinholeCamera.of_focal_length(math.exp(fit.x[_LOG_F]), size_px),
         theta=fit.x,
         covariance=covariance,
         prior_sigma=terms.prior_sigma,
         residuals=terms.table(fit.x),
+        contradiction=contradiction,
+        largest_deviation=max(deviations, key=lambda deviation: abs(deviation[1])),
     )
+
+
+def _contradiction(deviations: Sequence[tuple[str, float]]) -> float:
+    """Factor of the standard deviations: the root mean square deviation per measurement if it is large, else 1."""
+    n_measurements = len(deviations) - len(PARAMETERS)
+    squared = sum(value**2 for _, value in deviations)
+    ratio = math.sqrt(squared / max(n_measurements, 1))
+    return ratio if ratio > _MAX_DEVIATION else 1.0
 
 
 class _Terms:
@@ -308,6 +329,13 @@ class _Terms:
         known = np.array([residual.value / residual.sigma for residual in self.table(theta)])
         n_known = len(known) - len(self._horizon)
         return np.concatenate([priors, known[:n_known], _robust(known[n_known:]), self._of_scene(theta)])
+
+    def deviations(self, theta: FloatArray) -> list[tuple[str, float]]:
+        """The priors and the user's measurements with their residuals in standard deviations."""
+        priors = (theta - self.prior_mean) / self.prior_sigma
+        known = self.table(theta)[: -len(self._horizon) or None]
+        named = [(f"the {name} before the measurements", value) for name, value in zip(PARAMETERS, priors, strict=True)]
+        return [*named, *((f"{residual.name}, {residual.kind}", residual.value / residual.sigma) for residual in known)]
 
     def table(self, theta: FloatArray) -> tuple[Residual, ...]:
         """Residuals of the user's measurements and the horizon rows."""

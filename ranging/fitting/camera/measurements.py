@@ -54,6 +54,7 @@ class KnownLane:
         y_px: row of both ends.
         width_m: distance between the ends.
         relative_sigma: relative standard deviation of `width_m`.
+        time_s: time of the frame, in seconds from the first one.
     """
 
     name: str
@@ -62,6 +63,7 @@ class KnownLane:
     y_px: float
     width_m: float
     relative_sigma: float = 0.02
+    time_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

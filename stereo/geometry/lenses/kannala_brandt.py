@@ -60,7 +60,9 @@ def _distort(xyz: FloatArray, k: Sequence[float]) -> FloatArray:
 def _undistort(m: FloatArray, k: Sequence[float]) -> FloatArray:
     theta_d = np.hypot(m[:, 0], m[:, 1])
     table = np.linspace(0.0, largest_angle_rad(k), _N_STEPS + 1)
-    theta = np.interp(theta_d, distorted_angle(table, k), table, right=np.nan)
+    distorted = distorted_angle(table, k)
+    theta = np.interp(theta_d, distorted, table)
+    theta = np.where(theta_d <= distorted[-1] * (1 + 1e-9), theta, np.nan)
     for _ in range(_N_NEWTON):
         theta = np.clip(theta - (distorted_angle(theta, k) - theta_d) / _slope(theta, k), 0.0, table[-1])
     # sin(theta) / theta_d tends to 1 on the axis

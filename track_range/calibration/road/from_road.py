@@ -26,7 +26,7 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.ranging.fitting.camera.camera_fit import HEIGHT_M, HEIGHT_SIGMA, CameraFit, fit_camera
 from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior, focal_posterior
-from track_range.ranging.fitting.camera.measurements import FocalGuess, KnownObject
+from track_range.ranging.fitting.camera.measurements import FocalGuess, KnownLane, KnownObject
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
@@ -51,6 +51,9 @@ _MIN_IOU = 0.4
 _MEASURED_HEIGHT_SIGMA_M = 0.03
 """Standard deviation of a measured camera height."""
 
+_CAMERA_HEIGHT_M = (0.3, 5.0)
+"""Smallest and largest height of a camera above the road that measurements may give, m."""
+
 _PICK_S = 0.5
 """Length of the part that is read for the frame of a measurement."""
 
@@ -66,7 +69,6 @@ class RoadCalibration:
         guesses: guesses of the focal length from outside of the images.
         by_shape: focal length from these and the shapes of road users.
         sentences: what the measurements determine, in words.
-        notes: messages for the user about the measurements.
         n_frames: number of frames that were read.
         figures: all values, as plain values for JSON.
     """
@@ -75,7 +77,6 @@ class RoadCalibration:
     guesses: tuple[FocalGuess, ...]
     by_shape: FocalPosterior
     sentences: tuple[str, ...]
-    notes: tuple[str, ...]
     n_frames: int
     figures: dict[str, Any]
 
@@ -131,6 +132,7 @@ def calibrate_on_road(
         duration_s = (reader.n_frames or 0) / reader.fps if reader.fps else 0.0
         guesses = focal_guesses(reader, settings.camera_model)
     _check_inside(objects, size_px, duration_s)
+    _check_lanes(lanes, size_px, duration_s)
     start = focal_posterior(guesses, RoadView(PinholeCamera.of_focal_length(1.0, size_px)).scene, size_px, None)
     camera = PinholeCamera.of_focal_length(start.guess[0], size_px)
     detect = open_detect()
@@ -138,7 +140,7 @@ def calibrate_on_road(
     with progress("watching the road") as advance:
         for start_s, part_s in _parts(duration_s):
             _add_part(view, video, (start_s, part_s), detect, advance)
-    known, notes = _known_objects(objects, video, camera, detect)
+    known = _known_objects(objects, video, camera, detect)
     sizes = load_curves(settings.curves)
     cuboids = sizes if isinstance(sizes, CuboidSizes) else None
     by_shape = focal_posterior(guesses, view.scene, size_px, cuboids)
@@ -157,8 +159,14 @@ def calibrate_on_road(
         scene_noise=by_shape.relative_noise,
         height=height,
     )
+    low, high = _CAMERA_HEIGHT_M
+    if not low <= fit.height_m <= high:
+        raise UsageError(
+            f"expected measurements that give a camera height of {low:g} to {high:g} m, found {fit.height_m:.2f} m; "
+            "check the boxes, the rows of lanes, and the metres."
+        )
     sentences = separability(fit, guesses, by_shape, has_height=settings.camera_height_m is not None)
-    calibration = RoadCalibration(fit, guesses, by_shape, sentences, notes, view.n_frames, {})
+    calibration = RoadCalibration(fit, guesses, by_shape, sentences, view.n_frames, {})
     calibration.figures.update(_figures(calibration, settings))
     return calibration
 
@@ -232,18 +240,36 @@ def _check_inside(objects: Sequence[KnownMetres], size_px: tuple[int, int], dura
             raise UsageError(f"{known.text}: expected a time up to {duration_s:.1f} s, the end of the video.")
 
 
+def _check_lanes(lanes: Sequence[KnownLane], size_px: tuple[int, int], duration_s: float) -> None:
+    width_px, height_px = size_px
+    for lane in lanes:
+        columns_px = (lane.x1_px, lane.x2_px)
+        if not (min(columns_px) >= -1 and max(columns_px) <= width_px and -1 <= lane.y_px <= height_px):
+            raise UsageError(
+                f"--known-lane-width {lane.name}: expected columns and a row inside of the image of {width_px}x"
+                f"{height_px} px."
+            )
+        if duration_s and lane.time_s > duration_s + 1.0:
+            raise UsageError(
+                f"--known-lane-width {lane.name}: expected a time up to {duration_s:.1f} s, the end of the video."
+            )
+
+
 def _known_objects(
     objects: Sequence[KnownMetres], video: VideoName, camera: PinholeCamera, detect: Detect
-) -> tuple[list[KnownObject], tuple[str, ...]]:
-    """The measured objects with their classes, and notes on those that the detector does not find."""
-    known, notes = [], []
+) -> list[KnownObject]:
+    """The measured objects with their classes.
+
+    Raises:
+        UsageError: the detector finds no object in a box without a class.
+    """
+    known = []
     for metres in objects:
         name = metres.class_name or _detected_class(metres, video, camera, detect)
         if not name:
-            name = "car"
-            notes.append(
-                f"{metres.text}: the detector finds no object there; taken as a car. Add another class behind the box, "
-                f"such as '{metres.text},van=...'."
+            raise UsageError(
+                f"{metres.text}: expected the box of an object, the detector finds none there; correct the box, or add "
+                f"the class behind it: '{metres.text},van=...'."
             )
         known.append(
             KnownObject(
@@ -255,7 +281,7 @@ def _known_objects(
                 width_m=metres.width_m,
             )
         )
-    return known, tuple(notes)
+    return known
 
 
 def _detected_class(metres: KnownMetres, video: VideoName, camera: PinholeCamera, detect: Detect) -> str:
@@ -292,5 +318,4 @@ def _figures(calibration: RoadCalibration, settings: CalibrationSettings) -> dic
         },
         "residuals": [asdict(residual) for residual in fit.residuals],
         "determined": list(calibration.sentences),
-        "notes": list(calibration.notes),
     }

@@ -50,7 +50,10 @@ def known_metres(distances: Sequence[str], heights: Sequence[str], widths: Seque
     ):
         for text in texts:
             place, metres = _split(text, flag, "'T_S,X1,Y1,X2,Y2=METRES'", limits)
-            metres_of.setdefault(",".join(place), {})[key] = metres
+            known = metres_of.setdefault(",".join(place), {})
+            if key in known:
+                raise UsageError(f"{flag} {quoted(text)}: expected one value for this box, found two; omit one.")
+            known[key] = metres
     return tuple(_object(place, metres) for place, metres in metres_of.items())
 
 
@@ -65,7 +68,14 @@ def known_lanes(texts: Sequence[str]) -> tuple[KnownLane, ...]:
         place, width_m = _split(text, "--known-lane-width", "'T_S,X1,X2,Y=METRES'", LANE_M)
         numbers = _numbers(place, text, "--known-lane-width", "'T_S,X1,X2,Y=METRES'", 4)
         lanes.append(
-            KnownLane(name=",".join(place), x1_px=numbers[1], x2_px=numbers[2], y_px=numbers[3], width_m=width_m)
+            KnownLane(
+                name=",".join(place),
+                time_s=numbers[0],
+                x1_px=numbers[1],
+                x2_px=numbers[2],
+                y_px=numbers[3],
+                width_m=width_m,
+            )
         )
         if numbers[1] == numbers[2]:
             raise UsageError(f"--known-lane-width {quoted(text)}: expected two different columns X1 and X2.")

@@ -34,7 +34,8 @@ def separability(
             f", and the shapes of {by_shape.n_tracks} vehicles ({shape_px:.0f} px within {100 * shape_sigma:.0f} %)"
         )
     focal = f"Focal length {camera.fx_px:.0f} px within {100 * fit.focal_sigma:.1f} %"
-    sentences = [
+    sentences = _contradictions(fit)
+    sentences += [
         f"{focal}, by the measurements (before: {shape_px:.0f} px, from {origin})."
         if fit.gain("focal length") < _DETERMINED
         else f"{focal}: the measurements do not determine it; it comes from {origin}."
@@ -61,3 +62,14 @@ def separability(
             "Camera height and pitch cannot be separated: add a distance at least twice as long or half as long."
         )
     return tuple(sentences)
+
+
+def _contradictions(fit: CameraFit) -> list[str]:
+    """Warning about measurements that contradict each other; empty if they agree."""
+    if fit.contradiction == 1.0:
+        return []
+    name, deviation = fit.largest_deviation
+    return [
+        f"Warning: the measurements contradict each other, or what is usual: {name}, is off by {abs(deviation):.0f} "
+        f"sigma. All sigmas are {fit.contradiction:.1f} times as large; check boxes and metres."
+    ]

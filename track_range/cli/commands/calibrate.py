@@ -20,6 +20,10 @@ from track_range.stereo.calibration.coverage import view_shape
 from track_range.stereo.calibration.one_camera import CameraCalibration, ViewFit
 from track_range.stereo.calibration.two_cameras import PairCalibration, PairFit
 
+_BOARD_OPTIONS = ("square_mm", "lens_terms", "picture")
+_ROAD_OPTIONS = ("known_distance", "known_height", "known_width", "known_lane_width", "camera_height_m", "camera_model")
+"""Options of the calibration with a board, and of that on the road."""
+
 _N_COEFFICIENTS = (0, 4, 5, 8)
 """Accepted numbers of distortion coefficients."""
 
@@ -29,6 +33,7 @@ def _calibrate(settings: CalibrationSettings) -> None:
         raise UsageError(
             f"--lens {settings.lens}: expected --board, since a drive does not show the lens's distortion."
         )
+    _check_contradictions(settings)
     if settings.is_from_road:
         _calibrate_on_road(settings)
         return
@@ -54,6 +59,20 @@ def _calibrate(settings: CalibrationSettings) -> None:
     print_line(console, f"Written: {', '.join(map(str, calibration.save(settings)))}.")
 
 
+def _check_contradictions(settings: CalibrationSettings) -> None:
+    """Refuse options of the other kind of calibration.
+
+    Raises:
+        UsageError: there are some.
+    """
+    ignored = _BOARD_OPTIONS if settings.is_from_road else _ROAD_OPTIONS
+    fields = CalibrationSettings.model_fields
+    for name in ignored:
+        if getattr(settings, name) != fields[name].default:
+            expected = "expected --board" if settings.is_from_road else "expected no --board and one camera"
+            raise UsageError(f"{settings.flag(name)}: {expected}; omit the option, or correct the other ones.")
+
+
 def _calibrate_on_road(settings: CalibrationSettings) -> None:
     from track_range.calibration.road.from_road import Detect, calibrate_on_road
     from track_range.detection.models.lookup import DEFAULT_MODEL
@@ -75,7 +94,7 @@ def _calibrate_on_road(settings: CalibrationSettings) -> None:
         ]
         names = [f"{residual.name}: {residual.kind}, {residual.unit}" for residual in residuals]
         print_grid(console, grid_of("Residuals", "measurement", names, columns))
-    for sentence in (*calibration.sentences, *calibration.notes):
+    for sentence in calibration.sentences:
         print_line(console, sentence)
     print_line(console, f"Written: {', '.join(map(str, calibration.save(settings)))}.")
 

@@ -16,11 +16,13 @@ from track_range.foundation.files.input_files import real_path
 from track_range.foundation.options import Options, option
 from track_range.report.tables import Column, grid_of
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.virtual_pinhole import FieldOfView, field_of_view
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_calibration, mounting_of
 from track_range.stereo.rig_formats.registry import rig_writers
+from track_range.stereo.rig_formats.rig_yaml import save_camera
 
 _Size = Annotated[str | None, option("Size of the images in pixels, for formats without it.", metavar="WIDTHxHEIGHT")]
 
@@ -48,6 +50,9 @@ class ShowOptions(Options):
     size: _Size = None
 
 
+_OURS = "ours"
+"""Name of the format rig.yaml."""
+
 _MAX_SIDE_PX = 20_000
 """Largest accepted image side; rectification maps of larger images would not fit into memory."""
 
@@ -63,16 +68,21 @@ def _convert(options: ConvertOptions) -> None:
         raise UsageError(f"{out}: expected a file other than the input; choose another name for OUT.")
     calibration, notes = load_calibration(source, size_px=_size_of(options.size))
     _check_image_size(calibration, source)
-    writers[options.to](calibration, out, [f"from {source.name}"])
-    for note in (*notes, *_labels_note(source, _size_of(options.size)), *_mounting_note(source)):
+    mounting = mounting_of(source)
+    if options.to == _OURS and isinstance(calibration, PinholeCamera):
+        save_camera(calibration, out, comments=[f"from {source.name}"], mounting=mounting)
+        mounting = None
+    else:
+        writers[options.to](calibration, out, [f"from {source.name}"])
+    for note in (*notes, *_labels_note(source, _size_of(options.size)), *_mounting_note(mounting, source)):
         print_line(console, note)
     cameras = "two cameras" if isinstance(calibration, StereoRig) else "one camera"
     print_line(console, f"Written: {out}, {cameras}.")
 
 
-def _mounting_note(source: Path) -> tuple[str, ...]:
-    """Note on the results of a calibration on the road, which are not converted; empty for other files."""
-    if mounting_of(source) is None:
+def _mounting_note(mounting: Mounting | None, source: Path) -> tuple[str, ...]:
+    """Note on the results of a calibration on the road that are not converted; empty if there are none."""
+    if mounting is None:
         return ()
     return (f"OUT does not store the uncertainty of the focal length and the camera height: use --rig {source.name}.",)
 
