@@ -18,5 +18,5 @@ def test_one_drive(capsys):
     assert stereo["pinhole"]["n"] == stereo["fisheye"]["n"] > 20
     assert stereo["pinhole"]["median_relative_error_pct"] < 2
     assert 0.5 < stereo["ratios"]["median"] < 2
-    assert figures["all"]["mono"]["ratios"]["median"] == pytest.approx(1, abs=0.05)
+    assert figures["all"]["mono"]["ratios"]["median"] == pytest.approx(1, abs=0.1)
     assert "farther out" in capsys.readouterr().out

@@ -50,7 +50,7 @@ def test_measurements_of_one_box_are_joined():
     ],
 )
 def test_wrong_measurements(text):
-    with pytest.raises(UsageError, match="--known-distance|expected a time and a box"):
+    with pytest.raises(UsageError, match=r"--known-distance|expected a time and a box"):
         known_metres([text], [], [])
 
 
