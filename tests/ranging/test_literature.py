@@ -8,6 +8,7 @@ import pytest
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import read_kitti, read_kitti_image
 from track_range.foundation.errors import UsageError
+from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by
 from track_range.ranging.evaluation.labelled_ranges import evaluate_ranges
 from track_range.ranging.evaluation.literature_metrics import metrics
 from track_range.ranging.evaluation.reference_distance import centre_offset_m, lidar_distance_m, read_lidar
@@ -107,16 +108,17 @@ def test_split(tmp_path, images):
 def test_images_are_separate_drives(tmp_path, images):
     """The order of the images and the other images do not matter."""
     labels, calib, names = images
-    by_frames = []
+    sets, distances_m = [], []
     for chosen in (names[3:4], names[:50]):
-        settings = RangeEvaluationSettings(
-            labels=labels, calib=calib, frames=listed(tmp_path / "some.txt", chosen), methods=("mono",)
-        )
-        boxes = box_set(labels, calib, selection=BoxSelection(frames=settings.frames))
-        by_frames.append((evaluate_ranges(settings), boxes))
-    (alone, _), (together, boxes) = by_frames
-    assert together["n_boxes"] == 100
-    assert alone["n_boxes"] == 2
+        frames = listed(tmp_path / "some.txt", chosen)
+        boxes = box_set(labels, calib, selection=BoxSelection(frames=frames))
+        sets.append(boxes)
+        distances_m.append(measured_by(("mono",), boxes, boxes, MethodOptions())["mono"].distance_m)
+    alone, boxes = sets
+    assert (len(alone.frame), len(boxes.frame)) == (2, 100)
+    rows = boxes.frame == np.unique(boxes.frame)[3]
+    assert np.isfinite(distances_m[0]).all()
+    np.testing.assert_allclose(distances_m[1][rows], distances_m[0], rtol=1e-9)
     assert (boxes.track_id < 0).all()
     assert len(np.unique(boxes.frame)) == 50
 
@@ -202,7 +204,7 @@ def test_lidar_files(tmp_path, images):
     assert np.isnan(lidar_distance_m(labels, np.zeros((0, 3)), np.zeros(3))).all()
 
 
-def test_risk_falls_with_the_answered_share(images):
+def test_risk_of_all_answers_is_the_mean_error(images):
     labels, calib, _ = images
     figures = evaluate_ranges(RangeEvaluationSettings(labels=labels, calib=calib, methods=("height-3", "mono")))
     assert set(figures["risk_coverage"]) == {"mono"}

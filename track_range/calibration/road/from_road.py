@@ -1,6 +1,6 @@
 """Calibration of one camera from a drive: known metres, shapes of road users, lane lines and the file's metadata.
 
-guesses of the focal length (focal_sources) -> boxes and horizon of parts of the video (road_view)
+guesses of the focal length (focal_sources) -> boxes and horizon of parts of the video (road_evidence)
 -> focal length from guesses and shapes (focal_evidence) -> all measurements together (camera_fit) -> rig.yaml
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from track_range.calibration.road.focal_sources import focal_guesses
 from track_range.calibration.road.measurement_text import KnownMetres, known_lanes, known_metres
-from track_range.calibration.road.road_view import RoadView
+from track_range.calibration.road.road_evidence import RoadEvidence
 from track_range.calibration.road.separability import separability
 from track_range.calibration.settings import CalibrationSettings
 from track_range.detection.boxes import iou
@@ -26,7 +26,7 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.ranging.fitting.camera.camera_fit import HEIGHT_M, HEIGHT_SIGMA, CameraFit, fit_camera
 from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior, focal_posterior
-from track_range.ranging.fitting.camera.measurements import FocalGuess, KnownLane, KnownObject
+from track_range.ranging.fitting.camera.measurements import FocalGuess, KnownLane, KnownObject, SceneBoxes
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
@@ -35,6 +35,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.rig_formats.rig_yaml import save_camera
+from track_range.video.live.address import LiveAddress
 from track_range.video.names import VideoName, files_of, video_name
 from track_range.video.reader import VideoReader
 from track_range.video.recording import open_recording
@@ -54,7 +55,7 @@ _MEASURED_HEIGHT_SIGMA_M = 0.03
 _CAMERA_HEIGHT_M = (0.3, 5.0)
 """Smallest and largest height of a camera above the road that measurements may give, m."""
 
-_PICK_S = 0.5
+_FRAME_S = 0.5
 """Length of the part that is read for the frame of a measurement."""
 
 Detect = Callable[[Frame], Detections]
@@ -127,17 +128,19 @@ def calibrate_on_road(
     lanes = known_lanes(settings.known_lane_width)
     video = video_name(settings.mono)
     check_outputs([file for file in (settings.out, settings.json_file) if file is not None], files_of(video))
-    with closing(VideoReader(_recorded(video))) as reader:
+    if isinstance(video, LiveAddress) or not files_of(video):
+        raise UsageError(f"--mono {video}: expected a recorded video; record the camera first.")
+    with closing(VideoReader(video)) as reader:
         size_px = reader.width_px, reader.height_px
         duration_s = (reader.n_frames or 0) / reader.fps if reader.fps else 0.0
         guesses = focal_guesses(reader, settings.camera_model)
     _check_inside(objects, size_px, duration_s)
     _check_lanes(lanes, size_px, duration_s)
-    start = focal_posterior(guesses, RoadView(PinholeCamera.of_focal_length(1.0, size_px)).scene, size_px, None)
+    start = focal_posterior(guesses, SceneBoxes(), size_px, None)
     camera = PinholeCamera.of_focal_length(start.guess[0], size_px)
     detect = open_detect()
-    view = RoadView(camera)
-    with progress("watching the road") as advance:
+    view = RoadEvidence(camera)
+    with progress("finding road users and lane lines") as advance:
         for start_s, part_s in _parts(duration_s):
             _add_part(view, video, (start_s, part_s), detect, advance)
     known = _known_objects(objects, video, camera, detect)
@@ -197,16 +200,10 @@ def focal_from_video(
     recording = open_recording(
         video, focal_px=guesses[0].focal_px, start_s=start_s, duration_s=duration_s, folder_fps=folder_fps
     )
-    view = RoadView(recording.camera)
+    view = RoadEvidence(recording.camera)
     with closing(recording):
         view.add(recording.frames, detect, advance, has_horizon=False)
     return focal_posterior(guesses, view.scene, recording.size_px, sizes if isinstance(sizes, CuboidSizes) else None)
-
-
-def _recorded(video: VideoName) -> Any:
-    if not files_of(video):
-        raise UsageError(f"--mono {video}: expected a recorded video; record the camera first.")
-    return video
 
 
 def _parts(duration_s: float) -> list[tuple[float, float]]:
@@ -217,7 +214,7 @@ def _parts(duration_s: float) -> list[tuple[float, float]]:
 
 
 def _add_part(
-    view: RoadView,
+    view: RoadEvidence,
     video: VideoName,
     span_s: tuple[float, float],
     detect: Detect,
@@ -286,7 +283,7 @@ def _known_objects(
 
 def _detected_class(metres: KnownMetres, video: VideoName, camera: PinholeCamera, detect: Detect) -> str:
     """Class of the detection that overlaps most with a box; "" = none."""
-    recording = open_recording(video, focal_px=camera.fx_px, start_s=max(metres.time_s - 0.02, 0), duration_s=_PICK_S)
+    recording = open_recording(video, focal_px=camera.fx_px, start_s=max(metres.time_s - 0.02, 0), duration_s=_FRAME_S)
     with closing(recording):
         frame = next(recording.frames, None)
         if frame is None:

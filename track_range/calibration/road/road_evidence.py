@@ -1,4 +1,4 @@
-"""RoadView: what a part of a video shows of its camera: boxes of road users, and rows of the horizon.
+"""RoadEvidence: what a part of a video shows of its camera: boxes of road users, and rows of the horizon.
 
 Frames are read at `STEP_S`, as close as the tracker needs them. The horizon comes from the lines of the ego lane, where
 they meet, and from the direction of travel (epipole), which is parallel to the road.
@@ -40,7 +40,7 @@ _IDS_PER_PART = 1_000_000
 
 
 @dataclass(slots=True)
-class RoadView:
+class RoadEvidence:
     """What was seen so far.
 
     Attributes:
