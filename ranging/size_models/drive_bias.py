@@ -109,15 +109,15 @@ class DriveBias:
             systematic = _systematic_variance(by_size)
         explained = np.minimum(_PRIOR_VARIANCE, _MAX_SHARED * systematic)
         explained = explained * (1.0 - self._variance[class_id] / _PRIOR_VARIANCE)
-        left = systematic - explained
+        remaining = systematic - explained
         information, weighted_ratio, _ = self._own.get(by_size.track_id)
-        gain = left * information / (1.0 + left * information)
+        gain = remaining * information / (1.0 + remaining * information)
         mean = weighted_ratio / np.where(information > 0, information, 1.0)
         log_factor = log_factor + gain * (mean - log_factor)
-        explained, left = explained + gain * left, (1.0 - gain) * left
+        explained, remaining = explained + gain * remaining, (1.0 - gain) * remaining
         distance_m = by_size.distance_m * np.exp(log_factor)
         sigma_m = distance_m * np.sqrt(variance - explained)
-        return Ranges(by_size.track_id, distance_m, sigma_m, distance_m * np.sqrt(left))
+        return Ranges(by_size.track_id, distance_m, sigma_m, distance_m * np.sqrt(remaining))
 
     def expected(self, by_size: Ranges, class_id: IntArray) -> Ranges:
         """N distances by size corrected by all references of their tracks so far."""
