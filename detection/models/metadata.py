@@ -9,6 +9,7 @@ family's default is used. All sources use the same keys:
     letterbox  such as centred-114                       colours    rgb or bgr          divisor  255 or 1
     mean, std  per channel, of pixel / divisor           scores     sigmoid or softmax, of outputs that are logits
     size       longer side in pixels of an input of variable size
+    area       number of pixels of an input of variable size, instead of `size`
     end2end    whether Ultralytics' exporter included the suppression
     head       class of the head in Ultralytics' metadata, such as RTDETRDecoder
 
@@ -272,6 +273,12 @@ def _size(value: Any) -> int:
     return int(float(value))
 
 
+def _area(value: Any) -> float:
+    if not 32**2 <= _number(value) <= 4096**2:
+        raise ValueError(f"expected {32**2} to {4096**2} pixels, got {quoted(value)}")
+    return float(value)
+
+
 _PARSERS: Mapping[str, Callable[[Any], Any]] = {
     "family": _family,
     "names": names_of,
@@ -284,6 +291,7 @@ _PARSERS: Mapping[str, Callable[[Any], Any]] = {
     "std": _std,
     "scores": _score_function,
     "size": _size,
+    "area": _area,
     "end2end": _flag,
     "head": _family,
 }

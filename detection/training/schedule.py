@@ -11,7 +11,7 @@ from typing import Literal
 import torch
 from torch import nn
 
-from track_range.detection.training.networks.network import AnchorNetwork
+from track_range.detection.training.networks.network import DetectionNetwork
 
 Optimiser = Literal["sgd", "adamw"]
 
@@ -104,7 +104,7 @@ class WeightAverage:
         network: a copy of the network with the averaged weights.
     """
 
-    def __init__(self, network: AnchorNetwork) -> None:
+    def __init__(self, network: DetectionNetwork) -> None:
         self.network = copy.deepcopy(network).eval()
         for parameter in self.network.parameters():
             parameter.requires_grad_(False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import torch
@@ -39,6 +39,8 @@ class TrainingSettings:
         min_boxes: classes with fewer labels are excluded from the means of the validation.
         schedule: optimiser and learning rate.
         augmentation: augmentation of the training images.
+        n_last_epochs: number of epochs at the end in which no training image is a mosaic, so that the network learns
+            from whole images at last (Ge et al., "YOLOX", 2021).
     """
 
     size_px: int = 416
@@ -52,6 +54,7 @@ class TrainingSettings:
     min_boxes: int = 50
     schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
+    n_last_epochs: int = 0
 
     def __post_init__(self) -> None:
         if self.size_px % COARSEST_STRIDE_PX:
@@ -63,6 +66,12 @@ class TrainingSettings:
         if not MIN_GAIN <= low <= high <= MAX_GAIN:
             limits = f"{MIN_GAIN:g} <= MIN <= MAX <= {MAX_GAIN:g}"
             raise TrainingError(f"--gain: expected {limits}, such as 0.5 1.5, got {low:g} {high:g}.")
+
+    def augmentation_in(self, epoch: int) -> AugmentationSettings:
+        """Augmentation in an epoch, counted from 0."""
+        if epoch < self.n_epochs - self.n_last_epochs:
+            return self.augmentation
+        return replace(self.augmentation, mosaic=0.0)
 
     @property
     def dtype(self) -> torch.dtype:

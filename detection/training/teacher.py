@@ -22,7 +22,7 @@ from track_range.detection.models.metadata import ModelOptions, read_metadata
 from track_range.detection.models.onnx_session import ModelError, OnnxSession
 from track_range.detection.training.errors import TrainingError
 from track_range.detection.training.losses.assignment import Cells
-from track_range.detection.training.networks.network import AnchorNetwork, placed
+from track_range.detection.training.networks.network import AnchorNetwork, DetectionNetwork, placed
 from track_range.detection.training.networks.onnx_weights import yolov5_of_export
 from track_range.foundation.arrays import IntArray
 from track_range.foundation.files.input_files import quoted
@@ -87,13 +87,13 @@ class Teacher:
         self._columns = [5 + np.flatnonzero(class_id == student_id) for student_id in road_class_id]
         self._precision = precision
 
-    def check_fits(self, student: AnchorNetwork) -> None:
+    def check_fits(self, student: DetectionNetwork) -> None:
         """Check that the student has the teacher's grids and anchors.
 
         Raises:
             TrainingError: the grids or anchors differ.
         """
-        if student.strides_px != self.network.strides_px:
+        if not isinstance(student, AnchorNetwork) or student.strides_px != self.network.strides_px:
             raise TrainingError(f"--teacher: expected a model with YOLOv5's grids, got {student.name}.")
         if not torch.allclose(student.anchors_px.cpu(), self.network.anchors_px.cpu(), rtol=0.01):
             raise TrainingError(

@@ -8,13 +8,14 @@ resumed run takes the same steps as an uninterrupted one (bit by bit on a CPU, w
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.evaluation import DetectionScores
@@ -22,8 +23,10 @@ from track_range.detection.training.data.batches import BatchMaker, scaled
 from track_range.detection.training.data.data_set import TrainingSets
 from track_range.detection.training.errors import CheckpointError, TrainingError
 from track_range.detection.training.listener import Listener
+from track_range.detection.training.losses.aligned_loss import AlignedLoss
 from track_range.detection.training.losses.detection_loss import Batch, DetectionLoss, Losses
-from track_range.detection.training.networks.network import AnchorNetwork, placed
+from track_range.detection.training.networks.network import AnchorNetwork, DetectionNetwork, placed
+from track_range.detection.training.networks.road_net import RoadNet
 from track_range.detection.training.run_folder import (
     BEST,
     LAST,
@@ -41,8 +44,6 @@ from track_range.detection.training.validation import NetworkDetector, validate
 _MAX_GRADIENT = 10.0
 """Norm to which the gradient is clipped, as in YOLOv5."""
 
-_LOSSES = ("loss_box", "loss_objectness", "loss_class")
-
 
 class Training:
     """A training run.
@@ -55,7 +56,7 @@ class Training:
 
     def __init__(
         self,
-        network: AnchorNetwork,
+        network: DetectionNetwork,
         settings: TrainingSettings,
         sets: TrainingSets,
         out: Path,
@@ -71,7 +72,7 @@ class Training:
         self._batches = BatchMaker(
             sets.train, size_px=settings.size_px, batch_size=settings.batch_size, seed=settings.seed
         )
-        self._loss = DetectionLoss(self.network, box_loss=settings.box_loss)
+        self._loss = _loss_of(self.network, settings)
         self._optimiser = optimiser_of(self.network, settings.schedule)
         self._schedule = Schedule(settings.schedule, n_epochs=settings.n_epochs, n_steps_per_epoch=len(self._batches))
         self._scaler = torch.amp.GradScaler(self._device.type, enabled=settings.precision == "float16")
@@ -113,11 +114,11 @@ class Training:
         if (self._out / BEST).is_file():
             self._load_weights(self.average.network, self._out / BEST)
 
-    def _load_weights(self, network: AnchorNetwork, path: Path) -> None:
+    def _load_weights(self, network: DetectionNetwork, path: Path) -> None:
         """Set the network's weights to the averaged weights of a checkpoint; its anchors do not change."""
         content = load_checkpoint(path)
         saved, expected = content.get("identity", {}), self._identity()
-        anchors_px = network.anchors_px.clone()
+        anchors_px = network.anchors_px.clone() if isinstance(network, AnchorNetwork) else None
         try:
             if saved["classes"] != expected["classes"]:
                 raise KeyError("classes")
@@ -127,7 +128,8 @@ class Training:
                 f"{path}: expected the same --model, --attention and class names, got {saved.get('model')}, attention "
                 f"{saved.get('attention')}, classes {', '.join(saved.get('classes', []))}."
             ) from error
-        network.anchors_px.copy_(anchors_px)
+        if isinstance(network, AnchorNetwork) and anchors_px is not None:
+            network.anchors_px.copy_(anchors_px)
 
     def run(self, listener: Listener) -> None:
         """Train until the last epoch.
@@ -170,32 +172,31 @@ class Training:
         """Train one epoch, validate, and write the run folder."""
         epoch, start_s = len(self.history), time.perf_counter()
         row = {"epoch": epoch + 1.0, "rate": self._schedule.rate(epoch * len(self._batches))}
-        row |= dict(zip(_LOSSES, self._learn(epoch, listener), strict=True))
+        row |= {f"loss_{name}": loss for name, loss in self._learn(epoch, listener).items()}
         if (epoch + 1) % self._settings.validate_every == 0 or epoch + 1 == self._settings.n_epochs:
             row |= _figures(self.scores(listener))
         row["minutes"] = (time.perf_counter() - start_s) / 60
         self._save(row)
         listener.epoch(row)
 
-    def _learn(self, epoch: int, listener: Listener) -> list[float]:
-        """Train one epoch and return the means of the three losses."""
+    def _learn(self, epoch: int, listener: Listener) -> dict[str, float]:
+        """Train one epoch and return the mean of each part of the loss."""
         self.network.train()
-        total, n = np.zeros(3), len(self._batches)
-        done = 0
-        for done, batch in enumerate(self._batches.epoch(epoch, self._settings.augmentation), start=1):
+        total: dict[str, float] = {}
+        done, n = 0, len(self._batches)
+        for done, batch in enumerate(self._batches.epoch(epoch, self._settings.augmentation_in(epoch)), start=1):
             step = epoch * n + done - 1
             self._schedule.set(self._optimiser, step)
             losses = self._step(batch)
             self.average.update(self.network, self._schedule.average_decay(step))
-            total += losses.numbers()
-            if not np.isfinite(total).all():
+            total = {name: total.get(name, 0.0) + float(loss.detach()) for name, loss in losses.items()}
+            if not np.isfinite(list(total.values())).all():
                 raise TrainingError(
                     f"the loss became NaN or infinite in epoch {epoch + 1}; restart in another --out with a lower "
                     f"--learning-rate or --precision float32{self._start_hint()}."
                 )
             listener.step(epoch, done, n, losses)
-        mean: list[float] = (total / max(done, 1)).tolist()
-        return mean
+        return {name: loss / done for name, loss in total.items()}
 
     def _step(self, batch: Batch) -> Losses:
         """One step of the optimiser."""
@@ -206,7 +207,7 @@ class Training:
         with torch.autocast(device.type, settings.dtype, settings.precision != "float32"):
             raw = self.network(images)
         losses = self._loss([head.float() for head in raw], batch)
-        torch.autograd.backward(self._scaler.scale(losses.total * len(images)))
+        torch.autograd.backward(self._scaler.scale(sum(losses.values()) * len(images)))
         self._scaler.unscale_(self._optimiser)
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), _MAX_GRADIENT)
         self._scaler.step(self._optimiser)
@@ -240,11 +241,24 @@ class Training:
             "model": self.network.name,
             "attention": self.network.has_cbam,
             "classes": [ROAD_CLASSES[i] for i in self._sets.road_class_id],
-            "anchors": self.network.anchors_px.tolist(),
+            "anchors": self.network.anchors_px.tolist() if isinstance(self.network, AnchorNetwork) else None,
             "data": self._sets.name,
             "teacher": None if self._teacher is None else self._teacher.name,
             **{key: value for key, value in _flat(asdict(self._settings)) if key not in ("device", "validate_every")},
         }
+
+
+def _loss_of(network: DetectionNetwork, settings: TrainingSettings) -> Callable[[list[Tensor], Batch], Losses]:
+    """The loss function of a network.
+
+    Raises:
+        TrainingError: there is none.
+    """
+    if isinstance(network, RoadNet):
+        return AlignedLoss(network, box_loss=settings.box_loss)
+    if isinstance(network, AnchorNetwork):
+        return DetectionLoss(network, box_loss=settings.box_loss)
+    raise TrainingError(f"{network.name}: expected a network with a loss function, found none.")
 
 
 def prepare_torch(*, seed: int, n_threads: int = 0) -> None:

@@ -12,7 +12,7 @@ from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
 from track_range.detection.detections import Detections
 from track_range.detection.evaluation import DetectionScores, evaluate_detections
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
-from track_range.detection.training.networks.network import AnchorNetwork
+from track_range.detection.training.networks.network import DetectionNetwork
 from track_range.detection.yolo.decoders import RowDecoder
 from track_range.detection.yolo.input_format import InputFormat
 from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
@@ -33,7 +33,7 @@ class NetworkDetector:
 
     def __init__(
         self,
-        network: AnchorNetwork,
+        network: DetectionNetwork,
         road_class_id: IntArray,
         *,
         size_px: int,

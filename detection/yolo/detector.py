@@ -20,7 +20,7 @@ from track_range.detection.detections import Detections
 from track_range.detection.models.metadata import Attribute, ModelMetadata, ModelOptions, read_metadata
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
 from track_range.detection.yolo.layouts import YoloModel, identify_layout
-from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
+from track_range.detection.yolo.letterbox import Letterbox, input_hw_of_area, rectangular_input_hw
 from track_range.detection.yolo.network_outputs import NetworkOutputs
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray
 from track_range.foundation.files.input_files import quoted, shortened
@@ -48,8 +48,8 @@ class YoloSettings:
         max_iou: IoU threshold of non-maximum suppression among classes that are easily confused; end-to-end networks
             need none, only equal boxes are removed.
         max_boxes: largest number of boxes per image.
-        size_px: longer side of the network's input if its size is variable; None = the size in the model's metadata,
-            else `DEFAULT_SIZE_PX`.
+        size_px: longer side of the network's input if its size is variable; None = the size or area in the model's
+            metadata, else `DEFAULT_SIZE_PX`.
         is_square: an input of variable size is square; otherwise it has the image's aspect ratio, padded to strides,
             except for DETR-like networks.
         class_id: ids of the road classes to detect; empty = all.
@@ -79,6 +79,7 @@ class YoloDetector:
     Attributes:
         model: family, input format and class names, explicit or default.
         size: longer side in pixels of an input of variable size, and the source of this value.
+        area: number of pixels of an input of variable size, which `size` does not determine then; None = it does.
         n_invalid: number of boxes dropped so far because of NaN, infinite numbers or labels without a class name.
     """
 
@@ -104,8 +105,10 @@ class YoloDetector:
         self._outputs: list[FloatArray32] | None = None
         self.n_invalid = 0
         self.size: Attribute = self._metadata.get("size", DEFAULT_SIZE_PX, "default")
+        area = self._metadata.get("area", None, "")
+        self.area: Attribute | None = None if area.value is None else area
         if self._settings.size_px is not None:
-            self.size = Attribute(self._settings.size_px, "as specified")
+            self.size, self.area = Attribute(self._settings.size_px, "as specified"), None
         self._prepare(image_hw=(self.size.value, self.size.value))
         names = self.model.names
         self._road_class: IntArray = map_to_road_classes(names)
@@ -237,7 +240,10 @@ class YoloDetector:
         if height is not None and width is not None:
             return height, width
         is_square = self._settings.is_square or any(model.is_square for _, model in self._bound.values())
-        return rectangular_input_hw((1, 1) if is_square else image_hw, size_px=int(self.size.value))
+        shape_hw = (1, 1) if is_square else image_hw
+        if self.area is not None:
+            return input_hw_of_area(shape_hw, area_px2=self.area.value)
+        return rectangular_input_hw(shape_hw, size_px=int(self.size.value))
 
 
 def _check_is_detector(session: OnnxSession) -> None:

@@ -11,6 +11,7 @@ at the far edge.) The half pixel matters: it is 3-4 % of the distance at 100 m o
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,6 +21,9 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray, Image
 
 Placement = Literal["centred", "top-left", "stretch"]
+
+_MAX_LONGER_SIDE = 2.5
+"""Largest longer side of an input, in sides of a square of the same area."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,4 +107,16 @@ def rectangular_input_hw(image_hw: tuple[int, int], *, size_px: int, stride_px: 
     """The smallest input (height, width), divisible by `stride_px`, for an image scaled to a longer side `size_px`."""
     scale = size_px / max(image_hw)
     height, width = (max(-(-round(side * scale) // stride_px) * stride_px, stride_px) for side in image_hw)
+    return height, width
+
+
+def input_hw_of_area(image_hw: tuple[int, int], *, area_px2: float, stride_px: int = 32) -> tuple[int, int]:
+    """The input (height, width), multiples of `stride_px`, with the aspect ratio of an image and about a given area.
+
+    Images of every shape then take the same time, and wide ones, in which road users are small, keep more detail than
+    with a common longer side. The longer side is at most 2.5 times that of a square of the same area.
+    """
+    side_px = math.sqrt(area_px2)
+    scale = min(side_px / math.sqrt(image_hw[0] * image_hw[1]), _MAX_LONGER_SIDE * side_px / max(image_hw))
+    height, width = (max(round(side * scale / stride_px) * stride_px, stride_px) for side in image_hw)
     return height, width

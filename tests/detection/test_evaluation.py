@@ -3,6 +3,7 @@
 import contextlib
 import io
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,7 +67,7 @@ def test_ignored_labels_and_regions():
 def test_incompletely_labelled_images_are_excluded():
     full, part = ImageTruth.of([square(0)], [CAR]), ImageTruth.of([], [])
     complete = np.arange(N) != CAR
-    part = ImageTruth(part.xyxy_px, part.class_id, part.is_ignored, part.is_region, complete)
+    part = replace(part, is_complete=complete)
     detections = Detections.of([square(0)], [0.9], [CAR])
     assert scores([detections, detections], [full, part]).by_class[CAR].precision == 1.0
     assert scores([detections, detections], [full, full]).by_class[CAR].n_images == 2

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
+from track_range.detection.yolo.letterbox import Letterbox, input_hw_of_area, rectangular_input_hw
 
 SIDE = st.integers(1, 3000)
 
@@ -74,6 +74,15 @@ def test_rectangular_input_of_kitti_and_hd():
     assert rectangular_input_hw((720, 1280), size_px=640) == (384, 640)
     assert rectangular_input_hw((1, 1), size_px=640) == (640, 640)
     assert rectangular_input_hw((10, 4000), size_px=640) == (32, 640)
+
+
+def test_input_of_an_area_has_the_aspect_ratio_and_about_the_area():
+    area_px2 = 512 * 384
+    assert input_hw_of_area((480, 640), area_px2=area_px2) == (384, 512)
+    assert input_hw_of_area((375, 1242), area_px2=area_px2) == (256, 800)
+    assert input_hw_of_area((1080, 1920), area_px2=area_px2) == (320, 576)
+    assert input_hw_of_area((1920, 1080), area_px2=area_px2) == (576, 320)
+    assert input_hw_of_area((10, 4000), area_px2=area_px2) == (32, 1120)
 
 
 def test_resize_maps_areas_onto_areas():

@@ -48,6 +48,27 @@ def test_overfitting_eight_images_and_export(drawn, tmp_path, cli):
 
 
 @pytest.mark.train
+def test_road_network(drawn, tmp_path, cli):
+    folder, data = drawn
+    status, printed, complaint = cli(
+        "train", "--data", data, "--model", "road", "--size", 160, "--epochs", 150, "--batch", 4, "--out", tmp_path,
+        "--validate-every", 75, "--gain", 0.9, 1.1, "--mosaic", 0.2, "--last-epochs", 100, "--precision", "float32",
+    )  # fmt: skip
+    assert (status, complaint) == (0, "")
+    assert "RoadNet" in printed
+    assert "bins" in printed
+    figures = tmp_path / "figures.json"
+    status, printed, _ = cli(
+        "evaluate", "detections", "--model", tmp_path / "road.onnx", "--images", folder / "images/train",
+        "--labels", folder / "labels/train", "--label-names", "car,person", "--json", figures,
+    )  # fmt: skip
+    assert status == 0, printed
+    model = json.loads(figures.read_text())["models"]["road"]
+    assert min(model["classes"][name]["ap50"] for name in ("car", "person")) > 0.95
+    assert train(cli, data, tmp_path / "anchors", "--model", "road", "--anchors", "kmeans++")[0] == 1
+
+
+@pytest.mark.train
 def test_resume_and_no_overwriting(drawn, tmp_path, cli):
     _, data = drawn
     assert train(cli, data, tmp_path, "--epochs", 1, "--attention", "cbam", "--anchors", "kmeans++")[0] == 0

@@ -38,6 +38,7 @@ class ImageTruth:
         is_region: (M,) ignored region of many objects: any number of detections match it, by the fraction inside it
             instead of IoU.
         is_complete: (8,) by road class: all objects of the class are labelled; other classes are not evaluated.
+        confidence: (M,) float64 probability that there is such an object: 1 for labels, less for pseudo-labels.
     """
 
     xyxy_px: FloatArray
@@ -45,6 +46,7 @@ class ImageTruth:
     is_ignored: BoolArray
     is_region: BoolArray
     is_complete: BoolArray
+    confidence: FloatArray
 
     def __post_init__(self) -> None:
         n = len(self.class_id)
@@ -53,6 +55,7 @@ class ImageTruth:
         check_shape("is_ignored", self.is_ignored, (n,))
         check_shape("is_region", self.is_region, (n,))
         check_shape("is_complete", self.is_complete, (len(ROAD_CLASSES),))
+        check_shape("confidence", self.confidence, (n,))
 
     @classmethod
     def of(cls, xyxy_px: Any, class_id: Any, *, is_ignored: Any = None, is_region: Any = None) -> ImageTruth:
@@ -61,7 +64,7 @@ class ImageTruth:
         regions = np.zeros(len(ids), np.bool_) if is_region is None else np.asarray(is_region, np.bool_).reshape(-1)
         ignored = np.zeros(len(ids), np.bool_) if is_ignored is None else np.asarray(is_ignored, np.bool_).reshape(-1)
         boxes = np.asarray(xyxy_px, np.float64).reshape(-1, 4)
-        return cls(boxes, ids, ignored | regions | (ids == ANY_CLASS), regions, ALL_COMPLETE)
+        return cls(boxes, ids, ignored | regions | (ids == ANY_CLASS), regions, ALL_COMPLETE, np.ones(len(ids)))
 
 
 def truth_of_kitti(labels: KittiLabels) -> ImageTruth:

@@ -63,6 +63,7 @@ class LabelledPixels:
         xyxy: (M, 4) float64 boxes in corner coordinates (the left edge is 0).
         class_index: (M,) int64 class of the network.
         is_ignored: (M,) detections of the object are neither true nor false positives.
+        confidence: (M,) probability that there is such an object: 1 for labels, less for pseudo-labels.
         is_complete: (2, 2, C) whether each class is completely labelled above and below, left and right of
             `meeting_xy`.
         meeting_xy: (2,) point where the parts of a mosaic meet; any point for a single image.
@@ -72,6 +73,7 @@ class LabelledPixels:
     xyxy: FloatArray
     class_index: IntArray
     is_ignored: BoolArray
+    confidence: FloatArray
     is_complete: BoolArray
     meeting_xy: FloatArray = field(default_factory=lambda: np.zeros(2))
 
@@ -167,8 +169,11 @@ def _combined(
         matrix = _affine(source, part, size_px, settings, rng)
         _paint(source.image, matrix, canvas, part)
         labels.append(_transformed_labels(source, matrix, part))
-    boxes, class_index, ignored = (np.concatenate(column) for column in zip(*labels, strict=True))
-    return LabelledPixels(_coloured(canvas, settings, rng), boxes, class_index, ignored, sources[0].is_complete)
+    return LabelledPixels(
+        _coloured(canvas, settings, rng),
+        *(np.concatenate(column) for column in zip(*labels, strict=True)),
+        is_complete=sources[0].is_complete,
+    )
 
 
 def _paint(image: Image, matrix: FloatArray, canvas: Image, shown: _Part) -> None:
@@ -190,8 +195,8 @@ def _paint(image: Image, matrix: FloatArray, canvas: Image, shown: _Part) -> Non
 
 def _transformed_labels(
     source: LabelledPixels, matrix: FloatArray, part: _Part
-) -> tuple[FloatArray, IntArray, BoolArray]:
-    """Boxes clipped to the part, classes and ignored flags; boxes with a too small visible part are ignored."""
+) -> tuple[FloatArray, IntArray, BoolArray, FloatArray]:
+    """Boxes clipped to the part, classes, ignored flags (also for too small a visible part) and confidences."""
     low, high = source.xyxy[:, None, :2], source.xyxy[:, None, 2:]
     corners = (low + (high - low) * _CORNERS) @ matrix[:, :2].T + matrix[:, 2]
     full = np.concatenate([corners.min(1), corners.max(1)], axis=1).reshape(-1, 4)
@@ -202,7 +207,8 @@ def _transformed_labels(
     share = size.prod(1) / np.maximum(full_size.prod(1), 1e-9)
     is_too_small = (size.min(1, initial=np.inf) < MIN_SIDE_PX) | (share < MIN_SHARE)
     is_visible = size.min(1, initial=np.inf) > 0
-    return boxes[is_visible], source.class_index[is_visible], (source.is_ignored | is_too_small)[is_visible]
+    is_ignored = source.is_ignored | is_too_small
+    return boxes[is_visible], source.class_index[is_visible], is_ignored[is_visible], source.confidence[is_visible]
 
 
 def _coloured(bgr: Image, settings: AugmentationSettings, rng: np.random.Generator) -> Image:

@@ -92,4 +92,5 @@ def _objects(samples: Sequence[LabelledPixels]) -> Objects:
         torch.from_numpy(np.concatenate([sample.class_index for sample in samples])),
         torch.from_numpy(cxcywh.astype(np.float32)),
         torch.from_numpy(np.concatenate([sample.is_ignored for sample in samples])),
+        torch.from_numpy(np.concatenate([sample.confidence for sample in samples]).astype(np.float32)),
     )

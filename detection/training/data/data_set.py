@@ -136,6 +136,7 @@ class CachedImages:
             (truth.xyxy_px[known] + 0.5) * (1.0 if item.is_normalised else self._scale[index]),
             np.maximum(self._index_of[truth.class_id[known]], 0),
             truth.is_ignored[known],
+            truth.confidence[known],
             np.broadcast_to(truth.is_complete[self._road_class_id], (2, 2, len(self._road_class_id))),
         )
 

@@ -8,11 +8,13 @@
     labels: labels              # folder of label files; default: the folder with `images` replaced by `labels`
     manifest: manifest.csv      # columns file, split, labels_complete (which classes are labelled)
     labels_pseudo: teacher      # detections `class cx cy w h score`, used for classes that are not completely labelled
+    pseudo_scores: thresholds   # use of their scores, or `probabilities`
 
 If an entry is another data.yaml, its images of the same split are used; they count as unlabelled for the classes that
 it does not name. Names that are not road classes are ignored. A pseudo-label that does not overlap a label is an object
 if its score is at least 0.5 (cars: 0.4) and its class is not completely labelled in the image; otherwise the box is
-ignored, so that a detection there is neither a true nor a false positive.
+ignored, so that a detection there is neither a true nor a false positive. With `pseudo_scores: probabilities`, each
+one of a class that is not completely labelled is an object whose confidence is its score.
 """
 
 from __future__ import annotations
@@ -85,6 +87,7 @@ class _DataYaml(BaseModel):
     labels: _Path | None = None
     manifest: _Path | None = None
     labels_pseudo: _Path | None = None
+    pseudo_scores: Literal["thresholds", "probabilities"] = "thresholds"
     test: Any = None
     nc: Any = None
     download: Any = None
@@ -210,7 +213,10 @@ class _Reader:
         if self.document.labels_pseudo and split == "train":
             folder = self._folder(self.document.labels_pseudo)
             reader = YoloLabelReader(self.names)
-            items = [_with_pseudo_labels(item, folder / f"{item.path.stem}.txt", reader) for item in items]
+            is_soft = self.document.pseudo_scores == "probabilities"
+            items = [
+                _with_pseudo_labels(item, folder / f"{item.path.stem}.txt", reader, is_soft=is_soft) for item in items
+            ]
         return items
 
     def _listed(self, file: Path, split: str) -> list[LabelledImage]:
@@ -279,15 +285,15 @@ def _background(images: Path, labelled: set[Path]) -> list[LabelledImage]:
     return [LabelledImage(path, empty, True, (_BACKGROUND_NOTE,)) for path in images_in(images) if path not in labelled]
 
 
-def _with_pseudo_labels(item: LabelledImage, file: Path, reader: YoloLabelReader) -> LabelledImage:
-    """The image with the pseudo-labels of a file added to its labels."""
+def _with_pseudo_labels(item: LabelledImage, file: Path, reader: YoloLabelReader, *, is_soft: bool) -> LabelledImage:
+    """The image with the pseudo-labels of a file added to its labels; `is_soft`: their scores are probabilities."""
     if not file.is_file():
         return item
     pseudo, truth = reader.read(file), item.truth
     is_new = iou(pseudo.xyxy, truth.xyxy_px).max(axis=1, initial=0.0) < _SAME_OBJECT_IOU
     pseudo = replace(pseudo, xyxy=pseudo.xyxy[is_new], class_id=pseudo.class_id[is_new], score=pseudo.score[is_new])
     min_score = np.where(pseudo.class_id == ROAD_CLASSES.index("car"), _MIN_CAR_SCORE, _MIN_SCORE)
-    is_object = (pseudo.score >= min_score) & ~truth.is_complete[pseudo.class_id]
+    is_object = (is_soft | (pseudo.score >= min_score)) & ~truth.is_complete[pseudo.class_id]
     boxes = np.concatenate([truth.xyxy_px, pseudo.xyxy])
     combined = ImageTruth(
         boxes,
@@ -295,6 +301,7 @@ def _with_pseudo_labels(item: LabelledImage, file: Path, reader: YoloLabelReader
         np.concatenate([truth.is_ignored, ~is_object]),
         np.concatenate([truth.is_region, np.zeros(len(is_object), np.bool_)]),
         truth.is_complete,
+        np.concatenate([truth.confidence, pseudo.score if is_soft else np.ones(len(is_object))]),
     )
     return replace(item, truth=combined)
 

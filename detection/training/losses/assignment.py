@@ -24,12 +24,14 @@ class Objects:
         class_index: (T,) int64 class of the network.
         cxcywh: (T, 4) float32 centre and size in input pixels.
         is_ignored: (T,) predictions of the object are neither true nor false positives.
+        confidence: (T,) float32 probability that there is such an object: 1 for labels, less for pseudo-labels.
     """
 
     image: Tensor
     class_index: Tensor
     cxcywh: Tensor
     is_ignored: Tensor
+    confidence: Tensor
 
     def to(self, device: torch.device) -> Objects:
         """The objects on another device."""

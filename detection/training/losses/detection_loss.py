@@ -19,7 +19,7 @@ or the teacher detect it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -80,22 +80,8 @@ class Batch:
     teacher: list[TeacherOutputs] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Losses:
-    """The three weighted parts of the loss per image; their sum times the batch size is minimised."""
-
-    box: Tensor
-    objectness: Tensor
-    class_score: Tensor
-
-    @property
-    def total(self) -> Tensor:
-        """Sum of the three losses."""
-        return self.box + self.objectness + self.class_score
-
-    def numbers(self) -> tuple[float, float, float]:
-        """Box, objectness and class loss as floats."""
-        return float(self.box.detach()), float(self.objectness.detach()), float(self.class_score.detach())
+Losses = Mapping[str, Tensor]
+"""The weighted parts of the loss per image by name; their sum times the batch size is minimised."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,11 +129,11 @@ class DetectionLoss:
         box, objectness, class_score = (torch.stack(column).sum() for column in zip(*parts, strict=True))
         height, width = batch.images.shape[2:]
         share = 3 / len(raw)
-        return Losses(
-            _BOX * share * box,
-            _OBJECTNESS * share * (height * width / 640**2) * objectness,
-            _CLASS * share * self._network.n_classes / 80 * class_score,
-        )
+        return {
+            "box": _BOX * share * box,
+            "objectness": _OBJECTNESS * share * (height * width / 640**2) * objectness,
+            "class": _CLASS * share * self._network.n_classes / 80 * class_score,
+        }
 
     def _of_head(
         self, head: int, raw: Tensor, labels: Objects, batch: Batch, teacher: TeacherOutputs | None

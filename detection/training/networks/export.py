@@ -1,7 +1,7 @@
 """Export of a trained network as an .onnx file that `YoloDetector` loads without options.
 
-The graph decodes the boxes (rows of centre, size, objectness and class scores in input pixels, YOLOv5's layout), the
-input size is variable, and the metadata has the attributes that `detection.models.metadata` reads.
+The graph ends with `DetectionNetwork.exported`, the input size is variable, and the metadata has the attributes that
+`detection.models.metadata` reads.
 """
 
 from __future__ import annotations
@@ -16,40 +16,44 @@ import torch
 from torch import Tensor, nn
 
 from track_range.detection.models.writing import atomic_output, silent_conversion
-from track_range.detection.training.networks.network import AnchorNetwork
+from track_range.detection.training.networks.network import DetectionNetwork
 
 _OPSET = 17
 
 
-class _Decoded(nn.Module):
-    """A network with decoded output."""
+class _Exported(nn.Module):
+    """A network with the outputs of its export."""
 
-    def __init__(self, network: AnchorNetwork) -> None:
+    def __init__(self, network: DetectionNetwork) -> None:
         super().__init__()
         self.network = network
 
-    def forward(self, images: Tensor) -> Tensor:
-        """(B, N, 5 + classes) decoded boxes of images (B, 3, H, W)."""
-        return self.network.decode(self.network(images))
+    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
+        """The outputs for images (B, 3, H, W)."""
+        return tuple(self.network.exported(self.network(images)).values())
 
 
-def export_onnx(network: AnchorNetwork, out: Path, metadata: Mapping[str, object]) -> None:
+def export_onnx(network: DetectionNetwork, out: Path, metadata: Mapping[str, object]) -> None:
     """Write a network as an ONNX file with `metadata`, whose values are converted to JSON.
 
     Raises:
         ModelError: the network cannot be converted, or the file cannot be written.
     """
-    decoded = _Decoded(copy.deepcopy(network)).cpu().float().eval()  # the network itself stays on its device
+    exported = _Exported(copy.deepcopy(network)).cpu().float().eval()  # the network itself stays on its device
+    image = torch.zeros(1, 3, 128, 160)
+    with torch.no_grad():
+        names = list(exported.network.exported(exported.network(image)))
+    variable = {"images": {0: "batch", 2: "height", 3: "width"}}
     with atomic_output(out) as folder:
         path = folder / out.name
         with silent_conversion(out, "exported"):
             torch.onnx.export(
-                decoded,
-                (torch.zeros(1, 3, 128, 160),),
+                exported,
+                (image,),
                 str(path),
                 input_names=["images"],
-                output_names=["output0"],
-                dynamic_axes={"images": {0: "batch", 2: "height", 3: "width"}, "output0": {0: "batch", 1: "rows"}},
+                output_names=names,
+                dynamic_axes=variable | {name: {0: "batch", 1: f"rows_of_{name}"} for name in names},
                 opset_version=_OPSET,
                 dynamo=False,
             )

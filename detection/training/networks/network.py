@@ -1,8 +1,9 @@
-"""AnchorNetwork: the base class of YOLO networks with anchors, as used by loss, validation and export."""
+"""DetectionNetwork and AnchorNetwork: base classes of the networks, as used by loss, validation and export."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -10,27 +11,50 @@ from torch import Tensor, nn
 from track_range.detection.models.metadata import Anchors
 
 
-class AnchorNetwork(nn.Module):
-    """A network with several heads, each a grid of cells with A boxes per cell.
+class DetectionNetwork(nn.Module):
+    """A network with several heads, each a grid of cells.
 
     Attributes:
         name: name of the network, such as "yolov5n".
         n_classes: number of classes.
         has_cbam: the backbone has CBAM attention.
-        anchors_px: (heads, A, 2) width and height in input pixels.
         strides_px: side of a cell in pixels for each head, in the order of `forward`'s outputs.
+    """
+
+    strides_px: tuple[int, ...]
+
+    def __init__(self, name: str, n_classes: int, *, has_cbam: bool) -> None:
+        super().__init__()
+        self.name, self.n_classes, self.has_cbam = name, n_classes, has_cbam
+
+    def forward(self, images: Tensor) -> list[Tensor]:
+        """Raw outputs of each head for images (B, 3, H, W), RGB in 0..1, H and W divisible by 32."""
+        raise NotImplementedError
+
+    def decode(self, raw: Sequence[Tensor]) -> Tensor:
+        """(B, N, 5 + classes) centre, size in input pixels, objectness and class scores, from `forward`'s outputs."""
+        raise NotImplementedError
+
+    def exported(self, raw: Sequence[Tensor]) -> dict[str, Tensor]:
+        """Outputs of the exported network by name, from `forward`'s outputs: the decoded boxes."""
+        return {"output0": self.decode(raw)}
+
+
+class AnchorNetwork(DetectionNetwork):
+    """A network with several heads, each a grid of cells with A boxes per cell.
+
+    Attributes:
+        anchors_px: (heads, A, 2) width and height in input pixels.
         reach_cells: largest distance of a predicted centre outside its cell, in cells.
         max_ratio: largest ratio of the sides of a box and its anchor.
     """
 
     anchors_px: Tensor
-    strides_px: tuple[int, ...]
     reach_cells: float
     max_ratio: float = 4.0
 
     def __init__(self, name: str, n_classes: int, *, anchors_px: Anchors, has_cbam: bool) -> None:
-        super().__init__()
-        self.name, self.n_classes, self.has_cbam = name, n_classes, has_cbam
+        super().__init__(name, n_classes, has_cbam=has_cbam)
         self.register_buffer("anchors_px", torch.tensor(anchors_px, dtype=torch.float32))
 
     @property
@@ -57,7 +81,7 @@ class AnchorNetwork(nn.Module):
         raise NotImplementedError
 
     def decode(self, raw: Sequence[Tensor]) -> Tensor:
-        """(B, N, 5 + classes) centre, size in input pixels, objectness and class scores, from `forward`'s outputs.
+        """See `DetectionNetwork`.
 
         The boxes are ordered by head, anchor, row and column, as in YOLOv5's official export.
         """
@@ -80,7 +104,10 @@ class AnchorNetwork(nn.Module):
         return heads
 
 
-def placed(network: AnchorNetwork, device: torch.device) -> AnchorNetwork:
+_Network = TypeVar("_Network", bound=DetectionNetwork)
+
+
+def placed(network: _Network, device: torch.device) -> _Network:
     """The network after moving it to a device, with weights in the memory layout that is fastest for convolutions."""
     network.to(device)
     for parameter in network.parameters():

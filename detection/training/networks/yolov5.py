@@ -38,17 +38,18 @@ class Scale:
 SCALES: Mapping[str, Scale] = {"yolov5n": Scale(0.33, 0.25), "yolov5s": Scale(0.33, 0.50)}
 
 
-class YoloV5(AnchorNetwork):
-    """A YOLOv5 network; see `AnchorNetwork`."""
+class YoloV5Body(nn.Module):
+    """Backbone and path-aggregation neck.
 
-    strides_px = (8, 16, 32)
-    reach_cells = 0.5
+    Attributes:
+        n_channels: channels of the three levels of features.
+    """
 
-    def __init__(self, name: str, n_classes: int, *, anchors_px: Anchors, has_cbam: bool = False) -> None:
-        super().__init__(name, n_classes, anchors_px=anchors_px, has_cbam=has_cbam)
-        scale = SCALES[name]
+    def __init__(self, scale: Scale, *, has_cbam: bool = False) -> None:
+        super().__init__()
         c1, c2, c3, c4, c5 = (_width(n, scale) for n in (64, 128, 256, 512, 1024))
         d1, d2, d3 = (max(round(n * scale.depth), 1) for n in (3, 6, 9))
+        self.n_channels = (c3, c4, c5)
         self.to_p3 = nn.Sequential(
             ConvolutionBlock(3, c1, size=6, stride=2, padding=2),
             ConvolutionBlock(c1, c2, size=3, stride=2),
@@ -69,21 +70,35 @@ class YoloV5(AnchorNetwork):
         self.down_p4 = ConvolutionBlock(c4, c4, size=3, stride=2)
         self.out_p5 = C3(2 * c4, c5, d1, is_residual=False)
         self.up = nn.Upsample(scale_factor=2, mode="nearest")
-        self.heads = nn.ModuleList(
-            background_head(c, self.n_anchors, n_classes, stride_px=stride)
-            for c, stride in zip((c3, c4, c5), self.strides_px, strict=True)
-        )
 
-    def forward(self, images: Tensor) -> list[Tensor]:
-        """See `AnchorNetwork`."""
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Features (B, n, rows, columns) at strides 8, 16 and 32 for images (B, 3, H, W), RGB in 0..1."""
         p3 = self.to_p3(images)
         p4 = self.to_p4(p3)
         top = self.reduce_p5(self.to_p5(p4))
         middle = self.reduce_p4(self.join_p4(torch.cat([self.up(top), p4], 1)))
         out3 = self.out_p3(torch.cat([self.up(middle), p3], 1))
         out4 = self.out_p4(torch.cat([self.down_p3(out3), middle], 1))
-        out5 = self.out_p5(torch.cat([self.down_p4(out4), top], 1))
-        return self.as_heads([head(features) for head, features in zip(self.heads, (out3, out4, out5), strict=True)])
+        return out3, out4, self.out_p5(torch.cat([self.down_p4(out4), top], 1))
+
+
+class YoloV5(AnchorNetwork):
+    """A YOLOv5 network; see `AnchorNetwork`."""
+
+    strides_px = (8, 16, 32)
+    reach_cells = 0.5
+
+    def __init__(self, name: str, n_classes: int, *, anchors_px: Anchors, has_cbam: bool = False) -> None:
+        super().__init__(name, n_classes, anchors_px=anchors_px, has_cbam=has_cbam)
+        self.body = YoloV5Body(SCALES[name], has_cbam=has_cbam)
+        self.heads = nn.ModuleList(
+            background_head(c, self.n_anchors, n_classes, stride_px=stride)
+            for c, stride in zip(self.body.n_channels, self.strides_px, strict=True)
+        )
+
+    def forward(self, images: Tensor) -> list[Tensor]:
+        """See `AnchorNetwork`."""
+        return self.as_heads([head(features) for head, features in zip(self.heads, self.body(images), strict=True)])
 
     def boxes(self, raw: Tensor, cells_xy: Tensor, anchors_px: Tensor, stride_px: int) -> Tensor:
         """See `AnchorNetwork`."""

@@ -8,7 +8,9 @@ def objects(*rows):
     """Rows of class, cx, cy, w, h in the first image."""
     table = torch.tensor(rows, dtype=torch.float32).reshape(-1, 5)
     image = torch.zeros(len(table), dtype=torch.int64)
-    return Objects(image, table[:, 0].long(), table[:, 1:], torch.zeros(len(table), dtype=torch.bool))
+    return Objects(
+        image, table[:, 0].long(), table[:, 1:], torch.zeros(len(table), dtype=torch.bool), torch.ones(len(table))
+    )
 
 
 def cells(assigned):

@@ -26,6 +26,7 @@ def scene(width_px, height_px, *boxes, class_index=0):
         np.array(boxes, np.float64).reshape(-1, 4),
         np.full(n, class_index, np.int64),
         np.zeros(n, np.bool_),
+        np.ones(n),
         np.broadcast_to(np.array([True, class_index % 2 == 0]), (2, 2, 2)),
     )
 
@@ -99,7 +100,7 @@ def test_cut_objects_are_dropped():
 
     source = scene(100, 100, (0, 0, 100, 20), (40, 40, 60, 60), (99, 0, 100, 2))
     matrix = np.array([[1.0, 0, -93], [0, 1.0, 0]])
-    boxes, _, ignored = _transformed_labels(source, matrix, _Part(slice(0, 50), slice(0, 50), (0, 0)))
+    boxes, _, ignored, _ = _transformed_labels(source, matrix, _Part(slice(0, 50), slice(0, 50), (0, 0)))
     assert boxes.tolist() == [[0, 0, 7, 20], [6, 0, 7, 2]]
     assert ignored.tolist() == [True, True]
 

@@ -91,6 +91,7 @@ def test_polygons_become_boxes(tmp_path):
         ({"val": None}, r"data\.yaml: .*'val'"),
         ({"names": None}, r"data\.yaml: .*'names'"),
         ({"names": ["cat", "dog"]}, r"data\.yaml: .*road class"),
+        ({"pseudo_scores": "yes"}, r"data\.yaml: 'pseudo_scores'"),
         ({"format": "coco"}, r"data\.yaml: 'format'"),
         ({"anchors": 3}, r"data\.yaml: 'anchors'"),
         ({"foo": 1, "bar": 2}, r"data\.yaml: '(foo|bar)'"),
@@ -148,6 +149,12 @@ def test_pseudo_labels_of_incomplete_classes(tmp_path):
         True,
     ]  # only cars are incomplete
     assert data.train[1].truth.is_ignored.tolist() == [True, True, True]
+    path.write_text(yaml.safe_dump(document | {"pseudo_scores": "probabilities"}))
+    soft = read_data_yaml(path).train
+    assert soft[0].truth.is_ignored.tolist() == [False, False, True]
+    assert soft[0].truth.confidence.tolist() == [0.45, 0.3, 0.9]
+    assert CachedImages(soft, data.road_class_id).load(0).confidence.tolist() == [0.45, 0.3, 0.9]
+    path.write_text(yaml.safe_dump(document))
     assert len(data.val) == 1
     assert not any("not in the manifest" in note for note in data.notes)
     (tmp_path / "images/train/new.png").write_bytes((tmp_path / "images/train/000.png").read_bytes())

@@ -6,14 +6,20 @@ from tests.detection.onnx_models import write_model
 from track_range.detection.detections import Detections
 from track_range.detection.models.onnx_session import ModelError, OnnxSession
 from track_range.detection.training.networks.export import export_onnx
+from track_range.detection.training.networks.network import AnchorNetwork
 from track_range.detection.training.networks.onnx_weights import yolov5_of_export
 from track_range.detection.training.networks.registry import NETWORKS, make_network
+from track_range.detection.training.networks.road_net import RoadNetHead
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 
 ROAD = ["person", "bicycle", "car", "motorcycle", "bus", "truck", "traffic light", "traffic sign"]
 
 
-EXPORTED = [pytest.param(name, marks=pytest.mark.train if name == "yolov5s" else ()) for name in NETWORKS]
+EXPORTED = [
+    pytest.param(name, marks=pytest.mark.train if name == "yolov5s" else ())
+    for name, kind in NETWORKS.items()
+    if kind.anchors_px
+]
 """YOLOv5s differs from YOLOv5n in its width and depth only; its export takes longer."""
 
 
@@ -30,7 +36,11 @@ def random_network(name, **options):
             if isinstance(module, torch.nn.BatchNorm2d):
                 module.running_mean.normal_(0, 0.1)
                 module.running_var.uniform_(0.5, 1.5)
-        for head in network.heads:
+        for head in (module for module in network.modules() if isinstance(module, RoadNetHead)):
+            head.scores.weight.mul_(30)
+            head.bins.weight.mul_(20)
+            head.scores.bias.add_(2)
+        for head in network.heads if isinstance(network, AnchorNetwork) else ():
             head.weight.mul_(20)
             head.bias.view(network.n_anchors, -1)[:, 4] += 3
     return network.eval()
@@ -83,6 +93,28 @@ def test_detector_loads_export_without_options(tmp_path, name):
     assert len(detections) > 0
     assert (detector.model.family, detector.input_hw) == (NETWORKS[name].family, (96, 96))
     assert detector.model.names == tuple(ROAD)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hw", [(96, 160), (64, 64)])  # the coarsest level has ceil(h / 64) rows
+def test_detector_decodes_the_export_of_the_road_network(tmp_path, hw):
+    network = random_network("road")
+    path = tmp_path / "road.onnx"
+    input_format = {"letterbox": "centred-114", "mean": [0, 0, 0], "std": [1, 1, 1]}
+    export_onnx(network, path, {"family": "RoadNet", "names": ROAD, **input_format, "size": max(hw)})
+    detector = YoloDetector(path, YoloSettings(min_score=0.3))
+    image = np.random.default_rng(0).integers(0, 255, (*hw, 3), dtype=np.uint8)
+    detector.fill(image)
+    candidates = detector.model.decoder.decode(detector.infer(), np.full(8, 0.3))
+    with torch.no_grad():
+        images = torch.from_numpy(detector.input_blob(image))
+        rows = network.decode(network(images))[0].numpy()
+    rows = rows[rows[:, 5:].max(1) >= 0.3]
+    assert (detector.model.family, detector.input_hw, len(rows) > 20) == ("RoadNet", hw, True)
+    low, high = rows[:, :2] - rows[:, 2:4] / 2, rows[:, :2] + rows[:, 2:4] / 2
+    expected = np.concatenate([low, high], 1).clip(0, [hw[1], hw[0]] * 2)
+    assert np.abs(candidates.xyxy_net - expected).max() < 1e-2
+    assert np.abs(candidates.score - rows[:, 5:].max(1)).max() < 1e-5
 
 
 def test_import_of_official_export(tmp_path):

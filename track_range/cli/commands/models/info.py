@@ -75,7 +75,10 @@ def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
     shape = ", ".join("any" if side is None else str(side) for side in session.input_shape)
     yield "input", f"[{shape}] {session.input_dtype.__name__}", _rectangular(detector)
     if None in session.input_shape[2:]:
-        yield "size", str(detector.size.value), detector.size.source
+        if detector.area is None:
+            yield "size", str(detector.size.value), detector.size.source
+        else:
+            yield "area", f"{detector.area.value:.0f} pixels", detector.area.source
     for key in ("letterbox", "colours", "divisor", "mean", "std", "anchors", "scale_x_y", "scores"):
         if key in model.attributes and model.attributes[key].value != _IDENTITY.get(key):
             yield key, _text(model.attributes[key].value), model.attributes[key].source

@@ -13,6 +13,7 @@ from track_range.detection.formats.image_labels.labelled_images import LabelledI
 from track_range.detection.models.metadata import Anchors
 from track_range.detection.training.data.data_set import CachedImages
 from track_range.detection.training.data.data_yaml import TrainingData, read_data_yaml
+from track_range.detection.training.errors import TrainingError
 from track_range.detection.training.networks.anchors import as_text, by_head, kmeans_anchors, mean_best_iou
 from track_range.detection.training.networks.registry import NETWORKS
 from track_range.foundation.arrays import FloatArray
@@ -38,7 +39,7 @@ def print_anchors(options: AnchorOptions) -> None:
     sizes = read_images(data.train, data, max_side_px=size_px).box_sizes_px(size_px)
     if not len(sizes):
         raise LabelFileError(f"{options.data}: expected labelled objects in the training images, found none.")
-    for kind in NETWORKS.values():
+    for kind in (kind for kind in NETWORKS.values() if kind.anchors_px):
         default = np.array(kind.anchors_px, np.float64).reshape(-1, 2)
         print_line(
             console,
@@ -75,8 +76,11 @@ def fitted_anchors(images: CachedImages, model: str, size_px: int, seed: int) ->
 
     Raises:
         LabelFileError: there are too few boxes.
+        TrainingError: the network has no anchors.
     """
     kind = NETWORKS[model]
+    if not kind.anchors_px:
+        raise TrainingError(f"--anchors kmeans++: expected a --model with anchors, got {model}, which has none.")
     sizes = images.box_sizes_px(size_px)
     fitted = _kmeans(sizes, kind.n_anchors, seed)
     default_iou = mean_best_iou(sizes, np.array(kind.anchors_px, np.float64).reshape(-1, 2))

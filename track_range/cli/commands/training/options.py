@@ -49,7 +49,10 @@ class TrainOptions(Options):
     """Options of `track-range train`."""
 
     data: _Data
-    model: Annotated[Literal["yolov5n", "yolov5s", "yolov4-tiny"], option("Network to train.", panel=_DATA)] = "yolov5n"
+    model: Annotated[
+        Literal["road", "yolov5n", "yolov5s", "yolov4-tiny"],
+        option("Network to train; road = that of the packaged detector.", panel=_DATA),
+    ] = "yolov5n"
     size_px: _Size = 416
     n_epochs: Annotated[int, option("Number of epochs.", flag="--epochs", panel=_TRAINING, ge=1)] = 100
     batch_size: Annotated[
@@ -118,6 +121,10 @@ class TrainOptions(Options):
             le=1.0,
         ),
     ] = 0.9
+    last_epochs: Annotated[
+        int,
+        option("Number of epochs at the end without mosaics.", metavar="N", panel=_TRAINING, ge=0),
+    ] = 0
     precision: Annotated[
         Literal["auto", "float32", "bfloat16", "float16"],
         option("Number format for training; auto = the fastest on the device.", panel=_TRAINING),

@@ -20,6 +20,7 @@ from track_range.detection.training.data.data_yaml import TrainingData, read_dat
 from track_range.detection.training.errors import TrainingError
 from track_range.detection.training.losses.detection_loss import Losses
 from track_range.detection.training.networks.export import export_onnx
+from track_range.detection.training.networks.network import AnchorNetwork
 from track_range.detection.training.networks.registry import NETWORKS, make_network
 from track_range.detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint
 from track_range.detection.training.schedule import SGD, ScheduleSettings
@@ -144,8 +145,7 @@ class _Display:
 
     def step(self, epoch: int, i: int, n: int, losses: Losses) -> None:
         """Implements `Listener`."""
-        box, objectness, class_score = losses.numbers()
-        text = f"box {box:.4f} objectness {objectness:.4f} class {class_score:.4f}"
+        text = " ".join(f"{name} {float(loss.detach()):.4f}" for name, loss in losses.items())
         self._move(f"epoch {epoch + 1} of {self._n_epochs}", i, n, text)
 
     def validated(self, epoch: int, i: int, n: int) -> None:
@@ -157,7 +157,8 @@ class _Display:
         self._minutes.append(row["minutes"])
         left = (self._n_epochs - row["epoch"]) * float(np.median(self._minutes))
         figures = f"AP50 {100 * row['ap50']:.1f} %, AP50-95 {100 * row['ap50_95']:.1f} %, " if "ap50" in row else ""
-        losses = f"box {row['loss_box']:.4f}, objectness {row['loss_objectness']:.4f}, class {row['loss_class']:.4f}"
+        parts = [(key.removeprefix("loss_"), loss) for key, loss in row.items() if key.startswith("loss_")]
+        losses = ", ".join(f"{name} {loss:.4f}" for name, loss in parts)
         text = f"epoch {row['epoch']:.0f}/{self._n_epochs}: {figures}losses: {losses}; {_duration(row['minutes'])}"
         print_line(console, f"{text}, {_duration(left)} left")
         self._draw()
@@ -184,6 +185,7 @@ def _settings(options: TrainOptions) -> TrainingSettings:
         validate_every=options.validate_every,
         schedule=schedule,
         augmentation=AugmentationSettings(mosaic=options.mosaic, min_gain=options.gain[0], max_gain=options.gain[1]),
+        n_last_epochs=options.last_epochs,
     )
 
 
@@ -215,12 +217,15 @@ def _metadata(options: TrainOptions, data: TrainingData, training: Training) -> 
         "letterbox": "centred-114",
         "colours": "rgb",
         "divisor": 255,
+        "mean": [0.0, 0.0, 0.0],
+        "std": [1.0, 1.0, 1.0],
         "size": options.size_px,
-        "trained_anchors": network.anchors_px.tolist(),
         "data": options.data.stem if options.data.stem != "data" else options.data.absolute().parent.name,
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "epochs": len(training.history),
     }
+    if isinstance(network, AnchorNetwork):
+        about["trained_anchors"] = network.anchors_px.tolist()
     return about | ({"licence": options.licence} if options.licence else {})
 
 
