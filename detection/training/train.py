@@ -207,7 +207,7 @@ class Training:
         with torch.autocast(device.type, settings.dtype, settings.precision != "float32"):
             raw = self.network(images)
         losses = self._loss([head.float() for head in raw], batch)
-        torch.autograd.backward(self._scaler.scale(sum(losses.values()) * len(images)))
+        torch.autograd.backward(self._scaler.scale(torch.stack(list(losses.values())).sum() * len(images)))
         self._scaler.unscale_(self._optimiser)
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), _MAX_GRADIENT)
         self._scaler.step(self._optimiser)

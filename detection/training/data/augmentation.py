@@ -169,11 +169,9 @@ def _combined(
         matrix = _affine(source, part, size_px, settings, rng)
         _paint(source.image, matrix, canvas, part)
         labels.append(_transformed_labels(source, matrix, part))
-    return LabelledPixels(
-        _coloured(canvas, settings, rng),
-        *(np.concatenate(column) for column in zip(*labels, strict=True)),
-        is_complete=sources[0].is_complete,
-    )
+    boxes, class_index, ignored, confidence = (np.concatenate(column) for column in zip(*labels, strict=True))
+    image = _coloured(canvas, settings, rng)
+    return LabelledPixels(image, boxes, class_index, ignored, confidence, sources[0].is_complete)
 
 
 def _paint(image: Image, matrix: FloatArray, canvas: Image, shown: _Part) -> None:

@@ -9,12 +9,14 @@
     manifest: manifest.csv      # columns file, split, labels_complete (which classes are labelled)
     labels_pseudo: teacher      # detections `class cx cy w h score`, used for classes that are not completely labelled
     pseudo_scores: thresholds   # use of their scores, or `probabilities`
+    pseudo_names: [person, ...] # with probabilities: the classes that the detector knows; default: all names
 
 If an entry is another data.yaml, its images of the same split are used; they count as unlabelled for the classes that
 it does not name. Names that are not road classes are ignored. A pseudo-label that does not overlap a label is an object
 if its score is at least 0.5 (cars: 0.4) and its class is not completely labelled in the image; otherwise the box is
 ignored, so that a detection there is neither a true nor a false positive. With `pseudo_scores: probabilities`, each
-one of a class that is not completely labelled is an object whose confidence is its score.
+one of a class that is not completely labelled is an object whose confidence is its score, and the classes that the
+detector knows count as completely labelled.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ from track_range.detection.formats.image_labels.labelled_images import (
     read_manifest,
 )
 from track_range.detection.formats.image_labels.yolo_labels import YoloLabelReader, names_in
-from track_range.foundation.arrays import IntArray
+from track_range.foundation.arrays import BoolArray, IntArray
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, real_path, shortened
 from track_range.foundation.files.structured_text import read_yaml
 from track_range.foundation.validation import validated
@@ -88,6 +90,7 @@ class _DataYaml(BaseModel):
     manifest: _Path | None = None
     labels_pseudo: _Path | None = None
     pseudo_scores: Literal["thresholds", "probabilities"] = "thresholds"
+    pseudo_names: list[str] | None = None
     test: Any = None
     nc: Any = None
     download: Any = None
@@ -212,12 +215,24 @@ class _Reader:
             items = of_split(items, manifest, split)
         if self.document.labels_pseudo and split == "train":
             folder = self._folder(self.document.labels_pseudo)
-            reader = YoloLabelReader(self.names)
-            is_soft = self.document.pseudo_scores == "probabilities"
-            items = [
-                _with_pseudo_labels(item, folder / f"{item.path.stem}.txt", reader, is_soft=is_soft) for item in items
-            ]
+            reader, known = YoloLabelReader(self.names), self._known_classes()
+            items = [_with_pseudo_labels(item, folder / f"{item.path.stem}.txt", reader, known) for item in items]
         return items
+
+    def _known_classes(self) -> BoolArray | None:
+        """(8,) road classes of the detector that made the pseudo-labels; None = their scores are no probabilities.
+
+        Raises:
+            LabelFileError: a name is not one of the road classes.
+        """
+        if self.document.pseudo_scores != "probabilities":
+            return None
+        names = self.names if self.document.pseudo_names is None else self.document.pseudo_names
+        road = map_to_road_classes(names)
+        if self.document.pseudo_names is not None and (road < 0).any():
+            name = names[int((road < 0).argmax())]
+            raise LabelFileError(f"{self.path}: pseudo_names: expected road classes, found {quoted(name)}.")
+        return np.isin(np.arange(len(ROAD_CLASSES)), road)
 
     def _listed(self, file: Path, split: str) -> list[LabelledImage]:
         """The images listed in a text file, with paths relative to the file or to the root."""
@@ -285,11 +300,23 @@ def _background(images: Path, labelled: set[Path]) -> list[LabelledImage]:
     return [LabelledImage(path, empty, True, (_BACKGROUND_NOTE,)) for path in images_in(images) if path not in labelled]
 
 
-def _with_pseudo_labels(item: LabelledImage, file: Path, reader: YoloLabelReader, *, is_soft: bool) -> LabelledImage:
-    """The image with the pseudo-labels of a file added to its labels; `is_soft`: their scores are probabilities."""
+def _with_pseudo_labels(
+    item: LabelledImage, file: Path, reader: YoloLabelReader, known: BoolArray | None
+) -> LabelledImage:
+    """The image with the pseudo-labels of a file added to its labels.
+
+    Args:
+        item: the image.
+        file: the pseudo-labels; if it does not exist, there are none.
+        reader: reader of the file.
+        known: (8,) classes that count as completely labelled with them, whose scores are probabilities; None = scores
+            are compared with thresholds.
+    """
+    truth, is_soft = item.truth, known is not None
+    is_complete = truth.is_complete if known is None else truth.is_complete | known
     if not file.is_file():
-        return item
-    pseudo, truth = reader.read(file), item.truth
+        return replace(item, truth=replace(truth, is_complete=is_complete))
+    pseudo = reader.read(file)
     is_new = iou(pseudo.xyxy, truth.xyxy_px).max(axis=1, initial=0.0) < _SAME_OBJECT_IOU
     pseudo = replace(pseudo, xyxy=pseudo.xyxy[is_new], class_id=pseudo.class_id[is_new], score=pseudo.score[is_new])
     min_score = np.where(pseudo.class_id == ROAD_CLASSES.index("car"), _MIN_CAR_SCORE, _MIN_SCORE)
@@ -300,7 +327,7 @@ def _with_pseudo_labels(item: LabelledImage, file: Path, reader: YoloLabelReader
         np.concatenate([truth.class_id, pseudo.class_id]),
         np.concatenate([truth.is_ignored, ~is_object]),
         np.concatenate([truth.is_region, np.zeros(len(is_object), np.bool_)]),
-        truth.is_complete,
+        is_complete,
         np.concatenate([truth.confidence, pseudo.score if is_soft else np.ones(len(is_object))]),
     )
     return replace(item, truth=combined)

@@ -2,9 +2,9 @@
 
     a = s u^6        s: score of the object's class, u: IoU of the predicted box and the object, for every cell
 
-The 10 cells with the largest a among those whose centre is inside the object's box are its positives; a cell of several
-objects belongs to the one with the largest u. Around objects smaller than a cell, centres within one cell count as
-inside. The target of a positive's class score is
+The 10 cells with the largest a among those whose centre is inside the object's box are its positives; the box of a cell
+of several objects is that of the one with the largest u. Around objects smaller than a cell, centres within one cell
+count as inside. The target of a positive's class score is
 
     t = (a / largest a of the object) (largest u of the object)
 
@@ -34,12 +34,18 @@ class AlignedCells:
         image, cell: (P,) int64 index of the image and of the cell among the N cells of all levels.
         object_index: (P,) int64 index of the object.
         target: (P,) target of the score of the object's class, 0..1.
+        has_box: (P,) the target of the cell's box is this object's; false for all but one of the objects of a cell.
     """
 
     image: Tensor
     cell: Tensor
     object_index: Tensor
     target: Tensor
+    has_box: Tensor
+
+    def select(self, index: Tensor) -> AlignedCells:
+        """The cells that indices or a mask (P,) select."""
+        return AlignedCells(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
 
 @torch.no_grad()
@@ -78,9 +84,8 @@ def assign_aligned(
     order = torch.argsort(u, stable=True)  # the last write, of the largest overlap, wins
     owner = torch.full((len(scores) * len(centre_px),), -1, device=key.device)
     owner[key[order]] = order
-    kept = owner[key] == torch.arange(len(key), device=key.device)
-    object_index, rank, cell = object_index[kept], rank[kept], cell[kept]
-    return AlignedCells(objects.image[object_index], cell, object_index, target[object_index, rank])
+    has_box = owner[key] == torch.arange(len(key), device=key.device)
+    return AlignedCells(objects.image[object_index], cell, object_index, target[object_index, rank], has_box)
 
 
 def pair_iou(a: Tensor, b: Tensor) -> Tensor:

@@ -2,14 +2,15 @@
 
     loss = batch * (7.5 box + 1.5 bins + 0.5 class)
 
-    class   sum over cells and classes of the binary cross-entropy; the target is t, see `aligned_assignment`, times the
-            confidence of the object: 1 for labels, the probability of being right for pseudo-labels
-    box     sum over positive cells of t (1 - CIoU)
-    bins    sum over positive cells and sides of t (-(k + 1 - d) log P(k) - (d - k) log P(k + 1)), d = distance in
-            cells, k = floor(d)
+    class   sum over cells and classes of the binary cross-entropy; the target is w
+    box     sum over positive cells of w (1 - CIoU)
+    bins    sum over positive cells of w (-(k + 1 - d) log P(k) - (d - k) log P(k + 1)), mean over the four sides,
+            d = distance in cells, k = floor(d)
 
-Each sum is divided by the sum of all t. A class that is not completely labelled contributes only a fraction to cells
-that are not its positives, since an unlabelled object may be there; cells inside an ignored box contribute nothing.
+w is the target of `aligned_assignment` times the confidence of the object: 1 for labels, the probability of being right
+for pseudo-labels. Each sum is divided by the sum of all w. A class that is not completely labelled contributes only a
+fraction to cells that are not its positives, since an unlabelled object may be there; cells inside an ignored box
+contribute nothing.
 
 (Weights: Jocher et al., "YOLOv8"; bins: Li et al., "Generalized Focal Loss", 2020, equation 6, "distribution focal
 loss".)
@@ -24,8 +25,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits as cross_entrop
 from track_range.detection.training.losses.aligned_assignment import assign_aligned
 from track_range.detection.training.losses.box_losses import BOX_LOSSES, BoxLoss
 from track_range.detection.training.losses.detection_loss import Batch, Losses
-from track_range.detection.training.networks.network import cells_xy
-from track_range.detection.training.networks.road_net import N_BINS, RoadNet, split_outputs
+from track_range.detection.training.networks.road_net import N_BINS, RoadNet, boxes_of, cxcywh_of, split_outputs
 
 _BOX, _BINS, _CLASS = 7.5, 1.5, 0.5
 
@@ -40,64 +40,61 @@ class AlignedLoss:
 
     def __call__(self, raw: list[Tensor], batch: Batch) -> Losses:
         """The losses of the network's outputs `raw` for a batch."""
-        strides = self._network.strides_px
-        centre = torch.cat(
-            [
-                (cells_xy(o.shape[1], o.shape[2], device=o.device).flatten(0, 1) + 0.5) * s
-                for o, s in zip(raw, strides, strict=True)
-            ]
-        )
-        stride = torch.cat(
-            [
-                torch.full((o.shape[1] * o.shape[2],), float(s), device=o.device)
-                for o, s in zip(raw, strides, strict=True)
-            ]
-        )
-        outputs = torch.cat([o.flatten(1, 2) for o in raw], 1).float()
+        outputs = torch.cat([output.flatten(1, 2) for output in raw], 1).float()
+        centre_px, stride_px = self._network.cells_px([(o.shape[1], o.shape[2]) for o in raw], device=outputs.device)
+        labels = batch.objects.select(~batch.objects.is_ignored)
         with torch.no_grad():
             logits, distances = split_outputs(outputs)
-            low, high = (centre - distances[..., :2] * stride[:, None], centre + distances[..., 2:] * stride[:, None])
-            scores = logits.sigmoid()
-        labels = batch.objects.select(~batch.objects.is_ignored)
-        positives = assign_aligned(labels, scores, torch.cat([low, high], -1), centre, stride)
-        index, cell, which = positives.image, positives.cell, positives.object_index
-        weight = positives.target * labels.confidence[which]
-        total = weight.sum().clamp(min=1.0)
+            xyxy_px = boxes_of(distances, centre_px, stride_px)
+            cells = assign_aligned(labels, logits.sigmoid(), xyxy_px, centre_px, stride_px)
+        weight = cells.target * labels.confidence[cells.object_index]
+        total = weight[cells.has_box].sum().clamp(min=1.0)
 
         target = torch.zeros_like(logits)
-        target[index, cell, labels.class_index[which]] = weight
+        n_cells, n_classes = logits.shape[1:]
+        column = labels.class_index[cells.object_index] + n_classes * (cells.cell + n_cells * cells.image)
+        target.view(-1).scatter_reduce_(0, column, weight, "amax")
         entropy = cross_entropy(outputs[..., : logits.shape[-1]], target, reduction="none")
-        class_score = (entropy * self._class_weight(batch, centre, target)).sum() / total
+        class_score = (entropy * self._class_weight(batch, centre_px, target)).sum()
 
-        here, side = outputs[index, cell], stride[cell][:, None]
-        _, distance = split_outputs(here)
-        box_low = centre[cell] - distance[:, :2] * side
-        box_high = centre[cell] + distance[:, 2:] * side
-        truth = labels.cxcywh[which]
-        overlap = self._overlap(torch.cat([(box_low + box_high) / 2, box_high - box_low], 1), truth)
-        box = ((1 - overlap) * weight).sum() / total
+        cells, weight = cells.select(cells.has_box), weight[cells.has_box]
+        truth, centre_px, stride_px = labels.cxcywh[cells.object_index], centre_px[cells.cell], stride_px[cells.cell]
+        predicted = outputs[cells.image, cells.cell]
+        overlap = self._overlap(cxcywh_of(boxes_of(split_outputs(predicted)[1], centre_px, stride_px)), truth)
+        box = ((1 - overlap) * weight).sum()
+        bins = (_bins_loss(predicted[:, -4 * N_BINS :], truth, centre_px, stride_px) * weight).sum()
+        return {"box": _BOX * box / total, "bins": _BINS * bins / total, "class": _CLASS * class_score / total}
 
-        low_side = centre[cell] - (truth[:, :2] - truth[:, 2:] / 2)
-        high_side = truth[:, :2] + truth[:, 2:] / 2 - centre[cell]
-        d = (torch.cat([low_side, high_side], 1) / side).clamp(0, N_BINS - 1.01)
-        log_p = here[:, -4 * N_BINS :].unflatten(-1, (4, N_BINS)).log_softmax(-1)
-        k = d.floor().long()[..., None]
-        upper = d - k[..., 0]
-        bins = -(1 - upper) * log_p.gather(-1, k)[..., 0] - upper * log_p.gather(-1, k + 1)[..., 0]
-        bins = (bins.mean(1) * weight).sum() / total
-        return {"box": _BOX * box, "bins": _BINS * bins, "class": _CLASS * class_score}
-
-    def _class_weight(self, batch: Batch, centre: Tensor, target: Tensor) -> Tensor:
+    def _class_weight(self, batch: Batch, centre_px: Tensor, target: Tensor) -> Tensor:
         """(B, N, C) weight of each cell and class in the class loss."""
-        right_below = (centre[None] >= batch.complete.meeting_xy[:, None]).long()  # (B, N, 2)
+        right_below = (centre_px[None] >= batch.complete.meeting_xy[:, None]).long()  # (B, N, 2)
         image = torch.arange(len(target), device=target.device)[:, None]
         complete = batch.complete.flags[image, right_below[..., 1], right_below[..., 0]]
         weight = torch.where(complete | (target > 0), 1.0, self._incomplete_weight)
         ignored = batch.objects.select(batch.objects.is_ignored)
         if len(ignored.image):
-            inside = ((centre - ignored.cxcywh[:, None, :2]).abs() < ignored.cxcywh[:, None, 2:] / 2).all(-1)
-            is_ignored = (
-                torch.zeros(target.shape[:2], device=target.device).index_add_(0, ignored.image, inside.float()) > 0
-            )
-            weight = torch.where(is_ignored[..., None] & (target == 0), 0.0, weight)
+            is_inside = ((centre_px - ignored.cxcywh[:, None, :2]).abs() < ignored.cxcywh[:, None, 2:] / 2).all(-1)
+            n_inside = torch.zeros(target.shape[:2], device=target.device)
+            n_inside.index_add_(0, ignored.image, is_inside.float())
+            weight = torch.where((n_inside > 0)[..., None] & (target == 0), 0.0, weight)
         return weight
+
+
+def _bins_loss(bins: Tensor, truth_cxcywh: Tensor, centre_px: Tensor, stride_px: Tensor) -> Tensor:
+    """(P,) distribution focal loss, mean over the sides, of P cells.
+
+    Args:
+        bins: (P, 4 bins) logits.
+        truth_cxcywh: (P, 4) true boxes.
+        centre_px: (P, 2) centres of the cells.
+        stride_px: (P,) sides of the cells.
+    """
+    half = truth_cxcywh[:, 2:] / 2
+    from_centre_px = truth_cxcywh[:, :2] - centre_px
+    distance = torch.cat([half - from_centre_px, half + from_centre_px], 1) / stride_px[:, None]
+    distance = distance.clamp(0, N_BINS - 1.01)
+    k = distance.floor().long()[..., None]
+    log_p = bins.reshape(-1, 4, N_BINS).log_softmax(-1)
+    upper = distance - k[..., 0]
+    entropy = -(1 - upper) * log_p.gather(-1, k)[..., 0] - upper * log_p.gather(-1, k + 1)[..., 0]
+    return entropy.mean(1)

@@ -60,15 +60,18 @@ class RoadNet(DetectionNetwork):
 
     def decode(self, raw: Sequence[Tensor]) -> Tensor:
         """See `DetectionNetwork`; the objectness is 1, since class scores are complete without it."""
-        rows = []
-        for output, stride_px in zip(raw, self.strides_px, strict=True):
-            n_rows, n_columns = output.shape[1:3]
-            scores, distances = split_outputs(output)
-            centre = (cells_xy(n_rows, n_columns, device=output.device) + 0.5) * stride_px
-            low, high = centre - distances[..., :2] * stride_px, centre + distances[..., 2:] * stride_px
-            parts = [(low + high) / 2, high - low, torch.ones_like(low[..., :1]), scores.sigmoid()]
-            rows.append(torch.cat(parts, -1).flatten(1, 2))
-        return torch.cat(rows, 1)
+        outputs = torch.cat([output.flatten(1, 2) for output in raw], 1)
+        centre_px, stride_px = self.cells_px([(o.shape[1], o.shape[2]) for o in raw], device=outputs.device)
+        logits, distances = split_outputs(outputs)
+        cxcywh = cxcywh_of(boxes_of(distances, centre_px, stride_px))
+        return torch.cat([cxcywh, torch.ones_like(cxcywh[..., :1]), logits.sigmoid()], -1)
+
+    def cells_px(self, grids_hw: Sequence[tuple[int, int]], *, device: torch.device) -> tuple[Tensor, Tensor]:
+        """Centres (N, 2) and sides (N,) in input pixels of the cells of all levels with these rows and columns."""
+        grids = [cells_xy(*hw, device=device).flatten(0, 1) for hw in grids_hw]
+        parts = list(zip(grids, self.strides_px, strict=True))
+        sides = [torch.full((len(grid),), float(stride), device=device) for grid, stride in parts]
+        return torch.cat([(grid + 0.5) * stride for grid, stride in parts]), torch.cat(sides)
 
     def exported(self, raw: Sequence[Tensor]) -> dict[str, Tensor]:
         """Scores (B, n, C) and logits of the bins (B, n, 4 bins) of each level with n cells: PicoDet's layout.
@@ -83,9 +86,21 @@ class RoadNet(DetectionNetwork):
 
 def split_outputs(raw: Tensor) -> tuple[Tensor, Tensor]:
     """Logits of the classes (..., C) and distances (..., 4) in cells, from raw outputs (..., C + 4 bins)."""
-    bins = raw[..., -4 * N_BINS :].unflatten(-1, (4, N_BINS))
+    bins = raw[..., -4 * N_BINS :].reshape(*raw.shape[:-1], 4, N_BINS)
     values = torch.arange(N_BINS, device=raw.device, dtype=raw.dtype)
     return raw[..., : -4 * N_BINS], bins.softmax(-1) @ values
+
+
+def boxes_of(distances: Tensor, centre_px: Tensor, stride_px: Tensor) -> Tensor:
+    """(..., 4) corners in pixels of boxes, from distances (..., 4) in cells, centres (..., 2) and sides (...)."""
+    distances_px = distances * stride_px[..., None]
+    return torch.cat([centre_px - distances_px[..., :2], centre_px + distances_px[..., 2:]], -1)
+
+
+def cxcywh_of(xyxy_px: Tensor) -> Tensor:
+    """(..., 4) centres and sizes of boxes, from their corners (..., 4)."""
+    low, high = xyxy_px[..., :2], xyxy_px[..., 2:]
+    return torch.cat([(low + high) / 2, high - low], -1)
 
 
 class RoadNetHead(nn.Module):

@@ -10,7 +10,7 @@ from track_range.detection.training.losses.assignment import Objects
 from track_range.detection.training.losses.detection_loss import Batch, Completeness
 from track_range.detection.training.networks.network import cells_xy
 from track_range.detection.training.networks.registry import make_network
-from track_range.detection.training.networks.road_net import N_BINS
+from track_range.detection.training.networks.road_net import N_BINS, boxes_of, split_outputs
 
 SIDE = 128
 STRIDES = (8, 16, 32, 64)
@@ -103,8 +103,10 @@ def test_a_cell_belongs_to_the_object_with_the_largest_overlap():
     boxes = torch.tensor([20.0, 20.0, 84.0, 84.0]).expand(1, len(centre), 4)
     both = objects((0, 52.0, 52.0, 64.0, 64.0), (1, 52.0, 52.0, 48.0, 48.0))
     cells = assign_aligned(both, torch.full((1, len(centre), 2), 0.5), boxes, centre, stride)
-    assert len(set(cells.cell.tolist())) == len(cells.cell)
-    assert (cells.object_index == 0).sum() == 10
+    owned = cells.select(cells.has_box)
+    assert len(set(owned.cell.tolist())) == len(owned.cell) == len(set(cells.cell.tolist()))
+    assert (owned.object_index == 0).sum() == 10
+    assert (cells.object_index == 1).sum() == 10  # the class of the other object is a target of its cells too
 
 
 def test_perfect_predictions_have_no_loss_and_others_have(network):
@@ -173,10 +175,6 @@ def test_score_that_minimises_the_loss_is_the_confidence_times_the_overlap(netwo
 
 
 def _predicted(raw):
-    from track_range.detection.training.networks.road_net import split_outputs
-
     flat = torch.cat([head.flatten(1, 2) for head in raw], 1).detach()
     logits, distance = split_outputs(flat)
-    centre, stride = centres()
-    boxes = torch.cat([centre - distance[..., :2] * stride[:, None], centre + distance[..., 2:] * stride[:, None]], -1)
-    return logits.sigmoid(), boxes
+    return logits.sigmoid(), boxes_of(distance, *centres())

@@ -92,6 +92,7 @@ def test_polygons_become_boxes(tmp_path):
         ({"names": None}, r"data\.yaml: .*'names'"),
         ({"names": ["cat", "dog"]}, r"data\.yaml: .*road class"),
         ({"pseudo_scores": "yes"}, r"data\.yaml: 'pseudo_scores'"),
+        ({"pseudo_scores": "probabilities", "pseudo_names": ["cat"], "labels_pseudo": "."}, r"pseudo_names: .*cat"),
         ({"format": "coco"}, r"data\.yaml: 'format'"),
         ({"anchors": 3}, r"data\.yaml: 'anchors'"),
         ({"foo": 1, "bar": 2}, r"data\.yaml: '(foo|bar)'"),
@@ -151,6 +152,7 @@ def test_pseudo_labels_of_incomplete_classes(tmp_path):
     assert data.train[1].truth.is_ignored.tolist() == [True, True, True]
     path.write_text(yaml.safe_dump(document | {"pseudo_scores": "probabilities"}))
     soft = read_data_yaml(path).train
+    assert all(item.truth.is_complete.all() for item in soft)
     assert soft[0].truth.is_ignored.tolist() == [False, False, True]
     assert soft[0].truth.confidence.tolist() == [0.45, 0.3, 0.9]
     assert CachedImages(soft, data.road_class_id).load(0).confidence.tolist() == [0.45, 0.3, 0.9]

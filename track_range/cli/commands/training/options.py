@@ -13,7 +13,7 @@ _Data = Annotated[
     Path,
     option(
         "Data set in YOLO's format (keys path, train, val, names), or with KITTI labels (`format: kitti`); optional "
-        "keys manifest and labels_pseudo for images with incomplete labels.",
+        "keys manifest and labels_pseudo for images with incomplete labels (docs/detectors.md).",
         metavar="data.yaml",
         panel=_DATA,
     ),
