@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.formats.supervision import read_supervision, supervision_boxes
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape, row_numbers
 
 Descriptors = npt.NDArray[np.float32]
 """(N, D) appearance embeddings."""
@@ -83,4 +83,10 @@ class Detections:
 
     def select(self, index: BoolArray | IntArray) -> Detections:
         """The detections that a mask (N,) or an array of indices selects, in the order of the indices."""
-        return Detections(self.xyxy_px[index], self.score[index], self.class_id[index], self.descriptor[index])
+        rows = row_numbers(index)
+        return Detections(
+            self.xyxy_px.take(rows, axis=0),
+            self.score.take(rows),
+            self.class_id.take(rows),
+            self.descriptor.take(rows, axis=0),
+        )

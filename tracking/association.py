@@ -24,25 +24,41 @@ Classes = Literal["similar", "same", "any"]
 _UNRELATED_COST = 0.95
 """1 - IoU above which a track and a detection are not candidates for each other."""
 
+_MAX_DENSE = 128 * 128
+"""Size of a cost matrix up to which one linear assignment is faster than matching unambiguous pairs first."""
+
 
 class Assignment:
-    """Pairs of N tracks and M detections, collected in stages; each stage matches what earlier ones left unmatched.
-
-    Attributes:
-        tracks, detections: (K,) row numbers of the pairs so far.
-    """
+    """Pairs of N tracks and M detections, collected in stages; each stage matches what earlier ones left unmatched."""
 
     def __init__(self, n_tracks: int, n_detections: int) -> None:
         """Start without pairs."""
-        self.tracks, self.detections = np.zeros((2, 0), np.int64)
-        self._is_free_track, self._is_free_detection = np.ones(n_tracks, np.bool_), np.ones(n_detections, np.bool_)
+        self._stages: list[tuple[IntArray, IntArray]] = []
+        self._n_left = min(n_tracks, n_detections)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether no track or no detection is left."""
+        return self._n_left == 0
+
+    def pairs(self) -> tuple[IntArray, IntArray]:
+        """(K,) and (K,) row numbers of the tracks and of the detections of all pairs so far."""
+        if not self._stages:
+            return np.zeros(0, np.int64), np.zeros(0, np.int64)
+        tracks, detections = zip(*self._stages, strict=True)
+        return np.concatenate(tracks), np.concatenate(detections)
 
     def unmatched(self, tracks: BoolArray, detections: BoolArray) -> tuple[IntArray, IntArray]:
         """Row numbers of the unmatched tracks and detections within the masks (N,) and (M,)."""
-        return (tracks & self._is_free_track).nonzero()[0], (detections & self._is_free_detection).nonzero()[0]
+        is_free_track, is_free_detection = tracks.copy(), detections.copy()
+        for i, j in self._stages:
+            is_free_track[i], is_free_detection[j] = False, False
+        return is_free_track.nonzero()[0], is_free_detection.nonzero()[0]
 
     def match(self, cost: FloatArray, tracks: BoolArray, detections: BoolArray, *, max_cost: float) -> None:
         """Match the unmatched tracks and detections within the masks (N,) and (M,) at minimum total `cost` (N, M)."""
+        if self.is_complete:
+            return
         i, j = self.unmatched(tracks, detections)
         if len(i) and len(j):
             self.match_subset(cost[i[:, None], j], i, j, max_cost=max_cost)
@@ -62,17 +78,17 @@ class Assignment:
             tracks: (N,) which tracks may be matched.
             max_cost: (M,) largest cost for each detection.
         """
-        is_candidate = cost <= _UNRELATED_COST
-        detection = is_candidate.argmax(axis=1)
-        is_only = tracks & (is_candidate.sum(axis=1) == 1) & (is_candidate.sum(axis=0) == 1)[detection]
-        i = is_only.nonzero()[0]
-        is_near = cost[i, detection[i]] <= max_cost[detection[i]]
-        self._add(i[is_near], detection[i[is_near]])
+        i, j = (cost <= _UNRELATED_COST).nonzero()
+        is_pair = np.bincount(i)[i] == 1
+        is_pair &= np.bincount(j)[j] == 1
+        is_pair &= tracks[i]
+        is_pair &= cost[i, j] <= max_cost[j]
+        self._add(i[is_pair], j[is_pair])
 
     def _add(self, tracks: IntArray, detections: IntArray) -> None:
-        self._is_free_track[tracks], self._is_free_detection[detections] = False, False
-        self.tracks = np.concatenate([self.tracks, tracks])
-        self.detections = np.concatenate([self.detections, detections])
+        if len(tracks):
+            self._stages.append((tracks, detections))
+            self._n_left -= len(tracks)
 
 
 def iou_cost(track_xyxy_px: FloatArray, detected_xyxy_px: FloatArray, *, margin: float = 0.0) -> FloatArray:
@@ -108,6 +124,8 @@ def min_cost_matching(cost: FloatArray, *, max_cost: float) -> tuple[IntArray, I
         max_cost: largest cost of a pair, and the cost of an unmatched row: matching more rows is not preferred over a
             lower total cost.
     """
+    if cost.size <= _MAX_DENSE:
+        return _dense_matching(cost, max_cost)
     allowed = cost <= max_cost
     n_of_row, n_of_column = allowed.sum(axis=1), allowed.sum(axis=0)
     rows, columns = np.nonzero(allowed & (n_of_row == 1)[:, None] & (n_of_column == 1)[None, :])
@@ -116,7 +134,12 @@ def min_cost_matching(cost: FloatArray, *, max_cost: float) -> tuple[IntArray, I
         return rows, columns
     i = np.setdiff1d(open_rows, rows, assume_unique=True)
     j = np.setdiff1d(open_columns, columns, assume_unique=True)
-    open_cost = cost[np.ix_(i, j)]
-    r, c = linear_sum_assignment(np.minimum(open_cost, max_cost))
-    is_pair = open_cost[r, c] <= max_cost
-    return np.concatenate([rows, i[r[is_pair]]]), np.concatenate([columns, j[c[is_pair]]])
+    r, c = _dense_matching(cost[np.ix_(i, j)], max_cost)
+    return np.concatenate([rows, i[r]]), np.concatenate([columns, j[c]])
+
+
+def _dense_matching(cost: FloatArray, max_cost: float) -> tuple[IntArray, IntArray]:
+    """`min_cost_matching` as one linear assignment problem; its time grows with the third power of the size."""
+    rows, columns = linear_sum_assignment(np.minimum(cost, max_cost))
+    is_pair = cost[rows, columns] <= max_cost
+    return rows[is_pair], columns[is_pair]

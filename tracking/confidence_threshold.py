@@ -18,11 +18,14 @@ the cars, 0.7 for the persons, 0.8 for MOT15. A prior holds it at the initial th
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from track_range.detection.boxes import iou
+from track_range.detection.boxes import iou_of_edges
 from track_range.detection.classes import SAME_OBJECT_GROUP
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, IntArray
@@ -30,11 +33,14 @@ from track_range.foundation.arrays import FloatArray, IntArray
 _N_BINS = 10
 """Number of bins of scores, each a tenth wide."""
 
-_MIDDLE = (np.arange(_N_BINS) + 0.5) / _N_BINS
+_MIDDLE = [(k + 0.5) / _N_BINS for k in range(_N_BINS)]
 """Scores in the middle of the bins."""
 
 _MAX_COMPARED = 64
 """Maximum number of boxes of a frame that are compared with the next frame; of more boxes, every k-th is compared."""
+
+_MAX_PAIRS = 4096
+"""Number of pairs of boxes after which the frames so far are compared, even if no new estimate is due."""
 
 _MIN_BEST = 0.4
 """Persistence of the better half of boxes below which frames are too far apart for a comparison."""
@@ -70,18 +76,31 @@ class ConfidenceThresholdSettings:
     min_iou: float = 0.3
 
 
+class _Boxes(NamedTuple):
+    """The boxes of a frame, copied, since the caller may reuse the arrays: edges (4, N), scores and classes (N,)."""
+
+    edges_px: FloatArray
+    score: FloatArray
+    class_id: IntArray
+
+
 class ConfidenceThreshold:
-    """The thresholds of one stream, one for each group of classes that detectors confuse."""
+    """The thresholds of one stream, one for each group of classes that detectors confuse.
+
+    A new estimate needs 5 % more boxes; until then, frames only wait to be compared, all in one step.
+    """
 
     def __init__(self, settings: ConfidenceThresholdSettings) -> None:
         self._settings = settings
         self._n_compared, self._n_persisted = np.zeros((2, _N_GROUPS * _N_BINS))
-        self._before: Detections | None = None
+        self._before: _Boxes | None = None
+        self._waiting: list[tuple[_Boxes, _Boxes]] = []  # successive frames to be compared
+        self._n_waiting_pairs = 0
         self._by_group = np.full(_N_GROUPS, settings.first)
-        self._n_at_estimate, self._n_frames = 0.0, 0
+        self._n_boxes, self._n_at_estimate, self._n_frames = 0, 0, 0
         slope = 1 - settings.min_share
         # Linear in the score, 1 at score 1 and min_share at `first`.
-        self._prior = 1 - slope * (1 - _MIDDLE) / max(1 - settings.first, 1e-6)
+        self._prior = [1 - slope * (1 - middle) / max(1 - settings.first, 1e-6) for middle in _MIDDLE]
 
     def of(self, class_id: IntArray) -> FloatArray:
         """(N,) threshold for boxes of the classes (N,)."""
@@ -89,54 +108,87 @@ class ConfidenceThreshold:
 
     def update(self, detections: Detections) -> None:
         """Count the boxes of one frame, including low-confidence ones."""
-        if self._settings.min_share <= 0:
-            return
-        if not len(detections):
+        if self._settings.min_share <= 0 or not len(detections):
             return  # no information if the detector skipped the frame, and hardly any if it is empty
-        copy = Detections.of(detections.xyxy_px.copy(), detections.score.copy(), detections.class_id.copy())
-        before, self._before = self._before, copy  # a copy, since the caller may reuse the arrays
+        before, self._before = self._before, None
         self._n_frames += 1
-        if self._n_frames > _N_EVERY_FRAME and self._n_frames % _SAMPLING_STEP:
+        is_compared = _is_compared(self._n_frames)
+        if not is_compared and not _is_compared(self._n_frames + 1):
             return
-        if before is None or not len(before):
+        now = _Boxes(detections.xyxy_px.T.copy(), detections.score.copy(), detections.class_id.copy())
+        self._before = now
+        if before is None or not is_compared:
             return
-        if len(before) > _MAX_COMPARED:
-            before = before.select(np.arange(0, len(before), -(-len(before) // _MAX_COMPARED)))
-        persists = iou(before.xyxy_px, detections.xyxy_px).max(axis=1, initial=0.0) >= self._settings.min_iou
-        score_bin = np.minimum((before.score * _N_BINS).astype(np.int64), _N_BINS - 1)
-        key = SAME_OBJECT_GROUP[before.class_id] * _N_BINS + score_bin
-        self._n_compared += np.bincount(key, minlength=len(self._n_compared))
-        self._n_persisted += np.bincount(key[persists], minlength=len(self._n_compared))
-        n = float(self._n_compared.sum())
-        if n >= 1.05 * self._n_at_estimate:  # a few more boxes would hardly change the estimate
-            self._n_at_estimate = n
+        step = -(-len(before.score) // _MAX_COMPARED)
+        if step > 1:
+            before = _Boxes(before.edges_px[:, ::step], before.score[::step], before.class_id[::step])
+        self._waiting.append((before, now))
+        self._n_boxes += len(before.score)
+        self._n_waiting_pairs += len(before.score) * len(now.score)
+        is_due = self._n_boxes >= 1.05 * self._n_at_estimate  # a few more boxes would hardly change the estimate
+        if is_due or self._n_waiting_pairs >= _MAX_PAIRS:
+            self._count()
+        if is_due:
+            self._n_at_estimate = self._n_boxes
             self._estimate()
 
-    def _estimate(self) -> None:
-        by_group = (counts.reshape(_N_GROUPS, _N_BINS) for counts in (self._n_compared, self._n_persisted))
-        for group, (n_compared, n_persisted) in enumerate(zip(*by_group, strict=True)):
-            if n_compared.any():
-                self._by_group[group] = self._threshold(n_compared, n_persisted)
+    def _count(self) -> None:
+        """Count the boxes of the waiting frames, and those that persist: that overlap a box of the next frame."""
+        before, now = zip(*self._waiting, strict=True)
+        self._waiting, self._n_waiting_pairs = [], 0
+        before_px, now_px = _padded([boxes.edges_px for boxes in before]), _padded([boxes.edges_px for boxes in now])
+        overlap = iou_of_edges(before_px[:, :, :, None], now_px[:, :, None])
+        persists = (overlap.max(axis=2) >= self._settings.min_iou)[np.isfinite(before_px[0])]
+        score = np.concatenate([boxes.score for boxes in before])
+        class_id = np.concatenate([boxes.class_id for boxes in before])
+        score_bin = np.minimum((score * _N_BINS).astype(np.int64), _N_BINS - 1)
+        key = SAME_OBJECT_GROUP[class_id] * _N_BINS + score_bin
+        self._n_compared += np.bincount(key, minlength=len(self._n_compared))
+        self._n_persisted += np.bincount(key[persists], minlength=len(self._n_compared))
 
-    def _threshold(self, n_compared: FloatArray, n_persisted: FloatArray) -> float:
+    def _estimate(self) -> None:
+        n_compared, n_persisted = (
+            counts.reshape(_N_GROUPS, _N_BINS) for counts in (self._n_compared, self._n_persisted)
+        )
+        for group in np.flatnonzero(n_compared.any(axis=1)):
+            self._by_group[group] = self._threshold(n_compared[group].tolist(), n_persisted[group].tolist())
+
+    def _threshold(self, n_compared: Sequence[float], n_persisted: Sequence[float]) -> float:
         """Score at which the persistence reaches its fraction, interpolated between the middles of two bins.
 
         Args:
-            n_compared: (10,) number of boxes per bin of scores.
-            n_persisted: (10,) number of those that overlap a box of the next frame.
+            n_compared: 10 numbers of boxes, one per bin of scores.
+            n_persisted: numbers of those that overlap a box of the next frame.
         """
         settings, n_prior = self._settings, self._settings.prior_boxes
-        n_from_top = np.cumsum(n_compared[::-1])
-        top = _N_BINS - 1 - int(np.searchsorted(n_from_top, n_from_top[-1] / 2))  # first bin of the better half
-        best = (n_persisted[top:].sum() + n_prior * _PRIOR_BEST) / (n_compared[top:].sum() + n_prior)
+        n_best, n_best_persisted, n_half = 0.0, 0.0, sum(n_compared) / 2
+        for n, n_p in zip(reversed(n_compared), reversed(n_persisted), strict=True):  # to the bin of the median
+            n_best, n_best_persisted = n_best + n, n_best_persisted + n_p
+            if n_best >= n_half:
+                break
+        best = (n_best_persisted + n_prior * _PRIOR_BEST) / (n_best + n_prior)
         if best < _MIN_BEST:
             return settings.first
-        share = (n_persisted + n_prior * self._prior * best) / (n_compared + n_prior) / best
-        too_small = np.flatnonzero(share < settings.min_share)
-        k = int(too_small[-1]) if len(too_small) else -1
-        if k < 0:
-            return settings.lowest
-        if k == _N_BINS - 1:
-            return settings.highest
-        fraction = (settings.min_share - share[k]) / (share[k + 1] - share[k])
-        return float(np.clip(_MIDDLE[k] + fraction / _N_BINS, settings.lowest, settings.highest))
+        share_above = math.inf
+        for k in reversed(range(_N_BINS)):  # from the highest scores down to the first bin with too little persistence
+            share = (n_persisted[k] + n_prior * self._prior[k] * best) / (n_compared[k] + n_prior) / best
+            if share < settings.min_share:
+                if k == _N_BINS - 1:
+                    return settings.highest
+                fraction = (settings.min_share - share) / (share_above - share)
+                return min(max(_MIDDLE[k] + fraction / _N_BINS, settings.lowest), settings.highest)
+            share_above = share
+        return settings.lowest
+
+
+def _is_compared(frame: int) -> bool:
+    """Whether the boxes of the frame with this number are compared with those of the frame before."""
+    return frame <= _N_EVERY_FRAME or frame % _SAMPLING_STEP == 0
+
+
+def _padded(edges_px: Sequence[FloatArray]) -> FloatArray:
+    """(4, K, N) edges of the boxes of K frames, with NaN after those of a frame with fewer than N."""
+    padded = np.full((4, len(edges_px), max(edges.shape[1] for edges in edges_px)), np.nan)
+    for k, edges in enumerate(edges_px):
+        padded[:, k, : edges.shape[1]] = edges
+    return padded

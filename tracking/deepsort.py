@@ -39,6 +39,9 @@ from track_range.tracking.track_table import TrackTable
 from track_range.tracking.tracker import AppearanceModel, TrackerOptions
 from track_range.tracking.tracks import Tracks
 
+_OUTWARDS = np.array([-1.0, -1.0, 1.0, 1.0])
+"""Directions of the left, top, right and bottom edge."""
+
 _MAX_COSINE_DISTANCE_OF_FILES = 0.2
 """Largest cosine distance for embeddings from a detection file: deep_sort's, for its 128-dimensional embeddings."""
 
@@ -152,7 +155,7 @@ class DeepSortTracker:
         self._next_id = 1
         self._last_s = -np.inf
         self._last_detected_s = -np.inf  # the last frame with any detection: skipped frames are not misses
-        self._extent_px: FloatArray | None = None
+        self._outermost_px = np.full(4, -np.inf)  # edges of the boxes in the output so far, outwards
 
     def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
         """The confirmed tracks at `time_s`, by id: detected ones, and missing ones with a reliable prediction.
@@ -171,10 +174,10 @@ class DeepSortTracker:
         detections, max_cosine_distance = self._with_embeddings(detections, is_high, image)
 
         self._predict(detections, time_s, image)
-        matches = self._associate(detections, is_high, max_cosine_distance)
-        self._update_matched(matches.tracks, detections.select(matches.detections), time_s)
-        is_high[matches.detections] = False
-        self._initiate_tracks(detections, is_high, time_s)
+        tracks, matched = self._associate(detections, is_high, max_cosine_distance).pairs()
+        self._update_matched(tracks, detections, matched, time_s)
+        is_high[matched] = False
+        self._initiate_tracks(detections, is_high.nonzero()[0], time_s)
 
         self._last_s = time_s
         if len(detections):
@@ -185,7 +188,8 @@ class DeepSortTracker:
     def tentative(self) -> Tracks:
         """The tracks detected in the last frame that are not confirmed yet."""
         table = self._table
-        return self._as_tracks(np.flatnonzero((table.last_s == self._last_s) & ~table.is_confirmed))
+        is_detected = table.last_s == self._last_s
+        return self._as_tracks((is_detected & ~table.is_confirmed).nonzero()[0], is_detected)
 
     def track_activation_threshold(self, class_id: IntArray) -> FloatArray:
         """(N,) minimum score at which a detection of a class (N,) starts a track, as estimated so far."""
@@ -203,17 +207,16 @@ class DeepSortTracker:
         The embeddings come from the detector or the appearance model; the distance is 0 where there are none.
         """
         chosen_distance, model = self._settings.appearance.max_cosine_distance, self._appearance_model
-        without_embeddings = Detections.of(detections.xyxy_px, detections.score, detections.class_id)
-        if chosen_distance == 0 or not is_high.any():
-            return without_embeddings, 0.0
-        if detections.descriptor.shape[1]:
+        if chosen_distance == 0:
+            return _without_embeddings(detections), 0.0
+        if detections.descriptor.shape[1] and is_high.any():
             is_visible, max_cosine_distance = self._is_visible(detections, is_high), _MAX_COSINE_DISTANCE_OF_FILES
             visible_embedding = unit_rows(detections.descriptor[is_visible])
-        elif image is not None and model is not None:
+        elif image is not None and model is not None and is_high.any():
             is_visible, max_cosine_distance = self._is_visible(detections, is_high), model.max_cosine_distance
             visible_embedding = model.embed(image, detections.xyxy_px[is_visible])
         else:
-            return without_embeddings, 0.0
+            return _without_embeddings(detections), 0.0
         embedding = np.zeros((len(detections), visible_embedding.shape[1]), np.float32)
         embedding[is_visible] = visible_embedding
         return replace(
@@ -240,8 +243,9 @@ class DeepSortTracker:
 
     def _is_streak(self, time_s: float) -> BoolArray:
         """(N,) whether a track was detected in the last frame with any detection, at most `max_skipped_s` ago."""
-        last_s = self._table.last_s
-        return np.asarray((last_s == self._last_detected_s) & (time_s - last_s <= self._settings.max_skipped_s))
+        if time_s - self._last_detected_s > self._settings.max_skipped_s:
+            return np.zeros(len(self._table), np.bool_)
+        return np.asarray(self._table.last_s == self._last_detected_s)
 
     def _associate(self, detections: Detections, is_high: BoolArray, max_cosine_distance: float) -> Assignment:
         """Stage 2: match detections and tracks; `max_cosine_distance` = 0: there are no embeddings."""
@@ -249,8 +253,7 @@ class DeepSortTracker:
         assignment = Assignment(len(table), len(detections))
         if not len(table) or not len(detections):
             return assignment
-        confirmed, tentative = table.is_confirmed, ~table.is_confirmed
-        boxes_px = table.filters.xyxy_px
+        confirmed, boxes_px = table.is_confirmed, table.filters.xyxy_px
         allowed = are_compatible(table.class_id, detections.class_id, settings.classes)
         overlap_cost = iou_cost(boxes_px, detections.xyxy_px)
         overlap_cost[~allowed] = np.inf
@@ -262,15 +265,17 @@ class DeepSortTracker:
             for is_in_level in (is_recent, ~is_recent):  # matching cascade: the most recently detected tracks first
                 assignment.match(distance, confirmed & is_in_level, is_high, max_cost=max_cosine_distance)
         else:
-            min_iou = np.where(is_high, settings.min_iou, settings.min_iou_low_confidence)
-            assignment.match_unambiguous(overlap_cost, confirmed, 1 - min_iou)
+            max_cost = np.where(is_high, 1 - settings.min_iou, 1 - settings.min_iou_low_confidence)
+            assignment.match_unambiguous(overlap_cost, confirmed, max_cost)
         assignment.match(overlap_cost, confirmed, is_high, max_cost=1 - settings.min_iou)
 
         # Second association: the remaining confirmed tracks and low-confidence detections.
         assignment.match(overlap_cost, confirmed, ~is_high, max_cost=1 - settings.min_iou_low_confidence)
 
         # Tentative tracks and the remaining high-confidence detections, both widened.
-        i, j = assignment.unmatched(tentative, is_high)
+        if assignment.is_complete:
+            return assignment
+        i, j = assignment.unmatched(~confirmed, is_high)
         if len(i) and len(j):
             cost = iou_cost(boxes_px[i], detections.xyxy_px[j], margin=settings.tentative_margin)
             cost[~allowed[i[:, None], j]] = np.inf
@@ -284,24 +289,30 @@ class DeepSortTracker:
         is_gated_in = gating_distance <= settings.appearance.gating_threshold
         return table.gallery.cosine_distance(detections.descriptor, allowed & is_gated_in)
 
-    def _update_matched(self, rows: IntArray, matched: Detections, time_s: float) -> None:
-        """Stage 3: update the matched tracks, confirm tentative ones, and update the process-noise scale."""
+    def _update_matched(self, rows: IntArray, detections: Detections, matched: IntArray, time_s: float) -> None:
+        """Stage 3: update the matched tracks, confirm tentative ones, and update the process-noise scale.
+
+        Args:
+            rows: (M,) row numbers of the tracks.
+            detections: all detections of the frame.
+            matched: (M,) row numbers of the tracks' detections.
+            time_s: time of the frame.
+        """
         settings, table = self._settings, self._table
         if not len(rows):
             return
-        innovation_before, is_streak = table.innovation[rows], self._is_streak(time_s)[rows]
-        table.update(rows, matched, time_s, is_streak=is_streak, noise=settings.noise)
-        if not table.is_confirmed.all():
-            table.is_confirmed |= (table.n_hits >= settings.n_init) & (table.score_sum >= settings.init_score_sum)
-        is_settled = is_streak & (table.n_hits[rows] > settings.process_noise.min_hits) & table.is_confirmed[rows]
-        is_settled &= np.isfinite(innovation_before[:, 0])
-        self._noise_scale.update(innovation_before[is_settled], table.innovation[rows[is_settled]])
+        innovation_before, is_streak = table.innovation.take(rows, axis=0), self._is_streak(time_s)[rows]
+        table.update(rows, detections, matched, time_s, is_streak=is_streak, noise=settings.noise)
+        table.is_confirmed |= (table.n_hits >= settings.n_init) & (table.score_sum >= settings.init_score_sum)
+        min_hits = max(settings.process_noise.min_hits, 2)  # two detections give the first innovation
+        settled = (is_streak & (table.n_hits[rows] > min_hits) & table.is_confirmed[rows]).nonzero()[0]
+        self._noise_scale.update(innovation_before.take(settled, axis=0), table.innovation.take(rows[settled], axis=0))
 
-    def _initiate_tracks(self, detections: Detections, is_unmatched: BoolArray, time_s: float) -> None:
-        """Stage 4: start a tentative track for each unmatched (N,) high-confidence detection."""
-        if not is_unmatched.any():
+    def _initiate_tracks(self, detections: Detections, rows: IntArray, time_s: float) -> None:
+        """Stage 4: start a tentative track for each unmatched high-confidence detection, in these rows (M,)."""
+        if not len(rows):
             return
-        table, unmatched = self._table, detections.select(is_unmatched)
+        table, unmatched = self._table, detections.select(rows)
         table.initiate(self._next_id, unmatched, time_s, noise=self._settings.noise)
         self._next_id += len(unmatched)
         if self._last_s == -np.inf or self._settings.n_init <= 1:
@@ -311,9 +322,10 @@ class DeepSortTracker:
         """Stage 5: confirmed tracks by id, with the detected box, or the predicted one where it is reliable."""
         settings, table = self._settings, self._table
         is_detected = table.last_s == time_s
-        tracks = self._as_tracks(np.flatnonzero(table.is_confirmed & is_detected))
-        missing = np.flatnonzero(table.is_confirmed & ~is_detected)
+        detected = (table.is_confirmed & is_detected).nonzero()[0]
+        tracks = self._as_tracks(detected, is_detected)
         border_px = self._border(tracks.xyxy_px, image)
+        missing = (table.is_confirmed & ~is_detected).nonzero()[0]
         if not len(missing) or settings.prediction.max_missing_s <= 0:
             return tracks
         predicted, boxes_px = history.predict_missing(
@@ -326,32 +338,35 @@ class DeepSortTracker:
         if not len(predicted):
             return tracks
         missing = missing[predicted]
-        decayed_score = table.score[missing] * 0.5 ** ((time_s - table.last_s[missing]) / settings.score_half_life_s)
-        with_missing = Tracks(
-            track_id=np.concatenate([tracks.track_id, table.track_id[missing]]),
-            xyxy_px=np.concatenate([tracks.xyxy_px, boxes_px]),
-            class_id=np.concatenate([tracks.class_id, table.class_id[missing]]),
-            score=np.concatenate([tracks.score, decayed_score]),
-            observed=np.arange(len(tracks) + len(missing)) < len(tracks),
-        )
-        return with_missing.select(np.argsort(with_missing.track_id))
+        missing_s = time_s - table.last_s[missing]
+        xyxy_px, score = table.last_xyxy_px.copy(), table.score.copy()
+        xyxy_px[missing] = boxes_px
+        score[missing] *= 0.5 ** (missing_s / settings.score_half_life_s)
+        rows = np.sort(np.concatenate([detected, missing]))
+        boxes_px = xyxy_px.take(rows, axis=0)
+        return Tracks(table.track_id[rows], boxes_px, table.class_id[rows], score[rows], is_detected[rows])
 
-    def _as_tracks(self, rows: IntArray) -> Tracks:
-        """Tracks in these rows, detected in this frame, with the detected boxes."""
+    def _as_tracks(self, rows: IntArray, is_detected: BoolArray) -> Tracks:
+        """The tracks in these rows, of those detected in this frame (N,), with the detected boxes."""
         table = self._table
-        observed = np.ones(len(rows), np.bool_)
-        return Tracks(table.track_id[rows], table.last_xyxy_px[rows], table.class_id[rows], table.score[rows], observed)
+        boxes_px = table.last_xyxy_px.take(rows, axis=0)
+        return Tracks(table.track_id[rows], boxes_px, table.class_id[rows], table.score[rows], is_detected[rows])
 
-    def _border(self, xyxy_px: FloatArray, image: Image | None) -> FloatArray | None:
+    def _border(self, xyxy_px: FloatArray, image: Image | None) -> FloatArray:
         """(4,) edges of the image; without an image, the extent of the boxes in the output so far."""
         if image is not None:
             return np.array([-0.5, -0.5, image.shape[1] - 0.5, image.shape[0] - 0.5])
         if len(xyxy_px):
-            low, high = xyxy_px[:, :2].min(axis=0), xyxy_px[:, 2:].max(axis=0)
-            if self._extent_px is not None:
-                low, high = np.minimum(low, self._extent_px[:2]), np.maximum(high, self._extent_px[2:])
-            self._extent_px = np.concatenate([low, high])
-        return self._extent_px
+            outermost_px = (xyxy_px * _OUTWARDS).max(axis=0)
+            np.maximum(self._outermost_px, outermost_px, out=self._outermost_px)
+        return np.asarray(self._outermost_px * _OUTWARDS)
+
+
+def _without_embeddings(detections: Detections) -> Detections:
+    """The same boxes without the detector's embeddings."""
+    if not detections.descriptor.shape[1]:
+        return detections
+    return replace(detections, descriptor=np.zeros((len(detections), 0), np.float32))
 
 
 def deepsort(options: TrackerOptions) -> DeepSortTracker:

@@ -24,7 +24,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from track_range.detection.boxes import are_valid_boxes
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, row_numbers
 
 Form = Literal["median-of-steps", "step-of-medians"]
 """Form of the prediction: the second or the first equation above."""
@@ -68,38 +68,45 @@ class BoxHistory:
     """The last K detected boxes of N tracks, newest last; empty slots are NaN.
 
     Attributes:
-        xyxy_px: (N, K, 4) boxes.
-        time_s: (N, K) times of the boxes.
+        boxes: (N, K, 5) left, top, right and bottom edge in px, and time in s: one array, since they change together.
         hit_streak: (N,) number of successive frames with a detection, up to the newest box.
     """
 
-    xyxy_px: FloatArray
-    time_s: FloatArray
+    boxes: FloatArray
     hit_streak: IntArray
 
     def __len__(self) -> int:
         return len(self.hit_streak)
 
     @property
+    def xyxy_px(self) -> FloatArray:
+        """(N, K, 4) boxes."""
+        return self.boxes[:, :, :4]
+
+    @property
+    def time_s(self) -> FloatArray:
+        """(N, K) times of the boxes."""
+        return self.boxes[:, :, 4]
+
+    @property
     def last_xyxy_px(self) -> FloatArray:
         """(N, 4) last detected box of each track."""
-        return self.xyxy_px[:, -1]
+        return self.boxes[:, -1, :4]
 
     @property
     def last_s(self) -> FloatArray:
         """(N,) time of the last detection of each track."""
-        return self.time_s[:, -1]
+        return self.boxes[:, -1, 4]
 
     def select(self, rows: BoolArray | IntArray) -> BoxHistory:
         """The tracks that a mask or an index array selects, in its order."""
-        return BoxHistory(self.xyxy_px[rows], self.time_s[rows], self.hit_streak[rows])
+        rows = row_numbers(rows)
+        return BoxHistory(self.boxes.take(rows, axis=0), self.hit_streak.take(rows))
 
     def concatenate(self, other: BoxHistory) -> BoxHistory:
         """The tracks of both, `other`'s last; both have the same number of slots."""
         return BoxHistory(
-            np.concatenate([self.xyxy_px, other.xyxy_px]),
-            np.concatenate([self.time_s, other.time_s]),
-            np.concatenate([self.hit_streak, other.hit_streak]),
+            np.concatenate([self.boxes, other.boxes]), np.concatenate([self.hit_streak, other.hit_streak])
         )
 
     def append(self, rows: IntArray, xyxy_px: FloatArray, time_s: float, *, is_streak: BoolArray) -> None:
@@ -111,22 +118,23 @@ class BoxHistory:
             time_s: time of the frame.
             is_streak: (M,) whether a track was also detected in the previous frame.
         """
-        self.xyxy_px[rows, :-1], self.time_s[rows, :-1] = self.xyxy_px[rows, 1:], self.time_s[rows, 1:]
-        self.xyxy_px[rows, -1], self.time_s[rows, -1] = xyxy_px, time_s
-        self.hit_streak[rows] = np.where(is_streak, self.hit_streak[rows] + 1, 1)
+        boxes = self.boxes.take(rows, axis=0)
+        boxes[:, :-1] = boxes[:, 1:]
+        boxes[:, -1, :4], boxes[:, -1, 4] = xyxy_px, time_s
+        self.boxes[rows] = boxes
+        self.hit_streak[rows] = 1 + self.hit_streak[rows] * is_streak
 
 
 def initiate(xyxy_px: FloatArray, time_s: float, *, n_kept: int) -> BoxHistory:
     """Histories of N tracks first detected at `time_s` with the boxes (N, 4); `n_kept` is K."""
-    n = len(xyxy_px)
-    boxes, times = np.full((n, n_kept, 4), np.nan), np.full((n, n_kept), np.nan)
-    boxes[:, -1], times[:, -1] = xyxy_px, time_s
-    return BoxHistory(boxes, times, np.ones(n, np.int64))
+    boxes = np.full((len(xyxy_px), n_kept, 5), np.nan)
+    boxes[:, -1, :4], boxes[:, -1, 4] = xyxy_px, time_s
+    return BoxHistory(boxes, np.ones(len(xyxy_px), np.int64))
 
 
 def smoothed(history: BoxHistory) -> FloatArray:
     """(N, 4) l in Guo's equations: median of the boxes of each track, without the oldest slot."""
-    return _nanmedian(history.xyxy_px[:, 1:])
+    return _median(history.xyxy_px[:, 1:], _n_known(history.boxes[:, 1:, 0]))
 
 
 def median_prediction(
@@ -136,17 +144,16 @@ def median_prediction(
 
     Both are NaN for tracks that were detected only once.
     """
-    missing_s = time_s - history.last_s
-    rates = np.diff(history.xyxy_px, axis=1) / np.diff(history.time_s, axis=1)[:, :, None]
-    last = history.last_xyxy_px
+    last, missing_s = history.last_xyxy_px, time_s - history.last_s
+    steps = history.boxes[:, 1:] - history.boxes[:, :-1]
+    rates, n_rates = steps[:, :, :4] / steps[:, :, 4:], _n_known(steps[:, :, 4])
     if form == "median-of-steps":
-        start, rate = last, _nanmedian(rates)
+        start, rate = last, _median(rates, n_rates)
     else:
-        start = smoothed(history)
-        times_s = history.time_s[:, :, None]
-        step_s = _nanmedian(times_s[:, 1:]) - _nanmedian(times_s[:, :-1])
-        rate = (start - _nanmedian(history.xyxy_px[:, :-1])) / step_s
-    deviation = _nanmedian(np.abs(rates - rate[:, None])).max(axis=1, initial=0.0)
+        now = _median(history.boxes[:, 1:], _n_known(history.time_s[:, 1:]))
+        step = now - _median(history.boxes[:, :-1], n_rates)
+        start, rate = now[:, :4], step[:, :4] / step[:, 4:]
+    deviation = _median(np.abs(rates - rate[:, None]), n_rates).max(axis=1)
     return start + missing_s[:, None] * rate, missing_s * deviation / (last[:, 3] - last[:, 1])
 
 
@@ -169,18 +176,21 @@ def predict_missing(
         others_xyxy_px: (K, 4) detected boxes of this frame, which may occlude a missing one; None = none.
     """
     is_recent = time_s - history.last_s <= gates.max_missing_s
-    rows = np.flatnonzero(is_recent & (history.hit_streak >= gates.min_hit_streak))
+    rows = (is_recent & (history.hit_streak >= gates.min_hit_streak)).nonzero()[0]
     if len(rows) == 0:
         return rows, np.zeros((0, 4))
     boxes, deviation = median_prediction(history.select(rows), time_s, form=gates.form)
-    is_steady = (deviation <= gates.max_deviation) & are_valid_boxes(boxes)
+    is_likely = (deviation <= gates.max_deviation) & are_valid_boxes(boxes)
     if border_xyxy_px is not None:
         margin_px = gates.min_margin * (boxes[:, 3:] - boxes[:, 1:2])
-        is_steady &= (boxes[:, :2] - margin_px > border_xyxy_px[:2]).all(axis=1)
-        is_steady &= (boxes[:, 2:] + margin_px < border_xyxy_px[2:]).all(axis=1)
-    rows, boxes = rows[is_steady], boxes[is_steady]
-    occlusion = np.zeros(len(rows)) if others_xyxy_px is None else occluded_share(boxes, others_xyxy_px)
-    is_likely = (occlusion >= gates.min_occlusion) | (history.hit_streak[rows] >= gates.min_hit_streak_visible)
+        is_inside = boxes[:, :2] - margin_px > border_xyxy_px[:2]
+        is_inside &= boxes[:, 2:] + margin_px < border_xyxy_px[2:]
+        is_likely &= is_inside.all(axis=1)
+    is_new = history.hit_streak[rows] < gates.min_hit_streak_visible
+    new = (is_likely & is_new).nonzero()[0]
+    if len(new):
+        occlusion = np.zeros(len(new)) if others_xyxy_px is None else occluded_share(boxes[new], others_xyxy_px)
+        is_likely[new] = occlusion >= gates.min_occlusion
     return rows[is_likely], boxes[is_likely]
 
 
@@ -194,10 +204,13 @@ def occluded_share(xyxy_px: FloatArray, others_xyxy_px: FloatArray) -> FloatArra
     return np.asarray(shared / ((right - left) * (bottom - top))[:, 0])
 
 
-def _nanmedian(values: FloatArray) -> FloatArray:
-    """(N, K, C) -> (N, C) median over K of the values that are not NaN; NaN where all are NaN."""
+def _n_known(values: FloatArray) -> IntArray:
+    """(N,) number of values (N, K) that are not NaN."""
+    return np.asarray(np.isfinite(values).sum(axis=1))
+
+
+def _median(values: FloatArray, n: IntArray) -> FloatArray:
+    """(N, K, C) -> (N, C) median over K of the n (N,) values of each row that are not NaN; NaN where n is 0."""
     ordered = np.sort(values, axis=1)  # NaN sorts last; numpy's nanmedian loops over rows and warns
-    n_known = np.isfinite(values).sum(axis=1, keepdims=True)
-    low = np.take_along_axis(ordered, np.maximum(n_known - 1, 0) // 2, axis=1)
-    high = np.take_along_axis(ordered, n_known // 2, axis=1)
-    return np.asarray((low + high)[:, 0] / 2)
+    row = np.arange(len(n))
+    return np.asarray((ordered[row, np.maximum(n - 1, 0) // 2] + ordered[row, n // 2]) / 2)

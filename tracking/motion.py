@@ -8,11 +8,10 @@ A box is cx, cy, w, h; each coordinate has a state x = [value px, rate px/s] and
 
     Q = s^2 q (d^2 [[dt, 0], [0, 0]] + a^2 [[dt^3/3, dt^2/2], [dt^2/2, dt]])        R = s^2 r^2
 
-The noise has no cross terms between coordinates, so the usual 8x8 filter separates into four exact 2x2 filters
-(`ConstantVelocity`); it is equal for all four, so they share one covariance P and one gain K. s is the height of the
-last detected box: near objects move more pixels (nwojke/deep_sort's scaling). d and a are densities of continuous
-noise, so that 10 Hz and 30 Hz behave alike. q is the process-noise scale of the stream
-(`track_range.tracking.process_noise`).
+The noise has no cross terms between coordinates, so the usual 8x8 filter separates into four exact 2x2 filters; the
+noise is equal for all four, so they share one covariance P and one gain K. s is the height of the last detected box:
+near objects move more pixels (nwojke/deep_sort's scaling). d and a are densities of continuous noise, so that 10 Hz and
+30 Hz behave alike. q is the process-noise scale of the stream (`track_range.tracking.process_noise`).
 """
 
 from __future__ import annotations
@@ -21,12 +20,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.boxes import xyxy_from_cxcywh
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.foundation.constant_velocity import ConstantVelocity
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, row_numbers
 
 _MIN_SIZE_PX = 1.0
 """Smallest width and height of a predicted box: IoU needs a positive size."""
+
+# fmt: off
+_CXCYWH_OF_XYXY = np.array(
+    [[0.5, 0.0, -1.0, 0.0],
+     [0.0, 0.5, 0.0, -1.0],
+     [0.5, 0.0, 1.0, 0.0],
+     [0.0, 0.5, 0.0, 1.0]]
+)
+"""Matrix by which rows left, top, right, bottom are multiplied for cx, cy, w, h: faster than column by column."""
+
+_XYXY_OF_CXCYWH = np.array(
+    [[1.0, 0.0, 1.0, 0.0],
+     [0.0, 1.0, 0.0, 1.0],
+     [-0.5, 0.0, 0.5, 0.0],
+     [0.0, -0.5, 0.0, 0.5]]
+)
+"""The inverse."""
+# fmt: on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,11 +68,17 @@ class BoxFilters:
     """Filters of N boxes at one time.
 
     Attributes:
-        state: x (N, 4) cx, cy, w, h in px, v (N, 4) in px/s, and covariances (N, 1), equal for all four coordinates.
+        x: (N, 4) cx, cy, w, h in px.
+        v: (N, 4) their rates in px/s.
+        P_xx, P_xv, P_vv: (N,) covariance, equal for all four coordinates.
         height_px: (N,) s, height of the last detected box, the unit of the noise.
     """
 
-    state: ConstantVelocity
+    x: FloatArray
+    v: FloatArray
+    P_xx: FloatArray
+    P_xv: FloatArray
+    P_vv: FloatArray
     height_px: FloatArray
 
     def __len__(self) -> int:
@@ -66,61 +87,67 @@ class BoxFilters:
     @property
     def xyxy_px(self) -> FloatArray:
         """(N, 4) boxes at the time of the state; no side is shorter than a pixel."""
-        box = self.state.x.copy()
-        box[:, 2:] = np.maximum(box[:, 2:], _MIN_SIZE_PX)
-        return xyxy_from_cxcywh(box)
+        box = self.x.copy()
+        np.maximum(box[:, 2:], _MIN_SIZE_PX, out=box[:, 2:])
+        return np.asarray(box.dot(_XYXY_OF_CXCYWH))
 
     @property
     def position_sigma(self) -> FloatArray:
         """(N,) standard deviation of a coordinate, in heights of the last detected box."""
-        return np.asarray(np.sqrt(self.state.P_xx[:, 0]) / self.height_px)
+        return np.asarray(np.sqrt(self.P_xx) / self.height_px)
 
     def select(self, rows: BoolArray | IntArray) -> BoxFilters:
         """The rows that a mask or an index array selects, in its order."""
-        s = self.state
-        state = ConstantVelocity(s.x[rows], s.v[rows], s.P_xx[rows], s.P_xv[rows], s.P_vv[rows])
-        return BoxFilters(state, self.height_px[rows])
+        i = row_numbers(rows)
+        x, v = self.x.take(i, axis=0), self.v.take(i, axis=0)
+        return BoxFilters(x, v, self.P_xx[i], self.P_xv[i], self.P_vv[i], self.height_px[i])
 
     def assign(self, rows: IntArray, filters: BoxFilters) -> None:
         """Replace the filters in rows (M,), in place."""
-        target, source = self.state, filters.state
-        target.x[rows], target.v[rows] = source.x, source.v
-        target.P_xx[rows], target.P_xv[rows], target.P_vv[rows] = source.P_xx, source.P_xv, source.P_vv
+        self.x[rows], self.v[rows] = filters.x, filters.v
+        self.P_xx[rows], self.P_xv[rows], self.P_vv[rows] = filters.P_xx, filters.P_xv, filters.P_vv
         self.height_px[rows] = filters.height_px
 
     def concatenate(self, other: BoxFilters) -> BoxFilters:
         """The filters of both, `other`'s last."""
-        a, b = self.state, other.state
-        state = ConstantVelocity(
-            x=np.concatenate([a.x, b.x]),
-            v=np.concatenate([a.v, b.v]),
-            P_xx=np.concatenate([a.P_xx, b.P_xx]),
-            P_xv=np.concatenate([a.P_xv, b.P_xv]),
-            P_vv=np.concatenate([a.P_vv, b.P_vv]),
+        return BoxFilters(
+            x=np.concatenate([self.x, other.x]),
+            v=np.concatenate([self.v, other.v]),
+            P_xx=np.concatenate([self.P_xx, other.P_xx]),
+            P_xv=np.concatenate([self.P_xv, other.P_xv]),
+            P_vv=np.concatenate([self.P_vv, other.P_vv]),
+            height_px=np.concatenate([self.height_px, other.height_px]),
         )
-        return BoxFilters(state, np.concatenate([self.height_px, other.height_px]))
 
 
 def initiate(xyxy_px: FloatArray, noise: MotionNoise) -> BoxFilters:
     """Filters of boxes (N, 4) detected for the first time: rate 0 with the standard deviation `first_rate`."""
     box = cxcywh(xyxy_px)
-    height_px = box[:, 3]
-    variance = height_px[:, None] ** 2
-    state = ConstantVelocity(
+    s = box[:, 3].copy()
+    return BoxFilters(
         x=box,
         v=np.zeros_like(box),
-        P_xx=variance * noise.measured**2,
-        P_xv=np.zeros_like(variance),
-        P_vv=variance * noise.first_rate**2,
+        P_xx=(noise.measured * s) ** 2,
+        P_xv=np.zeros_like(s),
+        P_vv=(noise.first_rate * s) ** 2,
+        height_px=s,
     )
-    return BoxFilters(state, height_px)
 
 
 def predict(filters: BoxFilters, dt_s: float, noise: MotionNoise, *, noise_scale: float = 1.0) -> BoxFilters:
     """The filters `dt_s` >= 0 seconds later; `noise_scale` is q, a factor of the process noise's variance."""
-    variance = noise_scale * filters.height_px[:, None] ** 2
-    state = filters.state.predict(dt_s, q=variance * noise.acceleration**2, drift=variance * noise.drift**2)
-    return BoxFilters(state, filters.height_px)
+    f, dt = filters, dt_s
+    variance = noise_scale * f.height_px**2
+    drift, acceleration = noise.drift**2, noise.acceleration**2
+    P_xv = f.P_xv + dt * f.P_vv
+    return BoxFilters(
+        x=f.x + dt * f.v,
+        v=f.v,
+        P_xx=f.P_xx + dt * (f.P_xv + P_xv) + variance * (drift * dt + acceleration * dt**3 / 3),
+        P_xv=P_xv + variance * (acceleration * dt**2 / 2),
+        P_vv=f.P_vv + variance * (acceleration * dt),
+        height_px=f.height_px,
+    )
 
 
 def update(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> tuple[BoxFilters, FloatArray]:
@@ -129,31 +156,41 @@ def update(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> tupl
     Returns:
         The filters, and (N, 4) the innovations in standard deviations, y / sqrt(S).
     """
-    z, R = cxcywh(xyxy_px), _measurement_variance(filters, noise)
-    y, S = z - filters.state.x, filters.state.P_xx + R
-    return BoxFilters(filters.state.update(y, R), z[:, 3]), y / np.sqrt(S)
+    f, z = filters, cxcywh(xyxy_px)
+    y = z - f.x
+    S = f.P_xx + _measurement_variance(f, noise)
+    K_x, K_v = f.P_xx / S, f.P_xv / S
+    updated = BoxFilters(
+        x=f.x + K_x[:, None] * y,
+        v=f.v + K_v[:, None] * y,
+        P_xx=f.P_xx - K_x * f.P_xx,
+        P_xv=f.P_xv - K_x * f.P_xv,
+        P_vv=f.P_vv - K_v * f.P_xv,
+        height_px=z[:, 3],
+    )
+    return updated, y / np.sqrt(S)[:, None]
 
 
 def gating_distance(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> FloatArray:
     """(N, M) squared Mahalanobis distances d^2 of boxes (M, 4) from each prediction."""
-    y = cxcywh(xyxy_px)[None, :, :] - filters.state.x[:, None, :]
-    S = filters.state.P_xx + _measurement_variance(filters, noise)
-    return np.asarray((y**2).sum(axis=2) / S)
+    y = cxcywh(xyxy_px)[None, :, :] - filters.x[:, None, :]
+    S = filters.P_xx + _measurement_variance(filters, noise)
+    return np.asarray((y**2).sum(axis=2) / S[:, None])
 
 
 def compensate_camera_motion(filters: BoxFilters, now_from_before: FloatArray) -> BoxFilters:
     """The filters in pixels of the current frame: a similarity (2, 3) moves centres, rotates rates and scales sizes."""
     rotation = now_from_before * [1.0, 1.0, 0.0]
     scale = _scale(rotation)
-    s, variance = filters.state, scale**2
-    state = ConstantVelocity(
-        x=transformed(s.x, now_from_before),
-        v=transformed(s.v, rotation),
-        P_xx=s.P_xx * variance,
-        P_xv=s.P_xv * variance,
-        P_vv=s.P_vv * variance,
+    f, variance = filters, scale**2
+    return BoxFilters(
+        x=transformed(f.x, now_from_before),
+        v=transformed(f.v, rotation),
+        P_xx=f.P_xx * variance,
+        P_xv=f.P_xv * variance,
+        P_vv=f.P_vv * variance,
+        height_px=f.height_px * scale,
     )
-    return BoxFilters(state, filters.height_px * scale)
 
 
 def transformed(box_cxcywh: FloatArray, now_from_before: FloatArray) -> FloatArray:
@@ -165,8 +202,7 @@ def transformed(box_cxcywh: FloatArray, now_from_before: FloatArray) -> FloatArr
 
 def cxcywh(xyxy_px: FloatArray) -> FloatArray:
     """(..., 4) cx, cy, w, h of boxes (..., 4)."""
-    size = xyxy_px[..., 2:] - xyxy_px[..., :2]
-    return np.concatenate([xyxy_px[..., :2] + size / 2, size], axis=-1)
+    return np.asarray(xyxy_px.dot(_CXCYWH_OF_XYXY))
 
 
 def _scale(now_from_before: FloatArray) -> float:
@@ -175,5 +211,5 @@ def _scale(now_from_before: FloatArray) -> float:
 
 
 def _measurement_variance(filters: BoxFilters, noise: MotionNoise) -> FloatArray:
-    """(N, 1) measurement variance R."""
-    return np.asarray((noise.measured * filters.height_px[:, None]) ** 2)
+    """(N,) measurement variance R."""
+    return np.asarray((noise.measured * filters.height_px) ** 2)

@@ -14,6 +14,7 @@ Final scales are 0.06 on PETS09-S2L1, 0.7 on ADL-Rundle-6, 0.5 on ETH-Bahnhof, 1
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,9 +62,11 @@ class ProcessNoiseScale:
         """Update the scale from innovations of two successive frames, (N, D) each, in standard deviations."""
         if not len(now):
             return
-        a, b = (np.maximum(np.minimum(y, _MAX_SIGMAS), -_MAX_SIGMAS) for y in (before, now))
-        power = np.maximum((a * a + b * b).sum(axis=1) / 2, _MIN_POWER)
-        c, n = float(((a * b).sum(axis=1) / power).mean()), min(len(now), _MAX_TRACKS)
-        settings = self._settings
-        q = self.value * float(np.exp(settings.rate * n * c))
+        ab = np.concatenate([before, now], axis=1)
+        np.minimum(np.maximum(ab, -_MAX_SIGMAS, out=ab), _MAX_SIGMAS, out=ab)
+        a, b = ab[:, : before.shape[1]], ab[:, before.shape[1] :]
+        power = np.maximum(np.vecdot(ab, ab) / 2, _MIN_POWER)
+        c = float((np.vecdot(a, b) / power).sum()) / len(now)
+        settings, n = self._settings, min(len(now), _MAX_TRACKS)
+        q = self.value * math.exp(settings.rate * n * c)
         self.value = min(max(q, settings.lowest), settings.highest)

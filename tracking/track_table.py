@@ -1,7 +1,7 @@
 """TrackTable: all live tracks of one stream as parallel arrays, by id; the tracker's state, changed in place.
 
 Arrays are copied when tracks start or end; the filters are replaced in every frame, the gallery where there are
-embeddings, and the box history where the camera moves.
+embeddings.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from track_range.detection.detections import Detections
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.tracking import history, motion
 from track_range.tracking.appearance.gallery import Gallery
-from track_range.tracking.history import BoxHistory
 from track_range.tracking.motion import MotionNoise
 
 
@@ -67,42 +66,52 @@ class TrackTable:
         """Delete the tracks outside the mask (N,)."""
         if alive.all():
             return
-        self.track_id, self.filters = self.track_id[alive], self.filters.select(alive)
-        self.history, self.class_votes = self.history.select(alive), self.class_votes[alive]
-        self.class_id, self.score_sum, self.score = self.class_id[alive], self.score_sum[alive], self.score[alive]
-        self.n_hits, self.is_confirmed = self.n_hits[alive], self.is_confirmed[alive]
-        self.innovation, self.gallery = self.innovation[alive], self.gallery.select(alive)
+        rows = alive.nonzero()[0]
+        self.track_id, self.filters = self.track_id[rows], self.filters.select(rows)
+        self.history, self.class_votes = self.history.select(rows), self.class_votes.take(rows, axis=0)
+        self.class_id, self.score_sum, self.score = self.class_id[rows], self.score_sum[rows], self.score[rows]
+        self.n_hits, self.is_confirmed = self.n_hits[rows], self.is_confirmed[rows]
+        self.innovation, self.gallery = self.innovation.take(rows, axis=0), self.gallery.select(rows)
 
     def update(
-        self, rows: IntArray, matched: Detections, time_s: float, *, is_streak: BoolArray, noise: MotionNoise
+        self,
+        rows: IntArray,
+        detections: Detections,
+        matched: IntArray,
+        time_s: float,
+        *,
+        is_streak: BoolArray,
+        noise: MotionNoise,
     ) -> None:
         """Update M tracks with their detections of this frame.
 
         Args:
             rows: (M,) row numbers of the tracks.
-            matched: M detections.
+            detections: all detections of the frame.
+            matched: (M,) row numbers of the tracks' detections.
             time_s: time of the frame.
             is_streak: (M,) whether a track was also detected in the previous frame.
             noise: noise of the motion filters.
         """
-        filters, innovation = motion.update(self.filters.select(rows), matched.xyxy_px, noise)
+        xyxy_px, score = detections.xyxy_px.take(matched, axis=0), detections.score[matched]
+        filters, innovation = motion.update(self.filters.select(rows), xyxy_px, noise)
         self.filters.assign(rows, filters)
         self.innovation[rows] = innovation[:, :2]
-        self.history.append(rows, matched.xyxy_px, time_s, is_streak=is_streak)
-        self.class_votes[rows, matched.class_id] += matched.score
-        self.class_id[rows] = self.class_votes[rows].argmax(axis=1)
-        self.score_sum[rows] += matched.score
-        self.score[rows] = matched.score
+        self.history.append(rows, xyxy_px, time_s, is_streak=is_streak)
+        self.class_votes[rows, detections.class_id[matched]] += score
+        self.class_id = self.class_votes.argmax(axis=1)
+        self.score_sum[rows] += score
+        self.score[rows] = score
         self.n_hits[rows] += 1
-        if matched.descriptor.shape[1]:
-            self.gallery = self.gallery.append(rows, matched.descriptor)
+        if detections.descriptor.shape[1]:
+            self.gallery = self.gallery.append(rows, detections.descriptor.take(matched, axis=0))
 
     def initiate(self, first_id: int, detections: Detections, time_s: float, *, noise: MotionNoise) -> None:
         """Add a tentative track for each detection; ids count from `first_id`."""
         n = len(detections)
         votes = np.zeros((n, len(ROAD_CLASSES)))
         votes[np.arange(n), detections.class_id] = detections.score
-        new_history = history.initiate(detections.xyxy_px, time_s, n_kept=self.history.time_s.shape[1])
+        new_history = history.initiate(detections.xyxy_px, time_s, n_kept=self.history.boxes.shape[1])
         self.track_id = np.concatenate([self.track_id, np.arange(first_id, first_id + n, dtype=np.int64)])
         self.filters = self.filters.concatenate(motion.initiate(detections.xyxy_px, noise))
         self.history = self.history.concatenate(new_history)
@@ -118,5 +127,5 @@ class TrackTable:
     def compensate_camera_motion(self, now_from_before: FloatArray) -> None:
         """Transform filters and past boxes into pixels of the current frame, by a similarity (2, 3)."""
         self.filters = motion.compensate_camera_motion(self.filters, now_from_before)
-        boxes_px = xyxy_from_cxcywh(motion.transformed(motion.cxcywh(self.history.xyxy_px), now_from_before))
-        self.history = BoxHistory(boxes_px, self.history.time_s, self.history.hit_streak)
+        boxes_px = motion.transformed(motion.cxcywh(self.history.xyxy_px), now_from_before)
+        self.history.boxes[:, :, :4] = xyxy_from_cxcywh(boxes_px)

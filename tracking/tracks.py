@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.formats.supervision import read_supervision, supervision_boxes
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape, row_numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +79,11 @@ class Tracks:
 
     def select(self, rows: BoolArray | IntArray) -> Tracks:
         """The rows that a mask or an index array selects, in its order."""
+        rows = row_numbers(rows)
         return Tracks(
-            self.track_id[rows], self.xyxy_px[rows], self.class_id[rows], self.score[rows], self.observed[rows]
+            self.track_id.take(rows),
+            self.xyxy_px.take(rows, axis=0),
+            self.class_id.take(rows),
+            self.score.take(rows),
+            self.observed.take(rows),
         )

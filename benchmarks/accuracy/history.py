@@ -166,7 +166,7 @@ def _labels(tracked: _Tracked, k: int) -> FloatArray:
         buffer = np.concatenate([np.full((k, 4), np.nan), tracked.boxes.xyxy_px[rows]])
         windows = np.lib.stride_tricks.sliding_window_view(buffer, k + 1, axis=0).transpose(0, 2, 1)
         hit_streak = np.ones(len(rows), np.int64)
-        xyxy_px[rows] = smoothed(BoxHistory(windows, np.zeros(windows.shape[:2]), hit_streak))
+        xyxy_px[rows] = smoothed(BoxHistory(windows, hit_streak))
     return xyxy_px
 
 

@@ -191,7 +191,7 @@ def test_form_of_the_gates_is_used() -> None:
 
 def test_inverted_prediction_is_dropped() -> None:
     history = history_of([[10, 0, 110 - 20 * i, 40] for i in range(6)], [0.1 * i for i in range(6)])  # width 0 at 0.5 s
-    shrinking = BoxHistory(history.xyxy_px[:, :-1], history.time_s[:, :-1], history.hit_streak)
+    shrinking = BoxHistory(history.boxes[:, :-1], history.hit_streak)
     assert predict_missing(shrinking, 0.6, gates=AT_ONCE, border_xyxy_px=None)[0].tolist() == []
 
 

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.tracking.motion import (
     BoxFilters,
     MotionNoise,
@@ -30,7 +29,7 @@ def step(filters: BoxFilters, dt_s: float, xyxy_px: np.ndarray, noise: MotionNoi
 
 def covariance(filters: BoxFilters) -> np.ndarray:
     """(N, 3) P_xx, P_xv, P_vv."""
-    return np.hstack([filters.state.P_xx, filters.state.P_xv, filters.state.P_vv])
+    return np.stack([filters.P_xx, filters.P_xv, filters.P_vv], axis=1)
 
 
 HALF_PX = np.array([20.0, 40.0])
@@ -72,7 +71,7 @@ def test_equals_filterpy_on_random_sequences(seed: int) -> None:
             oracle_step(filter8, dt_s, old[3], new, noise)
         boxes = moved
     for i, filter8 in enumerate(oracles):
-        x = np.stack([filters.state.x[i], filters.state.v[i]], axis=1)
+        x = np.stack([filters.x[i], filters.v[i]], axis=1)
         np.testing.assert_allclose(x.reshape(8), filter8.x.reshape(8), rtol=1e-8, atol=1e-8)
         var, cov, var_rate = covariance(filters)[i]
         P = np.kron(np.eye(4), [[var, cov], [cov, var_rate]])  # four coordinates, one covariance
@@ -85,7 +84,7 @@ def test_two_predictions_equal_one_long_one(first_s: float, second_s: float) -> 
     start = step(initiate(BOX, NOISE), 0.1, BOX + np.array([4.0, 1.0, 6.0, 3.0]))
     twice = predict(predict(start, first_s, NOISE), second_s, NOISE)
     once = predict(start, first_s + second_s, NOISE)
-    np.testing.assert_allclose(twice.state.x, once.state.x, rtol=1e-9)
+    np.testing.assert_allclose(twice.x, once.x, rtol=1e-9)
     np.testing.assert_allclose(covariance(twice), covariance(once), rtol=1e-9)
 
 
@@ -95,7 +94,7 @@ def test_rate_estimate_at_10_and_30_hz() -> None:
         filters = initiate(BOX, NOISE)
         for i in range(1, 2 * hz + 1):
             filters = step(filters, 1 / hz, BOX + 60.0 * i / hz * np.array([1, 0, 1, 0]))
-        rates.append(filters.state.v[0, 0])
+        rates.append(filters.v[0, 0])
     assert rates[0] == pytest.approx(60.0, abs=2.0)
     assert rates[1] == pytest.approx(60.0, abs=2.0)
 
@@ -104,20 +103,20 @@ def test_prediction_grows_uncertain() -> None:
     later = predict(initiate(BOX, NOISE), 0.5, NOISE)
     np.testing.assert_allclose(later.xyxy_px, BOX)
     # 80 px high: (0.05 * 80)^2 + (1.9 * 80 * 0.5)^2 + 80^2 * (0.27^2 * 0.5 + 0.5^3 / 3)
-    assert later.state.P_xx[0, 0] == pytest.approx(16.0 + 5776.0 + 6400 * (0.03645 + 0.125 / 3))
+    assert later.P_xx[0] == pytest.approx(16.0 + 5776.0 + 6400 * (0.03645 + 0.125 / 3))
 
 
 def test_predicted_box_has_at_least_one_pixel() -> None:
     filters = initiate(BOX, NOISE)
     shrinking = np.array([[0.0, 0.0, -500.0, -500.0]])
-    gone = predict(BoxFilters(replace(filters.state, v=shrinking), filters.height_px), 1.0, NOISE)
+    gone = predict(replace(filters, v=shrinking), 1.0, NOISE)
     np.testing.assert_allclose(gone.xyxy_px, [[119.5, 89.5, 120.5, 90.5]])
 
 
 def test_gating_distance_by_hand() -> None:
     filters = predict(initiate(BOX, NOISE), 0.1, NOISE)
     z = np.array([[110.0, 44.0, 152.0, 140.0], [100.0, 50.0, 140.0, 130.0]])
-    S = np.eye(4) * (filters.state.P_xx[0, 0] + (0.05 * 80) ** 2)
+    S = np.eye(4) * (filters.P_xx[0] + (0.05 * 80) ** 2)
     innovation = np.array([131.0 - 120.0, 92.0 - 90.0, 42.0 - 40.0, 96.0 - 80.0])
     expected = innovation @ np.linalg.inv(S) @ innovation
     np.testing.assert_allclose(gating_distance(filters, z, NOISE), [[expected, 0.0]])
@@ -126,8 +125,8 @@ def test_gating_distance_by_hand() -> None:
 def test_gating_distance_is_chi_square() -> None:
     rng = np.random.default_rng(7)
     filters = predict(initiate(BOX, NOISE), 0.1, NOISE)
-    sigma = np.sqrt(filters.state.P_xx[0, 0] + (0.05 * 80) ** 2)
-    cxcywh = filters.state.x[0] + rng.normal(0, 1, (4000, 4)) * sigma
+    sigma = np.sqrt(filters.P_xx[0] + (0.05 * 80) ** 2)
+    cxcywh = filters.x[0] + rng.normal(0, 1, (4000, 4)) * sigma
     xyxy = np.concatenate([cxcywh[:, :2] - cxcywh[:, 2:] / 2, cxcywh[:, :2] + cxcywh[:, 2:] / 2], axis=1)
     distance = gating_distance(filters, xyxy, NOISE)[0]
     for share in (0.5, 0.9, 0.99):
@@ -138,7 +137,7 @@ def test_rows_are_independent_of_each_other() -> None:
     two = initiate(np.concatenate([BOX, BOX + 200.0]), NOISE)
     moved = step(two, 0.1, np.concatenate([BOX + 3.0, BOX + 190.0]))
     alone = step(initiate(BOX + 200.0, NOISE), 0.1, BOX + 190.0)
-    np.testing.assert_array_equal(moved.select(np.array([1])).state.x, alone.state.x)
+    np.testing.assert_array_equal(moved.select(np.array([1])).x, alone.x)
     again = moved.select(np.array([True, False])).concatenate(alone)
     np.testing.assert_array_equal(covariance(again), covariance(moved))
 
@@ -152,9 +151,9 @@ def test_no_tracks() -> None:
 
 def test_inputs_are_not_modified() -> None:
     filters = initiate(BOX, NOISE)
-    x, P = filters.state.x.copy(), covariance(filters)
+    x, P = filters.x.copy(), covariance(filters)
     step(filters, 0.1, BOX + 5.0)
-    np.testing.assert_array_equal(filters.state.x, x)
+    np.testing.assert_array_equal(filters.x, x)
     np.testing.assert_array_equal(covariance(filters), P)
 
 
@@ -186,18 +185,17 @@ def test_innovations_are_standard_normal() -> None:
 
 def test_noise_scale_increases_variance() -> None:
     low, high = (predict(initiate(BOX, NOISE), 0.1, NOISE, noise_scale=scale) for scale in (0.1, 1.0))
-    assert low.state.P_xx[0, 0] < high.state.P_xx[0, 0]
-    assert low.position_sigma[0] == pytest.approx(np.sqrt(low.state.P_xx[0, 0]) / 80.0)
+    assert low.P_xx[0] < high.P_xx[0]
+    assert low.position_sigma[0] == pytest.approx(np.sqrt(low.P_xx[0]) / 80.0)
 
 
 def test_camera_motion_of_filters() -> None:
     """A quarter turn about the origin, twice as large, 10 px to the right."""
-    one = np.ones((1, 1))
-    state = ConstantVelocity(np.array([[120.0, 90.0, 40.0, 80.0]]), np.full((1, 4), 3.0), one, one, one)
-    filters = BoxFilters(state, np.array([80.0]))
+    one = np.ones(1)
+    filters = BoxFilters(np.array([[120.0, 90.0, 40.0, 80.0]]), np.full((1, 4), 3.0), one, one, one, 80.0 * one)
     later = compensate_camera_motion(filters, np.array([[0.0, -2.0, 10.0], [2.0, 0.0, 0.0]]))
-    np.testing.assert_allclose(later.state.x, [[-170.0, 240.0, 80.0, 160.0]])
-    np.testing.assert_allclose(later.state.v, [[-6.0, 6.0, 6.0, 6.0]])
+    np.testing.assert_allclose(later.x, [[-170.0, 240.0, 80.0, 160.0]])
+    np.testing.assert_allclose(later.v, [[-6.0, 6.0, 6.0, 6.0]])
     np.testing.assert_allclose(covariance(later), [[4.0, 4.0, 4.0]])
     np.testing.assert_allclose(later.position_sigma, filters.position_sigma)
 

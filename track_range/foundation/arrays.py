@@ -17,11 +17,15 @@ Image = npt.NDArray[np.uint8]
 
 def check_shape(name: str, array: npt.NDArray[Any], expected: tuple[int | None, ...]) -> None:
     """Raise ValueError unless `array` has the shape `expected` (None matches any length)."""
-    if array.shape == expected:
+    shape = array.shape
+    if shape == expected:
         return
-    is_match = array.ndim == len(expected) and all(
-        length is None or length == actual for length, actual in zip(expected, array.shape, strict=True)
-    )
-    if not is_match:
+    is_match = [length is None or length == actual for length, actual in zip(expected, shape, strict=False)]
+    if len(shape) != len(expected) or not all(is_match):
         text = ", ".join("*" if length is None else str(length) for length in expected)
-        raise ValueError(f"{name}: expected shape ({text}), got {array.shape}")
+        raise ValueError(f"{name}: expected shape ({text}), got {shape}")
+
+
+def row_numbers(rows: BoolArray | IntArray) -> IntArray:
+    """(M,) the row numbers that a mask (N,) or an array of row numbers (M,) selects; `take` is faster than indexing."""
+    return rows.nonzero()[0] if rows.dtype == np.bool_ else np.asarray(rows, np.int64)

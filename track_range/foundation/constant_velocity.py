@@ -49,8 +49,8 @@ class ConstantVelocity:
         return ConstantVelocity(
             x=self.x + dt * self.v,
             v=self.v,
-            P_xx=self.P_xx + dt * (self.P_xv + P_xv + q * dt * dt / 3 + drift),
-            P_xv=P_xv + q * dt * dt / 2,
+            P_xx=self.P_xx + dt * (self.P_xv + P_xv + q * (dt * dt / 3) + drift),
+            P_xv=P_xv + q * (dt * dt / 2),
             P_vv=self.P_vv + q * dt,
         )
 
