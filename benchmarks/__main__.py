@@ -26,7 +26,7 @@ from benchmarks.accuracy import (
 )
 from benchmarks.accuracy.stereo_matching import alignment, occlusion, rig_health, stereo, surface_choice
 from benchmarks.fleet import faults, throughput
-from benchmarks.speed import detection, memory, pipeline, ranging, server, startup, writers
+from benchmarks.speed import detection, memory, pipeline, processor_time, ranging, server, startup, writers
 
 WORKLOADS = {
     "pipeline": pipeline,
@@ -48,6 +48,7 @@ WORKLOADS = {
     "occlusion": occlusion,
     "odometry": odometry,
     "appearance": appearance,
+    "processor_time": processor_time,
     "tracking": tracking,
     "ranging": ranging,
     "recall": recall,

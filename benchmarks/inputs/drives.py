@@ -47,6 +47,23 @@ def looped(drive: Path, folder: Path, *, n_frames: int) -> LoopedDrive:
     return LoopedDrive(folder / "left.mp4", folder / "right.mp4", drive / "calib.txt", image_hw)
 
 
+def ordinary_video(target: Path, *, n_frames: int) -> Path:
+    """A video of 1280x720 px as a dashcam writes it (H.264, crf 23): a real one, played forwards and backwards."""
+    with av.open(str(REAL_DATA / "dashcam" / "highway_two_cars.mp4")) as reader:
+        frames = [frame.to_ndarray(format="yuv420p") for frame in reader.decode(video=0)]
+    period = 2 * len(frames) - 2
+    with av.open(str(target), "w") as writer:
+        stream = writer.add_stream("libx264", rate=25, options={"crf": "23"})
+        stream.height, stream.width = frames[0].shape[0] * 2 // 3, frames[0].shape[1]
+        stream.pix_fmt = "yuv420p"
+        for number in range(n_frames):
+            place = number % period
+            image = av.VideoFrame.from_ndarray(frames[min(place, period - place)], format="yuv420p")
+            writer.mux(stream.encode(image))
+        writer.mux(stream.encode(None))
+    return target
+
+
 def loop_video(source: Path, target: Path, *, n_frames: int) -> None:
     """Write a video with the packets of `source`, repeated to at least `n_frames` frames."""
     with av.open(str(target), "w") as writer:

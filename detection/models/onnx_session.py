@@ -260,18 +260,26 @@ class BoundNetwork:
         self.output_shapes = {key: buffer.shape for key, buffer in named.items()}
         self.integer_outputs = frozenset(key for key, buffer in named.items() if buffer.dtype.kind in "iu")
         self._binding = network.io_binding()
+        self._image_name = session._input.name
         for key, array in inputs.items():
             self._binding.bind_cpu_input(key, array)
         self._bound_inputs = inputs  # the binding refers to their memory
         for key, buffer in zip(names, self._buffers, strict=True):
             self._binding.bind_output(key, "cpu", 0, buffer.dtype, buffer.shape, buffer.ctypes.data)
 
-    def run(self) -> list[FloatArray32]:
-        """The outputs for `blob` as float32, in the file's order; the next run overwrites them.
+    def run(self, blob: npt.NDArray[Any] | None = None) -> list[FloatArray32]:
+        """The outputs as float32, in the file's order, for `blob`; the next run overwrites them.
+
+        Args:
+            blob: another input than the attribute of this name, of equal shape and type; None = the attribute.
 
         Raises:
             ModelError: onnxruntime fails on this input.
         """
+        source = self.blob if blob is None else blob
+        if self._bound_inputs[self._image_name] is not source:
+            self._binding.bind_cpu_input(self._image_name, source)
+            self._bound_inputs[self._image_name] = source
         try:
             self._owner._session.run_with_iobinding(self._binding)
         except Exception as error:  # as above

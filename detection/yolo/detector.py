@@ -3,16 +3,21 @@
 The networks are YOLO and others: DETR-like ones, NanoDet and PicoDet.
 
 `detect` consists of three steps that reuse their buffers: `fill` resizes the image into the network's input, `infer`
-runs the network, `decode` turns the outputs into detections.
+runs the network, `decode` turns the outputs into detections. `prepared` does the first step only, so that another
+thread can do the others meanwhile for the image before.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from track_range.detection.boxes import are_valid_boxes, nms
 from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, map_to_road_classes
@@ -73,11 +78,48 @@ class YoloSettings:
         return scores
 
 
-class YoloDetector:
-    """Detector of road users with a YOLO network; buffers are reused, so use one instance per thread.
+@dataclass(slots=True)
+class _Input:
+    """Buffers and format of the network's input for images of one size.
 
     Attributes:
-        model: family, input format and class names, explicit or default.
+        network: the network bound to the size of its input.
+        model: decoder and input format.
+        letterbox: placement of the images in the input.
+        scaled: (*resized_hw, 3) uint8 buffer of the resized image.
+        free_blobs: inputs for `prepared` that are not in use.
+    """
+
+    network: BoundNetwork
+    model: YoloModel
+    letterbox: Letterbox
+    scaled: Any = field(init=False)
+    free_blobs: deque[npt.NDArray[Any]] = field(default_factory=deque)
+
+    def __post_init__(self) -> None:
+        self.scaled = np.empty((*self.letterbox.resized_hw, 3), np.uint8)
+        self.model.input_format.fill_padding(self.network.blob)
+
+    def write(self, image: Image, blob: npt.NDArray[Any]) -> None:
+        """Write an image into a network's input."""
+        self.model.input_format.write(image, self.letterbox, blob, scaled=self.scaled)
+
+    def free_blob(self) -> npt.NDArray[Any]:
+        """An input with its padding that is not in use."""
+        try:
+            return self.free_blobs.pop()
+        except IndexError:
+            blob = np.zeros_like(self.network.blob)
+            self.model.input_format.fill_padding(blob)
+            return blob
+
+
+class YoloDetector:
+    """Detector of road users with a YOLO network; buffers are reused, so use one instance per video, in one thread.
+
+    Only `prepared` may be called in another thread.
+
+    Attributes:
         size: longer side in pixels of an input of variable size, and the source of this value.
         area: number of pixels of an input of variable size, which `size` does not determine then; None = it does.
         n_invalid: number of boxes dropped so far because of NaN, infinite numbers or labels without a class name.
@@ -102,7 +144,7 @@ class YoloDetector:
         _check_is_detector(self._session)
         self._metadata: ModelMetadata = read_metadata(path, self._session.metadata, options or ModelOptions())
         self._bound: dict[tuple[int, int], tuple[BoundNetwork, YoloModel]] = {}
-        self._outputs: list[FloatArray32] | None = None
+        self._last: tuple[list[FloatArray32], _Input] | None = None
         self.n_invalid = 0
         self.size: Attribute = self._metadata.get("size", DEFAULT_SIZE_PX, "default")
         area = self._metadata.get("area", None, "")
@@ -129,7 +171,12 @@ class YoloDetector:
     @property
     def input_hw(self) -> tuple[int, int]:
         """(height, width) of the network's input for the latest image."""
-        return self._letterbox.input_hw
+        return self._input.letterbox.input_hw
+
+    @property
+    def model(self) -> YoloModel:
+        """Family, input format and class names for the latest image."""
+        return self._input.model
 
     @property
     def known_class_id(self) -> IntArray:
@@ -149,11 +196,34 @@ class YoloDetector:
     def detect(self, image: Image) -> Detections:
         """The road users in `image`, (H, W, 3) uint8 BGR, in order of decreasing score."""
         self.fill(image)
-        self._outputs = self.infer()
-        return self.decode(self._outputs)
+        outputs = self.infer()
+        self._last = outputs, self._input
+        return self.decode(outputs)
+
+    def prepared(self, image: Image) -> Callable[[], Detections]:
+        """Write `image` into an input of the network, and return the function that detects the road users in it.
+
+        The function must be called once, in the order of the images; another thread may prepare images meanwhile.
+
+        Args:
+            image: (H, W, 3) uint8 BGR.
+
+        Raises:
+            ValueError: `image` is not (H, W, 3) uint8, or empty.
+        """
+        prepared = self._input_for(image)
+        blob = prepared.free_blob()
+        prepared.write(image, blob)
+        return partial(self._detect_prepared, prepared, blob)
+
+    def _detect_prepared(self, prepared: _Input, blob: npt.NDArray[Any]) -> Detections:
+        outputs = prepared.network.run(blob)
+        prepared.free_blobs.append(blob)
+        self._last = outputs, prepared
+        return self._decoded(outputs, prepared, self._min_score)
 
     def candidates(self, min_score: FloatArray) -> Detections:
-        """The boxes in the image last passed to `detect`, and those with lower scores and of other classes.
+        """The boxes in the image of the latest detection, and those with lower scores and of other classes.
 
         Args:
             min_score: (8,) minimum score by road class; classes that are not in the settings are detected too.
@@ -161,18 +231,18 @@ class YoloDetector:
         Raises:
             ValueError: `detect` was not called before.
         """
-        if self._outputs is None:
+        if self._last is None:
             raise ValueError("expected an earlier call of detect")
         n_invalid = self.n_invalid
         by_class = np.append(min_score, _UNREACHABLE_SCORE)[self._road_class]  # index -1: no road class
-        detections = self.decode(self._outputs, np.minimum(self._min_score, by_class))
+        detections = self._decoded(*self._last, np.minimum(self._min_score, by_class))
         self.n_invalid = n_invalid  # `detect` has counted them
         return detections
 
     def input_blob(self, image: Image) -> FloatArray32:
         """(1, 3, height, width) the network's input for `image`, as a copy."""
         self.fill(image)
-        return np.array(self._network.blob, np.float32)
+        return np.array(self._input.network.blob, np.float32)
 
     def fill(self, image: Image) -> None:
         """Write `image` into the network's input.
@@ -180,15 +250,12 @@ class YoloDetector:
         Raises:
             ValueError: `image` is not (H, W, 3) uint8, or empty.
         """
-        if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
-            raise ValueError(f"image: expected shape (H, W, 3) of uint8, got {image.shape} of {image.dtype}")
-        if self._letterbox.image_hw != image.shape[:2]:
-            self._prepare(image_hw=(image.shape[0], image.shape[1]))
-        self.model.input_format.write(image, self._letterbox, self._network.blob, scaled=self._scaled)
+        filled = self._input_for(image)
+        filled.write(image, filled.network.blob)
 
     def infer(self) -> list[FloatArray32]:
         """The network's outputs for the latest image passed to `fill`; the next run overwrites them."""
-        return self._network.run()
+        return self._input.network.run()
 
     def decode(self, outputs: list[FloatArray32], min_score: FloatArray | None = None) -> Detections:
         """The road users in the latest image passed to `fill`, from the network's outputs for it.
@@ -197,20 +264,36 @@ class YoloDetector:
             outputs: result of `infer`.
             min_score: (C,) minimum score by class of the network; None = those of the settings.
         """
+        return self._decoded(outputs, self._input, self._min_score if min_score is None else min_score)
+
+    def _decoded(self, outputs: list[FloatArray32], source: _Input, min_score: FloatArray) -> Detections:
+        """The road users in an image from the network's outputs for `source`."""
         with np.errstate(over="ignore", invalid="ignore"):  # the decoder drops and counts what is not finite
-            candidates = self.model.decoder.decode(outputs, self._min_score if min_score is None else min_score)
+            candidates = source.model.decoder.decode(outputs, min_score)
         self.n_invalid += candidates.n_invalid
         class_id = self._road_class[candidates.class_index]
         best = nms(
             candidates.xyxy_net,
             candidates.score,
             SAME_OBJECT_GROUP[class_id],
-            max_iou=_SAME_BOX_IOU if self.model.is_end_to_end else self._settings.max_iou,
+            max_iou=_SAME_BOX_IOU if source.model.is_end_to_end else self._settings.max_iou,
             max_boxes=self._settings.max_boxes,
         )
-        xyxy_px = self._letterbox.to_image_clipped(candidates.xyxy_net[best])
+        xyxy_px = source.letterbox.to_image_clipped(candidates.xyxy_net[best])
         boxes = Detections.of(xyxy_px, candidates.score[best], class_id[best])
         return boxes.select(are_valid_boxes(boxes.xyxy_px))
+
+    def _input_for(self, image: Image) -> _Input:
+        """The input for images of this size.
+
+        Raises:
+            ValueError: `image` is not (H, W, 3) uint8, or empty.
+        """
+        if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
+            raise ValueError(f"image: expected shape (H, W, 3) of uint8, got {image.shape} of {image.dtype}")
+        if self._input.letterbox.image_hw != image.shape[:2]:
+            self._prepare(image_hw=(image.shape[0], image.shape[1]))
+        return self._input
 
     def _prepare(self, *, image_hw: tuple[int, int]) -> None:
         """Set up buffers, decoder and letterbox for images of size `image_hw`; bound networks are cached."""
@@ -229,11 +312,9 @@ class YoloDetector:
                 metadata=self._metadata,
             )
             self._bound[input_hw] = network, identify_layout(outputs)
-        self._network, self.model = self._bound[input_hw]
-        input_format = self.model.input_format
-        self._letterbox = Letterbox.of_placement(input_format.placement, image_hw, input_hw)
-        self._scaled: Any = np.empty((*self._letterbox.resized_hw, 3), np.uint8)
-        input_format.fill_padding(self._network.blob)
+        network, model = self._bound[input_hw]
+        letterbox = Letterbox.of_placement(model.input_format.placement, image_hw, input_hw)
+        self._input = _Input(network, model, letterbox)
 
     def _input_hw(self, image_hw: tuple[int, int]) -> tuple[int, int]:
         _, _, height, width = self._session.input_shape

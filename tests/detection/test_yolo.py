@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.detection.onnx_models import write_model
+from tests.detection.onnx_models import write_model, write_rectangle_finder
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.models.metadata import ModelOptions
@@ -87,6 +87,27 @@ def test_smallest_and_very_large_images(tmp_path):
     assert detector.detect(np.zeros((1, 1, 3), np.uint8)).xyxy_px.tolist() == [[-0.125, -0.0625, 0.125, 0.0625]]
     (huge,) = detector.detect(np.zeros((6000, 8000, 3), np.uint8)).xyxy_px
     np.testing.assert_allclose(huge, [2999.5, 2499.5, 4999.5, 3499.5])
+
+
+def rectangle(x1, y1, x2, y2, *, image_hw=(96, 96)):
+    """A white rectangle on the grey of the padding."""
+    image = np.full((*image_hw, 3), 114, np.uint8)
+    image[y1:y2, x1:x2] = 255
+    return image
+
+
+def test_prepared_images(tmp_path):
+    metadata = {"names": "{0: 'car'}"}
+    path = write_rectangle_finder(tmp_path / "m.onnx", side_px=96, grey=114 / 255, metadata=metadata)
+    images = [rectangle(8 * k, 8, 8 * k + 24, 40) for k in range(6)]
+    images += [rectangle(16, 8, 64, 40, image_hw=(64, 128)), images[1]]
+    detector, other = YoloDetector(path), YoloDetector(path)
+    expected = [other.detect(image) for image in images]
+    prepared = [detector.prepared(image) for image in images]  # all of them before the first detection
+    for detect, detections in zip(prepared, expected, strict=True):
+        np.testing.assert_array_equal(detect().xyxy_px, detections.xyxy_px)
+    np.testing.assert_array_equal(detector.detect(images[2]).xyxy_px, expected[2].xyxy_px)
+    assert len({tuple(detections.xyxy_px[0]) for detections in expected}) == 7
 
 
 def test_changing_image_sizes(shared_data):

@@ -6,11 +6,13 @@ import threading
 import weakref
 from collections.abc import Iterator
 
+import cv2
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.run.pipeline.prefetch import prefetch
+from track_range.run.pipeline import prefetch as prefetch_module
+from track_range.run.pipeline.prefetch import concurrent_stages, prefetch
 
 WAIT_S = 20.0  # long enough for any machine; exceeded only if something hangs
 
@@ -191,3 +193,20 @@ def test_thread_does_not_block_the_end_of_the_program() -> None:
 def test_depth_below_one(depth: int) -> None:
     with pytest.raises(ValueError, match="depth"):
         prefetch([], depth=depth)
+
+
+@pytest.mark.parametrize(("n_cores", "has_dense_stereo", "n_threads"), [(2, False, 1), (2, True, 3), (4, False, 3)])
+def test_threads_of_opencv_during_runs(
+    n_cores: int, has_dense_stereo: bool, n_threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(prefetch_module.os, "cpu_count", lambda: n_cores)
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(3)
+    try:
+        with concurrent_stages(has_dense_stereo=has_dense_stereo):
+            with concurrent_stages(has_dense_stereo=has_dense_stereo):
+                assert cv2.getNumThreads() == n_threads
+            assert cv2.getNumThreads() == n_threads
+        assert cv2.getNumThreads() == 3
+    finally:
+        cv2.setNumThreads(before)

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import TypeAlias
 
 import av
-import numpy as np
 from av.container import InputContainer
 from av.video.stream import VideoStream
 
@@ -31,7 +30,7 @@ from track_range.foundation.files.atomic_files import atomic_folder, describe
 from track_range.foundation.files.input_files import check_regular
 from track_range.overlay.result_video import QUANTIZER
 from track_range.results.output_files import OutputError, make_folder
-from track_range.video.frame import VideoError
+from track_range.video.frame import VideoError, bgr_image
 from track_range.video.writing.video_writer import VideoWriter
 
 BEFORE_S, AFTER_S = 3.0, 2.0
@@ -215,7 +214,7 @@ def _encode(part: _Part, n_frames: int, path: Path) -> None:
     with VideoWriter(path, width_px=codec.width, height_px=codec.height, fps=fps, quantizer=QUANTIZER) as writer:
         for frame in part.frames(n_frames):
             time_s = ((frame.pts or 0) - part.first_tick) * (frame.time_base or Fraction(1))
-            writer.write(frame.to_ndarray(format="bgr24").astype(np.uint8, copy=False), float(time_s))
+            writer.write(bgr_image(frame), float(time_s))
 
 
 def _has_parameters(stream: VideoStream, other: VideoStream) -> bool:

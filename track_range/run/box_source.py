@@ -34,11 +34,13 @@ class BoxSource:
 
     Attributes:
         detect: returns the boxes of a frame.
-        candidates: returns all boxes of the frame last passed to `detect`, also with low scores and of classes that are
+        candidates: returns all boxes of the frame of the latest detection, also with low scores and of classes that are
             not tracked, for anonymization.
         frames: (M,) frame numbers with recorded boxes; empty for a detector.
         description: properties for the section `found` of settings.yaml.
         notes: returns the messages for the user so far.
+        prepare: writes a frame into the network's input, and returns the function that detects its boxes, which another
+            thread may call; None = there is no such input.
     """
 
     detect: Callable[[Frame], Detections]
@@ -46,6 +48,7 @@ class BoxSource:
     frames: IntArray
     description: dict[str, Any]
     notes: Callable[[], tuple[str, ...]]
+    prepare: Callable[[Frame], Callable[[], Detections]] | None = None
 
 
 def open_box_source(
@@ -92,6 +95,7 @@ def open_box_source(
         frames=np.zeros(0, np.int64),
         description={"detector": description},
         notes=lambda: network.notes,
+        prepare=lambda frame: network.prepared(frame.left),
     )
 
 

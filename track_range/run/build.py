@@ -107,6 +107,7 @@ def open_pipeline(
     return Pipeline(
         camera=source.camera,
         detect=boxes.detect,
+        prepare=boxes.prepare,
         candidates=boxes.candidates if settings.anonymize else None,
         tracker=tracker or create_tracker(settings.tracker, tracker_options),
         rangers=create_rangers(context),

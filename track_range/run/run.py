@@ -38,7 +38,7 @@ from track_range.run.frame_result import FrameResult
 from track_range.run.interrupts import defer_interrupts, ignore_interrupts
 from track_range.run.options.detector_options import open_detector
 from track_range.run.outputs import RunFolder, check_folder
-from track_range.run.pipeline.prefetch import short_switch_interval
+from track_range.run.pipeline.prefetch import concurrent_stages
 from track_range.run.pipeline.throughput import FrameMeter
 from track_range.run.prepared_folder import PreparedFolder
 from track_range.run.progress import frame_progress, step_progress
@@ -313,7 +313,7 @@ class Run:
 
     def _frame_results(self, session: RunSession, files: RunFolder | None) -> Generator[FrameResult, None, None]:
         with (
-            short_switch_interval(),
+            concurrent_stages(has_dense_stereo=self.settings.sgbm),
             closing(session.pipeline.run(session.source.frames)) as processed,
             closing(self._shared(session, processed)) as results,
             frame_progress(self._console, session.source.n_frames) as advance,

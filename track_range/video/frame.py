@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import av
 import numpy as np
+from av.video.reformatter import VideoReformatter
 
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UserError
@@ -20,6 +23,10 @@ _NEUTRAL_DIFFERENCE = 8
 
 _NEUTRAL_SHARE = 0.999
 """Smallest fraction of grey pixels in an image without colour; assumed."""
+
+
+_reformatters = threading.local()
+"""One converter of colours per thread; its buffers are reused while the size and format of the frames remain."""
 
 
 class VideoError(UserError):
@@ -66,6 +73,18 @@ class VideoFrame:
         if decoded is None:
             return lambda: self
         return lambda: VideoFrame(index, time_s, decoded.to_bgr(), decoded)
+
+
+def bgr_image(frame: av.VideoFrame) -> Image:
+    """A decoded frame as (H, W, 3) uint8 BGR, converted in the calling thread.
+
+    `frame.to_ndarray(format="bgr24")` has the same pixels, but starts a converter with several threads for each frame,
+    which takes twice the processor time and exists until Python's garbage collector finds the frame.
+    """
+    if not hasattr(_reformatters, "converter"):
+        _reformatters.converter = VideoReformatter()
+    converted = _reformatters.converter.reformat(frame, format="bgr24", threads=1)
+    return np.asarray(converted.to_ndarray(), np.uint8)
 
 
 def is_neutral(image: Image) -> bool:

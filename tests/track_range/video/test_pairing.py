@@ -154,9 +154,9 @@ def test_second_iteration_restarts(view: View) -> None:
 def test_closing_early_stops_both_decoders(view: View) -> None:
     pairs = iter(StereoVideo(view(times(30)), view(times(30))))
     next(pairs)
-    assert sum(thread.name == "prefetch" for thread in threading.enumerate()) == 2
+    assert sum(thread.name.startswith("read ") for thread in threading.enumerate()) == 2
     pairs.close()
-    assert not any(thread.name == "prefetch" for thread in threading.enumerate())
+    assert not any(thread.name.startswith("read ") for thread in threading.enumerate())
 
 
 def test_error_of_one_video_reaches_the_caller(view: View) -> None:
@@ -166,7 +166,7 @@ def test_error_of_one_video_reaches_the_caller(view: View) -> None:
     assert [next(pairs)[0].index for _ in range(3)] == [0, 1, 2]
     with pytest.raises(VideoError, match=r"3.png: .*damaged"):
         next(pairs)
-    assert not any(thread.name == "prefetch" for thread in threading.enumerate())
+    assert not any(thread.name.startswith("read ") for thread in threading.enumerate())
 
 
 def test_start_offset_of_a_stream(tmp_path: Path, film: Callable[..., Path]) -> None:

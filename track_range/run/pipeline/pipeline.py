@@ -1,8 +1,8 @@
 r"""The pipeline of a run: yields one result per frame; reading, inference and writing overlap in threads.
 
-    reading thread -> lanes thread -> detection thread -> caller's thread -------------------> FrameResult
-    decode            lane lines      boxes               track, measure, fuse, filter
-                                      \---> background work of rangers ---/
+    reading thread -> lanes thread --> detection thread -> caller's thread -------------------> FrameResult
+    decode            lane lines,      network, boxes      track, measure, fuse, filter
+                      network's input  \---> background work of rangers ---/
 
 `Pipeline.run` starts the threads; `Pipeline.result` lists the steps for one frame.
 """
@@ -10,9 +10,11 @@ r"""The pipeline of a run: yields one result per frame; reading, inference and w
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -52,6 +54,9 @@ _LANE_INTERVAL_S = 0.09
 
 _T = TypeVar("_T")
 
+Detect = Callable[[], Detections]
+"""Returns the boxes of a frame that was prepared."""
+
 
 def noise_shares() -> dict[str, float]:
     """Initial fraction of sigma that is independent between frames, for each distance that is filtered over time.
@@ -68,7 +73,7 @@ class QueueDepths:
 
     Attributes:
         read: decoded frames that wait for the lane detector.
-        lanes: frames with lane lines that wait for the detector.
+        lanes: frames with lane lines, in the network's input, that wait for the network.
         detected: frames with boxes that wait for the caller.
     """
 
@@ -89,7 +94,9 @@ class Pipeline:
         camera: the left camera, undistorted.
         detect: returns the boxes of a frame.
         tracker: assigns identities to boxes.
-        candidates: returns all boxes of the frame passed to `detect` before; None = not needed.
+        prepare: does what `detect` does before the network runs, and returns a function that does the rest; called in
+            another thread. None = `detect` does all.
+        candidates: returns all boxes of the frame of the latest detection; None = not needed.
         rangers: ranging methods by name, in the order of execution (`registry.create_rangers`).
         lane_finder: detects the lines of the ego lane; None = off.
         ego_speed: speed of the camera from telemetry or a setting; None = unknown.
@@ -109,6 +116,7 @@ class Pipeline:
     detect: Callable[[Frame], Detections]
     tracker: Tracker
     rangers: Mapping[str, Ranger]
+    prepare: Callable[[Frame], Detect] | None = None
     candidates: Callable[[Frame], Detections] | None = None
     lane_finder: LaneFinder | None = None
     ego_speed: EgoSpeed | None = None
@@ -138,15 +146,16 @@ class Pipeline:
             # closed in reverse order: the last thread first, so that no thread reads from a closed video; rangers last
             stack.callback(self._close_rangers)
 
-            def in_thread(items: Iterable[_T], depth: int, *, low_priority: bool) -> Iterable[_T]:
-                return stack.enter_context(closing(prefetch(items, depth=depth, low_priority=low_priority)))
+            def in_thread(items: Iterable[_T], depth: int, name: str, *, low_priority: bool) -> Iterable[_T]:
+                thread = prefetch(items, depth=depth, low_priority=low_priority, name=name)
+                return stack.enter_context(closing(thread))
 
-            read = in_thread(frames, self.depths.read, low_priority=True)
-            with_lanes = self._with_lanes(read)
+            depth = self.depths.read
             if self.lane_finder is not None:
-                with_lanes = in_thread(with_lanes, self.depths.lanes, low_priority=True)
+                frames, depth = in_thread(frames, depth, "read", low_priority=True), self.depths.lanes
+            prepared = in_thread(self._prepared(frames), depth, "prepare", low_priority=True)
             for frame, lanes, detections, candidates in in_thread(
-                self._with_detections(with_lanes), self.depths.detected, low_priority=False
+                self._with_detections(prepared), self.depths.detected, "detect", low_priority=False
             ):
                 yield self.result(frame, lanes, detections, candidates)
 
@@ -192,25 +201,31 @@ class Pipeline:
                 ego_sigma_mps=ego.speed_sigma_mps,
             )
 
-    def _with_lanes(self, frames: Iterable[Frame]) -> Iterable[tuple[Frame, LaneLines | None]]:
-        """Frames with the lane lines, detected about ten times per second; the last ones are used in between."""
+    def _prepared(self, frames: Iterable[Frame]) -> Iterator[tuple[Frame, LaneLines | None, Detect]]:
+        """Frames in the network's input, with the lane lines, which are detected about ten times per second.
+
+        The last lane lines are used in between.
+        """
         lanes, due_s = None, -math.inf
         for frame in frames:
             if self.lane_finder is not None and frame.time_s >= due_s:
                 with self.clock.stage("lanes"):
                     lanes = self.lane_finder.find(frame.left, frame.time_s)
                 due_s = frame.time_s + _LANE_INTERVAL_S
-            yield frame, lanes
+            start_s = time.thread_time()
+            detect = partial(self.detect, frame) if self.prepare is None else self.prepare(frame)
+            self.clock.add("detect", time.thread_time() - start_s)
+            yield frame, lanes, detect
 
     def _with_detections(
-        self, frames: Iterable[tuple[Frame, LaneLines | None]]
+        self, frames: Iterable[tuple[Frame, LaneLines | None, Detect]]
     ) -> Iterator[tuple[Frame, LaneLines | None, Detections, Detections | None]]:
         """Frames with their boxes; rangers that work in the background are started before the detector."""
-        for frame, lanes in frames:
+        for frame, lanes, detect in frames:
             for ranger in self.rangers.values():
                 ranger.start(frame)
             with self.clock.stage("detect"):
-                detections = self.detect(frame)
+                detections = detect()
                 candidates = None if self.candidates is None else self.candidates(frame)
             yield frame, lanes, detections, candidates
 

@@ -12,14 +12,19 @@ import os
 import sys
 import threading
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Generic, TypeVar
+
+import cv2
 
 T = TypeVar("T")
 
 _SWITCH_INTERVAL_S = 0.0005
 """Switch interval of the interpreter during a run; a thread waits at most this long for the GIL (default: 5 ms)."""
+
+_FEW_CORES = 2
+"""Number of cores up to which inference and the other stages need all of them."""
 
 _NICENESS = 15
 """Niceness (0..19) of low-priority threads; the scheduler weight is a thirtieth of that of an ordinary thread."""
@@ -34,44 +39,61 @@ def lower_thread_priority() -> None:
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
 
 
-class _SwitchInterval:
-    """Switch interval of the interpreter, shortened while at least one run is in progress."""
+class _Shared(Generic[T]):
+    """A setting of the process, changed while at least one run is in progress.
 
-    def __init__(self) -> None:
+    Args:
+        value: value during runs.
+        read, write: read and change the setting.
+    """
+
+    def __init__(self, value: T, read: Callable[[], T], write: Callable[[T], None]) -> None:
         self._lock = threading.Lock()
-        self._n_users, self._default_s = 0, 0.0
+        self._value, self._read, self._write = value, read, write
+        self._n_users, self._default = 0, value
 
-    def acquire(self) -> None:
+    @contextmanager
+    def in_use(self) -> Iterator[None]:
+        """Context with the value during runs; the one before is restored at the end of the last concurrent run."""
         with self._lock:
             if not self._n_users:
-                self._default_s = sys.getswitchinterval()
-                sys.setswitchinterval(_SWITCH_INTERVAL_S)
+                self._default = self._read()
+                self._write(self._value)
             self._n_users += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._n_users -= 1
+                if not self._n_users:
+                    self._write(self._default)
 
-    def release(self) -> None:
-        with self._lock:
-            self._n_users -= 1
-            if not self._n_users:
-                sys.setswitchinterval(self._default_s)
 
-
-_switch_interval = _SwitchInterval()
+_switch_interval = _Shared(_SWITCH_INTERVAL_S, sys.getswitchinterval, sys.setswitchinterval)
+_opencv_threads = _Shared(1, cv2.getNumThreads, cv2.setNumThreads)
 
 
 @contextmanager
-def short_switch_interval() -> Iterator[None]:
-    """Context in which a thread that returns from inference waits at most 0.5 ms for the GIL.
+def concurrent_stages(*, has_dense_stereo: bool) -> Iterator[None]:
+    """Context with the settings of the process for stages in threads.
 
-    The default, 5 ms, is a tenth of the time per frame. It is restored at the end of the last concurrent run.
+    A thread that returns from inference waits at most 0.5 ms for the GIL; the default, 5 ms, is a tenth of the time per
+    frame. On two cores or fewer OpenCV uses one thread, since its other ones, which have the priority of inference,
+    would interrupt that; with dense stereo it uses all, since dense stereo is then the bottleneck.
+
+    Args:
+        has_dense_stereo: whether each image is matched densely.
     """
-    _switch_interval.acquire()
-    try:
+    with ExitStack() as stack:
+        stack.enter_context(_switch_interval.in_use())
+        if (os.cpu_count() or 1) <= _FEW_CORES and not has_dense_stereo:
+            stack.enter_context(_opencv_threads.in_use())
         yield
-    finally:
-        _switch_interval.release()
 
 
-def prefetch(items: Iterable[T], *, depth: int, low_priority: bool = False) -> Generator[T, None, None]:
+def prefetch(
+    items: Iterable[T], *, depth: int, low_priority: bool = False, name: str = "prefetch"
+) -> Generator[T, None, None]:
     """Yield the items in order, computed in a thread that is at most `depth` items ahead.
 
     The thread starts when the first item is requested. It ends, and closes `items` if that is a generator, when the
@@ -82,19 +104,20 @@ def prefetch(items: Iterable[T], *, depth: int, low_priority: bool = False) -> G
         items: iterated only in the thread.
         depth: number of items queued or in progress, besides the one that the caller holds; at least 1.
         low_priority: see `lower_thread_priority`.
+        name: name of the thread, for profilers.
 
     Raises:
         ValueError: `depth` is below 1.
     """
     if depth < 1:
         raise ValueError(f"depth: expected at least 1, got {depth}")
-    return _consume(items, depth, low_priority)
+    return _consume(items, depth, low_priority, name)
 
 
-def _consume(items: Iterable[T], depth: int, low_priority: bool) -> Generator[T, None, None]:
+def _consume(items: Iterable[T], depth: int, low_priority: bool, name: str) -> Generator[T, None, None]:
     queue: ClosableQueue[T] = ClosableQueue(depth)
     # A daemon thread, so that the program can end while a traceback still refers to the generator.
-    thread = threading.Thread(target=_produce, args=(items, queue, low_priority), name="prefetch", daemon=True)
+    thread = threading.Thread(target=_produce, args=(items, queue, low_priority), name=name, daemon=True)
     del items  # now referenced only by the thread
     thread.start()
     try:

@@ -25,6 +25,7 @@ from track_range.video.bags.container import (
     missing_library,
     zstd_content_size,
 )
+from track_range.video.frame import bgr_image
 
 COMPRESSED_TYPES = ("sensor_msgs/msg/CompressedImage", "foxglove.CompressedImage", "foxglove_msgs/msg/CompressedImage")
 RAW_TYPES = ("sensor_msgs/msg/Image", "foxglove.RawImage", "foxglove_msgs/msg/RawImage")
@@ -125,7 +126,7 @@ class ImageDecoder:
             self._codec.options = {"max_pixels": str(MAX_PIXELS), "flags": "low_delay"}
             self._codec.thread_count = 1
         frames = self._codec.decode(av.Packet(content))
-        return frames[-1].to_ndarray(format="bgr24").astype(np.uint8, copy=False) if frames else None
+        return bgr_image(frames[-1]) if frames else None
 
 
 def message_reader(topic: Topic) -> Callable[[bytes], Any]:

@@ -33,7 +33,7 @@ from track_range.foundation.files.images import MAX_PIXELS, check_size, header_s
 from track_range.foundation.files.input_files import counted
 from track_range.video.files.decode_log import DecodeLog
 from track_range.video.files.file_state import FileState
-from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, is_neutral, strictly_later
+from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, bgr_image, is_neutral, strictly_later
 from track_range.video.threads import DECODER_THREADS
 from track_range.video.utc import Stamp, UtcStart, stamp_in_header, stamp_in_name, start_of
 
@@ -395,7 +395,7 @@ class _YuvImage:
 
     def to_bgr(self) -> Image:
         """The image as (H, W, 3) uint8 BGR, upright."""
-        image = self.frame.to_ndarray(format="bgr24").astype(np.uint8, copy=False)
+        image = bgr_image(self.frame)
         if self.axes == _UPRIGHT:
             return image
         x_from_x, y_from_x, x_from_y, y_from_y = self.axes

@@ -12,14 +12,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import av
-import numpy as np
 from av.container import InputContainer
 from av.video.stream import VideoStream
 
 from track_range.foundation.files.images import MAX_PIXELS
 from track_range.foundation.files.input_files import counted
 from track_range.run.pipeline.prefetch import lower_thread_priority
-from track_range.video.frame import VideoError, VideoFrame, is_neutral
+from track_range.video.frame import VideoError, VideoFrame, bgr_image, is_neutral
 from track_range.video.live.address import LiveAddress
 from track_range.video.live.clock import StreamClock
 from track_range.video.threads import LIVE_FRAMES
@@ -84,7 +83,7 @@ class LiveStream:
         if not (first.wait(_OPEN_S) and self._waiting):
             self.close()
             raise VideoError(f"{address}: no frame received ({self.ended_by or 'timeout'}); check the camera.")
-        image = self._waiting[-1].frame.to_ndarray(format="bgr24").astype(np.uint8, copy=False)
+        image = bgr_image(self._waiting[-1].frame)
         self.height_px, self.width_px = image.shape[:2]
         self.is_grey = is_neutral(image)
 
@@ -121,7 +120,7 @@ class LiveStream:
                 f"{self.address}: expected images of {self.width_px}x{self.height_px} px, got {width_px}x{height_px}; "
                 "set the camera to a fixed image size."
             )
-        image = waiting.frame.to_ndarray(format="bgr24").astype(np.uint8, copy=False)
+        image = bgr_image(waiting.frame)
         return VideoFrame(waiting.index, waiting.time_s, image)
 
     def check(self) -> None:

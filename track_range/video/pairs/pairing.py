@@ -112,8 +112,11 @@ class StereoVideo:
         self._sides = self._new_sides()
 
     def _new_sides(self) -> tuple[_Side, _Side]:
-        left, right = (prefetch(reader, depth=FRAMES_AHEAD, low_priority=True) for reader in (self.left, self.right))
-        return _Side("left", self.left, left), _Side("right", self.right, right)
+        left, right = (
+            _Side(name, reader, prefetch(reader, depth=FRAMES_AHEAD, low_priority=True, name=f"read {name}"))
+            for name, reader in (("left", self.left), ("right", self.right))
+        )
+        return left, right
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -1,0 +1,229 @@
+"""Processor time of each step of a run, per frame, and what its threads wait for.
+
+Protocol: runs with overlay, `--threads 1` and without dense stereo, each in a new process: a near-lossless pair,
+and an ordinary video of one camera (H.264, crf 23, 1280 x 720). The functions of the steps are wrapped: the time of a
+step is the processor time of its thread within them, without that of the steps that they call. Times are from the first
+to the last frame, without the opening and the report; no alignment is estimated, so that no frame is decoded before.
+Processor times depend little on other work on the machine, wall times do.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import tempfile
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from functools import wraps
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from benchmarks.inputs.drives import add_drive_options, looped, ordinary_video
+from benchmarks.plain_tables import figure_text, plain_table
+from track_range.detection.lanes.edges import EdgeLaneFinder
+from track_range.detection.lanes.nets import NetLaneFinder
+from track_range.detection.models.onnx_session import BoundNetwork
+from track_range.detection.yolo.detector import YoloDetector
+from track_range.events.finder import EventFinder
+from track_range.foundation.sparse_flow import BackgroundFlow
+from track_range.overlay.annotator import Overlay
+from track_range.overlay.result_video import ResultVideo
+from track_range.results.table import RunTable
+from track_range.results.writers import OpenWriters
+from track_range.run.pipeline.pipeline import Pipeline
+from track_range.run.pipeline.prefetch import ClosableQueue
+from track_range.run.run import Run
+from track_range.run.settings import settings_from
+from track_range.stereo.alignment.drift import DriftMonitor
+from track_range.stereo.geometry.rectification import Rectifier, Undistorter
+from track_range.stereo.odometry.ground_odometry import GroundOdometry
+from track_range.stereo.odometry.stereo_odometry import StereoOdometry
+from track_range.tracking.appearance.embeddings import ColourLayout
+from track_range.tracking.camera_motion import CameraMotion
+from track_range.tracking.deepsort import DeepSortTracker
+from track_range.video.files import video_file
+from track_range.video.pairs.pair_monitor import PairMonitor, SyncMonitor
+from track_range.video.writing import video_writer
+
+_STEPS: dict[str, tuple[tuple[Any, str], ...]] = {
+    "decoding": ((video_file._Reading, "__next__"),),
+    "colour conversion, read": ((video_file._YuvImage, "to_bgr"),),
+    "rectification": ((Rectifier, "rectify"), (Undistorter, "undistort")),
+    "checks of the pair": ((PairMonitor, "add"), (SyncMonitor, "add"), (DriftMonitor, "add")),
+    "lanes": ((EdgeLaneFinder, "find"), (NetLaneFinder, "find")),
+    "resize, letterbox": ((YoloDetector, "prepared"),),
+    "inference": ((BoundNetwork, "run"),),
+    "box decoding, NMS": ((YoloDetector, "_decoded"),),
+    "flow of the background": ((BackgroundFlow, "add"), (BackgroundFlow, "tracked")),
+    "camera motion": ((CameraMotion, "update"), (GroundOdometry, "update"), (StereoOdometry, "update")),
+    "appearance": ((ColourLayout, "embed"),),
+    "tracking": ((DeepSortTracker, "update"),),
+    "ranging": ((Pipeline, "_ranges"),),
+    "fusion, filters, warnings": ((Pipeline, "result"),),
+    "drawing": ((Overlay, "draw"),),
+    "colour conversion, written": ((video_writer, "_i420"),),
+    "encoding": ((video_writer.VideoWriter, "write"),),
+    "tables": ((OpenWriters, "write"), (RunTable, "append"), (EventFinder, "update")),
+}
+"""Functions of each step: owner and name."""
+
+
+_WAITS = {
+    "input": ((ClosableQueue, "wait_for_item"),),
+    "room": ((ClosableQueue, "wait_for_room"), (ResultVideo, "wait")),
+}
+"""Functions in which a thread waits for the thread before it, or for the thread after it."""
+
+
+@dataclass(slots=True)
+class _Thread:
+    """Times of one thread so far, s.
+
+    Attributes:
+        name: of the thread.
+        times_s: processor time by step; "on a core" and "queued" as counted by the system: processor time, and time in
+            which the thread was ready but had no core; wall time by wait.
+        nested_s: processor time within each step in progress of the steps that it called.
+    """
+
+    name: str
+    times_s: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    nested_s: list[float] = field(default_factory=list)
+
+    def read_scheduler(self) -> None:
+        """Read the times of the calling thread that the system has counted."""
+        on_core_ns, queued_ns, _ = Path("/proc/thread-self/schedstat").read_text(encoding="ascii").split()
+        self.times_s["on a core"], self.times_s["queued"] = int(on_core_ns) * 1e-9, int(queued_ns) * 1e-9
+
+
+class _Probe:
+    """Times of all threads of this process."""
+
+    def __init__(self) -> None:
+        """Wrap the functions of all steps, for the rest of the process."""
+        self._threads: list[_Thread] = []
+        self._local = threading.local()
+        for wrap, groups in ((self._timed, _STEPS), (self._waiting, _WAITS)):
+            for key, functions in groups.items():
+                for owner, name in functions:
+                    setattr(owner, name, wrap(getattr(owner, name), key))
+
+    def times_s(self) -> list[tuple[str, dict[str, float]]]:
+        """Name and times so far of each thread; "process" is the processor time of all threads."""
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        now = {"wall": time.perf_counter(), "on a core": used.ru_utime + used.ru_stime}
+        return [("process", now), *((thread.name, thread.times_s.copy()) for thread in self._threads)]
+
+    @property
+    def _thread(self) -> _Thread:
+        if not hasattr(self._local, "thread"):
+            self._local.thread = _Thread(threading.current_thread().name)
+            self._threads.append(self._local.thread)
+        thread: _Thread = self._local.thread
+        return thread
+
+    def _timed(self, function: Callable[..., Any], step: str) -> Callable[..., Any]:
+        @wraps(function)
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            thread = self._thread
+            thread.nested_s.append(0.0)
+            start_s = time.thread_time()
+            try:
+                return function(*args, **kwargs)
+            finally:
+                spent_s = time.thread_time() - start_s
+                thread.times_s[step] += spent_s - thread.nested_s.pop()
+                if thread.nested_s:
+                    thread.nested_s[-1] += spent_s
+                else:
+                    thread.read_scheduler()
+
+        return timed
+
+    def _waiting(self, function: Callable[..., Any], wait: str) -> Callable[..., Any]:
+        @wraps(function)
+        def waiting(*args: Any) -> Any:
+            start_s = time.perf_counter()
+            try:
+                return function(*args)
+            finally:
+                self._thread.times_s[wait] += time.perf_counter() - start_s
+
+        return waiting
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of this workload."""
+    add_drive_options(parser)
+    parser.add_argument("--frames", type=int, default=150, metavar="N", help="number of frames of each run")
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Measure both runs, and print the tables of the steps and of the threads."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        drive = looped(options.drive, folder, n_frames=options.frames)
+        pair = {"stereo": (str(drive.left), str(drive.right)), "rig": str(drive.rig)}
+        one = {"mono": str(ordinary_video(folder / "ordinary.mp4", n_frames=options.frames)), "focal_px": 1150.0}
+        shared = {"detector": str(options.detector), "threads": 1, "device": "cpu"}
+        figures = {
+            "near-lossless pair": _in_new_process(
+                {**pair, **shared, "sgbm": False, "align": "off", "out": str(folder / "pair")}
+            ),
+            "ordinary video": _in_new_process({**one, **shared, "out": str(folder / "one")}),
+        }
+    _print(figures)
+    return figures
+
+
+def _in_new_process(settings: dict[str, Any]) -> dict[str, dict[str, float]]:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(_times_ms, settings).result()
+
+
+def _times_ms(settings: dict[str, Any]) -> dict[str, dict[str, float]]:
+    """Milliseconds per frame of each thread of a run, by step and wait."""
+    probe = _Probe()
+    with Run(settings_from(settings)) as run:
+        begin = probe.times_s()
+        n_frames = 0
+        for _ in run:
+            n_frames += 1
+            end = probe.times_s()
+    times_ms: dict[str, dict[str, float]] = {}
+    for index, (name, until) in enumerate(end):
+        since = begin[index][1] if index < len(begin) else {}
+        spent = {key: 1e3 * (value - since.get(key, 0.0)) / n_frames for key, value in until.items()}
+        key = name if name not in times_ms else f"{name} {index}"
+        times_ms[key] = {step: ms for step, ms in spent.items() if ms > 0}
+    return times_ms
+
+
+def _print(figures: dict[str, dict[str, dict[str, float]]]) -> None:
+    console = Console(width=100)
+    by_run = {
+        name: {step: sum(t.get(step, 0.0) for key, t in threads.items() if key != "process") for step in _STEPS}
+        for name, threads in figures.items()
+    }
+    table = plain_table("Processor time, ms per frame", "step", *by_run)
+    for step in _STEPS:
+        table.add_row(step, *(figure_text(steps[step]) for steps in by_run.values()))
+    table.add_row(
+        "other",
+        *(figure_text(figures[name]["process"]["on a core"] - sum(steps.values())) for name, steps in by_run.items()),
+    )
+    table.add_row("sum", *(figure_text(threads["process"]["on a core"]) for threads in figures.values()))
+    table.add_row("wall time", *(figure_text(threads["process"]["wall"]) for threads in figures.values()))
+    console.print(table)
+    for name, threads in figures.items():
+        table = plain_table(f"{name}: ms per frame of each thread", "thread", "on a core", "queued", "input", "room")
+        for thread, times_ms in threads.items():
+            table.add_row(thread, *(figure_text(times_ms.get(key)) for key in ("on a core", "queued", "input", "room")))
+        console.print(table)
