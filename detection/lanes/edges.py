@@ -20,6 +20,7 @@ from track_range.detection.lanes.lines import LaneLines
 from track_range.detection.lanes.markings import Markings, run_middles
 from track_range.detection.lanes.model import HORIZON
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
+from track_range.foundation.robust_statistics import median_of
 
 Float32Array = npt.NDArray[np.float32]
 
@@ -128,7 +129,7 @@ def _bars(channel: Float32Array, reach: int) -> Float32Array:
         return response
     step = channel[:, reach:] - channel[:, :-reach]
     # Paint must exceed the texture of its row, for example the pattern of shade on asphalt.
-    texture = 1.48 * np.median(np.abs(step[:, ::3]), axis=1, keepdims=True)
+    texture = 1.48 * median_of(np.abs(step[:, ::3]))[:, None]
     inner = np.minimum(step[:, :-reach], -step[:, reach:])
     response[:, reach:-reach] = inner * (inner > np.maximum(_MIN_CONTRAST, _MIN_TEXTURE_RATIO * texture))
     return response

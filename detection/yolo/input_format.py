@@ -10,6 +10,7 @@ import re
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -70,13 +71,12 @@ class InputFormat:
             buffer: (1, 3, height, width) the network's input.
             scaled: (*resized_hw, 3) uint8 scratch buffer.
         """
-        pixels = letterbox.scaled(image, buffer=scaled)
+        channels = cv2.split(letterbox.scaled(image, buffer=scaled))
         rows, columns = letterbox.inside
         for channel in range(3):
-            source = 2 - channel if self.colours == "rgb" else channel
             target = buffer[0, channel, rows, columns]
-            factor = np.float32(1 / (self.divisor * self.std[channel]))
-            np.multiply(pixels[..., source], factor, out=target, casting="unsafe")
+            target[:] = channels[2 - channel if self.colours == "rgb" else channel]
+            target *= np.float32(1 / (self.divisor * self.std[channel]))
             if self.mean[channel]:
                 target -= buffer.dtype.type(self.mean[channel] / self.std[channel])
 

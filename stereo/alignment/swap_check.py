@@ -130,11 +130,13 @@ def matched_points(left: Features, right: Features) -> tuple[FloatArray, FloatAr
     if min(len(left.xy_px), len(right.xy_px)) < 2:
         return np.zeros((0, 2)), np.zeros((0, 2))
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
-    back = {match.queryIdx: match.trainIdx for match in matcher.match(right.descriptors, left.descriptors)}
     pairs = [
         (first.queryIdx, first.trainIdx)
         for first, second in matcher.knnMatch(left.descriptors, right.descriptors, k=2)
-        if first.distance < _MAX_RATIO * second.distance and back[first.trainIdx] == first.queryIdx
+        if first.distance < _MAX_RATIO * second.distance
     ]
     chosen = np.array(pairs, np.int64).reshape(-1, 2)
+    if len(chosen):  # the cross-check of these few takes a quarter of the time of that of all features
+        back = [match.trainIdx for match in matcher.match(right.descriptors[chosen[:, 1]], left.descriptors)]
+        chosen = chosen[np.array(back) == chosen[:, 0]]
     return left.xy_px[chosen[:, 0]], right.xy_px[chosen[:, 1]]

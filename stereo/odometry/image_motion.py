@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, check_shape
-from track_range.foundation.robust_statistics import MAD_TO_SIGMA
+from track_range.foundation.robust_statistics import MAD_TO_SIGMA, median_of
 from track_range.foundation.sparse_flow import BackgroundFlow, isotropy
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -210,7 +210,7 @@ class ImageMotionEstimator:
             return ImageMotion(time_s=time_s, dt_s=dt_s, n_features=n_features, static_share=static_share)
         turned = _turned(pair[0], _rotation(fit.rotation))
         motion_px = focal_px * np.linalg.norm((pair[1] - turned)[fit.is_static], axis=1)
-        is_still = bool(np.median(motion_px) <= settings.max_still_px)
+        is_still = bool(median_of(motion_px) <= settings.max_still_px)
         if not is_still:
             self._direction, self._direction_variance = fit.direction, fit.direction_variance
         growth, growth_sigma = _growth(turned[fit.is_static], pair[1][fit.is_static], fit.direction)
@@ -328,7 +328,7 @@ def _solution(matrix: FloatArray, vector: FloatArray) -> FloatArray:
 
 def _first_rotation(before: FloatArray, now: FloatArray) -> FloatArray:
     """(3, 3) yaw and pitch of the median motion of the rays."""
-    x, y = np.median(now[:, :2] - before[:, :2], axis=0).tolist()
+    x, y = median_of((now[:, :2] - before[:, :2]).T).tolist()
     return _rotation(np.array([-y, x, 0.0]))
 
 
@@ -378,7 +378,7 @@ def _sign(before: FloatArray, now: FloatArray, rotation: FloatArray, t: FloatArr
         now - _turned(before, rotation),
         t - now * t[2],
     )  # the flow is (t - p' t_z) / z for a point at depth z
-    return -1.0 if np.median((flow * expected).sum(axis=1)) < 0 else 1.0
+    return -1.0 if median_of((flow * expected).sum(axis=1)) < 0 else 1.0
 
 
 def _growth(turned: FloatArray, now: FloatArray, direction: FloatArray) -> tuple[float, float]:
@@ -391,5 +391,6 @@ def _growth(turned: FloatArray, now: FloatArray, direction: FloatArray) -> tuple
     if not is_far.any():
         return math.nan, math.nan
     growth = ((now[:, :2] - epipole) * from_epipole).sum(axis=1)[is_far] / radius2[is_far] - 1.0
-    spread = MAD_TO_SIGMA * float(np.median(np.abs(growth - np.median(growth))))
-    return float(np.median(growth)), 1.25 * spread / math.sqrt(len(growth))
+    median = median_of(growth)
+    spread = MAD_TO_SIGMA * float(median_of(np.abs(growth - median)))
+    return float(median), 1.25 * spread / math.sqrt(len(growth))

@@ -26,6 +26,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, check_shape
+from track_range.foundation.robust_statistics import median_of
 from track_range.foundation.sparse_flow import (
     BackgroundFlow,
     FlowFrame,
@@ -344,7 +345,7 @@ def fit_motion(
         residual, jacobian, by_depth = _reprojection(motion, rays, inverse_depth, now)
         variance = noise**2 + inverse_depth_noise**2 * (by_depth**2).sum(axis=0)
         distance2 = (residual**2).sum(axis=0) / variance
-        spread2 = max(1.0, float(np.median(distance2)) / _CHI2_MEDIAN)
+        spread2 = max(1.0, float(median_of(distance2)) / _CHI2_MEDIAN)
         weight = np.maximum(1 - distance2 / (_TUKEY**2 * spread2), 0.0) ** 2 / variance
         weighted = jacobian * weight
         information = np.asarray((weighted @ jacobian.transpose(0, 2, 1)).sum(axis=0), np.float64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from track_range.foundation.robust_statistics import jackknife_sigma, mad_sigma, weighted_median
+from track_range.foundation.robust_statistics import jackknife_sigma, mad_sigma, median_of, weighted_median
 
 
 def test_mad_sigma_of_a_normal_distribution_with_outliers() -> None:
@@ -17,6 +17,15 @@ def test_mad_sigma_of_a_normal_distribution_with_outliers() -> None:
 
 def test_mad_sigma_worked_by_hand() -> None:
     assert mad_sigma(np.array([1.0, 2.0, 4.0, 8.0, 100.0])) == pytest.approx(1.4826 * 3.0)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("shape", [(1,), (2,), (7,), (8,), (3, 5), (4, 6), (2, 3, 300)])
+def test_median_equals_that_of_numpy(shape: tuple[int, ...], dtype: type) -> None:
+    values = np.random.default_rng(0).normal(size=shape).astype(dtype)
+    expected = np.median(values, axis=-1)
+    np.testing.assert_array_equal(median_of(values), expected)
+    assert median_of(values).dtype == expected.dtype
 
 
 def test_weighted_median_with_equal_weights() -> None:

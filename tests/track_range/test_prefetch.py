@@ -210,3 +210,12 @@ def test_threads_of_opencv_during_runs(
         assert cv2.getNumThreads() == 3
     finally:
         cv2.setNumThreads(before)
+
+
+def test_objects_before_runs_are_frozen_during_them() -> None:
+    assert gc.get_freeze_count() == 0
+    with concurrent_stages(has_dense_stereo=False):
+        with concurrent_stages(has_dense_stereo=False):
+            assert gc.get_freeze_count() > 1000
+        assert gc.get_freeze_count() > 1000
+    assert gc.get_freeze_count() == 0

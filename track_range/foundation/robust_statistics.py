@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
 
 MAD_TO_SIGMA = 1.4826
 """Ratio of standard deviation to median absolute deviation (MAD) of a normal distribution: 1 / 0.6745."""
+
+
+def median_of(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """(...) median of values (..., N), N >= 1 and none NaN, along the last axis, of the same type.
+
+    The result of `np.median`, which takes two to six times as long for a few hundred values.
+    """
+    middle = values.shape[-1] // 2
+    if values.shape[-1] % 2:
+        return np.asarray(np.partition(values, middle, axis=-1)[..., middle])
+    ordered = np.partition(values, (middle - 1, middle), axis=-1)
+    return np.asarray((ordered[..., middle - 1] + ordered[..., middle]) / 2)
 
 
 def mad_sigma(values: FloatArray) -> float:

@@ -219,8 +219,9 @@ class FlowFrame:
 class BackgroundFlow:
     """Corners of the background, tracked from each frame of one stream to the next, for all estimators of its motion.
 
-    The first estimator that adds a frame computes the small image and the corners. The flow of a corner is computed
-    when it is first used: an estimator that uses fewer corners than another one uses the first of them.
+    The first estimator that adds a frame computes the small image and the corners. An estimator that uses fewer corners
+    than another one uses the first of them; the first one that needs the flow of a frame computes it for all that any
+    of them needed in an earlier frame, since each call of Lucas-Kanade computes the pyramids of both images.
 
     Attributes:
         now: the last frame; None = there is none, or it is too small.
@@ -235,6 +236,7 @@ class BackgroundFlow:
         self._last_s = math.nan
         self._points: FloatArray32 = np.zeros((0, 2), np.float32)
         self._is_tracked: BoolArray = np.zeros(0, np.bool_)
+        self._needs: set[tuple[int, float]] = set()
 
     def add(self, image: Image, xyxy_px: FloatArray, time_s: float = math.nan) -> None:
         """Make an image the last frame, unless the last one has the same time.
@@ -274,11 +276,13 @@ class BackgroundFlow:
             return np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32)
         corners = self.before.corners
         n_good = corners.n_good(n_corners, min_quality)
+        self._needs.add((n_corners, min_quality))
         if n_good > len(self._points):
+            n_needed = max(corners.n_good(*need) for need in self._needs)
             points, is_tracked = tracked_corners(
                 self.before.small,
                 self.now.small,
-                corners.points[len(self._points) : n_good],
+                corners.points[len(self._points) : n_needed],
                 window_px=self._settings.window_px,
                 n_levels=self._settings.n_levels,
             )

@@ -79,7 +79,11 @@ def _array(parts: Sequence[npt.NDArray[Any]], column: ResultColumn) -> pa.Array:
     import pyarrow as pa
 
     dtype = _TYPES[column.kind]
-    values: npt.NDArray[Any] = np.concatenate([*parts, np.zeros(0, dtype)], dtype=dtype, casting="unsafe")
+    values: npt.NDArray[Any]
+    if len(parts) == 1:
+        values = np.ascontiguousarray(parts[0], dtype)
+    else:
+        values = np.concatenate([*parts, np.zeros(0, dtype)], dtype=dtype, casting="unsafe")
     if column.kind == "class":
         return pa.DictionaryArray.from_arrays(pa.array(values), pa.array(ROAD_CLASSES))
     return pa.array(values, from_pandas=True)  # NaN becomes null

@@ -8,6 +8,7 @@ slowest stage instead of the sum of all.
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 import threading
@@ -69,8 +70,16 @@ class _Shared(Generic[T]):
                     self._write(self._default)
 
 
+def _freeze(is_frozen: bool) -> None:
+    if is_frozen:
+        gc.freeze()
+    else:
+        gc.unfreeze()
+
+
 _switch_interval = _Shared(_SWITCH_INTERVAL_S, sys.getswitchinterval, sys.setswitchinterval)
 _opencv_threads = _Shared(1, cv2.getNumThreads, cv2.setNumThreads)
+_frozen_objects = _Shared(True, lambda: gc.get_freeze_count() > 0, _freeze)
 
 
 @contextmanager
@@ -78,14 +87,16 @@ def concurrent_stages(*, has_dense_stereo: bool) -> Iterator[None]:
     """Context with the settings of the process for stages in threads.
 
     A thread that returns from inference waits at most 0.5 ms for the GIL; the default, 5 ms, is a tenth of the time per
-    frame. On two cores or fewer OpenCV uses one thread, since its other ones, which have the priority of inference,
-    would interrupt that; with dense stereo it uses all, since dense stereo is then the bottleneck.
+    frame. The garbage collector leaves out the objects that exist before the run: a search among them takes 60 ms, and
+    holds the GIL. On two cores or fewer OpenCV uses one thread, since its other ones, which have the priority of
+    inference, would interrupt that; with dense stereo it uses all, since dense stereo is then the bottleneck.
 
     Args:
         has_dense_stereo: whether each image is matched densely.
     """
     with ExitStack() as stack:
         stack.enter_context(_switch_interval.in_use())
+        stack.enter_context(_frozen_objects.in_use())
         if (os.cpu_count() or 1) <= _FEW_CORES and not has_dense_stereo:
             stack.enter_context(_opencv_threads.in_use())
         yield
