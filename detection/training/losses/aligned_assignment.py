@@ -3,8 +3,8 @@
     a = s u^6        s: score of the object's class, u: IoU of the predicted box and the object, for every cell
 
 The 10 cells with the largest a among those whose centre is inside the object's box are its positives; the box of a cell
-of several objects is that of the one with the largest u. Around objects smaller than a cell, centres within one cell
-count as inside. The target of a positive's class score is
+of several objects is that of the one with the largest u. Around objects smaller than the finest cells, centres within
+one of these cells count as inside. The target of a positive's class score is
 
     t = (a / largest a of the object) (largest u of the object)
 
@@ -61,31 +61,30 @@ def assign_aligned(
         centre_px: (N, 2) centres of the cells.
         stride_px: (N,) sides of the cells.
     """
-    half = objects.cxcywh[:, None, 2:] / 2
-    reach = torch.maximum(half, stride_px[:, None] * (half < stride_px.min()))
-    is_inside = ((centre_px - objects.cxcywh[:, None, :2]).abs() < reach).all(-1)  # (T, N)
-    which, cell = is_inside.nonzero(as_tuple=True)
-    image = objects.image[which]
-    overlap = pair_iou(xyxy_px[image, cell], _xyxy(objects.cxcywh)[which])
-    alignment = scores[image, cell, objects.class_index[which]] * overlap**_BETA
+    reach_px = (objects.cxcywh[:, None, 2:] / 2).clamp(min=float(stride_px.min()))
+    is_inside = ((centre_px - objects.cxcywh[:, None, :2]).abs() < reach_px).all(-1)  # (T, N)
+    object_index, cell = is_inside.nonzero(as_tuple=True)
+    image, class_index = objects.image[object_index], objects.class_index[object_index]
+    overlap = is_inside.float()
+    overlap[object_index, cell] = pair_iou(xyxy_px[image, cell], _xyxy(objects.cxcywh)[object_index])
+    alignment = is_inside.float() - 1  # -1 outside, so that these cells come last
+    alignment[object_index, cell] = scores[image, cell, class_index] * overlap[object_index, cell] ** _BETA
 
-    dense = alignment.new_full(is_inside.shape, -1.0)
-    dense[which, cell] = alignment
-    best, best_cell = dense.topk(min(_N_POSITIVES, dense.shape[1]), dim=1)
-    best_overlap = torch.zeros_like(dense)
-    best_overlap[which, cell] = overlap
-    best_overlap = best_overlap.gather(1, best_cell)
-    largest_a, largest_u = best[:, :1], best_overlap.amax(1, keepdim=True)
-    target = best.clamp(min=0) / (largest_a + _EPSILON) * largest_u
+    best, best_cell = alignment.topk(min(_N_POSITIVES, len(centre_px)), dim=1)  # (T, 10)
+    best_overlap = overlap.gather(1, best_cell)
+    target = best / (best[:, :1] + _EPSILON) * best_overlap.amax(1, keepdim=True)
 
-    object_index, rank = (best > -1).nonzero(as_tuple=True)
-    cell, u = best_cell[object_index, rank], best_overlap[object_index, rank]
-    key = objects.image[object_index] * len(centre_px) + cell
-    order = torch.argsort(u, stable=True)  # the last write, of the largest overlap, wins
-    owner = torch.full((len(scores) * len(centre_px),), -1, device=key.device)
-    owner[key[order]] = order
-    has_box = owner[key] == torch.arange(len(key), device=key.device)
-    return AlignedCells(objects.image[object_index], cell, object_index, target[object_index, rank], has_box)
+    object_index, rank = (best >= 0).nonzero(as_tuple=True)
+    image, cell = objects.image[object_index], best_cell[object_index, rank]
+    has_box = _is_largest(best_overlap[object_index, rank], image * len(centre_px) + cell)
+    return AlignedCells(image, cell, object_index, target[object_index, rank], has_box)
+
+
+def _is_largest(value: Tensor, key: Tensor) -> Tensor:
+    """(P,) whether a value (P,) is the largest one with the same key (P,); of equal ones, the last one is."""
+    place = torch.argsort(torch.argsort(value, stable=True))  # of each value in the sorted order
+    largest = torch.full((int(key.max()) + 1 if len(key) else 0,), -1, device=key.device)
+    return place == largest.scatter_reduce(0, key, place, "amax")[key]
 
 
 def pair_iou(a: Tensor, b: Tensor) -> Tensor:
