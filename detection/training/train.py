@@ -27,6 +27,7 @@ from track_range.detection.training.losses.aligned_loss import AlignedLoss
 from track_range.detection.training.losses.detection_loss import Batch, DetectionLoss, Losses
 from track_range.detection.training.networks.network import AnchorNetwork, DetectionNetwork, placed
 from track_range.detection.training.networks.road_net import RoadNet
+from track_range.detection.training.networks.yolov5 import BODY_PREFIX
 from track_range.detection.training.run_folder import (
     BEST,
     LAST,
@@ -99,11 +100,28 @@ class Training:
     def start_from(self, path: Path) -> None:
         """Initialise the weights with the averaged weights of another run's checkpoint.
 
+        If that run trained another network with the same backbone and neck (YOLOv5n and RoadNet), only these are used.
+
         Raises:
             CheckpointError: the checkpoint does not exist, is damaged, or has another network.
         """
-        self._load_weights(self.network, path)
-        self._load_weights(self.average.network, path)
+        content = load_checkpoint(path)
+        shared = self._shared_body(content)
+        for network in (self.network, self.average.network):
+            if shared:
+                network.load_state_dict(shared, strict=False)
+            else:
+                self._load_weights(network, path)
+
+    def _shared_body(self, content: Mapping[str, Any]) -> dict[str, Tensor]:
+        """Weights of the backbone and neck of another kind of network; empty if it is the same kind or has others."""
+        if content.get("identity", {}).get("model") == self.network.name:
+            return {}
+        own = {name: value for name, value in self.network.state_dict().items() if name.startswith(BODY_PREFIX)}
+        saved = content.get("average", {})
+        if not own or any(name not in saved or saved[name].shape != own[name].shape for name in own):
+            return {}
+        return {name: saved[name] for name in own}
 
     def load_best(self) -> None:
         """Set `average` to that of the best epoch, if there was a validation.

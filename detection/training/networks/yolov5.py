@@ -38,6 +38,10 @@ class Scale:
 SCALES: Mapping[str, Scale] = {"yolov5n": Scale(0.33, 0.25), "yolov5s": Scale(0.33, 0.50)}
 
 
+BODY_PREFIX = "body."
+"""Prefix of the names of the weights of `YoloV5Body` in networks that have one."""
+
+
 class YoloV5Body(nn.Module):
     """Backbone and path-aggregation neck.
 

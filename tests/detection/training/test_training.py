@@ -67,14 +67,15 @@ def weights(run):
 
 
 @pytest.mark.train
-def test_killed_run_resumes_exactly(sets, tmp_path):
-    straight = training(sets, tmp_path / "straight")
+@pytest.mark.parametrize("name", ["yolov5n", "road"])
+def test_killed_run_resumes_exactly(sets, tmp_path, name):
+    straight = training(sets, tmp_path / "straight", name=name)
     straight.run(Quiet())
-    killed = training(sets, tmp_path / "killed")
+    killed = training(sets, tmp_path / "killed", name=name)
     with pytest.raises(KeyboardInterrupt):
         killed.run(Killed())
     assert len(load_checkpoint(tmp_path / "killed" / LAST)["history"]) == 2
-    resumed = training(sets, tmp_path / "killed")
+    resumed = training(sets, tmp_path / "killed", name=name)
     resumed.resume()
     resumed.run(Quiet())
     assert torch.equal(weights(resumed), weights(straight))
@@ -137,6 +138,13 @@ def test_initial_weights_of_another_run(sets, tmp_path):
     second = training(sets, tmp_path / "second", replace(SMALL, seed=5))
     second.start_from(tmp_path / "first" / BEST)
     assert torch.equal(weights(second), weights(first))
+    road = training(sets, tmp_path / "road", name="road")
+    road.start_from(tmp_path / "first" / BEST)
+    for run in (road.network, road.average.network):
+        assert all(
+            torch.equal(value, first.average.network.body.state_dict()[key])
+            for key, value in run.body.state_dict().items()
+        )
     other = training(sets, tmp_path / "other", name="yolov4-tiny")
     with pytest.raises(CheckpointError, match=r"best\.pt: .*--model"):
         other.start_from(tmp_path / "first" / BEST)

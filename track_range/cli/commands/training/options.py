@@ -95,7 +95,8 @@ class TrainOptions(Options):
     weights: Annotated[
         Path | None,
         option(
-            "Checkpoint of another run that provides the initial weights; anchors are not taken from it.",
+            "Checkpoint of another run that provides the initial weights; anchors are not taken from it. RoadNet also "
+            "starts from the backbone and neck of a YOLOv5n.",
             metavar="best.pt",
             panel=_DATA,
         ),
