@@ -25,7 +25,10 @@ if TYPE_CHECKING:
     from track_range.api.parts import load_rig as load_rig
     from track_range.detection.detections import Detections as Detections
     from track_range.detection.evaluation import evaluate_detections as evaluate_detections
+    from track_range.detection.evaluation.object_sizes import evaluate_by_size as evaluate_detections_by_size
+    from track_range.detection.evaluation.score_calibration import evaluate_calibration as evaluate_score_calibration
     from track_range.detection.formats.errors import LabelFileError as LabelFileError
+    from track_range.detection.formats.image_labels.image_truth import ImageTruth as ImageTruth
     from track_range.detection.models.onnx_session import ModelError as ModelError
     from track_range.events.event import Event as Event
     from track_range.events.files import EventFileError as EventFileError
@@ -78,6 +81,7 @@ _MODULE_OF = {
     "Event": "events.event",
     "Frame": "stereo.geometry.frames",
     "Detections": "detection.detections",
+    "ImageTruth": "detection.formats.image_labels.image_truth",
     "Tracks": "tracking.tracks",
     "Ranges": "ranging.ranges",
     "PinholeCamera": "stereo.geometry.camera",
@@ -100,6 +104,8 @@ _MODULE_OF = {
     "evaluate_stereo": "api.evaluation",
     "evaluate_tracks": "api.evaluation",
     "evaluate_detections": "detection.evaluation",
+    "evaluate_detections_by_size": "detection.evaluation.object_sizes:evaluate_by_size",
+    "evaluate_score_calibration": "detection.evaluation.score_calibration:evaluate_calibration",
     "write_report": "report.page",
     # extension
     "Ranger": "ranging.ranger",

@@ -1,8 +1,5 @@
 """Average precision: hand-worked examples, comparison with pycocotools, and truth against itself."""
 
-import contextlib
-import io
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.detection.evaluation.labelled_scenes import coco_figures, random_scene
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.evaluation import MIN_BOXES, evaluate_detections
@@ -111,56 +109,12 @@ def test_arrays_of_unequal_length():
         ImageTruth.of([square(0)], [CAR], is_ignored=[True, False])
 
 
-def random_scene(rng, *, n_images, n_classes=3):
-    detections, truth = [], []
-    for _ in range(n_images):
-        n = rng.integers(0, 12)
-        boxes = np.concatenate([xy := rng.integers(0, 40, (n, 2)), xy + rng.integers(5, 30, (n, 2))], axis=1)
-        kind = rng.choice(3, n, p=[0.7, 0.15, 0.15])
-        classes = rng.integers(0, n_classes, n)
-        truth.append(ImageTruth.of(boxes, classes, is_ignored=kind == 1, is_region=kind == 2))
-        near = np.repeat(boxes, 2, axis=0) + rng.integers(-4, 5, (2 * n, 4))
-        near = near[(near[:, 2] > near[:, 0]) & (near[:, 3] > near[:, 1])]
-        score = rng.integers(1, 20, len(near)) / 20  # with ties
-        detections.append(Detections.of(near, score, rng.integers(0, n_classes, len(near))))
-    return detections, truth
-
-
-def coco_figures(detections, truth, class_id):
-    """AP50-95 and AP50 of one class by pycocotools; ignored labels that are not regions have an area out of range."""
-    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
-        warnings.simplefilter("ignore")
-        from pycocotools.coco import COCO
-        from pycocotools.cocoeval import COCOeval
-
-        labels, results = [], []
-        for image, (f, t) in enumerate(zip(detections, truth, strict=True), start=1):
-            for j in np.flatnonzero(t.class_id == class_id):
-                x1, y1, x2, y2 = t.xyxy_px[j].tolist()
-                label = {"id": len(labels) + 1, "image_id": image, "category_id": 1, "bbox": [x1, y1, x2 - x1, y2 - y1]}
-                area = 1e12 if t.is_ignored[j] and not t.is_region[j] else (x2 - x1) * (y2 - y1)
-                labels.append({**label, "area": area, "iscrowd": int(t.is_region[j])})
-            for j in np.flatnonzero(f.class_id == class_id):
-                x1, y1, x2, y2 = f.xyxy_px[j].tolist()
-                box = [x1, y1, x2 - x1, y2 - y1]
-                results.append({"image_id": image, "category_id": 1, "bbox": box, "score": float(f.score[j])})
-        coco = COCO()
-        images = [{"id": i + 1} for i in range(len(truth))]
-        coco.dataset = {"images": images, "annotations": labels, "categories": [{"id": 1}], "info": {}}
-        coco.createIndex()
-        evaluator = COCOeval(coco, coco.loadRes(results), "bbox")
-        evaluator.evaluate()
-        evaluator.accumulate()
-        precision = evaluator.eval["precision"][:, :, 0, 0, 2]
-    return precision.mean(), precision[0].mean()
-
-
 @pytest.mark.parametrize("seed", range(12))
 def test_equals_pycocotools(seed):
     detections, truth = random_scene(np.random.default_rng(seed), n_images=25)
     by_class = scores(detections, truth).by_class
     for class_id in range(3):
-        ap50_95, ap50 = coco_figures(detections, truth, class_id)
+        ((ap50_95, ap50, _),) = coco_figures(detections, truth, class_id)
         actual = by_class[class_id]
         assert (actual.ap50_95, actual.ap50) == (pytest.approx(ap50_95, abs=1e-12), pytest.approx(ap50, abs=1e-12))
 
@@ -171,7 +125,7 @@ def test_hundred_detections_per_image():
     detections = Detections.of(boxes, rng.permutation(150) / 150, [CAR] * 150)
     truth = ImageTruth.of(boxes, [CAR] * 150)
     assert scores([detections], [truth]).by_class[CAR].ap50 == pytest.approx(
-        coco_figures([detections], [truth], CAR)[1]
+        coco_figures([detections], [truth], CAR)[0][1]
     )
 
 
