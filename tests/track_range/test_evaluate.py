@@ -55,6 +55,48 @@ def test_perfect_and_blind_detector(rectangles, cli):
         assert word in printed
 
 
+def test_sizes_and_calibration(rectangles, cli):
+    blind = write_model(rectangles / "blind.onnx", np.zeros((1, 252, 6)), metadata={"names": "['car']"})
+    model = ("--model", rectangles / "finder.onnx")
+    figures, printed = evaluate(cli, rectangles, *model, "--figure", rectangles / "f.svg")
+    finder = figures["models"]["finder"]
+    for bins in finder["by_size"].values():
+        counts = [row["classes"]["car"]["n_boxes"] for row in bins]
+        assert sum(counts) == 10
+        assert [row["classes"]["car"]["ap50"] for row in bins] == [1.0 if n else None for n in counts]
+    row = finder["calibration"]["classes"]["car"]
+    assert (row["n"], row["precision"]) == (10, 1.0)
+    assert row["ece"] == pytest.approx(1 - row["mean_score"])
+    for text in ("car, small", "car, medium", "by area", "ECE", "f.svg"):
+        assert text in printed
+    assert "<svg" in (rectangles / "f.svg").read_text()
+
+    both = (*model, "--model", blind)
+    figures, printed = evaluate(cli, rectangles, *both, "--by", "height", "--figure", rectangles / "f.png")
+    assert figures["models"]["blind"]["calibration"]["all"]["ece"] is None
+    assert figures["models"]["blind"]["by_size"]["height"][1]["classes"]["car"]["recall"] == 0.0
+    for text in ("car, < 25 px", "finder: by height", "blind: by height", "ECE % by class"):
+        assert text in printed
+    assert (rectangles / "f.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("option", "status", "message"),
+    [
+        (("--figure", "f.txt"), 2, ".svg or .png"),
+        (("--figure", "no/such/folder/f.svg"), 1, "cannot be written"),
+        (("--json", "no/such/folder/f.json"), 1, "cannot be written"),
+        (("--by", "width"), 2, "--by"),
+    ],
+)
+def test_outputs_are_checked_before_models_are_loaded(rectangles, cli, option, status, message):
+    actual, _, errors = cli(
+        "evaluate", "detections", "--model", "missing.onnx", *option,
+        "--images", rectangles / "images", "--labels", rectangles / "labels",
+    )  # fmt: skip
+    assert (actual, message in errors, "missing.onnx" in errors) == (status, True, False), errors
+
+
 def test_manifest_unknown_class_and_damaged_image(rectangles, cli):
     lines = [f"{i}.png,{'val' if i < 4 else 'train'},{'00100000' if i else '00000000'}" for i in range(10)]
     (rectangles / "m.csv").write_text("file,split,labels_complete\n" + "\n".join(lines))

@@ -1,4 +1,4 @@
-"""Charts as files: losses and accuracy of a training run, fitted size curves over their boxes, risk-coverage curves.
+"""Charts as files: training runs, fitted size curves over their boxes, risk-coverage curves, reliability diagrams.
 
 Uses matplotlib's Figure objects directly (no pyplot, hence no window and no global state). The charts of the report are
 drawn by the script of its page.
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from track_range.foundation.arrays import FloatArray
@@ -127,7 +128,105 @@ def risk_coverage_chart(curves: Mapping[str, Sequence[Mapping[str, Any]]], path:
         axes.set_ylim(bottom=0)
         axes.grid(True, alpha=0.25)
     figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", frameon=False, ncols=6)
+    _write_chart(figure, path)
+
+
+def _write_chart(figure: Figure, path: Path) -> None:
+    """Write an SVG or PNG file, by the ending of its name."""
     stream = io.BytesIO()
     kind = path.suffix.lower().removeprefix(".")
     figure.savefig(stream, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else None)
     write_bytes(path, stream.getvalue())
+
+
+_MODELS_PER_ROW = 4
+"""Maximum number of reliability diagrams beside each other."""
+
+RELIABLE_BIN = 10
+"""Minimum number of detections of a class in a bin that is drawn."""
+
+_INTERVAL_Z = 1.96
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
+
+
+def reliability_chart(calibrations: Mapping[str, Mapping[str, Any]], path: Path) -> None:
+    """Draw the reliability diagram of each detector.
+
+    Args:
+        calibrations: `ScoreCalibration.as_dict()` of the detectors by name.
+        path: SVG or PNG file to write.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    _write_chart(reliability_figure(calibrations), path)
+
+
+def reliability_figure(calibrations: Mapping[str, Mapping[str, Any]]) -> Figure:
+    """The figure of `reliability_chart`: for each detector its precision over its score, numbers of detections below.
+
+    The line of all classes has 95 % intervals (Wilson); thin lines are the classes, without bins of fewer than
+    `RELIABLE_BIN` detections. Below the diagonal, scores are too high.
+    """
+    n_columns = min(len(calibrations), _MODELS_PER_ROW)
+    n_rows = -(-len(calibrations) // n_columns)
+    figure = Figure(figsize=(0.4 + 4.4 * n_columns, 0.6 + 5.4 * n_rows), layout="constrained")
+    colours = _class_colours(calibrations)
+    cells = figure.subfigures(n_rows, n_columns, squeeze=False).ravel()
+    for cell, (name, calibration) in zip(cells, calibrations.items(), strict=False):
+        diagram, histogram = cell.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+        _draw_reliability(diagram, calibration, colours)
+        diagram.set_title(name)
+        _draw_counts(histogram, calibration["all"])
+    lines = {str(line.get_label()): line for axes in figure.axes for line in axes.lines}
+    figure.legend(handles=lines.values(), loc="outside lower center", frameon=False, ncols=3 * n_columns)
+    return figure
+
+
+def _class_colours(calibrations: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Colour of each class that any of the detectors is evaluated on."""
+    names = dict.fromkeys(name for calibration in calibrations.values() for name in calibration["classes"])
+    return {name: f"C{number}" for number, name in enumerate(names)}
+
+
+def _draw_reliability(axes: Axes, calibration: Mapping[str, Any], colours: Mapping[str, str]) -> None:
+    axes.plot([0, 1], [0, 1], color="#6b747c", linestyle="--", linewidth=1.0, label="calibrated")
+    for name, row in calibration["classes"].items():
+        bins = [one for one in row["bins"] if one["n"] >= RELIABLE_BIN]
+        if bins:
+            score, precision = _columns(bins, "mean_score", "precision")
+            axes.plot(score, precision, color=colours[name], linewidth=0.9, alpha=0.7, marker=".", ms=4, label=name)
+    bins = [one for one in calibration["all"]["bins"] if one["n"]]
+    score, precision = _columns(bins, "mean_score", "precision")
+    low, high = _wilson_interval(*_columns(bins, "n_true", "n"))
+    axes.vlines(score, low, high, color="black", linewidth=1.2)
+    axes.plot(score, precision, color="black", linewidth=2.2, marker="o", ms=4.5, label="all classes")
+    ece, chance = calibration["all"]["ece"], calibration["all"]["ece_if_calibrated"]
+    if ece is not None:
+        text = f"ECE {100 * ece:.1f} %\n(by chance {100 * chance:.1f} %)"
+        axes.text(0.03, 0.97, text, transform=axes.transAxes, va="top")
+    axes.set(xlim=(0, 1), ylim=(0, 1.02), ylabel="precision at IoU 0.5")
+    axes.grid(True, alpha=0.25)
+
+
+def _draw_counts(axes: Axes, row: Mapping[str, Any]) -> None:
+    low, high, n, n_true = _columns(row["bins"], "from", "to", "n", "n_true")
+    for count, colour, label in ((n, "#c3cad0", "detections"), (n_true, "#5b7f9e", "true")):
+        axes.bar(low, count, width=high - low, align="edge", color=colour, edgecolor="white", label=label)
+    axes.set_yscale("symlog", linthresh=1.0)  # linear below 1, since bins can be empty
+    axes.set(ylim=(0, 10 * max(n.max(), 1.0)), xlabel="score", ylabel="number")
+    axes.legend(frameon=False, fontsize="small", ncols=2)
+    axes.grid(True, axis="y", alpha=0.25)
+
+
+def _columns(bins: Sequence[Mapping[str, Any]], *keys: str) -> FloatArray:
+    """(K, M) values of K keys of M bins."""
+    return np.array([[one[key] for one in bins] for key in keys], np.float64)
+
+
+def _wilson_interval(n_true: FloatArray, n: FloatArray) -> FloatArray:
+    """(2, M) limits of the 95 % intervals of fractions n_true / n (Wilson, J. Am. Stat. Assoc. 1927)."""
+    z2 = _INTERVAL_Z**2
+    centre = (n_true + z2 / 2) / (n + z2)
+    half = _INTERVAL_Z / (n + z2) * np.sqrt(n_true * (n - n_true) / n + z2 / 4)
+    return np.stack([centre - half, centre + half])

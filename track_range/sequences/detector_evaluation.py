@@ -2,7 +2,8 @@
 
 Every image is read once and processed by all detectors in turn, so that their times are measured under the same
 conditions. Average precision uses all boxes of confidence 0.001 or more; precision and recall are those at the working
-confidence, `--min-score`.
+confidence, `--min-score`. Average precision and recall are also evaluated by size of object, and the calibration of the
+scores is measured.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.evaluation import MIN_BOXES, DetectionScores, evaluate_detections
+from track_range.detection.evaluation.object_sizes import MIN_BIN_BOXES, SIZE_BINS, evaluate_by_size
+from track_range.detection.evaluation.score_calibration import MIN_SCORE, evaluate_calibration
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
@@ -34,10 +37,19 @@ WORKING_SCORE = 0.25
 
 PROTOCOL = (
     "COCO AP (101 points, at most 100 boxes per image and class) of boxes with a score of at least 0.001 after the "
-    "detector's non-maximum suppression; precision and recall at IoU 0.5 and the confidence threshold; median ms per "
-    "image, with all detectors run in turn on each image"
+    "detector's non-maximum suppression; precision and recall at IoU 0.5 and the confidence threshold; by size: labels "
+    "and unmatched boxes outside of a bin are ignored, sizes in pixels of the image, COCO's bins of area; calibration: "
+    "boxes with a score of at least 0.05, matched at IoU 0.5, in 10 bins of the score; median ms per image, with all "
+    "detectors run in turn on each image"
 )
 """Description of the measurement for the results."""
+
+_DETAIL_NOTES = (
+    f"By size: means over the classes with at least {MIN_BOXES} boxes, {MIN_BIN_BOXES} of them in the bin.",
+    f"Calibration of scores of {MIN_SCORE} or more: ECE is the mean difference between score and precision in bins of "
+    "the score, chance the ECE to be expected of calibrated scores in the same number.",
+)
+"""Explanations of the tables by size and of calibration."""
 
 
 @dataclass(slots=True)
@@ -81,6 +93,7 @@ def evaluate(
     min_score: str | None,
     progress: FrameProgress = no_frame_progress,
     min_height_px: float = 0.0,
+    is_detailed: bool = False,
 ) -> dict[str, Any]:
     """Run all detectors on the labelled images; returns their results as plain values for JSON.
 
@@ -92,6 +105,7 @@ def evaluate(
         min_score: confidence threshold as in `--min-score`; None = `WORKING_SCORE`.
         progress: shows the number of finished images.
         min_height_px: smaller objects are ignored.
+        is_detailed: whether to evaluate by size of object and the calibration of the scores, too.
 
     Raises:
         LabelFileError, VideoError: no image can be read.
@@ -128,9 +142,16 @@ def evaluate(
         "min_height_px": min_height_px,
         "working_score": {name: float(working_score[i]) for i, name in enumerate(ROAD_CLASSES)},
         "protocol": PROTOCOL,
-        "models": {candidate.name: _figures(candidate, scores) for candidate in candidates},
+        "models": {
+            candidate.name: {
+                **_figures(candidate, scores),
+                **(_details(candidate, truth, working_score, min_height_px=min_height_px) if is_detailed else {}),
+            }
+            for candidate in candidates
+        },
         "notes": [
             *_notes(candidates, scores, frames.unreadable),
+            *(_DETAIL_NOTES if is_detailed else ()),
             *([] if is_complete else [f"Stopped early, after {len(truth)} images."]),
         ],
     }
@@ -144,7 +165,7 @@ def evaluate_source(
     progress: FrameProgress = no_frame_progress,
     min_height_px: float = 0.0,
 ) -> dict[str, Any]:
-    """`evaluate` on the images of `source`; the results also name images, labels, format and split.
+    """Detailed `evaluate` on the images of `source`; the results also name images, labels, format and split.
 
     Raises:
         LabelFileError, ImageFileError, VideoError, UsageError: images or labels cannot be used.
@@ -156,7 +177,9 @@ def evaluate_source(
         "split": source.split if source.manifest else None,
     }
     frames = source.open()
-    figures = evaluate(candidates, frames, min_score=min_score, progress=progress, min_height_px=min_height_px)
+    figures = evaluate(
+        candidates, frames, min_score=min_score, progress=progress, min_height_px=min_height_px, is_detailed=True
+    )
     return {**inputs, **figures}
 
 
@@ -178,6 +201,29 @@ def _figures(candidate: Candidate, scores: dict[str, DetectionScores]) -> dict[s
         **own.as_dict(),
         "common": {**common, "classes": [ROAD_CLASSES[i] for i in shared]},
         "speed": candidate.speed(),
+    }
+
+
+def _details(
+    candidate: Candidate, truth: Sequence[ImageTruth], working_score: FloatArray, *, min_height_px: float
+) -> dict[str, Any]:
+    """Results of one model by size of object, and the calibration of its scores."""
+    detections, known = candidate.detections[: len(truth)], candidate.detector.known_class_id
+    by_size = {
+        measure: evaluate_by_size(
+            detections,
+            truth,
+            working_score=working_score,
+            known_class_id=known,
+            measure=measure,
+            min_height_px=min_height_px,
+        )
+        for measure in SIZE_BINS
+    }
+    calibration = evaluate_calibration(detections, truth, known_class_id=known, min_height_px=min_height_px)
+    return {
+        "by_size": {measure: [scores.as_dict() for scores in bins] for measure, bins in by_size.items()},
+        "calibration": calibration.as_dict(),
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
+from track_range.detection.evaluation.matching import SizeMeasure
 from track_range.foundation.options import Options, option
 from track_range.run.options.detector_fields import (
     Device,
@@ -156,6 +157,13 @@ class DetectionEvaluationSettings(Options):
             metavar="S[,CLASS=S...]",
         ),
     ] = None
+    by: Annotated[
+        SizeMeasure,
+        option(
+            "Measure of the table by size of object: area of the box (COCO's small, medium and large: limits of 32^2 "
+            "and 96^2 px) or its height (limits of 25, 50 and 100 px), both in pixels of the image."
+        ),
+    ] = "area"
     names: Annotated[str | None, names_option()] = None
     anchors: Annotated[str | None, anchors_option()] = None
     letterbox: Annotated[str | None, letterbox_option()] = None

@@ -22,11 +22,14 @@ app = lazy_app(
         ),
         "detections": Lazy(
             "track_range.cli.commands.evaluate.detections",
-            "Average precision and speed of detectors on labelled images.",
-            "Exits with status 1 if a detector could not be evaluated or an image could not be read.",
+            "Average precision, calibration of scores, and speed of detectors.",
+            "Measured on labelled images, over all objects and by their size. Exits with status 1 if a detector could "
+            "not be evaluated or an image could not be read.",
             (
                 "track-range evaluate detections --model road --model yolov5n.onnx \\\n"
                 "      --images images/ --labels labels/",
+                "track-range evaluate detections --model road --images images/ \\\n"
+                "      --labels labels/ --by height --figure reliability.svg",
             ),
         ),
         "ranges": Lazy(

@@ -1,4 +1,4 @@
-"""`track-range evaluate detections`: average precision and speed of detectors on labelled images."""
+"""`track-range evaluate detections`: accuracy, calibration and speed of detectors on labelled images."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from typing import Annotated, Any
 
 import typer
 
-from track_range.cli.commands.evaluate.json_file import check_json_file
-from track_range.cli.console import console, print_grid
+from track_range.cli.commands.evaluate.result_files import check_result_files
+from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
+from track_range.detection.evaluation.matching import SizeMeasure
 from track_range.foundation.options import option
-from track_range.report.detection_tables import accuracy_grid, class_grid, speed_grid
+from track_range.report.detection_tables import accuracy_grid, calibration_grids, class_grid, size_grids, speed_grid
 from track_range.results.output_files import write_text
 from track_range.run.options.detector_options import DetectorOptions, class_names
 from track_range.run.progress import frame_progress
@@ -28,11 +29,15 @@ from track_range.sequences.settings import DetectionEvaluationSettings
 class DetectionsOptions(DetectionEvaluationSettings):
     """Options of `track-range evaluate detections`."""
 
+    figure: Annotated[
+        Path | None,
+        option("Reliability diagrams of the scores to write, an SVG or PNG file.", metavar="FILE.svg"),
+    ] = None
     json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 
 
 def _detections(options: DetectionsOptions) -> None:
-    check_json_file(options)
+    check_result_files(options)
     detector = replace(DetectorOptions.of(options), min_score=None, classes=())  # these two apply to the evaluation
     source = LabelledSource(
         images=options.images,
@@ -51,14 +56,20 @@ def _detections(options: DetectionsOptions) -> None:
         progress=partial(frame_progress, console),
         min_height_px=options.min_height,
     )
-    print_figures(figures)
+    print_figures(figures, measure=options.by)
     write_figures(figures, options.json_file)
+    if options.figure is not None:
+        from track_range.report.figures import reliability_chart  # imports matplotlib, which takes a third of a second
+
+        reliability_chart({name: row["calibration"] for name, row in figures["models"].items()}, options.figure)
+        print_line(console, f"Written: {options.figure}")
     raise typer.Exit(0 if figures["is_complete"] else 1)
 
 
-def print_figures(figures: dict[str, Any]) -> None:
-    """Print the tables and notes of an evaluation of detectors."""
-    for grid in (accuracy_grid(figures), class_grid(figures), speed_grid(figures)):
+def print_figures(figures: dict[str, Any], *, measure: SizeMeasure | None = None) -> None:
+    """Print the tables and notes of an evaluation of detectors; those by size and of calibration with a `measure`."""
+    details = [] if measure is None else [*size_grids(figures, measure), *calibration_grids(figures)]
+    for grid in (accuracy_grid(figures), class_grid(figures), *details, speed_grid(figures)):
         print_grid(console, grid)
     for note in figures["notes"]:
         console.print(f"- {note}", style="dim", highlight=False, markup=False)

@@ -8,7 +8,7 @@ from pathlib import Path
 from statistics import median
 from typing import Annotated, Any
 
-from track_range.cli.commands.evaluate.json_file import check_json_file
+from track_range.cli.commands.evaluate.result_files import check_result_files
 from track_range.cli.console import console, print_grid, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
@@ -26,7 +26,7 @@ class EventsOptions(EventEvaluationSettings):
 
 
 def _events(options: EventsOptions) -> None:
-    check_json_file(options)
+    check_result_files(options)
     figures = evaluate_events(options)
     print_notes(console, figures["notes"])
     for grid in (_score_grid(figures), _contact_grid(figures), _closing_grid(figures)):

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from track_range.cli.commands.evaluate.json_file import check_json_file
-from track_range.cli.commands.evaluate.risk_tables import check_figure, draw_risk, risk_grids
+from track_range.cli.commands.evaluate.result_files import check_result_files
+from track_range.cli.commands.evaluate.risk_tables import draw_risk, risk_grids
 from track_range.cli.console import console, print_grid, print_line, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
@@ -31,8 +31,7 @@ class RangesOptions(RangeEvaluationSettings):
 
 
 def _ranges(options: RangesOptions) -> None:
-    check_json_file(options)
-    check_figure(options.figure)
+    check_result_files(options)
     figures = evaluate_ranges(options)
     curves = _curves(figures)
     grids = [*_grids(figures), *_literature_grids(figures), *(risk_grids(curves) if curves else ())]

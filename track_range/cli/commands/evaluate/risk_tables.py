@@ -6,22 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from track_range.foundation.errors import UsageError
 from track_range.report import tables
 
 ANSWERED_PCT = (100, 95, 90, 80, 50)
 """Answered shares of the boxes in the risk-coverage tables, per cent."""
 
-CHART_SUFFIXES = (".svg", ".png")
-"""Accepted endings of the chart's file name."""
-
 _Curves = Mapping[str, Mapping[str, Any]]
-
-
-def check_figure(path: Path | None) -> None:
-    """Raise UsageError for a chart whose name has another ending."""
-    if path is not None and path.suffix.lower() not in CHART_SUFFIXES:
-        raise UsageError(f"--figure {path}: expected a name that ends in {' or '.join(CHART_SUFFIXES)}.")
 
 
 def draw_risk(curves: _Curves, path: Path) -> None:

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 from track_range.calibration.settings import StereoEvaluationSettings
 from track_range.calibration.stereo_evaluation import evaluate_stereo
-from track_range.cli.commands.evaluate.json_file import check_json_file
-from track_range.cli.commands.evaluate.risk_tables import check_figure, draw_risk, risk_grids
+from track_range.cli.commands.evaluate.result_files import check_result_files
+from track_range.cli.commands.evaluate.risk_tables import draw_risk, risk_grids
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
@@ -32,8 +32,7 @@ class StereoOptions(StereoEvaluationSettings):
 
 
 def _stereo(options: StereoOptions) -> None:
-    check_json_file(options)
-    check_figure(options.figure)
+    check_result_files(options)
     figures = evaluate_stereo(options, partial(step_progress, console))
     _print(figures)
     if options.figure is not None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from track_range.cli.commands.evaluate.json_file import check_json_file
+from track_range.cli.commands.evaluate.result_files import check_result_files
 from track_range.cli.console import console, print_grid, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
@@ -30,7 +30,7 @@ class TracksOptions(TrackEvaluationSettings):
 
 
 def _tracks(options: TracksOptions) -> None:
-    check_json_file(options)
+    check_result_files(options)
     figures = evaluate_tracks(options)
     print_notes(console, figures["notes"])
     print_grid(console, _grid(figures))

@@ -1,0 +1,80 @@
+"""check_result_files: files of results can be written and are not inputs; checked before an evaluation."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from track_range.foundation.errors import UsageError
+from track_range.results.output_files import OutputError
+
+_OUTPUTS = {"json_file": "--json", "table": "--table", "figure": "--figure"}
+"""Options that name files to write, by field."""
+
+CHART_SUFFIXES = (".svg", ".png")
+"""Accepted endings of a chart's file name."""
+
+
+def check_result_files(options: Any) -> None:
+    """Check the files of results before the evaluation, so that no result is lost afterwards.
+
+    Args:
+        options: options of a command with `json_file` and perhaps `table` and `figure`; all other paths in them, and
+            the files in folders, are inputs.
+
+    Raises:
+        UsageError: a chart's name has another ending than `CHART_SUFFIXES`.
+        OutputError: a file is an input or given twice, its folder does not exist, or it cannot be written.
+    """
+    files = {flag: file for name, flag in _OUTPUTS.items() if (file := getattr(options, name, None)) is not None}
+    for flag, file in files.items():
+        if flag == "--figure" and file.suffix.lower() not in CHART_SUFFIXES:
+            raise UsageError(f"--figure {file}: expected a name that ends in {' or '.join(CHART_SUFFIXES)}.")
+        _check_is_no_input(flag, file, options)
+        _check_can_be_written(file)
+    replaced = [os.path.realpath(file) for file in files.values() if _is_replaced(file)]
+    if len(set(replaced)) < len(replaced):
+        raise OutputError(f"{' and '.join(files)}: expected different files; choose another name for one of them.")
+
+
+def _check_is_no_input(flag: str, file: Path, options: Any) -> None:
+    if not file.exists():
+        return
+    for name, value in vars(options).items():
+        is_in_folder = _is_of_folder(flag, file, name)
+        if name not in _OUTPUTS and any(_contains(path, file, is_in_folder) for path in _paths(value)):
+            source = name.replace("_", "-")
+            raise OutputError(f"{file}: expected a new file for {flag}, got that of --{source}; rename it.")
+
+
+def _paths(value: object) -> Iterable[Path]:
+    values = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+    return (path for path in values if isinstance(path, Path) and path.exists())
+
+
+def _is_of_folder(flag: str, file: Path, option: str) -> bool:
+    """Whether an existing file may be one of the inputs in the folder of an option, and not an earlier result."""
+    if flag == "--json":
+        return file.suffix != ".json"
+    return option == "images" and file.suffix.lower() == ".png"
+
+
+def _contains(path: Path, file: Path, is_in_folder: bool) -> bool:
+    """Whether a path is a file, or the folder of a run, of labels or of images with that file as input."""
+    return path.samefile(file) or (is_in_folder and path.is_dir() and path.samefile(file.parent))
+
+
+def _check_can_be_written(file: Path) -> None:
+    if file.is_dir():
+        raise OutputError(f"{file}: cannot be written (it is a folder); give the path of a file in it.")
+    if not file.parent.is_dir():
+        raise OutputError(f"{file}: cannot be written (no folder {file.parent}); create it or choose another.")
+    if not os.access(file.parent if _is_replaced(file) else file, os.W_OK):
+        raise OutputError(f"{file}: cannot be written (permission denied); choose another file.")
+
+
+def _is_replaced(file: Path) -> bool:
+    """Whether a new file takes the place of this one; devices and pipes are written in place."""
+    return file.is_file() or not file.exists()
