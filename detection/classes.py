@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from track_range.foundation.arrays import IntArray
+from track_range.foundation.arrays import BoolArray, IntArray
 from track_range.foundation.errors import UserError
 
 ROAD_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "traffic light", "traffic sign")
@@ -32,6 +32,9 @@ ROAD_CLASS_OF = {
 
 For detectors' class names. For KITTI's ground truth, `KITTI_IGNORED` excludes some of these names.
 """
+
+_KINDS = ("stop sign", "van", "cyclist", "person_sitting")
+"""Names in `ROAD_CLASS_OF` of only some of the objects of their road class."""
 
 SAME_OBJECT_GROUP: IntArray = np.array([0, 1, 2, 1, 2, 2, 3, 4])
 """(8,) group number by class_id: detectors confuse the classes of one group with each other on the same object."""
@@ -98,3 +101,9 @@ def map_to_road_classes(names: Sequence[str]) -> IntArray:
     """(len(names),) road class id of each name of another class list; -1 for names that are not road classes."""
     road = [ROAD_CLASS_OF.get(name.strip().lower()) for name in names]
     return np.array([-1 if name is None else ROAD_CLASSES.index(name) for name in road], np.int64)
+
+
+def fully_known(names: Sequence[str]) -> BoolArray:
+    """(8,) road classes that a list of class names has as a whole, not only a kind of them such as stop signs."""
+    road = map_to_road_classes([name for name in names if name.strip().lower() not in _KINDS])
+    return np.isin(np.arange(len(ROAD_CLASSES)), road)

@@ -7,6 +7,7 @@ from track_range.detection.classes import (
     ROAD_CLASSES,
     SAME_OBJECT_GROUP,
     ClassNameError,
+    fully_known,
     map_to_road_classes,
     road_class_ids,
 )
@@ -50,3 +51,8 @@ def test_coco_maps_onto_all_road_classes():
         "stop sign": "traffic sign",
     }
     assert len(SAME_OBJECT_GROUP) == len(ROAD_CLASSES)
+
+
+def test_stop_signs_are_not_all_traffic_signs():
+    assert not fully_known(["Stop Sign", "van", "person_sitting", "cyclist"]).any()
+    assert np.flatnonzero(fully_known(["stop sign", "traffic sign", "pedestrian", "zebra"])).tolist() == [0, 7]

@@ -121,6 +121,16 @@ COMMANDS = {
         "Prints the anchors and their mean best IoU with the boxes, and that of the networks' default anchors.",
         ("track-range anchors --data data.yaml --size 640 --clusters 9",),
     ),
+    "pseudo-label": Lazy(
+        "track_range.cli.commands.training.pseudo_label",
+        "Label training images with an ensemble of detectors, for `train`.",
+        "The boxes of the detectors, in each image and its mirror image, are fused, and their scores are calibrated to "
+        "probabilities on the completely labelled classes. Prints the lines for data.yaml.",
+        (
+            "track-range pseudo-label --data data.yaml --model yolov5n.onnx \\\n"
+            "      --model picodet_s.onnx --out labels_soft",
+        ),
+    ),
     "simulate": Lazy(
         "track_range.cli.commands.simulate",
         "Simulate a stereo drive with exact ground truth, or labelled images.",

@@ -16,7 +16,7 @@ it does not name. Names that are not road classes are ignored. A pseudo-label th
 if its score is at least 0.5 (cars: 0.4) and its class is not completely labelled in the image; otherwise the box is
 ignored, so that a detection there is neither a true nor a false positive. With `pseudo_scores: probabilities`, each
 one of a class that is not completely labelled is an object whose confidence is its score, and the classes that the
-detector knows count as completely labelled.
+detector knows count as completely labelled. `detection.training.ensemble` makes such pseudo-labels.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from __future__ import annotations
 import os
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -42,7 +42,7 @@ from track_range.detection.formats.image_labels.labelled_images import (
     read_labelled,
     read_manifest,
 )
-from track_range.detection.formats.image_labels.yolo_labels import YoloLabelReader, names_in
+from track_range.detection.formats.image_labels.yolo_labels import YoloLabelReader, YoloLabels, names_in
 from track_range.foundation.arrays import BoolArray, IntArray
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, real_path, shortened
 from track_range.foundation.files.structured_text import read_yaml
@@ -109,6 +109,9 @@ _SAME_OBJECT_IOU = 0.5
 _BACKGROUND_NOTE = "no label file: background"
 """Note for an image without a label file."""
 
+_NO_LABELS = YoloLabels(np.zeros((0, 4)), np.zeros(0, np.int64), np.zeros(0), ())
+"""Content of a file of pseudo-labels that does not exist."""
+
 
 @dataclass(frozen=True, slots=True)
 class TrainingData:
@@ -133,6 +136,69 @@ class TrainingData:
         return f"{len(self.train)} and {len(self.val)} images, {crc:08x}"
 
 
+@dataclass(frozen=True, slots=True)
+class OwnLabels:
+    """The images that the entries of a data.yaml list, with their labels alone.
+
+    Attributes:
+        path: the data.yaml.
+        root: folder that paths in the file are relative to.
+        names: class names, in the order of the numbers in label files.
+        train, val: the images, each once, without pseudo-labels and without those of another data.yaml; the boxes are
+            fractions of the image size. `val` may be empty.
+        labels_pseudo: detections of each training image by its path; None = the file names no folder of detections.
+        notes: notes for the user on clipped boxes, ignored images and assumptions.
+    """
+
+    path: Path
+    root: Path
+    names: tuple[str, ...]
+    train: list[LabelledImage]
+    val: list[LabelledImage]
+    labels_pseudo: dict[Path, YoloLabels] | None
+    notes: tuple[str, ...]
+
+    @property
+    def image_files(self) -> list[Path]:
+        """Files of all images, each once."""
+        return list(dict.fromkeys(item.path for item in (*self.train, *self.val)))
+
+    @property
+    def is_named(self) -> BoolArray:
+        """(8,) road classes that have a name."""
+        return np.isin(np.arange(len(ROAD_CLASSES)), map_to_road_classes(self.names))
+
+
+def read_own_labels(path: Path) -> OwnLabels:
+    """The images and labels of a data.yaml to which pseudo-labels can be added; pixels are not read.
+
+    Raises:
+        LabelFileError, ImageFileError: as for `read_data_yaml`; or the labels are KITTI's, the pseudo-labels are
+            probabilities already, there are no training images, or two of them have the same name.
+    """
+    document, names = _document(path)
+    if document.format == "kitti":
+        raise LabelFileError(f"{path}: expected labels in YOLO's format for pseudo-labels, found 'format: kitti'.")
+    if document.labels_pseudo and document.pseudo_scores == "probabilities":
+        raise LabelFileError(
+            f"{path}: expected detections of a detector in labels_pseudo, found 'pseudo_scores: probabilities', which "
+            "are pseudo-labels already; remove these keys, or name a folder of detections."
+        )
+    root = path.parent / document.path
+    reader = _Reader(path, root, document, names, frozenset({real_path(path)}), [], is_alone=True)
+    train = _first_of_each(reader.split("train"))
+    val = _first_of_each(reader.listed_in("val"))
+    stems = [item.path.stem for item in train]
+    if len(set(stems)) < len(stems):
+        name = next(name for i, name in enumerate(stems) if name in stems[:i])
+        raise LabelFileError(
+            f"{path}: expected training images with different names, as pseudo-labels are files NAME.txt in one "
+            f"folder, found {quoted(name)} twice."
+        )
+    notes = (*dict.fromkeys(reader.notes), *_summarised([*train, *val]))
+    return OwnLabels(path, root, tuple(names), train, val, reader.pseudo_labels(train), notes)
+
+
 def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> TrainingData:
     """The images and labels of a data.yaml; pixels are not read.
 
@@ -143,41 +209,73 @@ def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> Trai
     Raises:
         LabelFileError, ImageFileError: the file, a folder or labels cannot be read or are invalid.
     """
-    content = _content(path)  # first, since `resolve` fails on a loop of links
-    if real_path(path) in within:
-        raise LabelFileError(f"{path}: refers to itself, directly or through another data.yaml.")
-    document = validated(_DataYaml, content, path, LabelFileError)
-    names = _KITTI_NAMES if document.format == "kitti" else names_in(content, path)
+    document, names = _document(path, within)
     road = map_to_road_classes(names)
     classes: IntArray = np.array(list(dict.fromkeys(road[road >= 0].tolist())), np.int64)
-    if not len(classes):
-        raise LabelFileError(f"{path}: names: expected at least one road class ({', '.join(ROAD_CLASSES)}).")
-    reader = _Reader(path, path.parent / document.path, document, names, within | {real_path(path)})
+    reader = _Reader(path, path.parent / document.path, document, names, within | {real_path(path)}, [])
     train, val = reader.split("train"), reader.split("val")
     unknown = [name for name, class_id in zip(names, road, strict=True) if class_id < 0]
     notes = [f"Ignored classes that are not road classes: {', '.join(unknown)}."] if unknown else []
     return TrainingData(classes, train, val, (*notes, *dict.fromkeys(reader.notes), *_summarised([*train, *val])))
 
 
+def _document(path: Path, within: frozenset[Path] = frozenset()) -> tuple[_DataYaml, Sequence[str]]:
+    """Content of a data.yaml, and its class names.
+
+    Raises:
+        LabelFileError: the file cannot be read, is invalid, has no road class, or is one of `within`.
+    """
+    content = _content(path)  # first, since `resolve` fails on a loop of links
+    if real_path(path) in within:
+        raise LabelFileError(f"{path}: refers to itself, directly or through another data.yaml.")
+    document = validated(_DataYaml, content, path, LabelFileError)
+    names = _KITTI_NAMES if document.format == "kitti" else names_in(content, path)
+    if (map_to_road_classes(names) < 0).all():
+        raise LabelFileError(f"{path}: names: expected at least one road class ({', '.join(ROAD_CLASSES)}).")
+    return document, names
+
+
 @dataclass(frozen=True, slots=True)
 class _Reader:
-    """Reader of the splits of one data.yaml; `notes` collects the notes for the user."""
+    """Reader of the splits of one data.yaml.
+
+    Attributes:
+        notes: collects the notes for the user.
+        is_alone: images are read without pseudo-labels, and those of another data.yaml are left out.
+    """
 
     path: Path
     root: Path
     document: _DataYaml
     names: Sequence[str]
     within: frozenset[Path]
-    notes: list[str] = field(default_factory=list)
+    notes: list[str]
+    is_alone: bool = False
+
+    def listed_in(self, key: str) -> list[LabelledImage]:
+        """The images of one split with their labels; there may be none."""
+        entries = self.document.train if key == "train" else self.document.val
+        return [item for part in entries for item in self._of(part, key)]
 
     def split(self, key: str) -> list[LabelledImage]:
-        """The images of one split with their labels."""
-        entries = self.document.train if key == "train" else self.document.val
-        items = [item for part in entries for item in self._of(part, key)]
+        """The images of one split with their labels.
+
+        Raises:
+            LabelFileError: there are none.
+        """
+        items = self.listed_in(key)
         if not items:
             split = f" (the manifest has no images of the split '{key}')" if self.document.manifest else ""
             raise LabelFileError(f"{self.path}: no labelled images for '{key}'{split}.")
         return items
+
+    def pseudo_labels(self, items: Sequence[LabelledImage]) -> dict[Path, YoloLabels] | None:
+        """Detections of the images in the folder of pseudo-labels, by path; None without such a folder."""
+        if not self.document.labels_pseudo:
+            return None
+        folder, reader = self._folder(self.document.labels_pseudo), YoloLabelReader(self.names)
+        files = ((item.path, folder / f"{item.path.stem}.txt") for item in items)
+        return {path: reader.read(file) if file.is_file() else _NO_LABELS for path, file in files}
 
     def _of(self, entry: str, split: str) -> list[LabelledImage]:
         """The images of one entry, with the manifest and the pseudo-labels applied."""
@@ -198,6 +296,9 @@ class _Reader:
 
     def _nested(self, path: Path, split: str) -> list[LabelledImage]:
         """The same split of another data.yaml; classes that it does not name are marked as not labelled."""
+        if self.is_alone:
+            self.notes.append(f"Left out the images of {path} for '{split}', which have separate pseudo-labels.")
+            return []
         data = read_data_yaml(path, within=self.within)
         named = np.isin(np.arange(len(ROAD_CLASSES)), data.road_class_id)
         return [
@@ -213,7 +314,7 @@ class _Reader:
             if n_unlisted:
                 self.notes.append(f"Ignored {n_unlisted} images for '{split}' that are not in the manifest.")
             items = of_split(items, manifest, split)
-        if self.document.labels_pseudo and split == "train":
+        if self.document.labels_pseudo and split == "train" and not self.is_alone:
             folder = self._folder(self.document.labels_pseudo)
             reader, known = YoloLabelReader(self.names), self._known_classes()
             items = [_with_pseudo_labels(item, folder / f"{item.path.stem}.txt", reader, known) for item in items]
@@ -267,6 +368,11 @@ class _Reader:
         if not os.path.isdir(folder):
             raise LabelFileError(f"{self.path}: expected a folder {shortened(str(folder), _MAX_SHOWN)}, found none.")
         return folder
+
+
+def _first_of_each(items: Sequence[LabelledImage]) -> list[LabelledImage]:
+    """The images without repetitions, which lists of images use to draw rare ones more often."""
+    return list({real_path(item.path): item for item in reversed(items)}.values())[::-1]
 
 
 def _content(path: Path) -> dict[Any, Any]:

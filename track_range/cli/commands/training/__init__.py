@@ -1,1 +1,1 @@
-"""`track-range train` and `track-range anchors`."""
+"""`track-range train`, `track-range anchors` and `track-range pseudo-label`."""

@@ -1,4 +1,4 @@
-"""Options of `track-range train` and `track-range anchors`."""
+"""Options of `track-range train`, `track-range anchors` and `track-range pseudo-label`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from track_range.foundation.options import Options, option
+from track_range.run.options.detector_fields import Device, device_option, size_option, threads_option
 
 _DATA, _TRAINING, _OUTPUT, _VARIANTS = "Data and network", "Training", "Output", "Network variants"
 
@@ -140,3 +141,39 @@ class TrainOptions(Options):
     licence: Annotated[str, option("Licence of the weights, stored in the ONNX file.", metavar="TEXT", panel=_DATA)] = (
         ""
     )
+
+
+class PseudoLabelOptions(Options):
+    """Options of `track-range pseudo-label`."""
+
+    data: Annotated[
+        Path,
+        option(
+            "Data set in YOLO's format, usually with a manifest of the classes that are completely labelled in each "
+            "image; detections in its labels_pseudo are combined with the detectors (docs/detectors.md).",
+            metavar="data.yaml",
+        ),
+    ]
+    models: Annotated[
+        tuple[str, ...],
+        option(
+            "Detector: an ONNX file, or a name from `track-range models list`; repeat the option for an ensemble.",
+            flag="--model",
+            metavar="FILE|NAME",
+            is_repeated=True,
+        ),
+    ]
+    out: Annotated[Path, option("Folder of the pseudo-labels: a file NAME.txt for each training image.", metavar="DIR")]
+    resume: Annotated[bool, option("Whether to continue the interrupted run in --out.")] = False
+    min_probability: Annotated[
+        float,
+        option(
+            "Minimum probability of pseudo-labels of classes that are not completely labelled.",
+            metavar="P",
+            ge=0.0,
+            le=1.0,
+        ),
+    ] = 0.1
+    size_px: Annotated[int | None, size_option()] = None
+    threads: Annotated[int, threads_option()] = 0
+    device: Annotated[Device, device_option()] = "auto"

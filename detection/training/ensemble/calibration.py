@@ -1,0 +1,198 @@
+"""Probability that a fused box is an object of a class, from the scores of the detectors (logistic regression).
+
+    p_c = sigma(a_c + sum over detectors d of w_cd logit(s_dc)),    w_cd >= 0,    s_dc limited to [0.01, 0.99]
+
+The coefficients maximise the likelihood of the matches y in {0, 1} of fused boxes with labels, in the images in which
+class c is completely labelled, with a small ridge penalty:
+
+    minimise over a, w: sum over boxes of (log(1 + exp(z)) - y z) + lambda (a^2 + |w|^2),    z = a + w logit(s)
+
+which is Platt scaling with one slope per detector (Platt, "Probabilistic outputs for support vector machines", 1999).
+The weight of a detector that does not know the class is 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit, logit
+
+from track_range.detection.boxes import iou
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.formats.image_labels.image_truth import ImageTruth
+from track_range.detection.training.ensemble.fusion import FusedBoxes
+from track_range.detection.training.ensemble.views import MIN_SCORE
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+
+MIN_POSITIVES = 20
+"""Minimum number of matches to fit a class; others have the mean coefficients of the classes that are fitted."""
+
+BIN_EDGES = (0.0, 0.2, 0.5, 0.8, 1.0)
+"""Limits of the bins of probability in which the calibration is verified."""
+
+_LOWEST, _HIGHEST = 0.01, 0.99
+"""Limits of the scores, so that log-odds are finite; a detector without a box has the lowest one."""
+
+_RIDGE = 1e-3
+"""Factor lambda of the ridge penalty: the fit has a solution also where matches are separated by the scores."""
+
+_FIRST_WEIGHT = 0.4
+"""Initial value of the weights in the optimisation."""
+
+_MATCH_IOU = 0.5
+"""Minimum IoU of a fused box with the label of the same object."""
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Fused boxes of one class, in images in which it is completely labelled.
+
+    Attributes:
+        score: (M, D) score of each detector.
+        is_match: (M,) whether there is a label.
+    """
+
+    score: FloatArray
+    is_match: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Coefficients of the logistic regression by class.
+
+    Attributes:
+        intercept: (8,) a_c.
+        weight: (8, D) w_cd.
+        n_positives: (8,) number of matches from which the coefficients of a class were fitted; 0 = mean of the others.
+    """
+
+    intercept: FloatArray
+    weight: FloatArray
+    n_positives: IntArray
+
+    def probability(self, score: FloatArray) -> FloatArray:
+        """(K, 8) probability by class of boxes with the scores (K, D, 8); 0 for classes that were not detected."""
+        x = logit(np.clip(score, _LOWEST, _HIGHEST))
+        z = self.intercept + np.einsum("kdc,cd->kc", x, self.weight)
+        return np.where(_is_detected(score), expit(z), 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Bins:
+    """Probabilities and matches of the boxes of one class, by bins of probability (`BIN_EDGES`).
+
+    Attributes:
+        n: (4,) number of boxes.
+        probability: (4,) their mean probability; NaN without boxes.
+        matched: (4,) fraction of them that match a label; NaN without boxes.
+    """
+
+    n: IntArray
+    probability: FloatArray
+    matched: FloatArray
+
+
+def samples(
+    images: Sequence[tuple[FusedBoxes, ImageTruth]], *, n_detectors: int, is_labelled: BoolArray
+) -> list[Samples]:
+    """The samples of each road class.
+
+    Args:
+        images: fused boxes and labels of each image, the labels as fractions of the image size.
+        n_detectors: number of detectors.
+        is_labelled: (8,) classes that the labels have; there are no samples of others.
+    """
+    listed = []
+    for class_id in range(len(ROAD_CLASSES)):
+        score, is_match = [np.zeros((0, n_detectors))], [np.zeros(0, np.bool_)]
+        for fused, truth in images:
+            if truth.is_complete[class_id] and is_labelled[class_id]:
+                used = _is_detected(fused.score)[:, class_id]
+                score.append(fused.score[used, :, class_id])
+                is_match.append(matches(fused, truth, class_id)[used])
+        listed.append(Samples(np.concatenate(score), np.concatenate(is_match)))
+    return listed
+
+
+def matches(fused: FusedBoxes, truth: ImageTruth, class_id: int) -> BoolArray:
+    """(K,) whether a fused box matches a label of a class.
+
+    In order of decreasing best score, a box matches the label with which its IoU is largest, if that is at least 0.5
+    and no better box matches this label.
+    """
+    is_match = np.zeros(len(fused.xyxy), np.bool_)
+    labels = truth.xyxy_px[(truth.class_id == class_id) & ~truth.is_ignored]
+    if not len(labels) or not len(is_match):
+        return is_match
+    overlap = iou(fused.xyxy, labels)
+    nearest = overlap.argmax(axis=1)
+    order = np.argsort(-fused.score[:, :, class_id].max(axis=1), kind="stable")
+    candidates = order[overlap[order, nearest[order]] >= _MATCH_IOU]
+    _, best = np.unique(nearest[candidates], return_index=True)  # the first of each label
+    is_match[candidates[best]] = True
+    return is_match
+
+
+def fit_calibration(by_class: Sequence[Samples], is_known: BoolArray) -> Calibration | None:
+    """Coefficients fitted to the samples of each road class; None if no class has enough matches.
+
+    A class with fewer than `MIN_POSITIVES` matches has the mean coefficients of the others; the weights of detectors
+    that do not know it are distributed over those that do.
+
+    Args:
+        by_class: samples of each of the 8 road classes.
+        is_known: (D, 8) classes that each detector knows.
+    """
+    n_positives = np.array([np.count_nonzero(of_class.is_match) for of_class in by_class])
+    is_fitted = (n_positives >= MIN_POSITIVES) & is_known.any(axis=0)
+    if not is_fitted.any():
+        return None
+    n_detectors = len(is_known)
+    intercept, weight = np.zeros(len(by_class)), np.zeros((len(by_class), n_detectors))
+    for class_id, of_class in enumerate(by_class):
+        if is_fitted[class_id]:
+            intercept[class_id], weight[class_id] = _logistic_regression(of_class, is_known[:, class_id])
+    mean_weight = weight[is_fitted].mean(axis=0)
+    known_weight = np.where(is_known, mean_weight[:, None], 0.0)
+    total = known_weight.sum(axis=0)
+    shared = known_weight * np.divide(mean_weight.sum(), total, out=np.zeros_like(total), where=total > 0)
+    weight[~is_fitted] = shared.T[~is_fitted]
+    intercept[~is_fitted] = intercept[is_fitted].mean()
+    return Calibration(intercept, weight, np.where(is_fitted, n_positives, 0))
+
+
+def bins(calibration: Calibration, of_class: Samples, class_id: int) -> Bins:
+    """The calibration of one class on samples, which should not be those of the fit."""
+    score = np.zeros((len(of_class.score), of_class.score.shape[1], len(ROAD_CLASSES)))
+    score[:, :, class_id] = of_class.score
+    p = calibration.probability(score)[:, class_id]
+    index = np.digitize(p, BIN_EDGES[1:-1])
+    n = np.bincount(index, minlength=len(BIN_EDGES) - 1)
+    with np.errstate(invalid="ignore"):
+        mean = np.bincount(index, p, minlength=len(n)) / n
+        matched = np.bincount(index, of_class.is_match, minlength=len(n)) / n
+    return Bins(n, mean, matched)
+
+
+def _is_detected(score: FloatArray) -> BoolArray:
+    """(K, 8) whether a detector's score (K, D, 8) of a class exceeds the lowest one."""
+    return np.asarray(score.max(axis=1, initial=0.0) > MIN_SCORE)
+
+
+def _logistic_regression(of_class: Samples, is_known: BoolArray) -> tuple[float, FloatArray]:
+    """Intercept and non-negative weights (D,) that maximise the penalised likelihood."""
+    x = logit(np.clip(of_class.score, _LOWEST, _HIGHEST))
+    design, y = np.column_stack([x, np.ones(len(x))]), of_class.is_match.astype(np.float64)
+
+    def loss(w: FloatArray) -> tuple[float, FloatArray]:
+        z = design @ w
+        value = float((np.logaddexp(0.0, z) - y * z).sum() + _RIDGE * w @ w)
+        return value, design.T @ (expit(z) - y) + 2.0 * _RIDGE * w
+
+    first = np.append(np.where(is_known, _FIRST_WEIGHT, 0.0), 0.0)
+    bounds = [(0.0, None if known else 0.0) for known in is_known] + [(None, None)]
+    w = minimize(loss, first, jac=True, method="L-BFGS-B", bounds=bounds).x
+    return float(w[-1]), np.asarray(w[:-1])

@@ -1,0 +1,174 @@
+"""Pseudo-labels of a data set: an ensemble of detectors labels the training images of a data.yaml.
+
+    data = read_own_labels(Path("data.yaml"))
+    out = Path("labels_soft")
+    members = [EnsembleMember(path, out / DETECTIONS) for path in models]
+    unreadable = store_missing(data.image_files, members)
+    outcome = label_training_images(data, members, out, unreadable=unreadable)
+
+The probabilities are fitted on the training images and verified on the validation images.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.image_labels.image_truth import ImageTruth
+from track_range.detection.formats.image_labels.labelled_images import LabelledImage
+from track_range.detection.training.data.data_yaml import OwnLabels
+from track_range.detection.training.ensemble.calibration import (
+    MIN_POSITIVES,
+    Bins,
+    Calibration,
+    bins,
+    fit_calibration,
+    samples,
+)
+from track_range.detection.training.ensemble.fusion import FusedBoxes, fuse
+from track_range.detection.training.ensemble.pseudo_labels import PseudoLabels, pseudo_labels
+from track_range.detection.training.ensemble.views import EnsembleMember
+from track_range.detection.training.errors import TrainingError
+from track_range.foundation.arrays import BoolArray, IntArray
+from track_range.foundation.files.atomic_files import describe, write_text
+from track_range.foundation.files.input_files import real_path, shortened
+
+DETECTIONS = "detections"
+"""Folder of the detectors' boxes in the folder of pseudo-labels, while a run is not finished."""
+
+COUNTED_PROBABILITIES = (0.1, 0.3, 0.6)
+"""Minimum probabilities for which pseudo-labels are counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Pseudo-labels of a data set in figures.
+
+    Attributes:
+        known_class_id: named road classes that at least one detector knows, in increasing order.
+        n_labels: (8, 3) number of pseudo-labels by class of at least each of `COUNTED_PROBABILITIES`, in images in
+            which the class is not completely labelled.
+        n_ignored: (8,) number of boxes to ignore, in images in which the class is completely labelled.
+        calibration: the fitted coefficients.
+        validation: by road class that is labelled, the calibration on the validation images.
+    """
+
+    known_class_id: IntArray
+    n_labels: IntArray
+    n_ignored: IntArray
+    calibration: Calibration
+    validation: dict[int, Bins]
+
+
+def usable_classes(data: OwnLabels, members: Sequence[EnsembleMember]) -> BoolArray:
+    """(D, 8) named road classes that each detector knows.
+
+    Raises:
+        LabelFileError: the detectors know none of the names, or there are too few labels to fit probabilities.
+    """
+    usable = np.array([member.is_known & data.is_named for member in members])
+    if not usable.any():
+        raise LabelFileError(
+            f"{data.path}: expected names that the detectors know, found {shortened(', '.join(data.names))}; choose "
+            "other detectors."
+        )
+    is_usable = usable.any(axis=0)
+    labelled = [item.truth.class_id[(item.truth.is_complete & is_usable)[item.truth.class_id]] for item in data.train]
+    n_labels = np.bincount(np.concatenate(labelled), minlength=1)
+    if n_labels.max() < MIN_POSITIVES:
+        raise LabelFileError(
+            f"{data.path}: expected at least {MIN_POSITIVES} labels of a class that is completely labelled, to fit "
+            f"probabilities; found {n_labels.max()}."
+        )
+    return usable
+
+
+def label_training_images(
+    data: OwnLabels,
+    members: Sequence[EnsembleMember],
+    out: Path,
+    *,
+    unreadable: Collection[Path] = (),
+    min_probability: float = 0.1,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Outcome:
+    """Write the pseudo-labels of every training image to `out`, NAME.txt with lines `class cx cy w h probability`.
+
+    Args:
+        data: the images and their labels.
+        members: the detectors, which have stored the boxes of all images (`views.store_missing`).
+        out: an existing folder.
+        unreadable: images that are left out.
+        min_probability: minimum probability of pseudo-labels of classes that are not completely labelled.
+        progress: callback after each image with the number of images whose boxes are fused, and their total.
+
+    Raises:
+        LabelFileError: too few fused boxes match labels to fit probabilities, or the detectors know no class.
+        TrainingError: the boxes of an image are not stored, or a file cannot be written.
+    """
+    usable = usable_classes(data, members)
+    is_known: BoolArray = np.asarray(usable.any(axis=0))
+    train = [item for item in data.train if item.path not in unreadable]
+    val = [item for item in data.val if item.path not in unreadable]
+
+    fused: list[FusedBoxes] = []
+    for item in (*train, *val):
+        fused.append(fuse([member.boxes(item.path) for member in members]))
+        progress(len(fused), len(train) + len(val))
+    fitted = samples(_pairs(fused[: len(train)], train), n_detectors=len(members), is_labelled=data.is_named)
+    calibration = fit_calibration(fitted, usable)
+    if calibration is None:
+        most = max(int(np.count_nonzero(of_class.is_match)) for of_class in fitted)
+        raise LabelFileError(
+            f"{data.path}: expected at least {MIN_POSITIVES} objects of a completely labelled class that the detectors "
+            f"find, to fit probabilities; found {most}."
+        )
+    verified = samples(_pairs(fused[len(train) :], val), n_detectors=len(members), is_labelled=data.is_named)
+    validation = {
+        class_id: bins(calibration, of_class, class_id)
+        for class_id, of_class in enumerate(verified)
+        if is_known[class_id] and len(of_class.score)
+    }
+    n_labels = np.zeros((len(ROAD_CLASSES), len(COUNTED_PROBABILITIES)), np.int64)
+    n_ignored = np.zeros(len(ROAD_CLASSES), np.int64)
+    for item, boxes in zip(train, fused[: len(train)], strict=True):
+        labels = pseudo_labels(
+            boxes.xyxy,
+            calibration.probability(boxes.score),
+            item.truth,
+            is_known=is_known,
+            other=None if data.labels_pseudo is None else data.labels_pseudo[item.path],
+            min_probability=min_probability,
+        )
+        _write(out / f"{item.path.stem}.txt", labels.as_text(data.names))
+        _count(labels, n_labels, n_ignored)
+    return Outcome(np.flatnonzero(is_known), n_labels, n_ignored, calibration, validation)
+
+
+def is_validated_on_training_images(data: OwnLabels) -> bool:
+    """Whether validation images are training images too, so that the calibration is not verified independently."""
+    train = {real_path(item.path) for item in data.train}
+    return any(real_path(item.path) in train for item in data.val)
+
+
+def _pairs(fused: Sequence[FusedBoxes], items: Sequence[LabelledImage]) -> list[tuple[FusedBoxes, ImageTruth]]:
+    return [(boxes, item.truth) for boxes, item in zip(fused, items, strict=True)]
+
+
+def _count(labels: PseudoLabels, n_labels: IntArray, n_ignored: IntArray) -> None:
+    """Add the pseudo-labels of one image to the numbers by class."""
+    np.add.at(n_ignored, labels.class_id[labels.is_ignored], 1)
+    for i, minimum in enumerate(COUNTED_PROBABILITIES):
+        np.add.at(n_labels[:, i], labels.class_id[~labels.is_ignored & (labels.probability >= minimum)], 1)
+
+
+def _write(file: Path, text: str) -> None:
+    try:
+        write_text(file, text, is_flushed=False)
+    except OSError as error:
+        raise TrainingError(f"{file}: cannot be written ({describe(error)}).") from error

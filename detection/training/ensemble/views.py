@@ -1,0 +1,174 @@
+"""Boxes of the detectors of an ensemble in an image and in its mirror image, stored by image to resume a run."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from track_range.detection.classes import ROAD_CLASSES, fully_known
+from track_range.detection.detector import Detector
+from track_range.detection.formats.image_labels.labelled_images import ImageFileError, read_image
+from track_range.detection.models.onnx_session import Runtime
+from track_range.detection.training.errors import TrainingError
+from track_range.detection.yolo.detector import YoloDetector, YoloSettings
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray, check_shape
+from track_range.foundation.files.array_files import read_array
+from track_range.foundation.files.atomic_files import atomic_path, describe
+from track_range.foundation.files.input_files import real_path
+
+N_VIEWS = 2
+"""Number of views of an image: the image and its mirror image."""
+
+MIN_SCORE = 0.02
+"""Lowest score of the boxes; low, since calibration decides what the scores mean."""
+
+_MAX_IOU, _MAX_BOXES = 0.6, 200
+"""IoU threshold of non-maximum suppression, and largest number of boxes per view; the fusion merges what remains."""
+
+_MIN_SIDE_PX = 2.0
+"""Minimum width and height of a box in pixels of the image."""
+
+_N_COLUMNS = 6
+"""Number of columns of stored boxes: xyxy, score, class_id."""
+
+
+@dataclass(frozen=True, slots=True)
+class ViewBoxes:
+    """The N boxes of one detector in both views of an image.
+
+    Attributes:
+        xyxy: (N, 4) left, top, right, bottom as fractions of the image size, in the image that is not mirrored.
+        score: (N,) confidence in [0, 1].
+        class_id: (N,) road class.
+    """
+
+    xyxy: FloatArray
+    score: FloatArray
+    class_id: IntArray
+
+    def __post_init__(self) -> None:
+        n = len(self.score)
+        check_shape("xyxy", self.xyxy, (n, 4))
+        check_shape("score", self.score, (n,))
+        check_shape("class_id", self.class_id, (n,))
+
+
+def detect_views(detector: Detector, image: Image) -> ViewBoxes:
+    """The boxes of a detector in `image`, (H, W, 3) uint8 BGR, and in its mirror image."""
+    height, width = image.shape[:2]
+    size_px = np.array([width, height, width, height], np.float64)
+    views = [detector.detect(image), detector.detect(np.ascontiguousarray(image[:, ::-1]))]
+    xyxy, mirrored = [(boxes.xyxy_px + 0.5) / size_px for boxes in views]
+    mirrored[:, [0, 2]] = 1.0 - mirrored[:, [2, 0]]
+    both = np.concatenate([xyxy, mirrored])
+    is_large = ((both[:, 2:] - both[:, :2]) * size_px[:2] >= _MIN_SIDE_PX).all(axis=1)
+    score, class_id = (np.concatenate([getattr(boxes, key) for boxes in views]) for key in ("score", "class_id"))
+    return ViewBoxes(both[is_large], score[is_large], class_id[is_large])
+
+
+class EnsembleMember:
+    """One detector of an ensemble, and the folder of its boxes.
+
+    Attributes:
+        is_known: (8,) road classes that the detector knows completely, not only a kind of them such as stop signs.
+    """
+
+    def __init__(self, path: Path, stored: Path, *, size_px: int | None = None, runtime: Runtime | None = None) -> None:
+        """Load the network.
+
+        Args:
+            path: ONNX file.
+            stored: folder for the boxes of all members, which does not need to exist.
+            size_px: longer side of a network's input of variable size; None = that in the model file, else 640.
+            runtime: device and threads.
+
+        Raises:
+            ModelError: the model cannot be used, or has no road classes.
+        """
+        settings = YoloSettings(min_score=MIN_SCORE, max_iou=_MAX_IOU, max_boxes=_MAX_BOXES, size_px=size_px)
+        self._detector = YoloDetector(path, settings, runtime=runtime)
+        self.is_known: BoolArray = fully_known(self._detector.model.names)
+        # boxes of another network or input size are those of another member
+        size = "default" if size_px is None else f"{size_px}"
+        self._folder = stored / f"{path.stem}-{self._detector.session.sha256()[:12]}-{size}"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user on the model and on dropped boxes."""
+        return self._detector.notes
+
+    def has_boxes(self, image_file: Path) -> bool:
+        """Whether the boxes of an image are stored."""
+        return self._file(image_file).is_file()
+
+    def store_boxes(self, image_file: Path, image: Image) -> None:
+        """Run the detector on both views of an image, and store the boxes.
+
+        Raises:
+            ModelError: running the network failed.
+            TrainingError: the boxes cannot be written.
+        """
+        boxes = detect_views(self._detector, image)
+        rows = np.column_stack([boxes.xyxy, boxes.score, boxes.class_id]).astype(np.float32)
+        file = self._file(image_file)
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_path(file, is_flushed=False) as partial:
+                np.save(partial, rows)
+        except OSError as error:
+            raise TrainingError(f"{file}: cannot be written ({describe(error)}).") from error
+
+    def boxes(self, image_file: Path) -> ViewBoxes:
+        """The stored boxes of an image.
+
+        Raises:
+            TrainingError: they were not stored, or the file is damaged.
+        """
+        file = self._file(image_file)
+        rows: FloatArray32 = read_array(file, TrainingError, "the boxes of a detector")
+        is_valid = rows.ndim == 2 and rows.shape[1] == _N_COLUMNS and np.isfinite(rows).all()
+        if not is_valid or not np.isin(rows[:, 5], np.arange(len(ROAD_CLASSES))).all():
+            raise TrainingError(f"{file}: expected the boxes of a detector, found other numbers; remove this file.")
+        numbers = rows.astype(np.float64)
+        return ViewBoxes(numbers[:, :4], numbers[:, 4], rows[:, 5].astype(np.int64))
+
+    def _file(self, image_file: Path) -> Path:
+        return self._folder / f"{image_file.stem}-{zlib.crc32(str(real_path(image_file)).encode()):08x}.npy"
+
+
+def store_missing(
+    image_files: Sequence[Path],
+    members: Sequence[EnsembleMember],
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[Path, str]:
+    """Run the detectors on the images whose boxes are not stored; returns the reason for each unreadable image.
+
+    Args:
+        image_files: the images.
+        members: the detectors.
+        progress: callback after each image with the number of finished images and their total.
+
+    Raises:
+        ImageFileError: none of the images can be read.
+        ModelError, TrainingError: see `EnsembleMember.store_boxes`.
+    """
+    unreadable: dict[Path, str] = {}
+    for done, file in enumerate(image_files, start=1):
+        missing = [member for member in members if not member.has_boxes(file)]
+        if missing:
+            try:
+                image = read_image(file)
+            except ImageFileError as error:
+                unreadable[file] = str(error)
+            else:
+                for member in missing:
+                    member.store_boxes(file, image)
+        progress(done, len(image_files))
+    if len(unreadable) == len(image_files):
+        first = next(iter(unreadable.values()), "")
+        raise ImageFileError(f"none of the {len(image_files)} images can be read; the first: {first}")
+    return unreadable

@@ -1,0 +1,174 @@
+"""`track-range pseudo-label`: labels the training images of a data set with an ensemble of detectors."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+from itertools import pairwise
+from pathlib import Path
+
+from track_range.cli.commands.training.options import PseudoLabelOptions
+from track_range.cli.console import console, print_grid, print_line, print_notes
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.models.onnx_session import Runtime
+from track_range.detection.training.data.data_yaml import OwnLabels, read_own_labels
+from track_range.detection.training.ensemble.calibration import BIN_EDGES, MIN_POSITIVES, Bins
+from track_range.detection.training.ensemble.data_set import (
+    COUNTED_PROBABILITIES,
+    DETECTIONS,
+    Outcome,
+    is_validated_on_training_images,
+    label_training_images,
+    usable_classes,
+)
+from track_range.detection.training.ensemble.views import EnsembleMember, store_missing
+from track_range.detection.training.errors import TrainingError
+from track_range.foundation.files.input_files import counted, real_path
+from track_range.report.tables import NOTHING, Cell, Column, Grid, grid_of
+from track_range.results.output_files import OutputError, locked_output, make_folder
+from track_range.run.interrupts import stop_on_interrupt
+from track_range.run.progress import step_progress
+from track_range.run.ready_model import ready_model
+
+_N_LISTED = 20
+"""Maximum number of unreadable images that are listed by name."""
+
+
+def _pseudo_label(options: PseudoLabelOptions) -> None:
+    data = read_own_labels(options.data)
+    print_notes(console, data.notes)
+    _check_folder(options)
+    runtime = Runtime(device=options.device, n_threads=options.threads)
+    paths = dict.fromkeys(ready_model(name, console) for name in options.models)
+    stored = options.out / DETECTIONS
+    members = [EnsembleMember(path, stored, size_px=options.size_px, runtime=runtime) for path in paths]
+    usable_classes(data, members)
+    _print_plan(data, members)
+    with locked_output(options.out), stop_on_interrupt():
+        try:
+            make_folder(stored)
+            with step_progress(console, "detection") as progress:
+                unreadable = store_missing(data.image_files, members, progress)
+            with step_progress(console, "fusion") as progress:
+                outcome = label_training_images(
+                    data,
+                    members,
+                    options.out,
+                    unreadable=unreadable,
+                    min_probability=options.min_probability,
+                    progress=progress,
+                )
+        except KeyboardInterrupt:
+            raise TrainingError(f"stopped by the user; continue the run in {options.out} with --resume.") from None
+        shutil.rmtree(stored, ignore_errors=True)
+    _print_unreadable(list(unreadable.values()))
+    _print_outcome(outcome, members)
+    print_line(console, f"Written: {options.out}. To train with these labels, write into {options.data}:")
+    print_line(console, f"labels_pseudo: {_entry(options.out, data.root)}")
+    print_line(console, "pseudo_scores: probabilities")
+    print_line(console, f"pseudo_names: [{', '.join(ROAD_CLASSES[i] for i in outcome.known_class_id)}]")
+
+
+def _check_folder(options: PseudoLabelOptions) -> None:
+    """Check the output folder before the detectors run.
+
+    Raises:
+        OutputError: the folder has pseudo-labels, or nothing that can be resumed.
+    """
+    is_started = (options.out / DETECTIONS).is_dir()
+    if options.resume and not is_started:
+        raise OutputError(f"{options.out}: expected an interrupted run to resume, found none; omit --resume.")
+    if is_started and not options.resume:
+        raise OutputError(
+            f"{options.out}: this folder contains an interrupted run; continue it with --resume, or choose another "
+            "--out."
+        )
+    if not is_started and options.out.is_dir() and any(options.out.glob("*.txt")):
+        raise OutputError(f"{options.out}: expected a folder without labels, found some; choose another --out.")
+
+
+def _print_plan(data: OwnLabels, members: list[EnsembleMember]) -> None:
+    n_other = sum(len(labels.score) for labels in (data.labels_pseudo or {}).values())
+    other = "" if data.labels_pseudo is None else f", combined with {counted(n_other, 'detection')} in labels_pseudo"
+    print_line(
+        console,
+        f"{counted(len(data.train), 'training image')}, {counted(len(data.val), 'validation image')}; "
+        f"{counted(len(members), 'detector')}{other}.",
+    )
+    notes = [note for member in members for note in member.notes]
+    if all(item.truth.is_complete[data.is_named].all() for item in data.train):
+        notes.append(
+            "All classes are completely labelled in all training images, so that only boxes to ignore are written; a "
+            "manifest lists the classes that are not."
+        )
+    if is_validated_on_training_images(data):
+        notes.append("Validation images are training images too: the table of the calibration is no independent test.")
+    print_notes(console, notes)
+
+
+def _print_unreadable(messages: list[str]) -> None:
+    if messages:
+        print_line(console, f"{counted(len(messages), 'image')} cannot be read, left out:")
+        print_notes(console, messages[:_N_LISTED])
+        if len(messages) > _N_LISTED:
+            print_notes(console, [f"and {len(messages) - _N_LISTED} more"])
+
+
+def _print_outcome(outcome: Outcome, members: list[EnsembleMember]) -> None:
+    print_grid(console, _label_grid(outcome))
+    others = [ROAD_CLASSES[i] for i in outcome.known_class_id if not outcome.calibration.n_positives[i]]
+    if others:
+        print_line(
+            console,
+            f"Fewer than {MIN_POSITIVES} matches, calibrated as the mean of the other classes: {', '.join(others)}.",
+        )
+    if outcome.validation:
+        print_grid(console, _validation_grid(outcome.validation))
+    else:
+        print_line(console, "No validation image is labelled completely: the calibration cannot be verified.")
+    print_notes(console, [note for member in members for note in member.notes if "dropped" in note])
+
+
+def _label_grid(outcome: Outcome) -> Grid:
+    """One row per class: matches of the fit, pseudo-labels by minimum probability, and boxes to ignore."""
+    rows = outcome.known_class_id
+    fitted = [int(n) or None for n in outcome.calibration.n_positives[rows]]
+    columns = [Column("fitted to", fitted, "{:.0f}")]
+    columns += [
+        Column(f"p >= {minimum}", outcome.n_labels[rows, i].tolist(), "{:.0f}")
+        for i, minimum in enumerate(COUNTED_PROBABILITIES)
+    ]
+    columns.append(Column("ignored", outcome.n_ignored[rows].tolist(), "{:.0f}"))
+    return grid_of("Pseudo-labels by class and minimum probability", "class", [ROAD_CLASSES[i] for i in rows], columns)
+
+
+def _validation_grid(validation: dict[int, Bins]) -> Grid:
+    """One row per class: mean probability, fraction of matches and number of boxes in each bin."""
+    columns = [f"p {low}-{high}" for low, high in pairwise(BIN_EDGES)]
+    rows = [
+        (Cell(ROAD_CLASSES[class_id]), *(Cell(text) for text in _bin_texts(of_class)))
+        for class_id, of_class in validation.items()
+    ]
+    title = "Validation images: mean probability / matched boxes % (number of boxes)"
+    return Grid(title, ("class", *columns), tuple(rows))
+
+
+def _bin_texts(of_class: Bins) -> list[str]:
+    return [
+        NOTHING if math.isnan(p) else f"{100 * p:.0f} / {100 * matched:.0f} ({n})"
+        for n, p, matched in zip(
+            of_class.n.tolist(), of_class.probability.tolist(), of_class.matched.tolist(), strict=True
+        )
+    ]
+
+
+def _entry(out: Path, root: Path) -> str:
+    """The folder as an entry of data.yaml: relative to its root if it is inside, else absolute."""
+    folder, within = real_path(out), real_path(root)
+    return os.path.relpath(folder, within) if within in folder.parents else str(folder)
+
+
+app = single_app(command(PseudoLabelOptions, _pseudo_label))
