@@ -8,6 +8,7 @@ point      / \        lines grows linearly from the row of the vanishing point d
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -49,8 +50,8 @@ class LaneLine:
 
     def sigma_px(self, y_px: FloatArray) -> FloatArray:
         """Standard deviation of x in the given rows, in the shape of `y_px`."""
-        powers = np.stack([np.ones_like(y_px), y_px, y_px**2], axis=-1)
-        variance = np.einsum("...i,ij,...j->...", powers, self.covariance, powers)
+        (c00, c01, c02), (_, c11, c12), (_, _, c22) = self.covariance.tolist()
+        variance = c00 + y_px * (2 * c01 + y_px * (2 * c02 + c11 + y_px * (2 * c12 + y_px * c22)))
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
@@ -71,7 +72,7 @@ class LaneLines:
             return None
         y_px = np.array(point[1])
         opening = float(self.right.slope(y_px) - self.left.slope(y_px))
-        sigma_px = float(np.hypot(self.left.sigma_px(y_px), self.right.sigma_px(y_px)))
+        sigma_px = math.hypot(self.left.sigma_px(y_px), self.right.sigma_px(y_px))
         return point[1], sigma_px / opening
 
     def vanishing_point_px(self) -> tuple[float, float] | None:

@@ -69,9 +69,6 @@ _MAX_HEIGHT_SIGMA = 0.05
 _REFERENCE_SIGMA = 0.015
 """Relative error of all distances from image motion: camera height, and the horizon's mean error."""
 
-_LANES_ID = -1
-"""Id of the horizon measured by lane lines among the track ids, which are positive."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GroundSettings:
@@ -133,6 +130,10 @@ _N = 4
 _UPPER = np.triu_indices(_N)
 """Rows and columns of the upper triangle of a matrix of the unknowns."""
 
+_MATRIX = np.zeros((_N, _N), np.int64)
+_MATRIX[_UPPER] = _MATRIX.T[_UPPER] = np.arange(len(_UPPER[0]))
+"""(4, 4) place of each element of a symmetric matrix in its upper triangle."""
+
 _N_TERMS = len(_UPPER[0]) + _N
 """Terms of the normal equations: the upper triangle of their matrix, and a vector."""
 
@@ -168,12 +169,12 @@ class _Plane(NamedTuple):
 
     def rows(self, basis: FloatArray) -> FloatArray:
         """(N,) rows of the ground, in px below the expected horizon, from the `_basis` (4, N) of their distances."""
-        return np.asarray((basis.T * self.x).sum(axis=-1))
+        return np.asarray(np.vecdot(basis.T, self.x))
 
     def variance(self, basis: FloatArray) -> FloatArray:
         """(N,) variances of `rows` in px^2."""
-        P = np.broadcast_to(self.P, (basis.shape[1], _N, _N))
-        return np.asarray(np.einsum("in,nij,jn->n", basis, P, basis))
+        per_row = basis.T
+        return np.asarray(np.vecdot((self.P @ per_row[:, :, None])[:, :, 0], per_row))
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,6 +211,7 @@ class GroundPlane:
         self._settings = settings or GroundSettings()
         self._ids = np.zeros(0, np.int64)
         self._terms = np.zeros((_N_TERMS, 0))
+        self._lane_terms = np.zeros(_N_TERMS)
         self._pitch_px2 = (self._settings.pitch_sigma_rad * camera.fy_px) ** 2
         self._time_s: float | None = None
         self._road: RoadView | None = None
@@ -225,8 +227,8 @@ class GroundPlane:
 
     @property
     def _information(self) -> FloatArray:
-        """(14,) information of the prior and of all tracks."""
-        return np.asarray(self._prior + self._terms.sum(axis=1))
+        """(14,) information of the prior, of lane lines and of all tracks."""
+        return np.asarray(self._prior + self._lane_terms + self._terms.sum(axis=1))
 
     def update_road(self, road: RoadView, *, bias_sigma: float) -> None:
         """Set the road in the next frame as image motion shows it, with lengths in metres.
@@ -250,11 +252,10 @@ class GroundPlane:
         """
         if self._road is not None:
             return
+        self._drop_forgotten(is_present=False)
         weight = 1.0 / (sigma_px**2 + self._pitch_px2)
-        (slot,) = self._slots(np.array([_LANES_ID]))
-        self._terms[:, slot] = _normal_terms(np.eye(_N, 1), np.array([y_px - self._camera.cy_px]), np.array([weight]))[
-            :, 0
-        ]
+        self._lane_terms = np.zeros(_N_TERMS)
+        self._lane_terms[0], self._lane_terms[-_N] = weight, weight * (y_px - self._camera.cy_px)
 
     def measure(self, tracks: Tracks, by_size: Ranges, frame: Frame) -> Ranges:
         """Distances of the tracks on the ground; their distances by size update the road first.
@@ -263,7 +264,9 @@ class GroundPlane:
         """
         step_s = 0.0 if self._time_s is None else max(frame.time_s - self._time_s, 0.0)
         self._time_s = frame.time_s
-        self._terms *= math.exp(-step_s / self._settings.memory_s)
+        memory = math.exp(-step_s / self._settings.memory_s)
+        self._terms *= memory
+        self._lane_terms *= memory if self._lane_terms[0] * self._pitch_px2 > _MIN_INFORMATION else 0.0
         if not len(tracks):
             return Ranges.unmeasured(tracks.track_id)
         contacts = self._contacts(tracks, by_size, frame)
@@ -303,8 +306,9 @@ class GroundPlane:
     def _basis(self, s: FloatArray) -> FloatArray:
         """(4, N) derivatives of the row of the ground at s = fy / d (N,) by the unknowns, without b."""
         distance_m = self._camera.fy_px / s
-        ahead_m = curvature_share(distance_m) * distance_m
-        return np.array([np.ones_like(s), s, -ahead_m / 2, np.zeros_like(s)])
+        basis = np.zeros((_N, len(s)))
+        basis[0], basis[1], basis[2] = 1.0, s, curvature_share(distance_m) * distance_m / -2
+        return basis
 
     def _contacts(self, tracks: Tracks, by_size: Ranges, frame: Frame) -> _Contacts:
         y = tracks.xyxy_px[:, 3]
@@ -331,15 +335,22 @@ class GroundPlane:
 
     def _slots(self, track_id: IntArray) -> IntArray:
         """(N,) index of each track in `_terms`; removes tracks with too little information and adds new ones."""
+        if np.array_equal(track_id, self._ids):
+            return np.arange(len(track_id))
         is_same = track_id[:, None] == self._ids
-        is_known, is_present = is_same.any(axis=1), is_same.any(axis=0)
-        stays = is_present | (self._terms[0] * self._pitch_px2 > _MIN_INFORMATION)
-        if is_known.all() and stays.all():
-            return np.asarray(is_same.argmax(axis=1))
-        new_id = track_id[~is_known]
-        self._ids = np.concatenate([self._ids[stays], new_id])
-        self._terms = np.concatenate([self._terms[:, stays], np.zeros((_N_TERMS, len(new_id)))], axis=1)
+        is_known = is_same.any(axis=1)
+        self._drop_forgotten(is_same.any(axis=0))
+        if not is_known.all():
+            new_id = track_id[~is_known]
+            self._ids = np.concatenate([self._ids, new_id])
+            self._terms = np.concatenate([self._terms, np.zeros((_N_TERMS, len(new_id)))], axis=1)
         return np.asarray((track_id[:, None] == self._ids).argmax(axis=1))
+
+    def _drop_forgotten(self, is_present: BoolArray | bool) -> None:
+        """Remove tracks with too little information, except those in the mask (K,)."""
+        stays = (self._terms[0] * self._pitch_px2 > _MIN_INFORMATION) | is_present
+        if not stays.all():
+            self._ids, self._terms = self._ids[stays], self._terms[:, stays]
 
     def _accumulated(self, contacts: _Contacts, slots: IntArray, *, step_s: float) -> FloatArray:
         """(14, N) information of the tracks, with this frame's measurements in their running averages."""
@@ -377,7 +388,7 @@ class GroundPlane:
         fy, (y0, H, fy_k, _) = self._camera.fy_px, plane.x.T
         below_px = contacts.y - y0
         is_below = contacts.on_ground & (below_px > 1.0) & (H > 0.1)
-        below_px, H, fy_k = np.where(is_below, (below_px, H + 0 * below_px, fy_k + 0 * below_px), 1.0)
+        below_px, H, fy_k = (np.where(is_below, values, 1.0) for values in (below_px, H, fy_k))
         contact_m = _distance_on_curve_m(below_px / fy, H, fy_k / fy)
         s = fy / contact_m
         basis = self._basis(s)
@@ -436,11 +447,13 @@ class GroundRanger(Ranger):
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
         """Distances of the objects on the ground (`GroundPlane.measure`); mono's distances update the horizon."""
-        by_size = others.get("mono", Ranges.unmeasured(tracks.track_id))
+        by_size = others["mono"] if "mono" in others else Ranges.unmeasured(tracks.track_id)
         is_independent = self._is_reference and self._road is not None
         if is_independent and not self._has_stereo and "mono" in others:
             self._drive_bias.learn(self.plane.measure_alone(tracks, frame), frame.time_s, shared_sigma=_REFERENCE_SIGMA)
-        return replace(self.plane.measure(tracks, by_size, frame), is_fallback=self._has_stereo or not is_independent)
+        ranges = self.plane.measure(tracks, by_size, frame)
+        is_fallback = self._has_stereo or not is_independent
+        return Ranges(ranges.track_id, ranges.distance_m, ranges.sigma_m, is_fallback=is_fallback)
 
     def update_road(self, road: RoadView) -> None:
         """Use the road in the next frame as image motion shows it."""
@@ -458,15 +471,13 @@ class GroundRanger(Ranger):
 
 def _normal_terms(a: FloatArray, y: FloatArray, weight: FloatArray) -> FloatArray:
     """(14, N) terms of the normal equations of single measurements y = a' x with a (4, N) and weights (N,)."""
-    return np.concatenate([a[_UPPER[0]] * a[_UPPER[1]], a * y]) * weight
+    return np.concatenate([a.take(_UPPER[0], axis=0) * a.take(_UPPER[1], axis=0), a * y]) * weight
 
 
 def _solved(terms: FloatArray) -> _Plane:
     """Least-squares solutions of (..., 14) normal equations, with their covariances."""
-    information = np.empty((*terms.shape[:-1], _N, _N))
-    information[..., _UPPER[0], _UPPER[1]] = information[..., _UPPER[1], _UPPER[0]] = terms[..., :-_N]
-    P = np.linalg.inv(information)
-    return _Plane(np.einsum("...ij,...j->...i", P, terms[..., -_N:]), P)
+    P = np.asarray(np.linalg.inv(terms.take(_MATRIX, axis=-1)), np.float64)
+    return _Plane((P @ terms[..., -_N:, None])[..., 0], P)
 
 
 def _distance_on_curve_m(below: FloatArray, H: FloatArray, k: FloatArray) -> FloatArray:

@@ -241,18 +241,19 @@ def inflated_by_disagreement(ranges: Ranges, others: Sequence[Ranges]) -> Ranges
         ranges: N tracks, by lane width.
         others: the same tracks, by methods that do not use the lane.
     """
-    variances = [
-        (ranges.sigma_m / ranges.distance_m) ** 2 + (other.sigma_m / other.distance_m) ** 2 for other in others
-    ]
-    log_ratios = [np.log(other.distance_m / ranges.distance_m) for other in others]
-    variance, e = np.array(variances), np.array(log_ratios)
-    both = np.isfinite(variance).any(axis=0)
-    if not both.any():
+    variance, log_ratio = np.full((2, len(ranges)), np.inf)
+    for other in others:
+        s2 = (ranges.sigma_m / ranges.distance_m) ** 2 + (other.sigma_m / other.distance_m) ** 2
+        is_better = s2 < variance  # False for NaN
+        np.copyto(variance, s2, where=is_better)
+        np.copyto(log_ratio, np.log(other.distance_m / ranges.distance_m), where=is_better)
+    both = np.isfinite(variance).nonzero()[0]
+    if not len(both):
         return ranges
-    best = np.nanargmin(variance[:, both], axis=0), np.arange(both.sum())
-    standard_error = 1.25 / math.sqrt(float((1.0 / variance[:, both][best]).sum()))
-    common = max(abs(float(np.median(e[:, both][best]))) - standard_error, 0.0)
-    return replace(ranges, sigma_m=np.hypot(ranges.sigma_m, common * ranges.distance_m))
+    standard_error = 1.25 / math.sqrt(float((1.0 / variance[both]).sum()))
+    e = np.sort(log_ratio[both])
+    common = max(abs(float(e[(len(e) - 1) // 2] + e[len(e) // 2]) / 2) - standard_error, 0.0)
+    return Ranges(ranges.track_id, ranges.distance_m, np.hypot(ranges.sigma_m, common * ranges.distance_m))
 
 
 def _width_limits_px(left: LaneLine, right: LaneLine, width: FloatArray) -> tuple[float, float]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.boxes import share_inside
+from track_range.detection.boxes import area_px2, intersection_px2
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.parallax import Parallax
@@ -29,6 +29,9 @@ _CUT_SIGMA = 0.085
 """Relative standard deviation of the distance of boxes that end at the left or right border of the image, whose middle
 column is not that of the object; on KITTI."""
 
+_MIN_AREA_PX2 = 1e-6
+"""Smallest area of a box, so that one without an area is not covered."""
+
 _COVERED_SIGMA = 0.06
 """Relative standard deviation of the distance of a box that nearer ones cover wholly, of a detector on KITTI."""
 
@@ -40,8 +43,10 @@ def incomplete_sigma(xyxy_px: FloatArray, is_cut: BoolArray) -> FloatArray:
         xyxy_px: (N, 4) all boxes of the frame; those that end lower in the image are nearer.
         is_cut: (N,) whether the left or right side of the box is at the border of the image.
     """
-    is_nearer = xyxy_px[:, 3] > xyxy_px[:, 3, None]
-    covered = (share_inside(xyxy_px, xyxy_px) * is_nearer).max(axis=1, initial=0.0)
+    bottom_px = xyxy_px[:, 3]
+    covered_px2 = intersection_px2(xyxy_px, xyxy_px)
+    covered_px2 *= bottom_px > bottom_px[:, None]
+    covered = covered_px2.max(axis=1, initial=0.0) / np.maximum(area_px2(xyxy_px), _MIN_AREA_PX2)
     return np.asarray(np.hypot(_CUT_SIGMA * is_cut, _COVERED_SIGMA * covered))
 
 
@@ -97,7 +102,7 @@ class SizeRanger(Ranger):
         first_px, last_x_px, last_y_px = BORDER_PX - 0.5, width_px - 0.5 - BORDER_PX, height_px - 0.5 - BORDER_PX
         usable = tracks.observed & (y1_px >= first_px) & (y2_px <= last_y_px)
         usable &= (y2_px - y1_px >= _MIN_HEIGHT_PX) & (x2_px > x1_px)
-        rows = np.flatnonzero(usable)
+        rows = usable.nonzero()[0]
         uses_width = (x1_px >= first_px) & (x2_px <= last_x_px)
         boxes = measured_boxes(
             tracks.xyxy_px[rows],
@@ -108,12 +113,12 @@ class SizeRanger(Ranger):
         )
         self._drive.start_frame(tracks.track_id[rows], frame.time_s)
         measured = self._curves.measure(boxes, self._drive)
-        columns = np.full((3, len(tracks)), np.nan)
-        columns[:, rows] = measured.distance_m, measured.sigma_m, measured.sigma_systematic_m
-        columns[1:, rows] = np.hypot(
-            columns[1:, rows], columns[0, rows] * incomplete_sigma(tracks.xyxy_px, ~uses_width)[rows]
-        )
-        by_size = Ranges(tracks.track_id, *columns)
+        incomplete_m = measured.distance_m * incomplete_sigma(tracks.xyxy_px, ~uses_width)[rows]
+        distance_m, sigma_m, systematic_m = np.full((3, len(tracks)), np.nan)
+        distance_m[rows] = measured.distance_m
+        sigma_m[rows] = np.hypot(measured.sigma_m, incomplete_m)
+        systematic_m[rows] = np.hypot(measured.sigma_systematic_m, incomplete_m)
+        by_size = Ranges(tracks.track_id, distance_m, sigma_m, systematic_m)
         if self._parallax is not None:
             step, self._step = self._step, None
             expected = self._drive_bias.expected(by_size, tracks.class_id)

@@ -38,13 +38,13 @@ CLASS_CONFUSION: Mapping[str, Mapping[str, float]] = {
 """Probabilities of the true classes of a detected class: detectors report some vans as cars, and KITTI labels
 lorries that are 3 m high as vans."""
 
-_QUANTILES_68 = np.array([[0.158655], [0.5], [0.841345]])
+_QUANTILES_68 = np.array([0.158655, 0.5, 0.841345])
 """Levels of the median and of the central 68 %: one standard deviation to either side of a Gaussian."""
 
-_QUANTILES = np.array([[0.02275], [0.158655], [0.841345], [0.97725]])
+_QUANTILES = np.array([0.02275, 0.158655, 0.841345, 0.97725])
 """Levels of the central 95 and 68 %: two and one standard deviations to either side of a Gaussian."""
 
-_MEDIAN = np.array([[0.5]])
+_MEDIAN = np.array([0.5])
 """Level of the reported distance under p(log d) / d: it then has the smallest expected relative error."""
 
 _CALIBRATION, _ONE_BODY_CALIBRATION = 0.92, 0.85
@@ -85,6 +85,7 @@ class CuboidSizes:
             [_CALIBRATION if name in priors and priors[name].bodies else _ONE_BODY_CALIBRATION for name in SIZE_CLASSES]
         )
         self._body, self._log_share = _body_mixture(self._tables)
+        self._n_possible = (self._log_share > IMPOSSIBLE).sum(axis=0)
 
     def measure(self, boxes: BoxExtents, drive: DriveState | None = None) -> SizeRanges:
         """Distances of the boxes of one frame, which share a ground plane.
@@ -93,7 +94,9 @@ class CuboidSizes:
             boxes: N boxes.
             drive: state of the drive, with a frame started for the N tracks of the boxes; None = only this frame.
         """
-        rows = np.flatnonzero(self._has_prior[boxes.size_class])
+        rows = self._has_prior[boxes.size_class].nonzero()[0]
+        if 0 < len(rows) == len(boxes):
+            return SizeRanges(*self._measured(boxes, drive, rows))
         columns = np.full((3, len(boxes)), np.nan)
         if len(rows):
             columns[:, rows] = self._measured(boxes.select(rows), drive, rows)
@@ -101,10 +104,11 @@ class CuboidSizes:
 
     def _measured(self, boxes: BoxExtents, drive: DriveState | None, rows: IntArray) -> tuple[FloatArray, ...]:
         n_bodies = len(self._tables.class_name)
-        body = self._body.take(boxes.size_class, axis=1)
-        log_share = self._log_share.take(boxes.size_class, axis=1)
+        n_possible = int(self._n_possible[boxes.size_class].max())
+        body = self._body[:n_possible].take(boxes.size_class, axis=1)
+        log_share = self._log_share[:n_possible].take(boxes.size_class, axis=1)
         if drive is not None:
-            log_share = log_share + np.take_along_axis(drive.body_evidence(n_bodies)[:, rows], body, axis=0)
+            log_share += drive.body_evidence(n_bodies)[body, rows]
         by_size = mixture_by_size(self._tables, boxes, body, log_share)
         grid = on_grid(by_size)
         low, median, high = grid.quantiles(_QUANTILES_68)  # unlike moments not affected by unlikely body types
@@ -117,20 +121,19 @@ class CuboidSizes:
             edge_sigma=boxes.edge_sigma[:, 1],
             is_on_ground=self._is_on_ground[boxes.size_class] & boxes.uses_bottom,
         )
-        likelihood, terms = np.ones_like(grid.log_m), None
         if contacts.is_on_ground.any():
             ground = ground_from_others(contacts, self.ground, drive)
-            likelihood, terms = (
-                ground_likelihood(
-                    grid.log_m,
-                    by_size.log_contact_ratio,
-                    contacts=contacts,
-                    ground=ground,
-                    prior=self.ground,
-                    roughness=1.0 if drive is None else drive.roughness,
-                ),
-                ground.terms,
+            roughness, terms = 1.0 if drive is None else drive.roughness, ground.terms
+            likelihood = ground_likelihood(
+                grid.log_m,
+                by_size.log_contact_ratio,
+                contacts=contacts,
+                ground=ground,
+                prior=self.ground,
+                roughness=roughness,
             )
+        else:
+            likelihood, terms = np.ones_like(grid.log_m), None
         if drive is not None:
             drive.add(rows, terms, self._body_likelihood(body, log_share, by_size, grid, likelihood))
         grid = grid.times(likelihood)
@@ -153,14 +156,16 @@ class CuboidSizes:
         self, body: IntArray, log_share: FloatArray, by_size: SizeMixture, grid: LogGrid, likelihood: FloatArray
     ) -> FloatArray:
         """(B, N) log likelihoods of all body types by size and ground; 0 = the most likely one, -inf = impossible."""
-        by_term = np.einsum("kgn,gn->kn", grid.by_term, likelihood)
-        evidence = np.array([(by_term * (by_size.body == m)).sum(axis=0) for m in range(len(body))])
+        (m, n), n_bodies = body.shape, len(self._tables.class_name)
+        by_term = np.vecdot(grid.by_term, likelihood)
+        place = by_size.body.T * n + np.arange(n)
+        evidence = np.bincount(place.ravel(), weights=by_term.ravel(), minlength=m * n).reshape(m, n)
         log_likelihood = np.log(np.maximum(evidence, 1e-300)) - log_share
-        log_likelihood[log_share < IMPOSSIBLE / 2] = -np.inf
-        log_likelihood -= log_likelihood.max(axis=0)
-        result = np.full((len(self._tables.class_name), body.shape[1]), -np.inf)
-        possible, box = np.nonzero(np.isfinite(log_likelihood))
-        result[body[possible, box], box] = log_likelihood[possible, box]
+        is_possible = log_share > IMPOSSIBLE / 2
+        log_likelihood -= log_likelihood.max(axis=0, where=is_possible, initial=-np.inf)
+        result = np.full((n_bodies, n), -np.inf)
+        place = body * n + np.arange(n)
+        result.ravel()[place[is_possible]] = log_likelihood[is_possible]
         return result
 
     def log_evidence(self, boxes: BoxExtents) -> FloatArray:

@@ -80,6 +80,7 @@ class DriveState:
         """Start without objects."""
         self._tracks: TrackState | None = None
         self._track_id: IntArray = np.zeros(0, np.int64)
+        self._in_view: FloatArray = np.zeros((_BODIES, 0))  # states of these tracks before the frame
         self._time_s = 0.0
         self.information: FloatArray = np.zeros(5)
         self.roughness = 1.0
@@ -89,10 +90,11 @@ class DriveState:
         self._track_id, self._time_s = track_id, time_s
         if self._tracks is None:
             return
-        known, in_view = self._tracks.known, self._tracks.get(track_id)
-        weight, present = (np.exp((columns[_TIME] - time_s) / _MEMORY_S) for columns in (known, in_view))
-        self.information = (known[:5] * weight).sum(axis=1) - (in_view[:5] * present).sum(axis=1)
-        excess, expected = (known[5:_N_MEANS] * weight).sum(axis=1).tolist()
+        self._in_view = self._tracks.get(track_id)
+        known, has_left = self._tracks.known, self._tracks.is_absent(track_id)
+        means = known[:_N_MEANS] * np.exp((known[_TIME] - time_s) / _MEMORY_S)
+        self.information = means[:5, has_left].sum(axis=1)
+        excess, expected = means[5:].sum(axis=1).tolist()
         low, high = _ROUGHNESS_RANGE
         self.roughness = min(max((_ROUGHNESS_OBJECTS + excess) / (_ROUGHNESS_OBJECTS + expected), low), high)
 
@@ -100,7 +102,7 @@ class DriveState:
         """(B, N) mean log likelihoods of all B body types over the earlier views of the tracks; 0 = the most likely."""
         if self._tracks is None:
             return np.zeros((n_bodies, len(self._track_id)))
-        return np.asarray(self._tracks.get(self._track_id)[_BODIES:])
+        return self._in_view[_BODIES:]
 
     def add(self, rows: IntArray, ground: GroundTerms | None, log_likelihood: FloatArray) -> None:
         """Add the measurements of some of the tracks of the frame.
@@ -110,10 +112,10 @@ class DriveState:
             ground: measurements of the ground plane; None = no object is on the ground.
             log_likelihood: (B, N) of the body types, 0 = the most likely one.
         """
-        track_id = self._track_id[rows]
         if self._tracks is None:
             self._tracks = TrackState(np.zeros(_BODIES + len(log_likelihood)))
-        state = self._tracks.get(track_id)
+            self._in_view = self._tracks.get(self._track_id)
+        track_id, state = self._track_id[rows], self._in_view[:, rows]
         if ground is not None:
             state[_N_GROUND] += ground.is_on_ground
             share = ground.is_on_ground / np.maximum(state[_N_GROUND], 1.0)

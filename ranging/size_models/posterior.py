@@ -42,12 +42,12 @@ _N_GRID = 37
 _GRID_SIGMAS = 4.5
 """Half width of the grid in standard deviations of the distance by size."""
 
-_STEPS = np.linspace(-_GRID_SIGMAS, _GRID_SIGMAS, _N_GRID)[:, None]
-"""(G, 1) grid points in standard deviations."""
+_STEPS = np.linspace(-_GRID_SIGMAS, _GRID_SIGMAS, _N_GRID)
+"""(G,) grid points in standard deviations."""
 
-_TRAPEZOIDS = (np.tri(_N_GRID) + np.tri(_N_GRID, k=-1)) / 2
-_TRAPEZOIDS[:, 0] -= 0.5
-"""(G, G) trapezoidal rule: `_TRAPEZOIDS @ density` is the integral from the first grid point to each one."""
+_TRAPEZOIDS = (np.triu(np.ones((_N_GRID, _N_GRID))) + np.triu(np.ones((_N_GRID, _N_GRID)), k=1)) / 2
+_TRAPEZOIDS[0] -= 0.5
+"""(G, G) trapezoidal rule: `density @ _TRAPEZOIDS` is the integral from the first grid point to each one."""
 
 _NOT_ON_THE_ROAD = 0.003
 """Likelihood, per unit of tangent, of a bottom edge that is not on the road but on a bridge or balcony."""
@@ -63,12 +63,12 @@ class SizeMixture:
     """Log distance by size: a mixture of K Gaussians for each of N boxes.
 
     Attributes:
-        mean: (K, N) means of log d, d in metres.
-        variance: (K, N) variances of log d.
-        weight: (K, N) weights, which sum to 1 per box.
+        mean: (N, K) means of log d, d in metres.
+        variance: (N, K) variances of log d.
+        weight: (N, K) weights, which sum to 1 per box.
         frame_variance: (N,) part of the variance of log d that comes from the noise of the box.
         log_contact_ratio: (N,) log of the distance divided by that of the nearest point on the ground.
-        body: (K, N) index of each Gaussian's body type among the M possible ones.
+        body: (N, K) index of each Gaussian's body type among the M possible ones.
         chi2: (N,) smallest squared deviation of the box from the sizes of a body type, in units of its covariance, plus
             twice the log of the weight of the most likely yaw and type over that of the best one.
     """
@@ -84,8 +84,8 @@ class SizeMixture:
     @property
     def moments(self) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of log d, (N,) each."""
-        mean = (self.weight * self.mean).sum(axis=0)
-        variance = (self.weight * (self.variance + (self.mean - mean) ** 2)).sum(axis=0)
+        mean = np.vecdot(self.weight, self.mean)
+        variance = np.vecdot(self.weight, self.variance + (self.mean - mean[:, None]) ** 2)
         return mean, np.sqrt(variance)
 
 
@@ -98,23 +98,23 @@ def mixture_by_size(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_
         body: (M, N) possible body types of each box.
         log_share: (M, N) log probability of each body type; `IMPOSSIBLE` = excluded.
     """
-    terms = _terms(tables, boxes, body, log_share)
+    terms, n = _terms(tables, boxes, body, log_share), len(boxes)
     n_terms = min(N_TERMS, terms.shape[1])
-    best = np.argpartition(-terms[0], n_terms - 1, axis=0)[:n_terms]
-    index = best * len(boxes) + np.arange(len(boxes))
+    best = np.argpartition(-terms[0].T, n_terms - 1, axis=1)[:, :n_terms]
+    index = best * n + np.arange(n)[:, None]
     log_weight, mean, variance, noise_variance, log_contact_ratio, chi2 = (
         terms.reshape(len(terms), -1).take(index, axis=1).astype(np.float64)
     )
-    weight = np.exp(log_weight - log_weight.max(axis=0))
-    weight /= weight.sum(axis=0)
+    weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
+    weight /= weight.sum(axis=1, keepdims=True)
     return SizeMixture(
         mean=mean,
         variance=variance,
         weight=weight,
-        frame_variance=(weight * noise_variance).sum(axis=0),
-        log_contact_ratio=(weight * log_contact_ratio).sum(axis=0),
-        body=best % len(body),
-        chi2=chi2.min(axis=0),
+        frame_variance=np.vecdot(weight, noise_variance),
+        log_contact_ratio=np.vecdot(weight, log_contact_ratio),
+        body=(np.arange(terms.shape[1]) % len(body)).take(best),
+        chi2=chi2.min(axis=1),
     )
 
 
@@ -181,26 +181,30 @@ def _terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_share: Fl
     For V = [v_h b; b v_w], in the code (a, c) = (v_h, v_w) / |V| and b / |V| are the entries of V^-1 = [c -b; -b a].
     """
     at = _at_nodes(tables, boxes, body)
-    x0, p0, s, (b, log_contact_ratio, log_weight) = at.x0, at.p0, at.nodes[2:4], at.nodes[8:]
+    s, (b, log_contact_ratio, log_weight), (e_h, e_w) = at.nodes[2:4], at.nodes[8:], at.e
     V = at.nodes[6:8] + at.R
-    scale = 1.0 / (V[0] * V[1] - b * b)  # 1 / |V|
+    det = V[0] * V[1] - b * b  # |V|
+    scale = 1.0 / det
     V *= scale
-    b = b * scale
-    g = V[::-1] * s - b * s[::-1]
+    (a, c), b = V, b * scale
+    g = V[::-1] * s
+    g -= b * s[::-1]
     gs, ge = g * s, g * at.e
-    p = gs[0] + gs[1] + p0
-    x = (ge[0] + ge[1] + x0 * p0) / p
-    (a, c), (e_h, e_w) = V, at.e
-    chi2 = (c * e_h - 2 * b * e_w) * e_h + a * e_w * e_w + x0 * x0 * p0 - p * x * x
-    noise_variance = g * g * np.minimum(at.R, _MAX_NOISE)
+    p = gs[0] + gs[1] + at.p0
+    inverse = 1.0 / p
+    h = ge[0] + ge[1] + at.x0 * at.p0
+    x = h * inverse
+    chi2 = (c * e_h - 2 * b * e_w) * e_h + a * e_w * e_w + at.x0 * at.x0 * at.p0 - h * x
     log_weight = log_weight + _float32(log_share)
+    g *= g
+    g *= np.minimum(at.R, _MAX_NOISE)  # box noise
     terms = np.empty((6, *b.shape), np.float32)
-    terms[0] = log_weight - 0.5 * (chi2 + np.log(p / (scale * p0)))
-    terms[1] = at.log_m + x
-    terms[2] = 1.0 / p
-    terms[3] = (noise_variance[0] + noise_variance[1]) / (p * p)
+    np.subtract(log_weight, 0.5 * (chi2 + np.log(p * det / at.p0)), out=terms[0])
+    np.add(at.log_m, x, out=terms[1])
+    terms[2] = inverse
+    np.multiply(g[0] + g[1], inverse * inverse, out=terms[3])
     terms[4] = log_contact_ratio
-    terms[5] = chi2 + 2.0 * (log_weight.max(axis=(0, 1)) - log_weight)
+    np.add(chi2, 2.0 * (log_weight.max(axis=(0, 1)) - log_weight), out=terms[5])
     return terms.reshape(len(terms), -1, len(boxes))
 
 
@@ -213,9 +217,9 @@ class LogGrid:
     """Densities of the log distance of N boxes on grids of G points.
 
     Attributes:
-        log_m: (G, N) grid points, evenly spaced per box.
-        density: (G, N) density, scaled to the maximum 1 per box.
-        by_term: (K, G, N) densities of the Gaussians of the mixture by size, which further evidence leaves unchanged.
+        log_m: (N, G) grid points, evenly spaced per box.
+        density: (N, G) density, scaled to the maximum 1 per box.
+        by_term: (K, N, G) densities of the Gaussians of the mixture by size, which further evidence leaves unchanged.
     """
 
     log_m: FloatArray
@@ -223,36 +227,39 @@ class LogGrid:
     by_term: _Float32
 
     def times(self, likelihood: FloatArray) -> LogGrid:
-        """The product with the likelihood (G, N) of further evidence."""
+        """The product with the likelihood (N, G) of further evidence."""
         density = self.density * likelihood
-        return LogGrid(self.log_m, density / np.maximum(density.max(axis=0), 1e-300), self.by_term)
+        density /= np.maximum(density.max(axis=1, keepdims=True), 1e-300)
+        return LogGrid(self.log_m, density, self.by_term)
 
     def quantiles(self, levels: FloatArray, *, is_relative: bool = False) -> FloatArray:
-        """(L, N) log distance at the quantiles `levels` (L, 1), 0..1, of the density, or of density / d."""
-        weight = self.density * np.exp(self.log_m[0] - self.log_m) if is_relative else self.density
-        cumulative = _TRAPEZOIDS @ weight
-        n = cumulative.shape[1]
-        target = levels * cumulative[-1]
-        before = np.maximum((cumulative >= target[:, None]).argmax(axis=1) - 1, 0)
-        index = before * n + np.arange(n)
-        low, high = cumulative.take(index), cumulative.take(index + n)
+        """(L, N) log distance at the quantiles `levels` (L,), 0..1, of the density, or of density / d."""
+        first = self.log_m[:, :1]
+        weight = self.density * np.exp(first - self.log_m) if is_relative else self.density
+        cumulative = weight @ _TRAPEZOIDS
+        n, n_grid = cumulative.shape
+        target = cumulative[:, -1:] * levels
+        before = np.maximum((cumulative[:, None] >= target[:, :, None]).argmax(axis=2) - 1, 0)
+        index = before + np.arange(0, n * n_grid, n_grid)[:, None]
+        low, high = cumulative.take(index), cumulative.take(index + 1)
         share = (target - low) / np.maximum(high - low, 1e-300)
-        return np.asarray(self.log_m[0] + (before + share) * (self.log_m[1] - self.log_m[0]))
+        return np.asarray((first + (before + share) * (self.log_m[:, 1:2] - first)).T)
 
 
 def on_grid(mixture: SizeMixture) -> LogGrid:
     """Density of the mixture on a grid around its mean."""
     mean, sigma = mixture.moments
-    log_m = mean + sigma * _STEPS
+    log_m = mean[:, None] + sigma[:, None] * _STEPS
     peak = mixture.weight / np.sqrt(mixture.variance)
     # Single precision: the exponentials dominate the run time, and take half as long.
-    terms = _float32(log_m) - _float32(mixture.mean)[:, None]
+    terms = _float32(log_m) - _float32(mixture.mean.T)[:, :, None]
     terms *= terms
-    terms *= _float32(-0.5 / mixture.variance)[:, None]
+    terms *= _float32(-0.5 / mixture.variance.T)[:, :, None]
     np.exp(terms, out=terms)
-    terms *= _float32(peak)[:, None]
+    terms *= _float32(peak.T)[:, :, None]
     density = terms.sum(axis=0).astype(np.float64)
-    return LogGrid(log_m, density / density.max(axis=0), terms)
+    density /= density.max(axis=1, keepdims=True)
+    return LogGrid(log_m, density, terms)
 
 
 def ground_likelihood(
@@ -264,30 +271,31 @@ def ground_likelihood(
     prior: GroundPrior,
     roughness: float,
 ) -> FloatArray:
-    """(G, N) likelihood of the bottom edges at the distances of a grid, with the ground plane from the other objects.
+    """(N, G) likelihood of the bottom edges at the distances of a grid, with the ground plane from the other objects.
 
     Args:
-        log_m: (G, N) log distances of the grid.
+        log_m: (N, G) log distances of the grid.
         log_contact_ratio: (N,) log of the distance divided by that of the nearest point on the ground.
         contacts: contact points of the N objects; the likelihood of those not on the ground is 1.
         ground: ground plane at each object, from the others.
         prior: prior of the ground plane.
         roughness: roughness lambda of the drive.
     """
-    nearness = np.exp(log_contact_ratio - log_m)
-    residual2 = (contacts.bottom - ground.horizon - ground.height_m * nearness) ** 2
+    nearness = np.exp(log_contact_ratio[:, None] - log_m)
+    residual2 = ((contacts.bottom - ground.horizon)[:, None] - ground.height_m[:, None] * nearness) ** 2
     edge_variance = contacts.edge_sigma**2 + roughness * (prior.roll_sigma * contacts.bearing) ** 2
     kerbs = _Kerbs(prior.kerb_m, prior.rough_share, roughness)
-    likelihood = kerbs.likelihood(residual2, ground.variance + edge_variance, nearness)
+    likelihood = kerbs.likelihood(residual2, (ground.variance + edge_variance)[:, None], nearness)
     alone = ground.is_prior_only  # a Student's t prior of the horizon, instead of a Gaussian estimate
     if alone.any():
-        variance = edge_variance[alone] + (prior.camera_height_sigma_m * nearness[:, alone]) ** 2
-        likelihood[:, alone] = sum(
-            weight
-            * kerbs.likelihood(residual2[:, alone], variance + (scale * prior.horizon_sigma) ** 2, nearness[:, alone])
+        variance = edge_variance[alone, None] + (prior.camera_height_sigma_m * nearness[alone]) ** 2
+        likelihood[alone] = sum(
+            weight * kerbs.likelihood(residual2[alone], variance + (scale * prior.horizon_sigma) ** 2, nearness[alone])
             for weight, scale in _T_COMPONENTS
         )
-    return np.where(contacts.is_on_ground, likelihood + _NOT_ON_THE_ROAD, 1.0)
+    likelihood += _NOT_ON_THE_ROAD
+    likelihood[~contacts.is_on_ground] = 1.0
+    return likelihood
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,18 @@ def test_put_and_get():
     assert state.known.shape == (2, 1)
 
 
+def test_same_tracks_again():
+    state = TrackState(np.zeros(1))
+    state.put(np.array([3, 1, 2]), np.array([[30.0, 10.0, 20.0]]), keep_known=np.zeros(0, bool))
+    assert state.is_absent(np.array([3, 1])).tolist() == [False, False, True]
+    first = state.get(np.array([3, 1]))
+    state.put(np.array([3, 1]), first + 1, keep_known=np.ones(3, bool))
+    assert first.tolist() == [[30.0, 10.0]]
+    assert state.get(np.array([1, 2, 3, 4])).tolist() == [[11.0, 20.0, 31.0, 0.0]]
+    state.put(np.array([3, 1]), first, keep_known=np.array([True, True, False]))
+    assert state.known.tolist() == [[30.0, 10.0]]
+
+
 def test_get_returns_a_copy():
     state = TrackState(np.zeros(()))
     state.put(np.array([1]), np.array([10.0]), keep_known=np.zeros(0, bool))

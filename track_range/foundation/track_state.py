@@ -13,7 +13,7 @@ class TrackState:
     def __init__(self, initial: FloatArray) -> None:
         """Start without tracks; `initial` (...) is the state of an unknown track."""
         self._columns = initial[..., None]  # of the known tracks, then the initial state
-        self._column_of: dict[int, int] = {}
+        self._ids: list[int] = []
 
     @property
     def known(self) -> FloatArray:
@@ -22,7 +22,16 @@ class TrackState:
 
     def get(self, track_id: IntArray) -> FloatArray:
         """(..., N) copy of the states of the tracks `track_id` (N,)."""
-        return self._columns.take([self._column_of.get(key, -1) for key in track_id.tolist()], axis=-1)
+        ids = track_id.tolist()
+        if ids == self._ids[: len(ids)]:  # the tracks of the last frame
+            return self._columns[..., : len(ids)].copy()
+        column_of = {key: column for column, key in enumerate(self._ids)}
+        return self._columns.take([column_of.get(key, -1) for key in ids], axis=-1)
+
+    def is_absent(self, track_id: IntArray) -> BoolArray:
+        """(K,) mask of the tracks of `known` that are not in `track_id` (N,)."""
+        present = set(track_id.tolist())
+        return np.array([key not in present for key in self._ids], np.bool_)
 
     def put(self, track_id: IntArray, state: FloatArray, *, keep_known: BoolArray) -> None:
         """Set the states (..., N) of the tracks `track_id`, and forget other tracks.
@@ -33,8 +42,11 @@ class TrackState:
             keep_known: (K,) tracks of `known` that stay known even if they are not in `track_id`.
         """
         present = track_id.tolist()
-        absent = {key: column for key, column in self._column_of.items() if keep_known[column]}
-        for key in present:
-            absent.pop(key, None)
-        self._columns = np.concatenate([state, self._columns[..., [*absent.values(), -1]]], axis=-1)
-        self._column_of = {key: column for column, key in enumerate((*present, *absent))}
+        n = len(present)
+        if present == self._ids[:n] and keep_known[n:].all():
+            self._columns[..., :n] = state
+            return
+        is_present = set(present)
+        absent = [column for column in keep_known.nonzero()[0].tolist() if self._ids[column] not in is_present]
+        self._columns = np.concatenate([state, self._columns[..., [*absent, -1]]], axis=-1)
+        self._ids = present + [self._ids[column] for column in absent]
