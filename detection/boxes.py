@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
@@ -40,21 +42,18 @@ def iou(a_xyxy_px: FloatArray, b_xyxy_px: FloatArray) -> FloatArray:
 
 def iou_of_edges(a: FloatArray, b: FloatArray) -> FloatArray:
     """`iou` of boxes given by their left, top, right and bottom edges (4, ...) in px; other axes are broadcast."""
-    intersection = _intersection_px2(a, b)
-    union = _area_px2(a) + _area_px2(b)
+    edges, other_edges = tuple(a), tuple(b)
+    intersection = _intersection_px2(edges, other_edges)
+    # No limit of negative sizes to 0: the intersection with these boxes is 0 anyway.
+    (left, top, right, bottom), (other_left, other_top, other_right, other_bottom) = edges, other_edges
+    union = (right - left) * (bottom - top) + (other_right - other_left) * (other_bottom - other_top)
     union -= intersection
     intersection /= np.fmax(union, _MIN_AREA_PX2, out=union)
     return intersection
 
 
-def _area_px2(edges: FloatArray) -> FloatArray:
-    """Areas of boxes given by their edges (4, ...); 0 for a box with a negative width or height."""
-    width, height = np.maximum(edges[2:] - edges[:2], 0.0)
-    return np.asarray(width * height)
-
-
-def _intersection_px2(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Intersection areas of boxes given by their edges (4, ...), with broadcasting; 0 for NaN."""
+def _intersection_px2(a: Iterable[FloatArray], b: Iterable[FloatArray]) -> FloatArray:
+    """Intersection areas of boxes given by their four edges, with broadcasting; 0 for NaN."""
     # In place, edge by edge on contiguous arrays: a fifth of the time of one (N, M, 2) expression.
     left, top, right, bottom = a
     other_left, other_top, other_right, other_bottom = b
@@ -76,9 +75,10 @@ def share_inside(a_xyxy_px: FloatArray, b_xyxy_px: FloatArray) -> FloatArray:
 
 def are_valid_boxes(xyxy_px: FloatArray) -> BoolArray:
     """(N,) mask of the boxes (N, 4) that are finite and have a positive width and height."""
-    is_valid = np.isfinite(xyxy_px)
-    is_valid[:, 2:] &= xyxy_px[:, 2:] > xyxy_px[:, :2]
-    return np.asarray(is_valid.all(axis=1))
+    is_valid = np.isfinite(xyxy_px).all(axis=1)
+    is_valid &= xyxy_px[:, 2] > xyxy_px[:, 0]
+    is_valid &= xyxy_px[:, 3] > xyxy_px[:, 1]
+    return np.asarray(is_valid)
 
 
 def nms(

@@ -151,6 +151,7 @@ class DeepSortTracker:
         self._camera_motion = motion if settings.is_camera_motion_compensated else None
         self._activation_threshold = ConfidenceThreshold(settings.track_activation_threshold)
         self._noise_scale = ProcessNoiseScale(settings.process_noise)
+        self._max_overlap_cost = 1 - np.array([settings.min_iou_low_confidence, settings.min_iou])
         self._table = TrackTable(n_boxes=settings.prediction.n_kept, n_embeddings=settings.appearance.nn_budget)
         self._next_id = 1
         self._last_s = -np.inf
@@ -197,7 +198,8 @@ class DeepSortTracker:
 
     def _valid_detections(self, detections: Detections) -> Detections:
         is_valid = are_valid_boxes(detections.xyxy_px) & (detections.score >= self._settings.min_score)
-        return detections if is_valid.all() else detections.select(is_valid)
+        rows = is_valid.nonzero()[0]
+        return detections if len(rows) == len(detections) else detections.select(rows)
 
     def _with_embeddings(
         self, detections: Detections, is_high: BoolArray, image: Image | None
@@ -265,8 +267,7 @@ class DeepSortTracker:
             for is_in_level in (is_recent, ~is_recent):  # matching cascade: the most recently detected tracks first
                 assignment.match(distance, confirmed & is_in_level, is_high, max_cost=max_cosine_distance)
         else:
-            max_cost = np.where(is_high, 1 - settings.min_iou, 1 - settings.min_iou_low_confidence)
-            assignment.match_unambiguous(overlap_cost, confirmed, max_cost)
+            assignment.match_unambiguous(overlap_cost, confirmed, self._max_overlap_cost.take(is_high))
         assignment.match(overlap_cost, confirmed, is_high, max_cost=1 - settings.min_iou)
 
         # Second association: the remaining confirmed tracks and low-confidence detections.
@@ -324,7 +325,8 @@ class DeepSortTracker:
         is_detected = table.last_s == time_s
         detected = (table.is_confirmed & is_detected).nonzero()[0]
         tracks = self._as_tracks(detected, is_detected)
-        border_px = self._border(tracks.xyxy_px, image)
+        if image is None:
+            self._extend_border(tracks.xyxy_px)
         missing = (table.is_confirmed & ~is_detected).nonzero()[0]
         if not len(missing) or settings.prediction.max_missing_s <= 0:
             return tracks
@@ -332,7 +334,7 @@ class DeepSortTracker:
             table.history.select(missing),
             time_s,
             gates=settings.prediction,
-            border_xyxy_px=border_px,
+            border_xyxy_px=self._border(image),
             others_xyxy_px=tracks.xyxy_px,
         )
         if not len(predicted):
@@ -352,14 +354,16 @@ class DeepSortTracker:
         boxes_px = table.last_xyxy_px.take(rows, axis=0)
         return Tracks(table.track_id[rows], boxes_px, table.class_id[rows], table.score[rows], is_detected[rows])
 
-    def _border(self, xyxy_px: FloatArray, image: Image | None) -> FloatArray:
+    def _border(self, image: Image | None) -> FloatArray:
         """(4,) edges of the image; without an image, the extent of the boxes in the output so far."""
         if image is not None:
             return np.array([-0.5, -0.5, image.shape[1] - 0.5, image.shape[0] - 0.5])
-        if len(xyxy_px):
-            outermost_px = (xyxy_px * _OUTWARDS).max(axis=0)
-            np.maximum(self._outermost_px, outermost_px, out=self._outermost_px)
         return np.asarray(self._outermost_px * _OUTWARDS)
+
+    def _extend_border(self, xyxy_px: FloatArray) -> None:
+        """Extend the border of a stream without images to the boxes (N, 4)."""
+        if len(xyxy_px):
+            np.maximum(self._outermost_px, (xyxy_px * _OUTWARDS).max(axis=0), out=self._outermost_px)
 
 
 def _without_embeddings(detections: Detections) -> Detections:

@@ -22,8 +22,8 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, row_numbers
 
-_MIN_SIZE_PX = 1.0
-"""Smallest width and height of a predicted box: IoU needs a positive size."""
+_SMALLEST_CXCYWH = np.array([-np.inf, -np.inf, 1.0, 1.0])
+"""Smallest cx, cy, w, h in px of a predicted box: IoU needs a positive size."""
 
 # fmt: off
 _CXCYWH_OF_XYXY = np.array(
@@ -87,9 +87,7 @@ class BoxFilters:
     @property
     def xyxy_px(self) -> FloatArray:
         """(N, 4) boxes at the time of the state; no side is shorter than a pixel."""
-        box = self.x.copy()
-        np.maximum(box[:, 2:], _MIN_SIZE_PX, out=box[:, 2:])
-        return np.asarray(box.dot(_XYXY_OF_CXCYWH))
+        return np.asarray(np.maximum(self.x, _SMALLEST_CXCYWH).dot(_XYXY_OF_CXCYWH))
 
     @property
     def position_sigma(self) -> FloatArray:

@@ -66,7 +66,7 @@ class ProcessNoiseScale:
         np.minimum(np.maximum(ab, -_MAX_SIGMAS, out=ab), _MAX_SIGMAS, out=ab)
         a, b = ab[:, : before.shape[1]], ab[:, before.shape[1] :]
         power = np.maximum(np.vecdot(ab, ab) / 2, _MIN_POWER)
-        c = float((np.vecdot(a, b) / power).sum()) / len(now)
+        c = float(np.vecdot(a, b).dot(1.0 / power)) / len(now)
         settings, n = self._settings, min(len(now), _MAX_TRACKS)
         q = self.value * math.exp(settings.rate * n * c)
         self.value = min(max(q, settings.lowest), settings.highest)

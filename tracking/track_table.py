@@ -64,9 +64,9 @@ class TrackTable:
 
     def retain(self, alive: BoolArray) -> None:
         """Delete the tracks outside the mask (N,)."""
-        if alive.all():
-            return
         rows = alive.nonzero()[0]
+        if len(rows) == len(self):
+            return
         self.track_id, self.filters = self.track_id[rows], self.filters.select(rows)
         self.history, self.class_votes = self.history.select(rows), self.class_votes.take(rows, axis=0)
         self.class_id, self.score_sum, self.score = self.class_id[rows], self.score_sum[rows], self.score[rows]
