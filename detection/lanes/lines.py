@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image, check_shape
+
+_Real = TypeVar("_Real", float, FloatArray)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,9 +52,7 @@ class LaneLine:
 
     def sigma_px(self, y_px: FloatArray) -> FloatArray:
         """Standard deviation of x in the given rows, in the shape of `y_px`."""
-        (c00, c01, c02), (_, c11, c12), (_, _, c22) = self.covariance.tolist()
-        variance = c00 + y_px * (2 * c01 + y_px * (2 * c02 + c11 + y_px * (2 * c12 + y_px * c22)))
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        return np.asarray(np.sqrt(np.maximum(_variance_px2(self.covariance, y_px), 0.0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +70,10 @@ class LaneLines:
         point = self.vanishing_point_px()
         if point is None or self.left is None or self.right is None:
             return None
-        y_px = np.array(point[1])
-        opening = float(self.right.slope(y_px) - self.left.slope(y_px))
-        sigma_px = math.hypot(self.left.sigma_px(y_px), self.right.sigma_px(y_px))
-        return point[1], sigma_px / opening
+        y_px = point[1]
+        _, slope, curvature = (self.right.coefficients - self.left.coefficients).tolist()
+        variance_px2 = _variance_px2(self.left.covariance + self.right.covariance, y_px)
+        return y_px, math.sqrt(max(variance_px2, 0.0)) / (slope + 2.0 * y_px * curvature)
 
     def vanishing_point_px(self) -> tuple[float, float] | None:
         """(x, y) in which the two lines meet, on the horizon of a flat road; None if they do not.
@@ -82,11 +82,12 @@ class LaneLines:
         """
         if self.left is None or self.right is None:
             return None
-        constant, slope, curvature = self.right.coefficients - self.left.coefficients
+        constant, slope, curvature = (self.right.coefficients - self.left.coefficients).tolist()
         if abs(curvature) > 1e-9 or slope <= 0.0:
             return None
         y_px = -constant / slope
-        return float(self.left.x_px(np.array(y_px))), float(y_px)
+        c0, c1, c2 = self.left.coefficients.tolist()
+        return c0 + y_px * (c1 + y_px * c2), y_px
 
 
 class LaneFinder(Protocol):
@@ -101,6 +102,13 @@ class LaneFinder(Protocol):
     def find(self, image: Image, time_s: float) -> LaneLines:
         """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`, which increases from call to call."""
         ...
+
+
+def _variance_px2(covariance: FloatArray, y_px: _Real) -> _Real:
+    """Variance of x in the given rows, from the (3, 3) covariance of the coefficients."""
+    (c00, c01, c02), (_, c11, c12), (_, _, c22) = covariance.tolist()
+    variance: _Real = c00 + y_px * (2 * c01 + y_px * (2 * c02 + c11 + y_px * (2 * c12 + y_px * c22)))
+    return variance
 
 
 def points(line: LaneLine, *, n: int = 24) -> FloatArray:

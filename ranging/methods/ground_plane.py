@@ -186,6 +186,7 @@ class _Contacts:
         offset_m: distance from the contact point to the visible surface.
         s: fy / d with the distance by size, in px/m; 1 = no distance by size.
         s_variance: variance of `s`.
+        basis: (4, N) derivatives of the row of the ground at `s` by the unknowns, without b.
         R: variance of `y` about the ground plane, px^2.
         side_px2: part of it from the slope to the side, px^2.
         on_ground: whether the bottom edge is visible and the object is on the ground.
@@ -196,6 +197,7 @@ class _Contacts:
     offset_m: FloatArray
     s: FloatArray
     s_variance: FloatArray
+    basis: FloatArray
     R: FloatArray
     side_px2: FloatArray
     on_ground: BoolArray
@@ -327,6 +329,7 @@ class GroundPlane:
             offset_m=offset_m,
             s=s,
             s_variance=np.maximum(s_sigma * s_sigma - self._bias_variance * s * s, _MIN_OWN * s_sigma * s_sigma),
+            basis=self._basis(s),
             R=self._row_variance(s) + side_px2,
             side_px2=side_px2,
             on_ground=on_ground,
@@ -355,9 +358,8 @@ class GroundPlane:
     def _accumulated(self, contacts: _Contacts, slots: IntArray, *, step_s: float) -> FloatArray:
         """(14, N) information of the tracks, with this frame's measurements in their running averages."""
         plane = _solved(self._information)
-        basis, H = self._basis(contacts.s), float(plane.x[1])
+        a, H = contacts.basis.copy(), float(plane.x[1])
         variance = H**2 * contacts.s_variance + contacts.R
-        a = basis.copy()
         a[3] = -H * contacts.s  # by b: an object farther by b is at s (1 - b)
         excess = np.abs(contacts.y - plane.rows(a))
         excess /= _HUBER_SIGMA * np.sqrt(variance + plane.variance(a))
@@ -374,7 +376,7 @@ class GroundPlane:
         """Update the pitch variance so that the squared residuals agree with their expected values."""
         if step_s == 0.0 or self._road is not None:
             return
-        basis, pitch_px2 = self._basis(contacts.s), self._pitch_px2
+        basis, pitch_px2 = contacts.basis, self._pitch_px2
         residual = contacts.y - plane.rows(basis)
         expected = plane.x[:, 1] ** 2 * contacts.s_variance + plane.variance(basis) + contacts.R
         excess = np.minimum(residual**2, 10 * expected) - expected
