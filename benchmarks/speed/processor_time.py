@@ -1,10 +1,10 @@
 """Processor time of each step of a run, per frame, and what its threads wait for.
 
-Protocol: runs with overlay, `--threads 1` and without dense stereo, each in a new process: a near-lossless pair,
-and an ordinary video of one camera (H.264, crf 23, 1280 x 720). The functions of the steps are wrapped: the time of a
-step is the processor time of its thread within them, without that of the steps that they call. Times are from the first
-to the last frame, without the opening and the report; no alignment is estimated, so that no frame is decoded before.
-Processor times depend little on other work on the machine, wall times do.
+Protocol: runs with overlay, `--threads 1` and without dense stereo, each in a new process: a near-lossless pair, and an
+ordinary video of one camera (H.264, crf 23, 1280 x 720). The functions of the steps are wrapped: the time of a step is
+the processor time of its thread within them, without that of the steps that they call. They are those of a run in
+progress, without its first and last frames; no alignment is estimated, so that no frame is decoded before. Other work
+on the machine raises processor times by up to a quarter, as it uses the same caches, and wall times by any factor.
 """
 
 from __future__ import annotations
@@ -75,6 +75,13 @@ _STEPS: dict[str, tuple[tuple[Any, str], ...]] = {
 """Functions of each step: owner and name."""
 
 
+_N_FIRST, _N_LAST = 32, 16
+"""Numbers of frames that do not count: in the first ones, libraries are initialized and the pair is checked; during the
+last ones, which are in the queues, nothing more is decoded."""
+
+Times = list[tuple[str, dict[str, float]]]
+"""Name and times of each thread."""
+
 _WAITS = {
     "input": ((ClosableQueue, "wait_for_item"),),
     "room": ((ClosableQueue, "wait_for_room"), (ResultVideo, "wait")),
@@ -115,8 +122,9 @@ class _Probe:
                 for owner, name in functions:
                     setattr(owner, name, wrap(getattr(owner, name), key))
 
-    def times_s(self) -> list[tuple[str, dict[str, float]]]:
+    def times_s(self) -> Times:
         """Name and times so far of each thread; "process" is the processor time of all threads."""
+        self._thread.read_scheduler()
         used = resource.getrusage(resource.RUSAGE_SELF)
         now = {"wall": time.perf_counter(), "on a core": used.ru_utime + used.ru_stime}
         return [("process", now), *((thread.name, thread.times_s.copy()) for thread in self._threads)]
@@ -170,43 +178,49 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         drive = looped(options.drive, folder, n_frames=options.frames)
-        pair = {"stereo": (str(drive.left), str(drive.right)), "rig": str(drive.rig)}
-        one = {"mono": str(ordinary_video(folder / "ordinary.mp4", n_frames=options.frames)), "focal_px": 1150.0}
+        video = ordinary_video(folder / "ordinary.mp4", n_frames=options.frames)
         shared = {"detector": str(options.detector), "threads": 1, "device": "cpu"}
+        pair: dict[str, Any] = {"stereo": (str(drive.left), str(drive.right)), "rig": str(drive.rig), "align": "off"}
+        pair |= {"sgbm": False, "out": str(folder / "pair")}
+        one: dict[str, Any] = {"mono": str(video), "focal_px": 1150.0, "out": str(folder / "one")}
         figures = {
-            "near-lossless pair": _in_new_process(
-                {**pair, **shared, "sgbm": False, "align": "off", "out": str(folder / "pair")}
-            ),
-            "ordinary video": _in_new_process({**one, **shared, "out": str(folder / "one")}),
+            name: _in_new_process({**shared, **given}, options.frames)
+            for name, given in (("near-lossless pair", pair), ("ordinary video", one))
         }
-    _print(figures)
+    print_tables(figures)
     return figures
 
 
-def _in_new_process(settings: dict[str, Any]) -> dict[str, dict[str, float]]:
+def _in_new_process(settings: dict[str, Any], n_frames: int) -> dict[str, dict[str, float]]:
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(_times_ms, settings).result()
+        return pool.submit(_times_ms, settings, n_frames).result()
 
 
-def _times_ms(settings: dict[str, Any]) -> dict[str, dict[str, float]]:
+def _times_ms(settings: dict[str, Any], n_frames: int) -> dict[str, dict[str, float]]:
     """Milliseconds per frame of each thread of a run, by step and wait."""
     probe = _Probe()
+    begin = end = probe.times_s()
     with Run(settings_from(settings)) as run:
-        begin = probe.times_s()
-        n_frames = 0
-        for _ in run:
-            n_frames += 1
-            end = probe.times_s()
+        for number, _ in enumerate(run, 1):
+            if number == _N_FIRST:
+                begin = probe.times_s()
+            if number == n_frames - _N_LAST:
+                end = probe.times_s()
+    return per_frame(begin, end, n_frames - _N_FIRST - _N_LAST)
+
+
+def per_frame(begin: Times, end: Times, n_frames: int) -> dict[str, dict[str, float]]:
+    """Milliseconds per frame between two readings of the probe, by thread and step."""
     times_ms: dict[str, dict[str, float]] = {}
     for index, (name, until) in enumerate(end):
         since = begin[index][1] if index < len(begin) else {}
         spent = {key: 1e3 * (value - since.get(key, 0.0)) / n_frames for key, value in until.items()}
-        key = name if name not in times_ms else f"{name} {index}"
-        times_ms[key] = {step: ms for step, ms in spent.items() if ms > 0}
+        times_ms[name if name not in times_ms else f"{name} {index}"] = {key: ms for key, ms in spent.items() if ms > 0}
     return times_ms
 
 
-def _print(figures: dict[str, dict[str, dict[str, float]]]) -> None:
+def print_tables(figures: dict[str, dict[str, dict[str, float]]]) -> None:
+    """Print the processor times of the steps of all runs, and the waiting of the threads of each."""
     console = Console(width=100)
     by_run = {
         name: {step: sum(t.get(step, 0.0) for key, t in threads.items() if key != "process") for step in _STEPS}
