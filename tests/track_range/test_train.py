@@ -109,6 +109,21 @@ def test_teacher_and_initial_weights(drawn, tmp_path, cli):
     assert (status, "no_such_model" in complaint) == (1, True)
 
 
+def test_probabilities_need_the_road_network(drawn, tmp_path, cli):
+    folder, data = drawn
+    (tmp_path / "teacher").mkdir()
+    for image in (folder / "images/train").iterdir():
+        (tmp_path / "teacher" / f"{image.stem}.txt").write_text("0 .2 .2 .1 .1 0.45\n")
+    document = yaml.safe_load(data.read_text()) | {"path": str(folder), "labels_pseudo": str(tmp_path / "teacher")}
+    document["pseudo_scores"] = "probabilities"
+    (tmp_path / "soft.yaml").write_text(yaml.safe_dump(document))
+    status, _, complaint = train(cli, tmp_path / "soft.yaml", tmp_path / "run", "--epochs", 1)
+    assert (status, "--model yolov5n: expected `pseudo_scores: thresholds`" in " ".join(complaint.split())) == (
+        1,
+        True,
+    ), complaint
+
+
 def test_anchors_and_their_iou(drawn, cli):
     _, data = drawn
     status, printed, _ = cli("anchors", "--data", data, "--size", 160, "--clusters", 2)

@@ -129,10 +129,13 @@ class TrainingData:
     notes: tuple[str, ...]
 
     def fingerprint(self) -> str:
-        """Identifier of the data: numbers of images, and a checksum of all file names and boxes."""
+        """Identifier of the data: numbers of images, and a checksum of all file names and labels."""
         crc = 0
         for item in (*self.train, *self.val):
-            crc = zlib.crc32(item.truth.xyxy_px.tobytes(), zlib.crc32(item.path.name.encode(), crc))
+            crc = zlib.crc32(item.path.name.encode(), crc)
+            truth = item.truth
+            for values in (truth.xyxy_px, truth.class_id, truth.is_ignored, truth.is_complete, truth.confidence):
+                crc = zlib.crc32(np.ascontiguousarray(values).tobytes(), crc)
         return f"{len(self.train)} and {len(self.val)} images, {crc:08x}"
 
 
@@ -327,6 +330,8 @@ class _Reader:
             LabelFileError: a name is not one of the road classes.
         """
         if self.document.pseudo_scores != "probabilities":
+            if self.document.pseudo_names is not None:
+                raise LabelFileError(f"{self.path}: pseudo_names: expected `pseudo_scores: probabilities` with it.")
             return None
         names = self.names if self.document.pseudo_names is None else self.document.pseudo_names
         road = map_to_road_classes(names)
@@ -423,6 +428,8 @@ def _with_pseudo_labels(
     if not file.is_file():
         return replace(item, truth=replace(truth, is_complete=is_complete))
     pseudo = reader.read(file)
+    if is_soft and (pseudo.score > 1).any():
+        raise LabelFileError(f"{file}: expected probabilities of at most 1, found {pseudo.score.max():g}.")
     is_new = iou(pseudo.xyxy, truth.xyxy_px).max(axis=1, initial=0.0) < _SAME_OBJECT_IOU
     pseudo = replace(pseudo, xyxy=pseudo.xyxy[is_new], class_id=pseudo.class_id[is_new], score=pseudo.score[is_new])
     min_score = np.where(pseudo.class_id == ROAD_CLASSES.index("car"), _MIN_CAR_SCORE, _MIN_SCORE)

@@ -8,9 +8,9 @@
             d = distance in cells, k = floor(d)
 
 w is the target of `aligned_assignment` times the confidence of the object: 1 for labels, the probability of being right
-for pseudo-labels. Each sum is divided by the sum of all w. A class that is not completely labelled contributes only a
-fraction to cells that are not its positives, since an unlabelled object may be there; cells inside an ignored box
-contribute nothing.
+for pseudo-labels. Each sum is divided by the sum of w over the cells with a box, at least 1. A class that is not
+completely labelled contributes only a fraction to cells that are not its positives, since an unlabelled object may be
+there; cells inside an ignored box contribute nothing.
 
 (Weights: Jocher et al., "YOLOv8"; bins: Li et al., "Generalized Focal Loss", 2020, equation 6, "distribution focal
 loss".)

@@ -91,6 +91,7 @@ def test_polygons_become_boxes(tmp_path):
         ({"val": None}, r"data\.yaml: .*'val'"),
         ({"names": None}, r"data\.yaml: .*'names'"),
         ({"names": ["cat", "dog"]}, r"data\.yaml: .*road class"),
+        ({"pseudo_names": ["car"], "labels_pseudo": "."}, r"pseudo_names: .*probabilities"),
         ({"pseudo_scores": "yes"}, r"data\.yaml: 'pseudo_scores'"),
         ({"pseudo_scores": "probabilities", "pseudo_names": ["cat"], "labels_pseudo": "."}, r"pseudo_names: .*cat"),
         ({"format": "coco"}, r"data\.yaml: 'format'"),
@@ -156,6 +157,15 @@ def test_pseudo_labels_of_incomplete_classes(tmp_path):
     assert soft[0].truth.is_ignored.tolist() == [False, False, True]
     assert soft[0].truth.confidence.tolist() == [0.45, 0.3, 0.9]
     assert CachedImages(soft, data.road_class_id).load(0).confidence.tolist() == [0.45, 0.3, 0.9]
+    first = read_data_yaml(path).fingerprint()
+    pseudo = tmp_path / "teacher/000.txt"
+    text = pseudo.read_text()
+    pseudo.write_text(text.replace("0.45", "0.46"))
+    assert read_data_yaml(path).fingerprint() != first
+    pseudo.write_text(text.replace("0.45", "1.45"))
+    with pytest.raises(LabelFileError, match=r"000\.txt: .*at most 1, found 1\.45"):
+        read_data_yaml(path)
+    pseudo.write_text(text)
     path.write_text(yaml.safe_dump(document))
     assert len(data.val) == 1
     assert not any("not in the manifest" in note for note in data.notes)

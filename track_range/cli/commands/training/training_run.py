@@ -52,6 +52,12 @@ def train(options: TrainOptions) -> None:
         print_line(console, note)
     if not any((~item.truth.is_ignored).any() for item in data.train):
         raise LabelFileError(f"{options.data}: expected labelled objects in the training images, found none.")
+    has_probabilities = any((item.truth.confidence < 1).any() for item in data.train)
+    if has_probabilities and options.model != "road":
+        raise TrainingError(
+            f"--model {options.model}: expected `pseudo_scores: thresholds` in {options.data.name}; only the loss of "
+            "--model road uses pseudo-labels with probabilities."
+        )
     _check_checkpoints(options)
     teacher = _teacher(options, data, settings)
     make_folder(options.out)
