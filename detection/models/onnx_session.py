@@ -235,6 +235,8 @@ def _reason(error: Exception, path: Path) -> str:
 class BoundNetwork:
     """A network with bound buffers (onnxruntime's IOBinding), so that a run neither copies nor allocates arrays.
 
+    On a GPU, binding an input copies it there, so that each run binds it.
+
     Attributes:
         blob: (1, 3, height, width) input of the next `run`, float32 or float16 as the network requires.
         output_shapes: shapes of the outputs by name, in the file's order.
@@ -277,7 +279,7 @@ class BoundNetwork:
             ModelError: onnxruntime fails on this input.
         """
         source = self.blob if blob is None else blob
-        if self._bound_inputs[self._image_name] is not source:
+        if self._owner.device != "cpu" or self._bound_inputs[self._image_name] is not source:
             self._binding.bind_cpu_input(self._image_name, source)
             self._bound_inputs[self._image_name] = source
         try:

@@ -24,6 +24,55 @@ def test_bound_network_reads_its_buffer(tmp_path):
     assert network.output_shapes == {"output0": (1, 567, 6)}
 
 
+class DeviceBinding:
+    """An IOBinding that copies inputs when they are bound, as onnxruntime does for a network on a GPU."""
+
+    def __init__(self, binding):
+        self.binding, self.copies, self.n_bound = binding, {}, 0
+
+    def __getattr__(self, name):
+        return getattr(self.binding, name)
+
+    def bind_cpu_input(self, name, array):
+        self.copies[name] = array.copy()
+        self.n_bound += 1
+        self.binding.bind_cpu_input(name, self.copies[name])
+
+
+class DeviceSession(ort.InferenceSession):
+    def io_binding(self):
+        return DeviceBinding(super().io_binding())
+
+    def run_with_iobinding(self, iobinding, run_options=None):
+        super().run_with_iobinding(iobinding.binding, run_options)
+
+
+@pytest.mark.parametrize("device", ["cuda", "tensorrt"])
+def test_inputs_on_a_gpu_are_copied_in_each_run(device, tmp_path, monkeypatch):
+    path = write_rectangle_finder(tmp_path / "m.onnx", side_px=96, grey=0.0)
+    monkeypatch.setattr(ort, "InferenceSession", DeviceSession)
+    session = OnnxSession(path, Runtime(device="cpu", n_threads=1))
+    session.device = device
+    network = session.bound((96, 96))
+    other = np.zeros_like(network.blob)
+    for x1, x2 in ((10, 30), (50, 90)):
+        for blob in (network.blob, other, other):
+            blob[:] = 0
+            blob[:, :, 20:40, x1:x2] = 1
+            (rows,) = network.run(blob)
+            np.testing.assert_allclose(rows[0, 0, :4], [(x1 + x2) / 2, 30, x2 - x1, 20], rtol=1e-5)
+            x1 += 1
+
+
+def test_inputs_on_the_cpu_are_bound_once(tmp_path, monkeypatch):
+    path = write_rectangle_finder(tmp_path / "m.onnx", side_px=96, grey=0.0)
+    monkeypatch.setattr(ort, "InferenceSession", DeviceSession)
+    network = OnnxSession(path, Runtime(device="cpu", n_threads=1)).bound((96, 96))
+    network.run()
+    network.run()
+    assert network._binding.n_bound == 1
+
+
 def test_boxes_are_scaled_to_the_input(tmp_path):
     inputs = {"images": ("N", 3, 32, 96), "orig_target_sizes": ("N", 2)}
     logits, boxes = np.array([[3.0, -3.0]]), np.array([[0.5, 0.5, 0.5, 1.0]])
