@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.formats.supervision import read_supervision, supervision_boxes
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape, row_numbers
+from track_range.foundation.arrays import FloatArray, IntArray, Rows, check_shape, row_numbers
 
 Descriptors = npt.NDArray[np.float32]
 """(N, D) appearance embeddings."""
@@ -81,9 +81,13 @@ class Detections:
         """The boxes as supervision's `Detections` if that is installed, else as an object with the same attributes."""
         return supervision_boxes(self.xyxy_px, self.score, self.class_id)
 
-    def select(self, index: BoolArray | IntArray) -> Detections:
-        """The detections that a mask (N,) or an array of indices selects, in the order of the indices."""
-        rows = row_numbers(index)
+    def select(self, index: Rows) -> Detections:
+        """The detections that a mask (N,), an array or list of indices or a slice selects, in the order of the indices.
+
+        Raises:
+            IndexError: the mask has another length, or an index does not exist.
+        """
+        rows = row_numbers(index, len(self.score))
         return Detections(
             self.xyxy_px.take(rows, axis=0),
             self.score.take(rows),

@@ -100,7 +100,7 @@ class BoxHistory:
 
     def select(self, rows: BoolArray | IntArray) -> BoxHistory:
         """The tracks that a mask or an index array selects, in its order."""
-        rows = row_numbers(rows)
+        rows = row_numbers(rows, len(self.boxes))
         return BoxHistory(self.boxes.take(rows, axis=0), self.hit_streak.take(rows))
 
     def concatenate(self, other: BoxHistory) -> BoxHistory:

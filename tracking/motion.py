@@ -96,7 +96,7 @@ class BoxFilters:
 
     def select(self, rows: BoolArray | IntArray) -> BoxFilters:
         """The rows that a mask or an index array selects, in its order."""
-        i = row_numbers(rows)
+        i = row_numbers(rows, len(self.height_px))
         x, v = self.x.take(i, axis=0), self.v.take(i, axis=0)
         return BoxFilters(x, v, self.P_xx[i], self.P_xv[i], self.P_vv[i], self.height_px[i])
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.formats.supervision import read_supervision, supervision_boxes
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape, row_numbers
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, Rows, check_shape, row_numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +77,13 @@ class Tracks:
         """`supervision.Detections` with `tracker_id`, or an equivalent object if supervision is not installed."""
         return supervision_boxes(self.xyxy_px, self.score, self.class_id, self.track_id)
 
-    def select(self, rows: BoolArray | IntArray) -> Tracks:
-        """The rows that a mask or an index array selects, in its order."""
-        rows = row_numbers(rows)
+    def select(self, rows: Rows) -> Tracks:
+        """The rows that a mask (N,), an array or list of row numbers or a slice selects, in its order.
+
+        Raises:
+            IndexError: the mask has another length, or a row does not exist.
+        """
+        rows = row_numbers(rows, len(self.track_id))
         return Tracks(
             self.track_id.take(rows),
             self.xyxy_px.take(rows, axis=0),

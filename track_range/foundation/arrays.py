@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ FloatArray = npt.NDArray[np.float64]
 FloatArray32 = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+Rows = BoolArray | npt.NDArray[np.integer[Any]] | Sequence[int] | slice
+"""Selection of rows: a mask, row numbers or a slice."""
 Image = npt.NDArray[np.uint8]
 """(H, W, 3) BGR or (H, W) grey."""
 
@@ -26,6 +29,25 @@ def check_shape(name: str, array: npt.NDArray[Any], expected: tuple[int | None, 
         raise ValueError(f"{name}: expected shape ({text}), got {shape}")
 
 
-def row_numbers(rows: BoolArray | IntArray) -> IntArray:
-    """(M,) the row numbers that a mask (N,) or an array of row numbers (M,) selects; `take` is faster than indexing."""
-    return rows.nonzero()[0] if rows.dtype == np.bool_ else np.asarray(rows, np.int64)
+def row_numbers(rows: Rows, n_rows: int) -> IntArray:
+    """(M,) the row numbers that `rows` selects among `n_rows`, for `take`, which is faster than indexing.
+
+    Args:
+        rows: a mask (n_rows,), an array or list of row numbers (M,), or a slice; negative numbers count from the end.
+        n_rows: number of rows of the array.
+
+    Raises:
+        IndexError: the mask has another length, or the numbers are not integers; `take` checks that the rows exist.
+    """
+    if isinstance(rows, slice):
+        return np.arange(n_rows)[rows]
+    if not isinstance(rows, np.ndarray):
+        rows = np.asarray(rows)
+    kind = rows.dtype.kind
+    if kind == "b":
+        if rows.shape != (n_rows,):
+            raise IndexError(f"rows: expected a mask of shape ({n_rows},), got {rows.shape}")
+        return rows.nonzero()[0]
+    if kind not in "iu" and rows.size:
+        raise IndexError(f"rows: expected a mask or integers, got {rows.dtype}")
+    return np.asarray(rows, np.int64)
