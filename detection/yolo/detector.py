@@ -3,12 +3,16 @@
 The networks are YOLO and others: DETR-like ones, NanoDet and PicoDet.
 
 `detect` consists of three steps that reuse their buffers: `fill` resizes the image into the network's input, `infer`
-runs the network, `decode` turns the outputs into detections. `prepared` does the first step only, so that another
-thread can do the others meanwhile for the image before.
+runs the network, `decode` turns the outputs into detections. `prepared` does the first step only, in buffers of its
+own, so that another thread can do the others meanwhile for the image before.
+
+    one thread      prepared(k+1), prepared(k+2), ...
+    another thread  function that prepared(k) returned; or detect; or fill, infer, decode; candidates, input_blob
 """
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -78,46 +82,56 @@ class YoloSettings:
         return scores
 
 
+@dataclass(frozen=True, slots=True)
+class _Buffers:
+    """Buffers for one image.
+
+    Attributes:
+        blob: (1, 3, height, width) input of the network, with its padding.
+        scaled: (*resized_hw, 3) uint8 buffer of the resized image.
+    """
+
+    blob: npt.NDArray[Any]
+    scaled: Image
+
+
 @dataclass(slots=True)
 class _Input:
     """Buffers and format of the network's input for images of one size.
 
     Attributes:
-        network: the network bound to the size of its input.
+        network: the network bound to the size of its input, which is also that of images of other sizes.
         model: decoder and input format.
         letterbox: placement of the images in the input.
-        scaled: (*resized_hw, 3) uint8 buffer of the resized image.
-        free_blobs: inputs for `prepared` that are not in use.
+        free: buffers for `prepared` that are not in use.
     """
 
     network: BoundNetwork
     model: YoloModel
     letterbox: Letterbox
-    scaled: Any = field(init=False)
-    free_blobs: deque[npt.NDArray[Any]] = field(default_factory=deque)
+    free: deque[_Buffers] = field(default_factory=deque)
 
-    def __post_init__(self) -> None:
-        self.scaled = np.empty((*self.letterbox.resized_hw, 3), np.uint8)
-        self.model.input_format.fill_padding(self.network.blob)
+    def write(self, image: Image, buffers: _Buffers) -> None:
+        """Write an image into an input of the network."""
+        self.model.input_format.write(image, self.letterbox, buffers.blob, scaled=buffers.scaled)
 
-    def write(self, image: Image, blob: npt.NDArray[Any]) -> None:
-        """Write an image into a network's input."""
-        self.model.input_format.write(image, self.letterbox, blob, scaled=self.scaled)
+    def buffers_for(self, blob: npt.NDArray[Any]) -> _Buffers:
+        """Buffers with this input of the network, which is filled with the padding."""
+        self.model.input_format.fill_padding(blob)
+        return _Buffers(blob, np.empty((*self.letterbox.resized_hw, 3), np.uint8))
 
-    def free_blob(self) -> npt.NDArray[Any]:
-        """An input with its padding that is not in use."""
+    def free_buffers(self) -> _Buffers:
+        """Buffers that are not in use."""
         try:
-            return self.free_blobs.pop()
+            return self.free.pop()
         except IndexError:
-            blob = np.zeros_like(self.network.blob)
-            self.model.input_format.fill_padding(blob)
-            return blob
+            return self.buffers_for(np.zeros_like(self.network.blob))
 
 
 class YoloDetector:
     """Detector of road users with a YOLO network; buffers are reused, so use one instance per video, in one thread.
 
-    Only `prepared` may be called in another thread.
+    Only `prepared` may be called in another thread, one at a time.
 
     Attributes:
         size: longer side in pixels of an input of variable size, and the source of this value.
@@ -145,13 +159,15 @@ class YoloDetector:
         self._metadata: ModelMetadata = read_metadata(path, self._session.metadata, options or ModelOptions())
         self._bound: dict[tuple[int, int], tuple[BoundNetwork, YoloModel]] = {}
         self._last: tuple[list[FloatArray32], _Input] | None = None
+        self._preparing = threading.Lock()
         self.n_invalid = 0
         self.size: Attribute = self._metadata.get("size", DEFAULT_SIZE_PX, "default")
         area = self._metadata.get("area", None, "")
         self.area: Attribute | None = None if area.value is None else area
         if self._settings.size_px is not None:
             self.size, self.area = Attribute(self._settings.size_px, "as specified"), None
-        self._prepare(image_hw=(self.size.value, self.size.value))
+        self._input = self._prepare(image_hw=(self.size.value, self.size.value))
+        self._filled, self._fill_buffers = self._input, self._input.buffers_for(self._input.network.blob)
         names = self.model.names
         self._road_class: IntArray = map_to_road_classes(names)
         thresholds = np.append(self._settings.min_score_by_class(), _UNREACHABLE_SCORE)  # index -1: no road class
@@ -170,12 +186,12 @@ class YoloDetector:
 
     @property
     def input_hw(self) -> tuple[int, int]:
-        """(height, width) of the network's input for the latest image."""
+        """(height, width) of the network's input for the latest image, filled or prepared."""
         return self._input.letterbox.input_hw
 
     @property
     def model(self) -> YoloModel:
-        """Family, input format and class names for the latest image."""
+        """Family, input format and class names for the latest image, filled or prepared."""
         return self._input.model
 
     @property
@@ -197,13 +213,14 @@ class YoloDetector:
         """The road users in `image`, (H, W, 3) uint8 BGR, in order of decreasing score."""
         self.fill(image)
         outputs = self.infer()
-        self._last = outputs, self._input
+        self._last = outputs, self._filled
         return self.decode(outputs)
 
     def prepared(self, image: Image) -> Callable[[], Detections]:
         """Write `image` into an input of the network, and return the function that detects the road users in it.
 
-        The function must be called once, in the order of the images; another thread may prepare images meanwhile.
+        The function must be called once, in the order of the images, in the thread of the other methods. Another thread
+        may prepare images meanwhile; the image of `fill` remains as it is.
 
         Args:
             image: (H, W, 3) uint8 BGR.
@@ -212,13 +229,13 @@ class YoloDetector:
             ValueError: `image` is not (H, W, 3) uint8, or empty.
         """
         prepared = self._input_for(image)
-        blob = prepared.free_blob()
-        prepared.write(image, blob)
-        return partial(self._detect_prepared, prepared, blob)
+        buffers = prepared.free_buffers()
+        prepared.write(image, buffers)
+        return partial(self._detect_prepared, prepared, buffers)
 
-    def _detect_prepared(self, prepared: _Input, blob: npt.NDArray[Any]) -> Detections:
-        outputs = prepared.network.run(blob)
-        prepared.free_blobs.append(blob)
+    def _detect_prepared(self, prepared: _Input, buffers: _Buffers) -> Detections:
+        outputs = prepared.network.run(buffers.blob)
+        prepared.free.append(buffers)
         self._last = outputs, prepared
         return self._decoded(outputs, prepared, self._min_score)
 
@@ -242,7 +259,7 @@ class YoloDetector:
     def input_blob(self, image: Image) -> FloatArray32:
         """(1, 3, height, width) the network's input for `image`, as a copy."""
         self.fill(image)
-        return np.array(self._input.network.blob, np.float32)
+        return np.array(self._fill_buffers.blob, np.float32)
 
     def fill(self, image: Image) -> None:
         """Write `image` into the network's input.
@@ -251,11 +268,13 @@ class YoloDetector:
             ValueError: `image` is not (H, W, 3) uint8, or empty.
         """
         filled = self._input_for(image)
-        filled.write(image, filled.network.blob)
+        if filled is not self._filled:
+            self._filled, self._fill_buffers = filled, filled.buffers_for(filled.network.blob)
+        filled.write(image, self._fill_buffers)
 
     def infer(self) -> list[FloatArray32]:
         """The network's outputs for the latest image passed to `fill`; the next run overwrites them."""
-        return self._input.network.run()
+        return self._filled.network.run()
 
     def decode(self, outputs: list[FloatArray32], min_score: FloatArray | None = None) -> Detections:
         """The road users in the latest image passed to `fill`, from the network's outputs for it.
@@ -264,7 +283,7 @@ class YoloDetector:
             outputs: result of `infer`.
             min_score: (C,) minimum score by class of the network; None = those of the settings.
         """
-        return self._decoded(outputs, self._input, self._min_score if min_score is None else min_score)
+        return self._decoded(outputs, self._filled, self._min_score if min_score is None else min_score)
 
     def _decoded(self, outputs: list[FloatArray32], source: _Input, min_score: FloatArray) -> Detections:
         """The road users in an image from the network's outputs for `source`."""
@@ -291,12 +310,13 @@ class YoloDetector:
         """
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
             raise ValueError(f"image: expected shape (H, W, 3) of uint8, got {image.shape} of {image.dtype}")
-        if self._input.letterbox.image_hw != image.shape[:2]:
-            self._prepare(image_hw=(image.shape[0], image.shape[1]))
-        return self._input
+        with self._preparing:  # `fill` and `prepared` may be in progress at once
+            if self._input.letterbox.image_hw != image.shape[:2]:
+                self._input = self._prepare(image_hw=(image.shape[0], image.shape[1]))
+            return self._input
 
-    def _prepare(self, *, image_hw: tuple[int, int]) -> None:
-        """Set up buffers, decoder and letterbox for images of size `image_hw`; bound networks are cached."""
+    def _prepare(self, *, image_hw: tuple[int, int]) -> _Input:
+        """Network, decoder and letterbox for images of size `image_hw`; bound networks are cached."""
         input_hw = self._input_hw(image_hw)
         if input_hw not in self._bound:
             if len(self._bound) == _MAX_BOUND:
@@ -314,7 +334,7 @@ class YoloDetector:
             self._bound[input_hw] = network, identify_layout(outputs)
         network, model = self._bound[input_hw]
         letterbox = Letterbox.of_placement(model.input_format.placement, image_hw, input_hw)
-        self._input = _Input(network, model, letterbox)
+        return _Input(network, model, letterbox)
 
     def _input_hw(self, image_hw: tuple[int, int]) -> tuple[int, int]:
         _, _, height, width = self._session.input_shape

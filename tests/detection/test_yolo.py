@@ -10,6 +10,7 @@ from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import ModelError, Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.detection.yolo.letterbox import rectangular_input_hw
+from track_range.run.pipeline.prefetch import prefetch
 
 N_ROWS = 3 * (8 * 8 + 4 * 4 + 2 * 2)  # a 64 x 64 input with strides 8, 16, 32
 CAR, TRUCK = 2, 7
@@ -108,6 +109,41 @@ def test_prepared_images(tmp_path):
         np.testing.assert_array_equal(detect().xyxy_px, detections.xyxy_px)
     np.testing.assert_array_equal(detector.detect(images[2]).xyxy_px, expected[2].xyxy_px)
     assert len({tuple(detections.xyxy_px[0]) for detections in expected}) == 7
+
+
+def finder(tmp_path):
+    return write_rectangle_finder(tmp_path / "m.onnx", side_px=96, grey=114 / 255, metadata={"names": "{0: 'car'}"})
+
+
+@pytest.mark.parametrize("other_hw", [(64, 128), (96, 96), (128, 64)])
+def test_images_prepared_between_fill_and_infer(other_hw, tmp_path):
+    path = finder(tmp_path)
+    image, other = rectangle(8, 16, 40, 60), rectangle(16, 8, 56, 40, image_hw=other_hw)
+    detector = YoloDetector(path)
+    detector.fill(image)
+    detect_other = detector.prepared(other)
+    boxes = detector.decode(detector.infer())
+    np.testing.assert_array_equal(boxes.xyxy_px, YoloDetector(path).detect(image).xyxy_px)
+    np.testing.assert_array_equal(detect_other().xyxy_px, YoloDetector(path).detect(other).xyxy_px)
+    for filled in (image, other, image):  # the padding is that of the image
+        np.testing.assert_array_equal(detector.input_blob(filled), YoloDetector(path).input_blob(filled))
+    assert detector.prepared(image)().score.tolist() == detector.candidates(np.zeros(8)).score.tolist() == [1.0]
+
+
+def test_images_prepared_in_another_thread(tmp_path):
+    """As in runs: one thread prepares, the other one detects, and may fill the input with other images meanwhile."""
+    path = finder(tmp_path)
+    sizes_hw = [(96, 96)] * 4 + [(64, 128), (128, 64)]
+    images = [rectangle(k, 8, 24 + k % 7, 40, image_hw=sizes_hw[k % len(sizes_hw)]) for k in range(16)]
+    other = YoloDetector(path)
+    expected = [other.detect(image).xyxy_px for image in images]
+    detector = YoloDetector(path, runtime=Runtime(n_threads=1))
+    prepared = prefetch((detector.prepared(images[k % 16]) for k in range(320)), depth=3)
+    for k, detect in enumerate(prepared):
+        detector.fill(images[k % 5])
+        np.testing.assert_array_equal(detect().xyxy_px, expected[k % 16])
+        np.testing.assert_array_equal(detector.candidates(np.zeros(8)).xyxy_px[:1], expected[k % 16])
+        np.testing.assert_array_equal(detector.decode(detector.infer()).xyxy_px, expected[k % 5])
 
 
 def test_changing_image_sizes(shared_data):
