@@ -197,6 +197,29 @@ def test_table_of_many_batches():
     assert arrow.schema.field("closing_mps").metadata == {b"unit": b"m/s"}
 
 
+@pytest.mark.parametrize("n_frames", [1, 2])
+def test_table_keeps_its_rows_if_results_change(n_frames):
+    """The arrays of a result belong to the caller, who may change them afterwards."""
+    with RunTable() as table, RunTable() as expected:
+        results = [result(index) for index in range(n_frames)]
+        for appended in results:
+            table.append(appended)
+            expected.append(result(appended.frame.index))
+        arrow = table.to_arrow(is_rounded=False)
+        for appended in results:
+            for array in (
+                appended.tracks.track_id,
+                appended.tracks.xyxy_px,
+                appended.tracks.class_id,
+                appended.tracks.observed,
+                appended.ranges["fused"].distance_m,
+                appended.ttc_s,
+            ):
+                array[:] = 1
+        assert arrow.equals(expected.to_arrow(is_rounded=False))
+        assert table.to_arrow(is_rounded=False).equals(arrow)
+
+
 def test_table_of_sparse_frames(tmp_path, monkeypatch):
     """Memory stays flat if most frames have few rows: after some hundreds of frames they are stored."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))

@@ -65,7 +65,8 @@ class RunTable:
         """
         if not len(result.tracks):
             return
-        self._buffer.append(frame_values(result, self.columns))
+        # copies, since the caller may change the arrays of the result
+        self._buffer.append([values.copy() for values in frame_values(result, self.columns)])
         self._n_buffered += len(result.tracks)
         if self._n_buffered >= self._rows_per_batch or len(self._buffer) >= FRAMES_PER_BATCH:
             try:
