@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import gc
 import itertools
+import os
 import threading
 import weakref
 from collections.abc import Iterator
@@ -11,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.run.pipeline import prefetch as prefetch_module
 from track_range.run.pipeline.prefetch import concurrent_stages, prefetch
 
 WAIT_S = 20.0  # long enough for any machine; exceeded only if something hangs
@@ -199,7 +199,8 @@ def test_depth_below_one(depth: int) -> None:
 def test_threads_of_opencv_during_runs(
     n_cores: int, has_dense_stereo: bool, n_threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(prefetch_module.os, "cpu_count", lambda: n_cores)
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(n_cores)), raising=False)
     before = cv2.getNumThreads()
     cv2.setNumThreads(3)
     try:
@@ -219,3 +220,18 @@ def test_objects_before_runs_are_frozen_during_them() -> None:
             assert gc.get_freeze_count() > 1000
         assert gc.get_freeze_count() > 1000
     assert gc.get_freeze_count() == 0
+
+
+def test_objects_that_the_application_has_frozen_remain_frozen() -> None:
+    gc.freeze()
+    try:
+        n_frozen = gc.get_freeze_count()
+        tracked = [[number] for number in range(1000)]
+        with concurrent_stages(has_dense_stereo=False):
+            assert gc.get_freeze_count() < n_frozen + len(tracked)
+        assert gc.get_freeze_count() < n_frozen + len(tracked)
+        with concurrent_stages(has_dense_stereo=False):
+            gc.unfreeze()  # the application's decision
+        assert gc.get_freeze_count() == 0
+    finally:
+        gc.unfreeze()

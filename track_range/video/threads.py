@@ -10,9 +10,9 @@ Reading threads run at low priority, so that inference goes first when there are
 
 from __future__ import annotations
 
-import os
+from track_range.foundation.processes import n_usable_cores
 
-DECODER_THREADS = 1 if (os.cpu_count() or 1) <= 2 else 2
+DECODER_THREADS = 1 if n_usable_cores() <= 2 else 2
 """FFmpeg's threads per video; few, since left and right are decoded in parallel with each other and with a detector."""
 
 FRAMES_AHEAD = 4

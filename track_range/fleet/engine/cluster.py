@@ -25,6 +25,7 @@ from track_range.fleet.errors import FleetError
 from track_range.fleet.settings import FleetSettings
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import counted, shortened
+from track_range.foundation.processes import n_usable_cores
 from track_range.foundation.telemetry import disable_telemetry
 from track_range.run.interrupts import ignore_interrupts
 
@@ -100,7 +101,7 @@ def connected(settings: FleetSettings) -> Iterator[Cluster]:
 
 @contextmanager
 def _local_cluster(settings: FleetSettings) -> Iterator[Cluster]:
-    n_cores = _n_cores()
+    n_cores = n_usable_cores()
     n_requested = settings.workers or max(1, n_cores // settings.threads)
     # Ray requires a token on a new cluster, and would write one to the home folder
     variables = {**_LOCAL_VARIABLES, "RAY_AUTH_TOKEN": os.environ.get("RAY_AUTH_TOKEN", _TOKEN)}
@@ -269,12 +270,6 @@ def _nodes() -> list[dict[str, Any]]:
 
     nodes: list[dict[str, Any]] = ray.nodes()  # type: ignore[no-untyped-call]
     return nodes
-
-
-def _n_cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _reason(error: BaseException) -> str:

@@ -19,6 +19,8 @@ from typing import Generic, TypeVar
 
 import cv2
 
+from track_range.foundation.processes import n_usable_cores
+
 T = TypeVar("T")
 
 _SWITCH_INTERVAL_S = 0.0005
@@ -55,18 +57,22 @@ class _Shared(Generic[T]):
 
     @contextmanager
     def in_use(self) -> Iterator[None]:
-        """Context with the value during runs; the one before is restored at the end of the last concurrent run."""
+        """Context with the value during runs; the one before is restored at the end of the last concurrent run.
+
+        A setting that has the value before is neither changed nor restored.
+        """
         with self._lock:
             if not self._n_users:
                 self._default = self._read()
-                self._write(self._value)
+                if self._default != self._value:
+                    self._write(self._value)
             self._n_users += 1
         try:
             yield
         finally:
             with self._lock:
                 self._n_users -= 1
-                if not self._n_users:
+                if not self._n_users and self._default != self._value:
                     self._write(self._default)
 
 
@@ -88,8 +94,9 @@ def concurrent_stages(*, has_dense_stereo: bool) -> Iterator[None]:
 
     A thread that returns from inference waits at most 0.5 ms for the GIL; the default, 5 ms, is a tenth of the time per
     frame. The garbage collector leaves out the objects that exist before the run: a search among them takes 60 ms, and
-    holds the GIL. On two cores or fewer OpenCV uses one thread, since its other ones, which have the priority of
-    inference, would interrupt that; with dense stereo it uses all, since dense stereo is then the bottleneck.
+    holds the GIL; if the application has frozen objects itself, nothing changes. On two cores or fewer that the process
+    may use, OpenCV uses one thread, since its other ones, which have the priority of inference, would interrupt that;
+    with dense stereo it uses all, since dense stereo is then the bottleneck.
 
     Args:
         has_dense_stereo: whether each image is matched densely.
@@ -97,7 +104,7 @@ def concurrent_stages(*, has_dense_stereo: bool) -> Iterator[None]:
     with ExitStack() as stack:
         stack.enter_context(_switch_interval.in_use())
         stack.enter_context(_frozen_objects.in_use())
-        if (os.cpu_count() or 1) <= _FEW_CORES and not has_dense_stereo:
+        if n_usable_cores() <= _FEW_CORES and not has_dense_stereo:
             stack.enter_context(_opencv_threads.in_use())
         yield
 
