@@ -80,6 +80,18 @@ def test_sizes_and_calibration(rectangles, cli):
     assert (rectangles / "f.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_input_of_a_model_with_an_area(rectangles, cli):
+    rows, metadata = np.zeros((1, 252, 6)), {"names": "['car']"}
+    write_model(rectangles / "side.onnx", rows, metadata=metadata | {"size": "64"}, input_shape=(1, 3, "h", "w"))
+    write_model(rectangles / "area.onnx", rows, metadata=metadata | {"area": "4096"}, input_shape=(1, 3, "h", "w"))
+    models = ("--model", rectangles / "side.onnx", "--model", rectangles / "area.onnx")
+    figures, printed = evaluate(cli, rectangles, *models)
+    assert [row["input"] for row in figures["models"].values()] == ["64 open", "4096 px2 open"]
+    assert "4096 px2 open" in printed
+    figures, _ = evaluate(cli, rectangles, *models, "--size", 64)
+    assert [row["input"] for row in figures["models"].values()] == ["64 open"] * 2
+
+
 @pytest.mark.parametrize(
     ("option", "status", "message"),
     [

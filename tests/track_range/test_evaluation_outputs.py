@@ -54,6 +54,15 @@ def test_images_are_not_replaced_by_a_chart(tmp_path):
     assert (done.status, "that of --images" in done.stderr) == (1, True)
 
 
+def test_models_are_not_replaced(tmp_path):
+    model = tmp_path / "my.onnx"
+    model.write_bytes(b"model")
+    inputs = ("--model", "yolov5n", "--model", model, "--images", tmp_path, "--labels", tmp_path)
+    done = run_command("evaluate", "detections", *inputs, "--json", model)
+    assert (done.status, "that of --models" in done.stderr) == (1, True)
+    assert model.read_bytes() == b"model"
+
+
 def test_earlier_results_beside_the_inputs_are_replaced(tmp_path):
     for name in ("risk.png", "table.md", "f.json"):
         (tmp_path / name).write_text("")

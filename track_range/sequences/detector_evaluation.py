@@ -228,7 +228,9 @@ def _details(
 
 
 def _input(detector: YoloDetector) -> str:
-    """Width x height of the network's input, or its longer side if the size depends on the image."""
+    """Width x height of the network's input, or its area or longer side if the size depends on the image."""
+    if detector.area is not None and None in detector.session.input_shape[2:]:
+        return f"{detector.area.value:.0f} px2 open"
     height, width = detector.input_hw
     is_open = None in detector.session.input_shape[2:]
     return f"{max(height, width)} open" if is_open else f"{width}x{height}"

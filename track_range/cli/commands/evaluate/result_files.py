@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,9 +49,14 @@ def _check_is_no_input(flag: str, file: Path, options: Any) -> None:
             raise OutputError(f"{file}: expected a new file for {flag}, got that of --{source}; rename it.")
 
 
-def _paths(value: object) -> Iterable[Path]:
+def _paths(value: object) -> Iterator[Path]:
+    """The existing paths of an option; a text is one if it names a file, as a model does."""
     values = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
-    return (path for path in values if isinstance(path, Path) and path.exists())
+    for item in values:
+        if isinstance(item, Path) and item.exists():
+            yield item
+        elif isinstance(item, str) and os.path.isfile(item):
+            yield Path(item)
 
 
 def _is_of_folder(flag: str, file: Path, option: str) -> bool:
