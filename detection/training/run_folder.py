@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from track_range.detection.training.errors import CheckpointError
 from track_range.foundation.files.atomic_files import atomic_path, describe, write_text
@@ -26,6 +27,7 @@ _OPTION = {
     "teacher": "--teacher",
     "size_px": "--size",
     "n_epochs": "--epochs",
+    "n_last_epochs": "--last-epochs",
     "batch_size": "--batch",
     "seed": "--seed",
     "box_loss": "--box-loss",
@@ -37,6 +39,9 @@ _OPTION = {
     "max_gain": "--gain",
 }
 """Command line option by the key of a run's identity, for messages."""
+
+_DEFAULT = {"n_last_epochs": 0}
+"""Settings of checkpoints that were written before there was such a setting."""
 
 
 def save_checkpoint(path: Path, content: Mapping[str, Any]) -> None:
@@ -68,7 +73,40 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
         raise CheckpointError(f"{path}: not a checkpoint, or damaged ({type(error).__name__}).") from error
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
         raise CheckpointError(f"{path}: expected a checkpoint of `track-range train`.")
+    present = {"identity": None, "average": None} | content
+    wrong = [key for key, is_valid in _IS_VALID.items() if key in present and not is_valid(present[key])]
+    if wrong:
+        raise CheckpointError(f"{path}: damaged checkpoint (unusable {', '.join(wrong)}).")
     return content
+
+
+def _is_identity(value: object) -> bool:
+    """Whether a value is a dictionary by name with a list of class names."""
+    if not isinstance(value, dict) or not isinstance(classes := value.get("classes"), list):
+        return False
+    return all(isinstance(name, str) for name in (*value, *classes))
+
+
+def _is_weights(value: object) -> bool:
+    """Whether a value is a dictionary of tensors by name."""
+    return isinstance(value, dict) and all(isinstance(k, str) and isinstance(v, Tensor) for k, v in value.items())
+
+
+def _is_history(value: object) -> bool:
+    """Whether a value is a list of dictionaries of numbers by name."""
+    return isinstance(value, list) and all(
+        isinstance(row, dict) and all(isinstance(k, str) and isinstance(v, int | float) for k, v in row.items())
+        for row in value
+    )
+
+
+_IS_VALID: Mapping[str, Callable[[object], bool]] = {
+    "identity": _is_identity,
+    "network": _is_weights,
+    "average": _is_weights,
+    "history": _is_history,
+}
+"""Check of the structure of a part of a checkpoint, by key."""
 
 
 def check_same_run(path: Path, saved: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
@@ -78,8 +116,9 @@ def check_same_run(path: Path, saved: Mapping[str, Any], expected: Mapping[str, 
         CheckpointError: they differ; the message has the first option that differs.
     """
     for key, value in expected.items():
-        if value != saved.get(key):
-            old, new = (str(part) if len(str(part)) < 60 else "..." for part in (saved.get(key), value))
+        before = saved.get(key, _DEFAULT.get(key))
+        if value != before:
+            old, new = (str(part) if len(str(part)) < 60 else "..." for part in (before, value))
             raise CheckpointError(
                 f"{path}: expected {_OPTION.get(key, key)} {new}, got a run with {old}; use the options of that run "
                 "or another --out (with --weights to start from its weights)."

@@ -62,6 +62,10 @@ class TrainingSettings:
             raise TrainingError(
                 f"--size: expected a multiple of {COARSEST_STRIDE_PX}, such as {lower}, got {self.size_px}."
             )
+        if self.n_last_epochs > self.n_epochs:
+            raise TrainingError(
+                f"--last-epochs: expected at most {self.n_epochs}, the number of --epochs, got {self.n_last_epochs}."
+            )
         low, high = self.augmentation.min_gain, self.augmentation.max_gain
         if not MIN_GAIN <= low <= high <= MAX_GAIN:
             limits = f"{MIN_GAIN:g} <= MIN <= MAX <= {MAX_GAIN:g}"

@@ -94,7 +94,7 @@ class Training:
             self._optimiser.load_state_dict(content["optimiser"])
             self._scaler.load_state_dict(content["scaler"])
             self.history = content["history"]
-        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             raise CheckpointError(f"{path}: damaged checkpoint ({type(error).__name__}).") from error
 
     def start_from(self, path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import csv
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from track_range.detection.training.data.data_yaml import read_data_yaml
 from track_range.detection.training.errors import CheckpointError, TrainingError
 from track_range.detection.training.networks.export import export_onnx
 from track_range.detection.training.networks.registry import make_network
-from track_range.detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint
+from track_range.detection.training.run_folder import BEST, LAST, RESULTS, check_same_run, load_checkpoint
 from track_range.detection.training.schedule import SGD, Schedule, ScheduleSettings, WeightAverage, optimiser_of
 from track_range.detection.training.settings import TrainingSettings
 from track_range.detection.training.teacher import Teacher
@@ -129,6 +130,59 @@ def test_no_checkpoint_and_damaged_ones(sets, tmp_path):
     torch.save({"weights": torch.zeros(2)}, tmp_path / LAST)
     with pytest.raises(CheckpointError, match=r"last\.pt: expected a checkpoint"):
         run.resume()
+
+
+def test_checkpoints_of_unusable_content(sets, tmp_path):
+    run = training(sets, tmp_path)
+    content = {
+        "format": 1,
+        "identity": run._identity(),
+        "network": run.network.state_dict(),
+        "average": run.average.network.state_dict(),
+        "optimiser": run._optimiser.state_dict(),
+        "scaler": {},
+        "history": [],
+    }
+    torch.save(content, tmp_path / LAST)
+    run.resume()
+    run.start_from(tmp_path / LAST)
+    for change in (
+        {"identity": ["road"]},
+        {"identity": run._identity() | {"classes": [0, 1]}},
+        {"average": dict.fromkeys(content["average"], 3)},
+        {"average": list(content["average"].values())},
+        {"network": {1: torch.zeros(2)}},
+        {"history": [1.0]},
+        {"history": [{"ap50": "high"}]},
+        {"optimiser": []},
+        {"optimiser": {"state": {}, "param_groups": [1, 2, 3]}},
+    ):
+        torch.save(content | change, tmp_path / LAST)
+        with pytest.raises(CheckpointError, match=r"last\.pt: damaged"):
+            run.resume()
+        if "identity" in change or "average" in change:
+            with pytest.raises(CheckpointError, match=r"last\.pt: damaged"):
+                run.start_from(tmp_path / LAST)
+    for key in ("identity", "average"):
+        torch.save({name: value for name, value in content.items() if name != key}, tmp_path / LAST)
+        for use in (run.resume, lambda: run.start_from(tmp_path / LAST)):
+            with pytest.raises(CheckpointError, match=r"last\.pt: "):
+                use()
+
+
+def test_epochs_without_mosaics():
+    settings = TrainingSettings(n_epochs=5, n_last_epochs=2)
+    assert [settings.augmentation_in(i).mosaic > 0 for i in range(5)] == [True] * 3 + [False] * 2
+    assert TrainingSettings(n_epochs=5, n_last_epochs=5).augmentation_in(0).mosaic == 0
+    with pytest.raises(TrainingError, match=r"--last-epochs: expected at most 1, .*--epochs, got 5"):
+        TrainingSettings(n_epochs=1, n_last_epochs=5)
+
+
+def test_checkpoint_without_the_number_of_last_epochs():
+    saved = {"model": "road"}
+    check_same_run(Path(LAST), saved, saved | {"n_last_epochs": 0})
+    with pytest.raises(CheckpointError, match=r"expected --last-epochs 3, got a run with 0"):
+        check_same_run(Path(LAST), saved, saved | {"n_last_epochs": 3})
 
 
 @pytest.mark.train
