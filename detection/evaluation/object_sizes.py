@@ -129,8 +129,10 @@ def evaluate_by_size(
         min_height_px: smaller labels are ignored, and so are smaller unmatched detections.
 
     Raises:
-        ValueError: `detections` and `truth` differ in length.
+        ValueError: `detections` and `truth` differ in length, or there is no such measure.
     """
+    if measure not in SIZE_BINS:
+        raise ValueError(f"measure: expected {' or '.join(map(repr, SIZE_BINS))}, got {measure!r}")
     bins = SIZE_BINS[measure]
     by_bin: list[dict[int, SizeClassScores]] = [{} for _ in bins]
     for class_id in range(len(ROAD_CLASSES)):

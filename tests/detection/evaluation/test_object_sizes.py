@@ -111,3 +111,8 @@ def test_minimum_height_applies_in_all_bins():
 def test_unequal_numbers_of_images():
     with pytest.raises(ValueError, match="expected 1 images"):
         scores([], [ImageTruth.of([], [])])
+
+
+def test_unknown_measure():
+    with pytest.raises(ValueError, match="measure: expected 'area' or 'height', got 'width'"):
+        scores([], [], measure="width")
