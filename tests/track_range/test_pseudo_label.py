@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
+from tests.damaged_text import MAX_MESSAGE
 from tests.detection.onnx_models import write_model
 from tests.detection.training.road_scenes import write_data_set
 from track_range.detection.training.data.data_yaml import read_data_yaml
@@ -66,7 +67,7 @@ def test_labels_with_the_probability_of_the_matches(drawn, tmp_path, cli):
     assert [bool(text) for text in texts] == [i % 4 == 0 for i in range(N_LABELLED)]
     table = [line.split() for line in printed.splitlines() if line.startswith("car")]
     assert table[0] == ["car", "30", "2", "2", "2", "10"]
-    assert " ".join(table[1]) == "car - - 75 / 75 (4) -"
+    assert " ".join(table[1]) == "car - - - 75 / 75 (4) -"
     keys = yaml.safe_load("\n".join(printed.splitlines()[-3:]))
     assert keys == {"labels_pseudo": "soft", "pseudo_scores": "probabilities", "pseudo_names": ["person", "car"]}
     truth = read_data_yaml(changed(drawn, **keys)).train[-1].truth
@@ -124,6 +125,39 @@ def test_resume_and_no_overwriting(drawn, tmp_path, cli):
     assert (status, "choose another --out" in complaint) == (1, True)
 
 
+def test_detectors_that_find_no_labels(drawn, tmp_path, cli):
+    wrong, right = (
+        write_network(tmp_path / "b.onnx", 0.8, names=("bus", "car")),
+        write_network(tmp_path / "c.onnx", 0.8),
+    )
+    out = tmp_path / "soft"
+    status, _, complaint = pseudo_label(cli, drawn, out, "--model", wrong)
+    assert (status, "found 0" in complaint, "other detectors" in complaint) == (1, True, True)
+    assert ("delete --out" in complaint, len(complaint) <= MAX_MESSAGE) == (True, True)
+    status, _, complaint = pseudo_label(cli, drawn, out, "--model", right)
+    assert (status, "delete the folder" in complaint) == (1, True)
+    assert pseudo_label(cli, drawn, out, "--model", right, "--resume")[0] == 0
+
+
+def test_output_folder_is_checked_before_models_are_loaded(drawn, tmp_path, cli):
+    (tmp_path / "file").write_text("kept")
+    status, _, complaint = pseudo_label(cli, drawn, tmp_path / "file", "--model", "no_such_model")
+    assert (status, "expected a folder" in complaint, "no_such_model" in complaint) == (1, True, False)
+
+
+def test_resume_with_fewer_images(drawn, tmp_path, cli):
+    out, model = tmp_path / "soft", write_network(tmp_path / "a.onnx", 0.8)
+    (out / "detections").mkdir(parents=True)
+    for name in ("train-000", "removed"):  # the run was stopped while it wrote labels
+        (out / f"{name}.txt").write_text("0 0.5 0.5 0.25 0.2 0.75\n")
+    status, _, complaint = pseudo_label(cli, drawn, out, "--model", model, "--resume")
+    assert (status, "found 1 of other images, such as removed.txt" in complaint) == (1, True)
+    assert len(complaint) <= MAX_MESSAGE
+    (out / "removed.txt").unlink()
+    assert pseudo_label(cli, drawn, out, "--model", model, "--resume")[0] == 0
+    assert len(list(out.iterdir())) == N_LABELLED + N_UNLABELLED
+
+
 def test_damaged_images_and_dependent_validation(drawn, tmp_path, cli):
     changed(drawn, manifest=None, val="images/train")
     (tmp_path / "images/train/train-003.png").write_bytes(b"junk")
@@ -144,7 +178,7 @@ def test_damaged_images_and_dependent_validation(drawn, tmp_path, cli):
         (("stop sign", "bus"), (), 1, "data.yaml: expected names that the detectors know, found car, person"),
         (("zebra",), (), 1, "none of its classes"),
         (("person",), (), 1, "at least 20 labels"),
-        (("bus", "car"), (), 1, "at least 20 objects"),
+        (("bus", "car"), (), 1, "at least 20 labels"),
         (("car",), ("--min-probability", 1.5), 2, "--min-probability"),
     ],
 )

@@ -22,6 +22,7 @@ from scipy.special import expit, logit
 
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.evaluation.score_calibration import Reliability
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.training.ensemble.fusion import FusedBoxes
 from track_range.detection.training.ensemble.views import MIN_SCORE
@@ -30,8 +31,8 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 MIN_POSITIVES = 20
 """Minimum number of matches to fit a class; others have the mean coefficients of the classes that are fitted."""
 
-BIN_EDGES = (0.0, 0.2, 0.5, 0.8, 1.0)
-"""Limits of the bins of probability in which the calibration is verified."""
+N_BINS = 5
+"""Number of bins of probability in which the calibration is verified."""
 
 _LOWEST, _HIGHEST = 0.01, 0.99
 """Limits of the scores, so that log-odds are finite; a detector without a box has the lowest one."""
@@ -80,21 +81,6 @@ class Calibration:
         return np.where(_is_detected(score), expit(z), 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Bins:
-    """Probabilities and matches of the boxes of one class, by bins of probability (`BIN_EDGES`).
-
-    Attributes:
-        n: (4,) number of boxes.
-        probability: (4,) their mean probability; NaN without boxes.
-        matched: (4,) fraction of them that match a label; NaN without boxes.
-    """
-
-    n: IntArray
-    probability: FloatArray
-    matched: FloatArray
-
-
 def samples(
     images: Sequence[tuple[FusedBoxes, ImageTruth]], *, n_detectors: int, is_labelled: BoolArray
 ) -> list[Samples]:
@@ -121,7 +107,8 @@ def matches(fused: FusedBoxes, truth: ImageTruth, class_id: int) -> BoolArray:
     """(K,) whether a fused box matches a label of a class.
 
     In order of decreasing best score, a box matches the label with which its IoU is largest, if that is at least 0.5
-    and no better box matches this label.
+    and no better box matches this label. A box whose label is taken does not match another one, as it does in
+    `evaluation.matching` (COCO): of two boxes of one object, the worse is to be a negative sample, also in a crowd.
     """
     is_match = np.zeros(len(fused.xyxy), np.bool_)
     labels = truth.xyxy_px[(truth.class_id == class_id) & ~truth.is_ignored]
@@ -164,17 +151,12 @@ def fit_calibration(by_class: Sequence[Samples], is_known: BoolArray) -> Calibra
     return Calibration(intercept, weight, np.where(is_fitted, n_positives, 0))
 
 
-def bins(calibration: Calibration, of_class: Samples, class_id: int) -> Bins:
-    """The calibration of one class on samples, which should not be those of the fit."""
+def reliability(calibration: Calibration, of_class: Samples, class_id: int) -> Reliability:
+    """Probabilities and matches of one class in `N_BINS` bins, of samples that should not be those of the fit."""
     score = np.zeros((len(of_class.score), of_class.score.shape[1], len(ROAD_CLASSES)))
     score[:, :, class_id] = of_class.score
     p = calibration.probability(score)[:, class_id]
-    index = np.digitize(p, BIN_EDGES[1:-1])
-    n = np.bincount(index, minlength=len(BIN_EDGES) - 1)
-    with np.errstate(invalid="ignore"):
-        mean = np.bincount(index, p, minlength=len(n)) / n
-        matched = np.bincount(index, of_class.is_match, minlength=len(n)) / n
-    return Bins(n, mean, matched)
+    return Reliability.of(p, of_class.is_match, n_bins=N_BINS)
 
 
 def _is_detected(score: FloatArray) -> BoolArray:

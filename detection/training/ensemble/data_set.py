@@ -18,16 +18,16 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.evaluation.score_calibration import Reliability
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.formats.image_labels.labelled_images import LabelledImage
 from track_range.detection.training.data.data_yaml import OwnLabels
 from track_range.detection.training.ensemble.calibration import (
     MIN_POSITIVES,
-    Bins,
     Calibration,
-    bins,
     fit_calibration,
+    reliability,
     samples,
 )
 from track_range.detection.training.ensemble.fusion import FusedBoxes, fuse
@@ -62,7 +62,7 @@ class Outcome:
     n_labels: IntArray
     n_ignored: IntArray
     calibration: Calibration
-    validation: dict[int, Bins]
+    validation: dict[int, Reliability]
 
 
 def usable_classes(data: OwnLabels, members: Sequence[EnsembleMember]) -> BoolArray:
@@ -125,12 +125,12 @@ def label_training_images(
     if calibration is None:
         most = max(int(np.count_nonzero(of_class.is_match)) for of_class in fitted)
         raise LabelFileError(
-            f"{data.path}: expected at least {MIN_POSITIVES} objects of a completely labelled class that the detectors "
-            f"find, to fit probabilities; found {most}."
+            f"{data.path}: expected at least {MIN_POSITIVES} labels of a completely labelled class that the detectors "
+            f"find, to fit probabilities; found {most}; use other detectors or labels with --resume, or delete --out."
         )
     verified = samples(_pairs(fused[len(train) :], val), n_detectors=len(members), is_labelled=data.is_named)
     validation = {
-        class_id: bins(calibration, of_class, class_id)
+        class_id: reliability(calibration, of_class, class_id)
         for class_id, of_class in enumerate(verified)
         if is_known[class_id] and len(of_class.score)
     }

@@ -19,9 +19,9 @@ from track_range.detection.training.data.data_yaml import read_data_yaml, read_o
 from track_range.detection.training.ensemble.calibration import (
     Calibration,
     Samples,
-    bins,
     fit_calibration,
     matches,
+    reliability,
     samples,
 )
 from track_range.detection.training.ensemble.fusion import FusedBoxes, fuse
@@ -148,9 +148,9 @@ def test_calibration_recovers_the_probabilities_of_simulated_scores():
     score[:, :, CAR] = other.score
     np.testing.assert_allclose(calibration.probability(score)[:, CAR], probability, atol=0.02)
     assert not calibration.probability(score)[:, PERSON].any()  # not detected
-    verified = bins(calibration, other, CAR)
+    verified = reliability(calibration, other, CAR)
     assert verified.n.sum() == 5_000
-    np.testing.assert_allclose(verified.probability, verified.matched, atol=0.05)
+    np.testing.assert_allclose(verified.mean_score, verified.precision, atol=0.05)
 
 
 def test_weights_are_not_negative():

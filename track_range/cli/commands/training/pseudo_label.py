@@ -13,9 +13,10 @@ from track_range.cli.console import console, print_grid, print_line, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.evaluation.score_calibration import Reliability
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.training.data.data_yaml import OwnLabels, read_own_labels
-from track_range.detection.training.ensemble.calibration import BIN_EDGES, MIN_POSITIVES, Bins
+from track_range.detection.training.ensemble.calibration import MIN_POSITIVES
 from track_range.detection.training.ensemble.data_set import (
     COUNTED_PROBABILITIES,
     DETECTIONS,
@@ -40,7 +41,7 @@ _N_LISTED = 20
 def _pseudo_label(options: PseudoLabelOptions) -> None:
     data = read_own_labels(options.data)
     print_notes(console, data.notes)
-    _check_folder(options)
+    _check_folder(options, data)
     runtime = Runtime(device=options.device, n_threads=options.threads)
     paths = dict.fromkeys(ready_model(name, console) for name in options.models)
     stored = options.out / DETECTIONS
@@ -72,19 +73,27 @@ def _pseudo_label(options: PseudoLabelOptions) -> None:
     print_line(console, f"pseudo_names: [{', '.join(ROAD_CLASSES[i] for i in outcome.known_class_id)}]")
 
 
-def _check_folder(options: PseudoLabelOptions) -> None:
-    """Check the output folder before the detectors run.
+def _check_folder(options: PseudoLabelOptions, data: OwnLabels) -> None:
+    """Check the output folder before the models are loaded.
 
     Raises:
-        OutputError: the folder has pseudo-labels, or nothing that can be resumed.
+        OutputError: it is a file, or has pseudo-labels, also of other images than `data`, or no run to be resumed.
     """
+    if options.out.exists() and not options.out.is_dir():
+        raise OutputError(f"{options.out}: expected a folder, found a file; choose another --out.")
     is_started = (options.out / DETECTIONS).is_dir()
     if options.resume and not is_started:
         raise OutputError(f"{options.out}: expected an interrupted run to resume, found none; omit --resume.")
     if is_started and not options.resume:
         raise OutputError(
-            f"{options.out}: this folder contains an interrupted run; continue it with --resume, or choose another "
-            "--out."
+            f"{options.out}: this folder contains an unfinished run; continue it with --resume, delete the folder, or "
+            "choose another --out."
+        )
+    names = {item.path.stem for item in data.train}
+    if is_started and (others := sorted(file.name for file in options.out.glob("*.txt") if file.stem not in names)):
+        raise OutputError(
+            f"{options.out}: expected labels of the training images in {options.data}, found {len(others)} of other "
+            f"images, such as {others[0]}; delete these files to continue."
         )
     if not is_started and options.out.is_dir() and any(options.out.glob("*.txt")):
         raise OutputError(f"{options.out}: expected a folder without labels, found some; choose another --out.")
@@ -145,9 +154,10 @@ def _label_grid(outcome: Outcome) -> Grid:
     return grid_of("Pseudo-labels by class and minimum probability", "class", [ROAD_CLASSES[i] for i in rows], columns)
 
 
-def _validation_grid(validation: dict[int, Bins]) -> Grid:
+def _validation_grid(validation: dict[int, Reliability]) -> Grid:
     """One row per class: mean probability, fraction of matches and number of boxes in each bin."""
-    columns = [f"p {low}-{high}" for low, high in pairwise(BIN_EDGES)]
+    edges = next(iter(validation.values())).edges
+    columns = [f"p {low:g}-{high:g}" for low, high in pairwise(edges)]
     rows = [
         (Cell(ROAD_CLASSES[class_id]), *(Cell(text) for text in _bin_texts(of_class)))
         for class_id, of_class in validation.items()
@@ -156,11 +166,11 @@ def _validation_grid(validation: dict[int, Bins]) -> Grid:
     return Grid(title, ("class", *columns), tuple(rows))
 
 
-def _bin_texts(of_class: Bins) -> list[str]:
+def _bin_texts(of_class: Reliability) -> list[str]:
     return [
         NOTHING if math.isnan(p) else f"{100 * p:.0f} / {100 * matched:.0f} ({n})"
         for n, p, matched in zip(
-            of_class.n.tolist(), of_class.probability.tolist(), of_class.matched.tolist(), strict=True
+            of_class.n.tolist(), of_class.mean_score.tolist(), of_class.precision.tolist(), strict=True
         )
     ]
 
