@@ -20,10 +20,16 @@ import torch
 from torch import Tensor
 
 from track_range.detection.training.losses.assignment import Objects
+from track_range.detection.training.losses.box_losses import pair_iou
 
 _N_POSITIVES = 10
+"""Number of positive cells of an object."""
+
 _BETA = 6.0
+"""Exponent of the IoU in the alignment a."""
+
 _EPSILON = 1e-9
+"""Number added to the largest a of an object, which is 0 if no predicted box overlaps it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +56,14 @@ class AlignedCells:
 
 @torch.no_grad()
 def assign_aligned(
-    objects: Objects, scores: Tensor, xyxy_px: Tensor, centre_px: Tensor, stride_px: Tensor
+    objects: Objects, scores: Tensor, cxcywh_px: Tensor, centre_px: Tensor, stride_px: Tensor
 ) -> AlignedCells:
     """The positive cells of T objects.
 
     Args:
         objects: the objects.
         scores: (B, N, C) predicted class scores, 0..1.
-        xyxy_px: (B, N, 4) predicted boxes.
+        cxcywh_px: (B, N, 4) predicted boxes.
         centre_px: (N, 2) centres of the cells.
         stride_px: (N,) sides of the cells.
     """
@@ -66,7 +72,7 @@ def assign_aligned(
     object_index, cell = is_inside.nonzero(as_tuple=True)
     image, class_index = objects.image[object_index], objects.class_index[object_index]
     overlap = is_inside.float()
-    overlap[object_index, cell] = pair_iou(xyxy_px[image, cell], _xyxy(objects.cxcywh)[object_index])
+    overlap[object_index, cell] = pair_iou(cxcywh_px[image, cell], objects.cxcywh[object_index])
     alignment = is_inside.float() - 1  # -1 outside, so that these cells come last
     alignment[object_index, cell] = scores[image, cell, class_index] * overlap[object_index, cell] ** _BETA
 
@@ -85,16 +91,3 @@ def _is_largest(value: Tensor, key: Tensor) -> Tensor:
     place = torch.argsort(torch.argsort(value, stable=True))  # of each value in the sorted order
     largest = torch.full((int(key.max()) + 1 if len(key) else 0,), -1, device=key.device)
     return place == largest.scatter_reduce(0, key, place, "amax")[key]
-
-
-def pair_iou(a: Tensor, b: Tensor) -> Tensor:
-    """(P,) intersection over union of P pairs of boxes (P, 4), corners."""
-    size = (torch.minimum(a[:, 2:], b[:, 2:]) - torch.maximum(a[:, :2], b[:, :2])).clamp(min=0)
-    intersection = size.prod(1)
-    union = (a[:, 2:] - a[:, :2]).prod(1) + (b[:, 2:] - b[:, :2]).prod(1) - intersection
-    return intersection / (union + _EPSILON)
-
-
-def _xyxy(cxcywh: Tensor) -> Tensor:
-    half = cxcywh[:, 2:] / 2
-    return torch.cat([cxcywh[:, :2] - half, cxcywh[:, :2] + half], 1)

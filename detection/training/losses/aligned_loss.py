@@ -25,18 +25,21 @@ from torch.nn.functional import binary_cross_entropy_with_logits as cross_entrop
 from track_range.detection.training.losses.aligned_assignment import assign_aligned
 from track_range.detection.training.losses.box_losses import BOX_LOSSES, BoxLoss
 from track_range.detection.training.losses.detection_loss import Batch, Losses
-from track_range.detection.training.networks.road_net import N_BINS, RoadNet, boxes_of, cxcywh_of, split_outputs
+from track_range.detection.training.networks.road_net import N_BINS, RoadNet, boxes_of, split_outputs
 
 _BOX, _BINS, _CLASS = 7.5, 1.5, 0.5
+"""Weights of the three losses, as in YOLOv8."""
+
+_INCOMPLETE = 0.2
+"""Weight of cells without an object, for classes that are not completely labelled."""
 
 
 class AlignedLoss:
     """The loss function of a network; see the module's description."""
 
-    def __init__(self, network: RoadNet, *, box_loss: BoxLoss = "ciou", incomplete_weight: float = 0.2) -> None:
+    def __init__(self, network: RoadNet, *, box_loss: BoxLoss = "ciou") -> None:
         self._network = network
         self._overlap = BOX_LOSSES[box_loss]
-        self._incomplete_weight = incomplete_weight
 
     def __call__(self, raw: list[Tensor], batch: Batch) -> Losses:
         """The losses of the network's outputs `raw` for a batch."""
@@ -45,8 +48,8 @@ class AlignedLoss:
         labels = batch.objects.select(~batch.objects.is_ignored)
         with torch.no_grad():
             logits, distances = split_outputs(outputs)
-            xyxy_px = boxes_of(distances, centre_px, stride_px)
-            cells = assign_aligned(labels, logits.sigmoid(), xyxy_px, centre_px, stride_px)
+            cxcywh_px = boxes_of(distances, centre_px, stride_px)
+            cells = assign_aligned(labels, logits.sigmoid(), cxcywh_px, centre_px, stride_px)
         weight = cells.target * labels.confidence[cells.object_index]
         total = weight[cells.has_box].sum().clamp(min=1.0)
 
@@ -55,29 +58,30 @@ class AlignedLoss:
         column = labels.class_index[cells.object_index] + n_classes * (cells.cell + n_cells * cells.image)
         target.view(-1).scatter_reduce_(0, column, weight, "amax")
         entropy = cross_entropy(outputs[..., : logits.shape[-1]], target, reduction="none")
-        class_score = (entropy * self._class_weight(batch, centre_px, target)).sum()
+        class_score = (entropy * _class_weight(batch, centre_px, target)).sum()
 
         cells, weight = cells.select(cells.has_box), weight[cells.has_box]
         truth, centre_px, stride_px = labels.cxcywh[cells.object_index], centre_px[cells.cell], stride_px[cells.cell]
         predicted = outputs[cells.image, cells.cell]
-        overlap = self._overlap(cxcywh_of(boxes_of(split_outputs(predicted)[1], centre_px, stride_px)), truth)
+        overlap = self._overlap(boxes_of(split_outputs(predicted)[1], centre_px, stride_px), truth)
         box = ((1 - overlap) * weight).sum()
         bins = (_bins_loss(predicted[:, -4 * N_BINS :], truth, centre_px, stride_px) * weight).sum()
         return {"box": _BOX * box / total, "bins": _BINS * bins / total, "class": _CLASS * class_score / total}
 
-    def _class_weight(self, batch: Batch, centre_px: Tensor, target: Tensor) -> Tensor:
-        """(B, N, C) weight of each cell and class in the class loss."""
-        right_below = (centre_px[None] >= batch.complete.meeting_xy[:, None]).long()  # (B, N, 2)
-        image = torch.arange(len(target), device=target.device)[:, None]
-        complete = batch.complete.flags[image, right_below[..., 1], right_below[..., 0]]
-        weight = torch.where(complete | (target > 0), 1.0, self._incomplete_weight)
-        ignored = batch.objects.select(batch.objects.is_ignored)
-        if len(ignored.image):
-            is_inside = ((centre_px - ignored.cxcywh[:, None, :2]).abs() < ignored.cxcywh[:, None, 2:] / 2).all(-1)
-            n_inside = torch.zeros(target.shape[:2], device=target.device)
-            n_inside.index_add_(0, ignored.image, is_inside.float())
-            weight = torch.where((n_inside > 0)[..., None] & (target == 0), 0.0, weight)
-        return weight
+
+def _class_weight(batch: Batch, centre_px: Tensor, target: Tensor) -> Tensor:
+    """(B, N, C) weight of each cell and class in the class loss."""
+    right_below = (centre_px[None] >= batch.complete.meeting_xy[:, None]).long()  # (B, N, 2)
+    image = torch.arange(len(target), device=target.device)[:, None]
+    complete = batch.complete.flags[image, right_below[..., 1], right_below[..., 0]]
+    weight = torch.where(complete | (target > 0), 1.0, _INCOMPLETE)
+    ignored = batch.objects.select(batch.objects.is_ignored)
+    if len(ignored.image):
+        is_inside = ((centre_px - ignored.cxcywh[:, None, :2]).abs() < ignored.cxcywh[:, None, 2:] / 2).all(-1)
+        n_inside = torch.zeros(target.shape[:2], device=target.device)
+        n_inside.index_add_(0, ignored.image, is_inside.float())
+        weight = torch.where((n_inside > 0)[..., None] & (target == 0), 0.0, weight)
+    return weight
 
 
 def _bins_loss(bins: Tensor, truth_cxcywh: Tensor, centre_px: Tensor, stride_px: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Similarities of boxes for box losses 1 - CIoU and 1 - EIoU: IoU with penalties for distance and shape.
+"""IoU, and similarities of boxes for box losses 1 - CIoU and 1 - EIoU: IoU with penalties for distance and shape.
 
     CIoU = IoU - d^2 / c^2 - alpha v    v = 4 / pi^2 (atan(w'/h') - atan(w/h))^2    alpha = v / (1 - IoU + v)
     EIoU = IoU - d^2 / c^2 - (w - w')^2 / C_w^2 - (h - h')^2 / C_h^2
@@ -39,6 +39,14 @@ class _Pair:
     enclosing: Tensor
 
 
+def pair_iou(a_cxcywh: Tensor, b_cxcywh: Tensor) -> Tensor:
+    """(P,) intersection over union of P pairs of boxes (P, 4)."""
+    (a1, a2), (b1, b2) = _corners(a_cxcywh), _corners(b_cxcywh)
+    intersection = (torch.minimum(a2, b2) - torch.maximum(a1, b1)).clamp(min=0).prod(1)
+    union = a_cxcywh[:, 2:].prod(1) + b_cxcywh[:, 2:].prod(1) - intersection
+    return intersection / (union + _EPSILON)
+
+
 def ciou(a_cxcywh: Tensor, b_cxcywh: Tensor) -> Tensor:
     """(P,) complete IoU, at most 1, of P pairs of boxes (P, 4)."""
     pair = _pair(a_cxcywh, b_cxcywh)
@@ -61,11 +69,9 @@ BOX_LOSSES: Mapping[BoxLoss, Callable[[Tensor, Tensor], Tensor]] = {"ciou": ciou
 
 def _pair(a: Tensor, b: Tensor) -> _Pair:
     (a1, a2), (b1, b2) = _corners(a), _corners(b)
-    intersection = (torch.minimum(a2, b2) - torch.maximum(a1, b1)).clamp(min=0).prod(1)
-    union = a[:, 2:].prod(1) + b[:, 2:].prod(1) - intersection
     enclosing = torch.maximum(a2, b2) - torch.minimum(a1, b1)
     distance = ((a[:, :2] - b[:, :2]) ** 2).sum(1)
-    return _Pair(intersection / (union + _EPSILON), distance / ((enclosing**2).sum(1) + _EPSILON), enclosing)
+    return _Pair(pair_iou(a, b), distance / ((enclosing**2).sum(1) + _EPSILON), enclosing)
 
 
 def _corners(cxcywh: Tensor) -> tuple[Tensor, Tensor]:

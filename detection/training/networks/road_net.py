@@ -63,7 +63,7 @@ class RoadNet(DetectionNetwork):
         outputs = torch.cat([output.flatten(1, 2) for output in raw], 1)
         centre_px, stride_px = self.cells_px([(o.shape[1], o.shape[2]) for o in raw], device=outputs.device)
         logits, distances = split_outputs(outputs)
-        cxcywh = cxcywh_of(boxes_of(distances, centre_px, stride_px))
+        cxcywh = boxes_of(distances, centre_px, stride_px)
         return torch.cat([cxcywh, torch.ones_like(cxcywh[..., :1]), logits.sigmoid()], -1)
 
     def cells_px(self, grids_hw: Sequence[tuple[int, int]], *, device: torch.device) -> tuple[Tensor, Tensor]:
@@ -92,15 +92,15 @@ def split_outputs(raw: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def boxes_of(distances: Tensor, centre_px: Tensor, stride_px: Tensor) -> Tensor:
-    """(..., 4) corners in pixels of boxes, from distances (..., 4) in cells, centres (..., 2) and sides (...)."""
-    distances_px = distances * stride_px[..., None]
-    return torch.cat([centre_px - distances_px[..., :2], centre_px + distances_px[..., 2:]], -1)
+    """(..., 4) centre and size in pixels of boxes.
 
-
-def cxcywh_of(xyxy_px: Tensor) -> Tensor:
-    """(..., 4) centres and sizes of boxes, from their corners (..., 4)."""
-    low, high = xyxy_px[..., :2], xyxy_px[..., 2:]
-    return torch.cat([(low + high) / 2, high - low], -1)
+    Args:
+        distances: (..., 4) distances of the left, top, right and bottom side in cells.
+        centre_px: (..., 2) centres of the cells.
+        stride_px: (...) sides of the cells.
+    """
+    low, high = distances[..., :2] * stride_px[..., None], distances[..., 2:] * stride_px[..., None]
+    return torch.cat([centre_px + (high - low) / 2, low + high], -1)
 
 
 class RoadNetHead(nn.Module):

@@ -1,7 +1,8 @@
 """Errors of the packaged detector and of the stereo matcher, as random processes that are correlated in time.
 
 Fitted on rendered drives of the seeds 0 to 9, one scenario each (`benchmarks box_errors`, images 620 px wide, 10
-frames/s), and checked on the seeds 20 to 29. Heights are in px of the network's input, which is 512 px wide.
+frames/s), and checked on the seeds 20 to 29, with the detector's first edition. Heights are in px of its input, which
+was 512 px wide.
 
 Correlation of a latent value with itself after the time t, for all processes:
     c(t) = constant + slow exp(-t / tau)        and 1 for t = 0
