@@ -73,8 +73,8 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
         raise CheckpointError(f"{path}: not a checkpoint, or damaged ({type(error).__name__}).") from error
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
         raise CheckpointError(f"{path}: expected a checkpoint of `track-range train`.")
-    present = {"identity": None, "average": None} | content
-    wrong = [key for key, is_valid in _IS_VALID.items() if key in present and not is_valid(present[key])]
+    content = {"identity": None, "average": None, "feature_loss": {}} | content
+    wrong = [key for key, is_valid in _IS_VALID.items() if key in content and not is_valid(content[key])]
     if wrong:
         raise CheckpointError(f"{path}: damaged checkpoint (unusable {', '.join(wrong)}).")
     return content
@@ -104,6 +104,7 @@ _IS_VALID: Mapping[str, Callable[[object], bool]] = {
     "identity": _is_identity,
     "network": _is_weights,
     "average": _is_weights,
+    "feature_loss": _is_weights,
     "history": _is_history,
 }
 """Check of the structure of a part of a checkpoint, by key."""

@@ -1,8 +1,10 @@
-"""Teacher: a trained detector whose outputs are soft targets for training (knowledge distillation).
+"""Teacher: a trained YOLOv5 from which a network learns besides the labels (knowledge distillation).
 
-Its objectness, class scores and boxes are the targets where images are not completely labelled. Where labels are
-complete, they determine which of its cells are positive. It must have the same heads as the student: those of YOLOv5,
-strides 8, 16, 32 with three anchors per cell. (Hinton et al., "Distilling the Knowledge in a Neural Network", 2015;
+A network with YOLOv5's heads (strides 8, 16, 32 with three anchors per cell) learns from its outputs: objectness, class
+scores and boxes are the targets where images are not completely labelled. Where labels are complete, they determine
+which of its cells are positive. RoadNet, which has other heads, learns from its features (`losses.feature_loss`).
+
+(Hinton et al., "Distilling the Knowledge in a Neural Network", 2015;
 Mehta & Ozturk, "Object Detection at 200 Frames Per Second", ECCV 2018 workshops, for distillation scaled by
 objectness.)
 """
@@ -24,6 +26,7 @@ from track_range.detection.training.errors import TrainingError
 from track_range.detection.training.losses.assignment import Cells
 from track_range.detection.training.networks.network import AnchorNetwork, DetectionNetwork, placed
 from track_range.detection.training.networks.onnx_weights import yolov5_of_export
+from track_range.detection.training.networks.road_net import RoadNet
 from track_range.foundation.arrays import IntArray
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.structured_text import parse_json
@@ -88,17 +91,26 @@ class Teacher:
         self._precision = precision
 
     def check_fits(self, student: DetectionNetwork) -> None:
-        """Check that the student has the teacher's grids and anchors.
+        """Check that the student can learn from this teacher: RoadNet, or a network with the same grids and anchors.
 
         Raises:
             TrainingError: the grids or anchors differ.
         """
+        if isinstance(student, RoadNet):
+            return
         if not isinstance(student, AnchorNetwork) or student.strides_px != self.network.strides_px:
             raise TrainingError(f"--teacher: expected a model with YOLOv5's grids, got {student.name}.")
         if not torch.allclose(student.anchors_px.cpu(), self.network.anchors_px.cpu(), rtol=0.01):
             raise TrainingError(
                 "--teacher: expected the anchors of the teacher, got different ones; use --anchors default."
             )
+
+    @torch.no_grad()
+    def features(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Features (B, n, rows, columns) of the neck at strides 8, 16, 32 for images (B, 3, H, W) RGB in 0..1."""
+        with torch.autocast(images.device.type, self._precision, self._precision != torch.float32):
+            p3, p4, p5 = self.network.body(images)
+        return p3, p4, p5
 
     @torch.no_grad()
     def outputs(self, images: Tensor) -> list[TeacherOutputs]:

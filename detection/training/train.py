@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.evaluation import DetectionScores
@@ -25,6 +25,7 @@ from track_range.detection.training.errors import CheckpointError, TrainingError
 from track_range.detection.training.listener import Listener
 from track_range.detection.training.losses.aligned_loss import AlignedLoss
 from track_range.detection.training.losses.detection_loss import Batch, DetectionLoss, Losses
+from track_range.detection.training.losses.feature_loss import FeatureLoss
 from track_range.detection.training.networks.network import AnchorNetwork, DetectionNetwork, placed
 from track_range.detection.training.networks.road_net import RoadNet
 from track_range.detection.training.networks.yolov5 import BODY_PREFIX
@@ -39,7 +40,7 @@ from track_range.detection.training.run_folder import (
 )
 from track_range.detection.training.schedule import Schedule, WeightAverage, optimiser_of
 from track_range.detection.training.settings import TrainingSettings
-from track_range.detection.training.teacher import Teacher
+from track_range.detection.training.teacher import Teacher, TeacherOutputs
 from track_range.detection.training.validation import NetworkDetector, validate
 
 _MAX_GRADIENT = 10.0
@@ -74,7 +75,11 @@ class Training:
             sets.train, size_px=settings.size_px, batch_size=settings.batch_size, seed=settings.seed
         )
         self._loss = _loss_of(self.network, settings)
-        self._optimiser = optimiser_of(self.network, settings.schedule)
+        self._feature_loss: FeatureLoss | None = None
+        if teacher is not None and isinstance(self.network, RoadNet):
+            self._feature_loss = FeatureLoss(teacher, self.network).to(self._device)
+        trained = [module for module in (self.network, self._feature_loss) if module is not None]
+        self._optimiser = optimiser_of(nn.ModuleList(trained), settings.schedule)
         self._schedule = Schedule(settings.schedule, n_epochs=settings.n_epochs, n_steps_per_epoch=len(self._batches))
         self._scaler = torch.amp.GradScaler(self._device.type, enabled=settings.precision == "float16")
         self.history: list[dict[str, float]] = []
@@ -91,6 +96,8 @@ class Training:
             check_same_run(path, content["identity"], self._identity())
             self.network.load_state_dict(content["network"])
             self.average.network.load_state_dict(content["average"])
+            if self._feature_loss is not None:
+                self._feature_loss.load_state_dict(content["feature_loss"])
             self._optimiser.load_state_dict(content["optimiser"])
             self._scaler.load_state_dict(content["scaler"])
             self.history = content["history"]
@@ -112,6 +119,8 @@ class Training:
                 network.load_state_dict(shared, strict=False)
             else:
                 self._load_weights(network, path)
+        if self._feature_loss is not None and _same_shapes(self._feature_loss.state_dict(), content["feature_loss"]):
+            self._feature_loss.load_state_dict(content["feature_loss"])
 
     def _shared_body(self, content: Mapping[str, Any]) -> dict[str, Tensor]:
         """Weights of the backbone and neck of another kind of network; empty if it is the same kind or has others."""
@@ -119,9 +128,7 @@ class Training:
             return {}
         own = {name: value for name, value in self.network.state_dict().items() if name.startswith(BODY_PREFIX)}
         saved = content.get("average", {})
-        if not own or any(name not in saved or saved[name].shape != own[name].shape for name in own):
-            return {}
-        return {name: saved[name] for name in own}
+        return {name: saved[name] for name in own} if _same_shapes(own, saved) else {}
 
     def load_best(self) -> None:
         """Set `average` to that of the best epoch, if there was a validation.
@@ -220,11 +227,10 @@ class Training:
         """One step of the optimiser."""
         settings, device = self._settings, self._device
         images = scaled(batch.images.to(device, memory_format=torch.channels_last))
-        teacher = None if self._teacher is None else self._teacher.outputs(images)
-        batch = Batch(batch.images, batch.objects.to(device), batch.complete.to(device), teacher)
+        batch = Batch(batch.images, batch.objects.to(device), batch.complete.to(device), self._teacher_outputs(images))
         with torch.autocast(device.type, settings.dtype, settings.precision != "float32"):
-            raw = self.network(images)
-        losses = self._loss([head.float() for head in raw], batch)
+            raw, losses = self._forward(images)
+        losses = {**self._loss([head.float() for head in raw], batch), **losses}
         torch.autograd.backward(self._scaler.scale(torch.stack(list(losses.values())).sum() * len(images)))
         self._scaler.unscale_(self._optimiser)
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), _MAX_GRADIENT)
@@ -232,6 +238,19 @@ class Training:
         self._scaler.update()
         self._optimiser.zero_grad(set_to_none=True)
         return losses
+
+    def _forward(self, images: Tensor) -> tuple[list[Tensor], Losses]:
+        """The network's raw outputs, and the loss of its features if it imitates those of a teacher."""
+        if self._feature_loss is None or not isinstance(self.network, RoadNet):
+            return self.network(images), {}
+        levels = self.network.features(images)
+        return self.network.outputs(levels), {"features": self._feature_loss(levels, images)}
+
+    def _teacher_outputs(self, images: Tensor) -> list[TeacherOutputs] | None:
+        """The teacher's outputs if the network has heads that learn from them."""
+        if self._teacher is None or self._feature_loss is not None:
+            return None
+        return self._teacher.outputs(images)
 
     def _start_hint(self) -> str:
         return f", and --weights {self._out / LAST}" if self.history else ""
@@ -246,6 +265,7 @@ class Training:
             "average": self.average.network.state_dict(),
             "optimiser": self._optimiser.state_dict(),
             "scaler": self._scaler.state_dict(),
+            "feature_loss": {} if self._feature_loss is None else self._feature_loss.state_dict(),
             "history": self.history,
         }
         if row.get("ap50", -1.0) >= best:  # if equal, the later one, which was trained longer
@@ -264,6 +284,11 @@ class Training:
             "teacher": None if self._teacher is None else self._teacher.name,
             **{key: value for key, value in _flat(asdict(self._settings)) if key not in ("device", "validate_every")},
         }
+
+
+def _same_shapes(own: Mapping[str, Tensor], saved: Mapping[str, Tensor]) -> bool:
+    """Whether there are weights, and a checkpoint has them all with the same shapes."""
+    return bool(own) and all(name in saved and saved[name].shape == value.shape for name, value in own.items())
 
 
 def _loss_of(network: DetectionNetwork, settings: TrainingSettings) -> Callable[[list[Tensor], Batch], Losses]:

@@ -54,8 +54,15 @@ class RoadNet(DetectionNetwork):
         The columns are the logits of the classes, then those of the bins of left, top, right and bottom. H and W must
         be divisible by 32; the coarsest level has ceil(H / 64) rows.
         """
+        return self.outputs(self.features(images))
+
+    def features(self, images: Tensor) -> list[Tensor]:
+        """Features (B, n, rows, columns) of P3 to P6 for images (B, 3, H, W), RGB in 0..1."""
         levels = list(self.body(images))
-        levels.append(self.down_p5(levels[-1]))
+        return [*levels, self.down_p5(levels[-1])]
+
+    def outputs(self, levels: Sequence[Tensor]) -> list[Tensor]:
+        """Raw outputs of each level, as from `forward`, for its features."""
         return [head(features).permute(0, 2, 3, 1) for head, features in zip(self.heads, levels, strict=True)]
 
     def decode(self, raw: Sequence[Tensor]) -> Tensor:
