@@ -105,7 +105,7 @@ COMMANDS = {
             "track-range fit --csv boxes.csv --focal-px 1150 --out curves.json",
         ),
     ),
-    "models": Lazy("track_range.cli.commands.models", "List, download, inspect, import or quantize detectors."),
+    "models": Lazy("track_range.cli.commands.models", "List, download, inspect, import and convert detectors."),
     "train": Lazy(
         "track_range.cli.commands.training.train",
         "Train a detector on labelled images and export it as an ONNX file.",

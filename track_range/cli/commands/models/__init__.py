@@ -1,4 +1,4 @@
-"""`track-range models`: list, download, inspect, import and quantize detectors."""
+"""`track-range models`: list, download, inspect, import, quantize and calibrate detectors."""
 
 from __future__ import annotations
 
@@ -36,6 +36,15 @@ app = lazy_app(
             "Write INT8 and FP16 copies of a detector and compare them with it.",
             "Size, speed and accuracy are compared, on the labels if given, else on the boxes of the original.",
             ("track-range models quantize road --images images/ --out copies",),
+        ),
+        "calibrate-scores": Lazy(
+            "track_range.cli.commands.models.calibrate_scores",
+            "Write a copy of a detector whose scores are probabilities.",
+            "A logistic function of the score is fitted to labelled images, by class.",
+            (
+                "track-range models calibrate-scores road.onnx --images val/ \\\n"
+                "      --labels val-labels/ --out road-calibrated.onnx",
+            ),
         ),
     },
 )

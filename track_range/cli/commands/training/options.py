@@ -88,7 +88,8 @@ class TrainOptions(Options):
     teacher: Annotated[
         str | None,
         option(
-            "Teacher network (ONNX file of a YOLOv5n or YOLOv5s); the student learns from its outputs and the labels.",
+            "Teacher network (ONNX file of a YOLOv5n or YOLOv5s); RoadNet also learns from its features, a "
+            "YOLOv5 from its outputs.",
             metavar="FILE|NAME",
             panel=_DATA,
         ),

@@ -1,0 +1,133 @@
+"""Calibrated copies of networks, and the command that writes them."""
+
+import json
+
+import cv2
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+from scipy.special import expit, logit
+
+from tests.detection.onnx_models import write_model
+from track_range.detection.models.onnx_session import ModelError, OnnxSession
+from track_range.detection.models.score_outputs import write_calibrated
+
+SLOPE, OFFSET = np.array([1.5, 0.5, 1.0]), np.array([-0.3, 0.7, 0.0])
+
+
+def network(path, *, has_sigmoid_last):
+    """A network with scores (1, 64, 3) that are sigmoids of multiples of the pixels, and an output of other values."""
+    info = helper.make_tensor_value_info
+    nodes = [
+        helper.make_node("Slice", ["images", "zero", "eight", "axis"], ["corner"]),
+        helper.make_node("Reshape", ["corner", "cells"], ["rows"]),
+        helper.make_node("Mul", ["rows", "weights"], ["logits"]),
+        helper.make_node("Identity", ["logits"], ["others"]),
+    ]
+    if has_sigmoid_last:
+        nodes.append(helper.make_node("Sigmoid", ["logits"], ["scores"]))
+    else:
+        nodes += [
+            helper.make_node("Sigmoid", ["logits"], ["inner"]),
+            helper.make_node("Identity", ["inner"], ["scores"]),
+        ]
+    constants = {
+        "zero": np.array([0]),
+        "eight": np.array([1]),
+        "axis": np.array([1]),
+        "cells": np.array([1, 64, 1]),
+        "weights": np.array([1.0, -2.0, 4.0], np.float32),
+    }
+    outputs = [info(name, TensorProto.FLOAT, (1, 64, 3)) for name in ("others", "scores")]
+    graph = helper.make_graph(
+        nodes,
+        "scores",
+        [info("images", TensorProto.FLOAT, (1, 3, 8, 8))],
+        outputs,
+        [numpy_helper.from_array(value, name) for name, value in constants.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)])
+    model.ir_version = 9
+    helper.set_model_props(model, {"names": "['car']"})
+    onnx.save(model, path)
+    return path
+
+
+@pytest.mark.parametrize("has_sigmoid_last", [True, False])
+def test_scores_are_calibrated_and_other_outputs_unchanged(tmp_path, has_sigmoid_last):
+    path = network(tmp_path / "a.onnx", has_sigmoid_last=has_sigmoid_last)
+    write_calibrated(path, tmp_path / "b.onnx", score_outputs=[1], slope=SLOPE, offset=OFFSET)
+    write_calibrated(tmp_path / "b.onnx", tmp_path / "b.onnx", score_outputs=[1], slope=SLOPE, offset=OFFSET)
+    image = np.random.default_rng(0).uniform(-1, 1, (1, 3, 8, 8)).astype(np.float32)
+    (others, scores), (same, twice) = (OnnxSession(tmp_path / name).run(image) for name in ("a.onnx", "b.onnx"))
+    assert np.array_equal(others, same)
+    once = expit(SLOPE * logit(scores.astype(np.float64)) + OFFSET)
+    assert twice == pytest.approx(expit(SLOPE * logit(once) + OFFSET), abs=1e-5)
+    assert OnnxSession(tmp_path / "b.onnx").metadata == {"names": "['car']"}
+
+
+def test_scores_of_exactly_0_and_1(tmp_path):
+    path = network(tmp_path / "a.onnx", has_sigmoid_last=False)
+    write_calibrated(path, tmp_path / "b.onnx", score_outputs=[1], slope=SLOPE, offset=OFFSET)
+    _, scores = OnnxSession(tmp_path / "b.onnx").run(np.full((1, 3, 8, 8), 1e4, np.float32))
+    assert np.isfinite(scores).all()
+    assert scores[0, 0] == pytest.approx([1, 0, 1], abs=1e-2)
+
+
+def test_unreadable_file(tmp_path):
+    (tmp_path / "a.onnx").write_bytes(b"no network")
+    with pytest.raises(ModelError, match="not a readable ONNX model"):
+        write_calibrated(tmp_path / "a.onnx", tmp_path / "b.onnx", score_outputs=[], slope=SLOPE, offset=OFFSET)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """120 images of 64 x 64 px; a NanoDet that detects a car at the same place with the score 0.6 in all of them."""
+    for name in ("images", "labels"):
+        (tmp_path / name).mkdir()
+    for i in range(120):
+        cv2.imwrite(str(tmp_path / f"images/{i:03}.png"), np.full((64, 64, 3), 90, np.uint8))
+        # In a quarter of the images, there is no car; in the others it is where it is detected, or elsewhere.
+        text = "" if i % 4 == 0 else "2 0.4453 0.4453 0.625 0.625\n" if i % 4 == 1 else "2 0.9 0.9 0.1 0.1\n"
+        (tmp_path / f"labels/{i:03}.txt").write_text(text)
+    outputs = []
+    for stride in (8, 16, 32):
+        n = (64 // stride) ** 2
+        scores, bins = np.zeros((1, n, 1)), np.zeros((1, n, 32))
+        if stride == 8:
+            scores[0, 3 * 8 + 3] = 0.6  # centre (28, 28)
+            bins.reshape(1, n, 4, 8)[:, :, :, 2] = 9.0
+            bins.reshape(1, n, 4, 8)[:, :, :, 3] = 9.0  # 20 px to every side
+        outputs += [scores, bins]
+    write_model(tmp_path / "nano.onnx", *outputs, metadata={"names": "['car']"})
+    return tmp_path
+
+
+def calibrate(cli, folder, *more, model="nano.onnx"):
+    inputs = ("--images", folder / "images", "--labels", folder / "labels", "--out", folder / "out.onnx")
+    return cli("models", "calibrate-scores", folder / model, *inputs, *more)
+
+
+def test_command(scene, cli):
+    status, printed, errors = calibrate(cli, scene, "--json", scene / "fit.json")
+    assert status == 1, printed  # 30 matches are too few
+    assert "at least 40 detections that match a label" in " ".join(errors.split())
+    assert not (scene / "out.onnx").exists()
+    for i in range(2, 120, 4):
+        (scene / f"labels/{i:03}.txt").write_text("2 0.4453 0.4453 0.625 0.625\n")
+    status, printed, errors = calibrate(cli, scene, "--json", scene / "fit.json")
+    assert (status, errors) == (0, ""), errors
+    assert "Not cross-validated" in printed
+    figures = json.loads((scene / "fit.json").read_text())
+    assert figures["n_images"] == 120
+    assert figures["before"]["overconfidence"] == pytest.approx(0.1, abs=0.01)  # 60 of 120 boxes match
+    session = OnnxSession(scene / "out.onnx")
+    scores = session.run(np.zeros(tuple(session.input_shape), np.float32))[0]
+    assert scores.max() == pytest.approx(0.5, abs=0.02)
+
+
+def test_command_with_a_detector_without_score_outputs(scene, cli):
+    write_model(scene / "yolo.onnx", np.zeros((1, 252, 6)), metadata={"names": "['car']"})
+    status, _, errors = calibrate(cli, scene, model="yolo.onnx")
+    assert (status, "RoadNet, NanoDet, PicoDet" in " ".join(errors.split())) == (1, True)

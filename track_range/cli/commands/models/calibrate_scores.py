@@ -1,0 +1,186 @@
+"""`track-range models calibrate-scores`: a copy of a detector whose scores are probabilities."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from track_range.cli.console import console, print_grid, print_line, print_notes
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
+from track_range.detection.detections import Detections
+from track_range.detection.evaluation.score_calibration import Reliability
+from track_range.detection.evaluation.score_fit import (
+    LOWEST_SCORE,
+    MIN_POSITIVES,
+    ScoreFit,
+    ScoreSamples,
+    as_dict,
+    cross_validated,
+    fit_scores,
+    reliability,
+)
+from track_range.detection.formats.image_labels.image_truth import ImageTruth
+from track_range.detection.models.onnx_session import ModelError
+from track_range.detection.models.score_outputs import write_calibrated
+from track_range.detection.yolo.detector import YoloDetector
+from track_range.detection.yolo.distribution import DistributionDecoder
+from track_range.foundation.options import Options, option
+from track_range.report.tables import Column, Grid, grid_of
+from track_range.results.output_files import write_text
+from track_range.run.options.detector_fields import letterbox_option, names_option, size_option, threads_option
+from track_range.run.options.detector_options import DetectorOptions, class_names, open_detector
+from track_range.run.progress import frame_progress
+from track_range.run.ready_model import ready_model
+from track_range.sequences.labelled_images import LabelledFrames, LabelledSource
+from track_range.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
+
+
+class CalibrateScoresOptions(Options):
+    """Options of `track-range models calibrate-scores`."""
+
+    model: Annotated[
+        str,
+        option(
+            "Detector with separate outputs of the class scores (RoadNet, NanoDet, PicoDet): an ONNX file, or a name "
+            "from `track-range models list`.",
+            metavar="FILE|NAME",
+            is_argument=True,
+        ),
+    ]
+    images: Annotated[
+        Path, option("Labelled images that were not used for training: a folder or a video.", metavar="DIR|FILE")
+    ]
+    labels: Annotated[Path, option("Labels of the images.", metavar="DIR|FILE")]
+    out: Annotated[Path, option("File to write.", metavar="FILE.onnx")]
+    label_format: LabelFormatField = None
+    label_names: LabelNamesField = None
+    manifest: ManifestField = None
+    split: SplitField = "val"
+    names: Annotated[str | None, names_option()] = None
+    letterbox: Annotated[str | None, letterbox_option()] = None
+    size_px: Annotated[int | None, size_option()] = None
+    threads: Annotated[int, threads_option()] = 0
+    json_file: Annotated[Path | None, option("JSON file for the coefficients.", flag="--json", metavar="FILE")] = None
+
+
+def _calibrate_scores(options: CalibrateScoresOptions) -> None:
+    detector = open_detector(
+        ready_model(options.model, console),
+        replace(DetectorOptions.of(options), device="cpu", min_score=str(LOWEST_SCORE)),
+    )
+    outputs = _score_outputs(detector)
+    source = LabelledSource(
+        images=options.images,
+        labels=options.labels,
+        label_format=options.label_format,
+        label_names=class_names(options.label_names),
+        manifest=options.manifest,
+        split=options.split,
+    )
+    frames = source.open()
+    detections, truth = _detect(detector, frames)
+    samples = ScoreSamples.of(detections, truth, detector.known_class_id)
+    fit = fit_scores(samples)
+    if fit is None:
+        raise ModelError(
+            f"{options.images}: expected at least {MIN_POSITIVES} detections that match a label, and some that do not, "
+            f"got {np.count_nonzero(samples.is_match)} and {np.count_nonzero(~samples.is_match)}; give more images."
+        )
+    road_class = map_to_road_classes(detector.model.names)
+    write_calibrated(
+        detector.session.path,
+        options.out,
+        score_outputs=outputs,
+        slope=np.where(road_class < 0, 1.0, fit.slope[road_class]),
+        offset=np.where(road_class < 0, 0.0, fit.offset[road_class]),
+    )
+    before = reliability(samples.score, samples.is_match)
+    after = cross_validated(detections, truth, detector.known_class_id)
+    print_grid(console, _coefficient_grid(fit, detector))
+    print_grid(console, _error_grid(before, after))
+    validation = (
+        "Cross-validated: fitted to one half of the images, measured on the other one; the file has the fit to all."
+        if after
+        else f"Not cross-validated: half of the images have fewer than {MIN_POSITIVES} matches."
+    )
+    print_notes(
+        console,
+        [
+            f"{len(truth)} images. Classes with fewer than {MIN_POSITIVES} matches share their coefficients.",
+            f"ECE: mean difference between score and precision; chance: that of perfect scores. {validation}",
+            *frames.unreadable[:1],
+        ],
+    )
+    print_line(console, f"Written: {options.out}")
+    if options.json_file is not None:
+        write_text(options.json_file, json.dumps(_figures(fit, before, after, len(truth)), indent=2) + "\n")
+
+
+def _score_outputs(detector: YoloDetector) -> list[int]:
+    """Indices of the network's outputs that are class scores.
+
+    Raises:
+        ModelError: scores are not separate outputs.
+    """
+    decoder = detector.model.decoder
+    if isinstance(decoder, DistributionDecoder) and all(lv.scores_output != lv.bins_output for lv in decoder.levels):
+        return [level.scores_output for level in decoder.levels]
+    raise ModelError(
+        f"{detector.session.path}: expected a detector with separate outputs of the class scores (RoadNet, NanoDet, "
+        f"PicoDet), found {detector.model.family}."
+    )
+
+
+def _detect(detector: YoloDetector, frames: LabelledFrames) -> tuple[list[Detections], list[ImageTruth]]:
+    """Detections and labels of all images that can be read."""
+    detections, truth = [], []
+    with partial(frame_progress, console)(frames.n_images) as advance:
+        for image, labels in frames:
+            detections.append(detector.detect(image))
+            truth.append(labels)
+            advance()
+    return detections, truth
+
+
+def _coefficient_grid(fit: ScoreFit, detector: YoloDetector) -> Grid:
+    """One row per class: matches and coefficients."""
+    ids = [i for i in range(len(ROAD_CLASSES)) if i in detector.known_class_id]
+    columns = [
+        Column("matches", fit.n_positives[ids].tolist(), "{:.0f}"),
+        Column("slope", fit.slope[ids].tolist(), "{:.2f}"),
+        Column("offset", fit.offset[ids].tolist(), "{:.2f}"),
+    ]
+    return grid_of(
+        "Calibrated score = sigmoid(slope logit(score) + offset)", "class", [ROAD_CLASSES[i] for i in ids], columns
+    )
+
+
+def _error_grid(before: Reliability, after: Reliability | None) -> Grid:
+    """Calibration errors of the original scores and of the cross-validated calibrated ones."""
+    rows = {"original": before} | ({} if after is None else {"calibrated, cross-validated": after})
+    columns = [
+        Column("detections", [float(row.n.sum()) for row in rows.values()], "{:.0f}"),
+        Column("ECE %", [row.ece for row in rows.values()], scale=100),
+        Column("chance %", [row.ece_if_calibrated for row in rows.values()], scale=100),
+    ]
+    return grid_of("Calibration", "scores", list(rows), columns)
+
+
+def _figures(fit: ScoreFit, before: Reliability, after: Reliability | None, n_images: int) -> dict[str, Any]:
+    """Coefficients and calibration errors for JSON."""
+    return {
+        "n_images": n_images,
+        "classes": as_dict(fit),
+        "before": before.as_dict(),
+        "cross_validated": None if after is None else after.as_dict(),
+    }
+
+
+app = single_app(command(CalibrateScoresOptions, _calibrate_scores))
