@@ -26,7 +26,9 @@ from matplotlib.patches import Polygon, Rectangle
 from playwright.sync_api import sync_playwright
 
 import track_range as tr
+from track_range.detection.boxes import iou
 from track_range.ranging.registry import methods
+from track_range.sequences.labelled_images import LabelledSource
 
 IMAGES = Path(__file__).with_name("images")
 README_PICTURE = Path(__file__).resolve().parents[1] / ".github" / "demo.jpg"
@@ -256,6 +258,35 @@ def scenarios() -> None:
     _save_jpeg(np.vstack(rows), IMAGES / "scenarios.jpg", quality=80)
 
 
+def failures() -> None:
+    """The six simulated images with the most objects that the packaged detector misses, and its wrong boxes.
+
+    Objects of at least 25 px, boxes with a score of at least 0.25, matched at an IoU of 0.5 in each class.
+    """
+    folder = _temporary() / "failures"
+    _track_range("simulate", "--images", "120", "--frames", "4", "--seed", "7000", "--out", str(folder))
+    detector, tiles = tr.Detector("road", min_score=0.25), []
+    source = LabelledSource(images=folder / "images", labels=folder / "labels")
+    for image, truth in source.open():
+        boxes = detector.detect(image)
+        labels, class_id = truth.xyxy_px, truth.class_id
+        same = (iou(boxes.xyxy_px, labels) >= 0.5) & (boxes.class_id[:, None] == class_id)
+        is_missed = ~same.any(axis=0) & (labels[:, 3] - labels[:, 1] >= 25)
+        drawn = (
+            (boxes.xyxy_px[same.any(axis=1)], (120, 200, 60)),
+            (boxes.xyxy_px[~same.any(axis=1)], (40, 200, 250)),
+            (labels[is_missed], (60, 60, 240)),
+        )
+        for rows, colour in drawn:
+            for x1, y1, x2, y2 in rows.round().astype(int).tolist():
+                cv2.rectangle(image, (x1, y1), (x2, y2), colour, 1, cv2.LINE_AA)
+        tiles.append((int(is_missed.sum()), image))
+    worst = [image for _, image in sorted(tiles, key=lambda tile: -tile[0])[:6]]
+    framed = [cv2.copyMakeBorder(tile, 2, 2, 2, 2, cv2.BORDER_CONSTANT, value=(255, 255, 255)) for tile in worst]
+    rows = [np.hstack(framed[i : i + 2]) for i in range(0, 6, 2)]
+    _save_jpeg(np.vstack(rows), IMAGES / "detector_failures.jpg", quality=80)
+
+
 def report() -> None:
     """The first screen of the demo's report, as Chromium shows it."""
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -382,6 +413,7 @@ PICTURES: dict[str, Callable[[], None]] = {
         disparity,
         scenarios,
         anonymized,
+        failures,
         report,
     )
 }
