@@ -6,7 +6,13 @@ import pytest
 from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.simulation.world.scene import AWAY_RAD, RoadUser, Scene, make_scene
-from track_range.simulation.world.truth import box_corners_m, label_scene, projected_boxes_px, visible_shares
+from track_range.simulation.world.truth import (
+    box_corners_m,
+    label_scene,
+    projected_boxes_px,
+    visible_boxes_px,
+    visible_shares,
+)
 
 CAMERA = kitti_like_rig().left
 
@@ -54,6 +60,45 @@ def test_box_that_extends_behind_the_camera():
     assert left == pytest.approx(CAMERA.cx_px + CAMERA.fx_px * 2 / 8)
     assert right == pytest.approx(CAMERA.cx_px + CAMERA.fx_px * 4 / 0.1)
     assert np.isnan(projected_boxes_px(corners - (0, 0, 20), CAMERA)).all()
+
+
+def test_box_of_a_car_beside_the_camera_ends_where_it_leaves_the_image():
+    # Its side is at x = 2, from z = 1 to 9; in the image, which ends at x / z = tan, from z = 2 / tan.
+    labels = labels_of(car(0, x=3.0, z=5.0, size=(1.5, 2.0, 8.0)))
+    tan = (CAMERA.width_px - 1 - CAMERA.cx_px) / CAMERA.fx_px
+    low_m, high_m = 1.65 - 1.5, 1.65
+    left, top, right, bottom = labels.xyxy_px[0]
+    assert left == pytest.approx(CAMERA.cx_px + CAMERA.fx_px * 2 / 9)
+    assert right == CAMERA.width_px - 1
+    assert top == pytest.approx(CAMERA.cy_px + CAMERA.fy_px * low_m / 9)
+    assert bottom == pytest.approx(min(CAMERA.cy_px + CAMERA.fy_px * high_m * tan / 2, CAMERA.height_px - 1))
+
+
+def test_visible_boxes_are_those_of_the_points_in_the_image():
+    rng = np.random.default_rng(0)
+    n = 300
+    location = np.stack([rng.uniform(-6, 6, n), rng.uniform(0, 3, n), rng.uniform(-2, 9, n)], axis=1)
+    size, yaw = rng.uniform(0.5, 6, (n, 3)), rng.uniform(-np.pi, np.pi, n)
+    corners = box_corners_m(location, size_hwl_m=size, rotation_y_rad=yaw)
+    boxes = visible_boxes_px(corners, CAMERA)
+    # Points of the surfaces, dense enough to reach all borders nearly
+    steps = np.linspace(0, 1, 41)
+    u, v = (part.ravel() for part in np.meshgrid(steps, steps))
+    faces = np.array([(0, 1, 3), (4, 5, 7), (0, 1, 4), (1, 2, 5), (2, 3, 6), (3, 0, 7)])
+    origin, first, second = (corners[:, faces[:, i]][:, :, None] for i in range(3))
+    points = (origin + (first - origin) * u[:, None] + (second - origin) * v[:, None]).reshape(n, -1, 3)
+    edge = np.array([CAMERA.width_px - 1, CAMERA.height_px - 1])
+    xy_px = CAMERA.project(points.reshape(-1, 3)).reshape(n, -1, 2)
+    is_seen = (points[:, :, 2] > 0.1) & (xy_px >= 0).all(axis=2) & (xy_px <= edge).all(axis=2)
+    assert 100 < is_seen.any(axis=1).sum() < 250
+    for box, xy, seen in zip(boxes, xy_px, is_seen, strict=True):
+        if seen.any():
+            expected = np.concatenate([xy[seen].min(axis=0), xy[seen].max(axis=0)])
+            assert (box[:2] <= expected[:2] + 1e-6).all()
+            assert (box[2:] >= expected[2:] - 1e-6).all()
+            np.testing.assert_allclose(box, expected, atol=0.12 * edge.max())
+        else:
+            assert np.isnan(box).any() or (box[2:] - box[:2]).min() < 0.1 * edge.max()
 
 
 def test_truncated():

@@ -14,7 +14,7 @@ from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.simulation.world.road_shape import slope_rotation, yaw_rotation
 from track_range.simulation.world.scene import STEP_S, Scene
 from track_range.simulation.world.trajectories import Trajectories, trajectories
-from track_range.simulation.world.truth import corners_m, projected_boxes_px
+from track_range.simulation.world.truth import clipped, corners_m, projected_boxes_px, visible_boxes_px
 from track_range.stereo.geometry.camera import PinholeCamera
 
 FARTHEST_M = 160.0
@@ -65,7 +65,7 @@ class TrueBoxes:
     Attributes:
         frame: (M,) number of the frame.
         user: (M,) row of the scene's road users.
-        xyxy_px: (M, 4) box in the left image, clipped to it.
+        xyxy_px: (M, 4) box of the part in the left image.
         distance_m: (M,) z at which the ray through the box centre meets the 3-D box.
         hidden_share: (M,) fraction of the box that is covered by nearer boxes.
         overlap_share: (M,) largest fraction of the box inside one other box.
@@ -104,9 +104,8 @@ def true_boxes(
     z_m, heading_rad = paths.z_m[user, frame], paths.heading_rad[user, frame]
     yaw_rad = heading_rad + scene.road.yaw_rad(z_m)
     rotations = camera_from_world[frame] @ slope_rotation(scene.road.climb_rad(z_m)) @ yaw_rotation(yaw_rad)
-    boxes = projected_boxes_px(corners_m(at_m, size_m, rotations), camera)
-    edge = np.array([camera.width_px - 1, camera.height_px - 1] * 2, np.float64)
-    inside = np.clip(boxes, 0, edge)
+    corners = corners_m(at_m, size_m, rotations)
+    boxes, inside = projected_boxes_px(corners, camera), visible_boxes_px(corners, camera)
     is_visible = (_areas(inside) > 0) & (inside[:, 3] - inside[:, 1] >= SMALLEST_PX)  # false for NaN
     rows = np.flatnonzero(is_visible)
     frame, user, inside, boxes = frame[rows], user[rows], inside[rows], boxes[rows]
@@ -127,7 +126,7 @@ def true_boxes(
         hidden,
         overlap,
         np.where(occluder >= 0, distance_m[occluder], np.nan),
-        1 - _areas(inside) / _areas(boxes),
+        1 - _areas(clipped(boxes, camera)) / _areas(boxes),
     )
 
 

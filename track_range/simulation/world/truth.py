@@ -1,8 +1,9 @@
 """Exact labels of a scene from its geometry: 2-D boxes, 3-D boxes and occlusion of each road user.
 
-A 2-D box is defined as in KITTI: the bounding box of the projected 3-D box, clipped to the image (to pixel centres 0 to
-size - 1). Occlusion is measured with a grid of rays through the box: a ray that meets the object's 3-D box sees it
-unless another object's 3-D box, or, if the rendered depth is given, any drawn surface is nearer.
+A 2-D box is the bounding box of the part of the projected 3-D box that is inside the image (pixel centres 0 to size -
+1): of a car beside the camera, it ends where the car leaves the image. Occlusion is measured with a grid of rays
+through the box: a ray that meets the object's 3-D box sees it unless another object's 3-D box, or, if the rendered
+depth is given, any drawn surface is nearer.
 """
 
 from __future__ import annotations
@@ -88,6 +89,46 @@ def corners_m(location_m: FloatArray, size_hwl_m: FloatArray, rotations: FloatAr
 
 def projected_boxes_px(boxes_m: FloatArray, camera: PinholeCamera) -> FloatArray:
     """(N, 4) bounding boxes of projected 3-D boxes (N, 8, 3), not clipped to the image; NaN behind the camera."""
+    return _bounds(*_projected_points(boxes_m, camera))
+
+
+def visible_boxes_px(boxes_m: FloatArray, camera: PinholeCamera) -> FloatArray:
+    """(N, 4) bounding boxes of the parts inside the image of projected 3-D boxes (N, 8, 3); NaN where there is none.
+
+    The projection S of a 3-D box is convex. The rows of its part inside the image are those of its part between the
+    left and right border, as far as they are in the image: S has points with all rows between two of its points. They
+    are bounded by the points of S that are between these borders, and the crossings of segments of S with them. The
+    same holds for the columns.
+    """
+    xy_px, is_in_front = _projected_points(boxes_m, camera)
+    boxes = _bounds(xy_px, is_in_front)
+    edge = np.array([camera.width_px - 1, camera.height_px - 1], np.float64)
+    cut = np.flatnonzero(((boxes[:, :2] < 0) | (boxes[:, 2:] > edge)).any(axis=1))
+    if not len(cut):
+        return boxes
+    points, exists = xy_px[cut], is_in_front[cut]
+    for axis in (0, 1):
+        inner, others = points[:, :, 1 - axis], points[:, :, axis]
+        values = [np.where(exists & (inner >= 0) & (inner <= edge[1 - axis]), others, np.nan)]
+        rise = inner[:, None, :] - inner[:, :, None]
+        is_segment = exists[:, None, :] & exists[:, :, None] & (rise != 0)
+        for border in (0.0, edge[1 - axis]):
+            share = (border - inner[:, :, None]) / np.where(is_segment, rise, 1.0)
+            crossing = others[:, :, None] + share * (others[:, None, :] - others[:, :, None])
+            values.append(np.where(is_segment & (share >= 0) & (share <= 1), crossing, np.nan).reshape(len(cut), -1))
+        low, high = _extremes(np.concatenate(values, axis=1))
+        is_inside = (high >= 0) & (low <= edge[axis])  # false for NaN
+        boxes[cut, axis] = np.where(is_inside, np.clip(low, 0, edge[axis]), np.nan)
+        boxes[cut, axis + 2] = np.where(is_inside, np.clip(high, 0, edge[axis]), np.nan)
+    return boxes
+
+
+def _projected_points(boxes_m: FloatArray, camera: PinholeCamera) -> tuple[FloatArray, BoolArray]:
+    """Corners of 3-D boxes (N, 8, 3) and their edges' intersections with the near plane, in the image.
+
+    Returns:
+        (N, 20, 2) points in pixels, and (N, 20) which of them are in front of the camera.
+    """
     start, end = boxes_m[:, _EDGES[:, 0]], boxes_m[:, _EDGES[:, 1]]
     rise = end[:, :, 2] - start[:, :, 2]
     share = np.clip((NEAR_M - start[:, :, 2]) / np.where(rise == 0, 1.0, rise), 0, 1)
@@ -97,10 +138,19 @@ def projected_boxes_px(boxes_m: FloatArray, camera: PinholeCamera) -> FloatArray
     points = np.concatenate([boxes_m, cut], axis=1)
     is_in_front = points[:, :, 2] >= NEAR_M - 1e-9
     xy_px = camera.project(points.reshape(-1, 3)).reshape(*points.shape[:2], 2)
-    low = np.where(is_in_front[:, :, None], xy_px, np.inf).min(axis=1)
-    high = np.where(is_in_front[:, :, None], xy_px, -np.inf).max(axis=1)
-    boxes = np.concatenate([low, high], axis=1)
-    return np.where(np.isfinite(boxes), boxes, np.nan)
+    return xy_px, np.asarray(is_in_front)
+
+
+def _bounds(xy_px: FloatArray, exists: BoolArray) -> FloatArray:
+    """(N, 4) bounding boxes of those of the points (N, P, 2) that exist (N, P); NaN if none does."""
+    points = np.where(exists[:, :, None], xy_px, np.nan)
+    return np.concatenate([np.stack(_extremes(points[:, :, axis]), axis=1) for axis in (0, 1)], axis=1)[:, [0, 2, 1, 3]]
+
+
+def _extremes(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(N,) smallest and largest value of each row (N, P), without NaN; NaN if there is no other."""
+    low, high = np.fmin.reduce(values, axis=1), np.fmax.reduce(values, axis=1)
+    return low, high
 
 
 def visible_shares(
@@ -169,9 +219,8 @@ def visible_objects(
             users hide each other.
     """
     location, size, yaw = scene.location_m(time_s), scene.size_hwl_m(), scene.rotation_y_rad(time_s)
-    unclipped = projected_boxes_px(corners_m(location, size, scene.rotations(time_s)), camera)
-    edge = np.array([camera.width_px - 1, camera.height_px - 1] * 2, np.float64)
-    inside = np.clip(unclipped, 0, edge)
+    corners = corners_m(location, size, scene.rotations(time_s))
+    unclipped, inside = projected_boxes_px(corners, camera), visible_boxes_px(corners, camera)
     nearest_first = np.argsort(location[:, 2], kind="stable")
     in_view = (_areas(inside) > 0) & (location[:, 2] < FARTHEST_M)  # false for NaN
     rows = nearest_first[in_view[nearest_first]]
@@ -180,7 +229,7 @@ def visible_objects(
         shares = visible_shares(inside, location, size_hwl_m=size, rotation_y_rad=yaw, camera=camera)
     else:
         shares = _drawn_shares(inside, (location, size, yaw), camera, inverse_depth)
-    outside = 1 - _areas(inside) / _areas(unclipped)
+    outside = 1 - _areas(clipped(unclipped, camera)) / _areas(unclipped)
     labels = KittiLabels(
         frame=np.full(len(rows), frame, np.int64),
         track_id=np.array([scene.road_users[row].track_id for row in rows], np.int64),
@@ -214,6 +263,11 @@ def _with_dont_care(labels: KittiLabels, is_small: BoolArray) -> KittiLabels:
         rotation_y_rad=np.where(is_small, -10.0, labels.rotation_y_rad),
         score=labels.score,
     )
+
+
+def clipped(xyxy_px: FloatArray, camera: PinholeCamera) -> FloatArray:
+    """(N, 4) boxes clipped to the pixel centres of the image."""
+    return np.clip(xyxy_px, 0, np.array([camera.width_px - 1, camera.height_px - 1] * 2, np.float64))
 
 
 def _areas(xyxy_px: FloatArray) -> FloatArray:
