@@ -137,7 +137,14 @@ class EnsembleMember:
         return ViewBoxes(numbers[:, :4], numbers[:, 4], rows[:, 5].astype(np.int64))
 
     def _file(self, image_file: Path) -> Path:
-        return self._folder / f"{image_file.stem}-{zlib.crc32(str(real_path(image_file)).encode()):08x}.npy"
+        """The file of an image's boxes; its name depends on size and date, so that a replaced image has another."""
+        try:
+            stat = image_file.stat()
+            version = f"{stat.st_size} {stat.st_mtime_ns}"
+        except OSError:  # the image cannot be read either
+            version = ""
+        identity = f"{real_path(image_file)} {version}"
+        return self._folder / f"{image_file.stem}-{zlib.crc32(identity.encode()):08x}.npy"
 
 
 def store_missing(

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -260,6 +261,8 @@ def test_stored_boxes(tmp_path):
     npy.write_bytes(b"no array")
     with pytest.raises(TrainingError, match=r"a-.*\.npy"):
         member.boxes(file)
+    cv2.imwrite(str(file), image)
+    assert not member.has_boxes(file)  # the image was replaced
     for name in ("b.png", "c.png"):
         (tmp_path / name).write_bytes(b"no image")
     reasons = store_missing([file, tmp_path / "b.png"], [member])
