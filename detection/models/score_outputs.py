@@ -7,7 +7,7 @@ calibrated again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,18 +19,19 @@ from track_range.detection.models.writing import atomic_output
 from track_range.foundation.arrays import FloatArray
 
 _SMALLEST = 1e-6
-"""Smallest distance from 0 and 1 of a score whose logit is computed."""
+"""Smallest distance from 0 and 1 of a score whose logit is computed; in half precision, its resolution."""
 
 
 def write_calibrated(
-    path: Path, out: Path, *, score_outputs: Iterable[int], slope: FloatArray, offset: FloatArray
+    path: Path, out: Path, *, score_outputs: Sequence[int], slope: FloatArray, offset: FloatArray
 ) -> None:
     """Write a copy of the network at `path` with calibrated scores.
 
     Args:
         path: the network, which is not changed unless `out` is the same file.
         out: the file to write.
-        score_outputs: indices of the outputs (B, n, C) that are scores of n cells and C classes.
+        score_outputs: indices of the outputs (B, n, C) that are scores of n cells and C classes, at least one, all in
+            float32 or all in float16.
         slope: (C,) a_c.
         offset: (C,) b_c.
 
@@ -42,17 +43,16 @@ def write_calibrated(
     except Exception as error:  # onnx and protobuf raise unrelated types
         raise ModelError(f"{path}: not a readable ONNX model ({type(error).__name__}).") from error
     graph = model.graph
+    outputs = [graph.output[index] for index in score_outputs]
+    dtype = helper.tensor_dtype_to_np_dtype(outputs[0].type.tensor_type.elem_type)
+    smallest = max(_SMALLEST, float(np.finfo(dtype).eps))
     prefix = _unused_prefix(graph)
-    constants = {
-        "slope": slope.astype(np.float32),
-        "offset": offset.astype(np.float32),
-        "low": np.array(_SMALLEST, np.float32),
-        "high": np.array(1 - _SMALLEST, np.float32),
-        "one": np.array(1, np.float32),
-    }
-    graph.initializer.extend(numpy_helper.from_array(value, prefix + name) for name, value in constants.items())
-    for index in score_outputs:
-        _calibrate(graph, graph.output[index].name, prefix)
+    constants = {"slope": slope, "offset": offset, "low": smallest, "high": 1 - smallest, "one": 1}
+    graph.initializer.extend(
+        numpy_helper.from_array(np.asarray(value, dtype), prefix + name) for name, value in constants.items()
+    )
+    for output in outputs:
+        _calibrate(graph, output.name, prefix)
     with atomic_output(out) as folder:
         onnx.save(model, folder / out.name)
 

@@ -75,10 +75,19 @@ def test_scores_of_exactly_0_and_1(tmp_path):
     assert scores[0, 0] == pytest.approx([1, 0, 1], abs=1e-2)
 
 
+def test_half_precision(tmp_path):
+    scores = np.linspace(0, 1, 12).reshape(1, 4, 3)
+    write_model(tmp_path / "a.onnx", scores, is_half=True)
+    write_calibrated(tmp_path / "a.onnx", tmp_path / "b.onnx", score_outputs=[0], slope=SLOPE, offset=OFFSET)
+    (calibrated,) = OnnxSession(tmp_path / "b.onnx").run(np.zeros((1, 3, 64, 64), np.float32))
+    inside = np.clip(scores, 1e-3, 1 - 1e-3)
+    assert calibrated == pytest.approx(expit(SLOPE * logit(inside) + OFFSET), abs=2e-3)
+
+
 def test_unreadable_file(tmp_path):
     (tmp_path / "a.onnx").write_bytes(b"no network")
     with pytest.raises(ModelError, match="not a readable ONNX model"):
-        write_calibrated(tmp_path / "a.onnx", tmp_path / "b.onnx", score_outputs=[], slope=SLOPE, offset=OFFSET)
+        write_calibrated(tmp_path / "a.onnx", tmp_path / "b.onnx", score_outputs=[0], slope=SLOPE, offset=OFFSET)
 
 
 @pytest.fixture
@@ -131,3 +140,11 @@ def test_command_with_a_detector_without_score_outputs(scene, cli):
     write_model(scene / "yolo.onnx", np.zeros((1, 252, 6)), metadata={"names": "['car']"})
     status, _, errors = calibrate(cli, scene, model="yolo.onnx")
     assert (status, "RoadNet, NanoDet, PicoDet" in " ".join(errors.split())) == (1, True)
+
+
+def test_files_are_checked_before_the_work(scene, cli):
+    status, _, errors = calibrate(cli, scene, "--json", scene / "no/such/folder.json")
+    assert (status, "no folder" in errors) == (1, True)
+    inputs = ("--images", scene / "images", "--labels", scene / "labels")
+    status, _, errors = cli("models", "calibrate-scores", scene / "nano.onnx", *inputs, "--out", scene / "nano.onnx")
+    assert (status, "expected a new file for --out" in errors) == (1, True)

@@ -10,7 +10,7 @@ from typing import Any
 from track_range.foundation.errors import UsageError
 from track_range.results.output_files import OutputError
 
-_OUTPUTS = {"json_file": "--json", "table": "--table", "figure": "--figure"}
+_OUTPUTS = {"json_file": "--json", "table": "--table", "figure": "--figure", "out": "--out"}
 """Options that name files to write, by field."""
 
 CHART_SUFFIXES = (".svg", ".png")
@@ -21,8 +21,8 @@ def check_result_files(options: Any) -> None:
     """Check the files of results before the evaluation, so that no result is lost afterwards.
 
     Args:
-        options: options of a command with `json_file` and perhaps `table` and `figure`; all other paths in them, and
-            the files in folders, are inputs.
+        options: options of a command with `json_file` and perhaps `table`, `figure` and `out`; all other paths in
+            them, and the files in folders, are inputs.
 
     Raises:
         UsageError: a chart's name has another ending than `CHART_SUFFIXES`.

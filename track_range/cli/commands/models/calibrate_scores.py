@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from track_range.cli.commands.evaluate.result_files import check_result_files
 from track_range.cli.console import console, print_grid, print_line, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
@@ -71,6 +72,7 @@ class CalibrateScoresOptions(Options):
 
 
 def _calibrate_scores(options: CalibrateScoresOptions) -> None:
+    check_result_files(options)
     detector = open_detector(
         ready_model(options.model, console),
         replace(DetectorOptions.of(options), device="cpu", min_score=str(LOWEST_SCORE)),
