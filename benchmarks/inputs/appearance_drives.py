@@ -33,7 +33,7 @@ from track_range.simulation.world.scene import (
     Scene,
     make_scene,
 )
-from track_range.simulation.world.truth import box_corners_m, label_scene, projected_boxes_px, visible_boxes_px
+from track_range.simulation.world.truth import box_corners_m, clipped, label_scene, projected_boxes_px, visible_boxes_px
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.video.reader import VideoReader
@@ -219,6 +219,7 @@ def _rotated(labels: KittiLabels, rotations: FloatArray) -> KittiLabels:
     corners_m = box_corners_m(labels.location_m, size_hwl_m=labels.size_hwl_m, rotation_y_rad=labels.rotation_y_rad)
     rotated_m = corners_m @ rotations[labels.frame].swapaxes(1, 2)
     boxes, inside = projected_boxes_px(rotated_m, CAMERA), visible_boxes_px(rotated_m, CAMERA)
-    share = np.prod(inside[:, 2:] - inside[:, :2], axis=1) / np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
+    in_image = clipped(boxes, CAMERA)
+    share = np.prod(in_image[:, 2:] - in_image[:, :2], axis=1) / np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
     occluded = np.where(share < MIN_SHARE_INSIDE, HIDDEN, labels.occluded)
     return replace(labels, xyxy_px=inside, occluded=occluded).select(share > 0)  # false for NaN

@@ -1,16 +1,18 @@
 """Fit of the scores of a detector to labelled images, so that they are probabilities (Platt scaling by class).
 
-    p = sigma(a_c logit(s) + b_c),    a_c = a + a'_c,    b_c = b + b'_c
+    p = sigma(a_c logit(s) + b_c),    a_c = exp(alpha + alpha_c) > 0,    b_c = beta + beta_c
 
-for a detection of class c with score s. The coefficients maximise the likelihood of the matches y in {0, 1} of the
-detections with labels, with a penalty that draws each class to the coefficients that all classes share:
+for a detection of class c with score s. The coefficients maximise the likelihood of the matches of the detections with
+labels, with penalties that draw all classes to the identity and each class to the coefficients of all:
 
-    minimise sum over detections of (log(1 + exp(z)) - y z) + sum over c of (8 a'_c^2 + 2 b'_c^2)
+    minimise   sum over detections of (log(1 + exp(z)) - t z) + 2 (alpha^2 + sum over c of (4 alpha_c^2 + beta_c^2))
     z = a_c logit(s) + b_c
+    t = (n+ + 1) / (n+ + 2) for matches, 1 / (n- + 2) for others; n+ and n- are their numbers in the class
 
-Classes with fewer than `MIN_POSITIVES` matches have the coefficients a and b, fitted without their detections unless no
-class has more. (Platt, "Probabilistic outputs for support vector
-machines", 1999; for detectors: Küppers et al., "Multivariate Confidence Calibration for Object Detection", 2020.)
+The targets t instead of 1 and 0 are Platt's: without them, scores that separate the samples would become 0 and 1.
+Classes with fewer than `MIN_POSITIVES` matches have the coefficients exp(alpha) and beta, fitted without their
+detections unless no class has more. (Platt, "Probabilistic outputs for support vector machines", 1999; for detectors:
+Küppers et al., "Multivariate Confidence Calibration for Object Detection", 2020.)
 """
 
 from __future__ import annotations
@@ -32,11 +34,17 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 LOWEST_SCORE = 0.02
 """Lowest score of the detections to be fitted: lower ones are far below any threshold, and would dominate the fit."""
 
+BACKGROUND_SCORE = 1e-4
+"""A score of background, of which an image has thousands of boxes."""
+
 MIN_POSITIVES = 40
 """Minimum number of matches for which a class has its own coefficients."""
 
-_SLOPE_PENALTY, _OFFSET_PENALTY = 8.0, 2.0
-"""Penalties of a class's deviation from the shared slope and offset."""
+_SHARED_PENALTY, _SLOPE_PENALTY, _OFFSET_PENALTY = 2.0, 8.0, 2.0
+"""Penalties of alpha, alpha_c and beta_c."""
+
+_N_BLOCKS = 10
+"""Number of blocks of successive images in the cross-validation."""
 
 _LIMIT = 1e-4
 """Smallest distance of a score from 0 and 1, so that its logit is finite."""
@@ -87,11 +95,13 @@ class ScoreFit:
     Attributes:
         slope: (8,) a_c.
         offset: (8,) b_c.
+        shared: a and b of classes without coefficients.
         n_positives: (8,) number of matches of each class in the fit.
     """
 
     slope: FloatArray
     offset: FloatArray
+    shared: tuple[float, float]
     n_positives: IntArray
 
     def probability(self, score: FloatArray, class_id: IntArray) -> FloatArray:
@@ -107,26 +117,29 @@ def fit_scores(samples: ScoreSamples) -> ScoreFit | None:
         return None
     has_own = n_positives >= MIN_POSITIVES
     used = has_own[samples.class_id] | ~has_own.any()
-    class_id, x, y = samples.class_id[used], _logit(samples.score[used]), samples.is_match[used].astype(np.float64)
+    class_id, x, is_match = samples.class_id[used], _logit(samples.score[used]), samples.is_match[used]
+    n_true, n_false = (np.bincount(class_id[mask], minlength=n_classes)[class_id] for mask in (is_match, ~is_match))
+    target = np.where(is_match, (n_true + 1) / (n_true + 2), 1 / (n_false + 2))
+    penalty = np.concatenate([[_SHARED_PENALTY, 0.0], np.repeat([_SLOPE_PENALTY, _OFFSET_PENALTY], n_classes)])
 
     def coefficients(w: FloatArray) -> tuple[FloatArray, FloatArray]:
         own = w[2:].reshape(2, n_classes) * has_own
-        return w[0] + own[0], w[1] + own[1]
+        return np.exp(w[0] + own[0]), w[1] + own[1]
 
     def loss(w: FloatArray) -> tuple[float, FloatArray]:
         slope, offset = coefficients(w)
         z = slope[class_id] * x + offset[class_id]
-        own = w[2:].reshape(2, n_classes)
-        penalty = np.array([[_SLOPE_PENALTY], [_OFFSET_PENALTY]])
-        residual = expit(z) - y
-        by_class = np.stack([np.bincount(class_id, residual * values, n_classes) for values in (x, np.ones_like(x))])
-        gradient = by_class * has_own + 2 * penalty * own
-        value = float((np.logaddexp(0.0, z) - y * z).sum() + (penalty * own**2).sum())
-        return value, np.concatenate([by_class.sum(axis=1), gradient.ravel()])
+        residual = expit(z) - target
+        by_class = np.stack(
+            [np.bincount(class_id, residual * part, n_classes) for part in (slope[class_id] * x, np.ones_like(x))]
+        )
+        gradient = np.concatenate([by_class.sum(axis=1), (by_class * has_own).ravel()])
+        value = float((np.logaddexp(0.0, z) - target * z).sum() + (penalty * w**2).sum())
+        return value, gradient + 2 * penalty * w
 
-    first = np.concatenate([[1.0, 0.0], np.zeros(2 * n_classes)])
-    slope, offset = coefficients(minimize(loss, first, jac=True, method="L-BFGS-B").x)
-    return ScoreFit(slope, offset, n_positives)
+    w = minimize(loss, np.zeros(2 + 2 * n_classes), jac=True, method="L-BFGS-B").x
+    slope, offset = coefficients(w)
+    return ScoreFit(slope, offset, (float(np.exp(w[0])), float(w[1])), n_positives)
 
 
 def cross_validated(
@@ -134,9 +147,13 @@ def cross_validated(
 ) -> Reliability | None:
     """Reliability of scores that were fitted to the other half of the images; None if a half is too small to fit.
 
-    The halves are the images with even and with odd number, so that neighbours in a sequence are in different halves.
+    The halves consist of alternate blocks of successive images, so that few images have neighbours in the other half.
     """
-    halves = [ScoreSamples.of(detections[i::2], truth[i::2], known_class_id) for i in range(2)]
+    half = np.arange(len(truth)) * _N_BLOCKS // max(len(truth), 1) % 2
+    halves = []
+    for i in range(2):
+        rows = np.flatnonzero(half == i).tolist()
+        halves.append(ScoreSamples.of([detections[k] for k in rows], [truth[k] for k in rows], known_class_id))
     scores, is_match = [], []
     for own, other in (halves, halves[::-1]):
         fit = fit_scores(other)

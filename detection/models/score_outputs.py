@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
 from onnx import helper, numpy_helper
 
-from track_range.detection.models.onnx_session import ModelError
+from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
 from track_range.detection.models.writing import atomic_output
 from track_range.foundation.arrays import FloatArray
 
@@ -36,7 +37,7 @@ def write_calibrated(
         offset: (C,) b_c.
 
     Raises:
-        ModelError: the file cannot be read, or the copy cannot be written.
+        ModelError: the file cannot be read, or the copy cannot be written or loaded.
     """
     try:
         model = onnx.load(path)
@@ -44,44 +45,59 @@ def write_calibrated(
         raise ModelError(f"{path}: not a readable ONNX model ({type(error).__name__}).") from error
     graph = model.graph
     outputs = [graph.output[index] for index in score_outputs]
-    dtype = helper.tensor_dtype_to_np_dtype(outputs[0].type.tensor_type.elem_type)
-    smallest = max(_SMALLEST, float(np.finfo(dtype).eps))
-    prefix = _unused_prefix(graph)
-    constants = {"slope": slope, "offset": offset, "low": smallest, "high": 1 - smallest, "one": 1}
-    graph.initializer.extend(
-        numpy_helper.from_array(np.asarray(value, dtype), prefix + name) for name, value in constants.items()
-    )
+    constants = _Constants(graph, helper.tensor_dtype_to_np_dtype(outputs[0].type.tensor_type.elem_type))
     for output in outputs:
-        _calibrate(graph, output.name, prefix)
+        _calibrate(graph, output.name, constants, slope=slope, offset=offset)
     with atomic_output(out) as folder:
         onnx.save(model, folder / out.name)
+        OnnxSession(folder / out.name, Runtime(device="cpu"))  # raises a ModelError if it cannot be loaded
 
 
-def _calibrate(graph: onnx.GraphProto, output: str, prefix: str) -> None:
-    """Insert the nodes that calibrate one output."""
-    producer = next(node for node in graph.node if output in node.output)
-    own = f"{prefix}{output}_"
-    logits = own + "logits"
+class _Constants:
+    """Constants of the inserted nodes, each stored once, in the type of the scores."""
+
+    def __init__(self, graph: onnx.GraphProto, dtype: np.dtype[Any]) -> None:
+        self._graph, self._dtype, self._known = graph, dtype, set[str]()
+        self.prefix = _unused_prefix(graph)
+        self.smallest = max(_SMALLEST, float(np.finfo(dtype).eps))
+
+    def name(self, name: str, value: float | FloatArray) -> str:
+        """Name of the tensor with this value."""
+        full = self.prefix + name
+        if full not in self._known:
+            self._graph.initializer.append(numpy_helper.from_array(np.asarray(value, self._dtype), full))
+            self._known.add(full)
+        return full
+
+
+def _calibrate(
+    graph: onnx.GraphProto, output: str, constants: _Constants, *, slope: FloatArray, offset: FloatArray
+) -> None:
+    """Insert the nodes that calibrate one output behind the node that computes it."""
+    index = next(i for i, node in enumerate(graph.node) if output in node.output)
+    own = f"{constants.prefix}{output}_"
+    _rename(graph, output, own + "uncalibrated")
     nodes = []
-    if producer.op_type == "Sigmoid":
-        logits = producer.input[0]
-        producer.output[:] = [own + "uncalibrated"]
+    if graph.node[index].op_type == "Sigmoid":
+        logits = graph.node[index].input[0]
     else:
-        _rename(graph, output, own + "scores")
-        nodes += [
-            helper.make_node("Clip", [own + "scores", prefix + "low", prefix + "high"], [own + "inside"]),
-            helper.make_node("Sub", [prefix + "one", own + "inside"], [own + "rest"]),
+        low, high = (constants.name("low", constants.smallest), constants.name("high", 1 - constants.smallest))
+        logits = own + "logits"
+        nodes = [
+            helper.make_node("Max", [own + "uncalibrated", low], [own + "above"]),
+            helper.make_node("Min", [own + "above", high], [own + "inside"]),
+            helper.make_node("Sub", [constants.name("one", 1.0), own + "inside"], [own + "rest"]),
             helper.make_node("Div", [own + "inside", own + "rest"], [own + "odds"]),
             helper.make_node("Log", [own + "odds"], [logits]),
         ]
     nodes += [
-        helper.make_node("Mul", [logits, prefix + "slope"], [own + "scaled"]),
-        helper.make_node("Add", [own + "scaled", prefix + "offset"], [own + "shifted"]),
+        helper.make_node("Mul", [logits, constants.name("slope", slope)], [own + "scaled"]),
+        helper.make_node("Add", [own + "scaled", constants.name("offset", offset)], [own + "shifted"]),
         helper.make_node("Sigmoid", [own + "shifted"], [output]),
     ]
-    for node in nodes:
+    for i, node in enumerate(nodes, start=index + 1):
         node.name = own + node.op_type
-    graph.node.extend(nodes)
+        graph.node.insert(i, node)
 
 
 def _rename(graph: onnx.GraphProto, old: str, new: str) -> None:

@@ -119,8 +119,10 @@ class Training:
                 network.load_state_dict(shared, strict=False)
             else:
                 self._load_weights(network, path)
-        if self._feature_loss is not None and _same_shapes(self._feature_loss.state_dict(), content["feature_loss"]):
-            self._feature_loss.load_state_dict(content["feature_loss"])
+        if self._feature_loss is not None and content["identity"].get("teacher") == self._identity()["teacher"]:
+            own, saved = self._feature_loss.state_dict(), content["feature_loss"]
+            if _same_shapes(own, saved):
+                self._feature_loss.load_state_dict({name: saved[name] for name in own})
 
     def _shared_body(self, content: Mapping[str, Any]) -> dict[str, Tensor]:
         """Weights of the backbone and neck of another kind of network; empty if it is the same kind or has others."""

@@ -10,8 +10,11 @@ from onnx import TensorProto, helper, numpy_helper
 from scipy.special import expit, logit
 
 from tests.detection.onnx_models import write_model
+from track_range.cli.commands.models import calibrate_scores
+from track_range.detection.evaluation.score_fit import ScoreSamples, fit_scores
 from track_range.detection.models.onnx_session import ModelError, OnnxSession
 from track_range.detection.models.score_outputs import write_calibrated
+from track_range.detection.yolo.detector import YoloDetector
 
 SLOPE, OFFSET = np.array([1.5, 0.5, 1.0]), np.array([-0.3, 0.7, 0.0])
 
@@ -26,7 +29,8 @@ def network(path, *, has_sigmoid_last):
         helper.make_node("Identity", ["logits"], ["others"]),
     ]
     if has_sigmoid_last:
-        nodes.append(helper.make_node("Sigmoid", ["logits"], ["scores"]))
+        nodes[-1] = helper.make_node("Sigmoid", ["logits"], ["scores"])
+        nodes.append(helper.make_node("Identity", ["scores"], ["others"]))  # another use of the scores
     else:
         nodes += [
             helper.make_node("Sigmoid", ["logits"], ["inner"]),
@@ -62,6 +66,7 @@ def test_scores_are_calibrated_and_other_outputs_unchanged(tmp_path, has_sigmoid
     image = np.random.default_rng(0).uniform(-1, 1, (1, 3, 8, 8)).astype(np.float32)
     (others, scores), (same, twice) = (OnnxSession(tmp_path / name).run(image) for name in ("a.onnx", "b.onnx"))
     assert np.array_equal(others, same)
+    onnx.checker.check_model(onnx.load(tmp_path / "b.onnx"))
     once = expit(SLOPE * logit(scores.astype(np.float64)) + OFFSET)
     assert twice == pytest.approx(expit(SLOPE * logit(once) + OFFSET), abs=1e-5)
     assert OnnxSession(tmp_path / "b.onnx").metadata == {"names": "['car']"}
@@ -136,10 +141,31 @@ def test_command(scene, cli):
     assert scores.max() == pytest.approx(0.5, abs=0.02)
 
 
+def test_attributes_beside_the_model_are_copied(scene, cli):
+    model = onnx.load(scene / "nano.onnx")
+    del model.metadata_props[:]
+    onnx.save(model, scene / "nano.onnx")
+    (scene / "nano.yaml").write_text("names: [car]\n")
+    for i in range(2, 120, 4):
+        (scene / f"labels/{i:03}.txt").write_text("2 0.4453 0.4453 0.625 0.625\n")
+    status, _, errors = calibrate(cli, scene)
+    assert status == 0, errors
+    assert YoloDetector(scene / "out.onnx").model.names == ("car",)
+
+
+def test_scores_that_say_nothing_are_refused(scene):
+    """Random matches of scores between 0.05 and 0.95: a calibrated copy would have boxes everywhere."""
+    rng = np.random.default_rng(0)
+    samples = ScoreSamples(np.full(600, 2), rng.uniform(0.05, 0.95, 600), rng.uniform(size=600) < 0.3)
+    detector = YoloDetector(scene / "nano.onnx")
+    with pytest.raises(ModelError, match=r"images: .*of car, background would get 0\.0[3-9]"):
+        calibrate_scores._check_background(fit_scores(samples), detector, scene / "images")
+
+
 def test_command_with_a_detector_without_score_outputs(scene, cli):
     write_model(scene / "yolo.onnx", np.zeros((1, 252, 6)), metadata={"names": "['car']"})
     status, _, errors = calibrate(cli, scene, model="yolo.onnx")
-    assert (status, "RoadNet, NanoDet, PicoDet" in " ".join(errors.split())) == (1, True)
+    assert (status, "expected a detector with separate outputs" in " ".join(errors.split())) == (1, True)
 
 
 def test_files_are_checked_before_the_work(scene, cli):

@@ -24,6 +24,9 @@ from track_range.detection.training.teacher import Teacher
 _WEIGHT = 2.0
 """Weight of the loss relative to those of boxes and classes."""
 
+_RESOLUTION, _TINY = 1e-5, 1e-30
+"""Standard deviation of a constant channel by rounding, as a fraction of its values, and the smallest variance."""
+
 
 class FeatureLoss(nn.Module):
     """The loss of a student's features and its trained convolutions; see the module's description."""
@@ -32,7 +35,9 @@ class FeatureLoss(nn.Module):
         super().__init__()
         self._teacher = teacher
         channels = zip(student.body.n_channels, teacher.network.body.n_channels, strict=True)
-        self.predictors = nn.ModuleList(nn.Conv2d(n_student, n_teacher, 1) for n_student, n_teacher in channels)
+        self.predictors = nn.ModuleList(
+            nn.Conv2d(n_student, n_teacher, 1, bias=False) for n_student, n_teacher in channels
+        )
 
     def forward(self, levels: Sequence[Tensor], images: Tensor) -> Tensor:
         """The loss of a batch.
@@ -53,6 +58,7 @@ def correlation(first: Tensor, second: Tensor) -> Tensor:
 
 
 def _standardised(values: Tensor) -> Tensor:
-    """The values with mean 0 and standard deviation 1 in each channel."""
+    """The values with mean 0 and standard deviation 1 in each channel; 0 where a channel is constant."""
     centred = values - values.mean((0, 2, 3), keepdim=True)
-    return centred * (centred.square().mean((0, 2, 3), keepdim=True) + 1e-6).rsqrt()
+    rounding = _RESOLUTION**2 * values.detach().square().mean((0, 2, 3), keepdim=True)
+    return centred * (centred.square().mean((0, 2, 3), keepdim=True) + rounding + _TINY).rsqrt()

@@ -49,6 +49,20 @@ def test_a_class_deviates_less_the_fewer_its_matches():
     assert fit_scores(cars).slope[CAR] < few.slope[BUS] < many.slope[BUS]
 
 
+def test_scores_that_separate_the_samples_do_not_become_certain():
+    score = np.concatenate([np.linspace(0.6, 0.9, 60), np.linspace(0.1, 0.4, 40)])
+    fit = fit_scores(ScoreSamples(np.full(100, CAR), score, np.arange(100) < 60))
+    probability = fit.probability(np.array([0.3, 0.7]), np.array([CAR, CAR]))
+    assert 0.001 < probability[0] < 0.2
+    assert 0.8 < probability[1] < 0.999
+
+
+def test_slopes_are_positive_also_if_low_scores_match():
+    score = np.linspace(0.05, 0.95, 200)
+    fit = fit_scores(ScoreSamples(np.full(200, CAR), score, np.arange(200) < 100))
+    assert (fit.slope > 0).all()
+
+
 def test_too_few_samples():
     score = np.linspace(0.1, 0.9, 60)
     assert fit_scores(ScoreSamples(np.full(60, CAR), score, np.arange(60) < 20)) is None

@@ -70,7 +70,7 @@ class TrueBoxes:
         hidden_share: (M,) fraction of the box that is covered by nearer boxes.
         overlap_share: (M,) largest fraction of the box inside one other box.
         occluder_m: (M,) distance of the nearer box that covers the largest part; NaN = none.
-        outside_share: (M,) fraction of the box outside the image.
+        outside_share: (M,) fraction outside the image of the bounding box of the whole road user.
     """
 
     frame: IntArray

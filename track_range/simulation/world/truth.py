@@ -33,7 +33,8 @@ PARTLY_VISIBLE, LARGELY_VISIBLE = 0.5, 0.85
 """Minimum visible fractions for KITTI's `occluded` = 1 and 0; below the first, it is 2."""
 
 UNCUT, HALF_CUT = 0.02, 0.5
-"""Minimum fractions of the box outside the image for KITTI's tracking `truncated` = 1 and 2."""
+"""Minimum fractions outside the image, of the bounding box of the whole projected 3-D box, for KITTI's tracking
+`truncated` = 1 and 2."""
 
 N_RAYS = 12
 """Number of rays per side of the grid through a box."""

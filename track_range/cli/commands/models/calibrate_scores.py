@@ -16,8 +16,9 @@ from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.detections import Detections
-from track_range.detection.evaluation.score_calibration import Reliability
+from track_range.detection.evaluation.score_calibration import MIN_SCORE, Reliability
 from track_range.detection.evaluation.score_fit import (
+    BACKGROUND_SCORE,
     LOWEST_SCORE,
     MIN_POSITIVES,
     ScoreFit,
@@ -32,10 +33,11 @@ from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.models.score_outputs import write_calibrated
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.detection.yolo.distribution import DistributionDecoder
+from track_range.foundation.files.input_files import counted
 from track_range.foundation.options import Options, option
 from track_range.report.tables import Column, Grid, grid_of
 from track_range.results.output_files import write_text
-from track_range.run.options.detector_fields import letterbox_option, names_option, size_option, threads_option
+from track_range.run.options.detector_fields import threads_option
 from track_range.run.options.detector_options import DetectorOptions, class_names, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
@@ -64,9 +66,6 @@ class CalibrateScoresOptions(Options):
     label_names: LabelNamesField = None
     manifest: ManifestField = None
     split: SplitField = "val"
-    names: Annotated[str | None, names_option()] = None
-    letterbox: Annotated[str | None, letterbox_option()] = None
-    size_px: Annotated[int | None, size_option()] = None
     threads: Annotated[int, threads_option()] = 0
     json_file: Annotated[Path | None, option("JSON file for the coefficients.", flag="--json", metavar="FILE")] = None
 
@@ -91,18 +90,23 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
     samples = ScoreSamples.of(detections, truth, detector.known_class_id)
     fit = fit_scores(samples)
     if fit is None:
+        unreadable = f" ({counted(len(frames.unreadable), 'image')} cannot be read)" if frames.unreadable else ""
         raise ModelError(
             f"{options.images}: expected at least {MIN_POSITIVES} detections that match a label, and some that do not, "
-            f"got {np.count_nonzero(samples.is_match)} and {np.count_nonzero(~samples.is_match)}; give more images."
+            f"got {np.count_nonzero(samples.is_match)} and {np.count_nonzero(~samples.is_match)}{unreadable}; give "
+            "more images with labels of classes that the detector knows."
         )
+    _check_background(fit, detector, options.images)
     road_class = map_to_road_classes(detector.model.names)
+    slope, offset = fit.shared  # of classes that are no road classes
     write_calibrated(
         detector.session.path,
         options.out,
         score_outputs=outputs,
-        slope=np.where(road_class < 0, 1.0, fit.slope[road_class]),
-        offset=np.where(road_class < 0, 0.0, fit.offset[road_class]),
+        slope=np.where(road_class < 0, slope, fit.slope[road_class]),
+        offset=np.where(road_class < 0, offset, fit.offset[road_class]),
     )
+    _copy_sidecar(detector.session.path, options.out)
     before = reliability(samples.score, samples.is_match)
     after = cross_validated(detections, truth, detector.known_class_id)
     print_grid(console, _coefficient_grid(fit, detector))
@@ -116,8 +120,13 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
         console,
         [
             f"{len(truth)} images. Classes with fewer than {MIN_POSITIVES} matches share their coefficients.",
-            f"ECE: mean difference between score and precision; chance: that of perfect scores. {validation}",
-            *frames.unreadable[:1],
+            f"ECE of boxes with a score of {MIN_SCORE} or more: mean difference between score and precision; chance: "
+            f"that of perfect scores. {validation}",
+            *(
+                [f"{counted(len(frames.unreadable), 'image')} skipped, the first: {frames.unreadable[0]}"]
+                if frames.unreadable
+                else []
+            ),
         ],
     )
     print_line(console, f"Written: {options.out}")
@@ -135,9 +144,32 @@ def _score_outputs(detector: YoloDetector) -> list[int]:
     if isinstance(decoder, DistributionDecoder) and all(lv.scores_output != lv.bins_output for lv in decoder.levels):
         return [level.scores_output for level in decoder.levels]
     raise ModelError(
-        f"{detector.session.path}: expected a detector with separate outputs of the class scores (RoadNet, NanoDet, "
-        f"PicoDet), found {detector.model.family}."
+        f"{detector.session.path}: expected a detector with separate outputs of the class scores, such as RoadNet, "
+        f"found {detector.model.layout}; export it with separate outputs if its exporter can."
     )
+
+
+def _check_background(fit: ScoreFit, detector: YoloDetector, images: Path) -> None:
+    """Check that the scores of background remain low.
+
+    Raises:
+        ModelError: they would be detections.
+    """
+    known = detector.known_class_id
+    background = fit.probability(np.full(len(known), BACKGROUND_SCORE), known)
+    if background.max() > LOWEST_SCORE:
+        name = ROAD_CLASSES[known[background.argmax()]]
+        raise ModelError(
+            f"{images}: expected scores that are higher for detections that match a label; with those of {name}, "
+            f"background would get {background.max():.2f}; check the labels, or give more images."
+        )
+
+
+def _copy_sidecar(model: Path, out: Path) -> None:
+    """Copy the attributes beside the model, `MODEL.yaml`, if there are any and the copy has none."""
+    sidecar, copy = model.with_suffix(".yaml"), out.with_suffix(".yaml")
+    if sidecar.is_file() and not copy.exists():
+        write_text(copy, sidecar.read_text())
 
 
 def _detect(detector: YoloDetector, frames: LabelledFrames) -> tuple[list[Detections], list[ImageTruth]]:
