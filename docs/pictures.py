@@ -268,9 +268,9 @@ def failures() -> None:
     _track_range("simulate", "--images", "120", "--frames", "4", "--seed", "7000", "--out", str(folder))
     detector, tiles = tr.Detector("road", min_score=0.25), []
     scored, hidden = (LabelledSource(images=folder / "images", labels=folder / name) for name in ("labels", "ignored"))
-    for (image, truth), (_, others) in zip(scored.open(), hidden.open(), strict=True):
+    for (image, truth), ignored in zip(scored.open(), hidden.labelled_files(), strict=True):
         boxes = detector.detect(image)
-        boxes = boxes.select(~(iou(boxes.xyxy_px, others.xyxy_px) >= 0.5).any(axis=1))
+        boxes = boxes.select(~(iou(boxes.xyxy_px, ignored.truth_in(image).xyxy_px) >= 0.5).any(axis=1))
         labels, class_id = truth.xyxy_px, truth.class_id
         same = (iou(boxes.xyxy_px, labels) >= 0.5) & (boxes.class_id[:, None] == class_id)
         is_missed = ~same.any(axis=0) & (labels[:, 3] - labels[:, 1] >= 25)

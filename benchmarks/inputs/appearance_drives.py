@@ -33,7 +33,7 @@ from track_range.simulation.world.scene import (
     Scene,
     make_scene,
 )
-from track_range.simulation.world.truth import box_corners_m, clipped, label_scene, projected_boxes_px, visible_boxes_px
+from track_range.simulation.world.truth import box_corners_m, boxes_in_image, label_scene
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.video.reader import VideoReader
@@ -217,9 +217,6 @@ def _rotated(labels: KittiLabels, rotations: FloatArray) -> KittiLabels:
     """The labels in the images of the rotated cameras; objects outside are removed, those largely outside occluded."""
     labels = labels.select(labels.has_3d_box)
     corners_m = box_corners_m(labels.location_m, size_hwl_m=labels.size_hwl_m, rotation_y_rad=labels.rotation_y_rad)
-    rotated_m = corners_m @ rotations[labels.frame].swapaxes(1, 2)
-    boxes, inside = projected_boxes_px(rotated_m, CAMERA), visible_boxes_px(rotated_m, CAMERA)
-    in_image = clipped(boxes, CAMERA)
-    share = np.prod(in_image[:, 2:] - in_image[:, :2], axis=1) / np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
-    occluded = np.where(share < MIN_SHARE_INSIDE, HIDDEN, labels.occluded)
-    return replace(labels, xyxy_px=inside, occluded=occluded).select(share > 0)  # false for NaN
+    inside, outside = boxes_in_image(corners_m @ rotations[labels.frame].swapaxes(1, 2), CAMERA)
+    occluded = np.where(1 - outside < MIN_SHARE_INSIDE, HIDDEN, labels.occluded)
+    return replace(labels, xyxy_px=inside, occluded=occluded).select(np.isfinite(inside).all(axis=1) & (outside < 1))

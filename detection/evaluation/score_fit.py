@@ -95,7 +95,7 @@ class ScoreFit:
     Attributes:
         slope: (8,) a_c.
         offset: (8,) b_c.
-        shared: a and b of classes without coefficients.
+        shared: a and b that classes without their own coefficients share.
         n_positives: (8,) number of matches of each class in the fit.
     """
 
@@ -107,6 +107,13 @@ class ScoreFit:
     def probability(self, score: FloatArray, class_id: IntArray) -> FloatArray:
         """(K,) probability of detections with scores (K,) of classes (K,)."""
         return np.asarray(expit(self.slope[class_id] * _logit(score) + self.offset[class_id]))
+
+    def as_dict(self) -> Mapping[str, Mapping[str, float]]:
+        """Slope, offset and number of matches by class name, for JSON."""
+        columns = self.slope.tolist(), self.offset.tolist(), self.n_positives.tolist()
+        keys = ("slope", "offset", "n_positives")
+        rows = zip(ROAD_CLASSES, zip(*columns, strict=True), strict=True)
+        return {name: dict(zip(keys, row, strict=True)) for name, row in rows}
 
 
 def fit_scores(samples: ScoreSamples) -> ScoreFit | None:
@@ -168,14 +175,6 @@ def reliability(score: FloatArray, is_match: BoolArray) -> Reliability:
     """Reliability of the detections with a score of at least `score_calibration.MIN_SCORE`."""
     used = score >= MIN_SCORE
     return Reliability.of(score[used], is_match[used])
-
-
-def as_dict(fit: ScoreFit) -> Mapping[str, Mapping[str, float]]:
-    """Slope, offset and number of matches by class name, for JSON."""
-    return {
-        name: {"slope": float(fit.slope[i]), "offset": float(fit.offset[i]), "n_positives": int(fit.n_positives[i])}
-        for i, name in enumerate(ROAD_CLASSES)
-    }
 
 
 def _logit(score: FloatArray) -> FloatArray:

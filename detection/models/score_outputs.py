@@ -7,9 +7,9 @@ calibrated again.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnx
@@ -45,54 +45,43 @@ def write_calibrated(
         raise ModelError(f"{path}: not a readable ONNX model ({type(error).__name__}).") from error
     graph = model.graph
     outputs = [graph.output[index] for index in score_outputs]
-    constants = _Constants(graph, helper.tensor_dtype_to_np_dtype(outputs[0].type.tensor_type.elem_type))
+    dtype = helper.tensor_dtype_to_np_dtype(outputs[0].type.tensor_type.elem_type)
+    smallest = max(_SMALLEST, float(np.finfo(dtype).eps))
+    prefix = _unused_prefix(graph)
     for output in outputs:
-        _calibrate(graph, output.name, constants, slope=slope, offset=offset)
+        _calibrate(graph, output.name, prefix)
+    used = {name for node in graph.node for name in node.input}
+    constants = {"slope": slope, "offset": offset, "low": smallest, "high": 1 - smallest, "one": 1}
+    graph.initializer.extend(
+        numpy_helper.from_array(np.asarray(value, dtype), prefix + name)
+        for name, value in constants.items()
+        if prefix + name in used
+    )
     with atomic_output(out) as folder:
         onnx.save(model, folder / out.name)
         OnnxSession(folder / out.name, Runtime(device="cpu"))  # raises a ModelError if it cannot be loaded
 
 
-class _Constants:
-    """Constants of the inserted nodes, each stored once, in the type of the scores."""
-
-    def __init__(self, graph: onnx.GraphProto, dtype: np.dtype[Any]) -> None:
-        self._graph, self._dtype, self._known = graph, dtype, set[str]()
-        self.prefix = _unused_prefix(graph)
-        self.smallest = max(_SMALLEST, float(np.finfo(dtype).eps))
-
-    def name(self, name: str, value: float | FloatArray) -> str:
-        """Name of the tensor with this value."""
-        full = self.prefix + name
-        if full not in self._known:
-            self._graph.initializer.append(numpy_helper.from_array(np.asarray(value, self._dtype), full))
-            self._known.add(full)
-        return full
-
-
-def _calibrate(
-    graph: onnx.GraphProto, output: str, constants: _Constants, *, slope: FloatArray, offset: FloatArray
-) -> None:
+def _calibrate(graph: onnx.GraphProto, output: str, prefix: str) -> None:
     """Insert the nodes that calibrate one output behind the node that computes it."""
     index = next(i for i, node in enumerate(graph.node) if output in node.output)
-    own = f"{constants.prefix}{output}_"
+    own = f"{prefix}{output}_"
     _rename(graph, output, own + "uncalibrated")
     nodes = []
     if graph.node[index].op_type == "Sigmoid":
         logits = graph.node[index].input[0]
     else:
-        low, high = (constants.name("low", constants.smallest), constants.name("high", 1 - constants.smallest))
         logits = own + "logits"
         nodes = [
-            helper.make_node("Max", [own + "uncalibrated", low], [own + "above"]),
-            helper.make_node("Min", [own + "above", high], [own + "inside"]),
-            helper.make_node("Sub", [constants.name("one", 1.0), own + "inside"], [own + "rest"]),
+            helper.make_node("Max", [own + "uncalibrated", prefix + "low"], [own + "above"]),
+            helper.make_node("Min", [own + "above", prefix + "high"], [own + "inside"]),
+            helper.make_node("Sub", [prefix + "one", own + "inside"], [own + "rest"]),
             helper.make_node("Div", [own + "inside", own + "rest"], [own + "odds"]),
             helper.make_node("Log", [own + "odds"], [logits]),
         ]
     nodes += [
-        helper.make_node("Mul", [logits, constants.name("slope", slope)], [own + "scaled"]),
-        helper.make_node("Add", [own + "scaled", constants.name("offset", offset)], [own + "shifted"]),
+        helper.make_node("Mul", [logits, prefix + "slope"], [own + "scaled"]),
+        helper.make_node("Add", [own + "scaled", prefix + "offset"], [own + "shifted"]),
         helper.make_node("Sigmoid", [own + "shifted"], [output]),
     ]
     for i, node in enumerate(nodes, start=index + 1):
@@ -110,6 +99,5 @@ def _rename(graph: onnx.GraphProto, old: str, new: str) -> None:
 def _unused_prefix(graph: onnx.GraphProto) -> str:
     """A prefix that no tensor of the graph has, also in a copy that is calibrated again."""
     names = {name for node in graph.node for name in (*node.input, *node.output)}
-    return next(
-        prefix for i in range(len(names) + 1) if not any(n.startswith(prefix := f"calibration{i}_") for n in names)
-    )
+    prefixes = (f"calibration{i}_" for i in itertools.count())
+    return next(prefix for prefix in prefixes if not any(name.startswith(prefix) for name in names))

@@ -235,7 +235,7 @@ class Training:
         losses = {**self._loss([head.float() for head in raw], batch), **losses}
         torch.autograd.backward(self._scaler.scale(torch.stack(list(losses.values())).sum() * len(images)))
         self._scaler.unscale_(self._optimiser)
-        # The convolutions of the feature loss are not clipped: their size must not slow down the network.
+        # Without the convolutions of the feature loss: their gradients must not reduce those of the network.
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), _MAX_GRADIENT)
         self._scaler.step(self._optimiser)
         self._scaler.update()

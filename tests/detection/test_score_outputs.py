@@ -151,6 +151,9 @@ def test_attributes_beside_the_model_are_copied(scene, cli):
     status, _, errors = calibrate(cli, scene)
     assert status == 0, errors
     assert YoloDetector(scene / "out.onnx").model.names == ("car",)
+    (scene / "out.yaml").write_text("names: [truck]\n")
+    status, _, errors = calibrate(cli, scene)
+    assert (status, "the attributes of nano.onnx, found others" in " ".join(errors.split())) == (1, True)
 
 
 def test_scores_that_say_nothing_are_refused(scene):

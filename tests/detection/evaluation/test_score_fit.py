@@ -6,7 +6,7 @@ from scipy.special import expit, logit
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
-from track_range.detection.evaluation.score_fit import ScoreSamples, as_dict, cross_validated, fit_scores, reliability
+from track_range.detection.evaluation.score_fit import ScoreSamples, cross_validated, fit_scores, reliability
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 
 PERSON, BICYCLE, CAR, BUS = (ROAD_CLASSES.index(name) for name in ("person", "bicycle", "car", "bus"))
@@ -32,7 +32,7 @@ def test_coefficients_are_recovered():
     assert fit.slope[[CAR, PERSON]] == pytest.approx([1.6, 0.8], abs=0.06)
     assert fit.offset[[CAR, PERSON]] == pytest.approx([0.4, -0.5], abs=0.06)
     assert reliability(fit.probability(samples.score, samples.class_id), samples.is_match).ece < 0.015
-    assert as_dict(fit)["car"]["n_positives"] == fit.n_positives[CAR] > 5000
+    assert fit.as_dict()["car"]["n_positives"] == fit.n_positives[CAR] > 5000
 
 
 def test_classes_with_few_matches_share_the_coefficients_of_all():

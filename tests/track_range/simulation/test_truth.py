@@ -11,9 +11,9 @@ from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.simulation.world.scene import AWAY_RAD, RoadUser, Scene, make_scene
 from track_range.simulation.world.truth import (
     box_corners_m,
+    boxes_in_image,
     label_scene,
     projected_boxes_px,
-    visible_boxes_px,
     visible_shares,
 )
 
@@ -105,7 +105,7 @@ def test_visible_boxes_are_those_of_the_points_in_the_image():
     location = np.stack([rng.uniform(-6, 6, n), rng.uniform(0, 3, n), rng.uniform(-2, 9, n)], axis=1)
     size, yaw = rng.uniform(0.5, 6, (n, 3)), rng.uniform(-np.pi, np.pi, n)
     corners = box_corners_m(location, size_hwl_m=size, rotation_y_rad=yaw)
-    boxes = visible_boxes_px(corners, CAMERA)
+    boxes, _ = boxes_in_image(corners, CAMERA)
     n_visible = 0
     for box, corners_of_one in zip(boxes, corners, strict=True):
         polygon = part_in_image(corners_of_one)

@@ -14,7 +14,7 @@ from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.simulation.world.road_shape import slope_rotation, yaw_rotation
 from track_range.simulation.world.scene import STEP_S, Scene
 from track_range.simulation.world.trajectories import Trajectories, trajectories
-from track_range.simulation.world.truth import clipped, corners_m, projected_boxes_px, visible_boxes_px
+from track_range.simulation.world.truth import boxes_in_image, corners_m
 from track_range.stereo.geometry.camera import PinholeCamera
 
 FARTHEST_M = 160.0
@@ -104,11 +104,10 @@ def true_boxes(
     z_m, heading_rad = paths.z_m[user, frame], paths.heading_rad[user, frame]
     yaw_rad = heading_rad + scene.road.yaw_rad(z_m)
     rotations = camera_from_world[frame] @ slope_rotation(scene.road.climb_rad(z_m)) @ yaw_rotation(yaw_rad)
-    corners = corners_m(at_m, size_m, rotations)
-    boxes, inside = projected_boxes_px(corners, camera), visible_boxes_px(corners, camera)
+    inside, outside = boxes_in_image(corners_m(at_m, size_m, rotations), camera)
     is_visible = (_areas(inside) > 0) & (inside[:, 3] - inside[:, 1] >= SMALLEST_PX)  # false for NaN
     rows = np.flatnonzero(is_visible)
-    frame, user, inside, boxes = frame[rows], user[rows], inside[rows], boxes[rows]
+    frame, user, inside = frame[rows], user[rows], inside[rows]
     centre_px = (inside[:, :2] + inside[:, 2:]) / 2
     distance_m = surface_distance_m(
         camera.rays(centre_px),
@@ -126,7 +125,7 @@ def true_boxes(
         hidden,
         overlap,
         np.where(occluder >= 0, distance_m[occluder], np.nan),
-        1 - _areas(clipped(boxes, camera)) / _areas(boxes),
+        outside[rows],
     )
 
 

@@ -93,21 +93,34 @@ def projected_boxes_px(boxes_m: FloatArray, camera: PinholeCamera) -> FloatArray
     return _bounds(*_projected_points(boxes_m, camera))
 
 
-def visible_boxes_px(boxes_m: FloatArray, camera: PinholeCamera) -> FloatArray:
-    """(N, 4) bounding boxes of the parts inside the image of projected 3-D boxes (N, 8, 3); NaN where there is none.
+def boxes_in_image(boxes_m: FloatArray, camera: PinholeCamera) -> tuple[FloatArray, FloatArray]:
+    """Bounding boxes of the parts inside the image of projected 3-D boxes, and how much of them is outside.
 
-    The projection S of a 3-D box is convex. The rows of its part inside the image are those of its part between the
-    left and right border, as far as they are in the image: S has points with all rows between two of its points. They
-    are bounded by the points of S that are between these borders, and the crossings of segments of S with them. The
-    same holds for the columns.
+    The projection S of a 3-D box is convex. Its part in the image therefore has the rows of its part between the left
+    and the right border, as far as they are rows of the image. The rows of that part are bounded by the points of S
+    between the two borders, and by the crossings of segments of S with the borders. The same holds for the columns.
+
+    Args:
+        boxes_m: (N, 8, 3) corners of the 3-D boxes.
+        camera: the camera.
+
+    Returns:
+        (N, 4) boxes in pixels, NaN where nothing is in the image; and (N,) fraction of the bounding box of all of S
+        that is outside the image, NaN behind the camera.
     """
     xy_px, is_in_front = _projected_points(boxes_m, camera)
     boxes = _bounds(xy_px, is_in_front)
-    edge = np.array([camera.width_px - 1, camera.height_px - 1], np.float64)
+    limit_px = np.array([camera.width_px - 1, camera.height_px - 1] * 2, np.float64)
+    outside_share = 1 - _areas(np.clip(boxes, 0, limit_px)) / _areas(boxes)
+    return _clipped_to_image(boxes, xy_px, is_in_front, limit_px[:2]), outside_share
+
+
+def _clipped_to_image(boxes: FloatArray, xy_px: FloatArray, is_in_front: BoolArray, edge: FloatArray) -> FloatArray:
+    """See `boxes_in_image`; `boxes` (N, 4) are not clipped, `edge` (2,) is the largest x and y in the image."""
     cut = np.flatnonzero(((boxes[:, :2] < 0) | (boxes[:, 2:] > edge)).any(axis=1))
     if not len(cut):
         return boxes
-    points, exists = xy_px[cut], is_in_front[cut]
+    boxes, points, exists = boxes.copy(), xy_px[cut], is_in_front[cut]
     for axis in (0, 1):
         inner, others = points[:, :, 1 - axis], points[:, :, axis]
         values = [np.where(exists & (inner >= 0) & (inner <= edge[1 - axis]), others, np.nan)]
@@ -220,17 +233,15 @@ def visible_objects(
             users hide each other.
     """
     location, size, yaw = scene.location_m(time_s), scene.size_hwl_m(), scene.rotation_y_rad(time_s)
-    corners = corners_m(location, size, scene.rotations(time_s))
-    unclipped, inside = projected_boxes_px(corners, camera), visible_boxes_px(corners, camera)
+    inside, outside = boxes_in_image(corners_m(location, size, scene.rotations(time_s)), camera)
     nearest_first = np.argsort(location[:, 2], kind="stable")
     in_view = (_areas(inside) > 0) & (location[:, 2] < FARTHEST_M)  # false for NaN
     rows = nearest_first[in_view[nearest_first]]
-    location, size, yaw, unclipped, inside = (part[rows] for part in (location, size, yaw, unclipped, inside))
+    location, size, yaw, inside, outside = (part[rows] for part in (location, size, yaw, inside, outside))
     if inverse_depth is None:
         shares = visible_shares(inside, location, size_hwl_m=size, rotation_y_rad=yaw, camera=camera)
     else:
         shares = _drawn_shares(inside, (location, size, yaw), camera, inverse_depth)
-    outside = 1 - _areas(clipped(unclipped, camera)) / _areas(unclipped)
     labels = KittiLabels(
         frame=np.full(len(rows), frame, np.int64),
         track_id=np.array([scene.road_users[row].track_id for row in rows], np.int64),
@@ -264,11 +275,6 @@ def _with_dont_care(labels: KittiLabels, is_small: BoolArray) -> KittiLabels:
         rotation_y_rad=np.where(is_small, -10.0, labels.rotation_y_rad),
         score=labels.score,
     )
-
-
-def clipped(xyxy_px: FloatArray, camera: PinholeCamera) -> FloatArray:
-    """(N, 4) boxes clipped to the pixel centres of the image."""
-    return np.clip(xyxy_px, 0, np.array([camera.width_px - 1, camera.height_px - 1] * 2, np.float64))
 
 
 def _areas(xyxy_px: FloatArray) -> FloatArray:

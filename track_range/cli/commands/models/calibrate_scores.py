@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,7 +22,6 @@ from track_range.detection.evaluation.score_fit import (
     MIN_POSITIVES,
     ScoreFit,
     ScoreSamples,
-    as_dict,
     cross_validated,
     fit_scores,
     reliability,
@@ -36,7 +34,7 @@ from track_range.detection.yolo.distribution import DistributionDecoder
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.options import Options, option
 from track_range.report.tables import Column, Grid, grid_of
-from track_range.results.output_files import write_text
+from track_range.results.output_files import OutputError, write_bytes, write_text
 from track_range.run.options.detector_fields import threads_option
 from track_range.run.options.detector_options import DetectorOptions, class_names, open_detector
 from track_range.run.progress import frame_progress
@@ -72,8 +70,10 @@ class CalibrateScoresOptions(Options):
 
 def _calibrate_scores(options: CalibrateScoresOptions) -> None:
     check_result_files(options)
+    path = ready_model(options.model, console)
+    sidecar = _sidecar(path, options.out)
     detector = open_detector(
-        ready_model(options.model, console),
+        path,
         replace(DetectorOptions.of(options), device="cpu", min_score=str(LOWEST_SCORE)),
     )
     outputs = _score_outputs(detector)
@@ -100,13 +100,14 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
     road_class = map_to_road_classes(detector.model.names)
     slope, offset = fit.shared  # of classes that are no road classes
     write_calibrated(
-        detector.session.path,
+        path,
         options.out,
         score_outputs=outputs,
         slope=np.where(road_class < 0, slope, fit.slope[road_class]),
         offset=np.where(road_class < 0, offset, fit.offset[road_class]),
     )
-    _copy_sidecar(detector.session.path, options.out)
+    if sidecar:
+        write_bytes(options.out.with_suffix(sidecar.suffix), sidecar.read_bytes())
     before = reliability(samples.score, samples.is_match)
     after = cross_validated(detections, truth, detector.known_class_id)
     print_grid(console, _coefficient_grid(fit, detector))
@@ -160,22 +161,30 @@ def _check_background(fit: ScoreFit, detector: YoloDetector, images: Path) -> No
     if background.max() > LOWEST_SCORE:
         name = ROAD_CLASSES[known[background.argmax()]]
         raise ModelError(
-            f"{images}: expected scores that are higher for detections that match a label; with those of {name}, "
-            f"background would get {background.max():.2f}; check the labels, or give more images."
+            f"{images}: expected scores that are clearly higher for detections that match a label, but with those of "
+            f"{name}, background would get {background.max():.2f}; check the labels, or give more images."
         )
 
 
-def _copy_sidecar(model: Path, out: Path) -> None:
-    """Copy the attributes beside the model, `MODEL.yaml`, if there are any and the copy has none."""
-    sidecar, copy = model.with_suffix(".yaml"), out.with_suffix(".yaml")
-    if sidecar.is_file() and not copy.exists():
-        write_text(copy, sidecar.read_text())
+def _sidecar(model: Path, out: Path) -> Path | None:
+    """The file of attributes beside the model, `MODEL.yaml`, which belongs beside the copy too; None = there is none.
+
+    Raises:
+        OutputError: there are other attributes beside the copy, which would be used for it.
+    """
+    source, target = model.with_suffix(".yaml"), out.with_suffix(".yaml")
+    content = source.read_bytes() if source.is_file() else None
+    if target.is_file() and target.read_bytes() != content:
+        raise OutputError(
+            f"{target}: expected no file or the attributes of {model.name}, found others; choose another --out."
+        )
+    return None if content is None else source
 
 
 def _detect(detector: YoloDetector, frames: LabelledFrames) -> tuple[list[Detections], list[ImageTruth]]:
     """Detections and labels of all images that can be read."""
     detections, truth = [], []
-    with partial(frame_progress, console)(frames.n_images) as advance:
+    with frame_progress(console, frames.n_images) as advance:
         for image, labels in frames:
             detections.append(detector.detect(image))
             truth.append(labels)
@@ -211,7 +220,7 @@ def _figures(fit: ScoreFit, before: Reliability, after: Reliability | None, n_im
     """Coefficients and calibration errors for JSON."""
     return {
         "n_images": n_images,
-        "classes": as_dict(fit),
+        "classes": fit.as_dict(),
         "before": before.as_dict(),
         "cross_validated": None if after is None else after.as_dict(),
     }
