@@ -50,6 +50,7 @@ def test_wheel_holds_one_top_level_name(wheels, source):
     assert {name.split("/")[0] for name in names if ".dist-info/" not in name} == {"track_range"}
     assert {
         "track_range/detection/weights/road.onnx",
+        "track_range/detection/weights/road-licensed.onnx",
         "track_range/ranging/curves/cuboids.json",
         "track_range/report/assets/script/start.js",
         "track_range/stereo/geometry/camera.py",
