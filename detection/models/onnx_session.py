@@ -132,7 +132,7 @@ class OnnxSession:
         """Whether the network has the input `orig_target_sizes`."""
         return self._size_input is not None
 
-    def _inputs(self, blob: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+    def inputs(self, blob: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
         """All inputs by name, for an input blob (batch, 3, height, width) of the network's type."""
         inputs: dict[str, npt.NDArray[Any]] = {self._input.name: blob}
         if self._size_input is not None:
@@ -147,7 +147,7 @@ class OnnxSession:
             ModelError: onnxruntime fails on this input.
         """
         try:
-            outputs = self._session.run(None, self._inputs(blob.astype(self.input_dtype, copy=False)))
+            outputs = self._session.run(None, self.inputs(blob.astype(self.input_dtype, copy=False)))
         except Exception as error:  # as above
             raise self._failure(error) from error
         return [np.asarray(output, np.float32) for output in outputs]
@@ -251,7 +251,7 @@ class BoundNetwork:
             raise ModelError(
                 f"{session.path}: expected a batch size of 1 or a variable one, got {batch}; export with batch size 1."
             )
-        inputs = session._inputs(self.blob)
+        inputs = session.inputs(self.blob)
         try:
             outputs = network.run(None, inputs)
         except Exception as error:  # onnxruntime raises a dozen unrelated types

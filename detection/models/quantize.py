@@ -24,8 +24,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import onnx
 import onnx.version_converter
 from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
@@ -68,9 +70,10 @@ def quantize_int8(path: Path, out: Path, *, blobs: Iterable[FloatArray32]) -> No
         ModelError: not a usable float32 network with convolutions to quantise, no blobs, or blobs of the wrong shape.
     """
     model = _float_model(path)
+    session = OnnxSession(path, Runtime(device="cpu"))
     stream = iter(blobs)
     first = list(itertools.islice(stream, _N_NOISE_BLOBS))
-    _check_blobs(path, first)
+    _check_blobs(session, first)
     with atomic_output(out) as folder:
         with silent_conversion(path, "quantised"):
             prepared = _prepared(model, folder)
@@ -78,7 +81,7 @@ def quantize_int8(path: Path, out: Path, *, blobs: Iterable[FloatArray32]) -> No
         names = _quantisable(prepared.graph, noisy)
         if not names:
             raise ModelError(f"{path}: no convolution can be quantised without losing accuracy; try FP16 instead.")
-        reader = _BlobReader(_input_name(prepared.graph), itertools.chain(first, stream))
+        reader = _BlobReader(session, itertools.chain(first, stream))
         with silent_conversion(path, "quantised"):
             result = _quantised(prepared, names, reader, folder)
         _save(result, model, folder / out.name)
@@ -121,18 +124,13 @@ def _float_model(path: Path) -> onnx.ModelProto:
     return model
 
 
-def _check_blobs(path: Path, blobs: list[FloatArray32]) -> None:
+def _check_blobs(session: OnnxSession, blobs: list[FloatArray32]) -> None:
     if not blobs:
-        raise ModelError(f"{path}: no calibration images; specify images that are typical of the network's use.")
-    session = OnnxSession(path, Runtime(device="cpu"))
+        raise ModelError(
+            f"{session.path}: no calibration images; specify images that are typical of the network's use."
+        )
     for blob in blobs:
         session.run(blob)
-
-
-def _input_name(graph: onnx.GraphProto) -> str:
-    """Name of the image input; files written before 2019 also list the weights as inputs."""
-    weights = {tensor.name for tensor in graph.initializer}
-    return str(next(value.name for value in graph.input if value.name not in weights))
 
 
 def _name_nodes(graph: onnx.GraphProto) -> None:
@@ -235,13 +233,13 @@ def _quantisable(graph: onnx.GraphProto, noisy: set[str]) -> list[str]:
 class _BlobReader(CalibrationDataReader):  # type: ignore[misc]  # onnxruntime ships no types
     """Adapter from an iterator of blobs to onnxruntime's calibration."""
 
-    def __init__(self, name: str, blobs: Iterator[FloatArray32]) -> None:
-        self._name, self._blobs = name, blobs
+    def __init__(self, session: OnnxSession, blobs: Iterator[FloatArray32]) -> None:
+        self._session, self._blobs = session, blobs
 
-    def get_next(self) -> dict[str, FloatArray32] | None:
-        """The next input by name; None after the last."""
+    def get_next(self) -> dict[str, npt.NDArray[Any]] | None:
+        """All inputs by name for the next blob; None after the last."""
         blob = next(self._blobs, None)
-        return None if blob is None else {self._name: blob}
+        return None if blob is None else self._session.inputs(blob)
 
 
 def _quantised(model: onnx.ModelProto, names: list[str], reader: _BlobReader, folder: Path) -> onnx.ModelProto:

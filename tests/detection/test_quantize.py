@@ -315,6 +315,28 @@ def test_weights_listed_as_inputs(network, tmp_path):
     assert 0.05 < mean_errors(network, out, blobs(4, seed=9))[0] < 6
 
 
+def test_network_with_target_sizes(network, tmp_path):
+    # As in D-FINE's export: boxes in fractions of the image, times the input `orig_target_sizes`.
+    model = onnx.load(network)
+    model.graph.input.append(helper.make_tensor_value_info("orig_target_sizes", TensorProto.INT64, [1, 2]))
+    model.graph.node.extend(
+        [
+            helper.make_node("Cast", ["orig_target_sizes"], ["sizes"], to=TensorProto.FLOAT),
+            helper.make_node("ReduceMax", ["sizes"], ["side"], keepdims=0),
+            helper.make_node("Mul", ["unit", "side"], ["scaled"]),
+        ]
+    )
+    model.graph.output.append(helper.make_tensor_value_info("scaled", TensorProto.FLOAT, None))
+    path, out = tmp_path / "detr.onnx", tmp_path / "out.onnx"
+    onnx.save(onnx.shape_inference.infer_shapes(model), path)
+    for convert in both(path, out):
+        convert()
+        (blob,) = blobs(1, seed=9)
+        reference, copy = (OnnxSession(p, Runtime(device="cpu")).run(blob)[1] for p in (path, out))
+        assert reference.max() > SIZE_PX / 2  # scaled by the size of the input
+        assert 0 < np.abs(copy - reference).mean() < 0.05 * SIZE_PX
+
+
 def test_converter_failure_message():
     message = r"net\.onnx: cannot be converted .*No model"
     with pytest.raises(ModelError, match=message), silent_conversion(Path("net.onnx"), "converted to FP16"):

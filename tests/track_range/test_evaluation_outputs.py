@@ -59,8 +59,18 @@ def test_models_are_not_replaced(tmp_path):
     model.write_bytes(b"model")
     inputs = ("--model", "yolov5n", "--model", model, "--images", tmp_path, "--labels", tmp_path)
     done = run_command("evaluate", "detections", *inputs, "--json", model)
-    assert (done.status, "that of --models" in done.stderr) == (1, True)
+    assert (done.status, "that of --model;" in done.stderr) == (1, True)
     assert model.read_bytes() == b"model"
+
+
+def test_attributes_of_models_are_not_replaced(tmp_path):
+    (tmp_path / "my.onnx").write_bytes(b"model")
+    sidecar = tmp_path / "my.yaml"
+    sidecar.write_text("size: 640")
+    inputs = ("--model", tmp_path / "my.onnx", "--images", tmp_path / "images", "--labels", tmp_path / "labels")
+    done = run_command("evaluate", "detections", *inputs, "--json", sidecar)
+    assert (done.status, "that of --model;" in done.stderr) == (1, True)
+    assert sidecar.read_text() == "size: 640"
 
 
 def test_earlier_results_beside_the_inputs_are_replaced(tmp_path):

@@ -13,6 +13,9 @@ from track_range.results.output_files import OutputError
 _OUTPUTS = {"json_file": "--json", "table": "--table", "figure": "--figure", "out": "--out"}
 """Options that name files to write, by field."""
 
+_INPUT_FLAGS = {"models": "--model"}
+"""Options that name inputs, by field, if the name of the field differs."""
+
 CHART_SUFFIXES = (".svg", ".png")
 """Accepted endings of a chart's file name."""
 
@@ -45,18 +48,20 @@ def _check_is_no_input(flag: str, file: Path, options: Any) -> None:
     for name, value in vars(options).items():
         is_in_folder = _is_of_folder(flag, file, name)
         if name not in _OUTPUTS and any(_contains(path, file, is_in_folder) for path in _paths(value)):
-            source = name.replace("_", "-")
-            raise OutputError(f"{file}: expected a new file for {flag}, got that of --{source}; rename it.")
+            source = _INPUT_FLAGS.get(name, f"--{name.replace('_', '-')}")
+            raise OutputError(f"{file}: expected a new file for {flag}, got that of {source}; rename it.")
 
 
 def _paths(value: object) -> Iterator[Path]:
-    """The existing paths of an option; a text is one if it names a file, as a model does."""
+    """The existing paths of an option; a text is one if it names a file, as a model does, perhaps with `MODEL.yaml`."""
     values = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
     for item in values:
         if isinstance(item, Path) and item.exists():
             yield item
         elif isinstance(item, str) and os.path.isfile(item):
             yield Path(item)
+            if (sidecar := Path(item).with_suffix(".yaml")).is_file():
+                yield sidecar
 
 
 def _is_of_folder(flag: str, file: Path, option: str) -> bool:
