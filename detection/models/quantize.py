@@ -15,6 +15,10 @@ These parts stay in float, which determines the accuracy:
   halves its average precision);
 - everything before the first quantised convolution.
 
+Rounded weights and clipped activations shift the mean of a convolution's output. Each bias is corrected by that shift,
+layer by layer in the network's order, measured on some of the images, as in Nagel et al., Data-Free Quantization
+Through Weight Equalization and Bias Correction, ICCV 2019, section 4.2.
+
 INT8 requires a CPU with VNNI (or ARM's dot product): older CPUs add pairs of products in 16 bits, which saturates and
 is hardly faster. FP16 is for GPUs; a CPU converts to float32 and back.
 """
@@ -22,13 +26,14 @@ is hardly faster. FP16 is for GPUs; a CPU converts to float32 and back.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import onnx
+import onnx.numpy_helper
 import onnx.version_converter
 from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
 from onnxruntime.quantization.onnx_model import ONNXModel
@@ -37,7 +42,7 @@ from onnxruntime.transformers.float16 import convert_float_to_float16
 
 from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
 from track_range.detection.models.writing import atomic_output, silent_conversion
-from track_range.foundation.arrays import FloatArray32
+from track_range.foundation.arrays import FloatArray, FloatArray32
 
 _PER_CHANNEL_OPSET = 13
 """First ONNX operator set in which DequantizeLinear supports one scale per channel."""
@@ -49,6 +54,9 @@ _MAX_NOISE_RATIO = 0.1
 """Largest `_noise_ratio` of the inputs and outputs of a quantised convolution. The ratio is at most 0.05 for all
 tensors of YOLOv5n, YOLOv4-tiny and YOLOX-nano, except two of YOLOX-nano (0.21 and 0.26) whose quantization halves its
 average precision."""
+
+_N_BIAS_BLOBS = 32
+"""Largest number of images on which the shift of a convolution's output is measured."""
 
 _BETWEEN = frozenset("Add Concat LeakyRelu MaxPool Mul Resize Sigmoid Slice".split())
 """Operators that are quantised if they lie between quantised convolutions, to avoid conversions to float and back."""
@@ -84,6 +92,7 @@ def quantize_int8(path: Path, out: Path, *, blobs: Iterable[FloatArray32]) -> No
         reader = _BlobReader(session, itertools.chain(first, stream))
         with silent_conversion(path, "quantised"):
             result = _quantised(prepared, names, reader, folder)
+        _correct_biases(prepared, result, reader.first, folder)
         _save(result, model, folder / out.name)
 
 
@@ -184,7 +193,28 @@ def _prepared(model: onnx.ModelProto, folder: Path) -> onnx.ModelProto:
     quant_pre_process(str(source), str(target), skip_symbolic_shape=True)
     prepared = onnx.load(target)
     _name_nodes(prepared.graph)
+    _add_biases(prepared.graph)
     return prepared
+
+
+def _add_biases(graph: onnx.GraphProto) -> None:
+    """Give every convolution with constant weights a bias that no other one uses; zeros if it has none."""
+    constants = {tensor.name: tensor for tensor in graph.initializer}
+    used: set[str] = set()
+    for node in graph.node:
+        if node.op_type != "Conv" or node.input[1] not in constants:
+            continue
+        bias = node.input[2] if len(node.input) > 2 else ""
+        if not bias:
+            values = np.zeros(constants[node.input[1]].dims[0], np.float32)
+        elif bias in used and bias in constants:
+            values = onnx.numpy_helper.to_array(constants[bias])
+        else:
+            used.add(bias)
+            continue
+        graph.initializer.append(onnx.numpy_helper.from_array(values, f"{node.name}_bias"))
+        del node.input[2:]
+        node.input.append(f"{node.name}_bias")
 
 
 def _noisy_tensors(model: onnx.ModelProto, blobs: list[FloatArray32], folder: Path) -> set[str]:
@@ -194,14 +224,19 @@ def _noisy_tensors(model: onnx.ModelProto, blobs: list[FloatArray32], folder: Pa
     tensors = list(dict.fromkeys(name for node in nodes for name in (node.input[0], node.output[0])))
     if not tensors:
         return set()
+    session = _probe(model, tensors, folder)
+    noise = np.mean([[_noise_ratio(values) for values in session.run(blob)] for blob in blobs], axis=0)
+    return {name for name, ratio in zip(tensors, noise, strict=True) if ratio > _MAX_NOISE_RATIO}
+
+
+def _probe(model: onnx.ModelProto, tensors: Sequence[str], folder: Path) -> OnnxSession:
+    """The network with these tensors as outputs."""
     probe = _copy(model)
     del probe.graph.output[:]
     float32 = onnx.TensorProto.FLOAT
     probe.graph.output.extend(onnx.helper.make_tensor_value_info(name, float32, None) for name in tensors)
     onnx.save(probe, folder / "probe.onnx")
-    session = OnnxSession(folder / "probe.onnx", Runtime(device="cpu"))
-    noise = np.mean([[_noise_ratio(values) for values in session.run(blob)] for blob in blobs], axis=0)
-    return {name for name, ratio in zip(tensors, noise, strict=True) if ratio > _MAX_NOISE_RATIO}
+    return OnnxSession(folder / "probe.onnx", Runtime(device="cpu"))
 
 
 def _noise_ratio(values: FloatArray32) -> float:
@@ -231,15 +266,24 @@ def _quantisable(graph: onnx.GraphProto, noisy: set[str]) -> list[str]:
 
 
 class _BlobReader(CalibrationDataReader):  # type: ignore[misc]  # onnxruntime ships no types
-    """Adapter from an iterator of blobs to onnxruntime's calibration."""
+    """Adapter from an iterator of blobs to onnxruntime's calibration.
+
+    Attributes:
+        first: the first `_N_BIAS_BLOBS` blobs that were read.
+    """
 
     def __init__(self, session: OnnxSession, blobs: Iterator[FloatArray32]) -> None:
         self._session, self._blobs = session, blobs
+        self.first: list[FloatArray32] = []
 
     def get_next(self) -> dict[str, npt.NDArray[Any]] | None:
         """All inputs by name for the next blob; None after the last."""
         blob = next(self._blobs, None)
-        return None if blob is None else self._session.inputs(blob)
+        if blob is None:
+            return None
+        if len(self.first) < _N_BIAS_BLOBS:
+            self.first.append(blob)
+        return self._session.inputs(blob)
 
 
 def _quantised(model: onnx.ModelProto, names: list[str], reader: _BlobReader, folder: Path) -> onnx.ModelProto:
@@ -259,6 +303,57 @@ def _quantised(model: onnx.ModelProto, names: list[str], reader: _BlobReader, fo
         extra_options={"CalibMovingAverage": True},  # all blobs are one batch, so this is their mean
     )
     return onnx.load(target)
+
+
+def _correct_biases(
+    original: onnx.ModelProto, quantised: onnx.ModelProto, blobs: Sequence[FloatArray32], folder: Path
+) -> None:
+    """Add to each bias of `quantised` the difference of the convolution's mean output, per channel, from `original`.
+
+    b' = b + E[y] - E[y_q]: in the network's order, so that y_q already has the corrections of the layers before it.
+    Biases that are not constant stay as they are.
+    """
+    graph = quantised.graph
+    constants = {tensor.name: tensor for tensor in graph.initializer}
+    producers = {node.output[0]: node for node in graph.node}
+    names = _convolutions(original.graph)
+    outputs = {node.name: node.output[0] for node in original.graph.node if node.name in names}
+    expected = dict(zip(outputs, _mean_outputs(original, [*outputs.values()], blobs, folder), strict=True))
+    for node in graph.node:
+        if node.name not in outputs or len(node.input) < 3:
+            continue
+        bias, step = node.input[2], np.ones(1)
+        source = producers.get(bias)
+        if source is not None and source.op_type == "DequantizeLinear":  # of integers, step and zero point
+            bias, step = source.input[0], onnx.numpy_helper.to_array(constants[source.input[1]])
+        if bias in constants:
+            (mean,) = _mean_outputs(quantised, node.output, blobs, folder)
+            _add(constants[bias], (expected[node.name] - mean) / step)
+
+
+def _mean_outputs(
+    model: onnx.ModelProto, tensors: Sequence[str], blobs: Sequence[FloatArray32], folder: Path
+) -> list[FloatArray]:
+    """Mean of each tensor (N, C, ...) over all but its channels: (C,) each."""
+    session = _probe(model, tensors, folder)
+    sums = [np.zeros(1)] * len(tensors)
+    for blob in blobs:
+        values = session.run(blob)
+        sums = [
+            old + new.mean(axis=(0, *range(2, new.ndim)), dtype=np.float64)
+            for old, new in zip(sums, values, strict=True)
+        ]
+    return [total / len(blobs) for total in sums]
+
+
+def _add(tensor: onnx.TensorProto, change: FloatArray) -> None:
+    """Add an array to a constant of the network, rounded and limited to its type if that is an integer."""
+    values = onnx.numpy_helper.to_array(tensor)
+    total = values + change
+    if values.dtype.kind == "i":
+        limits = np.iinfo(values.dtype)
+        total = np.clip(np.rint(total), limits.min, limits.max)
+    tensor.CopyFrom(onnx.numpy_helper.from_array(total.astype(values.dtype), tensor.name))
 
 
 def _without_redundant_casts(model: onnx.ModelProto) -> onnx.ModelProto:

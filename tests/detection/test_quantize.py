@@ -171,6 +171,44 @@ def test_noisy_tensor_stays_in_float(tmp_path, monkeypatch):
     assert operators(out).count("DequantizeLinear") < operators(inaccurate).count("DequantizeLinear")
 
 
+def mean_shift(path, other, tensor, folder):
+    """Mean absolute difference of the mean of a tensor (N, C, H, W), by channel, between two networks."""
+    means = []
+    for file in (path, other):
+        model = onnx.load(file)
+        del model.graph.output[:]
+        model.graph.output.append(helper.make_tensor_value_info(tensor, TensorProto.FLOAT, None))
+        onnx.save(model, folder / "probe.onnx")
+        session = OnnxSession(folder / "probe.onnx", Runtime(device="cpu"))
+        means.append(np.mean([session.run(blob)[0] for blob in blobs(12)], axis=(0, 1, 3, 4)))
+    return np.abs(means[0] - means[1]).mean()
+
+
+def test_mean_output_is_that_of_the_original(network, int8, tmp_path, monkeypatch):
+    monkeypatch.setattr(quantize, "_correct_biases", lambda *_: None)
+    uncorrected = tmp_path / "uncorrected.onnx"
+    quantize_int8(network, uncorrected, blobs=iter(blobs(12)))
+    assert mean_shift(network, int8, "head", tmp_path) < 0.1 * mean_shift(network, uncorrected, "head", tmp_path)
+
+
+def test_shared_biases_are_corrected_separately(tmp_path, monkeypatch):
+    rng = np.random.default_rng(2)
+    weights = [weight(rng, f"w_{name}", 4, 3 if name == "a" else 4, 3, 3) for name in "abcd"]
+    nodes = [
+        helper.make_node("Conv", [source, f"w_{name}", "bias"], [name], pads=[1, 1, 1, 1])
+        for source, name in zip(("images", "a", "b", "c"), "abcd", strict=True)
+    ]
+    bias = numpy_helper.from_array(np.float32([0.1, -0.2, 0.3, 0.4]), "bias")
+    path = saved(tmp_path / "net.onnx", nodes, [*weights, bias], outputs=["d"])
+    corrected, uncorrected = tmp_path / "corrected.onnx", tmp_path / "uncorrected.onnx"
+    quantize_int8(path, corrected, blobs=blobs(12))
+    monkeypatch.setattr(quantize, "_correct_biases", lambda *_: None)
+    quantize_int8(path, uncorrected, blobs=blobs(12))
+    for tensor in "abcd":
+        shifts = [mean_shift(path, file, tensor, tmp_path) for file in (corrected, uncorrected)]
+        assert shifts[0] < 0.2 * shifts[1], tensor
+
+
 def test_noise_ratio_by_hand():
     ramp = np.linspace(0, 255, 256, dtype=np.float32).reshape(1, 1, 16, 16)  # scale 1, noise 1/12, variance 5461.25
     assert quantize._noise_ratio(ramp) == pytest.approx(1 / 12 / 5461.25, rel=1e-6)
