@@ -26,7 +26,7 @@ is hardly faster. FP16 is for GPUs; a CPU converts to float32 and back.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +65,13 @@ _QUANTISED = frozenset("ConvInteger DequantizeLinear DynamicQuantizeLinear QLine
 """Operators that only quantised networks contain."""
 
 
-def quantize_int8(path: Path, out: Path, *, blobs: Iterable[FloatArray32]) -> None:
+def quantize_int8(
+    path: Path,
+    out: Path,
+    *,
+    blobs: Iterable[FloatArray32],
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> None:
     """Write an INT8 copy of the network at `path`, with the same inputs, outputs and metadata.
 
     Args:
@@ -74,6 +80,7 @@ def quantize_int8(path: Path, out: Path, *, blobs: Iterable[FloatArray32]) -> No
         blobs: calibration inputs (1, 3, H, W), 30 to 100 images typical of the network's use in random order; the
             first ones also determine which layers stay in float, and the corrections of the biases, for which the
             network is run once per convolution (a minute for YOLOv5n at 640 x 640). They are read once, one by one.
+        progress: called with the number of convolutions whose bias is corrected and the number of all.
 
     Raises:
         ModelError: not a usable float32 network with convolutions to quantise, no blobs, or blobs of the wrong shape.
@@ -93,7 +100,7 @@ def quantize_int8(path: Path, out: Path, *, blobs: Iterable[FloatArray32]) -> No
         reader = _BlobReader(session, itertools.chain(first, stream))
         with silent_conversion(path, "quantised"):
             result = _quantised(prepared, names, reader, folder)
-        _correct_biases(prepared, result, reader.first, folder)
+        _correct_biases(prepared, result, reader.first, folder, progress)
         _save(result, model, folder / out.name)
 
 
@@ -307,7 +314,11 @@ def _quantised(model: onnx.ModelProto, names: list[str], reader: _BlobReader, fo
 
 
 def _correct_biases(
-    original: onnx.ModelProto, quantised: onnx.ModelProto, blobs: Sequence[FloatArray32], folder: Path
+    original: onnx.ModelProto,
+    quantised: onnx.ModelProto,
+    blobs: Sequence[FloatArray32],
+    folder: Path,
+    progress: Callable[[int, int], None],
 ) -> None:
     """Add to each bias of `quantised` the difference of the convolution's mean output, per channel, from `original`.
 
@@ -320,9 +331,9 @@ def _correct_biases(
     names = _convolutions(original.graph)
     outputs = {node.name: node.output[0] for node in original.graph.node if node.name in names}
     expected = dict(zip(outputs, _mean_outputs(original, [*outputs.values()], blobs, folder), strict=True))
-    for node in graph.node:
-        if node.name not in outputs or len(node.input) < 3:
-            continue
+    nodes = [node for node in graph.node if node.name in outputs and len(node.input) > 2]
+    for index, node in enumerate(nodes):
+        progress(index, len(nodes))
         bias, step = node.input[2], np.ones(1)
         source = producers.get(bias)
         if source is not None and source.op_type == "DequantizeLinear":  # of integers, step and zero point

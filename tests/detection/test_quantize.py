@@ -209,6 +209,12 @@ def test_shared_biases_are_corrected_separately(tmp_path, monkeypatch):
         assert shifts[0] < 0.2 * shifts[1], tensor
 
 
+def test_progress_counts_the_convolutions(network, tmp_path):
+    calls = []
+    quantize_int8(network, tmp_path / "out.onnx", blobs=blobs(2), progress=lambda *call: calls.append(call))
+    assert calls == [(i, len(calls)) for i in range(operators(network).count("Conv"))]
+
+
 def test_noise_ratio_by_hand():
     ramp = np.linspace(0, 255, 256, dtype=np.float32).reshape(1, 1, 16, 16)  # scale 1, noise 1/12, variance 5461.25
     assert quantize._noise_ratio(ramp) == pytest.approx(1 / 12 / 5461.25, rel=1e-6)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -127,8 +127,13 @@ def _quantize(options: QuantizeOptions) -> None:
     measured = frozenset(item.path for item in source.labelled_files()) if source else frozenset()
     calibration, others = _calibration_images(images, measured)
     int8, fp16 = (out / f"{path.stem}-{kind}.onnx" for kind in ("int8", "fp16"))
-    with console.status(f"Calibrating on {len(calibration)} images") if console.is_terminal else nullcontext():
-        quantize_int8(path, int8, blobs=_blobs(original, calibration))
+    with console.status(f"Calibrating on {len(calibration)} images") as status:
+        quantize_int8(
+            path,
+            int8,
+            blobs=_blobs(original, calibration),
+            progress=lambda done, total: status.update(f"Correcting the biases of convolution {done + 1} of {total}"),
+        )
         convert_fp16(path, fp16)
     frames: LabelledFrames = _OriginalsBoxes(original, others[:N_COMPARED])
     if source is not None:
