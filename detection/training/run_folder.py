@@ -28,6 +28,7 @@ _OPTION = {
     "size_px": "--size",
     "n_epochs": "--epochs",
     "n_last_epochs": "--last-epochs",
+    "n_int8_epochs": "--int8-epochs",
     "batch_size": "--batch",
     "seed": "--seed",
     "box_loss": "--box-loss",
@@ -40,7 +41,7 @@ _OPTION = {
 }
 """Command line option by the key of a run's identity, for messages."""
 
-_DEFAULT = {"n_last_epochs": 0}
+_DEFAULT = {"n_last_epochs": 0, "n_int8_epochs": 0}
 """Settings of checkpoints that were written before there was such a setting."""
 
 
@@ -78,6 +79,37 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     if wrong:
         raise CheckpointError(f"{path}: damaged checkpoint (unusable {', '.join(wrong)}).")
     return content
+
+
+def load_mean(paths: Sequence[Path]) -> dict[str, Any]:
+    """The content of the first checkpoint, with the mean of the averaged weights of all.
+
+    Such a mean is often better than each of them (Izmailov et al., "Averaging Weights Leads to Wider Optima and Better
+    Generalization", UAI 2018).
+
+    Raises:
+        CheckpointError: as `load_checkpoint`, or the checkpoints are those of different networks.
+    """
+    contents = [load_checkpoint(path) for path in paths]
+    first = contents[0]
+    for path, other in zip(paths, contents, strict=True):
+        if _network_of(other) != _network_of(first):
+            raise CheckpointError(
+                f"{path}: expected the network and the class names of {paths[0]}, got others; the mean of several "
+                "--weights is that of checkpoints of the same network."
+            )
+    if len(contents) > 1:
+        parts = {name: torch.stack([other["average"][name] for other in contents]) for name in first["average"]}
+        is_float = {name: value.is_floating_point() for name, value in first["average"].items()}
+        first["average"] = {name: value.mean(0) if is_float[name] else value[0] for name, value in parts.items()}
+    return first
+
+
+def _network_of(content: Mapping[str, Any]) -> tuple[Any, ...]:
+    """The parts of a checkpoint in which those with comparable weights are equal."""
+    identity = content["identity"] or {}
+    shapes = {name: value.shape for name, value in (content["average"] or {}).items()}
+    return identity.get("model"), identity.get("classes"), shapes
 
 
 def _is_identity(value: object) -> bool:

@@ -41,6 +41,7 @@ class TrainingSettings:
         augmentation: augmentation of the training images.
         n_last_epochs: number of epochs at the end in which no training image is a mosaic, so that the network learns
             from whole images at last (Ge et al., "YOLOX", 2021).
+        n_int8_epochs: number of epochs at the end in which INT8 rounding is simulated.
     """
 
     size_px: int = 416
@@ -55,6 +56,7 @@ class TrainingSettings:
     schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
     n_last_epochs: int = 0
+    n_int8_epochs: int = 0
 
     def __post_init__(self) -> None:
         if self.size_px % COARSEST_STRIDE_PX:
@@ -62,10 +64,9 @@ class TrainingSettings:
             raise TrainingError(
                 f"--size: expected a multiple of {COARSEST_STRIDE_PX}, such as {lower}, got {self.size_px}."
             )
-        if self.n_last_epochs > self.n_epochs:
-            raise TrainingError(
-                f"--last-epochs: expected at most {self.n_epochs}, the number of --epochs, got {self.n_last_epochs}."
-            )
+        for flag, n in (("--last-epochs", self.n_last_epochs), ("--int8-epochs", self.n_int8_epochs)):
+            if n > self.n_epochs:
+                raise TrainingError(f"{flag}: expected at most {self.n_epochs}, the number of --epochs, got {n}.")
         low, high = self.augmentation.min_gain, self.augmentation.max_gain
         if not MIN_GAIN <= low <= high <= MAX_GAIN:
             limits = f"{MIN_GAIN:g} <= MIN <= MAX <= {MAX_GAIN:g}"
@@ -76,6 +77,10 @@ class TrainingSettings:
         if epoch < self.n_epochs - self.n_last_epochs:
             return self.augmentation
         return replace(self.augmentation, mosaic=0.0)
+
+    def is_rounded_in(self, epoch: int) -> bool:
+        """Whether INT8 rounding is simulated in an epoch, counted from 0."""
+        return epoch >= self.n_epochs - self.n_int8_epochs
 
     @property
     def dtype(self) -> torch.dtype:

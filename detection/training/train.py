@@ -26,6 +26,7 @@ from track_range.detection.training.listener import Listener
 from track_range.detection.training.losses.aligned_loss import AlignedLoss
 from track_range.detection.training.losses.detection_loss import Batch, DetectionLoss, Losses
 from track_range.detection.training.losses.feature_loss import FeatureLoss
+from track_range.detection.training.networks.blocks import ConvolutionBlock
 from track_range.detection.training.networks.network import AnchorNetwork, DetectionNetwork, placed
 from track_range.detection.training.networks.road_net import RoadNet
 from track_range.detection.training.networks.yolov5 import BODY_PREFIX
@@ -35,6 +36,7 @@ from track_range.detection.training.run_folder import (
     RESULTS,
     check_same_run,
     load_checkpoint,
+    load_mean,
     save_checkpoint,
     write_results,
 )
@@ -104,21 +106,21 @@ class Training:
         except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             raise CheckpointError(f"{path}: damaged checkpoint ({type(error).__name__}).") from error
 
-    def start_from(self, path: Path) -> None:
-        """Initialise the weights with the averaged weights of another run's checkpoint.
+    def start_from(self, *paths: Path) -> None:
+        """Initialise the weights with the averaged weights of another run's checkpoint, or with the mean of several.
 
         If that run trained another network with the same backbone and neck (YOLOv5n and RoadNet), only these are used.
 
         Raises:
             CheckpointError: the checkpoint does not exist, is damaged, or has another network.
         """
-        content = load_checkpoint(path)
+        content = load_mean(paths)
         shared = self._shared_body(content)
         for network in (self.network, self.average.network):
             if shared:
                 network.load_state_dict(shared, strict=False)
             else:
-                self._load_weights(network, path)
+                self._set_weights(network, content, paths[0])
         if self._feature_loss is not None and content["identity"].get("teacher") == self._identity()["teacher"]:
             own, saved = self._feature_loss.state_dict(), content["feature_loss"]
             if _same_shapes(own, saved):
@@ -139,11 +141,10 @@ class Training:
             CheckpointError: the checkpoint is damaged.
         """
         if (self._out / BEST).is_file():
-            self._load_weights(self.average.network, self._out / BEST)
+            self._set_weights(self.average.network, load_checkpoint(self._out / BEST), self._out / BEST)
 
-    def _load_weights(self, network: DetectionNetwork, path: Path) -> None:
-        """Set the network's weights to the averaged weights of a checkpoint; its anchors do not change."""
-        content = load_checkpoint(path)
+    def _set_weights(self, network: DetectionNetwork, content: Mapping[str, Any], path: Path) -> None:
+        """Set the network's weights to the averaged weights of the checkpoint at `path`; its anchors do not change."""
         saved, expected = content.get("identity", {}), self._identity()
         anchors_px = network.anchors_px.clone() if isinstance(network, AnchorNetwork) else None
         try:
@@ -209,6 +210,9 @@ class Training:
     def _learn(self, epoch: int, listener: Listener) -> dict[str, float]:
         """Train one epoch and return the mean of each part of the loss."""
         self.network.train()
+        for module in self.network.modules():
+            if isinstance(module, ConvolutionBlock):
+                module.is_rounded = self._settings.is_rounded_in(epoch)
         total: dict[str, float] = {}
         done, n = 0, len(self._batches)
         for done, batch in enumerate(self._batches.epoch(epoch, self._settings.augmentation_in(epoch)), start=1):

@@ -8,9 +8,15 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from track_range.detection.training.networks.rounding import rounded_activations, rounded_weights
+
 
 class ConvolutionBlock(nn.Module):
-    """Convolution without bias, batch norm and activation (default SiLU), with "same" padding by default."""
+    """Convolution without bias, batch norm and activation (default SiLU), with "same" padding by default.
+
+    Attributes:
+        is_rounded: whether INT8 rounding is simulated in training.
+    """
 
     def __init__(
         self,
@@ -26,11 +32,19 @@ class ConvolutionBlock(nn.Module):
         self.conv = nn.Conv2d(n_in, n_out, size, stride, size // 2 if padding is None else padding, bias=False)
         self.norm = nn.BatchNorm2d(n_out, eps=1e-3, momentum=0.03)
         self.activation = activation or nn.SiLU(inplace=True)
+        self.is_rounded = False
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, n_out, H / stride, W / stride) from `x` (B, n_in, H, W)."""
-        activated: Tensor = self.activation(self.norm(self.conv(x)))
+        y = self._rounded(x) if self.is_rounded and self.training else self.norm(self.conv(x))
+        activated: Tensor = self.activation(y)
         return activated
+
+    def _rounded(self, x: Tensor) -> Tensor:
+        """Output of the batch norm, with the rounding of the input, the weights and that output."""
+        conv = self.conv
+        y = nn.functional.conv2d(rounded_activations(x), rounded_weights(conv.weight), None, conv.stride, conv.padding)
+        return rounded_activations(self.norm(y))
 
 
 class Bottleneck(nn.Module):

@@ -15,6 +15,7 @@ from track_range.detection.training.data.batches import BatchMaker
 from track_range.detection.training.data.data_set import CachedImages, TrainingSets
 from track_range.detection.training.data.data_yaml import read_data_yaml
 from track_range.detection.training.errors import CheckpointError, TrainingError
+from track_range.detection.training.networks.blocks import ConvolutionBlock
 from track_range.detection.training.networks.export import export_onnx
 from track_range.detection.training.networks.registry import make_network
 from track_range.detection.training.run_folder import BEST, LAST, RESULTS, check_same_run, load_checkpoint
@@ -178,11 +179,34 @@ def test_epochs_without_mosaics():
         TrainingSettings(n_epochs=1, n_last_epochs=5)
 
 
-def test_checkpoint_without_the_number_of_last_epochs():
+def test_rounded_epochs():
+    settings = TrainingSettings(n_epochs=5, n_int8_epochs=2)
+    assert [settings.is_rounded_in(i) for i in range(5)] == [False] * 3 + [True] * 2
+    assert not TrainingSettings(n_epochs=5).is_rounded_in(4)
+    with pytest.raises(TrainingError, match=r"--int8-epochs: expected at most 1, .*--epochs, got 5"):
+        TrainingSettings(n_epochs=1, n_int8_epochs=5)
+
+
+@pytest.mark.parametrize("option", ["last", "int8"])
+def test_checkpoint_without_the_number_of_last_epochs(option):
     saved = {"model": "road"}
-    check_same_run(Path(LAST), saved, saved | {"n_last_epochs": 0})
-    with pytest.raises(CheckpointError, match=r"expected --last-epochs 3, got a run with 0"):
-        check_same_run(Path(LAST), saved, saved | {"n_last_epochs": 3})
+    check_same_run(Path(LAST), saved, saved | {f"n_{option}_epochs": 0})
+    with pytest.raises(CheckpointError, match=rf"expected --{option}-epochs 3, got a run with 0"):
+        check_same_run(Path(LAST), saved, saved | {f"n_{option}_epochs": 3})
+
+
+@pytest.mark.train
+def test_blocks_are_rounded_in_the_last_epochs(sets, tmp_path):
+    run = training(sets, tmp_path, replace(SMALL, n_epochs=3, n_int8_epochs=1), name="road")
+    seen = []
+
+    class Listener(Quiet):
+        def epoch(self, row):
+            blocks = [module for module in run.network.modules() if isinstance(module, ConvolutionBlock)]
+            seen.append({block.is_rounded for block in blocks})
+
+    run.run(Listener())
+    assert seen == [{False}, {False}, {True}]
 
 
 @pytest.mark.train
@@ -202,6 +226,24 @@ def test_initial_weights_of_another_run(sets, tmp_path):
     other = training(sets, tmp_path / "other", name="yolov4-tiny")
     with pytest.raises(CheckpointError, match=r"best\.pt: .*--model"):
         other.start_from(tmp_path / "first" / BEST)
+    assert torch.equal(weights(other), weights(training(sets, tmp_path / "other", name="yolov4-tiny")))
+
+
+@pytest.mark.train
+def test_initial_weights_are_the_mean_of_several_checkpoints(sets, tmp_path):
+    runs = [training(sets, tmp_path / str(seed), replace(SMALL, n_epochs=1, seed=seed)) for seed in (1, 2)]
+    for run in runs:
+        run.run(Quiet())
+    mean = training(sets, tmp_path / "mean")
+    mean.start_from(*(tmp_path / seed / LAST for seed in "12"))
+    first, second = ([*run.average.network.parameters()] for run in runs)
+    for network in (mean.network, mean.average.network):
+        for value, a, b in zip(network.parameters(), first, second, strict=True):
+            assert torch.allclose(value, (a + b) / 2, atol=1e-6)
+    other = training(sets, tmp_path / "other", replace(SMALL, n_epochs=1), name="road")
+    other.run(Quiet())
+    with pytest.raises(CheckpointError, match=r"last\.pt: expected the network and the class names of "):
+        mean.start_from(tmp_path / "1" / LAST, tmp_path / "other" / LAST)
 
 
 def test_nan_loss_ends_the_run(sets, tmp_path):

@@ -95,14 +95,15 @@ class TrainOptions(Options):
         ),
     ] = None
     weights: Annotated[
-        Path | None,
+        tuple[Path, ...],
         option(
             "Checkpoint of another run that provides the initial weights; anchors are not taken from it. RoadNet also "
-            "starts from the backbone and neck of a YOLOv5n.",
+            "starts from the backbone and neck of a YOLOv5n. Repeat the option for the mean of several checkpoints.",
             metavar="best.pt",
+            is_repeated=True,
             panel=_DATA,
         ),
-    ] = None
+    ] = ()
     optimiser: Annotated[Literal["adamw", "sgd"], option("Optimiser.", panel=_TRAINING)] = "adamw"
     learning_rate: Annotated[
         float | None,
@@ -127,6 +128,16 @@ class TrainOptions(Options):
     last_epochs: Annotated[
         int,
         option("Number of epochs at the end without mosaics.", metavar="N", panel=_TRAINING, ge=0),
+    ] = 0
+    int8_epochs: Annotated[
+        int,
+        option(
+            "Number of epochs at the end in which the rounding of INT8 weights and activations is simulated, so that "
+            "`models quantize` loses less.",
+            metavar="N",
+            panel=_TRAINING,
+            ge=0,
+        ),
     ] = 0
     precision: Annotated[
         Literal["auto", "float32", "bfloat16", "float16"],

@@ -22,7 +22,7 @@ from track_range.detection.training.losses.detection_loss import Losses
 from track_range.detection.training.networks.export import export_onnx
 from track_range.detection.training.networks.network import AnchorNetwork
 from track_range.detection.training.networks.registry import NETWORKS, make_network
-from track_range.detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint
+from track_range.detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint, load_mean
 from track_range.detection.training.schedule import SGD, ScheduleSettings
 from track_range.detection.training.settings import TrainingSettings, best_precision, usable_device
 from track_range.detection.training.teacher import Teacher
@@ -91,8 +91,8 @@ def _check_checkpoints(options: TrainOptions) -> None:
     for name in (BEST, RESULTS, CURVES, f"{options.model}.onnx"):
         if (options.out / name).exists():
             raise OutputError(f"{options.out / name}: this file would be overwritten; choose another --out.")
-    if options.weights is not None:
-        load_checkpoint(options.weights)
+    if options.weights:
+        load_mean(options.weights)
 
 
 def _prepared(
@@ -114,8 +114,8 @@ def _prepared(
     if options.resume:
         training.resume()
         print_line(console, f"Resuming after epoch {len(training.history)} of {settings.n_epochs}.")
-    elif options.weights is not None:
-        training.start_from(options.weights)
+    elif options.weights:
+        training.start_from(*options.weights)
     n = sum(parameter.numel() for parameter in network.parameters())
     print_line(
         console,
@@ -192,6 +192,7 @@ def _settings(options: TrainOptions) -> TrainingSettings:
         schedule=schedule,
         augmentation=AugmentationSettings(mosaic=options.mosaic, min_gain=options.gain[0], max_gain=options.gain[1]),
         n_last_epochs=options.last_epochs,
+        n_int8_epochs=options.int8_epochs,
     )
 
 
