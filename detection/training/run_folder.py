@@ -84,8 +84,12 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
 def load_mean(paths: Sequence[Path]) -> dict[str, Any]:
     """The content of the first checkpoint, with the mean of the averaged weights of all.
 
-    Such a mean is often better than each of them (Izmailov et al., "Averaging Weights Leads to Wider Optima and Better
-    Generalization", UAI 2018).
+    The mean of checkpoints of one run, or of runs that started from the same weights, is often better than each of
+    them (Izmailov et al., "Averaging Weights Leads to Wider Optima and Better Generalization", UAI 2018); that of runs
+    from different random weights is useless.
+
+    Args:
+        paths: at least one checkpoint.
 
     Raises:
         CheckpointError: as `load_checkpoint`, or the checkpoints are those of different networks.
@@ -95,14 +99,23 @@ def load_mean(paths: Sequence[Path]) -> dict[str, Any]:
     for path, other in zip(paths, contents, strict=True):
         if _network_of(other) != _network_of(first):
             raise CheckpointError(
-                f"{path}: expected the network and the class names of {paths[0]}, got others; the mean of several "
-                "--weights is that of checkpoints of the same network."
+                f"{path}: expected {_described(first)} as in {paths[0]}, got {_described(other)}; the mean of several "
+                "--weights is that of checkpoints of the same network and the same classes."
             )
     if len(contents) > 1:
-        parts = {name: torch.stack([other["average"][name] for other in contents]) for name in first["average"]}
-        is_float = {name: value.is_floating_point() for name, value in first["average"].items()}
-        first["average"] = {name: value.mean(0) if is_float[name] else value[0] for name, value in parts.items()}
+        try:
+            parts = {name: torch.stack([other["average"][name] for other in contents]) for name in first["average"]}
+            is_float = {name: value.is_floating_point() for name, value in first["average"].items()}
+            first["average"] = {name: value.mean(0) if is_float[name] else value[0] for name, value in parts.items()}
+        except RuntimeError as error:
+            raise CheckpointError(f"{paths[0]}: its weights cannot be averaged ({type(error).__name__}).") from error
     return first
+
+
+def _described(content: Mapping[str, Any]) -> str:
+    """The network of a checkpoint, for messages."""
+    identity = content["identity"] or {}
+    return f"{identity.get('model', 'an unknown network')} with {len(identity.get('classes', ()))} classes"
 
 
 def _network_of(content: Mapping[str, Any]) -> tuple[Any, ...]:

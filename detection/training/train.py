@@ -106,21 +106,22 @@ class Training:
         except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             raise CheckpointError(f"{path}: damaged checkpoint ({type(error).__name__}).") from error
 
-    def start_from(self, *paths: Path) -> None:
+    def start_from(self, first: Path, *others: Path) -> None:
         """Initialise the weights with the averaged weights of another run's checkpoint, or with the mean of several.
 
         If that run trained another network with the same backbone and neck (YOLOv5n and RoadNet), only these are used.
+        The convolutions of the feature loss are those of the first checkpoint, if it had the same teacher.
 
         Raises:
             CheckpointError: the checkpoint does not exist, is damaged, or has another network.
         """
-        content = load_mean(paths)
+        content = load_mean([first, *others])
         shared = self._shared_body(content)
         for network in (self.network, self.average.network):
             if shared:
                 network.load_state_dict(shared, strict=False)
             else:
-                self._set_weights(network, content, paths[0])
+                self._set_weights(network, content, first)
         if self._feature_loss is not None and content["identity"].get("teacher") == self._identity()["teacher"]:
             own, saved = self._feature_loss.state_dict(), content["feature_loss"]
             if _same_shapes(own, saved):
@@ -264,7 +265,10 @@ class Training:
 
     def _save(self, row: dict[str, float]) -> None:
         """Write the checkpoints and results of an epoch."""
-        best = max((earlier.get("ap50", 0.0) for earlier in self.history), default=0.0)
+        is_rounded = self._settings.is_rounded_in
+        # Epochs without rounding are no rivals of those with it: validation is in float and does not show the gain.
+        rivals = [old for i, old in enumerate(self.history) if is_rounded(i) == is_rounded(len(self.history))]
+        best = max((rival.get("ap50", 0.0) for rival in rivals), default=0.0)
         self.history.append(row)
         content = {
             "identity": self._identity(),

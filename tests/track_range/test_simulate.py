@@ -127,6 +127,11 @@ def test_training_images(cli, tmp_path):
     names = sorted(path.name for path in (tmp_path / "sim" / "images").iterdir())
     assert names == ["001000_00.jpg", "001001_00.jpg"]
     assert "2 images" in printed
+    arguments = ("--images", 1, "--scenario", "night", "--seed", 3)
+    assert cli("simulate", "--out", tmp_path / "night", *arguments)[0] == 0
+    grey = [cv2.imread(str(path)).mean() for path in (tmp_path / "night/images").iterdir()]
+    assert len(grey) == 1
+    assert grey[0] < 50 < cv2.imread(str(tmp_path / "sim" / "images" / names[0])).mean()
 
 
 @pytest.mark.parametrize(
@@ -137,7 +142,7 @@ def test_training_images(cli, tmp_path):
         (["--seconds", "nan"], "--seconds"),
         (["--seconds", 1e9], "--seconds"),
         (["--wrong-rig", "wheels"], "--wrong-rig"),
-        (["--images", 2, "--scenario", "city"], "--images"),
+        (["--images", 2, "--scenario", "suburb"], "--scenario"),
         (["--images", 2, "--rain", 0.5], "--images"),
     ],
 )

@@ -2,6 +2,7 @@
 
 import json
 
+import onnx
 import pytest
 import torch
 import yaml
@@ -105,6 +106,11 @@ def test_teacher_and_initial_weights(drawn, tmp_path, cli):
     model, start = tmp_path / "first/yolov5n.onnx", tmp_path / "first/best.pt"
     status, _, complaint = train(cli, data, tmp_path / "second", "--epochs", 1, "--teacher", model, "--weights", start)
     assert (status, complaint) == (0, "")
+    both = ("--weights", start, "--weights", tmp_path / "second/last.pt", "--int8-epochs", 1)
+    status, _, complaint = train(cli, data, tmp_path / "rounded", "--epochs", 1, *both)
+    assert (status, complaint) == (0, "")
+    nodes = onnx.load(tmp_path / "rounded/yolov5n.onnx").graph.node
+    assert not [node.op_type for node in nodes if "Quantize" in node.op_type]
     status, _, complaint = train(cli, data, tmp_path / "third", "--teacher", "no_such_model")
     assert (status, "no_such_model" in complaint) == (1, True)
 

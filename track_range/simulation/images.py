@@ -18,7 +18,7 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.files.structured_text import yaml_text
 from track_range.results.output_files import OutputError, make_folder, write_bytes, write_text
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
-from track_range.simulation.world.scene import make_scene
+from track_range.simulation.world.scene import Scene, make_scene
 from track_range.simulation.world.truth import label_scene
 
 WIDTH_PX = 640
@@ -38,7 +38,12 @@ _IGNORED_SCORE = 0.3
 
 
 def write_image_set(
-    folder: Path, seeds: Sequence[int], *, n_frames: int, progress: Callable[[int, int], None] | None = None
+    folder: Path,
+    seeds: Sequence[int],
+    *,
+    n_frames: int,
+    make: Callable[[int, float], Scene] = make_scene,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Write `n_frames` images of each scene into `folder`; the same seeds give the same images.
 
@@ -46,6 +51,7 @@ def write_image_set(
         folder: folder for images/, labels/, ignored/ and data.yaml, which lists all images for training.
         seeds: random seed of each scene.
         n_frames: number of images per scene.
+        make: creates a scene from its seed and length in seconds; default: a road with traffic and few people.
         progress: called after each image with the number of finished images and the total.
 
     Returns:
@@ -61,7 +67,7 @@ def write_image_set(
     rig = kitti_like_rig()
     times_s = (np.arange(n_frames) * SECONDS / n_frames).tolist()
     for i, seed in enumerate(seeds):
-        scene = make_scene(seed, seconds=SECONDS)
+        scene = make(seed, SECONDS)
         renderer, truth = Renderer(scene, rig), label_scene(scene, times_s, camera=rig.left)
         for frame, time_s in enumerate(times_s):
             _write(folder, f"{seed:06}_{frame:02}", renderer.render(time_s), truth.select(truth.frame == frame))

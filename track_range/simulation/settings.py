@@ -28,7 +28,12 @@ class SimulationSettings(Options):
 
     out: Annotated[Path, option("Folder for the simulated files.", metavar="DIR", panel=_OUTPUT)]
     scenario: Annotated[
-        str | None, option(f"Scenario: {', '.join(SCENARIO_NAMES)} (default: city).", metavar="NAME", panel=_DRIVE)
+        str | None,
+        option(
+            f"Scenario: {', '.join(SCENARIO_NAMES)} (default: city; with --images: roads with traffic and few people).",
+            metavar="NAME",
+            panel=_DRIVE,
+        ),
     ] = None
     seconds: Annotated[
         float | None, option("Length of the drive in seconds (default: 10).", metavar="S", panel=_DRIVE)
@@ -190,7 +195,7 @@ class SimulationSettings(Options):
     def has_drive_options(self) -> bool:
         """Whether an option is given that applies only to drives."""
         given = (
-            *(self.scenario, self.seconds, self.fps, self.rig),
+            *(self.seconds, self.fps, self.rig),
             *(self.car_size, self.camera_pitch_deg, self.noise_grey),
         )
         return (

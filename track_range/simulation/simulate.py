@@ -19,6 +19,7 @@ from track_range.simulation.images import write_image_set
 from track_range.simulation.render.renderer import NOISE_GREY
 from track_range.simulation.settings import SimulationSettings
 from track_range.simulation.world.scenarios import SCENARIOS
+from track_range.simulation.world.scene import make_scene
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import load_calibration
 
@@ -53,6 +54,8 @@ def simulate(settings: SimulationSettings, progress: StepProgress = no_progress)
         OutputError, VideoError: the folder cannot be written.
         FolderLockError: another run is writing to the folder.
     """
+    if settings.scenario is not None and settings.scenario not in SCENARIOS:
+        raise UsageError(f"--scenario {settings.scenario}: expected one of {', '.join(SCENARIOS)}.")
     if settings.images is None:
         return _drive(settings, progress)
     if settings.has_drive_options:
@@ -64,15 +67,15 @@ def _images(settings: SimulationSettings, n_images: int, progress: StepProgress)
     n_frames = min(settings.frames, n_images)
     seed = FIRST_IMAGE_SCENE if settings.seed is None else settings.seed
     n_scenes = -(-n_images // n_frames)
+    seeds = range(seed, seed + n_scenes)
+    make = make_scene if settings.scenario is None else SCENARIOS[settings.scenario]
     with locked_output(settings.out), progress("rendering") as advance:
-        path = write_image_set(settings.out, range(seed, seed + n_scenes), n_frames=n_frames, progress=advance)
+        path = write_image_set(settings.out, seeds, n_frames=n_frames, make=make, progress=advance)
     return Simulated(data_yaml=path, n_images=n_scenes * n_frames)
 
 
 def _drive(settings: SimulationSettings, progress: StepProgress) -> Simulated:
     scenario = settings.scenario or DEFAULT_SCENARIO
-    if scenario not in SCENARIOS:
-        raise UsageError(f"--scenario {scenario}: expected one of {', '.join(SCENARIOS)}.")
     seconds = DEFAULT_SECONDS if settings.seconds is None else settings.seconds
     fps = settings.fps or DEFAULT_FPS
     if not 1 / fps <= seconds <= LONGEST_S:

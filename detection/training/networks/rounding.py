@@ -7,6 +7,9 @@ The backward pass takes the rounding as the identity, and gives clipped values n
 minima to the mean of their maxima; for weights, one symmetric range of -127 to 127 steps per output channel. A batch
 norm after the convolution scales a channel's weights and their range alike, and so does not change their rounding.
 
+Only the inputs, the weights and the outputs before the activation of convolution blocks are rounded; the INT8 file also
+rounds the activations, sums, pooled and resized maps, but keeps a few tensors in float.
+
 Source: Jacob et al., "Quantization and Training of Neural Networks for Efficient Integer-Arithmetic-Only Inference",
 CVPR 2018.
 """

@@ -248,7 +248,7 @@ VIEW_M = 110.0
 """Distance beyond the last camera position up to which scenes contain objects."""
 
 
-def make_scene(seed: int = 0, *, seconds: float = 6.0) -> Scene:
+def make_scene(seed: int = 0, seconds: float = 6.0) -> Scene:
     """A town road with traffic in both directions, parked cars and people; the seed varies positions and sizes.
 
     Every scene starts with the same vehicles and people (`TRAFFIC`, `PEOPLE`), placed so that there are no collisions

@@ -98,7 +98,8 @@ class TrainOptions(Options):
         tuple[Path, ...],
         option(
             "Checkpoint of another run that provides the initial weights; anchors are not taken from it. RoadNet also "
-            "starts from the backbone and neck of a YOLOv5n. Repeat the option for the mean of several checkpoints.",
+            "starts from the backbone and neck of a YOLOv5n. Repeat the option for the mean of several checkpoints of "
+            "one run.",
             metavar="best.pt",
             is_repeated=True,
             panel=_DATA,
