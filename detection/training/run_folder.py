@@ -96,12 +96,8 @@ def load_mean(paths: Sequence[Path]) -> dict[str, Any]:
     """
     contents = [load_checkpoint(path) for path in paths]
     first = contents[0]
-    for path, other in zip(paths, contents, strict=True):
-        if _network_of(other) != _network_of(first):
-            raise CheckpointError(
-                f"{path}: expected {_described(first)} as in {paths[0]}, got {_described(other)}; the mean of several "
-                "--weights is that of checkpoints of the same network and the same classes."
-            )
+    for path, other in zip(paths[1:], contents[1:], strict=True):
+        _check_same_network(path, other, paths[0], first)
     if len(contents) > 1:
         try:
             parts = {name: torch.stack([other["average"][name] for other in contents]) for name in first["average"]}
@@ -112,17 +108,27 @@ def load_mean(paths: Sequence[Path]) -> dict[str, Any]:
     return first
 
 
-def _described(content: Mapping[str, Any]) -> str:
-    """The network of a checkpoint, for messages."""
-    identity = content["identity"] or {}
-    return f"{identity.get('model', 'an unknown network')} with {len(identity.get('classes', ()))} classes"
+def _check_same_network(path: Path, content: Mapping[str, Any], first: Path, expected: Mapping[str, Any]) -> None:
+    """Compare the network of a checkpoint with that of the first one.
+
+    Raises:
+        CheckpointError: they differ; the message has the first part that differs.
+    """
+    before, after = _network_of(expected), _network_of(content)
+    for part in before | after:
+        old, new = before.get(part, "none"), after.get(part, "none")
+        if old != new:
+            raise CheckpointError(
+                f"{path}: expected {part} {old} as in {first}, got {new}; the mean of several --weights is that of "
+                "checkpoints of the same network and the same classes."
+            )
 
 
-def _network_of(content: Mapping[str, Any]) -> tuple[Any, ...]:
-    """The parts of a checkpoint in which those with comparable weights are equal."""
-    identity = content["identity"] or {}
-    shapes = {name: value.shape for name, value in (content["average"] or {}).items()}
-    return identity.get("model"), identity.get("classes"), shapes
+def _network_of(content: Mapping[str, Any]) -> dict[str, str]:
+    """The parts, by name, in which checkpoints are equal whose weights have a mean."""
+    identity = content["identity"]
+    parts = {"model": str(identity.get("model", "unknown")), "classes": ", ".join(identity["classes"])}
+    return parts | {f"weights {name} of shape": str(tuple(value.shape)) for name, value in content["average"].items()}
 
 
 def _is_identity(value: object) -> bool:

@@ -18,7 +18,15 @@ from track_range.detection.training.errors import CheckpointError, TrainingError
 from track_range.detection.training.networks.blocks import ConvolutionBlock
 from track_range.detection.training.networks.export import export_onnx
 from track_range.detection.training.networks.registry import make_network
-from track_range.detection.training.run_folder import BEST, LAST, RESULTS, check_same_run, load_checkpoint
+from track_range.detection.training.run_folder import (
+    BEST,
+    LAST,
+    RESULTS,
+    check_same_run,
+    load_checkpoint,
+    load_mean,
+    save_checkpoint,
+)
 from track_range.detection.training.schedule import SGD, Schedule, ScheduleSettings, WeightAverage, optimiser_of
 from track_range.detection.training.settings import TrainingSettings
 from track_range.detection.training.teacher import Teacher
@@ -258,10 +266,24 @@ def test_initial_weights_are_the_mean_of_several_checkpoints(sets, tmp_path):
             assert torch.allclose(value, expected, atol=1e-6), name
     other = training(sets, tmp_path / "other", replace(SMALL, n_epochs=1), name="road")
     other.run(Quiet())
-    with pytest.raises(
-        CheckpointError, match=r"last\.pt: expected yolov5n with 2 classes as in .*, got road with 2 classes"
-    ):
+    with pytest.raises(CheckpointError, match=r"other.last\.pt: expected model yolov5n as in .*last\.pt, got road;"):
         mean.start_from(tmp_path / "1" / LAST, tmp_path / "other" / LAST)
+
+
+def test_mean_of_different_networks_is_refused(tmp_path):
+    identity, average = {"model": "road", "classes": ["car", "person"]}, {"head": torch.zeros(2, 3)}
+    cases = {
+        "classes car, person as in .*, got person, car;": (identity | {"classes": ["person", "car"]}, average),
+        "model road as in .*, got unknown;": ({"classes": ["car", "person"]}, average),
+        r"weights head of shape \(2, 3\) as in .*, got \(3, 2\);": (identity, {"head": torch.zeros(3, 2)}),
+        r"weights head of shape \(2, 3\) as in .*, got none;": (identity, {}),
+        r"weights attention of shape none as in .*, got \(1,\);": (identity, average | {"attention": torch.zeros(1)}),
+    }
+    save_checkpoint(tmp_path / BEST, {"identity": identity, "average": average})
+    for message, (other, weights_of_other) in cases.items():
+        save_checkpoint(tmp_path / LAST, {"identity": other, "average": weights_of_other})
+        with pytest.raises(CheckpointError, match=r"last\.pt: expected " + message):
+            load_mean([tmp_path / BEST, tmp_path / LAST])
 
 
 def test_nan_loss_ends_the_run(sets, tmp_path):
