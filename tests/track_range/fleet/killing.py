@@ -16,18 +16,25 @@ from track_range.fleet.storage.location import Location
 
 @contextmanager
 def killed_workers(out: Path, n: int, *, interval_s: float = 1.0) -> Iterator[list[int]]:
-    """Context in which random workers of the fleet are killed; yields the list of the processes killed so far."""
+    """Context in which random workers of the fleet are killed; yields the list of the processes killed so far.
+
+    No clip is interrupted twice: a clip whose first two attempts are the only ones that crash counts as failed
+    (`engine.attempts`).
+    """
     stop = threading.Event()
     killed: list[int] = []
+    interrupted: set[str] = set()
 
     def kill() -> None:
         generator = random.Random(3)  # noqa: S311
         while len(killed) < n and not stop.wait(interval_s):
             state = read_state(Location.of(out))
             workers = () if state is None else state.workers
-            pids = {worker["pid"] for worker in workers if worker["clip"] and worker["pid"]} - set(killed)
+            clips = {worker["pid"]: worker["clip"] for worker in workers if worker["clip"] and worker["pid"]}
+            pids = [pid for pid, clip in clips.items() if pid not in killed and clip not in interrupted]
             if pids:
                 killed.append(generator.choice(sorted(pids)))
+                interrupted.add(clips[killed[-1]])
                 with suppress(ProcessLookupError):
                     os.kill(killed[-1], signal.SIGKILL)
 
