@@ -130,7 +130,7 @@ MATRIX = "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: {}\n   cols: {}\n   dt: 
         (MATRIX.format(3, 3, "d", "[.Nan, 0, 0, 0, 1, 0, 0, 0, 1]"), "data"),
         (MATRIX.format(3, 3, "d", "[1, 0, 0, 0, 1, 0, 0, 0, 2]"), "last row"),
         (MATRIX.format(3, 3, "d", "[1, 0, 0, 0, 1, 0, 0, 0, 1]"), "D1"),
-        ("%YAML:1.0\n---\n# opencv-matrix\nM1: " + "[" * 100_000, "nest"),
+        ("%YAML:1.0\n---\n# opencv-matrix\nM1: " + "[" * 100_000, "nested"),
         ("%YAML:1.0\n---\n# opencv-matrix\nM1: 5\n", "M1"),
         ("%YAML:1.0\n---\n# opencv-matrix\n- 1\n", "expected"),
         ("<opencv_storage>" + "<a>" * 50_000, "XML"),

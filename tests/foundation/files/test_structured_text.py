@@ -55,7 +55,7 @@ BOMB = "a: &a [x, x]\n" + "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in zip("a
     [
         (BOMB, "alias"),
         ("a: &x [1]\nb: *x", "line 2"),
-        ("[" * 3000, "nest"),
+        ("[" * 3000, f"more than {MAX_DEPTH} nested"),
         ("- " * 3000, "nested"),
         ("{a: " * 3000, "nested"),
         ("a: !!int abc", "'abc'"),

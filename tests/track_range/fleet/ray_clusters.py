@@ -22,8 +22,12 @@ _VARIABLES = {
     "AWS_ACCESS_KEY_ID": ACCESS_KEY,
     "AWS_SECRET_ACCESS_KEY": SECRET_KEY,
     "AWS_EC2_METADATA_DISABLED": "true",
+    "RAY_worker_niceness": "0",
 }
-"""Environment of Ray's processes."""
+"""Environment of Ray's processes.
+
+With Ray's niceness of 15, workers beside other busy processes get so little time that clips exceed their limits.
+"""
 
 
 @contextmanager

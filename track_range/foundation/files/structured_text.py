@@ -24,6 +24,8 @@ MAX_CONTAINERS = 10_000_000
 MAX_DEPTH = 32
 """Largest depth of nested lists and mappings."""
 
+_TOO_DEEP = f"more than {MAX_DEPTH} nested lists or keys"
+
 MAX_YAML_VALUES = 25_000
 """Largest number of keys and values of a YAML file, which take half a second; 21,000 class names fit."""
 
@@ -159,6 +161,8 @@ def yaml_text(content: Mapping[str, Any], **style: Any) -> str:
 def _problem(error: yaml.YAMLError) -> str:
     """Description of a syntax error, with its context if the parser splits the description."""
     problem = str(getattr(error, "problem", None) or "characters that YAML does not allow")
+    if "nesting depth" in problem:  # libyaml from 0.2.6 reads ahead and may reach its own limit, 1000, first
+        return _TOO_DEEP
     context = str(getattr(error, "context", None) or "")
     if context and not context.startswith("while "):  # such as "found duplicate anchor" and "second occurrence"
         problem = f"{context}, {problem}"
@@ -179,7 +183,7 @@ def _check_events(text: str) -> None:
             problem = f"the alias '*{shortened(str(event.anchor))}'; write the value itself"
         elif isinstance(event, yaml.CollectionStartEvent):
             depth += 1
-            problem = f"more than {MAX_DEPTH} nested lists or keys" if depth > MAX_DEPTH else ""
+            problem = _TOO_DEEP if depth > MAX_DEPTH else ""
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
         if (tag := getattr(event, "tag", None)) not in (None, "!", *_TAGS):
