@@ -49,15 +49,15 @@ def wait_for_clips(tmp_path, process, n_clips):
     raise AssertionError("no clips")
 
 
-def is_running(pattern):
-    """Whether a process with this text in its command line is running."""
+def is_running(*texts):
+    """Whether a process with all these texts in its command line is running."""
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit():
             try:
                 command = (folder / "cmdline").read_bytes()
             except OSError:
                 continue
-            if pattern.encode() in command:
+            if all(text.encode() in command for text in texts):
                 return True
     return False
 
@@ -66,7 +66,8 @@ def test_killed_driver_continues(tmp_path):
     process = start(tmp_path, 24)
     wait_for_clips(tmp_path, process, 6)
     assert is_running(f"tr-ray-{process.pid}")
-    assert not is_running("ray/dashboard/dashboard.py")  # it would ask for the cloud provider; see `cluster`
+    # it would ask for the cloud provider; see `cluster`
+    assert not is_running(f"tr-ray-{process.pid}", "ray/dashboard/dashboard.py")
     process.kill()
     process.communicate()
     before = rows_of(tmp_path)
