@@ -6,7 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
-from benchmarks import mutation, torture
+from benchmarks import mutation, reference, torture
 from benchmarks.accuracy import (
     ablation,
     anonymization,
@@ -52,6 +52,7 @@ WORKLOADS = {
     "tracking": tracking,
     "ranging": ranging,
     "recall": recall,
+    "reference": reference,
     "rig_health": rig_health,
     "server": server,
     "startup": startup,
