@@ -32,8 +32,8 @@ _MACHINE = {"processed_s", "wall_s", "peak_memory_mb", "node", "started_utc", "f
 """Columns of the table of clips that differ from run to run."""
 
 _EXPORTS = {
-    "coco": "0003.json", "cvat": "0003.xml", "kitti": "0003.txt", "mot": "mot.txt", "yolo": "yolo", "csv": "0003.csv",
-    "parquet": "0003.parquet", "recorded": "recorded.csv",
+    "coco": "0003.json", "cvat": "0003.xml", "kitti": "0003.txt", "mot": "mot.txt", "yolo": "yolo", "mcap": "run.mcap",
+    "parquet": "0003.parquet", "rrd": "run.rrd",
 }  # fmt: skip
 
 
@@ -77,8 +77,8 @@ def commands(data: Path) -> Iterator[tuple[str, list[str]]]:
     grey = data / "kitti_odometry" / "gray51"
     pair = ["--stereo", f"{grey}/left.mp4", f"{grey}/right.mp4", "--rig", f"{grey}/calib.txt"]
     yield "gray51", [*pair, "--no-overlay", "--out", "gray51"]
-    drive = "--stereo drive/left.mp4 drive/right.mp4 --rig drive/rig.yaml --no-overlay --truth drive/label.txt".split()
-    yield "simulated", [*drive, "--write", "csv,mot,parquet,kitti,recorded", "--out", "simulated"]
+    pair = "--stereo drive/left.mp4 drive/right.mp4 --rig drive/rig.yaml --no-overlay --truth drive/truth.csv".split()
+    yield "simulated", [*pair, "--write", "csv,mot,parquet,kitti,recorded", "--out", "simulated"]
     for clip in ("highway_two_cars", "solid_white_right"):
         mono = ["--mono", f"{data}/dashcam/{clip}.mp4", "--focal-px", "1150", "--camera-height-m", "1.4"]
         yield clip, [*mono, "--no-overlay", "--write", "csv,mot,parquet,kitti,recorded", "--out", clip]
@@ -93,7 +93,7 @@ def commands(data: Path) -> Iterator[tuple[str, list[str]]]:
     labels = ["--labels", f"{data}/kitti_labels/label_02", "--calib", f"{data}/kitti_labels/calib"]
     yield "evaluate-ranges", ["evaluate", "ranges", *labels, "--noise-px", "2"]
     yield "evaluate-stereo", ["evaluate", "stereo", "--pairs", f"{data}/kitti2015"]
-    yield "evaluate-events", ["evaluate", "events", "--truth", "drive", "--results", "simulated"]
+    yield "evaluate-events", ["evaluate", "events", "--events", "simulated", "--truth", "drive/contacts.csv"]
     for to, name in _EXPORTS.items():
         yield f"export-{to}", ["export", "0003-road", "--to", to, "--out", f"export-{to}/{name}"]
     rows = "clip,left,right,rig\n" + "".join(
@@ -123,7 +123,7 @@ def record(out: Path, data: Path, only: str, console: Console) -> None:
             console.print(f"{name}: status {done.returncode}: {done.stderr[-400:]}", markup=False)
 
 
-_COMPARED = {".csv", ".txt", ".json", ".parquet", ".xml", ".out"}
+_COMPARED = {".csv", ".txt", ".json", ".parquet", ".xml", ".out", ".mcap"}
 
 
 def recorded(folder: Path) -> Iterator[Path]:
@@ -152,6 +152,8 @@ def differences(before: Path, after: Path) -> Iterator[tuple[str, str]]:
 def _difference(old: Path, new: Path) -> str:
     if old.suffix == ".parquet":
         return _of_tables(_parquet_columns(old), _parquet_columns(new))
+    if old.suffix == ".mcap":
+        return f"{old.stat().st_size} -> {new.stat().st_size} bytes, other content"
     if old.suffix == ".csv":
         return _of_tables(_csv_columns(old), _csv_columns(new))
     texts = [path.read_text(encoding="utf-8", errors="replace") for path in (old, new)]

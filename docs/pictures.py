@@ -27,8 +27,8 @@ from playwright.sync_api import sync_playwright
 
 import track_range as tr
 from track_range.detection.boxes import iou
+from track_range.evaluation.sequences.labelled_images import LabelledSource
 from track_range.ranging.registry import methods
-from track_range.sequences.labelled_images import LabelledSource
 
 IMAGES = Path(__file__).with_name("images")
 README_PICTURE = Path(__file__).resolve().parents[1] / ".github" / "demo.jpg"

@@ -18,7 +18,12 @@ from track_range.simulation.render.renderer import kitti_like_rig
 PROJECT = Path(__file__).resolve().parents[1]
 
 SOURCES = (
-    *("track_range/simulation", "track_range/foundation", "track_range/video", "track_range/results/output_files.py"),
+    *(
+        "track_range/simulation",
+        "track_range/foundation",
+        "track_range/views/writing",
+        "track_range/foundation/files/output_files.py",
+    ),
     *(
         "detection/classes.py",
         "detection/formats/video_labels/kitti.py",

@@ -30,13 +30,11 @@ if TYPE_CHECKING:
     from track_range.detection.formats.errors import LabelFileError as LabelFileError
     from track_range.detection.formats.image_labels.image_truth import ImageTruth as ImageTruth
     from track_range.detection.models.onnx_session import ModelError as ModelError
-    from track_range.events.event import Event as Event
-    from track_range.events.files import EventFileError as EventFileError
-    from track_range.events.files import read_events as read_events
     from track_range.foundation.errors import ConfigError as ConfigError
     from track_range.foundation.errors import UsageError as UsageError
     from track_range.foundation.errors import UserError as UserError
-    from track_range.overlay.annotator import Overlay as Overlay
+    from track_range.foundation.files.output_files import OutputError as OutputError
+    from track_range.pipeline.frame_result import FrameResult as FrameResult
     from track_range.ranging.filtering.distance_filter import DistanceFilters as DistanceFilters
     from track_range.ranging.fusion.fusion import Fusion as Fusion
     from track_range.ranging.method import ErrorSource as ErrorSource
@@ -49,11 +47,13 @@ if TYPE_CHECKING:
     from track_range.ranging.ranges import Ranges as Ranges
     from track_range.ranging.registry import methods as ranging_methods
     from track_range.ranging.registry import register as register_method
-    from track_range.report.page import write_report as write_report
-    from track_range.results.output_files import OutputError as OutputError
+    from track_range.recording.frame import VideoError as VideoError
+    from track_range.recording.recording import open_recording as open_recording
+    from track_range.results.events.event import Event as Event
+    from track_range.results.events.files import EventFileError as EventFileError
+    from track_range.results.events.files import read_events as read_events
     from track_range.results.writers import WriterError as WriterError
     from track_range.results.writers import register_writer as register_writer
-    from track_range.run.frame_result import FrameResult as FrameResult
     from track_range.run.run import Run as Run
     from track_range.run.settings import RunSettings as RunSettings
     from track_range.stereo.geometry.camera import PinholeCamera as PinholeCamera
@@ -65,8 +65,8 @@ if TYPE_CHECKING:
     from track_range.tracking.registry import TrackerError as TrackerError
     from track_range.tracking.registry import register_tracker as register_tracker
     from track_range.tracking.tracks import Tracks as Tracks
-    from track_range.video.frame import VideoError as VideoError
-    from track_range.video.recording import open_recording as open_recording
+    from track_range.views.overlay.annotator import Overlay as Overlay
+    from track_range.views.report.page import write_report as write_report
 
     __version__: str
 
@@ -74,11 +74,11 @@ _MODULE_OF = {
     # a run
     "Run": "run.run",
     "RunSettings": "run.settings",
-    "FrameResult": "run.frame_result",
-    "open_recording": "video.recording",
-    "read_events": "events.files",
+    "FrameResult": "pipeline.frame_result",
+    "open_recording": "recording.recording",
+    "read_events": "results.events.files",
     # types
-    "Event": "events.event",
+    "Event": "results.events.event",
     "Frame": "stereo.geometry.frames",
     "Detections": "detection.detections",
     "ImageTruth": "detection.formats.image_labels.image_truth",
@@ -97,7 +97,7 @@ _MODULE_OF = {
     "DistanceFilters": "ranging.filtering.distance_filter",
     "Rectifier": "stereo.geometry.rectification",
     "load_rig": "api.parts",
-    "Overlay": "overlay.annotator",
+    "Overlay": "views.overlay.annotator",
     # evaluation
     "evaluate_events": "api.evaluation",
     "evaluate_ranges": "api.evaluation",
@@ -106,7 +106,7 @@ _MODULE_OF = {
     "evaluate_detections": "detection.evaluation",
     "evaluate_detections_by_size": "detection.evaluation.object_sizes:evaluate_by_size",
     "evaluate_score_calibration": "detection.evaluation.score_calibration:evaluate_calibration",
-    "write_report": "report.page",
+    "write_report": "views.report.page",
     # extension
     "Ranger": "ranging.ranger",
     "RangingMethod": "ranging.method",
@@ -119,15 +119,15 @@ _MODULE_OF = {
     "UserError": "foundation.errors",
     "ConfigError": "foundation.errors",
     "UsageError": "foundation.errors",
-    "VideoError": "video.frame",
+    "VideoError": "recording.frame",
     "RigError": "stereo.geometry.rig",
     "ModelError": "detection.models.onnx_session",
     "LabelFileError": "detection.formats.errors",
-    "EventFileError": "events.files",
+    "EventFileError": "results.events.files",
     "MethodError": "ranging.method",
     "TrackerError": "tracking.registry",
     "WriterError": "results.writers",
-    "OutputError": "results.output_files",
+    "OutputError": "foundation.files.output_files",
 }
 """Module of each public name, relative to track_range; "module:NAME" where the name differs there."""
 

@@ -25,15 +25,13 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.inputs.simulated_drives import SimulatedDrive
-from track_range.anonymization.look_ahead import LIVE, OFFLINE, LookAhead, with_regions
-from track_range.anonymization.regions import Regions
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.detections import Detections
 from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.pipeline.frame_result import FrameResult
 from track_range.run.box_source import CANDIDATE_SCORE
-from track_range.run.frame_result import FrameResult
 from track_range.run.options.detector_options import DetectorOptions, open_detector
 from track_range.run.ready_model import ready_model
 from track_range.simulation.camera.masks import masks_of
@@ -42,6 +40,8 @@ from track_range.simulation.world.truth import visible_objects
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.deepsort import DeepSortTracker
 from track_range.tracking.tracks import Tracks
+from track_range.views.anonymization.look_ahead import LIVE, OFFLINE, LookAhead, with_regions
+from track_range.views.anonymization.regions import Regions
 
 SCENARIOS = ("town", "highway", "city", "cut-in", "crossing", "queue", "night")
 

@@ -35,8 +35,8 @@ from benchmarks.inputs.tracking_sets import sequences_of
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Descriptors
 from track_range.detection.models.onnx_session import Runtime
+from track_range.evaluation.sequences.tracking import track_sequence
 from track_range.foundation.arrays import FloatArray, Image, IntArray
-from track_range.sequences.tracking import track_sequence
 from track_range.simulation.camera.playback import HIDDEN
 from track_range.tracking.appearance.embeddings import ColourLayout
 from track_range.tracking.appearance.reid import ReidModel

@@ -32,8 +32,8 @@ from benchmarks.inputs.tracking_sets import sequences_of
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.video_labels.kitti import KittiLabels
+from track_range.evaluation.sequences.tracking import track_sequence
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.sequences.tracking import track_sequence
 from track_range.tracking.association import min_cost_matching
 from track_range.tracking.deepsort import DeepSortSettings, DeepSortTracker
 from track_range.tracking.evaluation.benchmark_rules import KITTI_TYPES

@@ -29,8 +29,8 @@ from track_range.detection.lanes.lines import LaneLines
 from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.recording.reader import VideoReader
 from track_range.simulation.world.scenarios import SCENARIOS as ALL_SCENARIOS
-from track_range.video.reader import VideoReader
 
 SCENARIOS = ("town", "highway", "city", "cut-in", "queue")
 """Default scenarios of the simulated drives."""

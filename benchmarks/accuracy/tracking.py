@@ -39,7 +39,7 @@ from benchmarks.inputs.tracking_sets import N_WARM_UP, SETS, scene, sequences_of
 from benchmarks.peers.peer_runs import ONE_THREAD, PeerResult, create_environments, names_in, run_peers
 from benchmarks.peers.peer_trackers import PEERS, Array
 from track_range.detection.detections import Detections
-from track_range.sequences.tracking import track_sequence
+from track_range.evaluation.sequences.tracking import track_sequence
 from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker
 from track_range.tracking.evaluation.scores import TrackingCounts
 

@@ -22,6 +22,7 @@ from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti
 from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.recording.reader import VideoReader
 from track_range.simulation.camera.playback import HIDDEN, play_back
 from track_range.simulation.render.renderer import Renderer
 from track_range.simulation.world.scene import (
@@ -36,7 +37,6 @@ from track_range.simulation.world.scene import (
 from track_range.simulation.world.truth import box_corners_m, boxes_in_image, label_scene
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.video.reader import VideoReader
 
 FPS = 10.0
 CAMERA = PinholeCamera(721.5, 721.5, 500.0, 160.0, 1000, 320)

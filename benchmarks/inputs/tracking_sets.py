@@ -17,8 +17,8 @@ from track_range.detection.detections import Detections
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
 from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti
 from track_range.detection.formats.video_labels.mot import MotRows, read_mot
+from track_range.evaluation.sequences.find import find_sequences
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.sequences.find import find_sequences
 from track_range.tracking.evaluation.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
 from track_range.tracking.evaluation.scores import TrackingCounts
 from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes

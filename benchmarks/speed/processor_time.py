@@ -31,14 +31,14 @@ from track_range.detection.lanes.edges import EdgeLaneFinder
 from track_range.detection.lanes.nets import NetLaneFinder
 from track_range.detection.models.onnx_session import BoundNetwork
 from track_range.detection.yolo.detector import YoloDetector
-from track_range.events.finder import EventFinder
+from track_range.foundation.prefetch import ClosableQueue
 from track_range.foundation.sparse_flow import BackgroundFlow
-from track_range.overlay.annotator import Overlay
-from track_range.overlay.result_video import ResultVideo
+from track_range.pipeline.pipeline import Pipeline
+from track_range.recording.files import video_file
+from track_range.recording.pairs.pair_monitor import PairMonitor, SyncMonitor
+from track_range.results.events.finder import EventFinder
 from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters
-from track_range.run.pipeline.pipeline import Pipeline
-from track_range.run.pipeline.prefetch import ClosableQueue
 from track_range.run.run import Run
 from track_range.run.settings import settings_from
 from track_range.stereo.alignment.drift import DriftMonitor
@@ -48,9 +48,9 @@ from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 from track_range.tracking.appearance.embeddings import ColourLayout
 from track_range.tracking.camera_motion import CameraMotion
 from track_range.tracking.deepsort import DeepSortTracker
-from track_range.video.files import video_file
-from track_range.video.pairs.pair_monitor import PairMonitor, SyncMonitor
-from track_range.video.writing import video_writer
+from track_range.views.overlay.annotator import Overlay
+from track_range.views.overlay.result_video import ResultVideo
+from track_range.views.writing import video_writer
 
 _STEPS: dict[str, tuple[tuple[Any, str], ...]] = {
     "decoding": ((video_file._Reading, "__next__"),),

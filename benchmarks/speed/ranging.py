@@ -29,16 +29,16 @@ from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import Image
+from track_range.pipeline.pipeline import noise_shares
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.method import MethodContext
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import create_rangers, methods
-from track_range.run.pipeline.pipeline import noise_shares
+from track_range.recording.files.video_file import VideoFile
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
-from track_range.video.files.video_file import VideoFile
 
 CAMERA = PinholeCamera(721.5, 721.5, 609.6, 172.9, 1242, 375)
 """Camera of KITTI."""

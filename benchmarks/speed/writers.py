@@ -22,10 +22,10 @@ import psutil
 from rich.console import Console
 
 from benchmarks.plain_tables import plain_table
+from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges
 from track_range.results.columns import methods_with_sigma
 from track_range.results.writers import DEFAULT_WRITERS, OpenWriters, RunInfo, writer_names
-from track_range.run.frame_result import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks

@@ -3,6 +3,6 @@
 Every module that imports onnxruntime is in this package, which disables its telemetry first.
 """
 
-from track_range.foundation.telemetry import disable_telemetry
+from track_range.foundation.library_telemetry import disable_telemetry
 
 disable_telemetry()

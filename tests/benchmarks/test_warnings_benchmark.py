@@ -19,7 +19,7 @@ from benchmarks.accuracy.collision_warnings.box_hours import (
 from benchmarks.accuracy.collision_warnings.curve_figure import draw_curve, draw_reliability, write_curve
 from benchmarks.accuracy.collision_warnings.stored_results import StoredResults
 from benchmarks.accuracy.collision_warnings.track_errors import TrackErrors, simulated_errors
-from track_range.report.content.warning_curve import curve_figure
+from track_range.views.report.content.warning_curve import curve_figure
 
 NAN = float("nan")
 

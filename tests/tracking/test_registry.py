@@ -1,11 +1,11 @@
-"""Trackers by name, by `module:Class` and by entry point; `tests/toy_tracker.py` acts as another package's tracker."""
+"""Trackers by name, by `module:Class` and by entry point; `tests/toys/toy_tracker.py` is another package's tracker."""
 
 import sys
 
 import numpy as np
 import pytest
 
-from tests.toy_tracker import GreedyIouTracker
+from tests.toys.toy_tracker import GreedyIouTracker
 from track_range.detection.detections import Detections
 from track_range.tracking import registry
 from track_range.tracking.registry import TrackerError, create_tracker, find_tracker, register_tracker, tracker_names
@@ -62,13 +62,13 @@ def test_names_in_use(name):
 
 
 def test_class_by_module_path():
-    tracker = create_tracker("tests.toy_tracker:GreedyIouTracker")
+    tracker = create_tracker("tests.toys.toy_tracker:GreedyIouTracker")
     assert tracker.update(BOX, 0.0, None).track_id.tolist() == [101]
 
 
 @pytest.mark.usefixtures("_restored")
 def test_module_in_the_current_folder(tmp_path, monkeypatch):
-    (tmp_path / "local_module.py").write_text("from tests.toy_tracker import GreedyIouTracker as LocalTracker\n")
+    (tmp_path / "local_module.py").write_text("from tests.toys.toy_tracker import GreedyIouTracker as LocalTracker\n")
     monkeypatch.chdir(tmp_path)
     assert create_tracker("local_module:LocalTracker").update(BOX, 0.0, None).track_id.tolist() == [101]
 
@@ -78,7 +78,7 @@ def test_entry_point(tmp_path, monkeypatch):
     info = tmp_path / "other-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[track_range.trackers]\nother = tests.toy_tracker:GreedyIouTracker\n")
+    (info / "entry_points.txt").write_text("[track_range.trackers]\nother = tests.toys.toy_tracker:GreedyIouTracker\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     assert "other" in tracker_names()
     assert create_tracker("other").update(BOX, 0.0, None).track_id.tolist() == [101]
@@ -89,12 +89,12 @@ def test_entry_point(tmp_path, monkeypatch):
     [
         ("bytetrack", "deepsort, sort"),
         ("no_such_module:Tracker", "no_such_module"),
-        ("tests.toy_tracker:Missing", "Missing"),
-        ("tests.toy_tracker:", "tests.toy_tracker"),
+        ("tests.toys.toy_tracker:Missing", "Missing"),
+        ("tests.toys.toy_tracker:", "tests.toys.toy_tracker"),
         (":Tracker", ":Tracker"),
-        ("tests.toy_tracker:NOT_CALLABLE", "class"),
-        ("tests.toy_tracker:TakesNothing", "TrackerOptions"),
-        ("tests.toy_tracker:NotATracker", "update"),
+        ("tests.toys.toy_tracker:NOT_CALLABLE", "class"),
+        ("tests.toys.toy_tracker:TakesNothing", "TrackerOptions"),
+        ("tests.toys.toy_tracker:NotATracker", "update"),
         ("os:system", "TrackerOptions"),
         ("builtins:int", "TrackerOptions"),
     ],

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from track_range.calibration.settings import StereoEvaluationSettings
-from track_range.calibration.stereo_evaluation import evaluate_stereo as _evaluate_stereo
-from track_range.events.evaluation.evaluate import evaluate_events as _evaluate_events
-from track_range.events.evaluation.settings import EventEvaluationSettings
+from track_range.evaluation.events.evaluate import evaluate_events as _evaluate_events
+from track_range.evaluation.events.settings import EventEvaluationSettings
+from track_range.evaluation.sequences.evaluation import evaluate_tracks as _evaluate_tracks
+from track_range.evaluation.sequences.settings import TrackEvaluationSettings
+from track_range.evaluation.stereo_evaluation import evaluate_stereo as _evaluate_stereo
 from track_range.ranging.evaluation.labelled_ranges import evaluate_ranges as _evaluate_ranges
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
-from track_range.sequences.evaluation import evaluate_tracks as _evaluate_tracks
-from track_range.sequences.settings import TrackEvaluationSettings
 
 
 def evaluate_ranges(labels: str | Path, calib: str | Path, **options: Any) -> dict[str, Any]:

@@ -16,8 +16,9 @@ from track_range.calibration.reference_pairs import reference_pairs
 from track_range.calibration.settings import AlignmentSettings, RigCheckSettings
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import real_path
+from track_range.foundation.files.output_files import check_outputs, write_text
 from track_range.foundation.progress import StepProgress, no_progress
-from track_range.results.output_files import check_outputs, write_text
+from track_range.recording.recording import Recording
 from track_range.stereo.alignment.feature_tracks import row_offset_px
 from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.from_drive import DriveAlignment
@@ -29,7 +30,6 @@ from track_range.stereo.geometry.frames import whole_image
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.matching.box_matchers import measure_pairs
 from track_range.stereo.rig_formats.reading import find_rig
-from track_range.video.recording import Recording
 
 _MATCHER = "patch"
 _CORRECTION = "a run with this alignment corrects it"

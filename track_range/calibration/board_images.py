@@ -19,10 +19,10 @@ from pathlib import Path
 from track_range.detection.formats.image_labels.labelled_images import ImageFileError, images_in, read_image
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import IMAGE_SUFFIXES
+from track_range.recording.frame import TIME_EPSILON_S
+from track_range.recording.pairs.pairing import StereoVideo
+from track_range.recording.reader import VideoReader
 from track_range.stereo.calibration.board_views import RejectedView
-from track_range.video.frame import TIME_EPSILON_S
-from track_range.video.pairs.pairing import StereoVideo
-from track_range.video.reader import VideoReader
 
 _MAX_VIDEO_SHOTS = 300
 """Largest number of frames of a video that are searched for boards."""

@@ -17,10 +17,10 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, IntArray
 from track_range.ranging.evaluation.errors import BANDS_M
 from track_range.ranging.evaluation.truth import Truth, read_truth
+from track_range.recording.recording import Recording, open_recording
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.evaluation.kitti_2015 import PairFileError, StereoPair
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.video.recording import Recording, open_recording
 
 LEFT, RIGHT = "left.mp4", "right.mp4"
 LABELS = ("truth.csv", "truth.txt", "label.txt")

@@ -18,8 +18,8 @@ from track_range.calibration.figures import mono_figures, pair_figures
 from track_range.calibration.picture import calibration_picture
 from track_range.calibration.settings import CalibrationSettings
 from track_range.foundation.errors import UsageError
+from track_range.foundation.files.output_files import check_outputs, write_bytes, write_text
 from track_range.foundation.progress import StepProgress, no_progress
-from track_range.results.output_files import check_outputs, write_bytes, write_text
 from track_range.stereo.calibration.boards import Board, board_of
 from track_range.stereo.calibration.one_camera import CameraCalibration, calibrate_camera
 from track_range.stereo.calibration.two_cameras import PairCalibration, calibrate_pair

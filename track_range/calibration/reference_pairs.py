@@ -26,9 +26,9 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.ranging.evaluation.truth import read_truth
+from track_range.recording.recording import Recording
 from track_range.stereo.evaluation.kitti_2015 import StereoPair, is_kitti_2015, read_pairs
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.video.recording import Recording
 
 _BOX = ("x1", "y1", "x2", "y2")
 _KNOWN = ("distance_m", "disparity_px")

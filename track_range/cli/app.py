@@ -238,7 +238,7 @@ def _exit_if_full(error: Exception) -> None:
 
 def _report_note(arguments: list[str]) -> str:
     """Last line of the traceback of an unexpected error; addresses are without user names and passwords."""
-    from track_range.video.live.address import LiveAddress
+    from track_range.recording.live.address import LiveAddress
 
     arguments = [str(LiveAddress(argument)) for argument in arguments]
     return (

@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from track_range.foundation.files.input_files import printable
-from track_range.report.tables import Grid, grids
+from track_range.views.report.tables import Grid, grids
 
 console = Console()
 """Console of all commands (standard output)."""

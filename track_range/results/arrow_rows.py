@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.pipeline.frame_result import FrameResult
 from track_range.results.columns import ResultColumn
-from track_range.run.frame_result import FrameResult
 
 if TYPE_CHECKING:
     import pyarrow as pa

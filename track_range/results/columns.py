@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray
+from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.registry import methods
 from track_range.ranging.warning.warnings import Warnings
-from track_range.run.frame_result import FrameResult
 
 Columns = Mapping[str, npt.NDArray[Any]]
 """Rows by column: `class` as str, all others float64 with NaN = not measured."""

@@ -19,18 +19,18 @@ import numpy.typing as npt
 from pydantic import BaseModel
 
 from track_range.detection.formats.errors import LabelFileError
-from track_range.events.event import Event
-from track_range.events.files import EVENTS_FILE, EventFileError, read_events
-from track_range.events.finder import EventFinder
-from track_range.events.summary import events_section
 from track_range.foundation.arrays import BoolArray
+from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_json, read_yaml
 from track_range.foundation.validation import Number, PositiveNumber, validated
 from track_range.ranging.evaluation.truth import Truth, read_truth
 from track_range.results.columns import Columns, column_names, methods_measured, no_rows, rounded
+from track_range.results.events.event import Event
+from track_range.results.events.files import EVENTS_FILE, EventFileError, read_events
+from track_range.results.events.finder import EventFinder
+from track_range.results.events.summary import events_section
 from track_range.results.formats.csv_file import TABLE_FILE, read_tracks_csv
 from track_range.results.formats.parquet_file import PARQUET_FILE, STREAM_FILE, read_tracks_arrows, read_tracks_parquet
-from track_range.results.output_files import OutputError
 from track_range.results.progress_note import describe_progress
 from track_range.results.provenance import Provenance, settings_hash
 from track_range.results.replay import frames_of_rows

@@ -10,8 +10,8 @@ from typing import Any
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.atomic_files import describe, write_text
 from track_range.foundation.files.folder_lock import is_locked
+from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_json
-from track_range.results.output_files import OutputError
 
 PROGRESS_FILE = "progress.json"
 

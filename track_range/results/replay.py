@@ -8,12 +8,12 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from track_range.detection.classes import map_to_road_classes
+from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods as ranging_methods
 from track_range.ranging.warning.warnings import Warnings
 from track_range.results.columns import Columns, methods_with_sigma
 from track_range.results.truth import boxes_px
-from track_range.run.frame_result import FrameResult
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.foundation.arrays import IntArray
+from track_range.foundation.files.output_files import write_text
 from track_range.ranging.evaluation.errors import (
     BANDS_M,
     MethodColumn,
@@ -24,7 +25,6 @@ from track_range.ranging.evaluation.errors import (
 )
 from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import Columns, methods_with_sigma
-from track_range.results.output_files import write_text
 from track_range.results.truth import MatchedTruth, boxes_px
 from track_range.tracking.evaluation.benchmark_rules import MIN_HEIGHT_PX
 from track_range.tracking.evaluation.scores import evaluate_tracks

@@ -22,10 +22,10 @@ import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.files.atomic_files import describe
+from track_range.foundation.files.output_files import OutputError
+from track_range.pipeline.frame_result import FrameResult
 from track_range.results.arrow_rows import FrameValues, frame_values, record_batch, rounded_batch, rows_schema
 from track_range.results.columns import ResultColumn, result_columns
-from track_range.results.output_files import OutputError
-from track_range.run.frame_result import FrameResult
 
 if TYPE_CHECKING:
     import pyarrow as pa

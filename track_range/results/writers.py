@@ -18,11 +18,11 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.entry_points import entry_points
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.atomic_files import describe
-from track_range.results.output_files import OutputError
+from track_range.foundation.files.output_files import OutputError
 from track_range.results.provenance import Provenance
 
 if TYPE_CHECKING:
-    from track_range.run.frame_result import FrameResult
+    from track_range.pipeline.frame_result import FrameResult
     from track_range.stereo.geometry.camera import PinholeCamera
     from track_range.stereo.geometry.rig import StereoRig
 

@@ -8,15 +8,18 @@ from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.foundation.sparse_flow import BackgroundFlow
+from track_range.pipeline.pipeline import LIVE_DEPTHS, Pipeline, QueueDepths
 from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.method import MethodContext
 from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.registry import create_rangers, method_notes
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.ranging.warning.collision_warning import CollisionWarning
+from track_range.recording.cameras.uncalibrated import ASSUMED_BASELINE_M
+from track_range.recording.recording import Recording, open_recording
+from track_range.recording.telemetry.speed_source import AUTO
 from track_range.run.box_source import BoxSource
 from track_range.run.options.tracker_options import open_tracker_options
-from track_range.run.pipeline.pipeline import LIVE_DEPTHS, Pipeline, QueueDepths
 from track_range.run.settings import RunSettings
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.rig import StereoRig
@@ -24,11 +27,8 @@ from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import Odometry
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.stereo_odometry import StereoOdometry
-from track_range.telemetry.speed_source import AUTO
 from track_range.tracking.registry import create_tracker
 from track_range.tracking.tracker import Tracker
-from track_range.video.pairs.uncalibrated import ASSUMED_BASELINE_M
-from track_range.video.recording import Recording, open_recording
 
 _SIDE_VIEW = (
     "--yaw-deg: in a view to the side there are no lane lines, no horizon from image motion, no times to collision and "

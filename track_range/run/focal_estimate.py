@@ -7,10 +7,10 @@ from dataclasses import replace
 from track_range.calibration.road.from_road import focal_from_video
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.ranging.size_models.size_model import SizeModel
+from track_range.recording.names import BagTopic
+from track_range.recording.recording import Recording
 from track_range.run.box_source import BoxSource
 from track_range.run.settings import RunSettings
-from track_range.video.names import BagTopic
-from track_range.video.recording import Recording
 
 
 def with_focal_length(

@@ -10,25 +10,25 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from track_range.events.clip_names import CLIPS_FOLDER
-from track_range.events.clips import remove_clips, write_clips
-from track_range.events.event import Event
-from track_range.events.files import EventFiles
 from track_range.foundation.errors import UserError
-from track_range.overlay.outputs import pictures, video_format
-from track_range.overlay.result_video import ResultVideo
-from track_range.report.page import write_report
-from track_range.report.tables import markdown
+from track_range.foundation.files.output_files import check_outputs, clear_results, write_text
+from track_range.pipeline.frame_result import FrameResult
+from track_range.recording.telemetry.position_file import TELEMETRY_FILE, write_positions
 from track_range.results.columns import Columns
-from track_range.results.output_files import check_outputs, clear_results, write_text
+from track_range.results.events.clip_names import CLIPS_FOLDER
+from track_range.results.events.event import Event
+from track_range.results.events.files import EventFiles
 from track_range.results.progress_note import PROCESSING, PROGRESS_FILE
 from track_range.results.summary import write_summary
 from track_range.results.writers import OpenWriters, create_writers, result_names
-from track_range.run.frame_result import FrameResult
+from track_range.run.pictures import pictures, video_format
 from track_range.run.prepared_folder import PreparedFolder
 from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings, absolute_settings, input_files, save_settings
-from track_range.telemetry.position_file import TELEMETRY_FILE, write_positions
+from track_range.views.event_clips import remove_clips, write_clips
+from track_range.views.overlay.result_video import ResultVideo
+from track_range.views.report.page import write_report
+from track_range.views.report.tables import markdown
 
 
 def check_folder(settings: RunSettings, folder: Path) -> None:

@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 
 from track_range.foundation.files.folder_lock import FolderLock
-from track_range.results.output_files import OutputError, make_folder
+from track_range.foundation.files.output_files import OutputError, make_folder
 from track_range.results.progress_note import OPENING, PROCESSING, PROGRESS_FILE, ProgressNote
 from track_range.results.writers import result_names
 from track_range.run.settings import RunSettings, save_settings

@@ -20,40 +20,40 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 from rich.console import Console
 
-from track_range.events.finder import EventFinder
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import ConfigError, UserError
 from track_range.foundation.files.input_files import real_path
-from track_range.overlay.outputs import overlay_picture
-from track_range.overlay.result_video import Draw
+from track_range.foundation.prefetch import concurrent_stages
+from track_range.pipeline.frame_result import FrameResult
+from track_range.pipeline.throughput import FrameMeter
 from track_range.ranging.evaluation.truth import read_truth
 from track_range.ranging.size_models.curve import load_curves
+from track_range.recording.recording import Recording
+from track_range.recording.telemetry.speed_source import open_speed
+from track_range.results.events.finder import EventFinder
 from track_range.results.progress_note import LOADING
 from track_range.results.replay import frames_of_rows
 from track_range.results.truth import matched_truth, with_truth
 from track_range.run.box_source import BoxSource, boxes_of, open_box_source
 from track_range.run.build import open_input, open_pipeline
 from track_range.run.focal_estimate import with_focal_length
-from track_range.run.frame_result import FrameResult
 from track_range.run.interrupts import defer_interrupts, ignore_interrupts
 from track_range.run.options.detector_options import open_detector
 from track_range.run.outputs import RunFolder, check_folder
-from track_range.run.pipeline.prefetch import concurrent_stages
-from track_range.run.pipeline.throughput import FrameMeter
+from track_range.run.pictures import overlay_picture
 from track_range.run.prepared_folder import PreparedFolder
 from track_range.run.progress import frame_progress, step_progress
 from track_range.run.ready_model import ready_model
 from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings, settings_from
-from track_range.telemetry.speed_source import open_speed
-from track_range.video.recording import Recording
+from track_range.views.overlay.result_video import Draw
 
 if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
     from track_range.detection.detector import Detector
-    from track_range.events.event import Event
+    from track_range.results.events.event import Event
     from track_range.run.opened_detectors import OpenedDetectors
     from track_range.stereo.geometry.camera import PinholeCamera
     from track_range.stereo.geometry.rig import StereoRig
@@ -340,7 +340,7 @@ class Run:
         """Results as everything after the pipeline gets them: anonymized if requested."""
         if not self.settings.anonymize:
             return results
-        from track_range.anonymization.look_ahead import LIVE, OFFLINE, anonymized_results
+        from track_range.views.anonymization.look_ahead import LIVE, OFFLINE, anonymized_results
 
         look_ahead = OFFLINE if session.source.inputs.live is None else LIVE
         return anonymized_results(results, look_ahead)

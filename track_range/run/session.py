@@ -12,26 +12,26 @@ from typing import Any
 
 import numpy as np
 
-from track_range.events.event import Event
-from track_range.events.finder import EventFinder
-from track_range.events.summary import events_section
 from track_range.foundation.arrays import IntArray
-from track_range.overlay.outputs import missing_outputs, pictures
+from track_range.pipeline.frame_result import FrameResult
+from track_range.pipeline.pipeline import Pipeline
+from track_range.pipeline.throughput import FrameMeter
 from track_range.ranging.evaluation.truth import Truth
+from track_range.recording.recording import Recording
+from track_range.recording.telemetry.speed_source import SpeedSource
 from track_range.results.columns import Columns
+from track_range.results.events.event import Event
+from track_range.results.events.finder import EventFinder
+from track_range.results.events.summary import events_section
 from track_range.results.provenance import Provenance, settings_hash
 from track_range.results.summary import range_scores, stage_times_ms, track_scores
 from track_range.results.table import RunTable
 from track_range.results.truth import MatchedTruth, boxes_px
 from track_range.results.writers import RunInfo
 from track_range.run.box_source import BoxSource
-from track_range.run.frame_result import FrameResult
-from track_range.run.pipeline.pipeline import Pipeline
-from track_range.run.pipeline.throughput import FrameMeter
+from track_range.run.pictures import missing_outputs, pictures
 from track_range.run.settings import RunSettings, absolute_settings, input_files, unused_options, without_folders
-from track_range.telemetry.speed_source import SpeedSource
 from track_range.tracking.evaluation.frame_shift import frame_shift_note
-from track_range.video.recording import Recording
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
 _INPUTS = ("left", "right", "mono", "rig", "focal_px", "detector", "detections", "curves", "truth")

@@ -13,15 +13,18 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, field_serializer, field_validator, model_validator
 
-from track_range.events.event import EventSettings
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import quoted
+from track_range.foundation.files.output_files import write_text
 from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.options import Options, option
 from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.foundation.validation import chosen_numbers, first_problem
 from track_range.ranging.warning.settings import WarningSettings
-from track_range.results.output_files import write_text
+from track_range.recording.live.address import live_address
+from track_range.recording.names import Segments, VideoName, files_of, stem_of, video_name
+from track_range.recording.utc import parsed_utc
+from track_range.results.events.event import EventSettings
 from track_range.results.provenance import settings_hash
 from track_range.run.options.detector_fields import (
     Device,
@@ -33,9 +36,6 @@ from track_range.run.options.detector_fields import (
     threads_option,
 )
 from track_range.run.options.tracker_fields import reid_option, tracker_option
-from track_range.video.live.address import live_address
-from track_range.video.names import Segments, VideoName, files_of, stem_of, video_name
-from track_range.video.utc import parsed_utc
 
 _PATHS = ("rig", "detections", "curves", "truth", "table", "out", "reid")
 _PATHS_OR_NAMES = ("detector", "names", "align", "lanes", "ego_speed")
@@ -417,7 +417,7 @@ class RunSettings(Options):
         if isinstance(pair, str | Path):
             pair = (pair,)
         if isinstance(pair, list | tuple) and len(pair) == 1:
-            from track_range.video.bags.bag import is_bag  # imports NumPy
+            from track_range.recording.bags.bag import is_bag  # imports NumPy
 
             if not (isinstance(pair[0], str | Path) and is_bag(Path(pair[0]))):
                 raise ValueError("expected LEFT and RIGHT, or one MCAP file or ROS bag with --topics LEFT,RIGHT")

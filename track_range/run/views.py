@@ -18,8 +18,8 @@ from track_range.detection.boxes import share_inside
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.csv_tables import read_csv_table
+from track_range.foundation.files.output_files import OutputError, write_text
 from track_range.results.formats.recorded_boxes_file import COLUMNS, FILE
-from track_range.results.output_files import OutputError, write_text
 from track_range.run.build import open_input
 from track_range.run.settings import RunSettings
 

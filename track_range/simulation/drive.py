@@ -30,7 +30,7 @@ import numpy.typing as npt
 
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.results.output_files import make_folder, write_text
+from track_range.foundation.files.output_files import make_folder, write_text
 from track_range.simulation.camera.contact_table import contacts_text
 from track_range.simulation.camera.drive_files import (
     ImageWriter,

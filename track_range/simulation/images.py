@@ -15,8 +15,8 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import Image
+from track_range.foundation.files.output_files import OutputError, make_folder, write_bytes, write_text
 from track_range.foundation.files.structured_text import yaml_text
-from track_range.results.output_files import OutputError, make_folder, write_bytes, write_text
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scene import Scene, make_scene
 from track_range.simulation.world.truth import label_scene

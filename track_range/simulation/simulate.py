@@ -10,8 +10,8 @@ from typing import Any, get_args
 import numpy as np
 
 from track_range.foundation.errors import UsageError
+from track_range.foundation.files.output_files import locked_output
 from track_range.foundation.progress import StepProgress, no_progress
-from track_range.results.output_files import locked_output
 from track_range.simulation.camera.drive_files import with_even_size
 from track_range.simulation.camera.faults import Faults, WrongRig
 from track_range.simulation.drive import Drive, DriveOptions, write_drive

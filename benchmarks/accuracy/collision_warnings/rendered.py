@@ -11,10 +11,10 @@ import numpy as np
 
 from benchmarks.inputs.conflict_drives import COLLISIONS, FPS, ConflictDrive, conflict_drive
 from track_range.detection.boxes import iou
-from track_range.events.evaluation.contacts import read_contacts
-from track_range.events.evaluation.scores import contact_scores, is_warning
-from track_range.events.event import Event
+from track_range.evaluation.events.contacts import read_contacts
+from track_range.evaluation.events.scores import contact_scores, is_warning
 from track_range.foundation.arrays import FloatArray
+from track_range.results.events.event import Event
 from track_range.run.run import Run
 from track_range.simulation.boxes.true_boxes import TrueBoxes, true_boxes
 from track_range.simulation.world.scenarios import make_scenario

@@ -18,7 +18,7 @@ from benchmarks.inputs.conflict_drives import FPS, conflict_drive, stored_boxes
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.run.frame_result import FrameResult
+from track_range.pipeline.frame_result import FrameResult
 from track_range.simulation.boxes.box_drive import BoxDrive
 from track_range.simulation.boxes.box_run import run_boxes, tracked
 from track_range.simulation.boxes.true_boxes import TrueBoxes, true_boxes

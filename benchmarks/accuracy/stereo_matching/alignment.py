@@ -19,9 +19,9 @@ from rich.console import Console
 
 from benchmarks.inputs.simulated_drives import SimulatedDrive
 from benchmarks.plain_tables import figure_text, plain_table
+from track_range.recording.pairs.auto_alignment import find_alignment
 from track_range.simulation.camera.faults import Faults
 from track_range.stereo.geometry.frames import Frame
-from track_range.video.pairs.auto_alignment import find_alignment
 
 SCENARIOS = ("town", "highway", "city", "cut-in")
 """Scenarios of the drives, by seed."""

@@ -24,7 +24,7 @@ from rich.console import Console
 
 from benchmarks.inputs.occlusion_pairs import OcclusionPair, is_scored, sequences, unrelated_pairs
 from benchmarks.plain_tables import figure_text, plain_table
-from track_range.calibration.expected_disparities import expected_disparities
+from track_range.evaluation.expected_disparities import expected_disparities
 from track_range.foundation.arrays import BoolArray
 from track_range.stereo.evaluation.disparity_errors import Column, Objects, figures_with_intervals
 from track_range.stereo.evaluation.kitti_2015 import StereoPair

@@ -23,7 +23,7 @@ from rich.table import Table
 
 from benchmarks.inputs.drives import REAL_DATA
 from track_range.calibration.drive_pairs import read_drive
-from track_range.calibration.expected_disparities import expected_disparities
+from track_range.evaluation.expected_disparities import expected_disparities
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.simulation.drive import write_drive
 from track_range.stereo.evaluation.disparity_errors import Column, figures

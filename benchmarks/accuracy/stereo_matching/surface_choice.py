@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 
 from benchmarks.inputs.occlusion_pairs import OcclusionPair, is_scored, unrelated_pairs
 from benchmarks.plain_tables import plain_table
-from track_range.calibration.expected_disparities import expected_disparities
+from track_range.evaluation.expected_disparities import expected_disparities
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.stereo.evaluation.disparity_errors import FAILURE
 from track_range.stereo.matching.patch_matcher import (

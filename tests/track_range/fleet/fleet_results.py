@@ -11,13 +11,13 @@ import numpy as np
 import pyarrow as pa
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.events.event import Event
-from track_range.events.files import write_events_parquet
 from track_range.fleet.engine.clip_run import write_tracks
 from track_range.fleet.output.data_set import ClipTable, publish_events, publish_files, publish_record, publish_tracks
 from track_range.fleet.output.record import ClipRecord
 from track_range.fleet.output.state import FleetState
 from track_range.fleet.storage.location import Location
+from track_range.results.events.event import Event
+from track_range.results.events.files import write_events_parquet
 
 DAWN, NOON = "van 1/2026 ä%", "noon"
 """Names of the complete clips; the first has characters with a meaning in paths and addresses."""

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 from unittest import mock
 
-from track_range.foundation.telemetry import disable_telemetry
+from track_range.foundation.library_telemetry import disable_telemetry
 
 OBJECT_STORE_BYTES = 80 * 2**20
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.documented_commands import PAGES, PROJECT, python_blocks
-from tests.track_range.events.event_builder import event
+from tests.documentation.documented_commands import PAGES, PROJECT, python_blocks
 from tests.track_range.fleet.fleet_results import done_record, rows_table, track_rows, write_clip, write_fleet
+from tests.track_range.results.events.event_builder import event
 from track_range.fleet.inputs.clip import CLIP_SETTINGS
 from track_range.fleet.inputs.listing import clips_of
 from track_range.fleet.output.data_set import ClipTable
@@ -142,8 +142,8 @@ def test_versions_and_images_agree(name):
 
 
 def test_options_of_the_examples_exist():
-    from tests.documented_commands import command_of
-    from tests.test_documentation import OPTION, options_of
+    from tests.documentation.documented_commands import command_of
+    from tests.documentation.test_documentation import OPTION, options_of
 
     job = yaml.safe_load((EXAMPLES / "fleet-kuberay.yaml").read_text())
     lines = [job["spec"]["entrypoint"], *re.findall(r"track-range fleet run [^'#\n]*", PAGE)]

@@ -9,6 +9,7 @@ import pytest
 from track_range.detection.boxes import iou
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.ranging.ego_speed import open_ego_speed
+from track_range.recording.reader import VideoReader
 from track_range.simulation.drive import N_THREADS, DriveOptions, kitti_text, write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scenarios import make_scenario
@@ -16,7 +17,6 @@ from track_range.simulation.world.scene import make_scene
 from track_range.simulation.world.truth import joined, label_scene, visible_objects
 from track_range.stereo.evaluation.kitti_2015 import read_pair
 from track_range.stereo.rig_formats.reading import load_rig
-from track_range.video.reader import VideoReader
 
 SMALL = kitti_like_rig(width_px=310, height_px=94)
 

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
+from track_range.recording.reader import VideoReader
 from track_range.simulation.camera.faults import Faults
 from track_range.simulation.drive import DriveOptions, write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig, noise_steps
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.video.reader import VideoReader
 
 RIG = kitti_like_rig(width_px=620, height_px=188)
 SMALL = kitti_like_rig(width_px=310, height_px=94)

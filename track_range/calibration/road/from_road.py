@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from track_range.calibration.road.focal_sources import focal_guesses
 from track_range.calibration.road.measurement_text import KnownMetres, known_lanes, known_metres
 from track_range.calibration.road.road_evidence import RoadEvidence
 from track_range.calibration.road.separability import separability
@@ -23,6 +22,7 @@ from track_range.calibration.settings import CalibrationSettings
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Detections
 from track_range.foundation.errors import UsageError
+from track_range.foundation.files.output_files import check_outputs, write_text
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.ranging.fitting.camera.camera_fit import HEIGHT_M, HEIGHT_SIGMA, CameraFit, fit_camera
 from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior, focal_posterior
@@ -30,15 +30,15 @@ from track_range.ranging.fitting.camera.measurements import FocalGuess, KnownLan
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
-from track_range.results.output_files import check_outputs, write_text
+from track_range.recording.cameras.focal_sources import focal_guesses
+from track_range.recording.live.address import LiveAddress
+from track_range.recording.names import VideoName, files_of, video_name
+from track_range.recording.reader import VideoReader
+from track_range.recording.recording import open_recording
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.rig_formats.rig_yaml import save_camera
-from track_range.video.live.address import LiveAddress
-from track_range.video.names import VideoName, files_of, video_name
-from track_range.video.reader import VideoReader
-from track_range.video.recording import open_recording
 
 _PART_S = 10.0
 """Length of each part of the video that is read."""

@@ -9,8 +9,8 @@ from track_range.calibration.settings import AlignmentSettings, RigCheckSettings
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
-from track_range.report.tables import rig_grid
 from track_range.run.progress import step_progress
+from track_range.views.report.tables import rig_grid
 
 
 def _align(settings: AlignmentSettings) -> None:

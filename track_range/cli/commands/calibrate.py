@@ -13,12 +13,12 @@ from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.foundation.errors import UsageError
-from track_range.report.tables import SIGMA, Column, grid_of
 from track_range.run.progress import step_progress
 from track_range.stereo.calibration.board_views import RejectedView
 from track_range.stereo.calibration.coverage import view_shape
 from track_range.stereo.calibration.one_camera import CameraCalibration, ViewFit
 from track_range.stereo.calibration.two_cameras import PairCalibration, PairFit
+from track_range.views.report.tables import SIGMA, Column, grid_of
 
 _BOARD_OPTIONS = ("square_mm", "lens_terms", "picture")
 _ROAD_OPTIONS = ("known_distance", "known_height", "known_width", "known_lane_width", "camera_height_m", "camera_model")

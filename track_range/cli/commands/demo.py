@@ -14,12 +14,12 @@ from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.foundation.files.output_files import locked_output
 from track_range.foundation.options import Options, option
-from track_range.report.tables import NOTHING, Column, Grid, figure, grid_of
-from track_range.results.output_files import locked_output
 from track_range.run.progress import step_progress
 from track_range.run.settings import RunSettings
 from track_range.simulation.drive import DriveOptions, write_drive
+from track_range.views.report.tables import NOTHING, Column, Grid, figure, grid_of
 
 if TYPE_CHECKING:
     import pyarrow as pa

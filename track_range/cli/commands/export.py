@@ -5,8 +5,8 @@ from __future__ import annotations
 from track_range.cli.console import console, print_line, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
-from track_range.results.export.export import export
-from track_range.results.export.settings import ExportSettings
+from track_range.run.export.export import export
+from track_range.run.export.settings import ExportSettings
 
 
 def _export(settings: ExportSettings) -> None:

@@ -17,7 +17,7 @@ from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
 from track_range.ranging.size_models.size_model import StoredSizeModel
 from track_range.ranging.size_models.tables import TableSizes
-from track_range.report import tables
+from track_range.views.report import tables
 
 
 def _fit(settings: FitSettings) -> None:
@@ -34,7 +34,7 @@ def _fit(settings: FitSettings) -> None:
 
 
 def _draw(fitted: FittedSizes, picture: Path) -> None:
-    from track_range.report.figures import curve_picture  # imports matplotlib, which takes a third of a second
+    from track_range.views.report.figures import curve_picture  # imports matplotlib, which takes a third of a second
 
     points = {name: fitted.boxes.select(fitted.boxes.class_name == name) for name in fitted.comparison}
     drawn = {

@@ -9,7 +9,7 @@ from track_range.cli.console import console, print_grid, print_line, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.foundation.options import Options, option
-from track_range.report.run_folders import report
+from track_range.views.report.run_folders import report
 
 
 class ReportOptions(Options):

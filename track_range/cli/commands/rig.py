@@ -14,7 +14,6 @@ from track_range.cli.parameters import command
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import real_path
 from track_range.foundation.options import Options, option
-from track_range.report.tables import Column, grid_of
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rectification import Rectifier
@@ -23,6 +22,7 @@ from track_range.stereo.geometry.virtual_pinhole import FieldOfView, field_of_vi
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_calibration, mounting_of
 from track_range.stereo.rig_formats.registry import rig_writers
 from track_range.stereo.rig_formats.rig_yaml import save_camera
+from track_range.views.report.tables import Column, grid_of
 
 _Size = Annotated[str | None, option("Size of the images in pixels, for formats without it.", metavar="WIDTHxHEIGHT")]
 

@@ -17,8 +17,8 @@ from track_range.run.settings import RunSettings, settings_from
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from track_range.live_view.view import LiveView
     from track_range.run.run import Run
+    from track_range.views.live_view.view import LiveView
 
 _N_CAMERAS = 2
 """Number of values of `--stereo`."""
@@ -63,7 +63,7 @@ class RunView(Options):
 
 def _run(**values: Any) -> None:
     from track_range.cli.console import console
-    from track_range.live_view.view import open_view
+    from track_range.views.live_view.view import open_view
 
     view_options = RunView.of(given_values(RunView, values))
     settings = settings_from(_with_sources(given_values(RunSettings, values)), view_options.settings)

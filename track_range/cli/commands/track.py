@@ -9,11 +9,11 @@ from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.formats.errors import LabelFileError
-from track_range.report.tables import Column, Grid, grid_of
+from track_range.evaluation.sequences.find import MOT_FOLDER, listed
+from track_range.evaluation.sequences.settings import TrackSettings
+from track_range.evaluation.sequences.track import TrackedFile, track
 from track_range.run.progress import frame_progress
-from track_range.sequences.find import MOT_FOLDER, listed
-from track_range.sequences.settings import TrackSettings
-from track_range.sequences.track import TrackedFile, track
+from track_range.views.report.tables import Column, Grid, grid_of
 
 
 def _track(settings: TrackSettings) -> None:

@@ -13,12 +13,12 @@ from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.folder_lock import is_locked
+from track_range.foundation.library_telemetry import VIEWER_VARIABLES
 from track_range.foundation.options import Options, option
-from track_range.foundation.telemetry import VIEWER_VARIABLES
-from track_range.results.export.export import export
-from track_range.results.export.settings import ExportSettings
-from track_range.results.export.source import is_run
 from track_range.results.formats.rerun_file import RERUN_FILE, RerunWriter
+from track_range.run.export.export import export
+from track_range.run.export.settings import ExportSettings
+from track_range.run.export.source import is_run
 
 
 class ViewError(UserError):

@@ -20,8 +20,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from track_range.events.clip_names import CLIPS_FOLDER
-from track_range.events.files import EVENTS_PARQUET, write_events_parquet
 from track_range.fleet.engine.fingerprint import content_hash, fingerprint
 from track_range.fleet.engine.limits import plausible_s
 from track_range.fleet.engine.plan import ClipProgress, ClipTask, FleetPlan, Outcome
@@ -43,6 +41,8 @@ from track_range.fleet.storage.listings import FolderListings
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import printable
+from track_range.results.events.clip_names import CLIPS_FOLDER
+from track_range.results.events.files import EVENTS_PARQUET, write_events_parquet
 from track_range.run.opened_detectors import OpenedDetectors
 from track_range.run.run import Run
 from track_range.run.settings import RunSettings, settings_from

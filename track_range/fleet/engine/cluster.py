@@ -25,8 +25,8 @@ from track_range.fleet.errors import FleetError
 from track_range.fleet.settings import FleetSettings
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import counted, shortened
+from track_range.foundation.library_telemetry import disable_telemetry
 from track_range.foundation.processes import n_usable_cores
-from track_range.foundation.telemetry import disable_telemetry
 from track_range.run.interrupts import ignore_interrupts
 
 _OBJECT_STORE_BYTES = 80 * 2**20

@@ -20,9 +20,9 @@ from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import open_regular
 from track_range.foundation.files.numeric_text import number
 from track_range.ranging.size_models.curve import load_curves
+from track_range.recording.telemetry.speed_source import AUTO, OFF
 from track_range.run.options.detector_options import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings, read_settings, settings_from
-from track_range.telemetry.speed_source import AUTO, OFF
 
 REFUSED: Mapping[str, str] = {
     "stereo": "the recordings are arguments: `track-range fleet run DIR --pattern '{clip}_left.mp4,{clip}_right.mp4'`",

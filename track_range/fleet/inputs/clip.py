@@ -9,7 +9,7 @@ from track_range.fleet.storage.entry import FileStat
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.numeric_text import number
-from track_range.telemetry.sidecars.reading import OXTS_NAME, TABLE_NAME, sidecar_names
+from track_range.recording.telemetry.sidecars.reading import OXTS_NAME, TABLE_NAME, sidecar_names
 
 FILE_SETTINGS = frozenset(("rig", "truth", "detections", "curves"))
 """Settings of a clip that are files."""

@@ -13,11 +13,11 @@ from track_range.fleet.inputs.clip import TELEMETRY_ROLE, Clip
 from track_range.fleet.storage.listings import FolderListings
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import UserError
+from track_range.recording.bags.bag import is_bag
+from track_range.recording.files.video_file import VideoHeader
+from track_range.recording.names import BagTopic
+from track_range.recording.reader import VideoReader
 from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig
-from track_range.video.bags.bag import is_bag
-from track_range.video.files.video_file import VideoHeader
-from track_range.video.names import BagTopic
-from track_range.video.reader import VideoReader
 
 _BATCH = 256
 """Number of clips that are handed to the threads at a time."""

@@ -25,7 +25,7 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, quoted, shortened
 from track_range.foundation.files.numeric_text import number
-from track_range.video.utc import parsed_utc
+from track_range.recording.utc import parsed_utc
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -6,11 +6,11 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from track_range.events.clip_names import CLIPS_FOLDER, is_clip_name
 from track_range.fleet.storage.entry import Entry, is_hidden
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.images import IMAGE_SUFFIXES
-from track_range.video.segments.segmented_video import VIDEO_SUFFIXES
+from track_range.recording.segments.segmented_video import VIDEO_SUFFIXES
+from track_range.results.events.clip_names import CLIPS_FOLDER, is_clip_name
 
 _VIDEO_SUFFIXES, _IMAGE_SUFFIXES = tuple(sorted(VIDEO_SUFFIXES)), tuple(sorted(IMAGE_SUFFIXES))
 """Suffixes as `str.endswith` needs them, which is called for every file."""

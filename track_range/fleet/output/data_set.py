@@ -25,8 +25,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
-from track_range.events.clip_names import CLIPS_FOLDER
-from track_range.events.files import EVENTS_PARQUET
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.publishing import publish_bytes, publish_file
 from track_range.fleet.output.record import SCHEMA_VERSION, Row, merged_table, records_table
@@ -34,6 +32,8 @@ from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.input_files import shortened
 from track_range.foundation.files.structured_text import parse_json
+from track_range.results.events.clip_names import CLIPS_FOLDER
+from track_range.results.events.files import EVENTS_PARQUET
 
 if TYPE_CHECKING:
     import pyarrow as pa

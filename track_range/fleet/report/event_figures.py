@@ -8,12 +8,12 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from track_range.events.clip_names import CLIPS_FOLDER, clip_name
-from track_range.events.event import EVENT_KINDS, Event
-from track_range.events.files import rounded_values
-from track_range.events.summary import severity_key
 from track_range.fleet.report.clip_figures import Figures
 from track_range.fleet.report.track_figures import N_RANKED
+from track_range.results.events.clip_names import CLIPS_FOLDER, clip_name
+from track_range.results.events.event import EVENT_KINDS, Event
+from track_range.results.events.files import rounded_values
+from track_range.results.events.summary import severity_key
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,6 @@ from datetime import UTC, datetime
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from track_range.events.files import EventFileError, events_in_parquet
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import (
     CLIPS_FILE,
@@ -41,6 +40,7 @@ from track_range.fleet.storage.location import Location
 from track_range.foundation.files.input_files import shortened
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.structured_text import parse_json
+from track_range.results.events.files import EventFileError, events_in_parquet
 
 if TYPE_CHECKING:
     import pyarrow as pa

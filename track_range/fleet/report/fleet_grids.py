@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 from typing import Any
 
 from track_range.fleet.report.clip_figures import ALIGNMENT_FIGURES, ERROR_FIGURES, MAX_GROUPS, Figures
-from track_range.report import tables
-from track_range.report.tables import NOTHING, SIGMA, Cell, Column, Grid, figure, grid_of
+from track_range.views.report import tables
+from track_range.views.report.tables import NOTHING, SIGMA, Cell, Column, Grid, figure, grid_of
 
 _Row = Figures
 _Link = Callable[[_Row], str]

@@ -6,16 +6,16 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from track_range.events.clip_names import CLIPS_FOLDER, clip_name
 from track_range.fleet.output.data_set import RUNS, partition
 from track_range.fleet.report.clip_figures import Figures
 from track_range.fleet.report.fleet_figures import FleetFigures
 from track_range.fleet.report.fleet_grids import DRIFT_TITLES, Links, fleet_sections, utc_text
 from track_range.fleet.storage.location import Location
-from track_range.overlay.colours import FUSED_COLOUR, OTHER_COLOURS, method_colours
-from track_range.report.content.series import thinned
-from track_range.report.page import embedded, rendered
-from track_range.report.sentences import address, card
+from track_range.pipeline.colours import FUSED_COLOUR, OTHER_COLOURS, method_colours
+from track_range.results.events.clip_names import CLIPS_FOLDER, clip_name
+from track_range.views.report.content.series import thinned
+from track_range.views.report.page import embedded, rendered
+from track_range.views.report.sentences import address, card
 
 _LEAD_S = 2.0
 """Time before the moment of a ranked track at which the overlay starts, s."""

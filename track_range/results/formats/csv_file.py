@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
+from track_range.foundation.files.output_files import OutputError
+from track_range.pipeline.frame_result import FrameResult
 from track_range.results.columns import MAX_CLASS, MAX_COLUMNS, Columns, result_columns
 from track_range.results.formats.row_file import RowFile
-from track_range.results.output_files import OutputError
 from track_range.results.writers import RunInfo
-from track_range.run.frame_result import FrameResult
 
 TABLE_FILE = "tracks.csv"
 

@@ -6,7 +6,7 @@ from importlib import import_module
 
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import shortened
-from track_range.foundation.telemetry import disable_telemetry
+from track_range.foundation.library_telemetry import disable_telemetry
 
 
 class ExtraError(UserError):

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from track_range.detection.formats.video_labels.mot import mot_lines
+from track_range.pipeline.frame_result import FrameResult
 from track_range.results.formats.row_file import RowFile
 from track_range.results.writers import RunInfo
-from track_range.run.frame_result import FrameResult
 
 
 class MotWriter:

@@ -16,13 +16,13 @@ import numpy as np
 
 from track_range.foundation.files.atomic_files import atomic_path, describe
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, shortened
+from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.schema_version import check_schema_version
+from track_range.pipeline.frame_result import FrameResult
 from track_range.results.arrow_rows import frame_values, record_batch, rows_schema
 from track_range.results.columns import MAX_CLASS, MAX_COLUMNS, Columns, result_columns
 from track_range.results.formats.row_file import FrameFile
-from track_range.results.output_files import OutputError
 from track_range.results.writers import RunInfo
-from track_range.run.frame_result import FrameResult
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -19,9 +19,9 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray
+from track_range.pipeline.frame_result import FrameResult
 from track_range.results.formats.row_file import RowFile
 from track_range.results.writers import RunInfo
-from track_range.run.frame_result import FrameResult
 from track_range.stereo.geometry.virtual_pinhole import view_from_camera
 
 FILE = "recorded_boxes.csv"

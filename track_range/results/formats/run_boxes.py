@@ -15,9 +15,9 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import NO_FACTS, BoxTable, VideoFacts
 from track_range.foundation.arrays import FloatArray
+from track_range.pipeline.frame_result import FrameResult
 from track_range.results.columns import Columns
 from track_range.results.truth import boxes_px
-from track_range.run.frame_result import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
 
 

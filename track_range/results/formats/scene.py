@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.overlay.colours import track_colour, warning_colour
-from track_range.run.frame_result import FrameResult
+from track_range.pipeline.colours import track_colour, warning_colour
+from track_range.pipeline.frame_result import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA_FRAME, VEHICLE_FRAME = "camera", "vehicle"

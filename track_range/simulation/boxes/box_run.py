@@ -18,6 +18,9 @@ import numpy as np
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.pipeline.frame_result import FrameResult
+from track_range.pipeline.pipeline import Pipeline
+from track_range.pipeline.stage_clock import StageClock
 from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.method import MethodContext
 from track_range.ranging.methods.patch_stereo import STEREO
@@ -27,9 +30,6 @@ from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.ranging.warning.collision_warning import CollisionWarning
-from track_range.run.frame_result import FrameResult
-from track_range.run.pipeline.pipeline import Pipeline
-from track_range.run.pipeline.stage_clock import StageClock
 from track_range.simulation.boxes.box_drive import BoxDrive, BoxFrame
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame

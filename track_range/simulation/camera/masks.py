@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from track_range.results.output_files import make_folder
+from track_range.foundation.files.output_files import make_folder
 from track_range.simulation.camera.drive_files import write_png
 from track_range.simulation.world.scene import Scene
 

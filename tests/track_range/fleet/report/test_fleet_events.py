@@ -7,8 +7,8 @@ import math
 
 import pytest
 
-from tests.track_range.events.event_builder import event
 from tests.track_range.fleet.fleet_results import DAWN, DAWN_S, NOON, done_record, rows_table, track_rows, write_clip
+from tests.track_range.results.events.event_builder import event
 from track_range.fleet.output.data_set import (
     ClipTable,
     events_location,

@@ -15,15 +15,21 @@ from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.evaluation.matching import SizeMeasure
+from track_range.evaluation.sequences.detector_evaluation import evaluate_source, open_candidates
+from track_range.evaluation.sequences.labelled_images import LabelledSource
+from track_range.evaluation.sequences.settings import DetectionEvaluationSettings
+from track_range.foundation.files.output_files import write_text
 from track_range.foundation.options import option
-from track_range.report.detection_tables import accuracy_grid, calibration_grids, class_grid, size_grids, speed_grid
-from track_range.results.output_files import write_text
 from track_range.run.options.detector_options import DetectorOptions, class_names
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
-from track_range.sequences.detector_evaluation import evaluate_source, open_candidates
-from track_range.sequences.labelled_images import LabelledSource
-from track_range.sequences.settings import DetectionEvaluationSettings
+from track_range.views.report.detection_tables import (
+    accuracy_grid,
+    calibration_grids,
+    class_grid,
+    size_grids,
+    speed_grid,
+)
 
 
 class DetectionsOptions(DetectionEvaluationSettings):
@@ -59,7 +65,9 @@ def _detections(options: DetectionsOptions) -> None:
     print_figures(figures, measure=options.by)
     write_figures(figures, options.json_file)
     if options.figure is not None:
-        from track_range.report.figures import reliability_chart  # imports matplotlib, which takes a third of a second
+        from track_range.views.report.figures import (
+            reliability_chart,
+        )  # imports matplotlib, which takes a third of a second
 
         reliability_chart({name: row["calibration"] for name, row in figures["models"].items()}, options.figure)
         print_line(console, f"Written: {options.figure}")

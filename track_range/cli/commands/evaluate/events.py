@@ -12,11 +12,11 @@ from track_range.cli.commands.evaluate.result_files import check_result_files
 from track_range.cli.console import console, print_grid, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
-from track_range.events.evaluation.evaluate import evaluate_events
-from track_range.events.evaluation.settings import EventEvaluationSettings
+from track_range.evaluation.events.evaluate import evaluate_events
+from track_range.evaluation.events.settings import EventEvaluationSettings
+from track_range.foundation.files.output_files import write_text
 from track_range.foundation.options import option
-from track_range.report.tables import Cell, Column, Grid, figure, grid_of
-from track_range.results.output_files import write_text
+from track_range.views.report.tables import Cell, Column, Grid, figure, grid_of
 
 
 class EventsOptions(EventEvaluationSettings):

@@ -12,11 +12,11 @@ from track_range.cli.commands.evaluate.risk_tables import draw_risk, risk_grids
 from track_range.cli.console import console, print_grid, print_line, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
+from track_range.foundation.files.output_files import write_text
 from track_range.foundation.options import option
 from track_range.ranging.evaluation.labelled_ranges import evaluate_ranges
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
-from track_range.report import tables
-from track_range.results.output_files import write_text
+from track_range.views.report import tables
 
 
 class RangesOptions(RangeEvaluationSettings):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from track_range.foundation.errors import UsageError
-from track_range.results.output_files import OutputError
+from track_range.foundation.files.output_files import OutputError
 
 _OUTPUTS = {"json_file": "--json", "table": "--table", "figure": "--figure", "out": "--out"}
 """Options that name files to write, by field."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from track_range.report import tables
+from track_range.views.report import tables
 
 ANSWERED_PCT = (100, 95, 90, 80, 50)
 """Answered shares of the boxes in the risk-coverage tables, per cent."""
@@ -16,7 +16,9 @@ _Curves = Mapping[str, Mapping[str, Any]]
 
 def draw_risk(curves: _Curves, path: Path) -> None:
     """Draw curves by name."""
-    from track_range.report.figures import risk_coverage_chart  # imports matplotlib, which takes a third of a second
+    from track_range.views.report.figures import (
+        risk_coverage_chart,
+    )  # imports matplotlib, which takes a third of a second
 
     risk_coverage_chart({name: curve["curve"] for name, curve in curves.items()}, path)
 

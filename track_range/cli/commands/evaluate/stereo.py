@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from track_range.calibration.settings import StereoEvaluationSettings
-from track_range.calibration.stereo_evaluation import evaluate_stereo
 from track_range.cli.commands.evaluate.result_files import check_result_files
 from track_range.cli.commands.evaluate.risk_tables import draw_risk, risk_grids
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
+from track_range.evaluation.stereo_evaluation import evaluate_stereo
+from track_range.foundation.files.output_files import write_text
 from track_range.foundation.options import option
-from track_range.report import tables
-from track_range.results.output_files import write_text
 from track_range.run.progress import step_progress
+from track_range.views.report import tables
 
 
 class StereoOptions(StereoEvaluationSettings):

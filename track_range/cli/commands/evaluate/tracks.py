@@ -12,12 +12,12 @@ from track_range.cli.commands.evaluate.result_files import check_result_files
 from track_range.cli.console import console, print_grid, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
+from track_range.evaluation.sequences.evaluation import COUNTS, evaluate_tracks
+from track_range.evaluation.sequences.settings import TrackEvaluationSettings
+from track_range.foundation.files.output_files import write_text
 from track_range.foundation.options import option
-from track_range.report.tables import Column, Grid, figure, grid_of
-from track_range.results.output_files import write_text
-from track_range.sequences.evaluation import COUNTS, evaluate_tracks
-from track_range.sequences.settings import TrackEvaluationSettings
 from track_range.tracking.evaluation.motmetrics_comparison import REASONS
+from track_range.views.report.tables import Column, Grid, figure, grid_of
 
 _HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()
 """Metrics shown, by their usual names; keys of the results in lower case."""

@@ -41,9 +41,9 @@ def _fleet_report(options: FleetReportOptions) -> None:
     from track_range.fleet.report.fleet_page import fleet_page
     from track_range.fleet.storage.location import Location
     from track_range.foundation.files.input_files import printable
-    from track_range.report.tables import markdown_table
-    from track_range.results.output_files import write_text
+    from track_range.foundation.files.output_files import write_text
     from track_range.run.progress import step_progress
+    from track_range.views.report.tables import markdown_table
 
     out = Location.of(options.out)
     page = None if options.html is None else Location.of(options.html)
@@ -79,7 +79,7 @@ def _check_outputs(options: FleetReportOptions, out: Location, page: Location | 
     """
     from track_range.fleet.output.data_set import CLIPS_FILE
     from track_range.fleet.output.state import STATE_FILE
-    from track_range.results.output_files import check_outputs
+    from track_range.foundation.files.output_files import check_outputs
 
     files = [file for file in (options.table, options.json_file) if file is not None]
     files += [page.path] if page is not None and page.is_local else []

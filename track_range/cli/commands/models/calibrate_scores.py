@@ -31,16 +31,16 @@ from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.models.score_outputs import write_calibrated
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.detection.yolo.distribution import DistributionDecoder
+from track_range.evaluation.sequences.labelled_images import LabelledFrames, LabelledSource
+from track_range.evaluation.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
 from track_range.foundation.files.input_files import counted
+from track_range.foundation.files.output_files import OutputError, write_bytes, write_text
 from track_range.foundation.options import Options, option
-from track_range.report.tables import Column, Grid, grid_of
-from track_range.results.output_files import OutputError, write_bytes, write_text
 from track_range.run.options.detector_fields import threads_option
 from track_range.run.options.detector_options import DetectorOptions, class_names, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
-from track_range.sequences.labelled_images import LabelledFrames, LabelledSource
-from track_range.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
+from track_range.views.report.tables import Column, Grid, grid_of
 
 
 class CalibrateScoresOptions(Options):

@@ -21,9 +21,12 @@ from track_range.detection.formats.image_labels.labelled_images import ImageFile
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.models.quantize import convert_fp16, quantize_int8
 from track_range.detection.yolo.detector import YoloDetector
+from track_range.evaluation.sequences.detector_evaluation import WORKING_SCORE, evaluate, open_candidates
+from track_range.evaluation.sequences.labelled_images import LabelledFrames, LabelledSource
+from track_range.evaluation.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
 from track_range.foundation.arrays import FloatArray32, Image
+from track_range.foundation.files.output_files import make_folder
 from track_range.foundation.options import Options, option
-from track_range.results.output_files import make_folder
 from track_range.run.options.detector_fields import (
     anchors_option,
     letterbox_option,
@@ -34,9 +37,6 @@ from track_range.run.options.detector_fields import (
 from track_range.run.options.detector_options import DetectorOptions, class_names, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
-from track_range.sequences.detector_evaluation import WORKING_SCORE, evaluate, open_candidates
-from track_range.sequences.labelled_images import LabelledFrames, LabelledSource
-from track_range.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
 
 N_CALIBRATION = 60
 """Number of images for calibration of the value ranges of the layers; see detection/models/quantize.py."""

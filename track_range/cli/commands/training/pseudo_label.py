@@ -28,11 +28,11 @@ from track_range.detection.training.ensemble.data_set import (
 from track_range.detection.training.ensemble.views import EnsembleMember, store_missing
 from track_range.detection.training.errors import TrainingError
 from track_range.foundation.files.input_files import counted, real_path
-from track_range.report.tables import NOTHING, Cell, Column, Grid, grid_of
-from track_range.results.output_files import OutputError, locked_output, make_folder
+from track_range.foundation.files.output_files import OutputError, locked_output, make_folder
 from track_range.run.interrupts import stop_on_interrupt
 from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
+from track_range.views.report.tables import NOTHING, Cell, Column, Grid, grid_of
 
 _N_LISTED = 20
 """Maximum number of unreadable images that are listed by name."""

@@ -28,11 +28,11 @@ from track_range.detection.training.settings import TrainingSettings, best_preci
 from track_range.detection.training.teacher import Teacher
 from track_range.detection.training.train import Training, prepare_torch
 from track_range.foundation.files.folder_lock import locked_folder
-from track_range.report.detection_tables import class_grid
-from track_range.report.figures import training_chart
-from track_range.results.output_files import OutputError, make_folder
+from track_range.foundation.files.output_files import OutputError, make_folder
 from track_range.run.interrupts import stop_on_interrupt
 from track_range.run.ready_model import ready_model
+from track_range.views.report.detection_tables import class_grid
+from track_range.views.report.figures import training_chart
 
 CURVES = "curves.png"
 """Chart of losses and accuracy in the run folder."""

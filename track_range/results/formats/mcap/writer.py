@@ -14,12 +14,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
+from track_range.pipeline.frame_result import FrameResult
 from track_range.results.formats.extras import check_extra
 from track_range.results.formats.mcap.messages import NANOSECONDS, Message, Profile, jpeg
 from track_range.results.formats.row_file import FrameFile
 from track_range.results.formats.scene import track_objects
 from track_range.results.writers import RunInfo
-from track_range.run.frame_result import FrameResult
 
 MCAP_FILE = "run.mcap"
 

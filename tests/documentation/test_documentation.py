@@ -1,0 +1,159 @@
+"""The README and the pages of docs/ agree with the program: commands, options, columns, names and links."""
+
+import re
+import tomllib
+
+import pytest
+import typer
+import yaml
+
+import track_range as tr
+from tests.documentation.documented_commands import (
+    PAGES,
+    PROJECT,
+    README,
+    blocks,
+    command_of,
+    commands,
+    inline_code,
+    is_command,
+    python_blocks,
+    subcommand,
+    track_range_commands,
+)
+from track_range.cli.app import app
+from track_range.results.columns import result_columns
+from track_range.results.events.event import EVENT_COLUMNS, EVENT_KINDS
+from track_range.results.summary_shape import _Summary
+from track_range.results.writers import result_names
+
+OPTION = re.compile(r"--[a-z][a-z0-9-]*")
+FOREIGN_OPTIONS = {"--strict", "--cov", "--numprocesses"}
+"""Options of other programs that pages name."""
+
+GLOSSARY = (
+    *("mono", "ground", "lane", "stereo", "sgbm", "fused", "`*_kf`", "sigma", "coverage", "common coverage", "rig"),
+    *("alignment", "track activation"),
+)
+
+
+def options_of(command):
+    return {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
+
+
+def all_options(command):
+    """Options of a command and of all below it."""
+    below = (subcommand(command, name) for name in getattr(command, "commands", {}))
+    return options_of(command).union(*(all_options(part) for part in below))
+
+
+@pytest.fixture(scope="module")
+def known_options():
+    return all_options(typer.main.get_command(app)) | {"--help"} | FOREIGN_OPTIONS
+
+
+@pytest.mark.parametrize(("page", "line"), track_range_commands())
+def test_command_exists(page, line):
+    _, command, rest = command_of(line)
+    assert not hasattr(command, "commands") or rest == ["--version"], "no such command"
+    assert {word for word in rest if OPTION.fullmatch(word)} <= options_of(command) | {"--help"}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_options_in_text_exist(page, known_options):
+    comments = [line.partition("#")[2] for block in blocks(PAGES[page]) for line in block]
+    texts = [code for code in inline_code(PAGES[page]) if not code.startswith(("python -m benchmarks", "pip ", "git "))]
+    assert {option for text in (*texts, *comments) for option in OPTION.findall(text)} <= known_options
+
+
+def test_commands_are_found():
+    assert len(track_range_commands()) > 60
+    assert len(commands(README)) >= 6
+    assert all(is_command(line) for line in commands(README))
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_python_blocks_compile(page):
+    for code in python_blocks(PAGES[page]):
+        compile(code, page, "exec")
+        assert set(re.findall(r"\btr\.(\w+)", code)) <= set(tr.__all__)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_linked_files_exist(page):
+    folder = (PROJECT / page).parent
+    links = [link for link in re.findall(r"\]\(([^)#]+)[^)]*\)", PAGES[page]) if not link.startswith("http")]
+    assert [link for link in links if not (folder / link).exists()] == []
+
+
+def test_make_targets_exist():
+    makefile = (PROJECT / "Makefile").read_text()
+    named = {line.split()[1] for text in PAGES.values() for line in commands(text) if line.startswith("make ")}
+    assert {"demo", "test", "docs", "check"} <= named
+    assert [target for target in named if not re.search(rf"^{target}:", makefile, re.MULTILINE)] == []
+
+
+def test_extras_exist():
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text())["project"]
+    extras = {extra for text in PAGES.values() for extra in re.findall(r"\.\[(\w+)\]", text)}
+    assert {"docs", "train"} <= extras <= set(project["optional-dependencies"])
+    assert "Python 3.11 or newer" in README
+    assert project["requires-python"] == ">=3.11"
+
+
+def test_columns_are_documented():
+    table = PAGES["docs/results.md"].partition("## tracks.csv")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]*)\|", table, re.MULTILINE)
+    assert [(name, unit.strip()) for name, unit in rows] == [(column.name, column.unit) for column in result_columns()]
+
+
+def test_event_columns_are_documented():
+    table = PAGES["docs/results.md"].partition("## events.csv")[2].partition("\n## ")[0]
+    assert tuple(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == EVENT_COLUMNS
+    assert [kind for kind in EVENT_KINDS if f"`{kind}`" not in table] == []
+
+
+def test_result_files_are_documented():
+    assert [name for name in result_names() if f"`{name}`" not in PAGES["docs/results.md"]] == []
+
+
+def test_summary_keys_are_documented():
+    section = PAGES["docs/results.md"].partition("## summary.json")[2].partition("\n## ")[0]
+    missing = [key for key in _Summary.model_fields if key != "settings" and f"`{key}`" not in section]
+    assert missing == []
+
+
+def test_public_names_are_documented():
+    shown = set(re.findall(r"^::: track_range\.(\w+)$", PAGES["docs/api.md"], re.MULTILINE))
+    assert shown == set(tr.__all__) - {"__version__"}
+
+
+def test_methods_are_documented():
+    headings = re.findall(r"^## (\w+)", PAGES["docs/methods.md"], re.MULTILINE)
+    assert [method.name for method in tr.ranging_methods() if method.name not in headings] == []
+
+
+def test_glossary_has_the_terms():
+    terms = re.findall(r"^(\S.*)\n: ", PAGES["docs/glossary.md"], re.MULTILINE)
+    assert [term for term in GLOSSARY if term not in terms] == []
+    assert terms == sorted(terms, key=lambda term: term.strip("`*_").casefold())
+
+
+def test_navigation_has_every_page():
+    # Tags of Python objects are not needed here.
+    text = re.sub(r"!!python/\S+", "", (PROJECT / "mkdocs.yml").read_text())
+    pages = [page for entry in yaml.safe_load(text)["nav"] for page in entry.values()]
+    assert sorted(f"docs/{page}" for page in pages) == [page for page in PAGES if page.startswith("docs/")]
+
+
+def test_pages_load_nothing_from_the_network():
+    text = (PROJECT / "mkdocs.yml").read_text()
+    assert "font: false" in text
+    assert "http" not in text
+    assert not any("http" in path.read_text() for path in (PROJECT / "docs/assets").iterdir())
+
+
+def test_rig_file_of_the_page_loads(tmp_path):
+    (code,) = re.findall(r"```yaml\n(track_range_rig.*?)```", PAGES["docs/camera.md"], re.DOTALL)
+    (tmp_path / "rig.yaml").write_text(code)
+    assert tr.load_rig(tmp_path / "rig.yaml").baseline_m == pytest.approx(0.54)

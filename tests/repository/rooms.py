@@ -1,0 +1,156 @@
+"""The rooms of the package, what passes through each, and the imports that are allowed between them.
+
+`python -m tests.repository.rooms` prints the table of docs/architecture.md and the number of imports between rooms.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+PROJECT = Path(__file__).resolve().parents[2]
+PRODUCT = ("detection", "tracking", "stereo", "ranging", "track_range")
+"""Folders of the product at the top of the repository; all but the last are imported as `track_range.NAME`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """One folder of track_range.
+
+    Attributes:
+        passes: what comes in, and what goes out.
+        may_import: the rooms that its modules may import besides their own, in words and by name.
+    """
+
+    passes: str
+    may_import: tuple[str, ...]
+    words: str = "the above"
+
+
+def _rooms() -> dict[str, Room]:
+    rooms: dict[str, Room] = {}
+
+    def add(name: str, passes: str, may_import: tuple[str, ...] | None = None, words: str = "the above") -> None:
+        rooms[name] = Room(passes, tuple(rooms) if may_import is None else may_import, words)
+
+    add("foundation", "arrays, errors, options, registry, threads, files, robust statistics", (), "nothing of ours")
+    add("detection", "images -> boxes, classes, lane lines; models; training", ("foundation",), "foundation")
+    add("stereo", "cameras, rigs, rectification, disparity, alignment, odometry", ("foundation",), "foundation")
+    add("tracking", "boxes -> identities; metrics", ("foundation", "detection"), "foundation, detection")
+    add("ranging", "tracks, geometry -> distances with sigma; fusion, filters, warning")
+    add("recording", "files, bags, streams, telemetry, calibration files -> frames")
+    add("calibration", "boards and drives -> rigs, alignment files, focal lengths")
+    add("pipeline", "`Frame` -> `FrameResult`")
+    add("results", "`FrameResult` -> columns, files of each format, events; finished run folders")
+    add("views", "overlay, event clips, report, live view, anonymization, video files")
+    add("run", "settings; recording + pipeline + results + views: `Run`, `Pipeline`, export")
+    below = tuple(rooms)
+    not_each_other = "the above, not each other"
+    add("evaluation", "labelled data -> figures", below, not_each_other)
+    add("simulation", "worlds -> drives with exact truth", below, not_each_other)
+    add("fleet", "many recordings -> one data set", below, not_each_other)
+    uses = (*rooms,)
+    add("api", "the front door of Python", uses, "all")
+    add("cli", "the command line, one file per command", (*uses, "api"), "all")
+    return rooms
+
+
+ROOMS: Mapping[str, Room] = _rooms()
+"""All rooms; each imports only rooms before it."""
+
+FRONT_DOOR = {"track_range", "track_range.__main__"}
+"""Modules in no room: the lazy names of `import track_range`, and `python -m track_range`."""
+
+
+def table() -> str:
+    """Markdown table of the rooms, for docs/architecture.md."""
+    rows = [f"| `{name}` | {room.passes} | {room.words} |" for name, room in ROOMS.items()]
+    return "\n".join(["| room | input -> output | may import |", "|---|---|---|", *rows])
+
+
+@cache
+def sources(project: Path = PROJECT) -> Mapping[str, Path]:
+    """File of each module of the product by its full name; the links in track_range are not followed."""
+    found = {}
+    for folder in PRODUCT:
+        for path in sorted((project / folder).rglob("*.py")):
+            parts = path.relative_to(project).with_suffix("").parts
+            if parts[0] != "track_range":
+                parts = ("track_range", *parts)
+            elif parts[1] in PRODUCT:
+                continue
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imported(text: str, modules: Mapping[str, object]) -> set[str]:
+    """Those of `modules` that a file imports anywhere: also inside functions and under `if TYPE_CHECKING`."""
+    found = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names if alias.name in modules}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            found |= {name if name in modules else node.module for name in names}
+    return found & modules.keys()
+
+
+@cache
+def imports(project: Path = PROJECT) -> Mapping[str, frozenset[str]]:
+    """Modules that each module imports."""
+    modules = sources(project)
+    return {
+        name: frozenset(imported(path.read_text(encoding="utf-8"), modules) - {name}) for name, path in modules.items()
+    }
+
+
+def room_of(module: str) -> str:
+    """Second part of a module's name; "" for `track_range` itself."""
+    return module.partition(".")[2].partition(".")[0]
+
+
+def forbidden(graph: Mapping[str, frozenset[str]]) -> Iterator[str]:
+    """Imports that the table does not allow, as "MODULE imports MODULE"."""
+    for module, others in graph.items():
+        room = room_of(module)
+        allowed = None if module in FRONT_DOOR else {room, *ROOMS[room].may_import}
+        for other in others:
+            if allowed is not None and room_of(other) not in allowed:
+                yield f"{module} imports {other}"
+
+
+def cycles(graph: Mapping[str, frozenset[str]]) -> list[list[str]]:
+    """Modules of more than one folder that import each other in a circle: strongly connected components."""
+    names = sorted(graph)
+    number = {name: index for index, name in enumerate(names)}
+    pairs = [(number[name], number[other]) for name in names for other in graph[name] if other in number]
+    rows, columns = np.array(pairs, int).reshape(-1, 2).T
+    matrix = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(names), len(names)))
+    _, component = connected_components(matrix, connection="strong")
+    groups: dict[int, list[str]] = defaultdict(list)
+    for name, group in zip(names, component.tolist(), strict=True):
+        groups[group].append(name)
+    return [group for group in groups.values() if len({name.rpartition(".")[0] for name in group}) > 1]
+
+
+def counts(graph: Mapping[str, frozenset[str]]) -> Mapping[str, Counter[str]]:
+    """Number of imports from each room to each other one."""
+    found: dict[str, Counter[str]] = defaultdict(Counter)
+    for module, others in graph.items():
+        found[room_of(module)].update(room_of(other) for other in others if room_of(other) != room_of(module))
+    return found
+
+
+if __name__ == "__main__":
+    print(table())  # noqa: T201
+    for name, targets in counts(imports()).items():
+        if name in ROOMS:
+            print(f"{name} -> {dict(sorted(targets.items()))}")  # noqa: T201

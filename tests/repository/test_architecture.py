@@ -1,0 +1,178 @@
+"""Imports between packages, and what every module has."""
+
+import ast
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from tests.repository import rooms
+
+PROJECT = Path(__file__).resolve().parents[2]
+PACKAGES = ("detection", "tracking", "stereo", "ranging", "track_range")
+
+VAGUE_NAMES = {"utils", "util", "common", "core", "helpers", "misc", "tools", "base"}
+
+
+def sources(*packages):
+    """Source files of packages; the links in track_range are not followed."""
+    return [path for package in packages for path in sorted((PROJECT / package).rglob("*.py"))]
+
+
+def nodes_of(path):
+    """All nodes of the syntax tree of a file; the first is the module."""
+    return ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+
+
+@cache
+def imported_modules(path):
+    """Full names of the modules that a file imports, also inside functions."""
+    return tuple(_imported_modules(path))
+
+
+def _imported_modules(path):
+    for node in nodes_of(path):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            yield node.module or ""
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def may_import(path, names):
+    """Whether the text of a file has a line that may import one of these top-level packages."""
+    return re.search(rf"^\s*(from|import)\s.*\b({'|'.join(names)})\b", path.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+@pytest.mark.parametrize("room", rooms.ROOMS)
+def test_imports_of_each_room_point_to_rooms_before_it(room):
+    graph = {name: others for name, others in rooms.imports().items() if rooms.room_of(name) == room}
+    assert graph
+    assert list(rooms.forbidden(graph)) == []
+
+
+def test_every_module_is_in_a_room():
+    assert {rooms.room_of(name) for name in rooms.imports() if name not in rooms.FRONT_DOOR} == set(rooms.ROOMS)
+    folders = {path.name for path in (PROJECT / "track_range").iterdir() if path.is_dir() and path.name[0] != "_"}
+    assert folders == set(rooms.ROOMS)
+
+
+def test_the_table_orders_the_rooms():
+    names = list(rooms.ROOMS)
+    for number, (name, room) in enumerate(rooms.ROOMS.items()):
+        assert set(room.may_import) <= set(names[:number]), name
+
+
+def test_no_cycle_between_modules_of_different_folders():
+    assert rooms.cycles(rooms.imports()) == []
+
+
+def test_lazy_and_typing_imports_are_seen():
+    modules = {"track_range.cli.app": None, "track_range.ranging.ranges": None, "track_range.results": None}
+    text = """
+if TYPE_CHECKING:
+    from track_range.ranging.ranges import Ranges
+def f():
+    from track_range.cli import app
+    import track_range.results
+"""
+    assert rooms.imported(text, modules) == set(modules)
+
+
+def test_forbidden_imports_and_cycles_are_seen():
+    graph = {
+        "track_range.detection.boxes": frozenset({"track_range.ranging.ranges"}),
+        "track_range.ranging.ranges": frozenset({"track_range.ranging.fusion.fusion", "track_range.tracking.tracks"}),
+        "track_range.ranging.fusion.fusion": frozenset({"track_range.ranging.ranges"}),
+        "track_range.tracking.tracks": frozenset({"track_range.tracking.tracker"}),
+        "track_range.tracking.tracker": frozenset({"track_range.tracking.tracks"}),
+    }
+    assert list(rooms.forbidden(graph)) == ["track_range.detection.boxes imports track_range.ranging.ranges"]
+    assert rooms.cycles(graph) == [["track_range.ranging.fusion.fusion", "track_range.ranging.ranges"]]
+
+
+def test_documented_table_is_the_tested_one():
+    assert rooms.table() in (PROJECT / "docs/architecture.md").read_text(encoding="utf-8")
+
+
+def test_nothing_imports_tests_or_benchmarks():
+    outside = {"tests", "benchmarks", *PACKAGES[:4]}
+    files = [path for path in sources(*PACKAGES) if may_import(path, outside)]
+    users = [str(path) for path in files for name in imported_modules(path) if name.split(".")[0] in outside]
+    assert users == []
+
+
+def test_only_tests_of_benchmarks_import_them():
+    tests = PROJECT / "tests"
+    files = [path for path in sorted(tests.rglob("*.py")) if not path.is_relative_to(tests / "benchmarks")]
+    assert len(files) > 100
+    files = [path for path in files if may_import(path, ["benchmarks"])]
+    users = [str(path) for path in files for name in imported_modules(path) if name.split(".")[0] == "benchmarks"]
+    assert users == []
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_modules_have_a_docstring_and_a_telling_name(package):
+    for path in sources(package):
+        assert path.stem not in VAGUE_NAMES, path
+        text = path.read_text(encoding="utf-8").lstrip()
+        assert text.startswith(('"""', 'r"""')), f"{path}: no module docstring"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_packages_are_typed(package):
+    assert (PROJECT / package / "py.typed").exists()
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_folders_are_small_enough_to_read(package):
+    for folder in {path.parent for path in sources(package)}:
+        entries = [path.name for path in folder.iterdir() if path.name not in ("__pycache__", "__init__.py")]
+        assert len(entries) <= (20 if folder.name == "track_range" else 18), (folder, sorted(entries))
+
+
+def test_packages_neither_assert_nor_swallow_everything():
+    wrong = []
+    words = re.compile(r"^\s*(assert\b|except\s*:)", re.MULTILINE)
+    for path in sources(*PACKAGES):
+        for node in nodes_of(path) if words.search(path.read_text(encoding="utf-8")) else ():
+            if isinstance(node, ast.Assert):
+                wrong.append(f"{path}:{node.lineno} assert")
+            if isinstance(node, ast.ExceptHandler) and node.type is None:
+                wrong.append(f"{path}:{node.lineno} bare except")
+    assert wrong == []
+
+
+READS_YAML_OR_JSON = {
+    "track_range/foundation/files/structured_text.py": "the reader of all YAML and JSON files",
+    "track_range/foundation/files/folder_lock.py": "lock files, at most a few hundred bytes, ignored if damaged",
+    "detection/models/metadata.py": "Ultralytics writes class names as a Python literal; the size is limited",
+}
+"""Files that call a parser of YAML, JSON or Python literals, and the reason."""
+
+_PARSERS = {"yaml": {"load", "safe_load", "load_all", "parse"}, "json": {"load", "loads"}, "ast": {"literal_eval"}}
+
+
+def calls_parser(path):
+    """Whether a file calls a parser of YAML, JSON or Python literals."""
+    if not re.search(r"\b(yaml|json|ast)\.", path.read_text(encoding="utf-8")):
+        return False
+    return any(
+        isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and node.attr in _PARSERS.get(node.value.id, ())
+        for node in nodes_of(path)
+    )
+
+
+def test_one_reader_of_yaml_and_json():
+    users = {str(path.relative_to(PROJECT)) for path in sources(*PACKAGES) if calls_parser(path)}
+    assert users == set(READS_YAML_OR_JSON)
+
+
+def test_links_are_followed_by_real_path():
+    """`Path.resolve` raises RuntimeError for a loop of links (Python 3.11); `real_path` does not."""
+    users = [str(path) for path in sources(*PACKAGES) if ".resolve(" in path.read_text(encoding="utf-8")]
+    assert users == []

@@ -1,0 +1,107 @@
+"""A registered method of another package appears in every output of a run, with no other file touched."""
+
+import csv
+import json
+import re
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from tests.toys.toy_method import TOY
+from tests.track_range.conftest import write_film
+from tests.track_range.views.overlay_results import BOX, result
+from track_range.pipeline.colours import colour_of_each
+from track_range.ranging import registry
+from track_range.ranging.evaluation.box_methods import method_names
+from track_range.views.overlay.labels import corner_lines, label_lines
+
+TOY_M = 100 * 1.8 / 30
+
+
+@pytest.fixture
+def toy():
+    with registry.registered(TOY):
+        yield
+
+
+@pytest.fixture
+def run_folder(tmp_path, cli):
+    """Runs on a film of eight frames with a box in each."""
+    video, boxes, out = tmp_path / "film.mp4", tmp_path / "boxes.txt", tmp_path / "out"
+    write_film(video, [0.1 * i for i in range(8)])
+    boxes.write_text("".join(f"{i},10,4,40,47,0.9\n" for i in range(8)))
+
+    def run():
+        arguments = ("--mono", video, "--focal-px", 100, "--detections", boxes, "--lanes", "off", "--out", out)
+        status, printed, complaint = cli(*arguments)
+        assert status == 0, complaint
+        return out, printed
+
+    return run
+
+
+def text_of(lines):
+    return " ".join(span.text for line in lines for span in line)
+
+
+def assert_is_everywhere(out, printed):
+    table = (out / "tracks.csv").read_text().splitlines()
+    assert table[0].endswith(",toy_m,toy_sigma_m,toy_kf_m,toy_kf_sigma_m")
+    last = list(csv.DictReader(table))[-1]
+    cells = [float(last[name]) for name in ("toy_m", "toy_sigma_m", "toy_kf_m")]
+    assert cells == pytest.approx([TOY_M, 0.1 * TOY_M, TOY_M], abs=0.01)
+    assert not last["mono_m"]  # the box is cut off at the bottom: toy measures alone
+    assert float(last["fused_m"]) == pytest.approx(TOY_M, abs=0.01)
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["stages_ms"]["toy"] > 0
+    assert summary["methods"]["toy"]["coverage"] == summary["methods"]["toy_kf"]["coverage"] == 1.0
+    assert summary["toy_boxes"] == 8
+    assert "toy: 8 boxes." in summary["notes"]
+    assert re.search(r"^\W*toy\b.*\b100\b", printed, re.MULTILINE)
+    page = (out / "report.html").read_text()
+    assert TOY.colour in page
+    assert re.search(r"<t[hd][^>]*>\s*toy\b", page)
+
+
+def test_toy_method_in_every_output_of_a_run(toy, run_folder):
+    assert_is_everywhere(*run_folder())
+
+
+def test_toy_method_by_entry_point(run_folder, monkeypatch):
+    registry._installed.cache_clear()
+    entry = EntryPoint("toy", "tests.toys.toy_method:TOY", registry.ENTRY_POINT_GROUP)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [entry])
+    try:
+        assert_is_everywhere(*run_folder())
+    finally:
+        registry._installed.cache_clear()
+
+
+def test_broken_entry_point_is_a_note(run_folder, monkeypatch):
+    registry._installed.cache_clear()
+    entry = EntryPoint("toy", "tests.no_such_method:TOY", registry.ENTRY_POINT_GROUP)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [entry])
+    try:
+        out, printed = run_folder()
+    finally:
+        registry._installed.cache_clear()
+    notes = json.loads((out / "summary.json").read_text())["notes"]
+    assert [note for note in notes if "toy = tests.no_such_method:TOY" in note]
+    assert "tests.no_such_method" in printed
+
+
+def test_toy_method_in_the_overlay(toy):
+    frame_result = result([BOX], ranges={"toy": (33.3, 1.0), "mono": (30.0, 2.0), "fused": (31.0, 1.0)})
+    assert "W 33.3" in text_of(label_lines(frame_result, 0, class_names=("a", "b", "c"), sizes_px=(20, 12)))
+    assert "W box width" in text_of(corner_lines(frame_result, 12)[1])
+    assert colour_of_each(["toy_kf"]) == {"toy_kf": TOY.colour}
+
+
+def test_toy_method_is_gone_without_its_registration(run_folder):
+    out, _ = run_folder()
+    assert "toy" not in (out / "tracks.csv").read_text()
+    assert "toy" not in json.loads((out / "summary.json").read_text())["methods"]
+
+
+def test_toy_method_on_labelled_boxes(toy):
+    assert method_names()[-4:] == ("mono", "ground", "toy", "mono+ground+toy")

@@ -1,0 +1,69 @@
+"""`track-range rig check`, and runs with a rig file with errors, on a rendered drive."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from track_range.recording.recording import open_recording
+from track_range.stereo.alignment.from_drive import DriveAlignment
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.rig_formats.reading import load_rig
+from track_range.stereo.rig_formats.rig_yaml import save_rig
+
+SIZE_PX = (620, 188)
+
+
+@pytest.fixture(scope="module")
+def drive(render_drive):
+    return render_drive(seed=0, seconds=1.3, size_px=SIZE_PX).left.parent
+
+
+def save_rotated(drive, path, *, pitch_deg=0.0, yaw_deg=0.0, roll_deg=0.0):
+    """Write the drive's rig file with a wrong angle of the right camera."""
+    rig, _ = load_rig(drive / "rig.yaml", size_px=SIZE_PX)
+    rotation = np.eye(4)
+    rotation[:3, :3] = cv2.Rodrigues(np.radians([pitch_deg, yaw_deg, roll_deg]))[0]
+    save_rig(StereoRig(rig.left, rig.right, rotation @ rig.right_from_left), path)
+    return path
+
+
+def test_a_drive_is_required(cli):
+    status, _, errors = cli("rig", "check")
+    assert (status, "--drive" in errors) == (2, True)
+
+
+@pytest.mark.slow
+def test_table_and_json_of_a_good_rig(drive, tmp_path, cli):
+    figures = tmp_path / "health.json"
+    status, printed, _ = cli("rig", "check", "--drive", drive, "--json", figures)
+    assert status == 0
+    assert "Expected distance error" in printed
+    assert "baseline" in printed
+    health = json.loads(figures.read_text())["health"]
+    assert health["state"] == "good"
+    assert [row["distance_m"] for row in health["distances"]] == [10.0, 20.0, 30.0, 50.0]
+    assert len(health["windows"]) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("angles", [{"yaw_deg": 0.4}, {"pitch_deg": 0.4}, {"roll_deg": 0.5}])
+def test_runs_correct_a_wrong_rig_file(drive, tmp_path, angles):
+    """The frames of a run, rectified with the correction, have no error beyond the one that is added to disparities."""
+    rig = save_rotated(drive, tmp_path / "rig.yaml", **angles)
+    recording = open_recording(drive / "left.mp4", drive / "right.mp4", rig=rig)
+    alignment = recording.calibration.alignment
+    assert alignment.health.state == "off"
+    again = DriveAlignment(recording.rig)
+    for frame in recording.frames:
+        again.add(frame)
+    recording.close()
+    remaining = again.estimate()
+    applied = alignment.applied.after_shift()
+    assert abs(applied.offset_px) < 0.6  # larger ones shift the right image
+    assert remaining.offset_px == pytest.approx(applied.offset_px, abs=0.1)
+    assert remaining.row_offset_px == pytest.approx(0.0, abs=0.1)
+    assert remaining.roll_deg == pytest.approx(0.0, abs=0.03)

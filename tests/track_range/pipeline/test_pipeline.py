@@ -1,0 +1,266 @@
+"""The pipeline on synthetic frames: order, errors in threads, and content of results."""
+
+import numpy as np
+import pytest
+
+from track_range.detection.detections import Detections
+from track_range.detection.detector import DetectorError
+from track_range.detection.lanes.lines import LaneLine, LaneLines
+from track_range.pipeline.pipeline import Pipeline
+from track_range.ranging.method import MethodError
+from track_range.ranging.methods.ground_plane import GroundRanger
+from track_range.ranging.ranger import Ranger
+from track_range.ranging.ranges import Ranges
+from track_range.run.box_source import boxes_of
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.tracking.registry import TrackerError
+from track_range.tracking.tracks import Tracks
+
+CAMERA = PinholeCamera(100.0, 100.0, 49.5, 39.5, 100, 80)
+IMAGE = np.zeros((80, 100, 3), np.uint8)
+
+
+class OneTrack:
+    """A tracker that makes every detection a track."""
+
+    def update(self, detections, time_s, image):
+        n = len(detections)
+        return Tracks(np.arange(1, n + 1), detections.xyxy_px, detections.class_id, detections.score, np.ones(n, bool))
+
+
+class Falling(Ranger):
+    """A ranger whose distance shrinks by 10 m/s from 50 m."""
+
+    def measure(self, tracks, frame):
+        n = len(tracks)
+        return Ranges(tracks.track_id, np.full(n, 50 - 10 * frame.time_s), np.full(n, 0.5))
+
+
+def frames(n, dt_s=0.1):
+    return (Frame(i, i * dt_s, IMAGE, None) for i in range(n))
+
+
+def pipeline(detect=lambda frame: Detections.of([[49.5, 59.5, 69.5, 79.5]], [0.9], [2])):
+    return Pipeline(camera=CAMERA, detect=detect, tracker=OneTrack(), rangers={"mono": Falling()})
+
+
+def test_frames_in_order_with_all_methods():
+    loop = pipeline()
+    results = list(loop.run(frames(30)))
+    assert [r.frame.index for r in results] == list(range(30))
+    assert set(results[0].ranges) == {"mono", "fused", "mono_kf", "fused_kf"}
+    last = results[-1]
+    assert last.ranges["fused"].distance_m == pytest.approx([21.0])
+    assert last.closing_mps == pytest.approx([10.0], abs=0.3)
+    assert last.ttc_s == pytest.approx([2.1], abs=0.1)
+    np.testing.assert_allclose(last.xyz_m, [[0.1 * 21, 0.3 * 21, 21.0]])  # box centre 10 px right, 30 px below
+
+
+def test_clock_counts_the_stages_that_ran():
+    loop = pipeline()
+    list(loop.run(frames(30)))
+    assert {name for name, seconds in loop.clock.busy_s.items() if seconds > 0} == {"detect", "track", "mono", "fuse"}
+
+
+def test_shared_error_increases_every_sigma():
+    plain, doubtful = pipeline(), pipeline()
+    doubtful.shared_sigma = 0.25
+    for one, other in zip(plain.run(frames(3)), doubtful.run(frames(3)), strict=True):
+        assert set(one.ranges) == set(other.ranges)
+        for name, ranges in one.ranges.items():
+            assert other.ranges[name].distance_m == pytest.approx(ranges.distance_m)
+            assert other.ranges[name].sigma_m == pytest.approx(np.hypot(ranges.sigma_m, 0.25 * ranges.distance_m))
+
+
+class LinesTo:
+    """A lane finder whose lines meet in a row."""
+
+    notes = ()
+
+    def __init__(self, y_px):
+        self.y_px = y_px
+        self.looked_s = []
+
+    def find(self, image, time_s):
+        self.looked_s.append(time_s)
+        left, right = (
+            LaneLine(np.array([49.5 - slope * self.y_px, slope, 0.0]), np.diag([0.01, 0.0, 0.0]), 50.0, 79.0)
+            for slope in (-1.0, 1.0)
+        )
+        return LaneLines(left, right)
+
+
+class Listening(Falling):
+    """A ranger that records the arguments of its hooks."""
+
+    background_s = 7.0
+
+    def __init__(self):
+        self.started, self.lanes, self.others, self.is_closed = [], [], [], False
+
+    def start(self, frame):
+        self.started.append(frame.index)
+
+    def update_lanes(self, lines):
+        self.lanes.append(lines)
+
+    def measure_with(self, tracks, frame, others):
+        self.others.append(set(others))
+        return self.measure(tracks, frame)
+
+    def close(self):
+        self.is_closed = True
+
+
+def test_every_hook_of_a_ranger_is_called():
+    loop, ranger = pipeline(), Listening()
+    loop.rangers = {"mono": Falling(), "sgbm": Falling(), "stereo": Falling(), "lane": ranger}
+    loop.lane_finder = LinesTo(40.0)
+    list(loop.run(frames(3)))
+    assert ranger.started == [0, 1, 2]
+    assert ranger.others == [{"mono", "stereo"}] * 3  # only the methods that lane reads
+    assert ranger.is_closed
+    assert 7.0 <= loop.clock.busy_s["lane"] < 8.0
+
+
+def test_lanes_are_detected_ten_times_per_second():
+    loop, ranger = pipeline(), Listening()
+    loop.lane_finder, loop.rangers = LinesTo(40.0), {"ground": ranger}
+    results = list(loop.run(frames(7, dt_s=1 / 30)))
+    assert loop.lane_finder.looked_s == pytest.approx([0.0, 0.1, 0.2])
+    assert [r.lanes is results[0].lanes for r in results] == [True] * 3 + [False] * 4
+    assert [id(lines) for lines in ranger.lanes] == [id(results[i].lanes) for i in (0, 3, 6)]
+
+
+@pytest.mark.parametrize("y_px", [35.0, 44.0])
+def test_horizon_is_where_lane_lines_meet(y_px):
+    loop, ranger = pipeline(), GroundRanger(CAMERA)
+    loop.lane_finder, loop.rangers = LinesTo(y_px), {"ground": ranger}
+    assert len(list(loop.run(frames(3)))) == 3
+    assert ranger.plane.horizon.y_px == pytest.approx(y_px, abs=1.0)
+
+
+def test_frame_without_boxes():
+    empty = list(pipeline(lambda frame: Detections.empty()).run(frames(3)))
+    assert [len(r.tracks) for r in empty] == [0, 0, 0]
+    assert empty[0].xyz_m.shape == (0, 3)
+
+
+def test_error_in_a_stage_follows_earlier_frames():
+    def detect(frame):
+        if frame.index == 5:
+            raise ValueError("broken")
+        return Detections.empty()
+
+    seen = []
+    with pytest.raises(ValueError, match="broken"):
+        seen.extend(r.frame.index for r in pipeline(detect).run(frames(9)))
+    assert seen == [0, 1, 2, 3, 4]
+
+
+def test_closing_early_stops_reading():
+    asked = []
+
+    def endless():
+        for frame in frames(10_000):
+            asked.append(frame.index)
+            yield frame
+
+    run = pipeline().run(endless())
+    next(run)
+    run.close()
+    assert len(asked) < 50
+
+
+def test_receding_track_has_no_ttc():
+    class Rising(Ranger):
+        def measure(self, tracks, frame):
+            return Ranges(tracks.track_id, np.full(len(tracks), 20 + 5 * frame.time_s), np.full(len(tracks), 0.2))
+
+    loop = pipeline()
+    loop.rangers = {"mono": Rising()}
+    last = list(loop.run(frames(30)))[-1]
+    assert last.closing_mps[0] < -3
+    assert np.isnan(last.ttc_s[0])
+
+
+def test_ranger_of_other_tracks():
+    class Missing(Ranger):
+        def measure(self, tracks, frame):
+            return Ranges.unmeasured(tracks.track_id[1:])
+
+    loop = pipeline()
+    loop.rangers = {"mono": Falling(), "radar": Missing()}
+    with pytest.raises(MethodError, match="radar"):
+        list(loop.run(frames(1)))
+
+
+class Returning(Ranger):
+    """A ranger that returns the result of a function of the tracks."""
+
+    def __init__(self, made_of):
+        self._made_of = made_of
+
+    def measure(self, tracks, frame):
+        return self._made_of(tracks)
+
+
+@pytest.mark.parametrize(
+    ("made_of", "word"),
+    [
+        (lambda tracks: None, "NoneType"),
+        (lambda tracks: tracks, "Tracks"),
+        (lambda tracks: Ranges.unmeasured(tracks.track_id + 1), "track_id"),
+    ],
+)
+def test_ranger_without_ranges(made_of, word):
+    loop = pipeline()
+    loop.rangers = {"radar": Returning(made_of)}
+    with pytest.raises(MethodError, match=f"radar.*{word}"):
+        list(loop.run(frames(1)))
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "sigma_m", "systematic_m"),
+    [
+        (-20.0, 1.0, 0.5),
+        (0.0, 1.0, 0.5),
+        (np.inf, 1.0, 0.5),
+        (np.nan, 1.0, 0.5),
+        (20.0, 0.0, 0.0),
+        (20.0, -1.0, 0.5),
+        (20.0, np.inf, 0.5),
+        (20.0, np.nan, 0.5),
+        (20.0, 1.0, -0.5),
+        (20.0, 1.0, np.inf),
+    ],
+)
+def test_invalid_distances_become_nan(distance_m, sigma_m, systematic_m):
+    values = np.array([[distance_m, 30.0], [sigma_m, 1.0], [systematic_m, 0.5]])
+    loop = pipeline(
+        lambda frame: Detections.of([[49.5, 59.5, 69.5, 79.5], [9.5, 59.5, 29.5, 79.5]], [0.9, 0.9], [2, 2])
+    )
+    loop.rangers = {"mono": Falling(), "ground": Returning(lambda tracks: Ranges(tracks.track_id, *values))}
+    (result,) = loop.run(frames(1))
+    ground = result.ranges["ground"]
+    for column, value in zip((ground.distance_m, ground.sigma_m, ground.sigma_systematic_m), values, strict=True):
+        np.testing.assert_array_equal(column, [np.nan, value[1]])
+    assert result.ranges["fused"].distance_m[0] == pytest.approx(50.0)
+    np.testing.assert_array_equal(values[:, 0], [distance_m, sigma_m, systematic_m])  # the ranger's own arrays
+
+
+def test_tracker_and_detector_without_results():
+    class Silent:
+        def update(self, detections, time_s, image):
+            return None
+
+        def detect(self, image):
+            return None
+
+    loop = pipeline()
+    loop.tracker = Silent()
+    with pytest.raises(TrackerError, match=r"Silent: .*Tracks.*NoneType"):
+        list(loop.run(frames(1)))
+    with pytest.raises(DetectorError, match=r"Silent: .*Detections.*NoneType"):
+        list(pipeline(boxes_of(Silent()).detect).run(frames(1)))

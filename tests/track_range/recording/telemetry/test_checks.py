@@ -1,0 +1,104 @@
+import numpy as np
+import pytest
+
+from tests.track_range.recording.telemetry.telemetry_files import DEG_PER_M, LATITUDE, LONGITUDE, START_S
+from track_range.recording.telemetry.checks import usable
+from track_range.recording.telemetry.errors import TelemetryError
+from track_range.recording.telemetry.track import TelemetryTrack
+
+N = 30
+
+
+def track(speed_mps=10.0, *, clock="video", time_s=None, **columns):
+    time_s = np.arange(float(N)) if time_s is None else np.asarray(time_s, float)
+    values = {name: np.asarray(value, float) for name, value in columns.items()}
+    speed = np.broadcast_to(np.asarray(speed_mps, float), time_s.shape).copy()
+    return TelemetryTrack(time_s=time_s, speed_mps=speed, source="test", clock=clock, **values)
+
+
+def test_good_track_is_unchanged():
+    given = track(np.linspace(5, 20, N), utc_s=START_S + np.arange(N))
+    assert usable(given).speed_mps.tolist() == given.speed_mps.tolist()
+
+
+def test_samples_in_the_order_of_time_once():
+    result = usable(track([1, np.nan, 2, 3], time_s=[2, 1, 1, 0]))
+    assert result.time_s.tolist() == [0, 1, 2]
+    assert result.speed_mps.tolist() == [3, 2, 1]
+
+
+def test_single_wild_speed_is_omitted():
+    speeds = np.full(N, 10.0)
+    speeds[7] = 500
+    assert np.flatnonzero(np.isnan(usable(track(speeds)).speed_mps)).tolist() == [7]
+
+
+def jumping_clock():
+    utc_s = START_S + np.arange(N)
+    utc_s[4:] += 3 * 3600
+    return utc_s
+
+
+@pytest.mark.parametrize(
+    ("given", "word"),
+    [
+        (track(np.nan), "fix"),
+        (track([], time_s=[]), "fix"),
+        (track(utc_s=jumping_clock()), "jumps by 3 h"),
+        (track(clock="utc", time_s=jumping_clock()), "jumps by 3 h"),
+        (track(clock="utc", time_s=START_S - np.arange(N) * 10.0), "back"),
+        (track(latitude_deg=np.full(N, 200.0), longitude_deg=np.full(N, 9.0)), "Earth"),
+        (track(latitude_deg=np.random.default_rng(0).uniform(-80, 80, N), longitude_deg=np.full(N, 9.0)), "positions"),
+        (track(200.0), "432 km/h"),
+        (track(np.where(np.arange(N) % 2, 60.0, 5.0)), "jump"),
+    ],
+)
+def test_unusable_track(given, word):
+    with pytest.raises(TelemetryError, match=word) as error:
+        usable(given)
+    assert "\n" not in str(error.value)
+
+
+def test_invented_positions_do_not_matter():
+    latitude = LATITUDE + np.arange(N) * 37 * DEG_PER_M
+    for lat in (latitude, np.full(N, 50.0)):
+        assert usable(track(8.0, latitude_deg=lat, longitude_deg=np.full(N, LONGITUDE))).speed_mps.max() == 8.0
+
+
+def test_pause_is_no_jump():
+    times_s = np.concatenate([START_S + np.arange(10), START_S + 4000 + np.arange(10)])
+    assert len(usable(track(clock="utc", time_s=times_s))) == 20
+
+
+def cold_start(n_void=4, n_fixed=12, stale_s=-3 * 3600):
+    """A receiver that sets its clock when it gets its fix."""
+    utc_s = START_S + np.arange(n_void + n_fixed) + np.where(np.arange(n_void + n_fixed) < n_void, stale_s, 0)
+    speed_mps = np.where(np.arange(n_void + n_fixed) < n_void, np.nan, 10.0)
+    return speed_mps, utc_s
+
+
+@pytest.mark.parametrize("clock", ["video", "utc"])
+@pytest.mark.parametrize("stale_s", [-3 * 3600, 3 * 3600, -1024 * 7 * 86400])
+def test_cold_start(clock, stale_s):
+    speed_mps, utc_s = cold_start(stale_s=stale_s)
+    times_s = utc_s if clock == "utc" else np.arange(16.0)
+    result = usable(track(speed_mps, clock=clock, time_s=times_s, utc_s=utc_s))
+    assert len(result) == 12
+    assert result.time_s[0] == times_s[4]
+    assert "first 4 samples" in result.notes[0]
+
+
+def test_default_date_of_a_receiver_with_a_fix():
+    _, utc_s = cold_start(stale_s=946_684_800 - START_S)
+    assert len(usable(track(time_s=np.arange(16.0), utc_s=utc_s))) == 12
+
+
+@pytest.mark.parametrize("change", ["short", "jump", "losses"])
+def test_cold_start_without_a_stable_fix(change):
+    speed_mps, utc_s = cold_start(n_fixed=8 if change == "short" else 20)
+    if change == "jump":
+        utc_s[12:] += 3 * 3600
+    if change == "losses":
+        speed_mps[8:12] = np.nan
+    with pytest.raises(TelemetryError, match="clock jumps by 3 h"):
+        usable(track(speed_mps, time_s=np.arange(float(len(utc_s))), utc_s=utc_s))

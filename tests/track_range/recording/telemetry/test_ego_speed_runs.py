@@ -1,0 +1,187 @@
+"""Runs with telemetry beside the video: the speed, its notes, and no positions in the results."""
+
+import json
+import sys
+from contextlib import closing
+from datetime import UTC, datetime
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.track_range.recording.telemetry.telemetry_files import LATITUDE, LONGITUDE, START_S, gpx_text, rmc
+from track_range.fleet.inputs.clip import Clip
+from track_range.ranging.ego_speed import EgoSpeedError
+from track_range.recording.recording import open_recording
+from track_range.recording.telemetry.errors import TelemetryError
+from track_range.recording.telemetry.sidecars.reading import read_sidecar
+from track_range.recording.telemetry.speed_source import open_speed
+
+TIMES_S = [0.2 * i for i in range(16)]
+N = len(TIMES_S)
+BOXES = "".join(f"{i} 1 Car 0 0 0 10 10 40 40 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n" for i in range(N))
+DATE = datetime.fromtimestamp(START_S, UTC).isoformat()
+
+
+@pytest.fixture
+def drive(tmp_path, film):
+    """A video of 3 s and recorded boxes."""
+    (tmp_path / "in").mkdir()
+    film(tmp_path / "in/drive.mp4", TIMES_S)
+    (tmp_path / "in/boxes.txt").write_text(BOXES)
+    return tmp_path / "in/drive.mp4"
+
+
+def run(cli, video, *options, out="out", succeeds=True):
+    """Summary, printed text and rows of a run."""
+    folder = video.parents[1] / out
+    inputs = ("--mono", video, "--detections", video.parent / "boxes.txt", "--focal-px", 60, "--start-utc", DATE)
+    status, printed, errors = cli(*inputs, "--lanes", "off", "--no-overlay", *options, "--out", folder)
+    if not succeeds:
+        assert status == 1
+        return errors
+    assert status == 0, errors
+    summary = json.loads((folder / "summary.json").read_text())
+    rows = [line.split(",") for line in (folder / "tracks.csv").read_text().splitlines()]
+    column = rows[0].index("ego_mps")
+    return summary, printed + errors, [row[column] for row in rows[1:]]
+
+
+def test_nothing_found(cli, drive):
+    summary, printed, speeds = run(cli, drive)
+    assert summary["ego_speed"] is None
+    assert set(speeds) == {""}
+    assert "Ego speed" not in printed
+    without = run(cli, drive, "--ego-speed", "off", out="off")
+    assert without[2] == speeds
+    assert (drive.parents[1] / "out/tracks.csv").read_bytes() == (drive.parents[1] / "off/tracks.csv").read_bytes()
+
+
+def test_gpx_beside_the_video(cli, drive):
+    (drive.parent / "drive.gpx").write_text(gpx_text([8.0] * 10, start_s=START_S - 2, field="speed"))
+    summary, printed, speeds = run(cli, drive)
+    assert summary["ego_speed"]["source"] == "drive.gpx"
+    assert summary["ego_speed"]["median_mps"] == 8.0
+    assert summary["ego_speed"]["coverage"] == 1.0
+    assert set(speeds) == {"8.000"}
+    assert "Ego speed from drive.gpx" in printed
+    assert summary["ego_speed"]["offset_s"] is None
+
+
+def test_order_of_preference(drive):
+    def source():
+        with closing(open_recording(drive, focal_px=60, start_utc=DATE)) as recording:
+            return open_speed("auto", recording).ego
+
+    (drive.parent / "drive.gpx").write_text(gpx_text([8.0] * 10, start_s=START_S - 2, field="speed"))
+    (drive.parent / "drive.NMEA").write_text("\n".join(rmc(i, 10) for i in range(5)))
+    assert source().source == "drive.gpx"
+    (drive.parent / "ego_speed.csv").write_text("time_s,speed_mps\n0,5\n10,5\n")
+    assert source().source == "ego_speed.csv"
+    (drive.parent / "ego_speed.csv").unlink()
+    (drive.parent / "drive.gpx").write_text("broken")
+    assert source().source == "drive.NMEA"
+    assert source().at(1.0) == pytest.approx(5.144, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "word"),
+    [
+        ("drive.gpx", gpx_text([8.0] * 10, start_s=START_S + 86400 * 3), "another day"),
+        ("drive.gpx", gpx_text([8.0] * 20, field="speed", factor=1.4), "contradict"),
+        ("drive.gpx", gpx_text([8.0] * 20, field="speed", factor=90), "contradict"),
+        ("drive.gpx", "not XML", "XML"),
+        ("drive.nmea", "\n".join(rmc(i, "", status="V") for i in range(5)), "no fix"),
+        ("drive.nmea", "\n".join([*(rmc(i, 10) for i in range(3)), rmc(3, 10, hour=13)]), "clock"),
+        ("drive.csv", "time_s,speed\n0,10\n9,10\n", "unit"),
+        ("drive.csv", "time_s,speed_kmh\n0,700\n9,700\n", "432"),
+        ("drive.srt", "1\n00:00:00,000 --> 00:00:09,000\nspeed: 50\n", "unit"),
+        ("ego_speed.csv", "frame,x\n0,1\n", "columns"),
+    ],
+)
+def test_unusable_telemetry_is_a_note(drive, name, text, word):
+    path = drive.parent / name
+    path.write_text(text)
+    with closing(open_recording(drive, focal_px=60, start_utc=DATE)) as recording:
+        source = open_speed("auto", recording)
+        assert source.ego is None
+        assert len(source.notes) == 1
+        assert name in source.notes[0]
+        assert word in source.notes[0]
+        assert len(source.notes[0].replace(str(path), "")) <= 300
+        with pytest.raises((TelemetryError, EgoSpeedError), match=name):
+            open_speed(str(path), recording)
+
+
+def test_unusable_telemetry_does_not_stop_a_run(cli, drive):
+    (drive.parent / "drive.gpx").write_text("not XML")
+    summary, printed, speeds = run(cli, drive)
+    assert summary["ego_speed"] is None
+    assert set(speeds) == {""}
+    assert "Telemetry is not used" in printed
+    errors = run(cli, drive, "--ego-speed", drive.parent / "drive.gpx", succeeds=False)
+    assert "drive.gpx" in errors
+    assert "Traceback" not in errors
+
+
+def test_camera_at_rest_against_the_telemetry(cli, tmp_path, film):
+    rng = np.random.default_rng(0)
+    image = cv2.resize(rng.integers(0, 255, (30, 40, 3), np.uint8), (320, 240), interpolation=cv2.INTER_CUBIC)
+    (tmp_path / "in").mkdir()
+    video = film(tmp_path / "in/drive.mp4", TIMES_S, images=[image] * N)
+    (tmp_path / "in/boxes.txt").write_text(BOXES)
+    (tmp_path / "in/drive.csv").write_text("time_s,speed_kmh,note\n" + "".join(f"{i},120,\n" for i in range(5)))
+    summary, _, speeds = run(cli, video)
+    assert summary["ego_speed"] is None
+    assert set(speeds) == {""}
+    assert any("120 km/h while the camera is at rest" in note for note in summary["notes"])
+
+
+def texts_of(folder: Path) -> str:
+    return "".join(path.read_bytes().decode("latin-1") for path in folder.rglob("*") if path.is_file())
+
+
+def test_positions_only_if_requested(cli, drive):
+    (drive.parent / "drive.gpx").write_text(gpx_text([8.0] * 10, start_s=START_S - 2, field="speed"))
+    run(cli, drive, "--write", "csv,mot,parquet,kitti", out="plain")
+    shown = texts_of(drive.parents[1] / "plain")
+    assert not (drive.parents[1] / "plain/telemetry.csv").exists()
+    for position in (f"{LATITUDE:.3f}", f"{LONGITUDE:.3f}", "latitude", "longitude"):
+        assert position not in shown
+    run(cli, drive, "--keep-gps", out="kept")
+    lines = (drive.parents[1] / "kept/telemetry.csv").read_text().splitlines()
+    assert lines[0] == "time_s,latitude_deg,longitude_deg,speed_mps,course_deg"
+    assert [float(line.split(",")[0]) for line in lines[1:]] == [-1.0, 0.0, 1.0, 2.0, 3.0, 4.0]
+    assert lines[1].split(",")[2] == f"{LONGITUDE:.7f}"
+    run(cli, drive, out="kept")
+    assert not (drive.parents[1] / "kept/telemetry.csv").exists()
+
+
+def test_positions_without_telemetry(cli, drive):
+    summary, _, _ = run(cli, drive, "--keep-gps")
+    assert any("--keep-gps" in note for note in summary["notes"])
+    assert not (drive.parents[1] / "out/telemetry.csv").exists()
+
+
+def test_positions_and_anonymization(cli, drive):
+    status, _, errors = cli("--mono", drive, "--keep-gps", "--anonymize")
+    assert status == 2
+    assert "--keep-gps" in errors
+
+
+def test_missing_package(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "pynmea2", None)
+    (tmp_path / "a.nmea").write_text(rmc(0, 10))
+    with pytest.raises(TelemetryError, match="pip install"):
+        read_sidecar(tmp_path / "a.nmea", "a.mp4", 0.0)
+
+
+def test_telemetry_belongs_to_a_clip_of_a_fleet(drive):
+    clip = Clip("a", str(drive))
+    assert set(clip.files()) == {"left"}
+    (drive.parent / "drive.gpx").write_text("")
+    (drive.parent / "ego_speed.csv").write_text("")
+    files = clip.files()
+    assert [Path(files[f"telemetry_{i}"]).name for i in range(2)] == ["ego_speed.csv", "drive.gpx"]
+    assert set(Clip("a", str(drive), settings={"ego_speed": "off"}).files()) == {"left"}

@@ -1,0 +1,377 @@
+"""MCAP files and ROS bags as input: images, times, calibrations, and damaged files."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import sys
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer
+
+from tests.track_range.recording.bag_writers import START_NS, write_foxglove, write_ros1, write_ros2
+from tests.track_range.results.test_results import result
+from track_range.foundation.errors import UsageError
+from track_range.recording.bags.bag import is_bag
+from track_range.recording.bags.decoding import _ros_reader
+from track_range.recording.frame import VideoError
+from track_range.recording.names import BagTopic, Segments
+from track_range.recording.reader import VideoReader
+from track_range.recording.recording import open_recording
+from track_range.results.writers import OpenWriters, RunInfo
+from track_range.run.settings import save_settings, settings_from
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.rig_formats.camera_info import CameraInfo, camera_of, rig_of
+
+BOTH = ("/left", "/right")
+
+
+def write(path: Path, kind: str, names: tuple[str, ...], images: list[np.ndarray], **options: Any) -> Path:
+    if kind.startswith("foxglove"):
+        return write_foxglove(path, names, images, is_raw=kind == "foxglove-raw", **options)
+    options = {"topic": "image_raw/compressed", **options}
+    if kind.startswith("ros1"):
+        return write_ros1(path, names, images, compression=kind.partition("-")[2], **options)
+    return write_ros2(path, names, images, storage=kind, **options)
+
+
+@pytest.fixture
+def images(level: Callable[..., np.ndarray]) -> list[np.ndarray]:
+    return [level(number) for number in range(12)]
+
+
+def topic_of(kind: str) -> str:
+    return "image" if kind.startswith("foxglove") else "image_raw/compressed"
+
+
+@pytest.mark.parametrize("kind", ["foxglove", "foxglove-raw", "sqlite3", "mcap", "ros1", "ros1-BZ2", "ros1-LZ4"])
+def test_pair_in_a_bag(tmp_path: Path, images: list[np.ndarray], number_in: Callable[..., int], kind: str) -> None:
+    bag = write(tmp_path / "drive.bag", kind, BOTH, images)
+    assert is_bag(bag)
+    topics = [f"{side}/{topic_of(kind)}" for side in BOTH]
+    recording = open_recording(bag, bag, topics=topics, align="off", has_checks=False)
+    assert recording.rig is not None
+    assert recording.rig.baseline_m == pytest.approx(0.5)
+    assert recording.camera.fx_px == 70.0
+    frames = list(recording.frames)
+    assert [frame.index for frame in frames] == list(range(12))
+    assert [frame.time_s for frame in frames] == pytest.approx([number / 10 for number in range(12)])
+    assert [number_in(frame.left) for frame in frames] == list(range(12))
+    assert frames[0].utc_s == pytest.approx(START_NS / 1e9)
+    assert recording.fps == pytest.approx(10.0)
+    assert recording.n_frames == 12
+    assert not [note for note in recording.inputs.notes if "skipped" in note or "cut" in note]
+
+
+@pytest.mark.parametrize("kind", ["foxglove", "sqlite3", "mcap", "ros1"])
+def test_later_start_in_a_bag(tmp_path: Path, images: list[np.ndarray], kind: str, monkeypatch: Any) -> None:
+    monkeypatch.setattr("track_range.recording.bags.bag_video._MAX_LATENCY_S", 0.05)
+    bag = write(tmp_path / "drive.bag", kind, BOTH, images)
+    reader = VideoReader(BagTopic(bag, f"/left/{topic_of(kind)}"), start_s=0.65, duration_s=0.3)
+    assert [frame.index for frame in reader] == [7, 8, 9]
+
+
+@pytest.mark.parametrize("encoding", ["bgr8", "rgb8", "mono8", "mono16", "bayer_rggb8", "rgba8"])
+def test_raw_images(tmp_path: Path, encoding: str) -> None:
+    bgr = np.zeros((48, 64, 3), np.uint8)
+    bgr[..., :] = (40, 90, 200)
+    grey = np.full((48, 64), 90, np.uint8)
+    bayer = np.zeros((48, 64), np.uint8)
+    bayer[0::2, 0::2], bayer[1::2, 1::2] = 200, 40
+    bayer[0::2, 1::2] = bayer[1::2, 0::2] = 90
+    stored = {
+        "bgr8": bgr,
+        "rgb8": bgr[..., ::-1],
+        "mono8": grey,
+        "mono16": grey.astype(np.uint16) << 8,
+        "bayer_rggb8": bayer,
+        "rgba8": np.dstack([bgr[..., ::-1], grey]),
+    }[encoding]
+    bag = write_ros1(tmp_path / "drive.bag", ("/cam",), [stored] * 2, topic="image_raw", encoding=encoding)
+    frames = list(VideoReader(bag))
+    expected = (90, 90, 90) if encoding.startswith("mono") else (40, 90, 200)
+    assert len(frames) == 2
+    assert frames[0].image[20, 20].tolist() == list(expected)
+
+
+@pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])
+def test_depth_images_are_refused(tmp_path: Path, encoding: str) -> None:
+    stored = np.ones((48, 64), np.uint16 if encoding == "16UC1" else np.float32)
+    bag = write_ros1(tmp_path / "drive.bag", ("/cam",), [stored] * 2, topic="image_raw", encoding=encoding)
+    with pytest.raises(VideoError, match=rf"drive\.bag: .*depth.*{encoding}"):
+        VideoReader(bag)
+
+
+def test_messages_compressed_one_by_one(
+    tmp_path: Path, images: list[np.ndarray], number_in: Callable[..., int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, Writer
+
+    original = Writer.__init__
+
+    def compressing(writer: Any, *args: Any, **options: Any) -> None:
+        original(writer, *args, **options)
+        writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+
+    monkeypatch.setattr(Writer, "__init__", compressing)
+    bag = write(tmp_path / "drive", "sqlite3", ("/cam",), images)
+    assert [number_in(frame.image) for frame in VideoReader(bag)] == list(range(12))
+
+
+def test_sqlite_bag_that_is_cut_off(tmp_path: Path, images: list[np.ndarray], number_in: Callable[..., int]) -> None:
+    bag = write(tmp_path / "drive", "sqlite3", ("/cam",), images * 20)
+    file = next(bag.glob("*.db3"))
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) * 2 // 3])
+    reader = VideoReader(BagTopic(file, None))
+    numbers = [number_in(frame.image) for frame in reader]
+    assert 12 <= len(numbers) < 240
+    assert numbers[:12] == list(range(12))
+    assert any("cut off" in note for note in reader.notes)
+
+
+def test_baseline_between_cameras_of_another_origin() -> None:
+    """KITTI's rectified frames have the origin of another camera: both projection matrices contain an offset."""
+    k = np.array([[70.0, 0.0, 31.5], [0.0, 70.0, 23.5], [0.0, 0.0, 1.0]])
+    left, right = (
+        CameraInfo((64, 48), "", (), k, np.eye(3), np.column_stack([k, [70.0 * offset_m, 0.0, 0.0]]))
+        for offset_m in (0.06, -0.44)
+    )
+    assert rig_of(left, right, Path("drive.bag"), is_rectified=True).baseline_m == pytest.approx(0.5)
+
+
+def test_uncalibrated_camera_has_no_calibration(
+    tmp_path: Path, images: list[np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tests.track_range.recording.bag_writers.K", [0.0] * 9)
+    bag = write(tmp_path / "drive", "mcap", ("/cam",), images[:2])
+    reader = VideoReader(bag)
+    assert reader.bag is not None
+    assert reader.bag.camera is None
+
+
+def test_rectified_cameras_that_contradict_each_other() -> None:
+    k = np.array([[70.0, 0.0, 31.5], [0.0, 70.0, 23.5], [0.0, 0.0, 1.0]])
+    left, right, longer = (
+        CameraInfo((64, 48), "", (), k, np.eye(3), np.column_stack([matrix, [offset, 0.0, 0.0]]))
+        for matrix, offset in ((k, 0.0), (k, -35.0), (k * [[1.3], [1.3], [1.0]], -35.0))
+    )
+    assert rig_of(left, right, Path("drive.bag"), is_rectified=True).baseline_m == pytest.approx(0.5)
+    with pytest.raises(RigError, match=r"drive\.bag: .*focal lengths"):
+        rig_of(left, longer, Path("drive.bag"), is_rectified=True)
+
+
+def test_video_messages(tmp_path: Path, film: Callable[..., Path], number_in: Callable[..., int]) -> None:
+    import av
+    from foxglove.messages import CompressedVideo, Timestamp
+    from mcap.writer import Writer
+
+    source = film(tmp_path / "film.h264", [number / 10 for number in range(12)], options={}, gop=6)
+    with av.open(str(source)) as container, (tmp_path / "drive.mcap").open("wb") as file:
+        packets = [bytes(packet) for packet in container.demux(video=0) if packet.size]
+        writer = Writer(file)
+        writer.start()
+        schema = CompressedVideo.get_schema()
+        channel = writer.register_channel(
+            "/video", "protobuf", writer.register_schema(schema.name, schema.encoding, schema.data)
+        )
+        for number, packet in enumerate(packets):
+            message = CompressedVideo(timestamp=Timestamp(100, number * 10**8), data=packet, format="h264")
+            writer.add_message(channel, number * 10**8, message.encode(), number * 10**8)
+        writer.finish()
+    reader = VideoReader(tmp_path / "drive.mcap")
+    assert (reader.width_px, reader.height_px, reader.utc) == (64, 48, None)
+    assert len(list(reader)) > 0
+
+
+def test_mono_needs_no_topic_if_there_is_one(tmp_path: Path, images: list[np.ndarray]) -> None:
+    bag = write_foxglove(tmp_path / "drive.mcap", ("/camera",), images)
+    recording = open_recording(bag)
+    assert (recording.camera.fx_px, recording.calibration.kind) == (70.0, "rig")
+    assert len(list(recording.frames)) == 12
+
+
+def test_missing_topic_lists_the_topics(tmp_path: Path, images: list[np.ndarray]) -> None:
+    bag = write(tmp_path / "bag", "mcap", BOTH, images)
+    for name in (BagTopic(bag, None), BagTopic(bag, "/left/image"), BagTopic(bag, "/chatter")):
+        with pytest.raises(VideoError, match=r"/left/image_raw/compressed \(sensor_msgs/Compre") as raised:
+            VideoReader(name)
+        assert len(str(raised.value)) < 300 + len(str(bag))
+
+
+def test_raw_pair_is_rectified(tmp_path: Path, images: list[np.ndarray], monkeypatch: Any) -> None:
+    monkeypatch.setattr("tests.track_range.recording.bag_writers.K", [75.0, 0.0, 31.5, 0.0, 75.0, 23.5, 0.0, 0.0, 1.0])
+    bag = write(tmp_path / "bag", "sqlite3", BOTH, images)
+    recording = open_recording(
+        bag, bag, topics=[f"{side}/image_raw/compressed" for side in BOTH], align="off", has_checks=False
+    )
+    assert recording.rig is not None
+    assert recording.rig.baseline_m == pytest.approx(0.5)
+    recording.close()
+
+
+@pytest.mark.parametrize("kind", ["foxglove", "ros1"])
+@pytest.mark.parametrize("share", [0.6, 0.97])
+def test_bag_that_is_cut_off(
+    tmp_path: Path, images: list[np.ndarray], kind: str, share: float, monkeypatch: Any
+) -> None:
+    noisy = [
+        np.random.default_rng(number).integers(0, 255, image.shape, np.uint8) for number, image in enumerate(images)
+    ]
+    if kind == "ros1":
+        monkeypatch.setattr("rosbags.rosbag1.Writer.__init__", _with_small_chunks(Writer.__init__))
+    bag = write(tmp_path / "drive", kind, ("/cam",), noisy)
+    content = bag.read_bytes()
+    bag.write_bytes(content[: int(share * len(content))])
+    reader = VideoReader(BagTopic(bag, f"/cam/{topic_of(kind)}"))
+    n_frames = len(list(reader))
+    assert 4 <= n_frames < 12 or share > 0.9
+    assert any("cut off" in note for note in reader.notes)
+
+
+def _with_small_chunks(original: Callable[..., None]) -> Callable[..., None]:
+    def init(self: Writer, path: Path) -> None:
+        original(self, path)
+        self.chunk_threshold = 20_000
+
+    return init
+
+
+@pytest.mark.parametrize("kind", ["foxglove", "sqlite3", "mcap", "ros1"])
+def test_damaged_bags(tmp_path: Path, images: list[np.ndarray], kind: str) -> None:
+    bag = write(tmp_path / "drive", kind, ("/cam",), images)
+    file = next(path for path in bag.iterdir() if path.suffix in (".db3", ".mcap")) if bag.is_dir() else bag
+    content = file.read_bytes()
+    random, messages, n_frames = np.random.default_rng(4), list[str](), list[int]()
+    for _ in range(30):
+        damaged = bytearray(content)
+        start = int(random.integers(len(damaged)))
+        damaged[start : start + 40] = random.integers(0, 256, 40, np.uint8).tobytes()[: len(damaged) - start]
+        file.write_bytes(bytes(damaged[: int(random.integers(1, len(damaged)))] if random.random() < 0.5 else damaged))
+        try:
+            frames = list(VideoReader(BagTopic(bag, f"/cam/{topic_of(kind)}")))
+        except VideoError as error:
+            messages.append(str(error))
+        else:
+            n_frames.append(len(frames))
+    assert all(message.startswith(str(bag)) and len(message) < 300 + len(str(bag)) for message in messages)
+    assert max(n_frames) <= 12
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"#ROSBAG V1.2\n", b"SQLite format 3\0", b"#ROSBAG V2.0\n"])
+def test_empty_bags(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "drive.bag").write_bytes(content)
+    with pytest.raises(VideoError, match=r"drive\.bag"):
+        VideoReader(BagTopic(tmp_path / "drive.bag", "/cam"))
+
+
+@pytest.mark.parametrize("profile", ["foxglove", "ros2"])
+def test_own_mcap_file_as_input(tmp_path: Path, images: list[np.ndarray], profile: str) -> None:
+    camera = PinholeCamera(70.0, 71.0, 30.0, 20.0, 64, 48)
+    settings = {"mcap_profile": profile, "mcap_images": True}
+    info = RunInfo(camera=camera, rig=None, fps=10.0, settings=settings, start_utc_s=START_NS / 1e9)
+    with OpenWriters(("mcap",), info, tmp_path) as writers:
+        for number, image in enumerate(images):
+            utc_s = START_NS / 1e9 + number / 10
+            given = result(number)
+            writers.write(replace(given, frame=Frame(number, number / 10, image, None, utc_s)))
+        writers.close({"notes": []})
+    recording = open_recording(tmp_path / "run.mcap")
+    assert recording.camera == camera
+    frames = list(recording.frames)
+    assert [frame.time_s for frame in frames] == pytest.approx([number / 10 for number in range(12)])
+    assert frames[3].utc_s == pytest.approx(START_NS / 1e9 + 0.3)
+    assert np.abs(frames[5].left.astype(int) - images[5]).max() <= 4  # JPEG
+
+
+@pytest.mark.parametrize(("kind", "package"), [("foxglove", "mcap.stream_reader"), ("ros1", "rosbags.typesys")])
+def test_missing_package_is_named(
+    tmp_path: Path, images: list[np.ndarray], monkeypatch: pytest.MonkeyPatch, kind: str, package: str
+) -> None:
+    bag = write(tmp_path / "drive", kind, ("/cam",), images[:2])
+    _ros_reader.cache_clear()
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(VideoError, match=r"pip install 'track-range\[mcap\]'"):
+        VideoReader(bag)
+
+
+def test_fisheye_model(tmp_path: Path) -> None:
+    message = CameraInfo((64, 48), "equidistant", (0.1, 0.2, 0.3, 0.4), np.eye(3), np.eye(3), np.eye(3, 4))
+    assert camera_of(message, tmp_path, is_rectified=False).lens == "kannala-brandt"
+    assert camera_of(message, tmp_path, is_rectified=True).lens == "pinhole"
+
+
+def test_unknown_lens_model_is_refused(tmp_path: Path) -> None:
+    message = CameraInfo((64, 48), "fov", (0.1,), np.eye(3), np.eye(3), np.eye(3, 4))
+    with pytest.raises(RigError, match="fov"):
+        camera_of(message, tmp_path, is_rectified=False)
+
+
+def test_rotated_raw_pair() -> None:
+    turn = np.array([[np.cos(0.02), 0.0, np.sin(0.02)], [0.0, 1.0, 0.0], [-np.sin(0.02), 0.0, np.cos(0.02)]])
+    k = np.array([[70.0, 0.0, 31.5], [0.0, 70.0, 23.5], [0.0, 0.0, 1.0]])
+    p = np.column_stack([k, [-35.0, 0.0, 0.0]])
+    left = CameraInfo((64, 48), "plumb_bob", (0.1, 0.0, 0.0, 0.0, 0.0), k, np.eye(3), np.column_stack([k, [0, 0, 0]]))
+    right = CameraInfo((64, 48), "plumb_bob", (0.0,) * 5, k, turn, p)
+    rig = rig_of(left, right, Path("drive.bag"), is_rectified=False)
+    # a point in the rectified frames: x' = R x, and the right frame is 0.5 m to the right
+    point_m = np.array([0.3, -0.2, 5.0])
+    in_right_m = rig.right_from_left[:3, :3] @ point_m + rig.right_from_left[:3, 3]
+    np.testing.assert_allclose(turn @ in_right_m, point_m - [0.5, 0.0, 0.0], atol=1e-12)
+    assert rig.left.distortion == (0.1, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_bag_in_several_files(tmp_path: Path, images: list[np.ndarray], monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "trip"
+    folder.mkdir()
+    for number in range(2):
+        monkeypatch.setattr("tests.track_range.recording.bag_writers.START_NS", START_NS + number * 1_200_000_000)
+        write_foxglove(folder / f"trip_{number}.mcap", ("/cam",), images)
+    reader = VideoReader(BagTopic(folder, "/cam/image"))
+    assert [frame.index for frame in reader] == list(range(24))
+    assert reader.n_frames == 24
+    assert [frame.index for frame in VideoReader(folder, start_s=1.55, duration_s=0.2)] == [16, 17]
+    with pytest.raises(VideoError, match="one bag"):
+        VideoReader(Segments((folder / "trip_0.mcap", folder / "trip_1.mcap")))
+    (folder / "trip_1.mcap").rename(folder / "other.mcap")
+    with pytest.raises(VideoError, match=r"metadata\.yaml"):
+        VideoReader(folder)
+
+
+def test_journal_of_a_killed_recorder(tmp_path: Path, images: list[np.ndarray]) -> None:
+    bag = write(tmp_path / "bag", "sqlite3", ("/cam",), images)
+    file = next(bag.glob("*.db3"))
+    with closing(sqlite3.connect(file)) as database:
+        database.execute("PRAGMA journal_mode=WAL")
+        database.execute("DELETE FROM messages WHERE id > 20")
+        database.commit()
+        copy = tmp_path / "copy"
+        shutil.copytree(bag, copy)  # with the journal, as after a kill
+    assert 0 < len(list(VideoReader(BagTopic(copy, "/cam/image_raw/compressed")))) < 12
+
+
+def test_settings_of_a_bag(tmp_path: Path, images: list[np.ndarray]) -> None:
+    bag = write_foxglove(tmp_path / "drive.mcap", BOTH, images[:2])
+    settings = settings_from({"stereo": (str(bag),), "topics": "/left/image,/right/image"})
+    assert settings.stereo == (bag, bag)
+    assert settings.out_dir == Path("drive-track-range")
+    save_settings(settings, tmp_path / "settings.yaml")
+    again = settings_from({}, tmp_path / "settings.yaml")
+    assert (again.stereo, again.topics) == (settings.stereo, ("/left/image", "/right/image"))
+    for given in (
+        {"stereo": (str(bag),), "topics": "/left/image"},
+        {"stereo": ("film.mp4",)},
+        {"mono": "a", "topics": "b,c"},
+    ):
+        with pytest.raises(UsageError):
+            settings_from({**given, "focal_px": 700.0})
+    with pytest.raises(VideoError, match="topics"):
+        open_recording(tmp_path / "settings.yaml", topics=["/left/image"], focal_px=70.0)

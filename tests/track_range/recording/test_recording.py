@@ -1,0 +1,277 @@
+"""Tests of opening pairs and single videos, with folders of small textured images."""
+
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from track_range.recording import inputs
+from track_range.recording.frame import VideoError
+from track_range.recording.recording import open_recording
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import whole_image
+from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
+
+WIDTH_PX, HEIGHT_PX, SHIFT_PX = 320, 160, 12
+CAMERA = PinholeCamera(300.0, 300.0, 159.5, 79.5, WIDTH_PX, HEIGHT_PX)
+
+
+def write_view(folder: Path, shift_px: int, *, n=3, size_px=(WIDTH_PX, HEIGHT_PX), row_px=0, is_grey=False) -> Path:
+    """Write images of a wall with smooth coloured noise, shifted to the left by the disparity."""
+    noise = np.random.default_rng(0).integers(0, 255, (400, 700, 3), np.uint8)
+    wall = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX)
+    if is_grey:
+        wall = np.repeat(wall[:, :, :1], 3, axis=2)
+    folder.mkdir(parents=True)
+    for number in range(n):
+        rows, columns = slice(40 + row_px, 40 + row_px + size_px[1]), slice(40 + shift_px, 40 + shift_px + size_px[0])
+        cv2.imwrite(str(folder / f"{number:06d}.png"), wall[rows, columns])
+    return folder
+
+
+@pytest.fixture
+def pair(tmp_path):
+    save_rig(StereoRig.rectified(CAMERA, 0.5), tmp_path / "rig.yaml")
+    return write_view(tmp_path / "left", 0), write_view(tmp_path / "right", SHIFT_PX)
+
+
+def test_rig_next_to_the_left_video_is_used(pair):
+    recording = open_recording(*pair)
+    frames = list(recording.frames)
+    assert [(f.index, round(f.time_s, 6)) for f in frames] == [(0, 0.0), (1, 0.1), (2, 0.2)]
+    assert (frames[0].left[:, SHIFT_PX:] == frames[0].right[:, :-SHIFT_PX]).all()
+    assert (recording.n_frames, recording.size_px, recording.camera) == (3, (WIDTH_PX, HEIGHT_PX), CAMERA)
+    assert any("rig.yaml" in note for note in recording.notes)
+
+
+def test_size_differs_by_one_row(pair, tmp_path):
+    right = write_view(tmp_path / "cut", SHIFT_PX, size_px=(WIDTH_PX, HEIGHT_PX - 1))
+    frame = next(open_recording(pair[0], right).frames)
+    assert frame.left.shape == frame.right.shape == (HEIGHT_PX - 1, WIDTH_PX, 3)
+
+
+def test_swapped_pair_is_an_error(pair):
+    with pytest.raises(RigError, match="swapped"):
+        open_recording(*pair[::-1], rig=pair[0].parent / "rig.yaml")
+
+
+def test_row_offset_is_corrected_and_reported(pair, tmp_path):
+    right = write_view(tmp_path / "low", SHIFT_PX, row_px=-4)
+    recording = open_recording(pair[0], right)
+    assert any("+4.0 px" in note and "corrected" in note for note in recording.notes)
+    assert recording.calibration.alignment.measured.row_offset_px == pytest.approx(4.0, abs=0.1)
+    frame = next(recording.frames)
+    grey = cv2.cvtColor(frame.left, cv2.COLOR_BGR2GRAY).astype(int)
+    assert np.median(np.abs(grey[8:-8, SHIFT_PX:] - whole_image(frame.right)[8:-8, :-SHIFT_PX])) <= 4
+    off = open_recording(pair[0], right, align="off")
+    assert any("+4.0 px" in note and "corrected" not in note for note in off.notes)
+
+
+def test_different_sizes_are_an_error(pair, tmp_path):
+    right = write_view(tmp_path / "small", SHIFT_PX, size_px=(200, 100))
+    with pytest.raises(RigError, match=r"rig\.yaml: expected .*200x100"):
+        open_recording(pair[0], right)
+    (tmp_path / "rig.yaml").unlink()
+    with pytest.raises(VideoError, match=r"small: expected .*200x100"):
+        open_recording(pair[0], right)
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_cameras_of_unequal_sizes(pair, tmp_path, scale):
+    small = PinholeCamera(CAMERA.fx_px, CAMERA.fy_px, 79.5, 59.5, 200, 120)
+    right_from_left = np.eye(4)
+    right_from_left[0, 3] = -0.5
+    cameras = [
+        PinholeCamera(c.fx_px * scale, c.fy_px * scale, *((o + 0.5) * scale - 0.5 for o in (c.cx_px, c.cy_px)), *size)
+        for c, size in ((CAMERA, (320 * scale, 160 * scale)), (small, (200 * scale, 120 * scale)))
+    ]
+    save_rig(StereoRig(*cameras, right_from_left), tmp_path / "rig.yaml")
+    right = write_view(tmp_path / "small", SHIFT_PX + 80, size_px=(200, 120), row_px=20)
+    recording = open_recording(pair[0], right, align="off")
+    frame = next(recording.frames)
+    assert frame.left.shape[:2] == whole_image(frame.right).shape == (HEIGHT_PX, WIDTH_PX)
+    assert recording.camera.fx_px == pytest.approx(CAMERA.fx_px, rel=0.01)
+    assert any("the right camera sees" in note for note in recording.notes)
+    grey = cv2.cvtColor(frame.left, cv2.COLOR_BGR2GRAY).astype(int)
+    rows, columns = slice(40, 120), slice(110, 240)
+    shifted = slice(columns.start - SHIFT_PX, columns.stop - SHIFT_PX)
+    assert np.median(np.abs(grey[rows, columns] - whole_image(frame.right)[rows, shifted])) <= 4
+
+
+def test_pair_without_rig_is_uncalibrated(pair, tmp_path):
+    (tmp_path / "rig.yaml").unlink()
+    recording = open_recording(*pair)
+    assert (recording.rig, recording.calibration.kind, recording.calibration.alignment) == (None, "estimated", None)
+    assert recording.camera.fx_px == pytest.approx(WIDTH_PX / 2 / np.tan(np.radians(75 / 2)))
+    assert recording.calibration.uncalibrated.has_equal_rows
+    assert recording.calibration.uncalibrated.focal_sigma == 0.3
+    frame = next(recording.frames)
+    assert (frame.left[:, SHIFT_PX:] == frame.right[:, :-SHIFT_PX]).all()
+    assert any("75 degrees" in note and "track-range calibrate" in note for note in recording.notes)
+    given = open_recording(*pair, focal_px=280.0)
+    assert (given.camera.fx_px, given.calibration.uncalibrated.focal_sigma) == (280.0, 0.02)
+    assert any("280 px" in note for note in given.notes)
+
+
+def test_uncalibrated_rows_corrected_or_stereo_off(pair, tmp_path):
+    (tmp_path / "rig.yaml").unlink()
+    recording = open_recording(pair[0], write_view(tmp_path / "low", SHIFT_PX, row_px=-4))
+    assert recording.calibration.uncalibrated.row_offset_px == pytest.approx(4.0, abs=0.1)
+    frame = next(recording.frames)
+    grey = cv2.cvtColor(frame.left, cv2.COLOR_BGR2GRAY).astype(int)
+    difference = np.abs(grey[8:-8, SHIFT_PX:] - whole_image(frame.right)[8:-8, :-SHIFT_PX])
+    assert np.median(difference) <= 4
+    assert any("+4.0 px" in note and "corrected" in note for note in recording.notes)
+    rotated = tmp_path / "rotated"
+    rotated.mkdir()
+    middle = ((WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2)
+    for image in sorted(pair[1].iterdir()):
+        rotation = cv2.getRotationMatrix2D(middle, 12.0, 1.0)
+        cv2.imwrite(str(rotated / image.name), cv2.warpAffine(cv2.imread(str(image)), rotation, (WIDTH_PX, HEIGHT_PX)))
+    recording = open_recording(pair[0], rotated)
+    assert not recording.calibration.uncalibrated.has_equal_rows
+    assert any("needs a rig" in note for note in recording.notes)
+
+
+def test_one_camera_without_rig_or_focal_length(pair, tmp_path):
+    (tmp_path / "rig.yaml").unlink()
+    recording = open_recording(pair[0])
+    calibration = recording.calibration
+    assert (calibration.kind, calibration.focal_sigma, len(calibration.guesses)) == ("estimated", 0.3, 1)
+    assert any("75 degrees" in note and "--known-distance" in note for note in recording.notes)
+    recording.close()
+
+
+def test_uncertain_focal_length_of_a_file(pair, tmp_path):
+    camera = PinholeCamera.of_focal_length(300.0, (WIDTH_PX, HEIGHT_PX))
+    mounting = Mounting(
+        focal_sigma=0.04, camera_height_m=1.4, camera_height_sigma_m=0.05, pitch_deg=1.5, pitch_sigma_deg=0.2
+    )
+    save_camera(camera, tmp_path / "rig.yaml", mounting=mounting)
+    recording = open_recording(pair[0])
+    assert (recording.calibration.focal_sigma, recording.calibration.camera_height_m) == (0.04, 1.4)
+    assert any("4.0 %" in note for note in recording.notes)
+    recording.close()
+
+
+def test_swapped_uncalibrated_pair_is_an_error(pair, tmp_path):
+    (tmp_path / "rig.yaml").unlink()
+    with pytest.raises(RigError, match="swapped"):
+        open_recording(*pair[::-1])
+
+
+def test_one_camera(pair):
+    by_focal = open_recording(pair[0], focal_px=250.0)
+    assert (by_focal.camera.fx_px, by_focal.camera.cx_px, by_focal.rig) == (250.0, 159.5, None)
+    by_rig = open_recording(pair[0])
+    assert by_rig.camera == CAMERA
+    assert next(by_rig.frames).right is None
+
+
+def test_grey_pairs_use_kittis_grey_cameras(tmp_path):
+    lines = [f"P{i}: 300 0 159.5 {-300 * x} 0 300 79.5 0 0 0 1 0" for i, x in enumerate((0.0, 0.4, 0.06, 0.56))]
+    (tmp_path / "calib.txt").write_text("\n".join(lines))
+    colour = write_view(tmp_path / "a" / "left", 0), write_view(tmp_path / "a" / "right", SHIFT_PX)
+    grey = (
+        write_view(tmp_path / "b" / "left", 0, is_grey=True),
+        write_view(tmp_path / "b" / "right", SHIFT_PX, is_grey=True),
+    )
+    rig = tmp_path / "calib.txt"
+    assert open_recording(*colour, rig=rig).rig.baseline_m == pytest.approx(0.5)
+    assert open_recording(*grey, rig=rig).rig.baseline_m == pytest.approx(0.4)
+    assert open_recording(*colour, rig=rig).calibration.left_from_reference_m[0] == pytest.approx(-0.06)
+    assert open_recording(*grey, rig=rig).calibration.left_from_reference_m[0] == 0.0
+
+
+def test_start_and_duration_keep_frame_numbers(pair, tmp_path):
+    long = write_view(tmp_path / "l", 0, n=8), write_view(tmp_path / "r", SHIFT_PX, n=8)
+    frames = list(open_recording(*long, start_s=0.25, duration_s=0.3).frames)
+    assert [(f.index, round(f.time_s, 6)) for f in frames] == [(3, 0.3), (4, 0.4), (5, 0.5)]
+
+
+@pytest.fixture
+def opened_files(monkeypatch):
+    """The files that FFmpeg opens."""
+    names, av_open = [], av.open
+
+    def counting(name, *arguments, **options):
+        if options.get("mode") == "r":
+            names.append(Path(name.removeprefix("file:")).name)
+        return av_open(name, *arguments, **options)
+
+    monkeypatch.setattr(av, "open", counting)
+    return names
+
+
+def films(folder, film, *, n=14, rate_hz=10):
+    """Write a pair of videos of the wall, with a rig file next to them."""
+    folder.mkdir(exist_ok=True)
+    save_rig(StereoRig.rectified(CAMERA, 0.5), folder / "rig.yaml")
+    for name, shift_px in (("left", 0), ("right", SHIFT_PX)):
+        image = cv2.imread(str(write_view(folder / f"{name}_wall", shift_px, n=1) / "000000.png"))
+        images = [np.roll(image, number, axis=0) for number in range(n)]
+        film(folder / f"{name}.mp4", [number / rate_hz for number in range(n)], images=images)
+    return folder / "left.mp4", folder / "right.mp4"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{}, {"align": "off"}, {"start_s": 0.5}, {"focal_px": 300.0}])
+def test_each_video_is_opened_once(tmp_path, film, opened_files, options):
+    left, right = films(tmp_path, film)
+    frames = list(open_recording(left, right, **options).frames)
+    assert [frame.index for frame in frames] == list(range(5 if "start_s" in options else 0, 14))
+    assert sorted(opened_files) == ["left.mp4", "right.mp4"]
+
+
+def test_one_video_is_opened_once(tmp_path, film, opened_files):
+    left, _ = films(tmp_path, film)
+    assert len(list(open_recording(left).frames)) == 14
+    assert opened_files == ["left.mp4"]
+
+
+@pytest.mark.slow
+def test_frames_do_not_depend_on_the_buffer_size(tmp_path, film, opened_files, monkeypatch):
+    left, right = films(tmp_path, film, n=30, rate_hz=30)
+    buffered = open_recording(left, right)
+    expected = list(buffered.frames)
+    n_opened = len(opened_files)
+    monkeypatch.setattr(inputs, "MAX_LOOK_AHEAD_BYTES", 3 * 2 * 1.5 * WIDTH_PX * HEIGHT_PX)
+    reread = open_recording(left, right)
+    frames = list(reread.frames)
+    assert (n_opened, len(opened_files) - n_opened) == (2, 4)  # the frames do not fit in the buffer: read twice
+    assert buffered.calibration.alignment.measured == reread.calibration.alignment.measured
+    for a, b in zip(expected, frames, strict=True):
+        assert (a.index, a.time_s) == (b.index, b.time_s)
+        assert (a.left == b.left).all()
+        assert (a.right == b.right).all()
+    assert buffered.notes == reread.notes
+
+
+@pytest.mark.slow
+def test_buffered_frames_are_freed_one_by_one(tmp_path, film):
+    recording = open_recording(*films(tmp_path, film))
+    n_buffered = recording.inputs.pairs.n_buffered
+    next(recording.frames)
+    assert (n_buffered, recording.inputs.pairs.n_buffered) == (14, 13)
+    recording.close()
+    assert recording.inputs.pairs.n_buffered == 0
+
+
+def test_alignment_given(pair):
+    rows = Alignment(row_offset_px=4.0)
+    recording = open_recording(pair[0], pair[1], align=rows, has_checks=False)
+    assert recording.calibration.alignment.measured is rows
+    assert recording.monitors == ()
+
+
+def test_files_are_closed_when_opening_fails(pair, tmp_path, film):
+    left, right = films(tmp_path / "films", film)
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    with pytest.raises(RigError, match="swapped"):
+        open_recording(right, left)
+    assert len(list(Path("/proc/self/fd").iterdir())) == before

@@ -1,0 +1,247 @@
+"""Reading the folder of a run, complete or with missing files, and rewriting its report."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from track_range.foundation.files.output_files import OutputError
+from track_range.ranging.evaluation.truth import Truth
+from track_range.results.columns import column_names
+from track_range.results.folder import read_run_folder
+from track_range.results.truth import matched_truth, with_truth
+from track_range.views.report.run_folders import report, short_names
+
+N_FRAMES = 6
+
+
+def write_run(folder: Path, **run: Any) -> Path:
+    """A run with a static car 20 m ahead and 4 m long: its rear is at 18 m, and fused measures 18.9 m, 5 % too much."""
+    folder.mkdir(parents=True)
+    (folder / "truth.txt").write_text(
+        "".join(
+            f"{frame} 1 Car 0 0 0 280 140 360 220 1.5 1.7 4.0 0.0 0.75 20.0 {-math.pi / 2:.8f}\n"
+            for frame in range(N_FRAMES)
+        )
+    )
+    with (folder / "tracks.csv").open("w", newline="") as file:
+        rows = csv.DictWriter(file, column_names(), restval="")
+        rows.writeheader()
+        for frame in range(N_FRAMES):
+            box = {"x1_px": 280, "y1_px": 140, "x2_px": 360, "y2_px": 220}
+            ranged = {"fused_m": 18.9, "fused_sigma_m": 0.5}
+            time = {"frame": frame, "time_s": frame / 10}
+            rows.writerow({**time, "track_id": 1, "class": "car", "score": 0.9, "observed": 1, **box, **ranged})
+    settings = {
+        "track_range_settings": 1,
+        "run": {"mono": "drive.mp4", "truth": str(folder / "truth.txt"), "out": str(folder), "classes": [], **run},
+        "found": {
+            "rig": None,
+            "focal_px": 1000.0,
+            "principal_point_px": [320.0, 180.0],
+            "image_size_px": [640, 360],
+            "versions": {"numpy": "2"},
+        },
+    }
+    (folder / "settings.yaml").write_text(yaml.safe_dump(settings))
+    (folder / "overlay.mp4").write_bytes(b"a film")
+    summary = {"frames": 9, "methods": {}, "files": {"overlay": "overlay.mp4"}, "notes": ["a note"], "truth": "t"}
+    (folder / "summary.json").write_text(json.dumps(summary))
+    return folder
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return write_run(tmp_path / "run")
+
+
+def test_complete_run(run: Path) -> None:
+    read = read_run_folder(run)
+    assert read.missing == ()
+    assert (read.summary["frames"], read.summary["notes"]) == (9, ["a note"])
+    assert read.columns["truth_m"] == pytest.approx([18.0] * N_FRAMES)
+    assert read.columns["scored_truth_m"] == pytest.approx([18.0] * N_FRAMES)
+    assert read.summary["focal_px"] == 1000.0
+    assert read.summary["settings"] == {key: value for key, value in read.settings.items() if key != "classes"}
+
+
+@pytest.mark.parametrize(("old", "new"), [("Car", "Van"), (" 20.0 ", " 120.0 ")])
+def test_unscored_truth_is_shown(run: Path, old: str, new: str) -> None:
+    labels = (run / "truth.txt").read_text().replace(old, new)
+    (run / "truth.txt").write_text(labels)
+    columns = read_run_folder(run).columns
+    assert columns["truth_m"].min() > 10
+    assert bool(np.isnan(columns["scored_truth_m"]).all())
+
+
+def test_truth_without_labels(run: Path) -> None:
+    columns = read_run_folder(run).columns
+    nothing = Truth(*(np.zeros((0, 4) if n == 4 else 0, np.int64) for n in range(7)))
+    assert bool(np.isnan(with_truth(columns, matched_truth(columns, nothing))["scored_truth_m"]).all())
+
+
+def test_truth_in_a_csv(run: Path) -> None:
+    rows = "".join(f"{frame},1,car,280,140,360,220,18.0,2.0\n" for frame in range(N_FRAMES))
+    (run / "truth.txt").write_text("frame,id,class,x1,y1,x2,y2,distance_m,closing_mps\n" + rows)
+    lines = (run / "tracks.csv").read_text().splitlines()
+    place = {name: column_names().index(name) for name in ("closing_mps", "closing_sigma_mps")}
+    cells = [line.split(",") for line in lines[1:]]
+    for row in cells:
+        row[place["closing_mps"]], row[place["closing_sigma_mps"]] = "2.5", "0.4"
+    (run / "tracks.csv").write_text("\n".join([lines[0], *(",".join(row) for row in cells)]) + "\n")
+    (run / "summary.json").unlink()
+    page = report([run]).page.read_text()
+    summary = read_run_folder(run).summary
+    assert summary["methods"]["fused"]["median_relative_error_pct"] == pytest.approx(5.0)
+    assert summary["closing"]["median_error_mps"] == pytest.approx(0.5)
+    assert "CSV" in summary["truth"]
+    assert "Error of the closing speed" in page
+
+
+def test_killed_run(run: Path) -> None:
+    (run / "summary.json").unlink()
+    with (run / "tracks.csv").open("a") as file:
+        file.write("6,0.6,1,ca")  # an incomplete row
+    read = read_run_folder(run)
+    assert read.missing[0].startswith("summary.json is missing")
+    assert read.summary["notes"] == list(read.missing)
+    assert read.summary["frames"] == N_FRAMES
+    assert read.summary["methods"]["fused"]["median_relative_error_pct"] == pytest.approx(5.0)
+    assert read.summary["tracks"]["mota"] == pytest.approx(100.0)
+    assert read.summary["files"] == {"overlay": "overlay.mp4"}
+    assert read.summary["inputs"] == {"mono": "drive.mp4", "truth": str(run / "truth.txt")}
+    assert read.summary["versions"] == {"numpy": "2"}
+
+
+def test_killed_run_of_a_pair(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", mono=None, stereo=["l.mp4", "r.mp4"])
+    (folder / "summary.json").unlink()
+    assert read_run_folder(folder).summary["inputs"] | {"mono": None, "truth": None} == {
+        "left": "l.mp4",
+        "right": "r.mp4",
+        "mono": None,
+        "truth": None,
+    }
+
+
+@pytest.mark.parametrize(
+    ("gone", "words"),
+    [
+        ("settings.yaml", "settings.yaml is missing"),
+        ("tracks.csv", "tracks.csv is missing"),
+        ("truth.txt", "The ground truth cannot be read"),
+        ("overlay.mp4", "overlay.mp4 is missing"),
+    ],
+)
+def test_missing_files(run: Path, gone: str, words: str) -> None:
+    (run / gone).unlink()
+    written = report([run])
+    assert any(words in sentence for sentence in written.missing)
+    page = written.page.read_text()
+    assert words in page
+    assert "a note" in page
+    assert ("<video" in page) == (gone != "overlay.mp4")
+
+
+@pytest.mark.parametrize("text", ["{", "[]", "\x00"])
+def test_damaged_summary(run: Path, text: str) -> None:
+    (run / "summary.json").write_text(text)
+    read = read_run_folder(run)
+    assert len(read.missing) == 1
+    assert read.missing[0].startswith("summary.json cannot be read")
+    assert read.summary["frames"] == N_FRAMES
+
+
+def test_settings_without_a_camera(run: Path) -> None:
+    settings = yaml.safe_load((run / "settings.yaml").read_text())
+    for read in ({}, {"focal_px": 1.0, "principal_point_px": None, "image_size_px": 3}):
+        (run / "settings.yaml").write_text(yaml.safe_dump(settings | {"found": read}))
+        read = read_run_folder(run)
+        assert "truth_m" not in read.columns
+        assert len(read.missing) == 1
+
+
+def test_folders_without_a_run(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="nowhere: "):
+        read_run_folder(tmp_path / "nowhere")
+    with pytest.raises(OutputError, match=r"neither .*tracks\.csv.* nor summary\.json"):
+        read_run_folder(tmp_path)
+    (run / "tracks.csv").write_text("frame,time_s,class\n1,2,car\n")
+    with pytest.raises(OutputError, match=r"tracks\.csv: .*track_id, x1_px, x2_px, y1_px, y2_px\."):
+        read_run_folder(run)
+    (run / "tracks.csv").write_bytes(b"\xff\xfe")
+    with pytest.raises(OutputError, match=r"tracks\.csv: "):
+        read_run_folder(run)
+
+
+def test_killed_run_without_tracks(run: Path) -> None:
+    (run / "tracks.csv").write_text(",".join(column_names()) + "\n")
+    (run / "summary.json").unlink()
+    assert "No track was confirmed in this run." in report([run]).page.read_text()
+
+
+def test_page_in_another_folder_links_the_overlay(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "pages").mkdir()
+    path = report([run], tmp_path / "pages" / "page.html").page
+    assert path == tmp_path / "pages" / "page.html"
+    assert 'src="../run/overlay.mp4"' in path.read_text()
+    assert not (run / "report.html").exists()
+
+
+def test_page_must_not_overwrite_an_input(run: Path, tmp_path: Path) -> None:
+    other = write_run(tmp_path / "other")
+    for folders, out, words in (
+        ([run], run / "tracks.csv", "tracks.csv: .*overwritten"),
+        ([run], run, "run: .*folder"),
+        ([run, other], other / "report.html", "report.html: .*two"),
+    ):
+        with pytest.raises(OutputError, match=words):
+            report(folders, out)
+    assert len(read_run_folder(run).columns["frame"]) == N_FRAMES
+    assert report([run], run / "report.html").page.is_file()
+    assert report([run], tmp_path / "new" / "page.html").page.is_file()
+
+
+def test_row_with_a_huge_frame_number(run: Path) -> None:
+    (run / "summary.json").unlink()
+    text = (run / "tracks.csv").read_text()
+    (run / "tracks.csv").write_text(text.replace("\n5,0.5", "\n99999999999,0.5"))
+    assert read_run_folder(run).summary["tracks"]["n"] == 1
+
+
+@pytest.mark.parametrize(("part", "name"), [({"start_s": "x"}, "starts_s"), ({"found": 3}, None)])
+def test_settings_of_wrong_types(run: Path, part: dict[str, Any], name: str | None) -> None:
+    settings = yaml.safe_load((run / "settings.yaml").read_text())
+    settings["run"] |= part
+    (run / "settings.yaml").write_text(yaml.safe_dump(settings))
+    read = read_run_folder(run)
+    sentences = [sentence for sentence in read.missing if "unexpected types" in sentence]
+    assert [sentence.rpartition(": ")[2] for sentence in sentences] == ([] if name is None else [f"{name}."])
+
+
+def test_several_runs_are_compared(run: Path, tmp_path: Path) -> None:
+    other = write_run(tmp_path / "more" / "run", sgbm=False)
+    (other / "summary.json").unlink()
+    written = report([run, other, run / "."], tmp_path / "all.html")
+    page = written.page.read_text()
+    assert "Comparison of 2 runs" in page
+    assert 'href="run/report.html"' in page
+    assert 'href="more/run/report.html"' in page
+    assert '<th scope="row">sgbm</th><td>-</td><td>False</td>' in page
+    assert (run / "report.html").exists()
+    assert "The runs have different numbers of frames." in written.notes
+    assert "Settings that differ" in [grid.title for grid in written.grids]
+    cells = {cell.text for grid in written.grids for row in grid.rows for cell in row}
+    assert {"more/run", "5.00"} <= cells
+
+
+def test_short_names() -> None:
+    assert short_names([Path("/a/x"), Path("/a/y")]) == ["x", "y"]
+    assert short_names([Path("/a/x"), Path("/b/x"), Path("/b/y")]) == ["a/x", "b/x", "b/y"]

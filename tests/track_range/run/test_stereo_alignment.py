@@ -1,0 +1,102 @@
+"""Tests of the alignment that a run applies, and of its notes."""
+
+import pytest
+
+from track_range.recording.pairs.auto_alignment import PairAlignment, find_alignment
+from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.world.scene import make_scene
+from track_range.stereo.alignment.file import save_alignment
+from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rig import RigError
+
+RIG = kitti_like_rig(width_px=620, height_px=188)
+
+
+def unread_frames():
+    raise AssertionError("no frame is needed")
+    yield
+
+
+def test_alignment_off():
+    alignment = find_alignment("off", RIG, unread_frames())
+    assert not alignment.is_applied
+    assert (alignment.applied.offset_px, alignment.applied.residual_px) == (0.0, UNCORRECTED_SIGMA_PX)
+    (note,) = alignment.notes
+    assert "off" in note
+
+
+def test_alignment_file(tmp_path):
+    written = Alignment(offset_px=0.4, curvature_px=1.2, offset_sigma_px=0.1, residual_px=0.2, source="my labels")
+    save_alignment(written, tmp_path / "align.yaml")
+    alignment = find_alignment(str(tmp_path / "align.yaml"), RIG, unread_frames())
+    assert (alignment.is_applied, alignment.applied) == (True, written)
+    assert "my labels" in alignment.notes[0]
+    summary = alignment.summary()
+    assert summary.pop("health")["state"] == "off"
+    assert summary == {
+        "offset_px": 0.4,
+        "bow_px": 1.2,
+        "row_offset_px": 0.0,
+        "residual_px": 0.2,
+        "source": "my labels",
+        "is_applied": True,
+        "look_s": 0.0,
+        "offset_sigma_px": 0.1,
+        "slope_px": 0.0,
+        "roll_deg": 0.0,
+        "focal_ratio": 1.0,
+    }
+    with pytest.raises(RigError, match=r"none\.yaml"):
+        find_alignment(str(tmp_path / "none.yaml"), RIG, unread_frames())
+
+
+def test_insignificant_alignment_is_uncertainty():
+    alignment = PairAlignment(
+        measured=Alignment(offset_px=-0.12, offset_sigma_px=0.1, residual_px=0.16), is_applied=False
+    )
+    assert alignment.applied.offset_px == 0.0
+    assert alignment.applied.residual_px == pytest.approx(0.2)  # hypot(0.12, 0.16)
+    assert len(alignment.notes) == 1
+    wild = PairAlignment(measured=Alignment(offset_px=3.0, offset_sigma_px=2.0, residual_px=2.0), is_applied=False)
+    assert wild.applied.residual_px == UNCORRECTED_SIGMA_PX
+
+
+@pytest.mark.parametrize(("row_px", "moved_px"), [(0.29, 0.0), (-0.31, -0.31), (2.0, 2.0)])
+def test_rows_are_moved_from_0_3_px(row_px, moved_px):
+    alignment = PairAlignment(measured=Alignment(row_offset_px=row_px), is_applied=False, rig=RIG)
+    assert alignment.measured.row_correction_px == moved_px
+    assert any("Vertical offset" in note for note in alignment.notes) == (moved_px != 0)
+
+
+def rendered(n_frames):
+    renderer = Renderer(make_scene(4, seconds=2.0), RIG)
+    for i in range(n_frames):
+        yield Frame(i, i / 10, renderer.render(i / 10, side="left"), renderer.render(i / 10, side="right"))
+
+
+@pytest.mark.slow
+def test_alignment_from_the_drive():
+    steps = []
+
+    class Bar:
+        def __enter__(self):
+            return lambda done, total: steps.append((done, total))
+
+        def __exit__(self, *_):
+            return None
+
+    alignment = find_alignment("auto", RIG, rendered(17), lambda text: Bar())
+    assert abs(alignment.measured.offset_px) < 0.3
+    assert abs(alignment.measured.row_offset_px) < 0.1
+    assert "this drive" in alignment.notes[0]
+    assert alignment.estimation_s > 0
+    assert steps[0] == (0, 80)
+
+
+def test_static_vehicle_gives_no_alignment():
+    (first,) = rendered(1)
+    static = [Frame(i, i / 10, first.left, first.right) for i in range(12)]
+    alignment = find_alignment("auto", RIG, (frame for frame in static))
+    assert not alignment.is_applied
+    assert alignment.applied.residual_px == UNCORRECTED_SIGMA_PX

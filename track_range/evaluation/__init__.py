@@ -1,0 +1,1 @@
+"""Evaluation of runs, tracks, events, stereo and detectors against labelled data."""

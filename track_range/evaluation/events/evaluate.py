@@ -1,0 +1,241 @@
+"""Evaluation of the events of a run: warnings against contacts, or events against labelled events.
+
+Hits, misses, false alarms and leads are defined in `scores`, the objects of warnings in `objects`. Where the tracks of
+the run and labelled boxes with closing speeds are known, the errors of the closing speeds are added, by class.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from track_range.detection.formats.label_formats import is_blank
+from track_range.evaluation.events.closing import closing_errors
+from track_range.evaluation.events.contacts import COLUMNS, Contact, read_contacts
+from track_range.evaluation.events.objects import LabelledBoxes, objects_by_boxes, objects_by_time, read_boxes
+from track_range.evaluation.events.scores import Scores, contact_scores, event_scores, is_warning
+from track_range.evaluation.events.settings import EventEvaluationSettings
+from track_range.foundation.files.input_files import counted, first_line
+from track_range.foundation.files.output_files import OutputError
+from track_range.foundation.files.structured_text import read_json
+from track_range.results.columns import Columns
+from track_range.results.events.event import Event
+from track_range.results.events.files import EVENTS_FILE, NEEDED_COLUMNS, EventFileError, read_events
+from track_range.results.folder import read_run_rows
+
+TRACK_FILES = ("tracks.parquet", "tracks.csv", "tracks.arrows")
+"""Files with the rows of a run, the first that exists."""
+
+BOX_FILES = ("truth.csv", "truth.txt")
+"""Labels of a simulated drive beside its contacts, the first that exists."""
+
+_MAX_SUMMARY_BYTES = 50_000_000
+_MAX_HOURS = 1e6
+
+BY_BOXES = "object of a warning: that whose labelled boxes its track overlaps most often (IoU at least 0.3)"
+BY_TIME = "object of a warning: that of a contact of the same class with its number, or at most 10 s after it"
+
+
+def evaluate_events(settings: EventEvaluationSettings) -> dict[str, Any]:
+    """Results as plain values for JSON; see docs/events.md for the keys.
+
+    Raises:
+        EventFileError, OutputError, LabelFileError: a file cannot be read.
+    """
+    folder = settings.events if settings.events.is_dir() else settings.events.parent
+    path = folder / EVENTS_FILE if settings.events.is_dir() else settings.events
+    inputs = _Inputs(folder, settings.truth.parent)
+    is_labelled = _is_file_of_events(settings.truth)
+    needed = NEEDED_COLUMNS if is_labelled else (*NEEDED_COLUMNS, "warning_s")
+    events = read_events(path, needed=needed)
+    columns = inputs.columns(settings.tracks)
+    hours = inputs.hours(columns)
+    hours = hours if settings.hours is None else settings.hours
+    if is_labelled:
+        labelled = read_events(settings.truth)
+        if hours is None:
+            hours = inputs.last_hours([*events, *labelled], ())
+        scores = event_scores(events, labelled, hours=hours)
+        protocol = "labelled events of the same kind and class, at most 1 s apart"
+        return _figures(settings, scores, [*inputs.notes, *_beyond(events, inputs.last_s)], protocol=protocol)
+    contacts = read_contacts(settings.truth)
+    if hours is None:
+        hours = inputs.last_hours(events, [contact.contact_s for contact in contacts])
+    boxes = inputs.boxes(settings.boxes)
+    if columns is None or boxes is None:
+        objects, protocol = objects_by_time(events, contacts), BY_TIME
+        inputs.notes.append(
+            "Warnings are assigned to contacts by number, class and time, because "
+            f"{'the tracks of the run are' if columns is None else 'labels of the objects are'} missing "
+            f"({'--tracks' if columns is None else '--boxes'})."
+        )
+    else:
+        objects, protocol = objects_by_boxes(events, columns, boxes), BY_BOXES
+        inputs.notes += _unlabelled(boxes, {contact.object_id for contact in contacts})
+    counted_contacts = inputs.seen(contacts, {i for event, i in zip(events, objects, strict=True) if is_warning(event)})
+    scores = contact_scores(events, objects, counted_contacts, hours=hours, min_lead_s=settings.min_lead_s)
+    notes = [*inputs.notes, *_beyond(events, inputs.last_s)]
+    closing = {} if columns is None or boxes is None else {"closing": closing_errors(columns, boxes, inputs.vans())}
+    return {**_figures(settings, scores, notes, protocol=protocol), "min_lead_s": settings.min_lead_s, **closing}
+
+
+def _figures(settings: EventEvaluationSettings, scores: Scores, notes: Sequence[str], *, protocol: str) -> Scores:
+    return {
+        **scores,
+        "events": str(settings.events),
+        "truth": str(settings.truth),
+        "protocol": protocol,
+        "notes": list(notes),
+    }
+
+
+def _is_file_of_events(path: Path) -> bool:
+    """Whether a file of ground truth contains labelled events instead of contacts.
+
+    Raises:
+        EventFileError: the file cannot be read, or contains neither.
+    """
+    if path.suffix.lower() == ".parquet":
+        return True
+    expected = f"contacts with the columns {','.join(COLUMNS)}, or events with the columns {','.join(NEEDED_COLUMNS)}"
+    names = [name.strip().lower() for name in first_line(path, EventFileError, expected).split(",")]
+    if "contact_s" in names or "object_id" in names:
+        return False
+    if "kind" not in names:
+        raise EventFileError(f"{path}: expected {expected}, found neither.")
+    return True
+
+
+def _unlabelled(boxes: LabelledBoxes, object_ids: set[int]) -> Iterator[str]:
+    """Note on contacts whose objects have no labels, which is that of labels of another drive."""
+    missing = sorted(object_ids - set(boxes.object_id.tolist()))
+    if missing:
+        yield (
+            f"{counted(len(missing), 'object')} with a contact, such as {missing[0]}, "
+            f"{'has' if len(missing) == 1 else 'have'} no labelled boxes; check that the labels belong to this drive."
+        )
+
+
+def _beyond(events: Sequence[Event], end_s: float) -> Iterator[str]:
+    """Note on events after the end of the video."""
+    n_beyond = sum(event.start_s > end_s + 1.0 for event in events)
+    if n_beyond:
+        yield (
+            f"{n_beyond} of {len(events)} events start after the end of the video at {end_s:.1f} s; check that the "
+            "events belong to it."
+        )
+
+
+@dataclass(slots=True)
+class _Inputs:
+    """Files beside the events and beside their ground truth.
+
+    Attributes:
+        folder: folder of the events.
+        drive: folder of the ground truth.
+        notes: notes for the user.
+        starts_s: time of the first processed frame.
+        ends_s: end of the processed part of the video, from summary.json; inf = unknown.
+        last_s: time after which there are no events: `ends_s`, or that of the last row; inf = unknown.
+    """
+
+    folder: Path
+    drive: Path
+    notes: list[str] = field(default_factory=list)
+    starts_s: float = 0.0
+    ends_s: float = math.inf
+    last_s: float = math.inf
+
+    def columns(self, path: Path | None) -> Columns | None:
+        """Rows of the run; None without a file that can be read.
+
+        Raises:
+            OutputError: the given file cannot be read.
+        """
+        if path is not None:
+            return read_run_rows(path, self.notes)
+        beside = next((self.folder / name for name in TRACK_FILES if (self.folder / name).is_file()), None)
+        if beside is None:
+            return None
+        try:
+            return read_run_rows(beside, self.notes)
+        except OutputError as error:
+            self.notes.append(f"The tracks beside the events cannot be read ({str(error).rstrip('.')}).")
+            return None
+
+    def boxes(self, path: Path | None) -> LabelledBoxes | None:
+        """Labelled boxes; None without a file.
+
+        Raises:
+            LabelFileError: a file cannot be read.
+        """
+        beside = [self.drive / name for name in BOX_FILES]
+        chosen = path or next((file for file in beside if file.is_file() and not is_blank(file, "labels")), None)
+        return None if chosen is None else read_boxes(chosen)
+
+    def vans(self) -> set[int]:
+        """Numbers of the vans of a simulated drive, which truth.csv lists as cars."""
+        file = self.drive / "truth.txt"
+        if not file.is_file() or is_blank(file, "labels"):
+            return set()
+        labels = read_boxes(file)
+        return set(labels.object_id[labels.class_name == "van"].tolist())
+
+    def hours(self, columns: Columns | None) -> float | None:
+        """Duration of the processed video from summary.json, else from the rows; None = unknown."""
+        file = self.folder / "summary.json"
+        if file.is_file():
+            try:
+                summary = read_json(file, OutputError, "the summary of a run", max_bytes=_MAX_SUMMARY_BYTES)
+            except OutputError as error:
+                self.notes.append(f"The duration is that of the rows ({str(error).rstrip('.')}).")
+            else:
+                hours = _number(summary, "events", "hours")
+                if hours is not None and 0 < hours < _MAX_HOURS:
+                    self.starts_s = _number(summary, "starts_s") or 0.0
+                    self.ends_s = self.last_s = self.starts_s + 3600 * hours
+                    return hours
+        if columns is None or not len(columns["time_s"]):
+            return None
+        time_s = np.unique(columns["time_s"])
+        self.last_s = float(time_s[-1])
+        step_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
+        return (float(time_s[-1] - time_s[0]) + step_s) / 3600 or None
+
+    def seen(self, contacts: Sequence[Contact], warned: Container[int | None]) -> list[Contact]:
+        """Contacts in the processed part of the video, and those with a warning on their object; a note on others."""
+        chosen = [
+            contact
+            for contact in contacts
+            if self.starts_s <= contact.contact_s <= self.ends_s or contact.object_id in warned
+        ]
+        if len(chosen) < len(contacts):
+            self.notes.append(
+                f"{len(contacts) - len(chosen)} of {counted(len(contacts), 'contact')} are outside the processed part "
+                f"of the video, {self.starts_s:.1f} to {self.ends_s:.1f} s, and do not count."
+            )
+        return chosen
+
+    def last_hours(self, events: Sequence[Event], times_s: Sequence[float]) -> float | None:
+        """Time of the last event or contact as the smallest possible duration, with a note; None without any."""
+        last_s = max([*(event.end_s for event in events), *times_s], default=0.0)
+        if last_s <= 0:
+            self.notes.append("The duration of the video is unknown (--hours), and so is the rate of false alarms.")
+            return None
+        self.notes.append(
+            f"The duration of the video is unknown (--hours); it is at least {last_s:.1f} s, until the last event or "
+            "contact, so the rate of false alarms is an upper limit."
+        )
+        return last_s / 3600
+
+
+def _number(content: Any, *keys: str) -> float | None:
+    """Number below nested keys; None without one."""
+    for key in keys:
+        content = content.get(key) if isinstance(content, dict) else None
+    return float(content) if isinstance(content, int | float) and not isinstance(content, bool) else None

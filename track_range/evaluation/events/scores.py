@@ -1,0 +1,225 @@
+"""Hits, misses, false alarms and lead times of warnings and events.
+
+A warning is an event of one of `WARNING_KINDS` with a `warning_s`, its lead the time from `warning_s` to the contact.
+
+    hit           contact with a warning on its object at least `min_lead_s` before it; its lead is that of the first
+    miss          contact without one; a later warning is too late
+    false alarm   warning on an object that has no contact
+
+An object with several contacts: a warning belongs to the next contact after it, or to the last one. Each contact counts
+for one kind: that of its first warning in time; a miss for that of its first late warning, else for the kind that its
+class leads to expect (person: pedestrian_on_path, others: forward_collision). So the counts of the kinds add up to
+those overall.
+
+Labelled events are matched to events of the same kind and class one to one, so that as many as possible match, if they
+overlap in time or are at most `TOLERANCE_S` apart. The lead is the time from `warning_s` (without a warning from
+`start_s`) to `peak_s` of the labelled event.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from track_range.detection.classes import ROAD_CLASS_OF
+from track_range.evaluation.events.contacts import Contact
+from track_range.evaluation.events.settings import MIN_LEAD_S
+from track_range.results.events.event import EVENT_KINDS, WARNING_KINDS, Event
+
+Scores = dict[str, Any]
+"""Sections `overall` and `by_kind`, and lists of single results, as in the JSON file."""
+
+TOLERANCE_S = 1.0
+"""Largest time between a labelled event and one that matches it, s: labels are set by hand."""
+
+_COUNTS = ("hits", "misses", "false_alarms")
+_NO_MATCH = 1e9
+"""Cost of a pair that does not match."""
+
+
+def is_warning(event: Event) -> bool:
+    """Whether an event is a collision warning."""
+    return event.kind in WARNING_KINDS and math.isfinite(event.warning_s)
+
+
+def contact_scores(
+    events: Sequence[Event],
+    object_ids: Sequence[int | None],
+    contacts: Sequence[Contact],
+    *,
+    hours: float | None,
+    min_lead_s: float = MIN_LEAD_S,
+) -> Scores:
+    """Scores of collision warnings against contacts.
+
+    Args:
+        events: N events of a drive; those that are no warnings are ignored.
+        object_ids: identity of the object of each of the N events; None = none, or unknown.
+        contacts: all contacts of the drive.
+        hours: duration of the drive; None = unknown.
+        min_lead_s: shortest lead of a hit.
+    """
+    on_contact: dict[int, list[Event]] = {}
+    false_alarms = []
+    for event, object_id in zip(events, object_ids, strict=True):
+        if is_warning(event):
+            index = _contact_of(event, object_id, contacts)
+            if index is None:
+                false_alarms.append(event)
+            else:
+                on_contact.setdefault(index, []).append(event)
+    rows = [_contact_row(contact, on_contact.get(i, []), min_lead_s) for i, contact in enumerate(contacts)]
+    results = [(row["kind"], "hits" if row["is_hit"] else "misses", row["lead_s"]) for row in rows]
+    results += [(event.kind, "false_alarms", None) for event in false_alarms]
+    return {
+        **_sections(results, WARNING_KINDS, hours),
+        "contacts": rows,
+        "false_warnings": [_false_warning(event) for event in false_alarms],
+    }
+
+
+def _contact_of(event: Event, object_id: int | None, contacts: Sequence[Contact]) -> int | None:
+    """Index of the contact that a warning belongs to; None = its object has no contact."""
+    of_object = [i for i, contact in enumerate(contacts) if contact.object_id == object_id]
+    if not of_object:
+        return None
+    after = [i for i in of_object if contacts[i].contact_s >= event.warning_s]
+    if after:
+        return min(after, key=lambda i: contacts[i].contact_s)
+    return max(of_object, key=lambda i: contacts[i].contact_s)
+
+
+def _contact_row(contact: Contact, warnings: Sequence[Event], min_lead_s: float) -> dict[str, Any]:
+    """Result of a contact: its columns, and `is_hit`, `kind`, `lead_s` of the first warning (None = no warning)."""
+    first = min(warnings, key=lambda event: event.warning_s, default=None)
+    lead_s = None if first is None else _rounded(contact.contact_s - first.warning_s)
+    expected = "pedestrian_on_path" if contact.class_name == "person" else "forward_collision"
+    return {
+        "object_id": contact.object_id,
+        "class": contact.class_name,
+        "contact_s": contact.contact_s,
+        "is_hit": lead_s is not None and lead_s >= min_lead_s,
+        "kind": expected if first is None else first.kind,
+        "lead_s": lead_s,
+    }
+
+
+def _false_warning(event: Event) -> dict[str, Any]:
+    return {
+        "kind": event.kind,
+        "warning_s": _rounded(event.warning_s),
+        "track_id": event.track_id,
+        "class": event.class_name,
+    }
+
+
+def event_scores(events: Sequence[Event], labelled: Sequence[Event], *, hours: float | None) -> Scores:
+    """Scores of events against labelled events.
+
+    Args:
+        events: events of a run.
+        labelled: true events.
+        hours: duration of the video; None = unknown.
+    """
+    matched = _matched(events, labelled)
+    results: list[tuple[str, str, float | None]] = []
+    for index, label in enumerate(labelled):
+        event = matched.get(index)
+        if event is None:
+            results.append((label.kind, "misses", None))
+        else:
+            known_s = event.warning_s if math.isfinite(event.warning_s) else event.start_s
+            results.append((label.kind, "hits", _rounded(label.peak_s - known_s)))
+    used = set(map(id, matched.values()))
+    results += [(event.kind, "false_alarms", None) for event in events if id(event) not in used]
+    return _sections(results, EVENT_KINDS, hours)
+
+
+def _matched(events: Sequence[Event], labelled: Sequence[Event]) -> dict[int, Event]:
+    """The event that matches each labelled event, by index of the latter."""
+    if not events or not labelled:
+        return {}
+    cost = np.array([[_cost(event, label) for event in events] for label in labelled])
+    rows, columns = linear_sum_assignment(cost)
+    return {
+        row: events[column]
+        for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
+        if cost[row, column] < _NO_MATCH
+    }
+
+
+def _cost(event: Event, label: Event) -> float:
+    """Time between two events in s, plus a small part of the time between their peaks."""
+    gap_s = max(event.start_s - label.end_s, label.start_s - event.end_s, 0.0)
+    if event.kind != label.kind or gap_s > TOLERANCE_S or not are_same_class(event.class_name, label.class_name):
+        return _NO_MATCH
+    return gap_s + 1e-3 * min(abs(event.peak_s - label.peak_s), 1e3)
+
+
+def are_same_class(one: str, other: str) -> bool:
+    """Whether two objects may be the same by their classes: detectors confuse vehicles, and riders with two-wheelers.
+
+    An empty class is unknown.
+    """
+    groups = {_GROUPS.get(ROAD_CLASS_OF.get(name.lower(), name.lower()), name.lower()) for name in (one, other) if name}
+    return len(groups) < 2
+
+
+_GROUPS = {
+    "bicycle": "two-wheeler",
+    "motorcycle": "two-wheeler",
+    "car": "vehicle",
+    "bus": "vehicle",
+    "truck": "vehicle",
+}
+"""Group by road class; the others are separate."""
+
+
+def _sections(results: Iterable[tuple[str, str, float | None]], kinds: Sequence[str], hours: float | None) -> Scores:
+    """Sections of results, which are a kind, the name of the count, and the lead of a hit."""
+    results = list(results)
+
+    def section(chosen: Sequence[tuple[str, str, float | None]]) -> dict[str, Any]:
+        counts = {name: sum(count == name for _, count, _ in chosen) for name in _COUNTS}
+        leads_s = [lead_s for _, count, lead_s in chosen if count == "hits" and lead_s is not None]
+        return _with_rate({**counts, "lead_s": leads_s}, hours)
+
+    by_kind = {kind: section([result for result in results if result[0] == kind]) for kind in kinds}
+    return {"overall": section(results), "by_kind": by_kind}
+
+
+def _with_rate(counts: Mapping[str, Any], hours: float | None) -> dict[str, Any]:
+    rate = counts["false_alarms"] / hours if hours else None
+    return {
+        **{name: counts[name] for name in _COUNTS},
+        "hours": None if hours is None else round(hours, 6),
+        "false_alarms_per_hour": None if rate is None else round(rate, 4),
+        "lead_s": list(counts["lead_s"]),
+    }
+
+
+def combined_scores(scores: Iterable[Mapping[str, Any]]) -> Scores:
+    """Sections `overall` and `by_kind` of several drives together; unknown hours make those of all unknown."""
+    scores = list(scores)
+
+    def combined(sections: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        hours = [section["hours"] for section in sections]
+        counts = {name: sum(section[name] for section in sections) for name in _COUNTS}
+        leads_s = [lead_s for section in sections for lead_s in section["lead_s"]]
+        return _with_rate({**counts, "lead_s": leads_s}, None if None in hours else sum(hours))
+
+    kinds = dict.fromkeys(kind for score in scores for kind in score["by_kind"])
+    return {
+        "overall": combined([score["overall"] for score in scores]),
+        "by_kind": {
+            kind: combined([score["by_kind"][kind] for score in scores if kind in score["by_kind"]]) for kind in kinds
+        },
+    }
+
+
+def _rounded(value: float) -> float:
+    return round(float(value), 4)

@@ -1,0 +1,231 @@
+"""HOTA, CLEAR and identity metrics of tracks against ground truth, per sequence and combined."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, cast, get_args
+
+import numpy as np
+
+from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes, road_class_ids
+from track_range.detection.formats.box_table import NO_FACTS, BoxTable
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.label_formats import is_blank, label_format_of, read_labels
+from track_range.detection.formats.table_checks import other_labels_note
+from track_range.detection.formats.video_labels.kitti import read_kitti
+from track_range.detection.formats.video_labels.mot import read_mot
+from track_range.evaluation.sequences.find import (
+    KITTI_FOLDER,
+    MOT_FOLDER,
+    SequenceFile,
+    find_sequences,
+    ignored_files_note,
+    no_truth_note,
+    paired,
+)
+from track_range.evaluation.sequences.settings import TrackEvaluationSettings, TruthFormat
+from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.errors import UsageError
+from track_range.foundation.files.input_files import counted
+from track_range.tracking.evaluation.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
+from track_range.tracking.evaluation.frame_shift import frame_shift_note
+from track_range.tracking.evaluation.motmetrics_comparison import motmetrics_figures
+from track_range.tracking.evaluation.scores import TrackingCounts
+from track_range.tracking.evaluation.similarity import Similarity
+from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
+
+_BENCHMARKS = ("mot", "kitti")
+"""Formats of ground truth with rules for boxes that are ignored."""
+
+COUNTS = ("idsw", "fp", "fn", "frag", "mt", "pt", "ml", "n")
+"""Metrics that are counts; the others are in per cent."""
+
+
+def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
+    """Metrics per sequence and of all sequences combined, as plain values for JSON; MOT metrics in per cent.
+
+    Raises:
+        LabelFileError, MotFormatError: a file cannot be read, or the results of a sequence are missing.
+        UsageError, ClassNameError: the class cannot be evaluated.
+    """
+    truth, results = settings.truth, settings.results
+    labelled = find_sequences(truth, "gt")
+    form: TruthFormat = settings.truth_format or _form_of(labelled[0].path)
+    # In the output folder of `track` only KITTI rows contain the classes that KITTI's truth distinguishes.
+    folders = [results / name for name in ((KITTI_FOLDER, MOT_FOLDER) if form == "kitti" else (MOT_FOLDER,))]
+    results_folder = next((folder for folder in folders if folder.is_dir()), results)
+    tracked = find_sequences(results_folder, "det")
+    pairs = paired(labelled, tracked)
+    notes: list[str] = []
+    if form in _BENCHMARKS:
+        name = _class_of(form, settings.road_class)
+        boxes = {labels.name: _cleaned(labels, tracks, form, name) for labels, tracks in pairs}
+    else:
+        tables = {labels.name: _truth_table(labels.path, settings.truth_format, notes) for labels, _ in pairs}
+        name = _class_of_labels(tables.values(), settings.road_class)
+        notes += [note for _, tracks in pairs for note in _no_classes_note(tracks.path, name)]
+        boxes = {
+            labels.name: (_boxes_of(tables[labels.name], name, labels.path), _read_results(tracks.path, name))
+            for labels, tracks in pairs
+        }
+    similarity = {key: Similarity.of(*both) for key, both in boxes.items()}
+    counts = {key: TrackingCounts.of_similarity(value) for key, value in similarity.items()}
+    combined = TrackingCounts.sum_of(list(counts.values()))
+    figures = {
+        "truth": str(truth),
+        "results": str(results),
+        "format": form,
+        "class": name,
+        "combined": _without_nan(asdict(combined.scores())),
+        "sequences": {key: _without_nan(asdict(value.scores())) for key, value in counts.items()},
+        "notes": [
+            *ignored_files_note(truth, labelled),
+            *ignored_files_note(results_folder, tracked),
+            *no_truth_note(labelled, tracked),
+            *_empty_truth_notes(labels for labels, _ in pairs),
+            *notes,
+            *(note for key, (truth, tracks) in boxes.items() for note in _shift_note(key, truth, tracks)),
+        ],
+    }
+    if settings.compare == "motmetrics":
+        reference = motmetrics_figures(similarity)
+        figures["motmetrics"] = {
+            "combined": _without_nan(reference.combined),
+            "sequences": {key: _without_nan(row) for key, row in reference.sequences.items()},
+        }
+    return figures
+
+
+def _form_of(path: Path) -> TruthFormat:
+    """The format of a file of ground truth; an empty one is taken to be KITTI's."""
+    if is_blank(path, "ground truth"):
+        return "kitti"
+    name = label_format_of(path, "ground truth").name
+    if name not in get_args(TruthFormat):
+        raise LabelFileError(f"{path}: expected ground truth, found the rows of a run.")
+    return cast(TruthFormat, name)
+
+
+def _truth_table(path: Path, form: TruthFormat | None, notes: list[str]) -> BoxTable:
+    """The labels of a file in one of the formats without rules for boxes that are ignored; notes are appended.
+
+    Raises:
+        LabelFileError: the file cannot be read, or has another format than `form`.
+    """
+    label_format = label_format_of(path, "ground truth")
+    if form not in (None, label_format.name):
+        raise LabelFileError(f"{path}: expected the format {form} (--format), found {label_format.title}.")
+    table = read_labels(path, NO_FACTS, expected="ground truth")
+    notes += [*table.notes, *other_labels_note(table, path)]
+    if n_regions := int(table.is_region.sum()):
+        notes.append(
+            f"{path.name}: ignored {counted(n_regions, 'region')} of the ground truth; tracks in them count as false."
+        )
+    return table
+
+
+def _no_classes_note(path: Path, road_class: str) -> tuple[str, ...]:
+    """A note on results without classes, which `--class` cannot filter."""
+    if is_blank(path, "tracks") or label_format_of(path, "tracks").name != "mot":
+        return ()
+    return (f"{path.name}: rows of MOTChallenge have no class, so all tracks count as {road_class}.",)
+
+
+def _boxes_of(table: BoxTable, road_class: str, path: Path) -> TrackedBoxes:
+    """The boxes of one class.
+
+    Raises:
+        LabelFileError: boxes of the class have no identity.
+    """
+    table = table.select(table.class_id == ROAD_CLASSES.index(road_class))
+    if (table.track_id < 0).any():
+        raise LabelFileError(f"{path}: expected a track id for each box, found boxes without.")
+    return TrackedBoxes(table.frame, table.track_id, table.xyxy_px, table.class_id)
+
+
+def _class_of_labels(tables: Iterable[BoxTable], road_class: str | None) -> str:
+    """The class to evaluate: the given one, else the most frequent one."""
+    if road_class is not None:
+        return ROAD_CLASSES[int(road_class_ids([road_class])[0])]
+    class_id = np.concatenate([np.zeros(0, np.int64), *(table.class_id[table.class_id >= 0] for table in tables)])
+    return ROAD_CLASSES[int(np.bincount(class_id, minlength=len(ROAD_CLASSES)).argmax())] if len(class_id) else "car"
+
+
+def _shift_note(name: str, truth: TrackedBoxes, tracks: TrackedBoxes) -> tuple[str, ...]:
+    return frame_shift_note(name, truth.frame, truth.xyxy_px, tracks.frame, tracks.xyxy_px)
+
+
+def _empty_truth_notes(truth: Iterable[SequenceFile]) -> tuple[str, ...]:
+    """A note on each file of ground truth without objects."""
+    return tuple(
+        f"{file.path}: the file is empty, so all tracks of {file.name} are false positives."
+        for file in truth
+        if is_blank(file.path, "ground truth")
+    )
+
+
+def _class_of(form: TruthFormat, road_class: str | None) -> str:
+    if road_class is None:
+        return "car" if form == "kitti" else "person"
+    name = ROAD_CLASSES[int(road_class_ids([road_class])[0])]
+    if form == "mot" and name != "person":
+        raise UsageError(f"--class {road_class}: expected person, the only class of MOTChallenge's ground truth.")
+    if form == "kitti" and name not in KITTI_TYPES:
+        raise UsageError(
+            f"--class {road_class}: expected a class of KITTI's tracking labels: {', '.join(KITTI_TYPES)}."
+        )
+    return name
+
+
+def _cleaned(
+    truth: SequenceFile, results: SequenceFile, form: TruthFormat, road_class: str
+) -> tuple[TrackedBoxes, TrackedBoxes]:
+    """The boxes of truth and results of one sequence that are evaluated by the benchmark's rules."""
+    if form == "mot":
+        rows = read_mot(truth.path)
+        _check_once(truth.path, rows.frame, rows.track_id)
+        return mot_cleaned(rows, _read_results(results.path, road_class))
+    labels = read_kitti(truth.path)
+    named = labels.track_id >= 0
+    _check_once(truth.path, labels.frame[named], labels.track_id[named])
+    return kitti_cleaned(labels, _read_results(results.path, road_class), road_class)
+
+
+def _read_results(path: Path, road_class: str) -> TrackedBoxes:
+    """Tracks of one class with frames from 0, read from MOT rows (frames from 1, no class) or KITTI rows."""
+    class_id = ROAD_CLASSES.index(road_class)
+    if is_blank(path, "tracks"):
+        return _tracked(path, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), class_id)
+    form = label_format_of(path, "tracks").name
+    if form == "mot":
+        rows = read_mot(path)
+        return _tracked(path, rows.frame, rows.track_id, rows.xyxy_px, class_id)
+    if form != "kitti":
+        return _boxes_of(read_labels(path, NO_FACTS, expected="tracks"), road_class, path)
+    labels = read_kitti(path)
+    is_of_class = map_to_road_classes([str(kind) for kind in labels.kitti_type]) == class_id
+    labels = labels.select(is_of_class & (labels.track_id >= 0))
+    return _tracked(path, labels.frame, labels.track_id, labels.xyxy_px, class_id)
+
+
+def _check_once(path: Path, frame: IntArray, track_id: IntArray) -> None:
+    if len(np.unique(np.stack([frame, track_id]), axis=1).T) < len(frame):
+        raise LabelFileError(f"{path}: expected each track id at most once per frame, found a duplicate.")
+
+
+def _tracked(path: Path, frame: IntArray, track_id: IntArray, xyxy_px: FloatArray, class_id: int) -> TrackedBoxes:
+    try:
+        return TrackedBoxes(frame, track_id, xyxy_px, np.full(len(frame), class_id))
+    except ValueError as error:
+        raise LabelFileError(f"{path}: expected each track id at most once per frame, found a duplicate.") from error
+
+
+def _without_nan(figures: Mapping[str, float]) -> dict[str, float | int | None]:
+    """Figures for JSON: counts as integers, NaN as None."""
+    return {
+        key: None if math.isnan(value) else int(value) if key in COUNTS else float(value)
+        for key, value in figures.items()
+    }

@@ -1,0 +1,195 @@
+"""Tracking of recorded detections; no video or rig is needed, and no distances are measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from track_range.detection.classes import ROAD_CLASSES, road_class_ids
+from track_range.detection.detections import Detections
+from track_range.detection.formats.detection_files import RecordedDetections, read_detections
+from track_range.detection.formats.errors import LabelFileError
+from track_range.evaluation.sequences.files import write_kitti, write_mot
+from track_range.evaluation.sequences.find import (
+    KITTI_FOLDER,
+    MOT_FOLDER,
+    SequenceFile,
+    find_sequences,
+    ignored_files_note,
+)
+from track_range.evaluation.sequences.settings import TrackSettings
+from track_range.evaluation.sequences.tracking import images_of, track_sequence
+from track_range.foundation.errors import UsageError
+from track_range.foundation.files.input_files import real_path
+from track_range.foundation.files.output_files import OutputError, locked_output, make_folder
+from track_range.foundation.progress import FrameProgress, no_frame_progress
+from track_range.recording.frame import VideoError
+from track_range.run.options.tracker_options import open_tracker_options
+from track_range.run.settings import check_tracker
+from track_range.tracking.registry import create_tracker
+from track_range.tracking.tracker import Tracker
+
+DEFAULT_FPS = 10.0
+"""Frame rate of sequences without seqinfo.ini: KITTI's."""
+
+_CLASS_OF_FOLDER = {"car": "car", "pedestrian": "person", "cyclist": "bicycle"}
+"""Road class by folder name, for RRC's files, which have no class column."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedFile:
+    """One tracked sequence.
+
+    Attributes:
+        name: name of the sequence.
+        n_frames, n_boxes, n_tracks: numbers of frames, boxes and tracks.
+        us_per_frame: mean time of the tracker per frame, microseconds.
+    """
+
+    name: str
+    n_frames: int
+    n_boxes: int
+    n_tracks: int
+    us_per_frame: float
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedFiles:
+    """Result of `track`.
+
+    Attributes:
+        done: the tracked sequences.
+        failed: reason by name of the sequences that could not be read.
+    """
+
+    done: tuple[TrackedFile, ...]
+    failed: Mapping[str, str]
+
+
+def track(
+    settings: TrackSettings,
+    progress: FrameProgress = no_frame_progress,
+    note: Callable[[str], object] = lambda _note: None,
+) -> TrackedFiles:
+    """Track every sequence and write `mot/NAME.txt`, with frames counted from 1 as MOTChallenge defines.
+
+    If one of several sequences cannot be read, the others are tracked.
+
+    Args:
+        settings: input, tracker and output folder.
+        progress: shows the progress of each sequence.
+        note: called with each note for the user.
+
+    Raises:
+        LabelFileError, VideoError: boxes or images of the only sequence cannot be read.
+        TrackerError: the tracker cannot be created.
+        ModelError: `reid` is not a re-identification network.
+        ClassNameError, UsageError: the class is unknown, or several are given.
+        OutputError: `out` cannot be written.
+        FolderLockError: another run is writing to `out`.
+    """
+    check_tracker(settings.tracker, settings.reid)
+    sequences = find_sequences(settings.detections, "det")
+    class_id = _class_of(settings)
+    is_single = len(sequences) == 1
+    all_images = [images_of(sequence, settings.images, is_single=is_single) for sequence in sequences]
+    if settings.reid is not None and None in all_images:
+        raise UsageError("--reid needs the images of every sequence; give --images.")
+    _check_overwriting(sequences, settings)
+    tracker_options = open_tracker_options(settings.reid)
+    reid_notes = () if tracker_options.reid is None else tracker_options.reid.notes
+    for sentence in (*ignored_files_note(settings.detections, sequences), *reid_notes):
+        note(sentence)
+    done, failed = [], {}
+    with _locked_folders(settings):
+        for sequence, images in zip(sequences, all_images, strict=True):
+            try:
+                recorded = _read(sequence.path, class_id, settings)
+                tracker = create_tracker(settings.tracker, tracker_options)
+                tracked, notes = _track_one(sequence, recorded, images, tracker, settings, progress)
+            except (LabelFileError, VideoError) as error:
+                if is_single:
+                    raise
+                failed[sequence.name] = str(error)
+                note(f"{sequence.name}: {error}")
+            else:
+                done.append(tracked)
+                for sentence in notes:
+                    note(f"{sequence.name}: {sentence}")
+    return TrackedFiles(tuple(done), failed)
+
+
+@contextmanager
+def _locked_folders(settings: TrackSettings) -> Iterator[None]:
+    """Context in which the folders of the results exist, and this process alone writes to them."""
+    with locked_output(settings.out):
+        make_folder(settings.out / MOT_FOLDER)
+        if settings.kitti:
+            make_folder(settings.out / KITTI_FOLDER)
+        yield
+
+
+def _check_overwriting(sequences: Sequence[SequenceFile], settings: TrackSettings) -> None:
+    """Raise OutputError if a result would overwrite its input."""
+    for sequence in sequences:
+        for folder in (MOT_FOLDER, KITTI_FOLDER):
+            if real_path(settings.out / folder / f"{sequence.name}.txt") == real_path(sequence.path):
+                raise OutputError(f"{sequence.path}: the result would overwrite this input; choose another --out.")
+
+
+def _read(path: Path, class_id: int, settings: TrackSettings) -> RecordedDetections:
+    """The boxes of a sequence, with notes for the user; an empty file is a sequence without boxes."""
+    recorded = read_detections(path, default_class_id=class_id, form=settings.form)
+    detections, notes = recorded.detections, recorded.notes[1:]  # the first note is on the detected format
+    if settings.reid is not None:  # its embeddings replace those of the file
+        detections = Detections.of(detections.xyxy_px, detections.score, detections.class_id)
+    if recorded.has_classes and settings.road_class is not None:
+        notes = (*notes, f"--classes {settings.road_class} ignored: the rows of {path.name} contain classes.")
+    return replace(recorded, detections=detections, notes=notes)
+
+
+def _class_of(settings: TrackSettings) -> int:
+    """Class id for rows without a class."""
+    if settings.road_class is None:
+        path = real_path(settings.detections)  # `.` has no name
+        words = [part.lower() for part in (path.name, path.parent.name)]
+        name = next((_CLASS_OF_FOLDER[word] for word in words if word in _CLASS_OF_FOLDER), "person")
+        return ROAD_CLASSES.index(name)
+    ids = road_class_ids(settings.road_class.split(","))
+    if len(ids) != 1:
+        raise UsageError(f"--classes {settings.road_class}: expected one class for rows without a class, such as car.")
+    return int(ids[0])
+
+
+def _track_one(
+    sequence: SequenceFile,
+    recorded: RecordedDetections,
+    images: Path | None,
+    tracker: Tracker,
+    settings: TrackSettings,
+    progress: FrameProgress,
+) -> tuple[TrackedFile, tuple[str, ...]]:
+    """Track a sequence and write its files; returns its results and the notes for the user."""
+    last = int(recorded.frame[-1]) + 1 if len(recorded.frame) else 0
+    n_frames = max(sequence.info.n_frames or 0, last)
+    with progress(n_frames) as advance:
+        tracked = track_sequence(
+            recorded,
+            tracker,
+            n_frames=n_frames,
+            fps=settings.fps or sequence.info.fps or DEFAULT_FPS,
+            images=images,
+            is_online=settings.online,
+            advance=advance,
+        )
+    frames, notes = tracked.frames, (*recorded.notes, *tracked.notes)
+    write_mot(frames, settings.out, sequence.name)
+    if settings.kitti:
+        notes = (*notes, *write_kitti(frames, settings.out, sequence.name))
+    track_ids = np.unique(np.concatenate([tracks.track_id for tracks in frames])) if frames else ()
+    n_boxes = sum(len(tracks) for tracks in frames)
+    return TrackedFile(sequence.name, n_frames, n_boxes, len(track_ids), tracked.us_per_frame), notes

@@ -1,0 +1,175 @@
+"""Tracking of recorded detections frame by frame, with images if there are any."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from track_range.detection.formats.detection_files import RecordedDetections
+from track_range.evaluation.sequences.find import SequenceFile
+from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.files.atomic_files import describe
+from track_range.recording.frame import VideoError
+from track_range.recording.reader import VideoReader
+from track_range.tracking.offline_refinement import OfflineRefinement
+from track_range.tracking.registry import checked_tracks
+from track_range.tracking.tracker import RefinableTracker, Tracker
+from track_range.tracking.tracks import Tracks
+
+_VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm")
+"""Suffixes of videos, in the order of preference."""
+
+_MAX_OUTSIDE = 0.05
+"""Fraction of boxes with centres outside the images above which the user is warned."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedSequence:
+    """The tracks of one sequence.
+
+    Attributes:
+        frames: the tracks of every frame.
+        us_per_frame: mean time of tracking per frame in microseconds, without reading images.
+        notes: messages for the user.
+    """
+
+    frames: list[Tracks]
+    us_per_frame: float
+    notes: tuple[str, ...]
+
+
+def images_of(sequence: SequenceFile, path: Path | None, *, is_single: bool) -> Path | None:
+    """The video or folder of images of a sequence; None = no images.
+
+    Args:
+        sequence: the sequence.
+        path: the user's video, or folder with NAME.mp4, NAME/ or NAME/img1/; None = only MOTChallenge's img1 next to
+            the boxes is used.
+        is_single: whether there is no other sequence, so that `path` or `path`/img1 may be its folder of images.
+
+    Raises:
+        VideoError: `path` does not exist, or contains no images of this sequence.
+    """
+    if path is None:
+        neighbour = sequence.path.parent.parent / "img1"
+        return neighbour if sequence.path.parent.name == "det" and neighbour.is_dir() else None
+    if path.is_file() and is_single:
+        return path
+    if not path.exists():
+        raise VideoError(f"{path}: no such file or folder; check the name.")
+    candidates = [path / sequence.name / "img1", path / sequence.name, *_videos(path, sequence.name)]
+    candidates += [path / "img1", path] if is_single else []
+    if images := next((candidate for candidate in candidates if candidate.exists()), None):
+        return images
+    raise VideoError(f"{path}: expected {sequence.name}.mp4 or a folder {sequence.name}, found neither.")
+
+
+def _videos(folder: Path, name: str) -> list[Path]:
+    """Videos with this stem in a folder, by preference of the suffix, which may be in upper case."""
+    try:
+        files = [file for file in folder.iterdir() if file.stem == name] if folder.is_dir() else []
+    except OSError as error:
+        raise VideoError(f"{folder}: the folder cannot be read ({describe(error)}); check its permissions.") from error
+    return [file for suffix in _VIDEO_SUFFIXES for file in sorted(files) if file.suffix.lower() == suffix]
+
+
+def track_sequence(
+    recorded: RecordedDetections,
+    tracker: Tracker,
+    *,
+    n_frames: int,
+    fps: float,
+    images: Path | None = None,
+    is_online: bool = False,
+    advance: Callable[[], None] = lambda: None,
+) -> TrackedSequence:
+    """Run a new tracker on a sequence.
+
+    Args:
+        recorded: boxes by frame.
+        tracker: a tracker without tracks.
+        n_frames: number of frames, including frames without boxes.
+        fps: frame rate, if there is no video that states one.
+        images: video or folder with the images of the frames, by number.
+        is_online: output as in a live run; otherwise refined with later frames (`tracking.offline_refinement`).
+        advance: called after each frame.
+
+    Raises:
+        VideoError: the images cannot be read.
+    """
+    video = None if images is None else VideoReader(images, folder_fps=fps)
+    refinable = tracker if isinstance(tracker, RefinableTracker) else None
+    refinement, online, spent_s, image_counts = OfflineRefinement(), [], 0.0, _ImageCounts()
+    for frame, time_s, image in _frames(video, n_frames, fps):
+        detections = recorded.at(frame)
+        image_counts.add(detections.xyxy_px, image)
+        began_s = time.perf_counter()
+        tracks = checked_tracks(tracker, tracker.update(detections, time_s, image))
+        if is_online:
+            online.append(tracks)
+        else:
+            refinement.add(time_s, tracks, refinable.tentative if refinable else Tracks.empty())
+        spent_s += time.perf_counter() - began_s
+        advance()
+    began_s = time.perf_counter()
+    frames = online if is_online else refinement.refine(refinable.track_activation_threshold if refinable else None)
+    spent_s += time.perf_counter() - began_s
+    notes = () if video is None else (*video.notes, *image_counts.notes(images, n_frames))
+    return TrackedSequence(frames, 1e6 * spent_s / max(n_frames, 1), notes)
+
+
+class _ImageCounts:
+    """Counts of the frames with images, and of the boxes outside the images."""
+
+    def __init__(self) -> None:
+        self._n_frames = self._n_boxes = self._n_outside = 0
+        self._size_text = ""
+
+    def add(self, xyxy_px: FloatArray, image: Image | None) -> None:
+        """Count one frame with its boxes (N, 4)."""
+        if image is None:
+            return
+        height, width = image.shape[:2]
+        centre = (xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2
+        outside = (centre < -0.5) | (centre > [width - 0.5, height - 0.5])
+        self._n_frames += 1
+        self._n_boxes += len(centre)
+        self._n_outside += int(np.count_nonzero(outside.any(axis=1)))
+        self._size_text = f"{width} x {height}"
+
+    def notes(self, images: Path | None, n_frames: int) -> tuple[str, ...]:
+        """Messages for the user about missing images and boxes outside the images."""
+        notes = []
+        if self._n_frames < n_frames:
+            notes.append(f"{images}: images for {self._n_frames} of {n_frames} frames; the others use boxes only.")
+        if self._n_outside > _MAX_OUTSIDE * self._n_boxes:
+            notes.append(
+                f"{self._n_outside} of {self._n_boxes} boxes are outside the images of {self._size_text} px; check "
+                "that boxes and images belong together."
+            )
+        return tuple(notes)
+
+
+def _frames(video: VideoReader | None, n_frames: int, fps: float) -> Iterator[tuple[int, float, Image | None]]:
+    """Number, time and image of each frame; frames that the video lacks get interpolated times, or times at `fps`."""
+    next_frame, time_s = 0, -1 / fps
+    if video is not None:
+        fps, start_s = video.fps, None
+        for read in video:
+            frame = read.index
+            # frames before this one may be undecodable, and have no known time
+            start_s = read.time_s - frame / fps if start_s is None else start_s
+            read_s = read.time_s - start_s
+            if frame >= n_frames:
+                break
+            n_between = frame - next_frame + 1
+            for i in range(1, n_between):
+                yield next_frame + i - 1, time_s + i * (read_s - time_s) / n_between, None
+            yield frame, read_s, read.image
+            next_frame, time_s = frame + 1, read_s
+    for frame in range(next_frame, n_frames):
+        yield frame, time_s + (frame - next_frame + 1) / fps, None

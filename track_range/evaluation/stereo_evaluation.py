@@ -1,0 +1,140 @@
+"""Evaluation of stereo matchers on pairs with known disparities."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from track_range.calibration.drive_pairs import is_drive, read_drive
+from track_range.calibration.settings import LEAVE_TWO_OUT, OFF, StereoEvaluationSettings
+from track_range.evaluation.expected_disparities import expected_disparities
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.errors import UsageError
+from track_range.foundation.progress import StepProgress, no_progress
+from track_range.stereo.alignment.file import load_alignment
+from track_range.stereo.alignment.from_reference import fit_reference
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.evaluation.dense_confidence import BEST_MEASURE, DENSE_MATCHER, ConfidenceRecorder
+from track_range.stereo.evaluation.disparity_errors import (
+    Column,
+    common_figures,
+    corrected,
+    left_out_alignments,
+    matcher_figures,
+)
+from track_range.stereo.evaluation.kitti_2015 import PairFileError, StereoPair, is_kitti_2015, pair_names, read_pairs
+from track_range.stereo.evaluation.risk_coverage import risk_coverage
+from track_range.stereo.matching.box_matchers import MATCHER_NAMES, MatcherResults, measure_pairs
+
+
+def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress = no_progress) -> dict[str, Any]:
+    """Errors, calibration of sigma and times per matcher, with confidence intervals, as plain values for JSON.
+
+    Raises:
+        UsageError: an unknown matcher, or leave-two-out for a drive or too few pairs.
+        PairFileError, RigError, VideoError, LabelFileError: the pairs, their rig or the alignment cannot be used.
+    """
+    _check_names(settings.matchers)
+    known = None if settings.align in (OFF, LEAVE_TWO_OUT) else load_alignment(Path(settings.align))
+    n_pairs = _n_pairs(settings)
+    recorder = ConfidenceRecorder() if DENSE_MATCHER in settings.matchers else None
+    with progress("pairs") as advance:
+        pairs = _counted(_pairs(settings, known), advance, n_pairs)
+        pairs = pairs if recorder is None else recorder.recorded(pairs)
+        measured = measure_pairs(pairs, settings.matchers, expected=expected_disparities)
+    if not len(measured.objects):
+        raise PairFileError(f"{settings.pairs}: expected objects of known disparity, found none.")
+    columns, alignment = _aligned(measured, settings, known)
+    matchers = _with_times(matcher_figures(columns, measured.objects, seed=settings.seed), measured)
+    return {
+        "pairs": str(settings.pairs),
+        "n_pairs": len(measured.objects.cameras),
+        "n_objects": len(measured.objects),
+        "align": settings.align,
+        "alignment": alignment,
+        "matchers": matchers,
+        "common": common_figures(columns, measured.objects, seed=settings.seed) if len(columns) > 1 else {},
+        "risk_coverage": _risk_coverage(columns, measured, {} if recorder is None else recorder.measures),
+        "best_confidence": {DENSE_MATCHER: BEST_MEASURE} if recorder is not None else {},
+        "notes": list(measured.notes),
+    }
+
+
+def _risk_coverage(
+    columns: Mapping[str, Column], measured: MatcherResults, measures: Mapping[str, FloatArray]
+) -> dict[str, dict[str, Any]]:
+    """Curve and areas by matcher and by the measure that sorts its boxes: sigma, or a confidence measure."""
+    true_px = measured.objects.true_px
+    curves = {name: {"sigma": risk_coverage(column, true_px)} for name, column in columns.items()}
+    for measure, uncertainty in measures.items():
+        curves[DENSE_MATCHER][measure] = risk_coverage(columns[DENSE_MATCHER], true_px, uncertainty)
+    return curves
+
+
+def _check_names(names: Sequence[str]) -> None:
+    for name in names:
+        if name not in MATCHER_NAMES:
+            raise UsageError(f"--matcher {name}: expected one of {', '.join(MATCHER_NAMES)}.")
+    if len(set(names)) < len(names):
+        raise UsageError("--matcher: expected each matcher once, got duplicates.")
+
+
+def _n_pairs(settings: StereoEvaluationSettings) -> int | None:
+    """Number of pairs; None = unknown before the drive is read."""
+    if not (is_kitti_2015(settings.pairs) or is_drive(settings.pairs)):
+        raise PairFileError(
+            f"{settings.pairs}: expected a folder with KITTI 2015's image_2, image_3, disp_occ_0 and obj_map, or with "
+            "a drive's left.mp4, right.mp4 and truth.csv or truth.txt."
+        )
+    if not is_kitti_2015(settings.pairs):
+        if settings.align == LEAVE_TWO_OUT:
+            raise UsageError(
+                f"--align {LEAVE_TWO_OUT}: expected a set of single pairs, but {settings.pairs} is a drive."
+            )
+        return None
+    n_pairs = len(pair_names(settings.pairs))
+    if settings.align == LEAVE_TWO_OUT and n_pairs < 4:
+        raise UsageError(f"--align {LEAVE_TWO_OUT}: expected at least 4 pairs, but {settings.pairs} has {n_pairs}.")
+    return n_pairs
+
+
+def _pairs(settings: StereoEvaluationSettings, known: Alignment | None) -> Iterator[StereoPair]:
+    row_offset_px = 0.0 if known is None else known.row_correction_px
+    read = read_pairs if is_kitti_2015(settings.pairs) else read_drive
+    return read(settings.pairs, rig=settings.rig, row_offset_px=row_offset_px)
+
+
+def _counted(
+    pairs: Iterator[StereoPair], advance: Callable[[int, int | None], None], n_pairs: int | None
+) -> Iterator[StereoPair]:
+    for number, pair in enumerate(pairs):
+        yield pair
+        advance(number + 1, n_pairs)
+
+
+def _aligned(
+    measured: MatcherResults, settings: StereoEvaluationSettings, known: Alignment | None
+) -> tuple[dict[str, Column], Any]:
+    """The corrected disparities by matcher, and the applied alignment as plain values for JSON."""
+    objects, columns = measured.objects, measured.columns
+    n_pairs = len(objects.cameras)
+    if settings.align != LEAVE_TWO_OUT:
+        alignment = known or Alignment()
+        everywhere = dict.fromkeys(range(n_pairs), alignment)
+        return {name: corrected(column, objects, everywhere) for name, column in columns.items()}, alignment.to_dict()
+    by_pair = {
+        name: left_out_alignments(column, objects, fit_reference, seed=settings.seed)
+        for name, column in columns.items()
+    }
+    means = {
+        name: {"mean_offset_px": float(np.mean([alignment.offset_px for alignment in alignments.values()]))}
+        for name, alignments in by_pair.items()
+    }
+    return {name: corrected(column, objects, by_pair[name]) for name, column in columns.items()}, means
+
+
+def _with_times(figures: dict[str, dict[str, Any]], measured: MatcherResults) -> dict[str, dict[str, Any]]:
+    return {name: {**row, "ms_per_frame": round(measured.ms_per_frame[name], 3)} for name, row in figures.items()}

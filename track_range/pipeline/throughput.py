@@ -1,0 +1,80 @@
+"""FrameMeter: results per second of a run; for a live run also its latency and dropped frames."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from track_range.pipeline.frame_result import FrameResult
+
+_WINDOW_S = 2.0
+"""Time window in seconds over which the rate of results is averaged."""
+
+
+class LiveOrigin(Protocol):
+    """A reader of a camera."""
+
+    @property
+    def first_time_s(self) -> float:
+        """Time of the first frame on the clock of the meter, in seconds; frame times count from it."""
+        ...
+
+
+class FrameMeter:
+    """Rate and latency of the results of one run.
+
+    Args:
+        live: reader of the left camera; None = the run reads files.
+        now_s: clock in seconds; the same as that of the camera's timestamps.
+
+    Attributes:
+        latency_s: seconds from the camera's image to the result for each frame of a live run.
+    """
+
+    def __init__(self, live: LiveOrigin | None = None, *, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._live, self._now_s = live, now_s
+        self._stamps_s: deque[float] = deque()
+        self.latency_s: list[float] = []
+        self._n_frames, self._first_index, self._last_index = 0, 0, 0
+
+    def add(self, result: FrameResult) -> None:
+        """Count a result that has become available now."""
+        now_s = self._now_s()
+        self._stamps_s.append(now_s)
+        while self._stamps_s[0] < now_s - _WINDOW_S:
+            self._stamps_s.popleft()
+        self._first_index = self._first_index if self._n_frames else result.index
+        self._n_frames, self._last_index = self._n_frames + 1, result.index
+        if self._live is not None:
+            self.latency_s.append(now_s - self._live.first_time_s - result.time_s)
+
+    @property
+    def rate_hz(self) -> float:
+        """Results per second; NaN = not known yet."""
+        span_s = self._stamps_s[-1] - self._stamps_s[0] if self._stamps_s else 0.0
+        return (len(self._stamps_s) - 1) / span_s if span_s > 0 else float("nan")
+
+    @property
+    def n_dropped(self) -> int:
+        """Number of frames between the first and the last one that the run did not process."""
+        return self._last_index - self._first_index + 1 - self._n_frames if self._n_frames else 0
+
+    def captions(self) -> tuple[str, ...]:
+        """Short texts for the corner of the overlay: frame rate, latency, dropped frames."""
+        rate = () if np.isnan(self.rate_hz) else (f"{self.rate_hz:.1f} fps",)
+        if not self.latency_s:
+            return rate
+        dropped = (f"{self.n_dropped} dropped",) if self.n_dropped else ()
+        return (*rate, f"latency {1000 * self.latency_s[-1]:.0f} ms", *dropped)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user after a live run."""
+        if not self.latency_s:
+            return ()
+        median_ms, longest_ms = 1000 * np.median(self.latency_s), 1000 * max(self.latency_s)
+        return (f"Latency from image to result: median {median_ms:.0f} ms, maximum {longest_ms:.0f} ms.",)

@@ -1,0 +1,1 @@
+"""What comes in: files, folders, bags, streams, telemetry and calibration files, as frames."""

@@ -1,0 +1,142 @@
+"""open_bag: the files of an MCAP file or ROS bag, which may be a folder with several files, as one `Bag`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import yaml
+
+from track_range.foundation.errors import UserError
+from track_range.foundation.files.input_files import counted, open_regular, shortened
+from track_range.foundation.files.structured_text import read_yaml
+from track_range.recording.bags.container import ZSTD_MAGIC, Bag, Topic
+from track_range.recording.bags.mcap_file import EXPECTED, McapFile
+from track_range.recording.bags.ros1_file import MAGIC as ROS1_MAGIC
+from track_range.recording.bags.ros1_file import Ros1File
+from track_range.recording.bags.sqlite_file import SqliteFile
+from track_range.recording.frame import VideoError
+
+_MCAP_MAGIC, _SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\0"
+_FOLDER_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+"""Suffixes of the files in the folder of a ROS 2 bag."""
+
+_N_LISTED = 4
+"""Largest number of topics in a message."""
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is an MCAP file, a ROS bag, or the folder of a ROS 2 bag; files are recognised by content."""
+    try:
+        if path.is_dir():
+            return bool(_files_in(path))
+        with open_regular(path, VideoError, EXPECTED) as file:
+            start = file.read(16)
+    except (OSError, ValueError, VideoError):
+        return False
+    return start.startswith((_MCAP_MAGIC, _SQLITE_MAGIC, ROS1_MAGIC, b"#ROSBAG"))
+
+
+def open_bag(path: Path) -> Bag:
+    """The opened bag.
+
+    Raises:
+        VideoError: it cannot be read, is compressed as a whole, the folder contains several bags, or a package is
+            missing.
+    """
+    if not path.is_dir():
+        return _open_file(path)
+    files = _files_in(path)
+    series = {re.sub(r"_?\d*(\.\w+)+$", "", file.name) for file in files}
+    if len(series) > 1 and not (path / "metadata.yaml").exists():
+        raise VideoError(
+            f"{path}: expected the files of one bag, found {shortened(files[0].name, 50)} and "
+            f"{shortened(files[-1].name, 50)} without metadata.yaml; give one file."
+        )
+    return _open_file(files[0]) if len(files) == 1 else SplitBag(path, [_open_file(file) for file in files])
+
+
+class SplitBag:
+    """Several files of one bag in the order of time; see `Bag` for the attributes."""
+
+    def __init__(self, path: Path, bags: list[Bag]) -> None:
+        self.path, self._bags = path, bags
+        self.topics: dict[str, Topic] = {}
+        for bag in bags:
+            for name, topic in bag.topics.items():
+                known = self.topics.get(name)
+                counts = None if known is None else (known.n_messages, topic.n_messages)
+                n_messages = topic.n_messages if counts is None else _sum(*counts)
+                self.topics[name] = Topic(name, topic.type, topic.encoding, topic.definition, n_messages)
+
+    @property
+    def end_problem(self) -> str:
+        """Reason why reading of a file ended early; empty = it did not."""
+        return next((f"{bag.path.name}: {bag.end_problem}" for bag in self._bags if bag.end_problem), "")
+
+    @property
+    def n_damaged(self) -> int:
+        """Damaged parts that were skipped."""
+        return sum(bag.n_damaged for bag in self._bags)
+
+    def messages(self, topic: str, from_s: float) -> Iterator[tuple[int, float, bytes]]:
+        """Number, time and content of the messages of a topic; see `Bag.messages`."""
+        n_before = 0
+        for bag in self._bags:
+            number = -1
+            if topic not in bag.topics:
+                continue
+            for number, time_s, data in bag.messages(topic, from_s):
+                yield n_before + number, time_s, data
+            n_before += max(number + 1, bag.topics[topic].n_messages or 0)
+
+
+def topic_list(bag: Bag, types: tuple[str, ...] = ()) -> str:
+    """The first topics of a bag with their types, those of `types` first, for messages."""
+    topics = sorted(bag.topics.values(), key=lambda topic: (topic.type not in types, topic.name))
+    shown = [
+        f"{shortened(topic.name, 40)} ({shortened(topic.type.replace('/msg/', '/'), 30)})"
+        for topic in topics[:_N_LISTED]
+    ]
+    n_others = len(topics) - len(shown)
+    return ", ".join(shown) + (f" and {counted(n_others, 'other')}" if n_others else "") if shown else "no topics"
+
+
+def _open_file(path: Path) -> Bag:
+    with open_regular(path, VideoError, EXPECTED) as file:
+        start = file.read(16)
+    if start.startswith(_MCAP_MAGIC):
+        return McapFile(path)
+    if start.startswith(_SQLITE_MAGIC):
+        return SqliteFile(path)
+    if start.startswith(ROS1_MAGIC):
+        return Ros1File(path)
+    if start.startswith(b"#ROSBAG"):
+        raise VideoError(f"{path}: expected a ROS bag of version 2.0, found another one; convert it with rosbag.")
+    if start.startswith(ZSTD_MAGIC):
+        raise VideoError(
+            f"{path}: expected {EXPECTED}, found a file compressed as a whole; decompress it with zstd -d."
+        )
+    raise VideoError(f"{path}: expected {EXPECTED}, found an empty file, another format or a damaged file.")
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """Files of the folder of a ROS 2 bag in the order of metadata.yaml, else of their names."""
+    files = sorted(
+        (path for path in folder.iterdir() if path.name.lower().endswith(_FOLDER_SUFFIXES)),
+        key=lambda path: (len(path.name), path.name),  # bag_9.mcap before bag_10.mcap
+    )
+    if not files:
+        return []
+    try:
+        content = read_yaml(folder / "metadata.yaml", VideoError, "the metadata of a ROS 2 bag")
+        names = [str(name) for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
+    except (UserError, yaml.YAMLError, LookupError, TypeError):
+        return files
+    listed = [folder / Path(name).name for name in names]
+    return [path for path in listed if path in files] or files
+
+
+def _sum(one: int | None, other: int | None) -> int | None:
+    return None if one is None or other is None else one + other

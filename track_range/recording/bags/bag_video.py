@@ -1,0 +1,235 @@
+"""BagVideo: the images of one topic of an MCAP file or ROS bag as a video; only one chunk of the file is in memory."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Generator
+from pathlib import Path
+
+import numpy as np
+
+from track_range.foundation.arrays import Image
+from track_range.foundation.files.images import check_size
+from track_range.foundation.files.input_files import counted, shortened
+from track_range.recording.bags.bag import open_bag, topic_list
+from track_range.recording.bags.container import DamagedError, Topic
+from track_range.recording.bags.decoding import (
+    CALIBRATION_TYPES,
+    IMAGE_TYPES,
+    ImageDecoder,
+    camera_message,
+    is_readable,
+)
+from track_range.recording.files.file_state import FileState
+from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, is_neutral, strictly_later
+from track_range.recording.names import BagTopic
+from track_range.recording.utc import UtcStart
+from track_range.stereo.rig_formats.camera_info import CameraInfo
+
+_N_FIRST = 30
+"""Number of messages from which the frame rate is estimated."""
+
+_FALLBACK_RATE_HZ = 10.0
+"""Frame rate of a topic with a single message."""
+
+_MAX_LATENCY_S = 5.0
+"""Largest time, s, between the time stamp of an image and its recording."""
+
+_FIRST_PLAUSIBLE_S = 631_152_000.0
+"""Seconds from 1970 to 1990; smaller times are those of a simulation, or since the computer was started."""
+
+_UTC_UNCERTAINTY_S = 0.1
+"""Largest delay, s, between exposure and time stamp; assumed."""
+
+_MAX_LEVELS = 3
+"""Number of levels above an image topic in which its calibration is searched: /left/image_raw/compressed -> /left."""
+
+_CALIBRATION_NAMES = ("camera_info", "calibration")
+"""Last parts of the names of calibration topics."""
+
+
+class BagVideo:
+    """Images of one topic, in the order of their time stamps.
+
+    Attributes:
+        width_px, height_px, is_grey, fps, first_time_s, n_frames: see `VideoReader`; times are seconds since 1970.
+        camera: calibration of the camera, from a topic beside that of the images; None = none.
+        is_rectified: whether the topic's name states that the images are rectified.
+
+    Raises:
+        VideoError: the bag has no such topic, or no image can be read. While iterating: an image differs in size.
+    """
+
+    def __init__(self, name: BagTopic) -> None:
+        self.path = name
+        self._bag = open_bag(name.path)
+        self._states = {file: FileState.of(file) for file in _files_of(name.path)}
+        self._topic = self._chosen_topic()
+        self._setup_notes: list[str] = []
+        self._n_backward = self._n_damaged = 0
+        self._uses_headers = True
+        try:
+            first, times_s = self._first_image()
+        except DamagedError as error:
+            raise VideoError(
+                f"{name}: expected images ({self._topic.type}), found other messages: {shortened(str(error), 100)}."
+            ) from error
+        self.first_time_s = times_s[0]
+        self.height_px, self.width_px = first.shape[:2]
+        check_size(name, (self.width_px, self.height_px), VideoError)
+        self.is_grey = is_neutral(first)
+        steps_s = np.diff(times_s)
+        steps_s = steps_s[steps_s > TIME_EPSILON_S]
+        self.fps = float(1 / np.median(steps_s)) if steps_s.size else _FALLBACK_RATE_HZ
+        self.n_frames = self._topic.n_messages
+        self.is_rectified = "rect" in self._topic.name.lower().replace("direct", "")
+        self.camera = self._calibration()
+
+    @property
+    def utc(self) -> UtcStart | None:
+        """UTC of the first image; None = unknown."""
+        if self.first_time_s < _FIRST_PLAUSIBLE_S:
+            return None
+        source = "time stamps of the images" if self._uses_headers else "recording times of the bag"
+        return UtcStart(self.first_time_s, source, _UTC_UNCERTAINTY_S)
+
+    @property
+    def notes(self) -> list[str]:
+        """Messages for the user, including the problems of the latest reading."""
+        notes = list(self._setup_notes)
+        if self._bag.end_problem:
+            notes.append(f"{self.path}: {self._bag.end_problem}; the images before that were used.")
+        if self._bag.n_damaged:
+            notes.append(f"{self.path}: {counted(self._bag.n_damaged, 'damaged part')} of the file skipped.")
+        if self._n_damaged:
+            notes.append(f"{self.path}: {counted(self._n_damaged, 'damaged image')} skipped.")
+        if self._n_backward:
+            notes.append(f"{self.path}: {counted(self._n_backward, 'image')} with a repeated or backward time skipped.")
+        return notes
+
+    def close(self) -> None:
+        """Close the bag, which is opened only while it is read."""
+
+    def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
+        """The images with times in [from_s, until_s).
+
+        Damaged messages are skipped, and reading ends where the file is cut off; see `notes`.
+
+        Raises:
+            VideoError: an image differs in size from the first.
+        """
+        self._n_backward = self._n_damaged = 0
+        self.check_unchanged()
+        decoder, last_s = ImageDecoder(self._topic), None
+        recorded_from_s = 0.0 if decoder.is_video else from_s - _MAX_LATENCY_S  # a video is decoded from its start
+        for number, recorded_s, data in self._bag.messages(self._topic.name, recorded_from_s):
+            try:
+                stamp_s = self._time_s(decoder.stamp_s(data), recorded_s)
+                time_s = strictly_later(stamp_s, last_s, interval_s=1 / self.fps)
+                if time_s is None:
+                    self._n_backward += 1
+                    continue
+                last_s = time_s
+                if time_s >= until_s - TIME_EPSILON_S:
+                    return
+                is_before = time_s < from_s - TIME_EPSILON_S
+                if is_before and not decoder.is_video:
+                    continue
+                image = decoder.decode(data)[1]
+            except DamagedError:
+                self._n_damaged += 1
+                continue
+            if image is not None and not is_before:
+                yield VideoFrame(number, time_s, self._checked(image))
+
+    def check_unchanged(self) -> None:
+        """Check that the files are those that were opened; they may have been deleted, or have grown.
+
+        Raises:
+            VideoError: a file was replaced, shortened or overwritten in the meantime.
+        """
+        for file, state in self._states.items():
+            change = state.change_of(file)
+            if change:
+                raise VideoError(f"{file}: the file was {change} while it was read; repeat the run.")
+
+    def _time_s(self, stamp_s: float, recorded_s: float) -> float:
+        return stamp_s if self._uses_headers else recorded_s
+
+    def _chosen_topic(self) -> Topic:
+        """The topic of the name, or the only one with images."""
+        topics = self._bag.topics
+        if self.path.topic is None:
+            images = [topic for topic in topics.values() if topic.type in IMAGE_TYPES]
+            if len(images) != 1:
+                problem = (
+                    f"expected --topics with the topics of the images, found {topic_list(self._bag, IMAGE_TYPES)}."
+                )
+                raise VideoError(f"{self.path.path}: {problem}")
+            return self._checked_topic(images[0])
+        if self.path.topic not in topics:
+            end = f", {self._bag.end_problem}" if self._bag.end_problem else ""
+            raise VideoError(f"{self.path}: no such topic; found {topic_list(self._bag, IMAGE_TYPES)}{end}.")
+        return self._checked_topic(topics[self.path.topic])
+
+    def _checked_topic(self, topic: Topic) -> Topic:
+        if topic.type not in IMAGE_TYPES:
+            raise VideoError(
+                f"{self.path}: expected images, found {topic.type}; found {topic_list(self._bag, IMAGE_TYPES)}."
+            )
+        if not is_readable(topic):
+            raise VideoError(
+                f"{self.path}: expected messages encoded in CDR, ROS 1 or protobuf, got {shortened(topic.encoding)}; "
+                "convert the bag."
+            )
+        return topic
+
+    def _first_image(self) -> tuple[Image, list[float]]:
+        """The first image that can be decoded, and the times of the first messages."""
+        decoder, first = ImageDecoder(self._topic), None
+        times_s: list[tuple[float, float]] = []
+        problem = "no messages"
+        for _, recorded_s, data in itertools.islice(self._bag.messages(self._topic.name, 0.0), _N_FIRST):
+            try:
+                if first is None:
+                    _, first = decoder.decode(data)
+                times_s.append((decoder.stamp_s(data), recorded_s))
+            except DamagedError as error:
+                problem = str(error) if problem == "no messages" else problem
+        if first is None:
+            raise DamagedError(problem)
+        self._uses_headers = any(stamp_s > 0 for stamp_s, _ in times_s)  # a simulation may begin at 0
+        if not self._uses_headers:
+            self._setup_notes.append(f"{self.path}: images without time stamps; the times of recording are used.")
+        return first, [self._time_s(*pair) for pair in times_s]
+
+    def _checked(self, image: Image) -> Image:
+        height_px, width_px = image.shape[:2]
+        if (width_px, height_px) != (self.width_px, self.height_px):
+            raise VideoError(
+                f"{self.path}: expected images of {self.width_px}x{self.height_px} px like the first one, got "
+                f"{width_px}x{height_px}; use --duration."
+            )
+        return image
+
+    def _calibration(self) -> CameraInfo | None:
+        """The first message of the calibration topic beside the images: /left/image_raw -> /left/camera_info."""
+        parts = self._topic.name.rstrip("/").split("/")
+        levels = ["/".join(parts[:-up]) for up in range(1, min(_MAX_LEVELS, len(parts)) + 1)]
+        for level, name in itertools.product(levels, _CALIBRATION_NAMES):
+            topic = self._bag.topics.get(f"{level}/{name}")
+            if topic is None or topic.type not in CALIBRATION_TYPES or not is_readable(topic):
+                continue
+            for _, _, data in itertools.islice(self._bag.messages(topic.name, 0.0), _N_FIRST):
+                try:
+                    camera = camera_message(topic, data)
+                except DamagedError:
+                    continue
+                if camera.k[0, 0] > 0:  # an uncalibrated camera has K = 0
+                    self._setup_notes.append(f"Using calibration {topic.name} of {self.path.path}.")
+                    return camera
+        return None
+
+
+def _files_of(path: Path) -> list[Path]:
+    return [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]

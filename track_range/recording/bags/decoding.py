@@ -1,0 +1,246 @@
+"""Decoding of the messages of a bag: images and camera calibrations of ROS and of Foxglove."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any, cast
+
+import av
+import cv2
+import numpy as np
+import numpy.typing as npt
+from av.video.codeccontext import VideoCodecContext
+
+from track_range.foundation.arrays import Image
+from track_range.foundation.files.images import MAX_PIXELS, decode_image
+from track_range.foundation.files.input_files import quoted
+from track_range.recording.bags.container import (
+    DAMAGE,
+    ZSTD_MAGIC,
+    DamagedError,
+    Topic,
+    decompressed,
+    missing_library,
+    zstd_content_size,
+)
+from track_range.recording.frame import bgr_image
+from track_range.stereo.rig_formats.camera_info import CameraInfo
+
+COMPRESSED_TYPES = ("sensor_msgs/msg/CompressedImage", "foxglove.CompressedImage", "foxglove_msgs/msg/CompressedImage")
+RAW_TYPES = ("sensor_msgs/msg/Image", "foxglove.RawImage", "foxglove_msgs/msg/RawImage")
+VIDEO_TYPES = ("foxglove.CompressedVideo", "foxglove_msgs/msg/CompressedVideo")
+IMAGE_TYPES = (*COMPRESSED_TYPES, *RAW_TYPES, *VIDEO_TYPES)
+CALIBRATION_TYPES = ("sensor_msgs/msg/CameraInfo", "foxglove.CameraCalibration", "foxglove_msgs/msg/CameraCalibration")
+"""Types of messages that are read."""
+
+_BGR_CODES: Mapping[str, int | None] = {
+    "bgr8": None,
+    "8UC3": None,
+    "rgb8": cv2.COLOR_RGB2BGR,
+    "bgra8": cv2.COLOR_BGRA2BGR,
+    "8UC4": cv2.COLOR_BGRA2BGR,
+    "rgba8": cv2.COLOR_RGBA2BGR,
+    "mono8": cv2.COLOR_GRAY2BGR,
+    "8UC1": cv2.COLOR_GRAY2BGR,
+    "mono16": cv2.COLOR_GRAY2BGR,
+    "bayer_rggb8": cv2.COLOR_BayerRGGB2BGR,
+    "bayer_bggr8": cv2.COLOR_BayerBGGR2BGR,
+    "bayer_gbrg8": cv2.COLOR_BayerGBRG2BGR,
+    "bayer_grbg8": cv2.COLOR_BayerGRBG2BGR,
+    "yuv422": cv2.COLOR_YUV2BGR_UYVY,
+    "uyvy": cv2.COLOR_YUV2BGR_UYVY,
+    "yuv422_yuy2": cv2.COLOR_YUV2BGR_YUY2,
+    "yuyv": cv2.COLOR_YUV2BGR_YUY2,
+}
+"""OpenCV's conversion to BGR for each encoding of raw images; None = none is necessary."""
+
+_DEPTH = ("16UC1", "32FC1", "compressedDepth")
+"""Parts of the encodings of depth images (REP 118), which are not images of a camera."""
+
+_TWO_BYTES = ("mono16",)
+_CHANNELS = {"bgr8": 3, "8UC3": 3, "rgb8": 3, "bgra8": 4, "8UC4": 4, "rgba8": 4}
+_PAIRED = ("yuv422", "uyvy", "yuv422_yuy2", "yuyv")
+
+_VIDEO_CODECS = {"h264": "h264", "h265": "hevc"}
+
+
+def is_readable(topic: Topic) -> bool:
+    """Whether messages with this encoding can be read; JSON cannot."""
+    return topic.encoding in ("cdr", "ros1", "protobuf")
+
+
+class ImageDecoder:
+    """Decodes the image messages of one topic, in order.
+
+    Args:
+        topic: the topic, of one of `IMAGE_TYPES`.
+    """
+
+    def __init__(self, topic: Topic) -> None:
+        self.is_video = topic.type in VIDEO_TYPES
+        self._topic = topic
+        self._message = message_reader(topic)
+        self._codec: VideoCodecContext | None = None
+
+    def stamp_s(self, data: bytes) -> float:
+        """Time stamp of a message, seconds since 1970; 0 = none."""
+        return _stamp_s(self._parsed(data))
+
+    def decode(self, data: bytes) -> tuple[float, Image | None]:
+        """Time stamp of a message, and its image as (H, W, 3) uint8 BGR; None = a video frame that yields no image.
+
+        Raises:
+            DamagedError: the message or its image cannot be read.
+        """
+        message = self._parsed(data)
+        try:
+            return _stamp_s(message), self._image(message)
+        except (*DAMAGE, cv2.error, av.FFmpegError) as error:
+            raise DamagedError(str(error)[:80]) from error
+
+    def _parsed(self, data: bytes) -> Any:
+        try:
+            return self._message(data)
+        except DAMAGE as error:
+            raise DamagedError(f"no {self._topic.type}") from error
+        except Exception as error:
+            # google.protobuf.message.DecodeError and rosbags' errors derive from Exception
+            raise DamagedError(f"no {self._topic.type}") from error
+
+    def _image(self, message: Any) -> Image | None:
+        name = str(message.encoding if self._topic.type in RAW_TYPES else message.format)
+        if any(part in name for part in _DEPTH):
+            raise DamagedError(f"depth images ({quoted(name, 30)})")
+        if self._topic.type in RAW_TYPES:
+            return _raw_image(message)
+        content = bytes(message.data)
+        return self._video_image(name, content) if self.is_video else _compressed_image(content)
+
+    def _video_image(self, name: str, content: bytes) -> Image | None:
+        if self._codec is None:
+            codec = _VIDEO_CODECS.get(name.lower())
+            if codec is None:
+                raise DamagedError(f"video format {quoted(name)}, expected h264 or h265")
+            self._codec = cast(VideoCodecContext, av.CodecContext.create(codec, "r"))
+            self._codec.options = {"max_pixels": str(MAX_PIXELS), "flags": "low_delay"}
+            self._codec.thread_count = 1
+        frames = self._codec.decode(av.Packet(content))
+        return bgr_image(frames[-1]) if frames else None
+
+
+def message_reader(topic: Topic) -> Callable[[bytes], Any]:
+    """Function that parses the messages of a topic.
+
+    Raises:
+        VideoError: a library is missing.
+    """
+    if topic.encoding == "protobuf":
+        return _protobuf_reader(topic.type, topic.definition)
+    return _ros_reader(topic.type, topic.encoding, topic.definition)
+
+
+@cache
+def _protobuf_reader(name: str, definition: bytes) -> Callable[[bytes], Any]:
+    try:
+        from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+    except ImportError as error:
+        missing_library(error)
+    pool = descriptor_pool.DescriptorPool()
+    try:
+        files = descriptor_pb2.FileDescriptorSet.FromString(definition).file
+        for file in files:
+            pool.Add(file)  # type: ignore[no-untyped-call, unused-ignore]
+        parsed: Callable[[bytes], Any] = message_factory.GetMessageClass(pool.FindMessageTypeByName(name)).FromString
+    except Exception as error:  # protobuf raises its own errors, TypeError and KeyError
+        raise DamagedError(f"schema of {name}") from error
+    return parsed
+
+
+@cache
+def _ros_reader(name: str, encoding: str, definition: bytes) -> Callable[[bytes], Any]:
+    try:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    except ImportError as error:
+        missing_library(error)
+    store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
+    if name not in store.types:
+        try:
+            store.register(get_types_from_msg(definition.decode(), name))
+        except Exception as error:  # the errors of the parser derive from Exception
+            raise DamagedError(f"schema of {name}") from error
+    if encoding == "ros1":
+        return lambda data: store.deserialize_ros1(data, name)
+    return lambda data: store.deserialize_cdr(_uncompressed(data), name)
+
+
+def _uncompressed(data: bytes) -> bytes:
+    """A CDR message, which rosbag2 may have compressed (compression mode MESSAGE); CDR starts with a zero byte."""
+    if not data.startswith(ZSTD_MAGIC):
+        return data
+    n_bytes = zstd_content_size(data)
+    if n_bytes is None:
+        raise DamagedError("compressed message of unknown size")
+    return decompressed(data, "zstd", n_bytes)
+
+
+def _stamp_s(message: Any) -> float:
+    """Time stamp of a message of ROS (header.stamp) or Foxglove (timestamp) in s; 0 = none."""
+    header = getattr(message, "header", None)
+    stamp = message.timestamp if header is None else header.stamp
+    seconds = stamp.sec if hasattr(stamp, "sec") else stamp.seconds
+    nanoseconds = next(getattr(stamp, name) for name in ("nanosec", "nanos", "nsec") if hasattr(stamp, name))
+    return float(seconds) + float(nanoseconds) / 1e9
+
+
+def _compressed_image(content: bytes) -> Image:
+    image = decode_image(content, "message", DamagedError, flags=cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    if image.dtype == np.uint16:
+        image = image >> 8
+    elif image.dtype != np.uint8:
+        raise DamagedError(f"pixels of type {image.dtype}")
+    return image.astype(np.uint8, copy=False)
+
+
+def _raw_image(message: Any) -> Image:
+    encoding, step = str(message.encoding), int(message.step)
+    height, width = int(message.height), int(message.width)
+    if encoding not in _BGR_CODES:
+        raise DamagedError(f"encoding {quoted(encoding, 20)}, expected one of {', '.join(list(_BGR_CODES)[:7])}, ...")
+    n_bytes = 2 if encoding in _TWO_BYTES or encoding in _PAIRED else _CHANNELS.get(encoding, 1)
+    data = np.frombuffer(memoryview(message.data), np.uint8)
+    if not (0 < width * height <= MAX_PIXELS and step >= width * n_bytes and data.size >= step * height):
+        raise DamagedError(f"{width}x{height} pixels in {data.size} bytes")
+    rows = data[: step * height].reshape(height, step)[:, : width * n_bytes]
+    if encoding in _TWO_BYTES:
+        order = ">u2" if getattr(message, "is_bigendian", False) else "<u2"
+        pixels: npt.NDArray[Any] = np.ascontiguousarray(rows).view(order) >> 8
+        pixels = pixels.astype(np.uint8)
+    else:
+        shape = (height, width) if n_bytes == 1 else (height, width, n_bytes)
+        pixels = np.ascontiguousarray(rows).reshape(shape)
+    code = _BGR_CODES[encoding]
+    return pixels.astype(np.uint8) if code is None else cv2.cvtColor(pixels, code).astype(np.uint8, copy=False)
+
+
+def camera_message(topic: Topic, data: bytes) -> CameraInfo:
+    """The calibration in a message of one of `CALIBRATION_TYPES`.
+
+    Raises:
+        DamagedError: it cannot be read.
+    """
+    try:
+        message = message_reader(topic)(data)
+        values = {name: getattr(message, name, getattr(message, name.upper(), ())) for name in "dkrp"}
+        k, r, p = (np.array([float(value) for value in values[name]]) for name in "krp")
+        r, p = r if r.any() else np.eye(3).ravel(), p if p.any() else np.insert(k.reshape(3, 3), 3, 0.0, axis=1).ravel()
+        return CameraInfo(
+            (int(message.width), int(message.height)),
+            str(message.distortion_model),
+            tuple(float(value) for value in values["d"]),
+            k.reshape(3, 3),
+            r.reshape(3, 3),
+            p.reshape(3, 4),
+        )
+    except Exception as error:  # the errors of the parsers derive from Exception
+        raise DamagedError(f"no {topic.type}") from error

@@ -1,0 +1,184 @@
+"""Ros1File: messages of a ROS 1 bag (#ROSBAG V2.0), read chunk by chunk; without its index, such as cut, in sequence.
+
+record = length of header, header (name=value, ...), length of data, data
+
+Format: http://wiki.ros.org/Bags/Format/2.0
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import BinaryIO
+
+from track_range.foundation.files.input_files import open_regular
+from track_range.recording.bags.container import DAMAGE, MAX_RECORD_BYTES, DamagedError, Topic, decompressed, ros2_type
+from track_range.recording.bags.mcap_file import EXPECTED
+from track_range.recording.frame import VideoError
+
+MAGIC = b"#ROSBAG V2.0\n"
+
+_MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
+"""Operation codes of records."""
+
+
+@dataclass(frozen=True, slots=True)
+class _ChunkInfo:
+    """Place of a chunk, time of its last message in s, and number of messages by connection."""
+
+    offset: int
+    end_s: float
+    counts: dict[int, int]
+
+
+class Ros1File:
+    """Messages of a ROS 1 bag; see `Bag` for the attributes.
+
+    Raises:
+        VideoError: the file cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.end_problem, self.n_damaged = path, "", 0
+        self.topics: dict[str, Topic] = {}
+        self._topic_of: dict[int, str] = {}
+        self._chunks: list[_ChunkInfo] = []
+        with open_regular(path, VideoError, EXPECTED) as file:
+            try:
+                self._read_index(file)
+            except DAMAGE:
+                self._chunks = []
+            if not self._chunks:
+                self.topics, self._topic_of = {}, {}
+                for _ in self._in_sequence(file, None):
+                    pass
+                self.end_problem = ""  # reported when the messages are read
+
+    def _read_index(self, file: BinaryIO) -> None:
+        file.seek(len(MAGIC))
+        header, _ = _record(file)
+        file.seek(_number(header[b"index_pos"]))
+        for _ in range(_number(header[b"conn_count"])):
+            self._add_connection(*_record(file))
+        chunks, counts = [], dict[str, int]()
+        for _ in range(_number(header[b"chunk_count"])):
+            fields, data = _record(file)
+            by_connection = dict(struct.iter_unpack("<II", data))
+            chunks.append(_ChunkInfo(_number(fields[b"chunk_pos"]), _time_s(fields[b"end_time"]), by_connection))
+            for connection, n_messages in by_connection.items():
+                name = self._topic_of[connection]
+                counts[name] = counts.get(name, 0) + n_messages
+        for name, topic in self.topics.items():
+            self.topics[name] = replace(topic, n_messages=counts.get(name, 0))
+        self._chunks = sorted(chunks, key=lambda chunk: chunk.offset)
+
+    def _add_connection(self, header: dict[bytes, bytes], data: bytes) -> None:
+        if header[b"op"][0] != _CONNECTION:
+            raise DamagedError("no connection")
+        fields, name = _fields(data), header[b"topic"].decode()
+        self._topic_of[_number(header[b"conn"])] = name
+        kind = ros2_type(fields[b"type"].decode())
+        self.topics.setdefault(name, Topic(name, kind, "ros1", fields.get(b"message_definition", b""), None))
+
+    def messages(self, topic: str, from_s: float) -> Iterator[tuple[int, float, bytes]]:
+        """Number, time and content of the messages of a topic; see `Bag.messages`."""
+        self.end_problem, self.n_damaged, number = "", 0, 0
+        connections = {connection for connection, name in self._topic_of.items() if name == topic}
+        with open_regular(self.path, VideoError, EXPECTED) as file:
+            if not self._chunks:
+                for time_s, data in self._in_sequence(file, topic):
+                    yield number, time_s, data
+                    number += 1
+                return
+            for chunk in self._chunks:
+                n_messages = sum(chunk.counts.get(connection, 0) for connection in connections)
+                if not n_messages or chunk.end_s < from_s:
+                    number += n_messages
+                    continue
+                try:
+                    file.seek(chunk.offset)
+                    messages = list(self._of_chunk(*_record(file), topic))
+                except DAMAGE:
+                    self.n_damaged += 1
+                    number += n_messages
+                    continue
+                for time_s, data in messages:
+                    yield number, time_s, data
+                    number += 1
+
+    def _of_chunk(self, header: dict[bytes, bytes], data: bytes, topic: str | None) -> Iterator[tuple[float, bytes]]:
+        """Time and content of the messages of a topic in a chunk; connections are collected."""
+        content = memoryview(decompressed(data, header[b"compression"].decode(), _number(header[b"size"])))
+        position = 0
+        while position < len(content):
+            fields, start, end = _record_in(content, position)
+            position = end
+            if fields[b"op"][0] == _CONNECTION:
+                self._add_connection(fields, bytes(content[start:end]))
+            elif fields[b"op"][0] == _MESSAGE and topic and self._topic_of.get(_number(fields[b"conn"])) == topic:
+                yield _time_s(fields[b"time"]), bytes(content[start:end])
+
+    def _in_sequence(self, file: BinaryIO, topic: str | None) -> Iterator[tuple[float, bytes]]:
+        """Time and content of the messages of a topic from the beginning to the first damaged record."""
+        file.seek(len(MAGIC))
+        n_bytes = file.seek(0, 2)
+        file.seek(len(MAGIC))
+        try:
+            while file.tell() < n_bytes:
+                header, data = _record(file)
+                if header[b"op"][0] == _CHUNK:
+                    yield from self._of_chunk(header, data, topic)
+                elif header[b"op"][0] == _CONNECTION:
+                    self._add_connection(header, data)
+        except DAMAGE:
+            self.end_problem = f"the file is cut off or damaged after {file.tell() / 1e6:.1f} MB"
+
+
+def _record(file: BinaryIO) -> tuple[dict[bytes, bytes], bytes]:
+    """Header and data of the record at the position of the file."""
+    header = _fields(_block(file))
+    return header, _block(file)
+
+
+def _block(file: BinaryIO) -> bytes:
+    (length,) = struct.unpack("<I", file.read(4))
+    if length > MAX_RECORD_BYTES:
+        raise DamagedError("record too large")
+    block = file.read(length)
+    if len(block) < length:
+        raise DamagedError("cut off")
+    return block
+
+
+def _record_in(content: memoryview, position: int) -> tuple[dict[bytes, bytes], int, int]:
+    """Header of the record at a position of a chunk, and the start and end of its data."""
+    (n_header,) = struct.unpack_from("<I", content, position)
+    start = position + 4 + n_header
+    (n_data,) = struct.unpack_from("<I", content, start)
+    if start + 4 + n_data > len(content):
+        raise DamagedError("record too long")
+    return _fields(bytes(content[position + 4 : start])), start + 4, start + 4 + n_data
+
+
+def _fields(header: bytes) -> dict[bytes, bytes]:
+    """Fields name=value of a header."""
+    fields, position = dict[bytes, bytes](), 0
+    while position < len(header):
+        (length,) = struct.unpack_from("<I", header, position)
+        name, equals, value = header[position + 4 : position + 4 + length].partition(b"=")
+        if not equals:
+            raise DamagedError("no field")
+        fields[name] = value
+        position += 4 + length
+    return fields
+
+
+def _number(value: bytes) -> int:
+    return int.from_bytes(value, "little")
+
+
+def _time_s(value: bytes) -> float:
+    seconds, nanoseconds = struct.unpack("<II", value)
+    return float(seconds) + float(nanoseconds) / 1e9

@@ -1,0 +1,1 @@
+"""Cameras of a recording: calibration files, focal lengths of known cameras, pairs without calibration."""

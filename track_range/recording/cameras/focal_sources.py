@@ -1,0 +1,96 @@
+"""Guesses of the focal length from what a recording carries: header of the video, EXIF of images, model of the camera.
+
+f_px = f_35 diagonal_px / 43.27 mm       f_35: focal length for 35 mm film, whose diagonal is 43.27 mm
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from track_range.foundation.errors import UsageError
+from track_range.foundation.files.images import IMAGE_SUFFIXES
+from track_range.foundation.files.input_files import quoted
+from track_range.ranging.fitting.camera.focal_evidence import default_guess
+from track_range.ranging.fitting.camera.measurements import FocalGuess
+from track_range.recording.cameras.known_cameras import KNOWN_CAMERAS, camera_named
+from track_range.recording.reader import VideoReader
+
+_FILM_DIAGONAL_MM = 43.27
+"""Diagonal of 36 mm x 24 mm."""
+
+_FILM_SIGMA = 0.08
+"""Relative standard deviation of a focal length for 35 mm film: it is rounded to mm, refers to the diagonal or the
+width, and stabilised video is cropped."""
+
+_PLAUSIBLE_MM = 8.0, 400.0
+"""Range of such focal lengths."""
+
+_FILM_KEYS = ("com.apple.quicktime.camera.focal_length.35mm_equivalent", "focallengthin35mmformat")
+"""Keys of headers with that focal length in mm; the first is Apple's."""
+
+_MODEL_KEYS = ("com.apple.quicktime.model", "com.android.model", "model", "firmware")
+"""Keys of headers that identify the camera."""
+
+_EXIF_FOLDER, _EXIF_FILM_MM, _EXIF_MODEL = 0x8769, 0xA405, 0x0110
+"""EXIF tags: the folder of details, FocalLengthIn35mmFilm in it, and Model."""
+
+
+def focal_guesses(reader: VideoReader, camera_model: str | None = None) -> tuple[FocalGuess, ...]:
+    """Guesses from the model given by the user, the header or EXIF; the usual field of view if there is none.
+
+    Raises:
+        UsageError: the camera model is unknown.
+    """
+    size_px = reader.width_px, reader.height_px
+    if camera_model is not None:
+        return (_of_model(camera_model, size_px[0]),)
+    tags = {key.lower(): value for key, value in reader.metadata.items()} or _exif(Path(str(reader.path)))
+    guesses = (_of_film(tags, size_px), _of_tags(tags, size_px[0]))
+    return tuple(guess for guess in guesses if guess is not None) or (default_guess(size_px[0]),)
+
+
+def _of_model(name: str, width_px: int) -> FocalGuess:
+    camera = camera_named(name)
+    if camera is None:
+        names = ", ".join(known.name for known in KNOWN_CAMERAS)
+        raise UsageError(f"--camera-model {quoted(name)}: expected one of {names}.")
+    return FocalGuess(camera.focal_px(width_px), camera.sigma, f"the camera model {camera.name} ({camera.source})")
+
+
+def _of_film(tags: Mapping[str, str], size_px: tuple[int, int]) -> FocalGuess | None:
+    text = next((tags[key] for key in _FILM_KEYS if key in tags), "")
+    number = re.search(r"\d+(\.\d+)?", text)
+    if number is None or not _PLAUSIBLE_MM[0] <= float(number[0]) <= _PLAUSIBLE_MM[1]:
+        return None
+    focal_px = float(number[0]) * math.hypot(*size_px) / _FILM_DIAGONAL_MM
+    return FocalGuess(focal_px, _FILM_SIGMA, f"the file's metadata, {number[0]} mm for 35 mm film")
+
+
+def _of_tags(tags: Mapping[str, str], width_px: int) -> FocalGuess | None:
+    texts = [tags[key].lower() for key in _MODEL_KEYS if key in tags]
+    for camera in KNOWN_CAMERAS:
+        if any(text.startswith(tag) for text in texts for tag in camera.tags):
+            source = f"the file's metadata, which names a {camera.name} ({camera.source})"
+            return FocalGuess(camera.focal_px(width_px), camera.sigma, source)
+    return None
+
+
+def _exif(path: Path) -> dict[str, str]:
+    """Tags of the first image of a folder, with the keys of `_FILM_KEYS` and `_MODEL_KEYS`."""
+    if not path.is_dir():
+        return {}
+    first = next((file for file in sorted(path.iterdir()) if file.suffix.lower() in IMAGE_SUFFIXES), None)
+    if first is None:
+        return {}
+    from PIL import Image, UnidentifiedImageError  # slow to import
+
+    try:
+        with Image.open(first) as image:
+            exif = image.getexif()
+    except (OSError, UnidentifiedImageError, ValueError):
+        return {}
+    values = {_FILM_KEYS[1]: exif.get_ifd(_EXIF_FOLDER).get(_EXIF_FILM_MM), "model": exif.get(_EXIF_MODEL)}
+    return {key: str(value) for key, value in values.items() if value}

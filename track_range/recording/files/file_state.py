@@ -1,0 +1,81 @@
+"""FileState: detects that a video file was replaced, shortened or overwritten while it was read."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from track_range.foundation.files.input_files import open_regular
+from track_range.recording.frame import VideoError
+
+_N_SAMPLES, _SAMPLE_BYTES = 16, 4096
+"""Number and largest size, bytes, of the samples by which two contents are compared if the time of change differs."""
+
+_DIGEST_BYTES = 16
+"""Size of the digest of a sample, bytes; recordings may have thousands of files."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileState:
+    """Size, time of change and samples of a file's content at one moment.
+
+    Attributes:
+        n_bytes: size.
+        modified_ns: time of the last change, ns.
+        samples: digests of parts of the content at regular distances.
+    """
+
+    n_bytes: int
+    modified_ns: int
+    samples: tuple[bytes, ...]
+
+    @classmethod
+    def of(cls, path: Path, n_bytes: int | None = None) -> FileState:
+        """The present state of a file, with the samples at the places that they have in a file of `n_bytes`.
+
+        Raises:
+            VideoError: it is not a regular file, or cannot be read.
+        """
+        with open_regular(path, VideoError, "a video file or a folder of numbered images") as file:
+            status = os.fstat(file.fileno())
+            step = (status.st_size if n_bytes is None else n_bytes) / _N_SAMPLES
+            samples = []
+            try:
+                for number in range(_N_SAMPLES):
+                    file.seek(int(number * step))
+                    sample = file.read(min(_SAMPLE_BYTES, max(1, int(step))))
+                    samples.append(hashlib.blake2b(sample, digest_size=_DIGEST_BYTES).digest())
+            except OSError as error:
+                raise VideoError(f"{path}: cannot be read ({error.strerror or error}); check the disk.") from error
+        return cls(status.st_size, status.st_mtime_ns, tuple(samples))
+
+    def change_of(self, path: Path) -> str:
+        """How the file with this path has changed since: a clause for messages, empty if it is the same file.
+
+        A file that was deleted, or has grown while its beginning stayed the same, counts as unchanged.
+        """
+        try:
+            status = path.stat()
+        except OSError:
+            return ""
+        if (status.st_size, status.st_mtime_ns) == (self.n_bytes, self.modified_ns):
+            return ""
+        if status.st_size < self.n_bytes:
+            return f"shortened from {self.n_bytes} to {status.st_size} bytes"
+        try:
+            present = FileState.of(path, self.n_bytes)
+        except VideoError:
+            return "replaced"
+        n_different = sum(a != b for a, b in zip(self.samples, present.samples, strict=True))
+        # a recorder that ends meanwhile may write the header again
+        is_other = n_different > (_N_SAMPLES // 4 if present.n_bytes > self.n_bytes else 0)
+        return "replaced or overwritten" if is_other else ""
+
+    def has_grown(self, path: Path) -> bool:
+        """Whether the file with this path is larger than before."""
+        try:
+            return path.stat().st_size > self.n_bytes
+        except OSError:
+            return False

@@ -1,0 +1,477 @@
+"""VideoFile: the frames of a video file with their timestamps, decoded with PyAV (FFmpeg).
+
+    open -> demux -> skip to the last keyframe before the start -> decode -> index and time -> skip damaged frames
+
+    time_s = pts * time_base,    including the stream's start offset, since the videos of a pair may start apart
+
+Times increase strictly, indices count every frame of the file, and images are upright.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import deque
+from collections.abc import Generator, Iterator
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import cast
+
+import av
+import numpy as np
+from av.container import InputContainer
+from av.packet import Packet
+from av.sidedata.sidedata import SideDataContainer
+from av.sidedata.sidedata import Type as SideDataType
+from av.stream import Disposition
+from av.video.stream import VideoStream
+
+from track_range.foundation.arrays import Image
+from track_range.foundation.files.images import MAX_PIXELS, check_size, header_size_px
+from track_range.foundation.files.input_files import counted
+from track_range.recording.files.decode_log import DecodeLog
+from track_range.recording.files.file_state import FileState
+from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, bgr_image, is_neutral, strictly_later
+from track_range.recording.threads import DECODER_THREADS
+from track_range.recording.utc import Stamp, UtcStart, stamp_in_header, stamp_in_name, start_of
+
+_FALLBACK_RATE_HZ = 25.0
+"""Frame rate of a file that does not declare one."""
+
+_SHORTFALL_FRAMES = 2.5
+"""Number of missing frames at the end, relative to the header's duration, above which a file counts as truncated."""
+
+_UPRIGHT = (1, 0, 0, 1)
+"""Result of `_display_axes` for an image that needs no rotation."""
+
+_MIN_RATE_HZ, _MAX_RATE_HZ = 1e-4, 1e5
+"""Range of frame rates; the rate of another header is ignored."""
+
+_FORMATS = (
+    "apng,apv,asf,av1,avi,avs2,avs3,cavsvideo,cine,dhav,dirac,dnxhd,dv,evc,flic,flv,gif,gxf,h261,h263,h264,hevc,ivf,"
+    "ivr,kux,lmlm4,m4v,matroska,mjpeg,mjpeg_2000,mov,mpeg,mpegts,mpegvideo,mpjpeg,mxf,nsv,nut,obu,ogg,rm,ser,ty,vc1,"
+    "vc1test,vvc,webm,wtv,yuv4mpegpipe,"
+    "aac,ac3,flac,mp3,wav"  # "contains no video"
+)
+"""FFmpeg's names of the formats that are read.
+
+No playlists and session descriptions (hls, concat, dash, sdp, ...), which make FFmpeg open other files or the network.
+"""
+
+_OPTIONS = {
+    "format_whitelist": _FORMATS,
+    "protocol_whitelist": "file",
+    "enable_drefs": "0",  # MP4: no tracks in other files
+    "max_pixels": str(MAX_PIXELS),
+}
+"""FFmpeg's options for opening a file."""
+
+
+class VideoFile:
+    """A video file, opened once for its properties and the first reading, and again for each later reading.
+
+    Attributes: see `VideoReader`.
+
+    Raises:
+        VideoError: the file cannot be read, contains no video, or nothing can be decoded.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._state = FileState.of(path)
+        self._reading: _Reading | None = _Reading(path, self._state)
+        container, stream = self._reading.container, self._reading.stream
+        self._log = self._reading.log
+        self.fps = self._reading.fps
+        self._file_notes: list[str] = [f"{path}: {note}" for note in self._reading.notes]
+        self._has_grown = False
+        if stream.sample_aspect_ratio not in (None, 0, 1):
+            self._file_notes.append(f"{path}: pixels are not square; the images are used as stored.")
+
+        self._first = next(self._reading, None)
+        if self._first is None:
+            raise VideoError(
+                f"{path}: no frame can be decoded; the video is damaged or truncated, or its images have more than "
+                f"{MAX_PIXELS // 10**6} megapixels."
+            )
+        self.first_time_s = self._first.time_s
+        self.metadata = {**container.metadata, **stream.metadata}
+        self._stamps = stamp_in_header(self.metadata), stamp_in_name(path.name)
+
+        declared_s, is_end = _declared_duration_s(container, stream)
+        self._declared_end_s = declared_s if is_end else self.first_time_s + declared_s
+        self.n_frames: int | None = stream.frames or None
+        if self.n_frames is None and declared_s:
+            self.n_frames = max(1, round((self._declared_end_s - self.first_time_s) * self.fps))
+
+        self._axes = _display_axes(self._first.frame)
+        if self._axes != _UPRIGHT:
+            self._file_notes.append(f"{path}: rotated upright according to its metadata.")
+        image = _YuvImage(self._first.frame, self._axes).to_bgr()
+        self.height_px, self.width_px = image.shape[:2]
+        self.is_grey = is_neutral(image)
+
+    @property
+    def is_upright(self) -> bool:
+        """Whether the images need no rotation."""
+        return self._axes == _UPRIGHT
+
+    @property
+    def utc(self) -> UtcStart | None:
+        """UTC of the first frame; None = unknown."""
+        return start_of(*self._stamps, max(0.0, self._declared_end_s - self.first_time_s))
+
+    @property
+    def notes(self) -> list[str]:
+        """Messages for the user, including the problems of the latest reading."""
+        growth = ["grew while it was read; frames that were added may be missing."] if self._has_grown else []
+        return [*self._file_notes, *(f"{self.path}: {note}" for note in (*self._log.notes, *growth))]
+
+    def close(self) -> None:
+        """Close the file if its first reading has not started."""
+        if self._reading is not None:
+            self._reading.close()
+            self._reading = self._first = None
+
+    def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
+        """The frames with times in [from_s, until_s).
+
+        Damaged frames are skipped, and reading ends where the file becomes unreadable; see `notes`.
+
+        Raises:
+            VideoError: a frame differs in size from the first, or the file cannot be opened again.
+        """
+        if self._reading is None:
+            self.check_unchanged()
+        reading, first = self._reading or _Reading(self.path, self._state), self._first
+        self._reading = self._first = None
+        self._log = reading.log
+        with closing(reading):
+            reading.skip_to(from_s)
+            for timed in itertools.chain(() if first is None else (first,), reading):
+                if timed.time_s >= until_s - TIME_EPSILON_S:
+                    return
+                if timed.time_s >= from_s - TIME_EPSILON_S:
+                    self._log.n_used += 1
+                    decoded = _YuvImage(timed.frame, self._axes)
+                    self._check_size(decoded)
+                    yield VideoFrame(timed.index, timed.time_s, decoded.to_bgr(), decoded)
+        self._log.note_shortfall(self._declared_end_s, tolerance_s=_SHORTFALL_FRAMES / self.fps)
+
+    def check_unchanged(self) -> None:
+        """Check that the file is the one that was opened; it may have been deleted, or have grown.
+
+        Raises:
+            VideoError: it was replaced, shortened or overwritten in the meantime.
+        """
+        _check_unchanged(self.path, self._state)
+        self._has_grown = self._state.has_grown(self.path)
+
+    def _check_size(self, image: _YuvImage) -> None:
+        width_px, height_px = image.size_px
+        if (width_px, height_px) != (self.width_px, self.height_px):
+            raise VideoError(
+                f"{self.path}: expected images of {self.width_px}x{self.height_px} px, got {width_px}x{height_px} "
+                f"after {counted(self._log.n_used - 1, 'frame')}; cut the video there, or use --duration."
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class VideoHeader:
+    """Properties of a video file that can be read without decoding.
+
+    Attributes:
+        size_px: width and height of the images as stored.
+        fps: nominal frame rate.
+        first_s: time stamp of the first frame.
+        duration_s: duration; 0 = not stated.
+        n_frames: number of frames; None = not stated.
+        stamps: date and time in the metadata and in the file name; None = none.
+    """
+
+    size_px: tuple[int, int]
+    fps: float
+    first_s: float
+    duration_s: float
+    n_frames: int | None
+    stamps: tuple[Stamp | None, Stamp | None]
+
+    @classmethod
+    def read(cls, path: Path) -> VideoHeader:
+        """The header of a file, which is closed again.
+
+        Raises:
+            VideoError: the file cannot be read, or contains no video.
+        """
+        with closing(_Reading(path, FileState.of(path))) as reading:
+            container, stream = reading.container, reading.stream
+            first_s = float((stream.start_time or 0) * reading.time_base)
+            declared_s, is_end = _declared_duration_s(container, stream)
+            duration_s = max(0.0, declared_s - first_s if is_end else declared_s)
+            return cls(
+                (stream.codec_context.width, stream.codec_context.height),
+                reading.fps,
+                first_s,
+                duration_s or (container.duration or 0) / av.time_base or (stream.frames or 0) / reading.fps,
+                stream.frames or None,
+                (stamp_in_header({**container.metadata, **stream.metadata}), stamp_in_name(path.name)),
+            )
+
+
+def count_packets(path: Path) -> tuple[int, float]:
+    """Number of frames of a file that does not state it, and time from the first to the end of the last one, s.
+
+    Raises:
+        VideoError: the file cannot be read.
+    """
+    with closing(_Reading(path, FileState.of(path))) as reading:
+        n_frames, stamps = 0, list[int]()
+        for packet in reading.packets:
+            if packet is not None and packet.size and not packet.is_discard:
+                n_frames += 1
+                stamps = [*stamps, *([] if packet.pts is None else [packet.pts])]
+                stamps = [min(stamps), max(stamps)] if stamps else []
+        span_s = float((stamps[1] - stamps[0]) * reading.time_base) if len(stamps) > 1 else 0.0
+        return n_frames, span_s + 1 / reading.fps
+
+
+def compressed_frames(path: Path, *, last_s: float | None = None) -> Generator[tuple[float, bytes], None, None]:
+    """Time stamp, s, and content of the compressed frames of a file, in its order.
+
+    Args:
+        path: the file.
+        last_s: only about the last seconds, from a keyframe at least that long before the end; None = all.
+
+    Raises:
+        VideoError: the file cannot be read.
+    """
+    with closing(_Reading(path, FileState.of(path))) as reading:
+        container, start_us = reading.container, reading.container.start_time or 0
+        if last_s is not None and container.duration:
+            with suppress(av.FFmpegError):  # some formats cannot seek
+                container.seek(start_us + max(0, container.duration - round(last_s * av.time_base)))
+        for packet in reading.packets:
+            if packet is not None and packet.size and not packet.is_discard and packet.pts is not None:
+                yield float(packet.pts * reading.time_base), bytes(packet)
+
+
+@dataclass(frozen=True, slots=True)
+class _TimedFrame:
+    """A decoded frame with its number in the file and its time."""
+
+    index: int
+    time_s: float
+    frame: av.VideoFrame
+
+
+class _Reading:
+    """One reading of a file from its start; iterating gives the intact frames in order of time.
+
+    Attributes:
+        container, stream: PyAV's container and its video stream.
+        fps: nominal frame rate.
+        time_base: unit of the time stamps, s.
+        packets: packets that were not decoded yet; see `_demuxed`.
+        log: frame numbers and unusable frames.
+        notes: messages for the user about the header, without the path.
+    """
+
+    def __init__(self, path: Path, state: FileState) -> None:
+        self._path, self._state = path, state
+        self.container, self.stream = _open(path)
+        self.log = DecodeLog()
+        self.notes: list[str] = []
+        self.fps = self._rate_hz()
+        # AVI stores no timestamps, and those that FFmpeg guesses are out of order with B-frames.
+        self._is_stamped = not (self.container.format.name == "avi" and self.stream.codec_context.has_b_frames)
+        self.time_base = self.stream.time_base or Fraction(1, 90_000)
+        self.packets = self._demuxed()
+        self._decoded: deque[av.VideoFrame] = deque()
+        self._from_s = math.inf  # damaged frames before the requested part do not count
+
+    def close(self) -> None:
+        """Close the file."""
+        self.container.close()
+
+    def _rate_hz(self) -> float:
+        declared_hz = [float(rate) for rate in (self.stream.average_rate, self.stream.guessed_rate) if rate]
+        for rate_hz in declared_hz:
+            if _MIN_RATE_HZ <= rate_hz <= _MAX_RATE_HZ:
+                return rate_hz
+        if declared_hz:
+            self.notes.append(f"states {declared_hz[0]:.4g} frames/s, which is ignored; timestamps are used.")
+        return _FALLBACK_RATE_HZ
+
+    def skip_to(self, from_s: float) -> None:
+        """Skip the packets before the last keyframe at or before `from_s`; later frames do not depend on them."""
+        self._from_s = from_s
+        if not self._is_stamped:
+            return
+        stamp = (from_s + TIME_EPSILON_S) / float(self.time_base)
+        waiting: list[Packet[VideoStream] | None] = []
+        for packet in self.packets:
+            is_before = packet is not None and packet.pts is not None and packet.pts <= stamp
+            if is_before and packet is not None and packet.is_keyframe:
+                waiting.clear()
+                self._decoded.clear()
+                self.stream.codec_context.flush_buffers()
+                self.log.restart()
+            waiting.append(packet)
+            if not is_before:
+                break
+        self.packets = itertools.chain(waiting, self.packets)
+
+    def __iter__(self) -> Iterator[_TimedFrame]:
+        return self
+
+    def __next__(self) -> _TimedFrame:
+        interval_s, log = 1 / self.fps, self.log
+        while True:
+            frame = self._next_decoded()
+            stamp = (frame.dts if frame.pts is None else frame.pts) if self._is_stamped else None
+            index = log.frame_index(stamp)
+            stamp_s = None if stamp is None else float(stamp * self.time_base)
+            time_s = strictly_later(stamp_s, log.last_s, interval_s=interval_s)
+            if time_s is None:
+                log.n_backward += 1
+                continue
+            duration_s = float(frame.duration * self.time_base) if self._is_stamped else 0.0
+            log.decoded(time_s, duration_s=duration_s or interval_s, interval_s=interval_s)
+            if not (frame.is_corrupt or log.is_corrupt(stamp)):
+                return _TimedFrame(index, time_s, frame)
+            if time_s >= self._from_s:
+                log.n_damaged += 1
+
+    def _next_decoded(self) -> av.VideoFrame:
+        """The next frame that can be decoded; None and an empty packet flush the decoder."""
+        while not self._decoded:
+            packet = next(self.packets)
+            try:
+                self._decoded.extend(self.stream.decode(packet))
+            except (av.FFmpegError, MemoryError):
+                _check_unchanged(self._path, self._state)
+                self.log.n_damaged += 1
+        return self._decoded.popleft()
+
+    def _demuxed(self) -> Iterator[Packet[VideoStream] | None]:
+        """The stream's packets, followed by None if the file cannot be read to its end."""
+        packets = self.container.demux(self.stream)
+        while True:
+            try:
+                packet = next(packets, None)
+            except av.FFmpegError as error:
+                self.log.stopped_by = error.strerror or str(error)
+                yield None
+                return
+            except IndexError:  # PyAV does not know a stream that begins later, as in transport streams of dashcams
+                packets = self.container.demux(self.stream)
+                continue
+            if packet is None:
+                return
+            if packet.size and not packet.is_discard:
+                self.log.packet(packet.pts, is_corrupt=packet.is_corrupt)
+            yield packet
+
+
+@dataclass(frozen=True, slots=True)
+class _YuvImage:
+    """A frame in the decoder's native format, with the rotation that makes it upright (see `_display_axes`)."""
+
+    frame: av.VideoFrame
+    axes: tuple[int, int, int, int]
+
+    @property
+    def n_bytes(self) -> int:
+        """Size in memory."""
+        return sum(plane.buffer_size for plane in self.frame.planes)
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the upright image."""
+        size_px = (self.frame.width, self.frame.height)
+        return size_px[::-1] if self.axes[1] else size_px
+
+    def to_bgr(self) -> Image:
+        """The image as (H, W, 3) uint8 BGR, upright."""
+        image = bgr_image(self.frame)
+        if self.axes == _UPRIGHT:
+            return image
+        x_from_x, y_from_x, x_from_y, y_from_y = self.axes
+        if y_from_x:
+            return np.ascontiguousarray(image.swapaxes(0, 1)[::y_from_x, ::x_from_y])
+        return np.ascontiguousarray(image[::y_from_y, ::x_from_x])
+
+
+def _display_axes(frame: av.VideoFrame) -> tuple[int, int, int, int]:
+    """Signs (a, b, c, d) of x' = a x + c y, y' = b x + d y, which rotate the stored image upright as players do."""
+    try:
+        side = cast(SideDataContainer, frame.side_data)[SideDataType.DISPLAYMATRIX]  # PyAV's type hint is too narrow
+    except KeyError:
+        return _UPRIGHT
+    a, b, _, c, d = (int(sign) for sign in np.sign(np.frombuffer(bytes(side), np.int32)[:5]))
+    is_right_angle = (a == d == 0 and b and c) or (b == c == 0 and a and d)
+    return (a, b, c, d) if is_right_angle else _UPRIGHT
+
+
+def _check_unchanged(path: Path, state: FileState) -> None:
+    change = state.change_of(path)
+    if change:
+        raise VideoError(f"{path}: the file was {change} while it was read; repeat the run with the complete file.")
+
+
+def _open(path: Path) -> tuple[InputContainer, VideoStream]:
+    """The file and its video stream, ready to decode."""
+    try:
+        container = av.open(
+            f"file:{path}", mode="r", options=_OPTIONS, metadata_errors="replace"
+        )  # "file:", since a name may look like a URL
+    except (av.FFmpegError, ValueError, MemoryError) as error:
+        raise VideoError(f"{path}: {_unreadable_reason(path)}") from error
+    try:
+        stream = _video_stream(container)
+        if stream is None:
+            raise VideoError(f"{path}: contains no video; give a video file or a folder of numbered images.")
+        check_size(path, (stream.codec_context.width, stream.codec_context.height), VideoError)
+    except VideoError:
+        container.close()
+        raise
+    stream.thread_type = "AUTO"
+    stream.thread_count = DECODER_THREADS
+    stream.codec_context.options = {**stream.codec_context.options, "max_pixels": str(MAX_PIXELS)}
+    return container, stream
+
+
+def _unreadable_reason(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            is_image = header_size_px(file) is not None
+            file.seek(0)
+            start = file.read(12)
+    except OSError as error:
+        return f"cannot be read ({error.strerror}); check its permissions."
+    if is_image:
+        return "expected a video, got a single image; give a video file or a folder of numbered images."
+    if not start:
+        return "the file is empty; copy or record it again."
+    if start[4:8] == b"ftyp":
+        return "MP4 file without an index, truncated while recording or copying; copy it again, or repair it."
+    return "not a video, or damaged at its start; give a video file or a folder of numbered images."
+
+
+def _video_stream(container: InputContainer) -> VideoStream | None:
+    """The first video stream that is not a cover picture and that FFmpeg can decode; None if there is none."""
+    videos = (stream for stream in container.streams.video if not stream.disposition & Disposition.attached_pic)
+    return next((stream for stream in videos if stream.codec_context is not None), None)
+
+
+def _declared_duration_s(container: InputContainer, stream: VideoStream) -> tuple[float, bool]:
+    """Duration stated by the header in s, 0 = none; and whether it counts from time 0 instead of the first frame."""
+    if container.format.name == "avi" and stream.frames and stream.average_rate:
+        return float(stream.frames / stream.average_rate), False  # FFmpeg's duration is not the header's
+    is_matroska = container.format.name.startswith("matroska")
+    if stream.duration and stream.time_base and not is_matroska:
+        return float(stream.duration * stream.time_base), False
+    is_alone = len(container.streams) == 1  # otherwise the duration may be that of an audio stream
+    return (container.duration or 0) / av.time_base if is_alone else 0.0, is_matroska

@@ -1,0 +1,199 @@
+"""LiveStream: the newest frames of a camera or a network stream, read in a thread that never waits for the consumer.
+
+camera --> thread: demux, decode --> queue of the newest frames --> consumer; older frames are dropped and counted
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass
+
+import av
+from av.container import InputContainer
+from av.video.stream import VideoStream
+
+from track_range.foundation.files.images import MAX_PIXELS
+from track_range.foundation.files.input_files import counted
+from track_range.foundation.prefetch import lower_thread_priority
+from track_range.recording.frame import VideoError, VideoFrame, bgr_image, is_neutral
+from track_range.recording.live.address import LiveAddress
+from track_range.recording.live.clock import StreamClock
+from track_range.recording.threads import LIVE_FRAMES
+
+_OPEN_S = 10.0
+"""Timeout for opening a stream, s."""
+
+SILENCE_S = 5.0
+"""Timeout for the next frame of a stream, s."""
+
+_SIZE_LIMIT = {"max_pixels": str(MAX_PIXELS)}
+"""FFmpeg's option for the largest size of an image."""
+
+_FALLBACK_RATE_HZ = 25.0
+"""Frame rate of a stream that does not declare one."""
+
+
+@dataclass(frozen=True, slots=True)
+class _WaitingFrame:
+    """A frame in the queue, converted to BGR only when it is used, since a slow consumer drops most of them."""
+
+    index: int
+    time_s: float
+    frame: av.VideoFrame
+
+
+class LiveStream:
+    """An open camera or stream.
+
+    Attributes:
+        address: address of the camera or stream.
+        fps: nominal frame rate.
+        clock: converts timestamps to times.
+        width_px, height_px: size of the images.
+        is_grey: whether the first image has no colour.
+        n_received: frames decoded so far.
+        n_taken: frames passed to the consumer.
+        ended_by: FFmpeg's error message if the connection was lost; empty = it is open, or was ended normally.
+        has_ended: whether the source ended the stream normally.
+
+    Raises:
+        VideoError: the source cannot be opened, contains no video, or sends no frame.
+    """
+
+    def __init__(self, address: LiveAddress) -> None:
+        self.address = address
+        self.clock = StreamClock()
+        self.n_received = self.n_taken = 0
+        self.ended_by, self.has_ended, self._is_over = "", False, False
+        self._waiting: deque[_WaitingFrame] = deque(maxlen=LIVE_FRAMES)
+        self._lock = threading.Lock()
+        self._arrivals: list[threading.Event] = []
+        self._is_closing = threading.Event()
+        container = _opened(address)
+        stream = container.streams.video[0]
+        rate_hz = stream.average_rate or stream.guessed_rate
+        self.fps = float(rate_hz) if rate_hz else _FALLBACK_RATE_HZ
+        first = threading.Event()
+        self.notify(first)
+        self._thread = threading.Thread(target=self._read, args=(container, stream), name="live", daemon=True)
+        self._thread.start()
+        if not (first.wait(_OPEN_S) and self._waiting):
+            self.close()
+            raise VideoError(f"{address}: no frame received ({self.ended_by or 'timeout'}); check the camera.")
+        image = bgr_image(self._waiting[-1].frame)
+        self.height_px, self.width_px = image.shape[:2]
+        self.is_grey = is_neutral(image)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no more frames will arrive."""
+        return self._is_over
+
+    def notify(self, event: threading.Event) -> None:
+        """Set this event whenever a frame arrives, and when the stream ends."""
+        self._arrivals.append(event)
+
+    def waiting_s(self) -> list[tuple[int, float]]:
+        """(index, time) of the waiting frames, oldest first."""
+        with self._lock:
+            return [(waiting.index, waiting.time_s) for waiting in self._waiting]
+
+    def take(self, index: int) -> VideoFrame | None:
+        """The frame with this index, converted to BGR; earlier frames are dropped. None = it has been dropped already.
+
+        Raises:
+            VideoError: its size differs from that of the first frame.
+        """
+        with self._lock:
+            while self._waiting and self._waiting[0].index < index:
+                self._waiting.popleft()
+            waiting = self._waiting.popleft() if self._waiting and self._waiting[0].index == index else None
+        if waiting is None:
+            return None
+        self.n_taken += 1
+        width_px, height_px = waiting.frame.width, waiting.frame.height
+        if (width_px, height_px) != (self.width_px, self.height_px):
+            raise VideoError(
+                f"{self.address}: expected images of {self.width_px}x{self.height_px} px, got {width_px}x{height_px}; "
+                "set the camera to a fixed image size."
+            )
+        image = bgr_image(waiting.frame)
+        return VideoFrame(waiting.index, waiting.time_s, image)
+
+    def check(self) -> None:
+        """Raise an error if the stream has not ended normally.
+
+        Raises:
+            VideoError: the connection was lost.
+        """
+        if self.ended_by:
+            received = counted(self.n_received, "frame")
+            raise VideoError(f"{self.address}: connection lost after {received} ({self.ended_by}); check the camera.")
+
+    def close(self) -> None:
+        """Stop the thread and close the connection."""
+        self._is_closing.set()
+        self._thread.join(_OPEN_S + SILENCE_S)
+
+    def _read(self, container: InputContainer, stream: VideoStream) -> None:
+        lower_thread_priority()
+        try:
+            with container:
+                self._receive(container, stream)
+            self.has_ended = not self._is_closing.is_set()
+        except av.FFmpegError as error:
+            self.ended_by = "" if self._is_closing.is_set() else _reason(error)
+        self._is_over = True
+        self._set_events()
+
+    def _receive(self, container: InputContainer, stream: VideoStream) -> None:
+        stream.codec_context.options = {**stream.codec_context.options, **_SIZE_LIMIT}
+        stream.thread_type = "SLICE"  # frame threading would delay frames
+        for packet in container.demux(stream):
+            if self._is_closing.is_set():
+                return
+            with suppress(av.error.InvalidDataError):  # the first packets may depend on a keyframe before the start
+                for frame in packet.decode():
+                    self._enqueue(frame)
+
+    def _enqueue(self, frame: av.VideoFrame) -> None:
+        stamp_s = None if frame.pts is None or frame.time_base is None else float(frame.pts * frame.time_base)
+        index, self.n_received = self.n_received, self.n_received + 1
+        time_s = self.clock.time_s(stamp_s, time.monotonic())
+        if time_s is None or frame.is_corrupt:
+            return
+        with self._lock:
+            self._waiting.append(_WaitingFrame(index, time_s, frame))
+        self._set_events()
+
+    def _set_events(self) -> None:
+        for event in self._arrivals:
+            event.set()
+
+
+def _opened(address: LiveAddress) -> InputContainer:
+    try:
+        container = av.open(
+            address.url,
+            mode="r",
+            format=address.format,
+            options={**address.options, **_SIZE_LIMIT},
+            timeout=(_OPEN_S, SILENCE_S),
+        )
+    except (av.FFmpegError, ValueError) as error:
+        kind = "camera" if address.is_camera else "stream"
+        reason = _reason(error, timeout_s=_OPEN_S)
+        raise VideoError(f"{address}: the {kind} cannot be opened ({reason}); check the address.") from error
+    if not container.streams.video:
+        container.close()
+        raise VideoError(f"{address}: the stream contains no video; check the address.")
+    return container
+
+
+def _reason(error: Exception, *, timeout_s: float = SILENCE_S) -> str:
+    if isinstance(error, av.error.ExitError):
+        return f"no answer for {timeout_s:.0f} s"
+    return getattr(error, "strerror", None) or str(error)

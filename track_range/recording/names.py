@@ -1,0 +1,94 @@
+"""Names of recordings: a file or folder, several files that are one recording, a topic of a bag, or a live source."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from glob import glob, has_magic
+from pathlib import Path
+
+from track_range.recording.live.address import LiveAddress, live_address
+
+
+@dataclass(frozen=True, slots=True)
+class Segments:
+    """Several video files that are one recording, such as those of a dashcam.
+
+    Attributes:
+        paths: at least two files.
+    """
+
+    paths: tuple[Path, ...]
+
+    def __str__(self) -> str:
+        n_others = len(self.paths) - 1
+        return f"{self.paths[0]} and {n_others} other file{'' if n_others == 1 else 's'}"
+
+
+@dataclass(frozen=True, slots=True)
+class BagTopic:
+    """A topic with the images of one camera in an MCAP file or ROS bag.
+
+    Attributes:
+        path: the file, or the folder of a ROS 2 bag.
+        topic: name of the topic; None = the only one with images.
+    """
+
+    path: Path
+    topic: str | None
+
+    def __str__(self) -> str:
+        return str(self.path) if self.topic is None else f"{self.path} ({self.topic})"
+
+
+RecordedName = Path | Segments | BagTopic
+"""A video file, folder, pattern such as `DIR/*_F.mp4`, several files, or a topic of a bag."""
+
+VideoName = Path | LiveAddress | Segments | BagTopic
+"""Any source of one camera's images."""
+
+
+def video_name(name: str | VideoName | Sequence[str | Path]) -> VideoName:
+    """The camera, stream, file, folder or pattern with this name, or several files.
+
+    Raises:
+        ValueError: no file, or a live source among several files.
+    """
+    if isinstance(name, str):
+        return live_address(name) or Path(name)
+    if isinstance(name, Path | LiveAddress | Segments | BagTopic):
+        return name
+    names = [video_name(part) for part in name]
+    paths = tuple(part for part in names if isinstance(part, Path))
+    if not names or len(paths) < len(names):
+        raise ValueError("expected one camera or stream, or video files")
+    return paths[0] if len(paths) == 1 else Segments(paths)
+
+
+def is_pattern(path: Path) -> bool:
+    """Whether a path is a pattern such as `DIR/*_F.mp4` instead of the name of a file or folder."""
+    return has_magic(str(path)) and not path.exists()
+
+
+def matching_files(pattern: Path) -> list[Path]:
+    """Files that match a pattern, sorted by name."""
+    return sorted(Path(name) for name in glob(str(pattern)))
+
+
+def files_of(name: VideoName) -> list[Path]:
+    """Files and folders that a name denotes; none for a live source."""
+    if isinstance(name, Segments):
+        return list(name.paths)
+    if isinstance(name, BagTopic):
+        return [name.path]
+    if isinstance(name, Path):
+        return matching_files(name) if is_pattern(name) else [name]
+    return []
+
+
+def stem_of(name: VideoName) -> str:
+    """Stem of file names for a recording: that of its first file, or for a pattern the name of the folder."""
+    if isinstance(name, LiveAddress):
+        return name.stem
+    path = name.paths[0] if isinstance(name, Segments) else name.path if isinstance(name, BagTopic) else name
+    return (path.absolute().parent.name or "recording") if is_pattern(path) else path.stem

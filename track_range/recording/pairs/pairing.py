@@ -1,0 +1,204 @@
+"""StereoVideo: the frames of two videos, paired by time.
+
+Each frame is paired with the frame of the other video that is nearest in time, not by its number: cameras drop frames,
+start at different times and run at different rates.
+
+    left   |  a     b     c     d                pairs: (b, B) (d, D)
+    right           B           D     E          a, c and E are unpaired
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+from contextlib import closing
+from dataclasses import dataclass
+
+from track_range.foundation.files.input_files import counted
+from track_range.foundation.prefetch import prefetch
+from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame
+from track_range.recording.reader import VideoReader
+from track_range.recording.threads import FRAMES_AHEAD
+
+_TOLERANCE_INTERVALS = 0.25
+"""Largest time difference within a pair, in intervals of the faster video.
+
+At 30 Hz this is 8 ms; a car closing at 30 m/s then moves 0.25 m, 1 % of 25 m. With half an interval every frame would
+find a partner.
+"""
+
+_RATE_DIFFERENCE = 0.01
+"""Relative difference up to which nominal rates count as equal, such as 29.97 and 30."""
+
+
+@dataclass(slots=True)
+class _Side:
+    """One of the two videos while they are read.
+
+    Attributes:
+        name: "left" or "right".
+        reader: the video.
+        frames: its frames, decoded ahead in a thread.
+        current: the frame to be paired next; None = not started, or ended.
+        n_read: frames read so far.
+        n_before, n_between, n_after: unpaired frames before the first pair, between pairs, after the last pair.
+        first_s, last_s: times of the first and the last frame read.
+        is_over: whether the video has ended.
+        error: the error that ended it; None = none.
+    """
+
+    name: str
+    reader: VideoReader
+    frames: Generator[VideoFrame, None, None]
+    current: VideoFrame | None = None
+    n_read: int = 0
+    n_before: int = 0
+    n_between: int = 0
+    n_after: int = 0
+    first_s: float | None = None
+    last_s: float = 0.0
+    is_over: bool = False
+    error: VideoError | None = None
+
+    @property
+    def n_unread(self) -> int:
+        """Estimated number of frames not yet read; too large for a damaged file."""
+        return 0 if self.is_over else max(0, (self.reader.n_frames or 0) - self.n_read)
+
+    @property
+    def end_s(self) -> float:
+        """Estimated end of the part to read, s."""
+        return self.last_s + self.n_unread / self.reader.fps
+
+    def advance(self) -> None:
+        """Read the next frame; an error is stored, so that the frames before it can be paired."""
+        try:
+            self.current = next(self.frames, None)
+        except VideoError as error:
+            self.current, self.error = None, error
+        if self.current is None:
+            self.is_over = True
+            return
+        self.n_read += 1
+        self.first_s = self.current.time_s if self.first_s is None else self.first_s
+        self.last_s = self.current.time_s
+
+    def count_pair(self, *, is_first: bool) -> None:
+        """Count the frames read since the last pair as unpaired."""
+        if is_first:
+            self.n_before = self.n_after
+        else:
+            self.n_between += self.n_after
+        self.n_after = 0
+
+
+class StereoVideo:
+    """Pairs of frames of two videos with times that differ by at most a quarter of the shorter nominal frame interval.
+
+    Each video is decoded ahead in a thread. Each iteration starts from the beginning.
+
+    Attributes:
+        left, right: the readers.
+        tolerance_s: largest time difference within a pair.
+
+    Raises:
+        VideoError: while iterating: no pair at all, or an error of the readers.
+    """
+
+    def __init__(self, left: VideoReader, right: VideoReader) -> None:
+        self.left, self.right = left, right
+        self.tolerance_s = _TOLERANCE_INTERVALS / max(left.fps, right.fps)
+        self._n_pairs, self._nearest_s = 0, math.inf
+        self._sides = self._new_sides()
+
+    def _new_sides(self) -> tuple[_Side, _Side]:
+        left, right = (
+            _Side(name, reader, prefetch(reader, depth=FRAMES_AHEAD, low_priority=True, name=f"read {name}"))
+            for name, reader in (("left", self.left), ("right", self.right))
+        )
+        return left, right
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user about unpaired frames; complete only after the last pair."""
+        left, right = self._sides
+        return (*self._rate_notes(), *self._unpaired_notes(left, right), *self._unpaired_notes(right, left))
+
+    def close(self) -> None:
+        """Close both files if they have not been read."""
+        self.left.close()
+        self.right.close()
+
+    def __iter__(self) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
+        """Pair the earlier of two frames with the other one unless its successor is nearer to that."""
+        self._n_pairs, self._nearest_s = 0, math.inf
+        self._sides = left, right = self._new_sides()
+        with closing(left.frames), closing(right.frames):
+            left.advance()
+            right.advance()
+            while left.current is not None and right.current is not None:
+                pair = left.current, right.current
+                is_right_earlier = pair[1].time_s < pair[0].time_s
+                earlier, later = (right, left) if is_right_earlier else (left, right)
+                later_s, gap_s = later.last_s, abs(pair[1].time_s - pair[0].time_s)
+                earlier.advance()
+                is_successor_nearer = earlier.current is not None and abs(earlier.current.time_s - later_s) < gap_s
+                if is_successor_nearer or gap_s > self.tolerance_s + TIME_EPSILON_S:
+                    self._nearest_s = min(self._nearest_s, gap_s)
+                    earlier.n_after += 1
+                    continue
+                for side in self._sides:
+                    side.count_pair(is_first=self._n_pairs == 0)
+                self._n_pairs += 1
+                yield pair
+                later.advance()
+            for side in self._sides:
+                side.n_after += 0 if side.current is None else 1 + side.n_unread
+        for side in self._sides:
+            if side.error is not None:
+                raise side.error
+            side.reader.check_unchanged()
+        if not self._n_pairs:
+            raise VideoError(self._no_pairs_message())
+
+    def _rate_notes(self) -> list[str]:
+        left_hz, right_hz = self.left.fps, self.right.fps
+        if abs(left_hz - right_hz) <= _RATE_DIFFERENCE * max(left_hz, right_hz):
+            return []
+        return [
+            f"The left video has {left_hz:.2f} and the right one {right_hz:.2f} frames per second: only frames within "
+            f"{1000 * self.tolerance_s:.1f} ms of each other are paired."
+        ]
+
+    def _unpaired_notes(self, side: _Side, other: _Side) -> list[str]:
+        """Messages about the unpaired frames of one side before, after and between the pairs."""
+        later_s = (other.first_s or 0.0) - (side.first_s or 0.0)
+        earlier_s = side.end_s - other.end_s
+        n_between, notes = side.n_between, []
+        if side.n_before and later_s > self.tolerance_s:
+            notes.append(
+                f"The {other.name} video starts {later_s:.2f} s later than the {side.name} one: "
+                f"{counted(side.n_before, f'{side.name} frame')} before it skipped."
+            )
+        else:
+            n_between += side.n_before
+        if side.n_after and earlier_s > self.tolerance_s:
+            notes.append(
+                f"The {other.name} video ends {earlier_s:.2f} s earlier than the {side.name} one: "
+                f"{counted(side.n_after, f'{side.name} frame')} after it skipped."
+            )
+        else:
+            n_between += side.n_after
+        if n_between:
+            notes.append(
+                f"{counted(n_between, f'{side.name} frame')} without a {other.name} frame within "
+                f"{1000 * self.tolerance_s:.1f} ms skipped."
+            )
+        return notes
+
+    def _no_pairs_message(self) -> str:
+        spans = [f"{side.reader.path} ({side.first_s or 0.0:.2f} s to {side.end_s:.2f} s)" for side in self._sides]
+        return (
+            f"{spans[0]} and {spans[1]}: expected frames at most {self.tolerance_s:.3f} s apart, the nearest are "
+            f"{self._nearest_s:.3f} s apart; use two videos of one recording, from cameras with synchronised clocks."
+        )

@@ -1,0 +1,266 @@
+"""open_recording: one video or a pair as rectified frames; each video is opened and decoded once.
+
+open the videos -> find and check the calibration -> check and align with the first frames -> rectified frames
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+from track_range.foundation.progress import StepProgress, no_progress
+from track_range.recording.bags.bag import is_bag
+from track_range.recording.cameras.calibration import Calibration, LensView, find_calibration
+from track_range.recording.frame import VideoError
+from track_range.recording.inputs import Images, Inputs
+from track_range.recording.names import BagTopic, VideoName, video_name
+from track_range.recording.pairs.auto_alignment import ESTIMATION_SPAN_S, find_alignment
+from track_range.recording.pairs.pair_monitor import MAX_CHECKED_PAIRS, Monitor, PairMonitor, SyncMonitor
+from track_range.recording.utc import UtcStart, parsed_utc
+from track_range.stereo.alignment.drift import DriftMonitor
+from track_range.stereo.alignment.from_drive import MIN_STEP_S
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rig import StereoRig
+
+_N_ROW_PAIRS = 3
+"""Number of conclusive image pairs from which the row offset of an uncalibrated pair is estimated, as their median."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """An opened recording.
+
+    Attributes:
+        frames: rectified (one camera: undistorted) frames, to be iterated once; closing it closes the videos.
+        inputs: the opened videos.
+        calibration: the camera models.
+        monitors: the checks of a pair that continue while its frames are iterated.
+        start_utc: UTC of the first frame as given by the user; None = that of the video.
+    """
+
+    frames: Generator[Frame, None, None]
+    inputs: Inputs
+    calibration: Calibration
+    monitors: tuple[Monitor, ...]
+    start_utc: UtcStart | None = None
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """Model of the left or only camera of the rectified frames."""
+        return self.calibration.camera
+
+    @property
+    def rig(self) -> StereoRig | None:
+        """The rectified pair; None = one camera, or a pair without calibration."""
+        return self.calibration.rig
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the rectified frames."""
+        return self.camera.width_px, self.camera.height_px
+
+    @property
+    def fps(self) -> float:
+        """Nominal frame rate."""
+        return self.inputs.fps
+
+    @property
+    def n_frames(self) -> int | None:
+        """Estimated number of frames; None = unknown."""
+        return self.inputs.n_frames
+
+    @property
+    def utc(self) -> UtcStart | None:
+        """UTC of the left video's first frame; None = unknown."""
+        return self.start_utc or self.inputs.utc
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user about the recording; complete only after the last frame."""
+        checks = (note for monitor in self.monitors for note in monitor.notes)
+        utc_note = None if self.utc is None else self.utc.note()
+        return (*self.calibration.notes, *self.inputs.notes, *([utc_note] if utc_note else ()), *checks)
+
+    def close(self) -> None:
+        """Close the videos."""
+        self.frames.close()
+        self.inputs.close()
+
+
+def open_recording(
+    left: str | VideoName | Sequence[str | Path],
+    right: str | VideoName | Sequence[str | Path] | None = None,
+    *,
+    rig: str | Path | None = None,
+    focal_px: float | None = None,
+    fov_deg: float | None = None,
+    yaw_deg: float = 0.0,
+    align: str | Path | Alignment = "auto",
+    start_s: float = 0.0,
+    duration_s: float | None = None,
+    folder_fps: float = 10.0,
+    has_checks: bool = True,
+    start_utc: str | None = None,
+    topics: Sequence[str] = (),
+    progress: StepProgress = no_progress,
+) -> Recording:
+    """Open one video or a pair for one pass over its rectified frames.
+
+    Args:
+        left: video file, several files of one recording, folder of such files or of numbered images, camera (0,
+            /dev/video0) or stream (rtsp://...).
+        right: the same; None = one camera.
+        rig: calibration file: rig.yaml, KITTI's calib.txt, OpenCV's or Kalibr's; None = one next to `left`, if any.
+        focal_px: focal length of cameras without a calibration file.
+        fov_deg: horizontal field of view, 20 to 120 degrees, to which the images of wide lenses are undistorted; None =
+            that of the lens, up to 120 degrees.
+        yaw_deg: direction of the axis of the undistorted images of one camera with a wide lens, to the right of its
+            own.
+        align: disparity correction of a calibrated pair: "auto" = estimated from its first frames (at most 8 s),
+            "off", an alignment file, or an alignment.
+        start_s: start of the part to read, in seconds after the left video's first frame.
+        duration_s: length of the part to read; None = to the end.
+        folder_fps: frame rate of folders of images without timestamps.txt.
+        has_checks: whether calibrated pairs are checked for swapped, misaligned or unsynchronised videos.
+        start_utc: UTC of the left video's first frame, in ISO 8601; None = from the video.
+        topics: topics of the images of the left and right camera, if `left` and `right` are MCAP files or ROS bags.
+        progress: shows the progress of the alignment's estimation.
+
+    Raises:
+        ValueError: `start_utc` is not a date and time, or no video is named.
+        VideoError: a video cannot be used, or the two do not match.
+        RigError: no usable calibration, one that does not fit the images, or left and right are swapped.
+
+    Example:
+        >>> import track_range as tr
+        >>> recording = tr.open_recording("left.mp4", "right.mp4", rig="rig.yaml", align="off")
+        >>> frame = next(recording.frames)
+        >>> frame.index, frame.time_s, frame.right is None
+        (0, 0.0, False)
+        >>> recording.close()
+    """
+    left, right = _with_topics(video_name(left), None if right is None else video_name(right), topics)
+    utc = None if start_utc is None else parsed_utc(start_utc)
+    with ExitStack() as on_error:
+        inputs = Inputs.open(left, right, start_s=start_s, duration_s=duration_s, folder_fps=folder_fps)
+        on_error.callback(inputs.close)
+        rig_path = None if rig is None else Path(rig)
+        calibration = find_calibration(left, inputs, rig=rig_path, focal_px=focal_px, view=LensView(fov_deg, yaw_deg))
+        monitors: tuple[Monitor, ...] = ()
+        if calibration.uncalibrated is not None:
+            calibration, monitors = _with_row_correction(calibration, inputs)
+        elif calibration.rig is not None:
+            monitors = (PairMonitor(), SyncMonitor()) if has_checks else ()
+            calibration = _aligned(calibration, calibration.rig, inputs, align, monitors[:1], progress)
+            monitors += _drift_monitors(calibration, inputs)
+        on_error.pop_all()
+    return Recording(_frames(inputs, calibration, monitors, utc), inputs, calibration, monitors, utc)
+
+
+def _with_topics(left: VideoName, right: VideoName | None, topics: Sequence[str]) -> tuple[VideoName, VideoName | None]:
+    """The names of the videos, with the topics of those that are bags.
+
+    Raises:
+        VideoError: there are topics, but a video is not a bag, or their number does not fit.
+    """
+    if not topics:
+        return left, right
+    names = [left] if right is None else [left, right]
+    if len(names) != len(topics):
+        raise VideoError(
+            f"{left}: expected {'one topic' if right is None else 'the topics LEFT,RIGHT'}, got {len(topics)}; "
+            "correct --topics."
+        )
+    for name in names:
+        if not (isinstance(name, Path) and is_bag(name)):
+            raise VideoError(f"{name}: expected an MCAP file or ROS bag, since topics are given; omit --topics.")
+    tagged = [BagTopic(name, topic) for name, topic in zip(names, topics, strict=True) if isinstance(name, Path)]
+    return tagged[0], None if right is None else tagged[1]
+
+
+def _aligned(
+    calibration: Calibration,
+    rig: StereoRig,
+    inputs: Inputs,
+    align: str | Path | Alignment,
+    checks: tuple[PairMonitor, ...],
+    progress: StepProgress,
+) -> Calibration:
+    """A calibrated pair with its alignment; the first image pair is checked even if no alignment is estimated."""
+    with closing(_first_frames(calibration, inputs, checks)) as first_frames:
+        alignment = find_alignment(align, rig, first_frames, progress)
+        if align != "auto" and checks:
+            next(first_frames, None)
+    for check in checks:
+        check.corrected_px = alignment.measured.row_correction_px
+    return calibration.with_alignment(alignment)
+
+
+def _drift_monitors(calibration: Calibration, inputs: Inputs) -> tuple[Monitor, ...]:
+    """The monitor of a recorded pair whose alignment was measured; none for streams, which it would delay."""
+    alignment = calibration.alignment
+    if alignment is None or alignment.drifting is None or calibration.rig is None or inputs.live is not None:
+        return ()
+    shift_px = alignment.applied.shift_px
+    return (DriftMonitor(calibration.rig, alignment.drifting, alignment.measured, shift_px=shift_px),)
+
+
+def _with_row_correction(calibration: Calibration, inputs: Inputs) -> tuple[Calibration, tuple[Monitor, ...]]:
+    """An uncalibrated pair with the row offset of its first image pairs corrected, and its monitors."""
+    monitor = PairMonitor(n_conclusive=_N_ROW_PAIRS)
+    with closing(inputs.read_ahead()) as pairs:
+        for pair in islice(pairs, MAX_CHECKED_PAIRS):
+            monitor.add(_frame(pair, calibration, inputs))
+            if monitor.is_done:
+                break
+    return calibration.with_row_offsets(monitor.row_offsets_px), (SyncMonitor(),) if monitor.row_offsets_px else ()
+
+
+def _first_frames(
+    calibration: Calibration, inputs: Inputs, checks: tuple[PairMonitor, ...]
+) -> Generator[Frame, None, None]:
+    """Frames of the first seconds at the interval that the alignment needs; `checks` also receive those in between."""
+    first_s, last_s = math.nan, -math.inf
+    with closing(inputs.read_ahead()) as pairs:
+        for pair in pairs:
+            time_s = pair[0].time_s - inputs.left.first_time_s
+            first_s = time_s if math.isnan(first_s) else first_s
+            is_due = time_s - last_s >= MIN_STEP_S
+            if is_due or not all(check.is_done for check in checks):
+                frame = _frame(pair, calibration, inputs)
+                for check in checks:
+                    check.add(frame)
+                if is_due:
+                    last_s = time_s
+                    yield frame
+            if time_s - first_s > ESTIMATION_SPAN_S:
+                return
+
+
+def _frames(
+    inputs: Inputs, calibration: Calibration, monitors: tuple[Monitor, ...], utc: UtcStart | None
+) -> Generator[Frame, None, None]:
+    """All frames, each passed to the monitors; closing the generator closes the videos."""
+    with closing(inputs), closing(iter(inputs)) as images:
+        for left_and_right in images:
+            frame = _frame(left_and_right, calibration, inputs, utc)
+            for monitor in monitors:
+                monitor.add(frame)
+            yield frame
+
+
+def _frame(images: Images, calibration: Calibration, inputs: Inputs, utc: UtcStart | None = None) -> Frame:
+    """The images of one time, cropped to their common size and rectified."""
+    left, _ = images
+    cut = inputs.cut(images)
+    left_image, right_image = calibration.rectified(*cut)
+    time_s, start = left.time_s - inputs.left.first_time_s, utc or inputs.utc
+    utc_s = math.nan if start is None else start.start_s + time_s
+    recorded = cut[0] if calibration.has_wide_lens else None
+    return Frame(left.index, time_s, left_image, right_image, utc_s, recorded)

@@ -1,0 +1,307 @@
+"""Order and times of the files of one recording, which dashcams cut every few minutes.
+
+time stamps that continue from file to file (exact)  >  creation times of the headers, or times in the names (1 s)
+>  the given order, or the natural order of the names (no gaps can be seen)
+
+start of file i+1 = end of file i        unless the times of the headers or names show a gap or an overlap, or the first
+                                         frames of file i+1 are the last ones of file i
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from track_range.foundation.files.input_files import counted
+from track_range.recording.frame import VideoError
+from track_range.recording.utc import STAMP_RESOLUTION_S, Stamp, UtcStart, start_of
+
+_TOLERANCE_S = 1.5 * STAMP_RESOLUTION_S
+"""Gap or overlap, s, that two times with a resolution of 1 s prove, with the error of the durations."""
+
+_NOTED_GAP_S = 0.25
+"""Smallest gap between two files, s, that is reported."""
+
+_CONTINUOUS_S = 1.0
+"""Largest overlap, s, of two files with continuing time stamps."""
+
+_EQUAL_DURATION_S = 1.0
+"""Largest difference, s, between the durations of the left and right recording if they have different cuts."""
+
+_PARTNER_S = 2.0
+"""Largest difference, s, between the start times of the left and right file of a pair."""
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentFacts:
+    """Properties of one file that determine its place in the recording.
+
+    Attributes:
+        path: the file.
+        first_s: time stamp of the first frame.
+        duration_s: duration stated by the header.
+        in_header, in_name: date and time in the header and in the name; None = none.
+    """
+
+    path: Path
+    first_s: float
+    duration_s: float
+    in_header: Stamp | None
+    in_name: Stamp | None
+
+
+Repeated = Callable[[SegmentFacts, SegmentFacts], float]
+"""Function (file, next file) -> length of their overlap in s; 0 = none."""
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentPlan:
+    """Files in the order of time.
+
+    Attributes:
+        facts: properties of the files.
+        starts_s: times of their first frames; the first file has the time of its time stamps.
+        clock_s: the same as seconds since 1970; empty = unknown.
+        utc: UTC of the first frame; None = unknown.
+        notes: messages for the user.
+    """
+
+    facts: tuple[SegmentFacts, ...]
+    starts_s: tuple[float, ...]
+    clock_s: tuple[float, ...] = ()
+    utc: UtcStart | None = None
+    notes: tuple[str, ...] = field(default=())
+
+
+def arranged(
+    files: Sequence[SegmentFacts], *, is_given_order: bool, repeated_s: Repeated = lambda _before, _after: 0.0
+) -> SegmentPlan:
+    """The files in the order of time.
+
+    Args:
+        files: at least one file.
+        is_given_order: whether the order of `files` was chosen by the user; it is used if no times are known.
+        repeated_s: function (file, next file) -> length, s, of the beginning of the next file that repeats the end of
+            the file, from their content; 0 = none.
+
+    Raises:
+        VideoError: the files are those of several cameras.
+    """
+    _check_one_camera([file.path for file in files])
+    by_name = sorted(files, key=lambda file: natural_key(file.path.name))
+    clock, notes = _clock(by_name)
+    continuing = _continuing(by_name)
+    if continuing is not None:
+        is_agreed = clock is None or [file for file, _ in clock] == continuing
+        if is_agreed:
+            return _by_time_stamps(continuing, notes)
+        notes.append(
+            f"{_first_name(by_name)}: the time stamps in the files contradict the dates of the files, which are used."
+        )
+    if clock is None:
+        ordered = list(files) if is_given_order else by_name
+        order = "given order" if is_given_order else "order of their names"
+        notes.append(
+            f"{counted(len(files), 'file')} without usable dates joined in the {order}, without gaps between them."
+        )
+        gaps_s = [-repeated_s(one, other) for one, other in itertools.pairwise(ordered)]
+        steps_s = (file.duration_s + gap_s for file, gap_s in zip(ordered, gaps_s, strict=False))
+        starts_s = itertools.accumulate(steps_s, initial=ordered[0].first_s)
+        # equal dates are those of a copy or of the end of an editor's work: they follow the recording
+        utc = start_of(ordered[0].in_header, ordered[0].in_name, sum(file.duration_s for file in ordered))
+        return SegmentPlan(tuple(ordered), tuple(starts_s), (), utc, (*notes, *_cut_notes(ordered, gaps_s)))
+    if is_given_order and [file for file, _ in clock] != list(files):
+        notes.append(
+            f"{_first_name(files)}: the files were given in another order than that of their times, which is used."
+        )
+    return _by_clock(clock, notes, repeated_s)
+
+
+def paired_starts_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
+    """Start times of the right files of a pair on the time axis of the left ones.
+
+    Files of a pair that start within 2 s are assumed to start together, since their dates have a resolution of 1 s.
+
+    Raises:
+        VideoError: the files have no dates, and one side lacks files of the other.
+    """
+    has_equal_clocks = plan.utc is not None and left.utc is not None and plan.utc.is_local == left.utc.is_local
+    if plan.clock_s and left.clock_s and has_equal_clocks:
+        starts_s = []
+        for file, clock_s in zip(plan.facts, plan.clock_s, strict=True):
+            nearest = min(range(len(left.clock_s)), key=lambda number: abs(left.clock_s[number] - clock_s))
+            later_s = clock_s - left.clock_s[nearest]
+            if abs(later_s) <= _PARTNER_S:
+                later_s = file.first_s - left.facts[nearest].first_s if abs(file.first_s) < _PARTNER_S else 0.0
+            starts_s.append(left.starts_s[nearest] + later_s)
+        return tuple(starts_s)
+    if len(plan.facts) == len(left.facts):
+        firsts_s = zip(plan.facts, left.facts, left.starts_s, strict=True)
+        if _continuing(plan.facts) is None:
+            return tuple(start_s + file.first_s - other.first_s for file, other, start_s in firsts_s)
+    elif _continuing(plan.facts) is None or _continuing(left.facts) is None:
+        _check_equal_durations(plan, left)
+    return plan.starts_s
+
+
+def _check_equal_durations(plan: SegmentPlan, left: SegmentPlan) -> None:
+    """Check that different numbers of undated left and right files cover the same time, so that no file is missing."""
+    durations_s = [sum(file.duration_s for file in side.facts) for side in (left, plan)]
+    shortest_s = min(file.duration_s for side in (left, plan) for file in side.facts)
+    if abs(durations_s[0] - durations_s[1]) > min(_EQUAL_DURATION_S, shortest_s / 2):
+        raise VideoError(
+            f"{plan.facts[0].path.parent}: expected {counted(len(left.facts), 'file')} as in "
+            f"{left.facts[0].path.parent}, found {len(plan.facts)}, and not all have dates in their names or headers; "
+            "give the files that belong together, as in --stereo L1 R1 --stereo L2 R2."
+        )
+
+
+def natural_key(name: str) -> list[tuple[int, int, str]]:
+    """Sorting key in which numbers are compared by value: clip2 < clip10."""
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", name) if part]
+
+
+def _by_time_stamps(files: list[SegmentFacts], notes: list[str]) -> SegmentPlan:
+    starts_s = tuple(file.first_s for file in files)
+    gaps_s = [after.first_s - before.first_s - before.duration_s for before, after in itertools.pairwise(files)]
+    utc = start_of(files[0].in_header, files[0].in_name, files[0].duration_s)
+    return SegmentPlan(tuple(files), starts_s, (), utc, (*notes, *_cut_notes(files, gaps_s)))
+
+
+def _by_clock(clock: list[tuple[SegmentFacts, Stamp]], notes: list[str], repeated_s: Repeated) -> SegmentPlan:
+    """The plan from dates with a resolution of 1 s: jumps in time only where the dates or equal frames prove them."""
+    files = [file for file, _ in clock]
+    stamps_s = [stamp.time_s for _, stamp in clock]
+    start_s, starts_s, gaps_s = files[0].first_s, [files[0].first_s], []
+    for number, (before, after) in enumerate(itertools.pairwise(files)):
+        end_s = start_s + before.duration_s
+        dated_s = files[0].first_s + stamps_s[number + 1] - stamps_s[0]
+        missing_s = stamps_s[number + 1] - stamps_s[number] - before.duration_s
+        if missing_s < -_TOLERANCE_S:
+            if -missing_s > min(before.duration_s, after.duration_s) / 2:
+                raise _several_cameras(before.path, after.path)
+            gap_s = -repeated_s(before, after) or missing_s
+        elif missing_s <= _TOLERANCE_S and (overlap_s := repeated_s(before, after)):
+            gap_s = -overlap_s
+        elif dated_s - end_s > _TOLERANCE_S:
+            gap_s = dated_s - end_s
+        else:
+            gap_s = max(0.0, dated_s - STAMP_RESOLUTION_S - end_s)
+        start_s = end_s + gap_s
+        starts_s.append(start_s)
+        gaps_s.append(gap_s)
+    stamp, named = clock[0][1], files[0].in_name
+    utc = start_of(None if stamp is named else stamp, named, files[0].duration_s)
+    return SegmentPlan(tuple(files), tuple(starts_s), tuple(stamps_s), utc, (*notes, *_cut_notes(files, gaps_s)))
+
+
+def _cut_notes(files: Sequence[SegmentFacts], gaps_s: Sequence[float]) -> list[str]:
+    """Messages about gaps and overlaps between consecutive files."""
+    gaps = [(gap_s, file.path) for gap_s, file in zip(gaps_s, files, strict=False) if gap_s >= _NOTED_GAP_S]
+    overlaps = [(-gap_s, file.path) for gap_s, file in zip(gaps_s, files, strict=False) if gap_s <= -_NOTED_GAP_S]
+    notes = []
+    if gaps:
+        longest_s, path = max(gaps)
+        total_s = sum(gap_s for gap_s, _ in gaps)
+        notes.append(
+            f"{counted(len(gaps), 'gap')} between the files, {total_s:.1f} s in all, the longest {longest_s:.1f} s "
+            f"after {path.name}: nothing was recorded there."
+        )
+    if overlaps:
+        longest_s, path = max(overlaps)
+        notes.append(
+            f"{counted(len(overlaps), 'overlap')} between the files, the longest {longest_s:.1f} s after {path.name}: "
+            "frames that were recorded twice are skipped."
+        )
+    return notes
+
+
+def _continuing(files: Sequence[SegmentFacts]) -> list[SegmentFacts] | None:
+    """The files by their time stamps if these continue from file to file; None = they start again in every file."""
+    ordered = sorted(files, key=lambda file: file.first_s)
+    is_continuing = all(
+        after.first_s >= before.first_s + before.duration_s - min(_CONTINUOUS_S, before.duration_s / 2)
+        and after.first_s > before.first_s
+        for before, after in itertools.pairwise(ordered)
+    )
+    return ordered if is_continuing else None
+
+
+def _clock(files: Sequence[SegmentFacts]) -> tuple[list[tuple[SegmentFacts, Stamp]] | None, list[str]]:
+    """The files with the dates of their starts, sorted by them; None = not all have different ones; and notes."""
+    headers, names = _start_stamps(files), _dated(files, [file.in_name for file in files])
+    if headers is None or names is None:
+        return headers or names, []
+    if [file for file, _ in headers] == [file for file, _ in names]:
+        return (headers if _overlap_s(headers) <= _overlap_s(names) + _TOLERANCE_S * len(files) else names), []
+    is_by_header = _overlap_s(headers) <= _overlap_s(names)
+    used = "those of the headers are" if is_by_header else "those of the names are"
+    note = (
+        f"{_first_name(files)}: the creation times in the headers contradict the times in the names of the files; "
+        f"{used} used, since the files overlap less."
+    )
+    return (headers if is_by_header else names), [note]
+
+
+def _start_stamps(files: Sequence[SegmentFacts]) -> list[tuple[SegmentFacts, Stamp]] | None:
+    """The files with the creation times of their headers; times of the ends are converted to those of the starts."""
+    stamps = [file.in_header for file in files]
+    dated = _dated(files, stamps)
+    if dated is None or dated[0][1].is_start:
+        return dated
+    as_ends = [
+        Stamp(stamp.time_s - file.duration_s, stamp.source) for file, stamp in zip(files, stamps, strict=True) if stamp
+    ]
+    by_end = _dated(files, as_ends)
+    is_end = by_end is not None and _overlap_s(dated) > _TOLERANCE_S >= _overlap_s(by_end)
+    return by_end if is_end else dated
+
+
+def _dated(files: Sequence[SegmentFacts], stamps: Sequence[Stamp | None]) -> list[tuple[SegmentFacts, Stamp]] | None:
+    """The files with these dates, sorted by them; None = a date is missing, or two are equal."""
+    dated = [(file, stamp) for file, stamp in zip(files, stamps, strict=True) if stamp is not None]
+    is_usable = len(dated) == len(files) == len({stamp.time_s for _, stamp in dated})
+    return sorted(dated, key=lambda item: item[1].time_s) if is_usable else None
+
+
+def _overlap_s(dated: Sequence[tuple[SegmentFacts, Stamp]]) -> float:
+    """Sum of the overlaps of consecutive files beyond the tolerance, s."""
+    return sum(
+        max(0.0, before[0].duration_s - (after[1].time_s - before[1].time_s) - _TOLERANCE_S)
+        for before, after in itertools.pairwise(dated)
+    )
+
+
+def _check_one_camera(paths: Sequence[Path]) -> None:
+    """Check that no two names have equal numbers and different words, as in 20260131_142530_F.mp4 and _R.mp4."""
+    by_number: dict[tuple[str, ...], Path] = {}
+    for path in paths:
+        numbers = tuple(re.findall(r"\d+", path.stem))
+        other = by_number.setdefault(numbers, path)
+        if numbers and other.stem != path.stem:
+            raise _several_cameras(other, path)
+
+
+def _several_cameras(one: Path, other: Path) -> VideoError:
+    selection = _pattern_of(one, other)
+    return VideoError(
+        f"{one.parent}: expected the files of one camera, found {one.name} and {other.name}, which were recorded at "
+        f"the same time; select one camera, as in --mono '{selection}'."
+    )
+
+
+def _pattern_of(one: Path, other: Path) -> Path:
+    """Pattern for the files of the camera of `one`: the end of its name if that differs, else the beginning."""
+    ends = [re.split(r"\d", path.stem)[-1] for path in (one, other)]
+    if ends[0] != ends[1]:
+        return one.parent / f"*{ends[0]}{one.suffix}"
+    n_common = next((n for n, (a, b) in enumerate(zip(one.name, other.name, strict=False)) if a != b), 0)
+    beginning = re.match(r"[A-Za-z0-9]*", one.name[n_common:])
+    return one.parent / f"{one.name[:n_common]}{beginning.group() if beginning else ''}*"
+
+
+def _first_name(files: Sequence[SegmentFacts]) -> str:
+    return f"{files[0].path.name} and {counted(len(files) - 1, 'other file')}"

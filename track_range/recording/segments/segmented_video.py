@@ -1,0 +1,344 @@
+"""SegmentedVideo: the frames of several video files that are one recording, such as those of a dashcam.
+
+headers of all files -> order and times (`segment_times`) -> one file open at a time -> frames with continuous numbers
+"""
+
+from __future__ import annotations
+
+import filecmp
+from collections import Counter
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from track_range.foundation.files.atomic_files import describe
+from track_range.foundation.files.images import IMAGE_SUFFIXES
+from track_range.foundation.files.input_files import counted
+from track_range.recording.bags.bag import is_bag
+from track_range.recording.files.file_state import FileState
+from track_range.recording.files.video_file import VideoFile, VideoHeader, count_packets
+from track_range.recording.files.video_part import VideoPart
+from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame
+from track_range.recording.names import Segments, is_pattern, matching_files
+from track_range.recording.segments.repeated_frames import repeated_s
+from track_range.recording.segments.segment_times import SegmentFacts, arranged, paired_starts_s
+from track_range.recording.utc import UtcStart
+
+VIDEO_SUFFIXES = frozenset(
+    ".3g2 .3gp .asf .avi .dav .flv .h264 .h265 .hevc .insv .m2ts .m4v .mkv .mov .mp4 .mpeg .mpg .mts .mxf .ogv .ts "
+    ".vob .webm .wmv".split()
+)
+"""Suffixes of the video files in a folder."""
+
+_MAX_FILES = 20_000
+"""Largest number of files of a recording: two weeks in files of a minute."""
+
+_N_NOTES = 5
+"""Largest number of messages about single files of a recording."""
+
+_RESULT_VIDEOS = ("overlay.mp4", "disparity.mp4")
+"""Names of the videos that a run writes."""
+
+_CUT_STEP_S = 1e-4
+"""Frames of two files closer than this, s, are the same one: more than the rounding of time stamps, 1/90000 s."""
+
+_RATE_DIFFERENCE = 0.01
+"""Relative difference up to which frame rates count as equal."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Segment:
+    """One file of a recording, before it is decoded.
+
+    Attributes:
+        facts: properties for the order of the files.
+        header: other properties of the file.
+        state: state when it was opened, to detect changes.
+    """
+
+    facts: SegmentFacts
+    header: VideoHeader
+    state: FileState
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.facts.path
+
+
+class SegmentedVideo:
+    """Several video files as one video; frame numbers and times continue from file to file.
+
+    Files that cannot be read are skipped with a note, unless none can. A file that is named repeatedly, or copied, is
+    used once.
+
+    Args:
+        name: the files, or a folder or pattern for messages.
+        paths: the files.
+        left: the left video of a pair, if this is the right one; its files give the times of the right ones.
+
+    Attributes:
+        width_px, height_px, is_grey, fps: of the first file; see `VideoReader`.
+        first_time_s: time of the first frame.
+        n_frames: estimated number of frames; None = unknown.
+        plan: order and times of the files.
+
+    Raises:
+        VideoError: a named file does not exist, no file can be read, the files are those of several cameras, or their
+            images differ in size. While iterating: a file was deleted or changed in the meantime.
+    """
+
+    def __init__(self, name: Path | Segments, paths: Sequence[Path], *, left: SegmentedVideo | None = None) -> None:
+        self.path = name
+        self._setup_notes: list[str] = []
+        self._reading_notes: list[str] = []
+        if len(paths) > _MAX_FILES:
+            raise VideoError(f"{name}: expected at most {_MAX_FILES} files, found {len(paths)}; select fewer files.")
+        segments = self._segments_of(paths)
+        facts = [segment.facts for segment in segments]
+        plan = arranged(facts, is_given_order=isinstance(name, Segments), repeated_s=repeated_s)
+        by_path = {segment.path: segment for segment in segments}
+        self.plan = plan
+        self._segments = [by_path[facts.path] for facts in plan.facts]
+        self._starts_s = plan.starts_s if left is None else paired_starts_s(plan, left.plan)
+        self._planned_first_s = self._starts_s[0]
+        self._setup_notes += [f"{name}: {note}" for note in plan.notes]
+        self._setup_notes += self._rate_notes()
+        self._n_frames: dict[Path, int] = {}
+        self._n_overlapping = self._n_notes = 0
+        self._current: VideoFile | None = self._first_file()
+        first = self._current
+        self.width_px, self.height_px, self.is_grey, self.fps = (
+            first.width_px,
+            first.height_px,
+            first.is_grey,
+            first.fps,
+        )
+        self.first_time_s = self._starts_s[0]
+        counts = [s.header.n_frames or round(s.facts.duration_s * self.fps) for s in self._segments]
+        self.n_frames: int | None = sum(counts) or None
+
+    @property
+    def parts(self) -> tuple[VideoPart, ...]:
+        """The files with their times."""
+        utc = self.utc
+        starts_s = [start_s - self.first_time_s for start_s in self._starts_s]
+        return tuple(
+            VideoPart(segment.path, start_s, segment.facts.duration_s, None if utc is None else utc.shifted(start_s))
+            for segment, start_s in zip(self._segments, starts_s, strict=True)
+        )
+
+    @property
+    def utc(self) -> UtcStart | None:
+        """UTC of the first frame; None = unknown."""
+        return None if self.plan.utc is None else self.plan.utc.shifted(self.first_time_s - self._planned_first_s)
+
+    @property
+    def notes(self) -> list[str]:
+        """Messages for the user, including the problems of the latest reading."""
+        notes = [*self._setup_notes, *self._reading_notes]
+        if self._n_notes > _N_NOTES:
+            notes.append(f"{self.path}: {self._n_notes - _N_NOTES} more messages about single files.")
+        return notes
+
+    def close(self) -> None:
+        """Close the first file if it has not been read."""
+        if self._current is not None:
+            self._current.close()
+            self._current = None
+
+    def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
+        """The frames with times in [from_s, until_s); see `VideoFile.frames`.
+
+        Files before `from_s` are not decoded.
+        """
+        self._reading_notes, self._n_notes = [], 0
+        n_before, last_s = 0, -float("inf")
+        for number, (segment, start_s) in enumerate(zip(self._segments, self._starts_s, strict=True)):
+            if start_s >= until_s - TIME_EPSILON_S:
+                return
+            is_last = number == len(self._segments) - 1
+            if not is_last and start_s + segment.facts.duration_s + 1 / self.fps <= from_s:
+                n_before += self._counted_frames(segment)
+                continue
+            video, n_read, earliest_s = self._opened(segment), 0, last_s + _CUT_STEP_S
+            if video is not None:
+                later_s = start_s - video.first_time_s
+                with closing(video.frames(from_s - later_s, until_s - later_s)) as frames:
+                    for frame in frames:
+                        n_read = frame.index + 1
+                        time_s = frame.time_s + later_s
+                        if time_s > earliest_s:
+                            last_s = time_s
+                            yield VideoFrame(n_before + frame.index, time_s, frame.image, frame.decoded)
+                self._add_notes(video.notes)
+            n_before += max(self._counted_frames(segment), n_read)
+
+    def check_unchanged(self) -> None:
+        """Check that the files are those that were opened; they may have been deleted.
+
+        Raises:
+            VideoError: a file was replaced, shortened or overwritten in the meantime.
+        """
+        for segment in self._segments:
+            _check_unchanged(segment)
+
+    def _segments_of(self, paths: Sequence[Path]) -> list[_Segment]:
+        """The readable files, each once."""
+        segments: list[_Segment] = []
+        errors: list[VideoError] = []
+        copies: list[tuple[Path, Path]] = []
+        known: dict[tuple[int, tuple[bytes, ...]], Path] = {}
+        for path in paths:
+            if isinstance(self.path, Segments) and not path.is_file():
+                FileState.of(path)  # raises the error: a named file is missing
+            try:
+                state = FileState.of(path)
+                header = VideoHeader.read(path)
+            except VideoError as error:
+                errors.append(error)
+                continue
+            is_known = (state.n_bytes, state.samples) in known
+            other = known.setdefault((state.n_bytes, state.samples), path)
+            if is_known and _have_equal_content(path, other):
+                copies.append((path, other))
+                continue
+            duration_s = header.duration_s or count_packets(path)[1]
+            segments.append(_Segment(SegmentFacts(path, header.first_s, duration_s, *header.stamps), header, state))
+        if copies:
+            path, other = copies[0]
+            self._setup_notes.append(
+                f"{self.path}: {counted(len(copies), 'copy', 'copies')} of other files skipped, such as {path.name}, "
+                f"which has the same content as {other.name}."
+            )
+        if not segments:
+            raise errors[0] if errors else VideoError(f"{self.path}: expected video files, found none.")
+        self._setup_notes += [f"Skipped: {error}" for error in errors[:_N_NOTES]]
+        if len(errors) > _N_NOTES:
+            self._setup_notes.append(f"{self.path}: {counted(len(errors), 'file')} skipped that cannot be read.")
+        _check_sizes(segments)
+        return segments
+
+    def _first_file(self) -> VideoFile:
+        """The first file that can be decoded; earlier ones are left out."""
+        while True:
+            try:
+                return VideoFile(self._segments[0].path)
+            except VideoError as error:
+                if len(self._segments) == 1:
+                    raise
+                self._setup_notes.append(f"Skipped: {error}")
+                self._segments, self._starts_s = self._segments[1:], self._starts_s[1:]
+
+    def _opened(self, segment: _Segment) -> VideoFile | None:
+        """The file, ready to read; None = it cannot be decoded, which is noted."""
+        current, self._current = self._current, None
+        if current is not None and current.path == segment.path:
+            return current
+        if current is not None:
+            current.close()
+        if not segment.path.exists():
+            raise VideoError(
+                f"{segment.path}: the file was deleted or moved while the recording was read; repeat the run."
+            )
+        _check_unchanged(segment)
+        try:
+            video = VideoFile(segment.path)
+        except VideoError as error:
+            self._add_notes([f"Skipped: {error}"])
+            return None
+        if (video.width_px, video.height_px) != (self.width_px, self.height_px):
+            video.close()
+            raise _other_size(segment.path, (video.width_px, video.height_px), (self.width_px, self.height_px))
+        return video
+
+    def _counted_frames(self, segment: _Segment) -> int:
+        """Number of frames of a file by its header, or else by its packets."""
+        if segment.path not in self._n_frames:
+            self._n_frames[segment.path] = segment.header.n_frames or count_packets(segment.path)[0]
+        return self._n_frames[segment.path]
+
+    def _add_notes(self, notes: Sequence[str]) -> None:
+        self._n_notes += len(notes)
+        self._reading_notes += notes[: max(0, _N_NOTES - len(self._reading_notes))]
+
+    def _rate_notes(self) -> Iterator[str]:
+        first_hz = self._segments[0].header.fps
+        for segment in self._segments:
+            if abs(segment.header.fps - first_hz) > _RATE_DIFFERENCE * first_hz:
+                yield (
+                    f"{segment.path}: {segment.header.fps:.4g} frames/s instead of {first_hz:.4g} as in "
+                    f"{self._segments[0].path.name}; the time stamps are used."
+                )
+                return
+
+
+def segment_files(name: Path | Segments) -> list[Path] | None:
+    """The video files of a folder or pattern, or of several names; None = a single file or a folder of images.
+
+    Raises:
+        VideoError: no file matches a pattern, a folder contains both images and videos, or it cannot be read.
+    """
+    if isinstance(name, Segments):
+        bag = next((part for part in name.paths if is_bag(part)), None)
+        if bag is not None:
+            raise VideoError(
+                f"{bag}: expected video files, found an MCAP file or ROS bag; give one bag, or a folder with its files."
+            )
+        return [path for part in name.paths for path in (segment_files(part) or [part])]
+    if is_pattern(name):
+        files = [path for path in matching_files(name) if path.is_file()]
+        if not files:
+            raise VideoError(
+                f"{name}: no such file, and no file matches this pattern; give a video, folder or pattern."
+            )
+        return files
+    return _videos_in(name) if name.is_dir() else None
+
+
+def _videos_in(name: Path) -> list[Path] | None:
+    """The video files of a folder; None if there are none. See `segment_files` for the errors."""
+    try:
+        files = sorted(path for path in name.iterdir() if path.name[0] != ".")
+    except OSError as error:
+        raise VideoError(f"{name}: the folder cannot be read ({describe(error)}); check its permissions.") from error
+    videos = [path for path in files if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file()]
+    if (name / "settings.yaml").exists():  # results of a run in the folder of its input
+        videos = [path for path in videos if path.name not in _RESULT_VIDEOS]
+    images = [path for path in files if path.suffix.lower() in IMAGE_SUFFIXES and any(map(str.isdigit, path.stem))]
+    if videos and images:
+        raise VideoError(
+            f"{name}: expected videos or numbered images, found both ({videos[0].name}, {images[0].name}); give a "
+            f"pattern such as '{name / ('*' + videos[0].suffix)}', or another folder."
+        )
+    return videos or None
+
+
+def _have_equal_content(one: Path, other: Path) -> bool:
+    try:
+        return filecmp.cmp(one, other, shallow=False)
+    except OSError:
+        return False
+
+
+def _check_sizes(segments: Sequence[_Segment]) -> None:
+    sizes = Counter(tuple(sorted(segment.header.size_px)) for segment in segments)  # one may be rotated
+    (usual, _), *others = sizes.most_common()
+    if others:
+        expected = next(segment for segment in segments if tuple(sorted(segment.header.size_px)) == usual)
+        other = next(segment for segment in segments if tuple(sorted(segment.header.size_px)) != usual)
+        raise _other_size(other.path, other.header.size_px, expected.header.size_px)
+
+
+def _other_size(path: Path, size_px: tuple[int, int], expected_px: tuple[int, int]) -> VideoError:
+    return VideoError(
+        f"{path}: expected images of {expected_px[0]}x{expected_px[1]} px as in other files, got "
+        f"{size_px[0]}x{size_px[1]}; select files of one camera and setting."
+    )
+
+
+def _check_unchanged(segment: _Segment) -> None:
+    change = segment.state.change_of(segment.path)
+    if change:
+        raise VideoError(f"{segment.path}: the file was {change} while the recording was read; repeat the run.")

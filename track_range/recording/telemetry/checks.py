@@ -1,0 +1,213 @@
+"""usable: telemetry without samples that cannot be right; reasons for which a whole track is not used."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.recording.telemetry.errors import TelemetryError
+from track_range.recording.telemetry.positions import has_position, speed_from_positions, steps_m, thinned
+from track_range.recording.telemetry.sidecars.units import MPS_PER_UNIT
+from track_range.recording.telemetry.track import TelemetryTrack
+
+MAX_SPEED_MPS = 120.0
+"""Largest plausible speed in m/s (432 km/h), as in `ranging.ego_speed`."""
+
+_MAX_ACCELERATION_MPS2 = 15.0
+"""Largest plausible acceleration of a car over a second in m/s^2; emergency braking reaches 11."""
+
+_MAX_SHARE = 0.1
+"""Share of wild samples up to which they are omitted; with more, the track is not used."""
+
+_MAX_CLOCK_STEP_S = 30.0
+"""Largest change in s between the receiver's clock and the time in the video; it may lack 18 leap seconds at first."""
+
+_MAX_BACKWARD_S = 2.0
+"""Largest step back of a clock in s; receivers repeat a second now and then."""
+
+_HOUR_S, _HOUR_TOLERANCE_S = 3600.0, 3.0
+"""Gaps of whole hours within this tolerance are jumps of the clock: one pause in 600 is as near to one."""
+
+MIN_STABLE_S = 10.0
+"""Shortest time in s with a fix after which a clock that was wrong before the fix is no reason to doubt the rest."""
+
+_MIN_STABLE_SHARE = 0.9
+"""Smallest share of samples with a fix in that time and all later ones."""
+
+_FIRST_DATE_S = 1_199_145_600.0
+"""2008-01-01 in seconds since 1970: receivers without a date state 1980, 2000 or 2004, or a date 1024 weeks ago."""
+
+_MIN_LOSSES, _MIN_FIX_SHARE = 5, 0.6
+"""Number of losses of the fix from which speeds are doubted if the share of samples with a fix is smaller. Assumed: the
+one known recording of a parked car with false speeds has 22 losses in 3 minutes and a share of 0.38."""
+
+_MIN_COMPARED, _COMPARED_MPS, _UNIT_TOLERANCE = 10, 3.0, 0.08
+"""Number of steps, their speed in m/s, and the largest relative difference for a unit inferred from positions."""
+
+
+def usable(track: TelemetryTrack) -> TelemetryTrack:
+    """The track in the order of time, without wild samples, which become NaN.
+
+    A clock that is set when the receiver gets its first fix does not matter if the fix then lasts (`MIN_STABLE_S`).
+
+    Raises:
+        TelemetryError: no fix, wild positions or speeds, or a clock that jumps.
+    """
+    if not len(track) or not np.isfinite(track.speed_mps).any():
+        raise TelemetryError("the receiver had no fix.")
+    try:
+        _check_clock(track)
+    except TelemetryError:
+        warm = _after_cold_start(track)
+        if warm is None:
+            raise
+        _check_clock(warm)
+        track = warm
+    track = _in_order(track)
+    _check_losses(track)
+    _check_positions(track)
+    track = _with_unit(track)
+    return _without_wild_speeds(track)
+
+
+def _check_clock(track: TelemetryTrack) -> None:
+    """Raise an error if the clock of the receiver jumps."""
+    dated = np.isfinite(track.utc_s) & (track.utc_s > 0)
+    if track.clock == "video":
+        jump_s = float(np.abs(np.diff((track.utc_s - track.time_s)[dated])).max(initial=0.0))
+        if jump_s > _MAX_CLOCK_STEP_S:
+            raise TelemetryError(f"its clock jumps by {_duration(jump_s)}.")
+        return
+    steps_s = np.diff(track.time_s)
+    back_s = -float(steps_s.min(initial=0.0))
+    if back_s > _MAX_BACKWARD_S:
+        raise TelemetryError(f"its clock jumps back by {_duration(back_s)}.")
+    gaps_s = steps_s[steps_s > _HOUR_S / 2]
+    hours = np.rint(gaps_s / _HOUR_S)
+    is_jump = (hours >= 1) & (np.abs(gaps_s - hours * _HOUR_S) <= _HOUR_TOLERANCE_S)
+    if is_jump.any():
+        raise TelemetryError(f"its clock jumps by {_duration(float(gaps_s[is_jump][0]))}.")
+
+
+def _after_cold_start(track: TelemetryTrack) -> TelemetryTrack | None:
+    """The track from its first dated sample with a fix on; None = it starts with one, or the fix is not stable."""
+    is_dated = ~(track.utc_s < _FIRST_DATE_S)
+    has_fix = np.isfinite(track.speed_mps) & is_dated
+    if has_fix[0] or not has_fix.any():
+        return None
+    first = int(np.argmax(has_fix))
+    warm = selected(track, np.arange(len(track)) >= first)
+    length_s = float(warm.time_s.max() - warm.time_s[0])
+    if length_s < MIN_STABLE_S or has_fix[first:].mean() < _MIN_STABLE_SHARE:
+        return None
+    note = f"its first {first} samples, before the receiver had a fix, have a wrong clock and are not used."
+    return replace(warm, notes=(*track.notes, note))
+
+
+def _check_losses(track: TelemetryTrack) -> None:
+    """Raise an error if the receiver keeps losing its fix: such fixes state 100 km/h in parked cars."""
+    has_fix = np.isfinite(track.speed_mps)
+    n_losses = int((has_fix[:-1] & ~has_fix[1:]).sum())
+    if n_losses >= _MIN_LOSSES and has_fix.mean() < _MIN_FIX_SHARE:
+        raise TelemetryError(
+            f"the receiver loses its fix {n_losses} times and has one in {has_fix.mean():.0%} of the samples only; "
+            "such speeds are not reliable."
+        )
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds / 3600:.3g} h" if seconds >= _HOUR_S / 2 else f"{seconds:.3g} s"
+
+
+def selected(track: TelemetryTrack, index: FloatArray | BoolArray) -> TelemetryTrack:
+    """The samples of a track with these indices, in their order."""
+    names = ("time_s", "speed_mps", "course_rad", "latitude_deg", "longitude_deg", "utc_s")
+    return replace(track, **{name: getattr(track, name)[index] for name in names})
+
+
+def _in_order(track: TelemetryTrack) -> TelemetryTrack:
+    """Samples with increasing times; of several with the same time, the first one with a speed."""
+    order = np.lexsort((np.isnan(track.speed_mps), track.time_s))
+    times_s = track.time_s[order]
+    is_first = np.concatenate([[True], np.diff(times_s) > 0])
+    return selected(track, order[is_first])
+
+
+def _check_positions(track: TelemetryTrack) -> None:
+    """Raise an error if many positions are not on the Earth, or the steps between them are too fast."""
+    lat, lon = track.latitude_deg, track.longitude_deg
+    known = has_position(lat, lon)
+    if not known.any():
+        return
+    is_outside = known & ((np.abs(lat) > 90) | (np.abs(lon) > 180))
+    if is_outside.sum() > _MAX_SHARE * known.sum():
+        raise TelemetryError("its positions are not on the Earth.")
+    inside = np.flatnonzero(known & ~is_outside)
+    index = inside[thinned(track.time_s[inside])]
+    if len(index) < 2:
+        return
+    north_m, east_m = steps_m(lat[index], lon[index])
+    is_fast = np.hypot(north_m, east_m) > MAX_SPEED_MPS * np.diff(track.time_s[index])
+    if is_fast.sum() > max(1.0, _MAX_SHARE * len(is_fast)) or (is_fast.all() and len(is_fast)):
+        raise TelemetryError("its positions jump.")
+
+
+def _with_unit(track: TelemetryTrack) -> TelemetryTrack:
+    """The track with speeds in m/s, if the file states no unit and its positions show that it is another one.
+
+    With too few positions of a moving car, the speeds are taken as m/s, with a note if any is fast.
+
+    Raises:
+        TelemetryError: the speeds contradict the positions in every unit.
+    """
+    if track.states_unit or not track.has_own_speed:
+        return track
+    known = np.isfinite(track.speed_mps)
+    time_s, nothing = track.time_s, np.full(len(track), np.nan)
+    positions = speed_from_positions(
+        time_s, track.latitude_deg, track.longitude_deg, nothing, source=track.source, clock=track.clock
+    )
+    n_moving = 0
+    if positions is not None and known.any():
+        stated = np.interp(positions.time_s, time_s[known], track.speed_mps[known])
+        moving = (positions.speed_mps > _COMPARED_MPS) & (stated > 0)
+        n_moving = int(moving.sum())
+    if positions is None or known.sum() < _MIN_COMPARED or n_moving < _MIN_COMPARED:
+        if not (track.speed_mps[known] > _COMPARED_MPS).any():
+            return track
+        note = f"its speeds have no unit and are taken as m/s; only {n_moving} positions of a moving car could show it."
+        return replace(track, notes=(*track.notes, note))
+    ratio = float(np.median(positions.speed_mps[moving] / stated[moving]))
+    unit = min(MPS_PER_UNIT, key=lambda name: abs(math.log(MPS_PER_UNIT[name] / ratio)))
+    if abs(MPS_PER_UNIT[unit] / ratio - 1) > _UNIT_TOLERANCE:
+        raise TelemetryError(f"its speeds contradict its positions by a factor of {1 / ratio:.2g}, which is no unit.")
+    if unit == "m/s":
+        return track
+    note = f"its speeds are in {unit} instead of m/s, as the positions show; they were converted."
+    return replace(track, speed_mps=track.speed_mps * MPS_PER_UNIT[unit], notes=(*track.notes, note))
+
+
+def _without_wild_speeds(track: TelemetryTrack) -> TelemetryTrack:
+    """The track with NaN for speeds that are too large.
+
+    Raises:
+        TelemetryError: many speeds are too large, or change too fast.
+    """
+    speed_mps = track.speed_mps
+    known = np.isfinite(speed_mps)
+    is_wild = known & ((speed_mps > MAX_SPEED_MPS) | (speed_mps < 0))
+    if is_wild.sum() > _MAX_SHARE * known.sum():
+        raise TelemetryError(
+            f"expected speeds of at most {MAX_SPEED_MPS * 3.6:.0f} km/h, found "
+            f"{float(np.nanmax(np.abs(speed_mps))) * 3.6:.4g} km/h; the unit may be another one."
+        )
+    speed_mps = np.where(is_wild, np.nan, speed_mps)
+    good = np.flatnonzero(np.isfinite(speed_mps))
+    index = good[thinned(track.time_s[good])]
+    rate = np.abs(np.diff(speed_mps[index])) / np.diff(track.time_s[index])
+    if (rate > _MAX_ACCELERATION_MPS2).sum() > max(1.0, _MAX_SHARE * len(rate)):
+        raise TelemetryError("its speeds jump.")
+    return replace(track, speed_mps=speed_mps)

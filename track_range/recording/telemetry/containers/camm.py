@@ -1,0 +1,76 @@
+"""Camera Motion Metadata (CAMM): GPS samples of the types 5 and 6 in the track `camm`, little-endian.
+
+Format: developers.google.com/streetview/publish/camm-spec. Type 6 has velocities; type 5 has only positions, as have
+files in which all velocities of type 6 are 0: speed is then derived from the positions.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_samples
+from track_range.recording.telemetry.containers.samples import MAX_SAMPLES, Sample, date_s, track
+from track_range.recording.telemetry.track import GPS_SPEED_SIGMA_MPS, TelemetryTrack
+
+_POSITION = struct.Struct("<2xHddd")
+"""Type 5: latitude and longitude in degrees, altitude in m."""
+
+_GPS = struct.Struct("<2xHdiddfffffff")
+"""Type 6: time in seconds since 1980-01-06, fix, latitude, longitude, altitude, horizontal and vertical accuracy in m,
+velocity east, north and up, and its accuracy, in m/s."""
+
+_GPS_EPOCH_S = date_s(1980, 1, 6, 0, 0, 0)
+_LEAP_SECONDS = 18
+"""UTC is behind the time of GPS by this much since 2017."""
+
+_FIRST_UNIX_S = 1.5e9
+"""Times above this (2017 in UTC, 2027 in GPS time) count from 1970, as some cameras write them."""
+
+_MIN_FIX = 2
+"""Smallest fix: 0 = none, 2 = two-dimensional, 3 = three-dimensional."""
+
+
+def read_camm(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | None:
+    """Telemetry of the track `camm` of a movie; None = it has no GPS samples."""
+    source = next((part for part in movie.tracks if part.format == b"camm"), None)
+    if source is None:
+        return None
+    is_gps = np.flatnonzero(source.sizes >= _POSITION.size)[:MAX_SAMPLES]
+    samples: dict[int, list[Sample]] = {5: [], 6: []}
+    sigmas_mps = []
+    for index, content in read_samples(file, source, is_gps, _GPS.size):
+        kind = int.from_bytes(content[2:4], "little")
+        time_s = float(source.time_s[index]) - movie.start_s
+        if kind == 6 and len(content) >= _GPS.size:
+            sample, sigma_mps = _gps(content)
+            samples[6].append(sample.at(time_s))
+            sigmas_mps.append(sigma_mps)
+        elif kind == 5 and len(content) >= _POSITION.size:
+            _, latitude_deg, longitude_deg, _ = _POSITION.unpack_from(content)
+            samples[5].append(Sample(time_s, latitude_deg=latitude_deg, longitude_deg=longitude_deg))
+    if samples[6] and any(sample.speed_mps > 0 for sample in samples[6]):
+        stated = [sigma for sigma in sigmas_mps if 0 < sigma < 10]
+        sigma_mps = float(np.median(stated)) if stated else GPS_SPEED_SIGMA_MPS
+        return track(samples[6], "CAMM", speed_sigma_mps=sigma_mps)
+    positions = samples[6] or samples[5]
+    return track(positions, "CAMM", has_own_speed=False) if positions else None
+
+
+def _gps(content: bytes) -> tuple[Sample, float]:
+    """A sample of type 6 without its time in the video, and the standard deviation of its speed."""
+    _, stated_s, fix, latitude_deg, longitude_deg, _, _, _, east_mps, north_mps, _, sigma_mps = _GPS.unpack_from(
+        content
+    )
+    utc_s = stated_s if stated_s > _FIRST_UNIX_S else stated_s + _GPS_EPOCH_S - _LEAP_SECONDS
+    if stated_s <= 0:
+        utc_s = math.nan
+    if fix < _MIN_FIX:
+        return Sample(utc_s=utc_s), math.nan
+    speed_mps = math.hypot(east_mps, north_mps)
+    course_deg = math.degrees(math.atan2(east_mps, north_mps)) if speed_mps > 0 else math.nan
+    return Sample(math.nan, utc_s, speed_mps, course_deg, latitude_deg, longitude_deg), sigma_mps

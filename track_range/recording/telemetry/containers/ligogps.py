@@ -1,0 +1,195 @@
+"""LIGOGPSINFO: lines of text such as `2026/08/03 11:34:53 N:48.100000 W:002.100000 19.0 km/h x:0.00 ... A:212.0`.
+
+They are in a trailer of the file in slots of 132 bytes, in a box `skip`, or in records that start with `####`, which
+are encrypted: then the number before "km/h" is in knots, and the positions are distorted. Times are local or UTC,
+as the camera is set. Layouts and encryption after ExifTool's documentation (exiftool.org, LIGO tags).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at
+from track_range.recording.telemetry.containers.samples import (
+    MAX_SAMPLES,
+    Sample,
+    Unit,
+    date_s,
+    degrees,
+    in_known_unit,
+    track,
+)
+from track_range.recording.telemetry.sidecars.units import MPS_PER_UNIT
+from track_range.recording.telemetry.track import TelemetryTrack
+
+MAX_TRAILER_BYTES = 16_000_000
+"""Size limit of the trailer; 33 hours at 1 Hz."""
+
+_SLOT_BYTES = 132
+"""Size of a slot or record: 4 bytes of number, then text or encrypted text."""
+
+_TERMINATORS = (b"####", b"&&&&")
+"""Marks before the length at the end of a trailer."""
+
+_LINE = re.compile(
+    rb"(\d{4})/(\d\d)/(\d\d)[ _](\d\d):(\d\d):(\d\d)\s+([NS]):(-?[\d.]+)\s+([EW]):(-?[\d.]+)\s+(-?[\d.]+)"
+    rb"(?: km/h)?([^\0\n]*)"
+)
+_COURSE = re.compile(rb"\bA:(\d+(?:\.\d+)?)")
+_JSON = re.compile(rb"LIGOGPSINFO (\{[^}]{20,1000}\})")
+_FIELD = re.compile(rb'"(\w{1,20})"\s*:\s*"?([-+.\w]{1,20})')
+_SPEED_SCALE = 1.85407333 / 1.852
+"""Encrypted records state speeds that are too small by this factor, besides being in knots."""
+
+
+def read_ligogps(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | None:
+    """Telemetry of the trailer or of a box of a movie; None = there is none."""
+    for content in _places(file, movie):
+        lines = [_sample(match) for match in _LINE.finditer(content)]
+        if lines:
+            return ligo_track(lines, "assumed")
+        records = [content[match.start() :][:_SLOT_BYTES] for match in re.finditer(rb"####", content)]
+        encrypted = [sample for sample in map(parse_ligo_record, records[:MAX_SAMPLES]) if sample]
+        texts = [_from_json(match[1]) for match in _JSON.finditer(content)]
+        if encrypted or texts:
+            return ligo_track(encrypted or texts, "known")
+    return None
+
+
+def _places(file: BinaryIO, movie: Movie) -> Iterator[bytes]:
+    """Contents that may hold records."""
+    end = read_at(file, movie.n_bytes - 8, 8)
+    n_bytes = int.from_bytes(end[4:], "big")
+    if end[:4] in _TERMINATORS and 16 <= n_bytes <= min(movie.n_bytes, MAX_TRAILER_BYTES):
+        yield read_at(file, movie.n_bytes - n_bytes, n_bytes)
+    for box in movie.top:
+        if box.kind in (b"skip", b"SKIP", b"free") and b"GPSINFO" in read_at(file, box.start, 24):
+            yield read_at(file, box.start, min(box.end - box.start, MAX_TRAILER_BYTES))
+    for content in movie.inner.values():
+        if b"LIGOGPSINFO" in content[:65_536]:
+            yield content[:MAX_TRAILER_BYTES]
+
+
+def ligo_track(samples: Sequence[Sample], unit: Unit) -> TelemetryTrack | None:
+    """Telemetry of samples at 1 Hz from the start of the video, timed by their own clock if it does not jump."""
+    utc_s = np.array([sample.utc_s for sample in samples])
+    steps_s = np.diff(utc_s)
+    is_steady = (
+        bool(np.isfinite(utc_s).all()) and bool((steps_s >= 0).all()) and (utc_s[-1] - utc_s[0]) < 2 * len(utc_s)
+    )
+    time_s = utc_s - utc_s[0] if is_steady else np.arange(len(utc_s), dtype=float)
+    timed = [sample.at(float(second)) for sample, second in zip(samples, time_s, strict=True)]
+    checked, notes = in_known_unit(timed, unit)
+    return track(checked, "LIGO GPS", notes=notes)
+
+
+def parse_ligo_text(content: bytes) -> Sample | None:
+    """Sample of the first line in a content; None = there is none."""
+    match = _LINE.search(content)
+    return _sample(match) if match else None
+
+
+def _sample(match: re.Match[bytes]) -> Sample:
+    utc_s = date_s(*(int(match[i]) for i in range(1, 7)))
+    course = _COURSE.search(match[12])
+    latitude_deg = _coordinate(match[8], match[7])
+    longitude_deg = _coordinate(match[10], match[9])
+    if latitude_deg == 0 and longitude_deg == 0:
+        return Sample(utc_s=utc_s)
+    return Sample(
+        math.nan,
+        utc_s,
+        _number(match[11]) * MPS_PER_UNIT["km/h"],
+        float(course[1]) if course else math.nan,
+        latitude_deg,
+        longitude_deg,
+    )
+
+
+def _number(text: bytes) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _coordinate(text: bytes, hemisphere: bytes) -> float:
+    """Degrees of a coordinate, negative in the south and west; numbers above 180 are degrees and minutes."""
+    value = _number(text)
+    if not math.isfinite(value):
+        return math.nan
+    if abs(value) > 180:
+        value = degrees(value)
+    return -abs(value) if hemisphere in (b"S", b"W") else value
+
+
+def parse_ligo_record(record: bytes) -> Sample | None:
+    """Sample of a record that starts with `####`, with the speed in m/s and without position; None = unreadable."""
+    if record[:4] != b"####":
+        return None
+    text = _decrypted(record[8 : 8 + min(int.from_bytes(record[4:8], "little"), _SLOT_BYTES - 8)])
+    match = _LINE.search(text)
+    if match is None:
+        return None
+    sample = _sample(match)
+    speed_mps = _number(match[11]) * MPS_PER_UNIT["kn"] * _SPEED_SCALE
+    return Sample(math.nan, sample.utc_s, speed_mps, sample.course_deg) if math.isfinite(sample.speed_mps) else sample
+
+
+_MASKS: dict[int, tuple[int | None, ...]] = {
+    2: (None, 0x01, 0x06, 0x18),
+    3: (0x03, None, 0x04, 0x18),
+    4: (0x03, 0x0C, None, 0x10),
+    5: (0x01, 0x06, 0x18, None),
+    6: (0x01, 0x02, 0x0C, 0x30),
+    7: (0x01, 0x02, 0x0C, 0x30),
+}
+"""Bits of the control byte that belong to each of the four characters after it, by its upper three bits; None = the
+character is a space that takes no byte."""
+
+
+def _decrypted(content: bytes) -> bytes:
+    """Text of an encrypted record: groups of a control byte and up to four bytes."""
+    text = bytearray()
+    start = 0
+    while start < len(content):
+        control = content[start]
+        start += 1
+        masks = _MASKS.get(control >> 5)
+        if masks is None:
+            if control >> 5 != 0 or start >= len(content):
+                break
+            text.append(content[start] | control & 0x13)
+            start += 1
+            continue
+        for mask in masks:
+            if mask is None:
+                text.append(0x20)
+            elif start < len(content):
+                text.append(content[start] ^ 0x20 if mask == 0x30 else (content[start] | control & mask) ^ 0x20)
+                text[-1] |= control & mask if mask == 0x30 else 0
+                start += 1
+    return bytes(text)
+
+
+def _from_json(content: bytes) -> Sample:
+    """Sample of the variant in JSON (Yada RoadCam): date and time in UTC, speed in knots."""
+    fields = {key.decode(): value.decode() for key, value in _FIELD.findall(content)}
+    names = ("Year", "Month", "Day", "Hour", "Minute", "Second")
+    utc_s = date_s(*(_number(fields.get(name, "").encode()) for name in names))
+    if fields.get("status") != "A":
+        return Sample(utc_s=utc_s)
+    return Sample(
+        math.nan,
+        utc_s,
+        _number(fields.get("Speed", "").encode()) * MPS_PER_UNIT["kn"],
+        math.nan,
+        _coordinate(fields.get("Latitude", "").encode(), fields.get("NS", "").encode()),
+        _coordinate(fields.get("Longitude", "").encode(), fields.get("EW", "").encode()),
+    )

@@ -1,0 +1,198 @@
+"""Boxes `freeGPS ` of a movie: found through the index `gps `, as boxes of the file, or between the samples.
+
+The times are those of the video at the same place in the file, or one second per box.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.recording.telemetry.containers.free_gps import MAX_BLOCK_BYTES, parse_free_gps
+from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at
+from track_range.recording.telemetry.containers.nmea_text import has_rmc, rmc_samples
+from track_range.recording.telemetry.containers.samples import (
+    Sample,
+    Unit,
+    degrees,
+    has_plausible_positions,
+    in_known_unit,
+    track,
+)
+from track_range.recording.telemetry.errors import TelemetryError
+from track_range.recording.telemetry.sidecars.units import MPS_PER_UNIT
+from track_range.recording.telemetry.track import TelemetryTrack
+
+MAX_BLOCKS = 50_000
+"""Largest number of boxes read: 14 hours at 1 Hz."""
+
+_MAX_PROBED = 400
+"""Number of gaps between samples in which the first box must be found."""
+
+_MARK = b"freeGPS "
+_GAP_BYTES = 512
+"""Bytes read at the start of a gap; boxes are aligned to blocks of the card."""
+
+_CIPHER_MARK = b"4W`b]S<"
+"""`$GPRMC,` with 16 added to each character, at 0x3C."""
+
+
+def read_novatek(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:
+    """Telemetry of the boxes `freeGPS ` of a movie; None = there are none that can be read."""
+    for places in (_indexed(movie), _top_level(movie), _between_samples(file, movie)):
+        blocks = []
+        for place in places:
+            block = read_at(file, place, MAX_BLOCK_BYTES)
+            if block[4:12] == _MARK:
+                blocks.append((place, _own_part(block)))
+            if len(blocks) >= MAX_BLOCKS:
+                break
+        if blocks:
+            times_s = _block_times_s(np.array([place for place, _ in blocks]), movie)
+            return track_of_blocks([block for _, block in blocks], times_s, path)
+    return _seventymai_table(file, movie)
+
+
+def _own_part(block: bytes) -> bytes:
+    """A box without what follows it in the file."""
+    n_bytes = int.from_bytes(block[:4], "big")
+    return block[:n_bytes] if 12 <= n_bytes < len(block) else block
+
+
+def _indexed(movie: Movie) -> Iterator[int]:
+    """Places in the index `gps `: after version and count, offset and size of each box."""
+    index = movie.inner.get(b"gps ", b"")
+    for start in range(8, min(len(index), 8 + 8 * MAX_BLOCKS) - 7, 8):
+        yield struct.unpack_from(">I", index, start)[0]
+
+
+def _top_level(movie: Movie) -> Iterator[int]:
+    """Places of boxes `free` of the file: the type is the first half of the mark, or it is followed by all of it."""
+    for box in movie.top:
+        if box.kind in (b"free", b"skip"):
+            yield box.start - 8
+            yield box.start - 4
+
+
+def _between_samples(file: BinaryIO, movie: Movie) -> Iterator[int]:
+    """Places of boxes in the parts of the media data that belong to no track."""
+    media = [box for box in movie.top if box.kind == b"mdat"]
+    tracks = [part for part in movie.tracks if len(part)]
+    if not media or not tracks:
+        return
+    starts = np.concatenate([part.offsets for part in tracks])
+    order = np.argsort(starts, kind="stable")
+    ends = np.maximum.accumulate((starts + np.concatenate([part.sizes for part in tracks]))[order])
+    starts = starts[order]
+    first = np.concatenate([[media[0].start], ends])
+    last = np.concatenate([starts, [media[-1].end]])
+    is_gap = (last - first >= 64) & (first < movie.n_bytes)
+    n_found = 0
+    for number, (start, end) in enumerate(zip(first[is_gap].tolist(), last[is_gap].tolist(), strict=True)):
+        if number >= _MAX_PROBED and not n_found:
+            return
+        for place in _in_gap(file, start, end):
+            n_found += 1
+            yield place
+            if n_found >= MAX_BLOCKS:
+                return
+
+
+def _in_gap(file: BinaryIO, start: int, end: int) -> Iterator[int]:
+    """Places of successive boxes in a gap."""
+    place = read_at(file, start, min(end - start, _GAP_BYTES)).find(_MARK)
+    start += place - 4
+    while place >= 4 and start + 12 <= end:
+        header = read_at(file, start, 12)
+        if header[4:] != _MARK:
+            return
+        yield start
+        start += max(int.from_bytes(header[:4], "big"), 12)
+
+
+def _block_times_s(places: np.ndarray, movie: Movie) -> FloatArray:
+    """(N,) times of the frames that follow the boxes in the file; one second per box where they are not spread."""
+    seconds = np.arange(len(places), dtype=float)
+    video = movie.video
+    if video is None or len(places) < 2:
+        return seconds
+    order = np.argsort(video.offsets, kind="stable")
+    index = np.minimum(np.searchsorted(video.offsets[order], places), len(video) - 1)
+    time_s = video.time_s[order][index] - movie.start_s
+    is_spread = time_s[-1] - time_s[0] > 0.5 * (len(places) - 1) and bool((np.diff(time_s) >= 0).all())
+    return np.asarray(time_s) if is_spread else seconds
+
+
+def track_of_blocks(blocks: Sequence[bytes], times_s: FloatArray, path: Path) -> TelemetryTrack | None:
+    """Telemetry of boxes; samples of one box are spread over a second.
+
+    Args:
+        blocks: boxes from their 4 bytes of size on.
+        times_s: (N,) times of the boxes in the video.
+        path: the file, for messages.
+
+    Returns:
+        None if the boxes are empty.
+
+    Raises:
+        TelemetryError: the layout is unknown, or pynmea2 is missing.
+    """
+    plain = [_deciphered(block) for block in blocks]
+    if any(map(has_rmc, plain)):
+        sentences = [sample or Sample() for sample in rmc_samples(plain, str(path))]
+        return track(_timed(((sample,) for sample in sentences), times_s), "freeGPS records")
+    records = [parse_free_gps(block) for block in blocks]
+    known = [record for record in records if record]
+    if not known:
+        if any(any(block[16:0x80]) for block in blocks):  # without a receiver, boxes are empty
+            raise TelemetryError(f"{path}: its freeGPS records have an unknown layout; export them as GPX.")
+        return None
+    unit: Unit = max((record.unit for record in known), key=("known", "assumed", "unknown").index)
+    samples = _timed((record.samples if record else () for record in records), times_s)
+    if not has_plausible_positions(samples):  # encrypted by some makers
+        samples = [replace(sample, latitude_deg=math.nan, longitude_deg=math.nan) for sample in samples]
+    checked, notes = in_known_unit(samples, unit)
+    return track(checked, "freeGPS records", notes=notes)
+
+
+def _deciphered(block: bytes) -> bytes:
+    if block[0x3C : 0x3C + len(_CIPHER_MARK)] != _CIPHER_MARK:
+        return block
+    return bytes(byte - 16 for byte in block[0x3C:0x8C] if byte >= 16)
+
+
+def _timed(groups: Iterable[Sequence[Sample]], times_s: FloatArray) -> list[Sample]:
+    return [
+        sample.at(float(start_s) + number / len(group))
+        for group, start_s in zip(groups, times_s, strict=True)
+        for number, sample in enumerate(group)
+    ]
+
+
+def _seventymai_table(file: BinaryIO, movie: Movie) -> TelemetryTrack | None:
+    """Telemetry of the box `GPS ` of older 70mai cameras: rows of 36 bytes with seconds of the video and m/h."""
+    box = next((box for box in movie.top if box.kind == b"GPS "), None)
+    content = read_at(file, box.start, min(box.end - box.start, 36 * MAX_BLOCKS)) if box else b""
+    samples = []
+    for start in range(0, len(content) - 35, 36):
+        _, _, second, speed, north, latitude, east, longitude = struct.unpack_from("<IIIIcIcI", content, start)
+        if north in b"NS" and east in b"EW" and north.strip(b"\0"):
+            position_deg = degrees(latitude / 1e3, north.decode()), degrees(longitude / 1e3, east.decode())
+            speed_mps = speed / 1e3 * MPS_PER_UNIT["km/h"]
+            samples.append(
+                replace(
+                    Sample(float(second)),
+                    speed_mps=speed_mps,
+                    latitude_deg=position_deg[0],
+                    longitude_deg=position_deg[1],
+                )
+            )
+    checked, notes = in_known_unit(samples, "assumed")
+    return track(checked, "70mai", notes=notes) if samples else None

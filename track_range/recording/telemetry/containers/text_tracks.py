@@ -1,0 +1,198 @@
+"""Subtitle and metadata tracks of dashcams: RMC sentences and the makers' own texts and records, timed by the track.
+
+Thinkware, Nextbase and many others write RMC sentences; Garmin, DJI, Kingslim, Rove, Neoline and Vantrue's N2S have
+their own forms, as ExifTool's documentation of QuickTime streams lists them (exiftool.org).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+from track_range.recording.telemetry.containers.free_gps import parse_free_gps
+from track_range.recording.telemetry.containers.ligogps import parse_ligo_text
+from track_range.recording.telemetry.containers.mp4_boxes import Movie, Track, read_samples
+from track_range.recording.telemetry.containers.nmea_text import has_rmc, rmc_samples
+from track_range.recording.telemetry.containers.samples import (
+    MAX_SAMPLES,
+    Sample,
+    Unit,
+    date_s,
+    degrees,
+    in_known_unit,
+    on_receiver_clock,
+    track,
+)
+from track_range.recording.telemetry.sidecars.units import MPS_PER_UNIT
+from track_range.recording.telemetry.track import TelemetryTrack
+
+MAX_TEXT_BYTES = 4096
+"""Bytes of a sample that are read."""
+
+_PROBED_SAMPLES = 600
+"""Number of samples at the start of a track in which the first record must be found."""
+
+_HANDLERS = (b"sbtl", b"text", b"subt", b"clcp", b"data", b"meta", b"camm", b"hint")
+_FORMATS = (b"tx3g", b"text", b"sbtt", b"mett", b"camm", b"gpmd", b"ssmd")
+_NO_COORDINATE = 4294967295.0
+"""Coordinate of 32- and 40-byte records without a fix."""
+
+_DJI = re.compile(rb"GPS ?\(([-+.\d]+), ?([-+.\d]+)[^)]*\).*?H\.S ([-+.\d]+)m/s", re.DOTALL)
+
+
+def read_text_tracks(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:
+    """Telemetry of the first track of a movie with readable records; None = there is none."""
+    for part in movie.tracks:
+        if part.handler in _HANDLERS or part.format in _FORMATS:
+            telemetry = _read_track(file, movie, part, path)
+            if telemetry:
+                return telemetry
+    return None
+
+
+def _read_track(file: BinaryIO, movie: Movie, part: Track, path: Path) -> TelemetryTrack | None:
+    times_s: list[float] = []
+    texts: list[bytes] = []
+    reader: Callable[[bytes], Sample | None] | None = None
+    for index, content in read_samples(file, part, range(min(len(part), MAX_SAMPLES)), MAX_TEXT_BYTES):
+        text = _plain(content)
+        if reader is None:
+            reader = _reader(text)
+        if reader is None and index >= _PROBED_SAMPLES:
+            return None
+        if reader is not None and (reader is not _rmc or has_rmc(text)):
+            times_s.append(float(part.time_s[index]) - movie.start_s)
+            texts.append(text)
+    if reader is None:
+        return None
+    read = rmc_samples(texts, str(path)) if reader is _rmc else [reader(text) for text in texts]
+    samples = [sample.at(time_s) for sample, time_s in zip(read, times_s, strict=True) if sample]
+    name, unit = _FORMS[reader]
+    if movie.video is None:
+        samples = on_receiver_clock(samples)
+    checked, notes = in_known_unit(samples, unit)
+    return track(checked, name, notes=notes)
+
+
+def _plain(content: bytes) -> bytes:
+    """Text of a sample without its length before and the box `encd` after it, in plain characters."""
+    content = content.removesuffix(b"\0\0\0\x0cencd\0\0\x01\0")
+    if len(content) >= 2 and int.from_bytes(content[:2], "big") == len(content) - 2:
+        content = content[2:]
+    if content[:1] == b"\0" and content[-1:] == b"\n" and len(content) > 5:  # E-PRANCE: all characters are shifted
+        shift = ord("*") - content[-4]
+        shifted = bytes((byte + shift) & 0xFF for byte in content[1:-1])
+        return shifted if has_rmc(shifted) else content
+    return content
+
+
+def _reader(text: bytes) -> Callable[[bytes], Sample | None] | None:
+    """The reader of the form of a sample; None = unknown."""
+    if has_rmc(text):
+        return _rmc
+    return next((form for form in _FORMS if form is not _rmc and form(text) is not None), None)
+
+
+def _rmc(_text: bytes) -> Sample | None:
+    """None: RMC sentences are read together, by `rmc_samples`."""
+    return None
+
+
+def _garmin(text: bytes) -> Sample | None:
+    """Garmin Dash Cam: PNDM, speed in miles per hour, coordinates in units of 180 / 2^31 degrees; big-endian."""
+    start = 4 if text[4:8] == b"PNDM" else 0
+    if text[start : start + 4] != b"PNDM" or len(text) < start + 20:
+        return None
+    speed, latitude, longitude = struct.unpack_from(">Hxxii", text, start + 8)
+    if latitude == 0 and longitude == 0:
+        return Sample()
+    return Sample(
+        speed_mps=speed * MPS_PER_UNIT["mph"],
+        latitude_deg=latitude * 180 / 2**31,
+        longitude_deg=longitude * 180 / 2**31,
+    )
+
+
+def _dji(text: bytes) -> Sample | None:
+    """DJI: `GPS (longitude, latitude, ...), ... H.S 2.10m/s`."""
+    match = _DJI.search(text)
+    if not match:
+        return None
+    try:
+        longitude_deg, latitude_deg, speed_mps = (float(value) for value in match.groups())
+    except ValueError:
+        return None
+    return Sample(speed_mps=abs(speed_mps), latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+
+
+def _kingslim(text: bytes) -> Sample | None:
+    """Kingslim D4: the short layout of `freeGPS` records without header."""
+    if not re.match(rb".{24}[AV][NS0][EW0]", text, re.DOTALL) or len(text) < 44:
+        return None
+    record = parse_free_gps(bytes(16) + text)
+    return record.samples[0] if record else None
+
+
+def _vantrue(text: bytes) -> Sample | None:
+    """Vantrue N2S: FMAS, date and time at 0x60, status and hemispheres at 0x78, speed in miles per hour at 0x86."""
+    if text[:4] != b"FMAS" or len(text) < 0x8C or text[0x50:0x54] != b"SAMM":
+        return None
+    year, month, day, hour, minute, second = struct.unpack_from("<HBBBBB", text, 0x60)[:6]
+    utc_s = date_s(year, month, day, hour, minute, second)
+    status, east, north, east_deg, east_min, _, east_part, north_deg, north_min, north_part, mph, course_deg = (
+        struct.unpack_from("<cccBBBHBBHHH", text, 0x78)
+    )
+    if status != b"A":
+        return Sample(utc_s=utc_s)
+    longitude_deg = east_deg + (east_min + east_part / 6000) / 60
+    latitude_deg = north_deg + (north_min + north_part / 6000) / 60
+    return Sample(
+        math.nan,
+        utc_s,
+        mph * MPS_PER_UNIT["mph"],
+        course_deg % 360,
+        -latitude_deg if north == b"S" else latitude_deg,
+        -longitude_deg if east == b"W" else longitude_deg,
+    )
+
+
+def _rove(text: bytes) -> Sample | None:
+    """Rove R2-4K, 32 bytes, and Neoline, 40 bytes: coordinates, altitude, speed, date, time and course / 2.
+
+    Rove states knots and years since 2000, Neoline km/h and years since 1900.
+    """
+    if len(text) not in (32, 40):
+        return None
+    latitude, longitude, _, speed, year, month, day, hour, minute, second, half_course = struct.unpack_from(
+        "<ddiH6BB", text
+    )
+    utc_s = date_s(year + (1900 if year >= 100 else 2000), month, day, hour, minute, second)
+    if not math.isfinite(utc_s) or not all(math.isfinite(value) for value in (latitude, longitude)):
+        return None
+    if latitude == _NO_COORDINATE or longitude == _NO_COORDINATE or speed == 0xFFFF:
+        return Sample()  # its time is that of the camera, in another time zone
+    is_plain = abs(latitude) <= 90 and abs(longitude) <= 180 and len(text) == 40
+    return Sample(
+        math.nan,
+        utc_s,
+        speed * MPS_PER_UNIT["km/h" if len(text) == 40 else "kn"],
+        math.nan if half_course == 0xFF else half_course * 2.0 % 360,
+        latitude if is_plain else degrees(latitude),
+        longitude if is_plain else degrees(longitude),
+    )
+
+
+_FORMS: dict[Callable[[bytes], Sample | None], tuple[str, Unit]] = {
+    _rmc: ("NMEA subtitles", "known"),
+    _garmin: ("Garmin dashcam", "known"),
+    _dji: ("DJI subtitles", "known"),
+    parse_ligo_text: ("LIGO GPS", "assumed"),
+    _vantrue: ("Vantrue dashcam", "known"),
+    _kingslim: ("Kingslim dashcam", "known"),
+    _rove: ("SigmaStar dashcam", "known"),
+}
+"""Readers of the makers' own forms: name of the source, and what is known of the unit of the speed."""

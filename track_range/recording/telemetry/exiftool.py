@@ -1,0 +1,172 @@
+"""read_with_exiftool: telemetry that the program ExifTool finds in a video file, for formats that no reader here knows.
+
+ExifTool (exiftool.org) is used if it is installed. Its output is one JSON object; each record of a receiver is a
+"document", and the keys are DOCUMENT:TAG, such as "Doc12:GPSSpeed", or "Doc3-2:GPSSpeed" in a sample with several.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from track_range.foundation.files.structured_text import parse_json
+from track_range.recording.telemetry.containers.samples import MAX_SAMPLES, Sample, track
+from track_range.recording.telemetry.errors import TelemetryError
+from track_range.recording.telemetry.sidecars.units import MPS_PER_UNIT
+from track_range.recording.telemetry.track import TelemetryTrack
+
+TIMEOUT_S = 20.0
+"""Longest time in s that ExifTool may take; it reads files of unknown formats from start to end."""
+
+_MAX_OUTPUT_BYTES = 200_000_000
+"""Size limit of its output, bytes; an hour at 18 Hz has 25 MB."""
+
+_TAGS = (
+    *("GPSDateTime", "GPSLatitude", "GPSLongitude", "GPSSpeed", "GPSSpeedRef", "GPSTrack", "GPSMeasureMode"),
+    *("GPSStatus", "SampleTime", "SampleDuration"),
+)
+"""Tags that are read. `SampleTime` is the time in the video, s."""
+
+_KEY = re.compile(r"Doc(\d+)(?:-(\d+))?(?:-\d+)*:(\w+)")
+
+_UNITS = {"K": "km/h", "M": "mph", "N": "kn"}
+"""Units by GPSSpeedRef (Exif); without it, ExifTool's documentation states km/h."""
+
+_DATE = re.compile(r"(\d{4}):(\d\d):(\d\d) (\d\d):(\d\d):(\d\d)(\.\d+)?(Z?)")
+
+_MIN_MODE = 2
+"""Smallest GPSMeasureMode with a fix."""
+
+
+def read_with_exiftool(path: Path) -> TelemetryTrack | None:
+    """Telemetry that ExifTool finds in a file; None = it is not installed, or finds none.
+
+    Raises:
+        TelemetryError: it did not finish within `TIMEOUT_S`.
+    """
+    program = shutil.which("exiftool")
+    if program is None:
+        return None
+    options = ("-ee3", "-n", "-j", "-G3", "-api", "largefilesupport=1", *(f"-{tag}" for tag in _TAGS))
+    with tempfile.TemporaryFile() as output:
+        try:
+            subprocess.run(
+                [program, *options, str(path.absolute())],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.DEVNULL,
+                timeout=TIMEOUT_S,
+                check=False,  # it fails with partial output, too
+            )
+        except subprocess.TimeoutExpired as error:
+            raise TelemetryError(f"{path}: exiftool did not finish within {TIMEOUT_S:.0f} s.") from error
+        except OSError:
+            return None
+        if os.fstat(output.fileno()).st_size > _MAX_OUTPUT_BYTES:
+            return None
+        output.seek(0)
+        text = output.read().decode("utf-8", "replace")
+    try:
+        content = parse_json(text, path, TelemetryError, "the output of exiftool")
+    except TelemetryError:
+        return None
+    return track_of_records(content[0]) if isinstance(content, list) and content else None
+
+
+def track_of_records(record: object) -> TelemetryTrack | None:
+    """Telemetry of the JSON object of a file; None = it has no records of a receiver.
+
+    Times are those in the video where ExifTool states them for all records, otherwise those of the receiver.
+    """
+    if not isinstance(record, Mapping):
+        return None
+    documents = _documents(record)
+    times_s = _times_s(documents)
+    gps = {key: tags for key, tags in documents.items() if "GPSLatitude" in tags or "GPSSpeed" in tags}
+    samples = [_sample(tags, times_s.get(key, math.nan)) for key, tags in sorted(gps.items())[:MAX_SAMPLES]]
+    if not samples:
+        return None
+    is_timed = all(math.isfinite(sample.time_s) for sample in samples)
+    if not is_timed:
+        samples = [sample.at(sample.utc_s) for sample in samples]
+    is_utc = all(str(tags.get("GPSDateTime", "Z")).endswith("Z") for tags in gps.values())
+    telemetry = track(
+        samples,
+        "ExifTool",
+        "video" if is_timed else "utc" if is_utc else "local",
+        has_own_speed=any("GPSSpeed" in tags for tags in gps.values()),
+    )
+    states_unit = all("GPSSpeedRef" in tags for tags in gps.values())
+    return None if telemetry is None else replace(telemetry, states_unit=states_unit)
+
+
+_Document = tuple[int, int]
+"""Numbers of a document: Doc3-2 is (3, 2), and Doc3 is (3, 0)."""
+
+
+def _documents(record: Mapping[Any, Any]) -> dict[_Document, dict[str, Any]]:
+    """Tags by document."""
+    documents: dict[_Document, dict[str, Any]] = {}
+    for key, value in record.items():
+        match = _KEY.fullmatch(str(key))
+        if match and match[3] in _TAGS:
+            documents.setdefault((int(match[1]), int(match[2] or 0)), {})[match[3]] = value
+    return documents
+
+
+def _times_s(documents: Mapping[_Document, Mapping[str, Any]]) -> dict[_Document, float]:
+    """Times in the video by document, s; the records of one sample are spread over its duration."""
+    times_s = {}
+    parts: dict[int, list[_Document]] = {}
+    for key in sorted(documents):
+        parts.setdefault(key[0], []).append(key)
+    for keys in parts.values():
+        timed = next((key for key in keys if "SampleTime" in documents[key]), None)
+        if timed is None:
+            continue
+        start_s, duration_s = (_number(documents[timed], name) for name in ("SampleTime", "SampleDuration"))
+        has_gps = [key for key in keys if "GPSLatitude" in documents[key] or "GPSSpeed" in documents[key]]
+        step_s = duration_s / len(has_gps) if has_gps and math.isfinite(duration_s) else 0.0
+        for i, key in enumerate(has_gps):
+            own_s = _number(documents[key], "SampleTime")
+            times_s[key] = own_s if key != timed and math.isfinite(own_s) else start_s + i * step_s
+    return times_s
+
+
+def _sample(tags: Mapping[str, Any], time_s: float) -> Sample:
+    """A record as a sample; without speed and position if it states that there is no fix."""
+    mode, status = _number(tags, "GPSMeasureMode"), str(tags.get("GPSStatus", "A"))
+    latitude_deg, longitude_deg = _number(tags, "GPSLatitude"), _number(tags, "GPSLongitude")
+    utc_s = _date_s(str(tags.get("GPSDateTime", "")))
+    is_void = latitude_deg == longitude_deg == 0 or mode < _MIN_MODE or status not in ("A", "Active")
+    if is_void:
+        return Sample(time_s, utc_s)
+    factor = MPS_PER_UNIT[_UNITS.get(str(tags.get("GPSSpeedRef", "K"))[:1], "km/h")]
+    speed_mps = factor * _number(tags, "GPSSpeed")
+    return Sample(time_s, utc_s, speed_mps, _number(tags, "GPSTrack"), latitude_deg, longitude_deg)
+
+
+def _number(tags: Mapping[str, Any], name: str) -> float:
+    value = tags.get(name)
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+
+
+def _date_s(text: str) -> float:
+    """Seconds since 1970 of a date and time of ExifTool; NaN = it is none."""
+    match = _DATE.match(text)
+    if match is None:
+        return math.nan
+    try:
+        whole = datetime(*(int(part) for part in match.groups()[:6]), tzinfo=UTC)  # type: ignore[arg-type,misc]
+    except ValueError:
+        return math.nan
+    return whole.timestamp() + float(match[7] or 0.0)

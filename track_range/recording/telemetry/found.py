@@ -1,0 +1,184 @@
+"""found_telemetry: telemetry of the files of a recording on the clock of the recording, in a fixed order of preference.
+
+    inside the video file  >  beside it, with its name: GPX, NMEA, SRT, CSV, 70mai's and BlackVue's logs
+
+Telemetry that cannot be used is a note, and the next file is tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from track_range.recording.files.video_part import VideoPart
+from track_range.recording.telemetry.checks import selected, usable
+from track_range.recording.telemetry.containers.embedded import embedded
+from track_range.recording.telemetry.errors import TelemetryError
+from track_range.recording.telemetry.exiftool import read_with_exiftool
+from track_range.recording.telemetry.sidecars.reading import read_sidecar, sidecar_names
+from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.video_clock import VideoClock, on_video_clock
+
+_MAX_NOTES = 3
+"""Largest number of messages about telemetry that is not used."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FoundTelemetry:
+    """Telemetry of a recording.
+
+    Attributes:
+        track: samples in seconds from the first frame of the recording; None = none can be used.
+        sigma_s: standard deviation of their time offset.
+        notes: messages for the user.
+        files: the files that were read, besides the videos.
+    """
+
+    track: TelemetryTrack | None = None
+    sigma_s: float = 0.0
+    notes: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
+
+
+Read = Callable[[VideoPart], tuple[TelemetryTrack, Path] | None]
+"""Reader of the telemetry of one video file; None = it has none."""
+
+
+def candidates(parts: Sequence[VideoPart]) -> Iterator[FoundTelemetry]:
+    """Telemetry of a recording from each source that has any, best first; without a track where none can be used."""
+    for read in (_inside, _beside):
+        telemetry = _of_parts(parts, read)
+        if telemetry.track is not None or telemetry.notes:
+            yield telemetry
+
+
+def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
+    """Telemetry of a file that the user names, for the whole recording.
+
+    Raises:
+        TelemetryError: it cannot be used.
+    """
+    first = parts[0]
+    whole_s = max(part.start_s + part.duration_s for part in parts) if first.duration_s else 0.0
+    recording = replace(first, duration_s=whole_s)
+    is_sidecar = path.suffix.lower() in (".gpx", ".srt", ".csv", ".nmea", ".txt", ".gps")
+    track = read_sidecar(path, first.path.name, whole_s) if is_sidecar else _in_video(path)
+    if track is None:
+        raise TelemetryError(f"{path}: expected speeds or positions with times, found none.")
+    clock = _checked(track, path, recording)
+    return FoundTelemetry(
+        track=clock.track,
+        sigma_s=clock.sigma_s,
+        notes=tuple(f"{path.name}: {note}" for note in (*clock.track.notes, *clock.notes)),
+        files=(path,),
+    )
+
+
+def _inside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
+    if not part.path.is_file():
+        return None
+    track = _in_video(part.path)
+    if track is None:
+        return None
+    return track, part.path
+
+
+def _in_video(path: Path) -> TelemetryTrack | None:
+    """Telemetry inside a video file: of our readers, otherwise of ExifTool.
+
+    Raises:
+        TelemetryError: the file cannot be read, or has telemetry of an unknown layout.
+    """
+    try:
+        track, problem = embedded(path), None
+    except TelemetryError as error:
+        track, problem = None, error
+    if track is None:
+        track = read_with_exiftool(path)
+    if track is None and problem is not None:
+        raise problem
+    return track
+
+
+def _beside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
+    """The first usable file beside a video; the error of the first unusable one if there is none."""
+    problem: TelemetryError | None = None
+    for name in sidecar_names(part.path.name):
+        path = part.path.parent / name
+        if not path.is_file() or path == part.path:
+            continue
+        try:
+            track = read_sidecar(path, part.path.name, part.duration_s)
+            if track is not None:
+                _checked(track, path, part)  # another file may be better
+                return track, path
+        except TelemetryError as error:
+            problem = problem or error
+    if problem is not None:
+        raise problem
+    return None
+
+
+def _checked(track: TelemetryTrack, path: Path, part: VideoPart) -> VideoClock:
+    """A track without wild samples on the clock of its video.
+
+    Raises:
+        TelemetryError: it cannot be used; with the path.
+    """
+    try:
+        return on_video_clock(usable(track), part)
+    except TelemetryError as error:
+        raise TelemetryError(f"{path}: {'' if track.source == path.name else f'{track.source}: '}{error}") from error
+
+
+def _of_parts(parts: Sequence[VideoPart], read: Read) -> FoundTelemetry:
+    """Telemetry of all video files from one source."""
+    tracks: list[TelemetryTrack] = []
+    notes: list[str] = []
+    files: list[Path] = []
+    sigma_s = 0.0
+    for part in parts:
+        try:
+            track_and_path = read(part)
+            if track_and_path is None:
+                continue
+            track, path = track_and_path
+            clock = _checked(track, path, part)
+        except TelemetryError as error:
+            notes.append(f"Telemetry is not used: {error}")
+            continue
+        source = track.source if path != part.path else f"{track.source} in {path.name}"
+        tracks.append(replace(clock.track, time_s=clock.track.time_s + part.start_s, source=source))
+        notes += [f"{path.name}: {note}" for note in (*clock.track.notes, *clock.notes)]
+        sigma_s = max(sigma_s, clock.sigma_s)
+        files += [path] if path != part.path else []
+    shown = tuple(dict.fromkeys(notes))[:_MAX_NOTES]
+    if not tracks:
+        return FoundTelemetry(notes=shown)
+    return FoundTelemetry(track=_joined(tracks), sigma_s=sigma_s, notes=shown, files=tuple(files))
+
+
+def _joined(tracks: Sequence[TelemetryTrack]) -> TelemetryTrack:
+    """Tracks of successive files as one; where two overlap, the later one begins after the earlier one."""
+    first = tracks[0]
+    if len(tracks) == 1:
+        return first
+    last_s, later = -np.inf, list[TelemetryTrack]()
+    for track in tracks:
+        later.append(selected(track, track.time_s > last_s))
+        last_s = max(last_s, float(track.time_s[-1]))
+    others = len(tracks) - 1
+    return replace(
+        first,
+        time_s=np.concatenate([track.time_s for track in later]),
+        speed_mps=np.concatenate([track.speed_mps for track in later]),
+        course_rad=np.concatenate([track.course_rad for track in later]),
+        latitude_deg=np.concatenate([track.latitude_deg for track in later]),
+        longitude_deg=np.concatenate([track.longitude_deg for track in later]),
+        utc_s=np.concatenate([track.utc_s for track in later]),
+        source=f"{first.source} and {others} other file{'' if others == 1 else 's'}",
+        speed_sigma_mps=max(track.speed_sigma_mps for track in tracks),
+    )

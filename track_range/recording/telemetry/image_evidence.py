@@ -1,0 +1,212 @@
+"""Motion in the first seconds of a video, and whether telemetry contradicts it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing, suppress
+from pathlib import Path
+
+import av
+import numpy as np
+from av.container import InputContainer
+from av.packet import Packet
+from av.video.stream import VideoStream
+
+from track_range.foundation.arrays import Image
+from track_range.foundation.errors import UserError
+from track_range.ranging.ego_speed import EgoSpeed
+from track_range.recording.frame import TIME_EPSILON_S
+from track_range.recording.names import RecordedName
+from track_range.recording.reader import VideoReader
+from track_range.recording.telemetry.time_offset import MAX_OFFSET_S, MotionSeries
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.odometry.image_motion import ImageMotionEstimator
+
+SPAN_S = 30.0
+"""Length of the video, s, from which motion is measured before a run: three times the largest offset on both sides."""
+
+_STEP_S = 0.095
+"""Shortest time between two images that are compared, s: 10 Hz."""
+
+_N_PAIRS = 30
+"""Number of pairs of images in the part that is read. With one pair per second, offsets of simulated drives (city,
+seeds 1 and 2, and queue, seed 2) have the same errors as with ten, and at most 1.5 times their sigma."""
+
+_MIN_PAIRS = 20
+"""Smallest number of pairs with which a time offset can be estimated; with fewer key frames, all frames are decoded."""
+
+_MAX_GROUP_S = 1.5
+"""Longest time between two key frames with which only pairs are decoded, s."""
+
+_MAX_DECODED_PX, _MIN_DECODED = 250e6, 60
+"""Largest number of pixels to decode before a run, which takes about 1.5 s, and number of frames that are decoded
+anyway."""
+
+_CLAIMED_MPS = 3.0
+"""Speed in m/s that a camera at rest cannot have; below it, receivers state noise of cars that stand."""
+
+_MIN_STILL = 10
+"""Number of images at rest, 1 s, from which telemetry can contradict them."""
+
+_MAX_CONTRADICTED = 0.5
+"""Largest share of images at rest at which telemetry may state a motion: most errors of the measurement are single."""
+
+_MOVING_HZ = 0.2
+"""Expansion of images that only a moving camera has, 1/s: 2 m/s at a typical depth of 10 m."""
+
+_STANDING_MPS = 0.3
+"""Largest speed in m/s that telemetry states for a car at rest."""
+
+
+def motion_of(
+    video: RecordedName, camera: PinholeCamera, *, start_s: float, folder_fps: float, span_s: float = SPAN_S
+) -> MotionSeries:
+    """Motion of the images of a video from `start_s` on; empty if they cannot be read.
+
+    Of a file with frequent key frames, only these and the frames 0.1 s later are decoded; otherwise all frames.
+
+    Args:
+        video: the left video.
+        camera: its approximate camera.
+        start_s: start in seconds from the first frame.
+        folder_fps: frame rate of folders without timestamps.
+        span_s: length of the part to read; less is read of large images (`_MAX_DECODED_PX`).
+    """
+    rows: list[tuple[float, float, float, float]] = []
+    with suppress(UserError, av.FFmpegError):  # the run reports what it cannot read
+        reader = VideoReader(video, folder_fps=folder_fps, start_s=start_s, duration_s=span_s)
+        if (reader.width_px, reader.height_px) != (camera.width_px, camera.height_px):
+            camera = _resized(camera, reader.width_px, reader.height_px)
+        estimator = ImageMotionEstimator(camera)
+        with closing(reader), closing(_images(video, reader, start_s, span_s)) as images:
+            for time_s, image in images:
+                motion = estimator.update(image, time_s)
+                if motion.is_known:
+                    middle_s = time_s - motion.dt_s / 2
+                    rows.append((middle_s, motion.yaw_rad_s, motion.expansion_hz, float(motion.is_still)))
+    values = np.array(rows).reshape(-1, 4)
+    return MotionSeries(
+        time_s=values[:, 0], yaw_rad_s=values[:, 1], expansion_hz=values[:, 2], is_still=values[:, 3] > 0
+    )
+
+
+def _images(
+    video: RecordedName, reader: VideoReader, start_s: float, span_s: float
+) -> Generator[tuple[float, Image], None, None]:
+    """Times in seconds from the first frame, and images."""
+    n_left = max(round(_MAX_DECODED_PX / (reader.width_px * reader.height_px)), _MIN_DECODED)
+    from_s = reader.first_time_s + start_s
+    length_s = min(span_s, reader.n_frames / reader.fps if reader.n_frames else span_s)
+    if isinstance(video, Path) and reader.is_upright_file and _key_interval_s(video, from_s) <= length_s / _MIN_PAIRS:
+        for time_s, image in _pairs(video, from_s, from_s + span_s, length_s / _N_PAIRS, n_left):
+            if image.shape != (reader.height_px, reader.width_px):
+                return
+            yield time_s - reader.first_time_s, image
+        return
+    due_s = -np.inf
+    with closing(iter(reader)) as frames:
+        for frame in itertools.islice(frames, n_left):
+            time_s = frame.time_s - reader.first_time_s
+            if time_s >= due_s:
+                due_s = time_s + _STEP_S
+                yield time_s, frame.image
+
+
+def _packets(container: InputContainer, from_s: float) -> Generator[tuple[float, Packet[VideoStream]], None, None]:
+    """Times and packets of the first video track from the key frame before `from_s` on, up to one without a time."""
+    stream = container.streams.video[0]
+    base_s = float(stream.time_base or 1)
+    if from_s > _MAX_GROUP_S:
+        container.seek(int(from_s / base_s), stream=stream)
+    for packet in container.demux(stream):
+        if packet.pts is None:
+            return
+        yield packet.pts * base_s, packet
+
+
+def _key_interval_s(path: Path, from_s: float) -> float:
+    """Time between the first two key frames; infinite if it is longer than `_MAX_GROUP_S`."""
+    with av.open(str(path)) as container:
+        first_s: float | None = None
+        for time_s, packet in _packets(container, from_s):
+            if first_s is not None and time_s > first_s + _MAX_GROUP_S:
+                break
+            if packet.is_keyframe and first_s is not None:
+                return time_s - first_s
+            if packet.is_keyframe:
+                first_s = time_s
+    return np.inf
+
+
+def _pairs(
+    path: Path, from_s: float, until_s: float, spacing_s: float, n_left: int
+) -> Generator[tuple[float, Image], None, None]:
+    """Times and grey images of pairs: a key frame, and the first frame at least `_STEP_S` later.
+
+    Args:
+        path: the video file.
+        from_s: time of the first pair in the file.
+        until_s: end of the part to read.
+        spacing_s: shortest time between two pairs.
+        n_left: number of frames to decode at most.
+    """
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        decoder, base_s = stream.codec_context, float(stream.time_base or 1)
+        decoder.thread_type = "SLICE"  # threads by frame delay the images
+        decoder.skip_frame = "NONREF"  # frames that no other one needs
+        due_s, key_s = from_s, -np.inf
+        group: list[Packet[VideoStream]] = []
+        for packet_s, packet in _packets(container, from_s):
+            if packet_s >= until_s or n_left <= 0:
+                return
+            if packet.is_keyframe and packet_s >= due_s - TIME_EPSILON_S:
+                group, key_s, due_s = [packet], packet_s, packet_s + spacing_s
+            elif group:
+                group.append(packet)
+                if packet_s >= key_s + _STEP_S:
+                    frames = [frame for one in (*group, None) for frame in decoder.decode(one)]
+                    decoder.flush_buffers()
+                    n_left, group = n_left - len(frames), []
+                    yield from _pair(frames, key_s, base_s)
+
+
+def _pair(frames: Sequence[av.VideoFrame], key_s: float, base_s: float) -> Iterator[tuple[float, Image]]:
+    """Times and grey images of the frame at `key_s`, and of the first one at least `_STEP_S` later."""
+    times_s = [np.nan if frame.pts is None else frame.pts * base_s for frame in frames]
+    first = next((i for i, time_s in enumerate(times_s) if abs(time_s - key_s) <= TIME_EPSILON_S), None)
+    second = next((i for i, time_s in enumerate(times_s) if time_s >= key_s + _STEP_S), None)
+    if first is not None and second is not None:
+        yield from ((times_s[i], np.asarray(frames[i].to_ndarray(format="gray"), np.uint8)) for i in (first, second))
+
+
+def contradiction(motion: MotionSeries, ego: EgoSpeed) -> str | None:
+    """Contradiction between the images and the speed, as the end of a sentence; None = none is visible.
+
+    A time offset of up to `MAX_OFFSET_S` is allowed.
+    """
+    claims = np.array([_extremes_mps(ego, time_s) for time_s in motion.time_s.tolist()]).reshape(-1, 2)
+    known = np.isfinite(claims[:, 0])
+    still = motion.is_still & known
+    if still.sum() >= _MIN_STILL:
+        is_false = claims[still, 0] > _CLAIMED_MPS
+        if is_false.mean() > _MAX_CONTRADICTED:
+            claimed_kmh = 3.6 * float(np.median(claims[still, 0][is_false]))
+            return f"it states {claimed_kmh:.0f} km/h while the camera is at rest"
+    moving = (motion.expansion_hz > _MOVING_HZ) & ~motion.is_still & known
+    if moving.sum() >= _MIN_STILL and (claims[moving, 1] < _STANDING_MPS).mean() > _MAX_CONTRADICTED:
+        return "it states that the car is at rest while the camera moves"
+    return None
+
+
+def _extremes_mps(ego: EgoSpeed, time_s: float) -> tuple[float, float]:
+    """Smallest and largest speed within the largest offset of a time; NaN = unknown."""
+    speeds = [abs(ego.at(time_s + offset_s)) for offset_s in np.linspace(-MAX_OFFSET_S, MAX_OFFSET_S, 13).tolist()]
+    known = [speed for speed in speeds if np.isfinite(speed)]
+    return (min(known), max(known)) if known else (np.nan, np.nan)
+
+
+def _resized(camera: PinholeCamera, width_px: int, height_px: int) -> PinholeCamera:
+    """The camera for images of another size, which the rectification or a crop of the pair changes."""
+    return PinholeCamera(camera.fx_px, camera.fy_px, (width_px - 1) / 2, (height_px - 1) / 2, width_px, height_px)

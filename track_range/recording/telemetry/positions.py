@@ -1,0 +1,83 @@
+"""Speed and course from positions, for files that state no speed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.recording.telemetry.track import Clock, TelemetryTrack
+
+EARTH_RADIUS_M = 6_371_008.8
+"""Mean radius of the Earth in metres (IUGG)."""
+
+_MIN_STEP_S = 0.9
+"""Shortest time between two positions from which a speed is computed: receivers repeat positions between their fixes,
+and at 1 Hz the noise of a position, about 0.2 m from fix to fix, is 0.3 m/s."""
+
+_POSITION_SPEED_SIGMA_MPS = 0.5
+"""Standard deviation of such speeds in m/s; assumed, see `_MIN_STEP_S`, with the rounding of times to 0.01 s."""
+
+
+def has_position(latitude_deg: FloatArray, longitude_deg: FloatArray) -> BoolArray:
+    """(N,) whether there is a position; 0, 0 is that of receivers without a fix."""
+    is_known = np.isfinite(latitude_deg) & np.isfinite(longitude_deg)
+    return is_known & ((np.abs(latitude_deg) > 1e-6) | (np.abs(longitude_deg) > 1e-6))
+
+
+def steps_m(latitude_deg: FloatArray, longitude_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(N - 1,) northward and eastward distance from each position to the next, on a sphere, for short steps."""
+    lat_rad, lon_rad = np.radians(latitude_deg), np.radians(longitude_deg)
+    east_rad = np.remainder(np.diff(lon_rad) + np.pi, 2 * np.pi) - np.pi
+    middle_rad = (lat_rad[1:] + lat_rad[:-1]) / 2
+    return np.diff(lat_rad) * EARTH_RADIUS_M, east_rad * np.cos(middle_rad) * EARTH_RADIUS_M
+
+
+def thinned(time_s: FloatArray, min_step_s: float = _MIN_STEP_S) -> list[int]:
+    """Indices of samples at least `min_step_s` apart, in the order of increasing times."""
+    kept: list[int] = []
+    for index in np.argsort(time_s, kind="stable").tolist():
+        if not kept or time_s[index] - time_s[kept[-1]] >= min_step_s:
+            kept.append(index)
+    return kept
+
+
+def speed_from_positions(
+    time_s: FloatArray,
+    latitude_deg: FloatArray,
+    longitude_deg: FloatArray,
+    utc_s: FloatArray,
+    *,
+    source: str,
+    clock: Clock,
+) -> TelemetryTrack | None:
+    """Telemetry with the speed and course between successive positions, at the middle of each step.
+
+    Args:
+        time_s: (N,) times of the positions.
+        latitude_deg: (N,) NaN = unknown.
+        longitude_deg: (N,) NaN = unknown.
+        utc_s: (N,) date and time of the positions, NaN = unknown.
+        source: origin of the positions.
+        clock: clock of `time_s`.
+
+    Returns:
+        None if there are fewer than two positions.
+    """
+    known = np.flatnonzero(has_position(latitude_deg, longitude_deg) & np.isfinite(time_s))
+    index = known[thinned(time_s[known])] if len(known) else known
+    if len(index) < 2:
+        return None
+    north_m, east_m = steps_m(latitude_deg[index], longitude_deg[index])
+    step_s = np.diff(time_s[index])
+    return TelemetryTrack(
+        time_s=(time_s[index][1:] + time_s[index][:-1]) / 2,
+        speed_mps=np.hypot(north_m, east_m) / step_s,
+        course_rad=np.where(np.hypot(north_m, east_m) > 0, np.arctan2(east_m, north_m) % (2 * np.pi), np.nan),
+        latitude_deg=(latitude_deg[index][1:] + latitude_deg[index][:-1]) / 2,
+        longitude_deg=longitude_deg[index][:-1],
+        utc_s=(utc_s[index][1:] + utc_s[index][:-1]) / 2,
+        source=source,
+        clock=clock,
+        speed_sigma_mps=_POSITION_SPEED_SIGMA_MPS,
+        has_own_speed=False,
+    )

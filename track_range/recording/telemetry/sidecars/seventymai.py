@@ -1,0 +1,86 @@
+"""GPS logs of 70mai dashcams (GPSData000001.txt): `$V02`, then a line per fix with the name of the video.
+
+    seconds,A|V,latitude,longitude,course in 0.01 deg,speed in 0.01 m/s,gx,gy,gz,VIDEO.MP4,0,0,0
+
+The seconds are since 1970, of a clock whose time zone is unknown and which differs from that of the videos' names. The
+rows of one video follow those of the one before it, which gives the start of the video to about a second.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from track_range.foundation.files.input_files import first_line, read_text
+from track_range.foundation.files.numeric_text import numbers
+from track_range.recording.telemetry.errors import TelemetryError
+from track_range.recording.telemetry.track import Clock, TelemetryTrack
+
+_MAX_BYTES = 200_000_000
+"""Size limit of a log, bytes; a day at 1 Hz has 8 MB."""
+
+_N_CELLS = 10
+_MAX_STEP_S = 5.0
+"""Largest time between the last row of a video and the first one of the next, if the recording did not stop between."""
+
+_COURSE_SCALE, _SPEED_SCALE = 0.01, 0.01
+"""Degrees and m/s per unit of the columns; as documented by users of several models, and the noise of parked cars."""
+
+
+def read_seventymai(path: Path, video: str, duration_s: float) -> TelemetryTrack | None:
+    """Telemetry of a video in a log of 70mai; None = the file is another text.
+
+    Args:
+        path: the log.
+        video: name of the video file. If the log has no rows of it, all rows are used.
+        duration_s: length of the video; 0 = unknown.
+
+    Raises:
+        TelemetryError: the file cannot be read.
+    """
+    if not first_line(path, TelemetryError, "a log of a 70mai dashcam").startswith("$V0"):
+        return None
+    text = read_text(path, TelemetryError, "a log of a 70mai dashcam", max_bytes=_MAX_BYTES)
+    cells = [line.split(",") for line in text.splitlines()]
+    rows = [row for row in cells if len(row) >= _N_CELLS and row[1] in ("A", "V")]
+    values = np.array([[*numbers(row[:1]), *numbers(row[2:6])] for row in rows]).reshape(-1, 5)
+    is_dated = np.isfinite(values[:, 0]) & (values[:, 0] > 0)
+    names = [_base(row[9]) for row in rows]
+    own = [index for index, name in enumerate(names) if name == _base(video) and is_dated[index]]
+    index = np.array(own or np.flatnonzero(is_dated), np.int64)
+    if not len(index):
+        return None
+    time_s, clock = values[index, 0], "local"
+    start_s = _start_s(values[:, 0], own, duration_s) if own else math.nan
+    if math.isfinite(start_s):
+        time_s, clock = time_s - start_s, "video"
+    has_fix = np.array([rows[i][1] == "A" for i in index.tolist()])
+    lat, lon, course, speed = (np.where(has_fix, values[index, column], np.nan) for column in range(1, 5))
+    known_clock: Clock = "video" if clock == "video" else "local"
+    return TelemetryTrack(
+        time_s=time_s,
+        speed_mps=np.abs(speed) * _SPEED_SCALE,
+        course_rad=np.radians(course * _COURSE_SCALE),
+        latitude_deg=lat,
+        longitude_deg=lon,
+        utc_s=values[index, 0],
+        source=path.name,
+        clock=known_clock,
+    )
+
+
+def _start_s(seconds: np.ndarray, own: list[int], duration_s: float) -> float:
+    """Time of the log at the start of the video with the rows `own`; NaN = unknown."""
+    first, last = own[0], own[-1]
+    if first > 0 and 0 < seconds[first] - seconds[first - 1] <= _MAX_STEP_S:
+        return float(seconds[first])
+    if duration_s > 0 and last + 1 < len(seconds) and 0 < seconds[last + 1] - seconds[last] <= _MAX_STEP_S:
+        return float(seconds[last + 1] - duration_s)
+    return math.nan
+
+
+def _base(name: str) -> str:
+    """Name of a video without its suffix and the letter of the camera."""
+    return name.strip().rpartition(".")[0].rstrip("FBRI").lower()

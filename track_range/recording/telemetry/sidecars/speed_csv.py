@@ -1,0 +1,178 @@
+"""CSV files with speeds or positions: those of loggers, of extraction tools, and of apps.
+
+The columns are found by their names. A speed needs a unit in its heading (`speed_kmh`, `Speed (m/s)`, `speed [kn]`);
+without one, it is inferred if the file has positions too, and the file is refused otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
+from track_range.foundation.files.input_files import shortened
+from track_range.foundation.files.numeric_text import numbers
+from track_range.recording.telemetry.errors import TelemetryError
+from track_range.recording.telemetry.positions import speed_from_positions
+from track_range.recording.telemetry.sidecars.units import MPS_PER_UNIT, unit_in
+from track_range.recording.telemetry.track import Clock, TelemetryTrack
+
+_SPEED = re.compile(r"speed|velocity|(?<![a-z])v(?:el)?_(?:mps|kmh)")
+_NOT_SPEED = re.compile(
+    r"vertical|3d|accuracy|limit|wind|sigma|error|z.?speed|angular|fan|engine|rpm|unit|"
+    r"max|avg|average|target|lead|diff|delta|cruise|allowed|(?<![a-z])set(?![a-z])"
+)
+_LATITUDE, _LONGITUDE = (
+    re.compile(r"(?<![a-z])lat(?:itude)?(?![a-z])"),
+    re.compile(r"(?<![a-z])(?:lon|lng|long)(?:gitude|itude)?(?![a-z])"),
+)
+_COURSE = re.compile(r"(?<![a-z])(?:course|heading|bearing|track)(?![a-z])")
+_VIDEO_TIME = re.compile(r"^(?:time_s|t|seconds?|elapsed.*|video_?time.*|cts|time ?\(?\[?s\)?\]?|offset.*)$")
+_CLOCK_TIME = re.compile(r"(?:^|[^a-z])(?:utc|date|time|timestamp|datetime|epoch|gpstime)(?:$|[^a-z])")
+
+_EPOCH_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0))
+"""Smallest value and seconds per unit of times since 1970 in nanoseconds, microseconds, milliseconds and seconds."""
+
+_UNIT_TOLERANCE = 0.08
+"""Largest relative difference between the factor of a unit and the ratio of speeds to those from positions: the units
+km/h, mph, kn and m/s differ by at least 13 %."""
+
+_MIN_MOVING, _MOVING_MPS = 10, 3.0
+"""Number of samples, and their speed in m/s, from which a unit is inferred."""
+
+
+def is_telemetry_csv(table: CsvTable) -> bool:
+    """Whether a table has a column of speeds or positions, and of times."""
+    return bool(_columns(table, _SPEED, _NOT_SPEED) or _columns(table, _LATITUDE)) and _time_column(table) is not None
+
+
+def read_csv(path: Path) -> TelemetryTrack | None:
+    """Telemetry of a CSV file; None = the file has no columns of telemetry.
+
+    Raises:
+        TelemetryError: the file cannot be read, its times cannot, or its speeds have no unit.
+    """
+    table = read_csv_table(path, TelemetryError, "columns of times and speeds")
+    if not is_telemetry_csv(table) or not len(table):
+        return None
+    time_s, clock = _times(table)
+    latitude_deg, longitude_deg = _position(table)
+    known = np.flatnonzero(np.isfinite(time_s))
+    if not len(known):
+        raise TelemetryError(f"{path}: expected times in the column {_shown(_time_column(table))}, found none.")
+    utc_s = time_s if clock != "video" else np.full(len(time_s), np.nan)
+    positions = speed_from_positions(time_s, latitude_deg, longitude_deg, utc_s, source=path.name, clock=clock)
+    names = _columns(table, _SPEED, _NOT_SPEED)
+    if not names:
+        if positions is None:
+            raise TelemetryError(f"{path}: expected speeds, or at least two positions, found fewer.")
+        return positions
+    named = next((name for name in names if unit_in(name) is not None), names[0])
+    values, unit = table.numbers(named), unit_in(named)
+    notes: tuple[str, ...] = ()
+    if unit is None:
+        unit = inferred_unit(time_s, values, positions)
+        if unit is None:
+            raise TelemetryError(
+                f"{path}: expected a unit in the heading {_shown(named)}, found none; rename it to speed_mps or "
+                "speed_kmh."
+            )
+        notes = (f"the speeds have no unit; compared with the positions they are in {unit}.",)
+    course = _columns(table, _COURSE)
+    return TelemetryTrack(
+        time_s=time_s[known],
+        speed_mps=np.abs(values[known]) * MPS_PER_UNIT[unit],
+        course_rad=np.radians(table.numbers(course[0])[known]) if course else np.full(len(known), np.nan),
+        latitude_deg=latitude_deg[known],
+        longitude_deg=longitude_deg[known],
+        source=path.name,
+        clock=clock,
+        notes=notes,
+    )
+
+
+def inferred_unit(time_s: FloatArray, speed: FloatArray, positions: TelemetryTrack | None) -> str | None:
+    """The unit of speeds that agrees with those from positions; None = none does, or too few samples move.
+
+    Args:
+        time_s: (N,) times, NaN = unknown.
+        speed: (N,) speeds in the unknown unit, NaN = unknown.
+        positions: speeds from the positions of the same file; None = it has none.
+    """
+    known = np.isfinite(time_s) & np.isfinite(speed)
+    if positions is None or known.sum() < _MIN_MOVING:
+        return None
+    order = np.argsort(time_s[known], kind="stable")
+    stated = np.interp(positions.time_s, time_s[known][order], speed[known][order])
+    moving = (positions.speed_mps > _MOVING_MPS) & (stated > 0)
+    if moving.sum() < _MIN_MOVING:
+        return None
+    ratio = float(np.median(positions.speed_mps[moving] / stated[moving]))
+    unit = min(MPS_PER_UNIT, key=lambda name: abs(math.log(MPS_PER_UNIT[name] / ratio)))
+    return unit if abs(MPS_PER_UNIT[unit] / ratio - 1) <= _UNIT_TOLERANCE else None
+
+
+def _columns(table: CsvTable, name: re.Pattern[str], excluded: re.Pattern[str] | None = None) -> list[str]:
+    """Headings that match; those of repeated columns only once."""
+    return [
+        heading
+        for heading in dict.fromkeys(table.header)
+        if name.search(heading[:100]) and not (excluded and excluded.search(heading[:100]))
+    ]
+
+
+def _position(table: CsvTable) -> tuple[FloatArray, FloatArray]:
+    lat, lon = _columns(table, _LATITUDE), _columns(table, _LONGITUDE)
+    if not lat or not lon:
+        nothing = np.full(len(table), np.nan)
+        return nothing, nothing
+    return table.numbers(lat[0]), table.numbers(lon[0])
+
+
+def _time_column(table: CsvTable) -> str | None:
+    """The heading of the times: a date and time if there is one, else seconds of the video."""
+    clocks = _columns(table, _CLOCK_TIME, _VIDEO_TIME)
+    video = _columns(table, _VIDEO_TIME)
+    return next(iter((*[name for name in video if name == "time_s"], *clocks, *video)), None)
+
+
+def _times(table: CsvTable) -> tuple[FloatArray, Clock]:
+    """(N,) times, NaN = unknown, and their clock.
+
+    Raises:
+        TelemetryError: dates and times without time zone are mixed with others, or none can be read.
+    """
+    name = _time_column(table) or ""
+    texts = table.texts(name)
+    values = np.array(numbers(texts))
+    if np.isfinite(values).sum() > len(values) / 2:
+        typical = float(np.nanmedian(np.abs(values)))
+        for least, scale in _EPOCH_UNITS:
+            if typical > least:
+                return values * scale, "utc"
+        is_ms = name == "cts" or re.search(r"ms(?![a-z])|milli", name) is not None
+        return values * (1e-3 if is_ms else 1.0), "video"
+    return _dates(texts)
+
+
+def _dates(texts: Sequence[str]) -> tuple[FloatArray, Clock]:
+    """(N,) dates and times in ISO 8601 as seconds since 1970, and whether they state a time zone."""
+    seconds, n_zoned = np.full(len(texts), np.nan), 0
+    for index, text in enumerate(texts):
+        try:
+            moment = datetime.fromisoformat(text[:40].replace("/", "-"))
+            n_zoned += moment.tzinfo is not None
+            seconds[index] = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+        except (ValueError, OverflowError):
+            continue
+    return seconds, "utc" if n_zoned > len(texts) / 2 else "local"
+
+
+def _shown(name: str | None) -> str:
+    return shortened(repr(name))

@@ -1,0 +1,237 @@
+"""open_speed: the ego speed of a run, from its setting and from the telemetry of its recording.
+
+--ego-speed auto    ego_speed.csv or oxts beside the video  >  inside the video  >  beside it, with its name
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.files.csv_tables import read_csv_table
+from track_range.foundation.files.input_files import first_line
+from track_range.foundation.files.numeric_text import number
+from track_range.ranging.ego_speed import EgoSpeed, EgoSpeedError, open_ego_speed
+from track_range.recording.files.video_part import VideoPart
+from track_range.recording.live.reader import LiveReader
+from track_range.recording.recording import Recording
+from track_range.recording.telemetry.errors import TelemetryError
+from track_range.recording.telemetry.found import FoundTelemetry, candidates, named_telemetry
+from track_range.recording.telemetry.image_evidence import SPAN_S, contradiction, motion_of
+from track_range.recording.telemetry.sidecars.reading import OXTS_NAME, TABLE_NAME
+from track_range.recording.telemetry.sidecars.speed_csv import is_telemetry_csv
+from track_range.recording.telemetry.time_offset import MotionSeries, TimeOffset, estimated_offset
+from track_range.recording.telemetry.track import TelemetryTrack
+
+AUTO, OFF = "auto", "off"
+"""Values of --ego-speed that are neither a number nor a path."""
+
+_MIN_SPAN_S = 10.0
+"""Length of the video, s, from which motion is measured for a shorter run."""
+
+_TABLE_COLUMNS = ({"time_s", "speed_mps"}, {"time_s", "speed_kmh"})
+"""Columns of a CSV with times of the video, which needs no interpretation."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedSource:
+    """Ego speed of a run and its origin.
+
+    Attributes:
+        ego: the speed; None = unknown.
+        notes: messages for the user.
+        files: the files that were read, besides the videos.
+        offset: time offset of the telemetry, estimated from the images; None = not estimated.
+        track: the telemetry on the clock of the recording, with positions; None = the speed has another source.
+    """
+
+    ego: EgoSpeed | None = None
+    notes: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
+    offset: TimeOffset | None = None
+    track: TelemetryTrack | None = None
+
+    def summary(self, ego_mps: FloatArray, odometry: str | None = None) -> dict[str, Any] | None:
+        """Section `ego_speed` of summary.json; None = the speed is unknown.
+
+        Args:
+            ego_mps: (N,) speed at the N frames of the run, NaN = unknown.
+            odometry: method that measured the speed from the images; None = none did.
+        """
+        if self.ego is None and odometry is None:
+            return None
+        known = ego_mps[np.isfinite(ego_mps)]
+        return {
+            "source": odometry if self.ego is None else self.ego.source,
+            "offset_s": None if self.offset is None else round(self.offset.offset_s, 3),
+            "offset_sigma_s": None if self.offset is None else round(self.offset.sigma_s, 3),
+            "is_offset_applied": self.offset is not None and self.offset.is_certain,
+            "median_mps": round(float(np.median(known)), 3) if len(known) else None,
+            "coverage": round(len(known) / len(ego_mps), 4) if len(ego_mps) else None,
+        }
+
+
+Motion = Callable[[], MotionSeries]
+"""Measures the motion of the images when it is first needed."""
+
+
+def open_speed(
+    setting: str,
+    recording: Recording,
+    *,
+    start_s: float = 0.0,
+    duration_s: float | None = None,
+    folder_fps: float = 10.0,
+) -> SpeedSource:
+    """Ego speed of a run.
+
+    Args:
+        setting: "auto", "off", a number in km/h, or the path of a file or folder.
+        recording: the opened recording.
+        start_s: start of the run in seconds from the first frame, from which the motion of the images is measured.
+        duration_s: length of the run; None = to the end.
+        folder_fps: frame rate of folders of images without timestamps.
+
+    Raises:
+        EgoSpeedError, TelemetryError: the number or the named file cannot be used.
+    """
+    if setting == OFF:
+        return SpeedSource()
+    reader = recording.inputs.left
+    parts = () if isinstance(reader, LiveReader) else reader.parts
+    if (utc := recording.start_utc) is not None:
+        parts = tuple(replace(part, utc=utc.shifted(part.start_s)) for part in parts)
+
+    def motion() -> MotionSeries:
+        if isinstance(reader, LiveReader):
+            return _NO_MOTION
+        span_s = SPAN_S if duration_s is None else min(SPAN_S, max(duration_s, _MIN_SPAN_S))
+        video, part_s = _file_at(parts, start_s, span_s) or (reader.path, 0.0)
+        series = motion_of(video, recording.camera, start_s=start_s - part_s, folder_fps=folder_fps, span_s=span_s)
+        return replace(series, time_s=series.time_s + part_s)
+
+    if setting != AUTO:
+        return _named(setting, parts, motion)
+    if not parts:
+        return SpeedSource()
+    source = _table_beside(parts[0])
+    return source if source.ego is not None else _automatic(parts, motion, source.notes)
+
+
+def _file_at(parts: Sequence[VideoPart], start_s: float, span_s: float) -> tuple[Path, float] | None:
+    """File of a recording in several files with most of the part from `start_s` on, and the time of its first frame.
+
+    None = the recording has one file, or none of them has that part.
+    """
+    for part in parts if len(parts) > 1 else ():
+        if part.start_s <= start_s and start_s + span_s / 2 <= part.start_s + part.duration_s:
+            return part.path, part.start_s
+    return None
+
+
+_NO_MOTION = MotionSeries(
+    time_s=np.empty(0), yaw_rad_s=np.empty(0), expansion_hz=np.empty(0), is_still=np.empty(0, np.bool_)
+)
+
+
+def _named(setting: str, parts: Sequence[VideoPart], motion: Motion) -> SpeedSource:
+    """Ego speed from a number, or from a file or folder that the user names."""
+    path = Path(setting)
+    if math.isfinite(number(setting)) or not path.is_file() or not parts or _is_table(path):
+        return SpeedSource(ego=open_ego_speed(setting))
+    telemetry = named_telemetry(path, parts)
+    if telemetry.track is None:
+        raise TelemetryError(f"{path}: expected speeds or positions with times, found none.")
+    source, problem = _with_images(telemetry, telemetry.track, motion())
+    if problem is not None:
+        raise TelemetryError(f"{path}: cannot be used as ego speed: {problem}.")
+    return source
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a file is a CSV with times of the video, or one without telemetry, whose error names these columns."""
+    if path.suffix.lower() in (".gpx", ".nmea", ".srt", ".gps"):
+        return False
+    try:
+        header = {cell.strip().lower() for cell in first_line(path, EgoSpeedError, "CSV").split(",")}
+    except EgoSpeedError:
+        return path.suffix.lower() in (".csv", "")
+    if any(columns <= header for columns in _TABLE_COLUMNS):
+        return True
+    if path.suffix.lower() != ".csv":
+        return False
+    return not is_telemetry_csv(read_csv_table(path, EgoSpeedError, "columns of times and speeds"))
+
+
+def _table_beside(part: VideoPart) -> SpeedSource:
+    """Ego speed from ego_speed.csv or an oxts folder beside the first file of a recording."""
+    notes: list[str] = []
+    for path in table_places(part.path):
+        if path.exists():
+            try:
+                ego = open_ego_speed(str(path))
+            except EgoSpeedError as error:
+                notes.append(f"Telemetry is not used: {error}")
+                continue
+            note = f"Ego speed from {path.name} beside the video; --ego-speed off ignores it."
+            return SpeedSource(ego=ego, notes=(*notes, note), files=(path,))
+    return SpeedSource(notes=tuple(notes))
+
+
+def table_places(video: Path) -> tuple[Path, ...]:
+    """Paths of ego_speed.csv and oxts beside a video, or in and beside a folder of images, in order of precedence.
+
+    In KITTI's raw recordings, images are in image_02/data, and oxts is beside image_02.
+    """
+    folders = [video, video.parent] if video.is_dir() else [video.parent]
+    if video.is_dir() and video.name == "data":
+        folders.append(video.parent.parent)
+    return tuple(folder / name for folder in folders for name in (TABLE_NAME, OXTS_NAME))
+
+
+def _automatic(parts: Sequence[VideoPart], motion: Motion, notes: tuple[str, ...]) -> SpeedSource:
+    """Ego speed from the telemetry inside or beside the video files; notes on what cannot be used."""
+    measured: MotionSeries | None = None
+    for telemetry in candidates(parts):
+        notes = (*notes, *telemetry.notes)
+        if telemetry.track is None:
+            continue
+        measured = motion() if measured is None else measured
+        source, problem = _with_images(telemetry, telemetry.track, measured)
+        if problem is None:
+            return replace(source, notes=(*notes, _note(source)))
+        notes = (*notes, f"Telemetry is not used: {telemetry.track.source}: {problem}.")
+    return SpeedSource(notes=notes)
+
+
+def _with_images(
+    telemetry: FoundTelemetry, track: TelemetryTrack, motion: MotionSeries
+) -> tuple[SpeedSource, str | None]:
+    """Ego speed with the time offset that the images show, and what they show against it; None = nothing."""
+    known = np.isfinite(track.speed_mps)
+    offset = estimated_offset(motion, track.time_s, track.speed_mps, track.course_rad)
+    shift_s, sigma_s = 0.0, telemetry.sigma_s
+    if offset is not None and offset.is_certain:
+        shift_s, sigma_s = offset.offset_s, offset.sigma_s
+        track = replace(track, time_s=track.time_s - shift_s)
+    ego = EgoSpeed(track.time_s[known], track.speed_mps[known], track.source, track.speed_sigma_mps, sigma_s)
+    source = SpeedSource(ego=ego, notes=telemetry.notes, files=telemetry.files, offset=offset, track=track)
+    return source, contradiction(motion, ego)
+
+
+def _note(source: SpeedSource) -> str:
+    """The line that states the source of the speed."""
+    if source.ego is None:
+        return ""
+    shift = ""
+    if source.offset is not None and source.offset.is_certain:
+        offset = source.offset
+        late = "late" if offset.offset_s >= 0 else "early"
+        shift = f", {abs(offset.offset_s):.2f} +- {offset.sigma_s:.2f} s {late} and corrected"
+    return f"Ego speed from {source.ego.source}{shift}; --ego-speed off ignores it."

@@ -1,0 +1,349 @@
+"""events.csv and events.parquet: one row per event, with the columns `EVENT_COLUMNS`.
+
+events.csv grows during the run: a row is added when an event has ended. At the end of the run both files are written
+with all events in the order of their starts. Times are in seconds from the first frame of the video; an empty cell, in
+Parquet null, = unknown or none.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from track_range.foundation.errors import UserError
+from track_range.foundation.files.atomic_files import atomic_path, describe
+from track_range.foundation.files.csv_tables import read_csv_table
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, first_line, quoted, shortened
+from track_range.foundation.files.numeric_text import number
+from track_range.foundation.files.output_files import OutputError, write_text
+from track_range.foundation.schema_version import check_schema_version
+from track_range.results.events.event import EVENT_COLUMNS, EVENT_KINDS, Event, EventKind
+from track_range.results.formats.row_file import RowFile
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+EVENTS_FILE, EVENTS_PARQUET = "events.csv", "events.parquet"
+
+NEEDED_COLUMNS = ("kind", "start_s", "end_s")
+"""Columns that every file of events has; those written by other programs may lack the others."""
+
+_MAX_TIME_S = 1e9
+"""Largest plausible time, 30 years of video."""
+
+_MAX_TEXT = 2000
+"""Largest number of characters of a text in a file of events."""
+
+_MAX_ROWS = 1_000_000
+"""Largest number of events of a file that is read: one per second for 11 days."""
+
+
+class EventFileError(UserError):
+    """A file of events or contacts cannot be used; the message names the file and the row."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Number:
+    """A column of numbers.
+
+    Attributes:
+        unit: unit of the values; "" = none.
+        low, high: limits of plausible values.
+        decimals: decimals in events.csv.
+        is_integer: whether values are integers.
+    """
+
+    unit: str
+    low: float
+    high: float
+    decimals: int = 3
+    is_integer: bool = False
+
+
+_TIME = _Number("s", 0.0, _MAX_TIME_S)
+_SPEED = _Number("m/s", -1e4, 1e4)
+
+_NUMBERS: Mapping[str, _Number] = {
+    "start_s": _TIME,
+    "peak_s": _TIME,
+    "end_s": _TIME,
+    "warning_s": _TIME,
+    "frame": _Number("", 0, 1e9, is_integer=True),
+    "track_id": _Number("", 0, 2.0**53, is_integer=True),
+    "min_distance_m": _Number("m", 0.0, 1e6),
+    "min_distance_sigma_m": _Number("m", 0.0, 1e6),
+    "min_ttc_s": _Number("s", 0.0, _MAX_TIME_S),
+    "closing_mps": _SPEED,
+    "ego_mps": _SPEED,
+    "probability": _Number("", 0.0, 1.0, decimals=4),
+    "headway_s": _Number("s", 0.0, _MAX_TIME_S),
+}
+"""Columns of numbers; all others are texts."""
+
+
+class EventFiles:
+    """events.csv and events.parquet of a run in progress; a context manager that closes what `finish` did not.
+
+    Args:
+        folder: folder of the run.
+        metadata: metadata of events.parquet (`Provenance.metadata`).
+
+    Raises:
+        OutputError: events.csv cannot be created.
+    """
+
+    files = (EVENTS_FILE, EVENTS_PARQUET)
+
+    def __init__(self, folder: Path, metadata: Mapping[str, str]) -> None:
+        self._folder, self._metadata = folder, metadata
+        try:
+            self._rows = RowFile(folder / EVENTS_FILE, events_text(()))
+        except OSError as error:
+            raise OutputError(f"{folder / EVENTS_FILE}: cannot be created ({describe(error)}).") from error
+
+    def __enter__(self) -> EventFiles:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._rows.close()
+
+    def add(self, events: Sequence[Event]) -> None:
+        """Add events that have ended to events.csv.
+
+        Raises:
+            OutputError: they cannot be written; the file is as before.
+        """
+        if not events:
+            return
+        try:
+            self._rows.write(_rows_text(events))
+        except OSError as error:
+            raise OutputError(f"{self._folder / EVENTS_FILE}: writing failed ({describe(error)}).") from error
+
+    def finish(self, events: Sequence[Event]) -> None:
+        """Write both files with all events of the run.
+
+        Raises:
+            OutputError: a file cannot be written.
+        """
+        self._rows.close()
+        write_event_files(self._folder, events, self._metadata)
+
+
+def write_event_files(folder: Path, events: Sequence[Event], metadata: Mapping[str, str]) -> None:
+    """Write events.csv and events.parquet into a folder.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    write_text(folder / EVENTS_FILE, events_text(events))
+    write_events_parquet(folder / EVENTS_PARQUET, events, metadata)
+
+
+def write_events_parquet(path: Path, events: Sequence[Event], metadata: Mapping[str, str]) -> None:
+    """Write events as Parquet, atomically; the same events give the same bytes.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    from pyarrow import parquet
+
+    try:
+        with atomic_path(path, is_flushed=False) as partial:
+            parquet.write_table(events_table(events, metadata), partial, compression="zstd")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({describe(error)}).") from error
+
+
+def events_text(events: Iterable[Event]) -> str:
+    """Content of an events.csv."""
+    return _csv_text([EVENT_COLUMNS]) + _rows_text(events)
+
+
+def events_table(events: Sequence[Event], metadata: Mapping[str, str] | None = None) -> pa.Table:
+    """Events as a table in full precision; null = unknown or none, and the metadata of a field contains its unit."""
+    import pyarrow as pa
+
+    rows = [event_values(event) for event in events]
+    arrays, fields = [], []
+    for name in EVENT_COLUMNS:
+        column = _NUMBERS.get(name)
+        kind = pa.string() if column is None else pa.int64() if column.is_integer else pa.float64()
+        arrays.append(pa.array([row[name] for row in rows], kind))
+        fields.append(pa.field(name, kind, metadata={"unit": column.unit} if column and column.unit else None))
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=dict(metadata or {})))
+
+
+def event_values(event: Event) -> dict[str, Any]:
+    """Values of an event by column, in full precision; None = unknown or none."""
+    values = {name: getattr(event, "class_name" if name == "class" else name) for name in EVENT_COLUMNS}
+    return {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()}
+
+
+def rounded_values(event: Event) -> dict[str, Any]:
+    """Values of an event by column, with numbers as in events.csv; None = unknown or none."""
+    return {
+        name: round(value, _NUMBERS[name].decimals) if isinstance(value, float) else value
+        for name, value in event_values(event).items()
+    }
+
+
+def _rows_text(events: Iterable[Event]) -> str:
+    return _csv_text([_text(name, value) for name, value in event_values(event).items()] for event in events)
+
+
+def _text(name: str, value: Any) -> str:
+    if value is None:
+        return ""
+    column = _NUMBERS.get(name)
+    if column is None:
+        return " ".join(str(value).split())  # one line per event
+    return str(value) if column.is_integer else f"{value:.{column.decimals}f}"
+
+
+def _csv_text(rows: Iterable[Sequence[str]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
+
+
+# -- reading ----------------------------------------------------------------------------------------------------------
+
+
+def read_events(path: str | Path, *, needed: Sequence[str] = NEEDED_COLUMNS) -> tuple[Event, ...]:
+    """Events of an events.csv or events.parquet, in the order of the file.
+
+    Columns that the file lacks are unknown: NaN, 0 for `frame` and `track_id`, "" for texts, `start_s` for `peak_s`.
+    Unknown columns are ignored.
+
+    Args:
+        path: the file; Parquet if its name ends in .parquet.
+        needed: columns that the file must have.
+
+    Raises:
+        EventFileError: the file cannot be read, lacks a column, has an unknown kind, a time or number that is not
+            finite or not plausible, or an event that ends before its start.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".parquet":
+        check_regular(path, EventFileError, "the events.parquet of a run", max_bytes=MAX_TABLE_BYTES)
+        return events_in_parquet(path, path, needed=needed)
+    return _events(path, *_csv_cells(path), needed)
+
+
+def events_in_parquet(source: Any, name: object, *, needed: Sequence[str] = NEEDED_COLUMNS) -> tuple[Event, ...]:
+    """Events of an events.parquet; see `read_events`.
+
+    Args:
+        source: path, or open file of pyarrow.
+        name: name of the file, for messages.
+        needed: columns that the file must have.
+
+    Raises:
+        EventFileError: as in `read_events`.
+    """
+    return _events(name, *_parquet_cells(source, name), needed)
+
+
+def _events(
+    path: object, cells: Mapping[str, list[Any]], place_of: Callable[[int], str], needed: Sequence[str]
+) -> tuple[Event, ...]:
+    """Events in the cells of a file by column; `place_of` returns the file and row of a row's number, for messages."""
+    if missing := [name for name in needed if name not in cells]:
+        raise EventFileError(f"{path}: expected events with the columns {','.join(needed)}, found no {missing[0]}.")
+    rows = range(len(cells["kind"]))
+    return tuple(_event({name: values[row] for name, values in cells.items()}, place_of(row)) for row in rows)
+
+
+def _csv_cells(path: Path) -> tuple[dict[str, list[Any]], Callable[[int], str]]:
+    """Texts of an events.csv by column, and the place of each row."""
+    expected = f"events with the columns {','.join(EVENT_COLUMNS)}"
+    if not first_line(path, EventFileError, expected):
+        raise EventFileError(f"{path}: expected {expected}, found an empty file.")
+    table = read_csv_table(path, EventFileError, "events")
+    if len(table) > _MAX_ROWS:
+        raise EventFileError(f"{path}: expected at most {_MAX_ROWS} events, found {len(table)}.")
+    table.refuse_duplicates(EVENT_COLUMNS)
+    cells = {name: cast(list[Any], table.texts(name)) for name in EVENT_COLUMNS if name in table}
+    return cells, lambda row: f"{path}, line {table.lines[row]}"
+
+
+def _parquet_cells(source: Any, path: object) -> tuple[dict[str, list[Any]], Callable[[int], str]]:
+    """Values of an events.parquet by column, and the place of each row."""
+    from pyarrow import ArrowException, parquet
+
+    try:
+        with parquet.ParquetFile(source) as file:
+            check_schema_version(path, file.schema_arrow.metadata, EventFileError)
+            if file.metadata.num_rows > _MAX_ROWS:
+                raise ValueError(f"{file.metadata.num_rows} events, more than {_MAX_ROWS}")
+            names = file.schema_arrow.names
+            if len(set(names)) < len(names):
+                raise ValueError("two columns of the same name")
+            table = file.read(columns=[name for name in EVENT_COLUMNS if name in names], use_threads=False)
+        table.validate(full=True)
+        cells = {name: table.column(name).to_pylist() for name in table.column_names}
+    except (ArrowException, OSError, ValueError, LookupError, MemoryError) as error:
+        raise EventFileError(
+            f"{path}: expected the events.parquet of a run, found a damaged file ({shortened(str(error))}); repeat the "
+            "run or restore the file."
+        ) from error
+    return cells, lambda row: f"{path}, row {row + 1}"
+
+
+def _value(name: str, cell: Any, place: str) -> Any:
+    """Value of a cell; NaN = unknown, for integers 0.
+
+    Raises:
+        EventFileError: the value is not plausible.
+    """
+    column = _NUMBERS.get(name)
+    if column is None:
+        text = "" if cell is None else cell
+        if not isinstance(text, str) or len(text) > _MAX_TEXT:
+            raise EventFileError(f"{place}: expected a text of at most {_MAX_TEXT} characters for {name}.")
+        return text
+    if cell is None or cell == "":
+        return 0 if column.is_integer else math.nan
+    is_number = isinstance(cell, int | float) and not isinstance(cell, bool)
+    value = float(cell) if is_number else number(cell) if isinstance(cell, str) else math.nan
+    if not column.low <= value <= column.high or (column.is_integer and value != round(value)):
+        kind = "an integer" if column.is_integer else "a number"
+        raise EventFileError(
+            f"{place}: expected {kind} from {column.low:g} to {column.high:g} for {name}, got {quoted(cell)}."
+        )
+    return int(value) if column.is_integer else value
+
+
+def _event(cells: Mapping[str, Any], place: str) -> Event:
+    """The event in the cells of a row.
+
+    Args:
+        cells: values by column, those of CSV as text.
+        place: file and row, for messages.
+
+    Raises:
+        EventFileError: a value is not plausible, the kind is unknown, or the event ends before its start.
+    """
+    values = {name: _value(name, cells.get(name), place) for name in EVENT_COLUMNS}
+    kind = values["kind"].lower()
+    if kind not in EVENT_KINDS:
+        raise EventFileError(
+            f"{place}: expected one of the kinds {', '.join(EVENT_KINDS)}, got {quoted(values['kind'])}."
+        )
+    for name in ("start_s", "end_s"):
+        if math.isnan(values[name]):
+            raise EventFileError(f"{place}: expected a time in seconds for {name}, got none.")
+    if values["end_s"] < values["start_s"]:
+        raise EventFileError(
+            f"{place}: expected an end after the start at {values['start_s']:g} s, got end_s {values['end_s']:g}."
+        )
+    if math.isnan(values["peak_s"]):
+        values["peak_s"] = values["start_s"]
+    class_name = values.pop("class")
+    return Event(**{**values, "kind": cast(EventKind, kind)}, class_name=class_name)

@@ -1,0 +1,237 @@
+"""EventFinder: finds the events of a drive, frame by frame.
+
+An event of a kind lasts while its condition (`conditions`) holds for a track, with interruptions of up to
+`EventSettings.max_gap_s`. A new track that continues an event at the same place, after the tracker lost the first one,
+belongs to the same event. One alarm is one event: of a person `pedestrian_on_path`, of a vehicle that has just cut in
+`cut_in`, else `forward_collision`; a hard approach during an alarm is part of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
+from track_range.pipeline.frame_result import FrameResult
+from track_range.results.events.conditions import Conditions, Situation
+from track_range.results.events.event import WARNING_KINDS, Event, EventKind, EventSettings
+from track_range.results.events.reasons import reason
+
+_NEAR_M, _NEAR_SHARE = 2.0, 0.15
+"""Largest difference in distance between two tracks of one object: metres, plus a fraction of the distance."""
+
+_NEAR_ACROSS_M = 1.5
+"""Largest lateral difference between two tracks of one object, m."""
+
+
+@dataclass(slots=True)
+class _Open:
+    """An event in progress; the attributes are those of `Event`, with the last position of the object.
+
+    `last_seen` is where the object of a near miss was last seen: `time_s`, `gap_m`, `closing_mps`, `apart_m`.
+    """
+
+    kind: EventKind
+    group: int
+    start_s: float
+    last_s: float
+    track_id: int
+    track_ids: set[int]
+    distance_m: float
+    offset_m: float
+    warning_s: float = math.nan
+    criticality: float = -math.inf
+    values: dict[str, float] = field(default_factory=dict)
+    first: dict[str, float] = field(default_factory=dict)
+    peak: dict[str, float] = field(default_factory=dict)
+    last_seen: dict[str, float] = field(default_factory=dict)
+    peak_track_id: int = 0
+    peak_class: int = 0
+
+
+class EventFinder:
+    """Finds the events of a drive from its frames in order, live or from the rows of a run."""
+
+    def __init__(self, settings: EventSettings | None = None) -> None:
+        """Start without events; None = default settings."""
+        self.settings = settings or EventSettings()
+        self._conditions = Conditions(self.settings)
+        self._open: list[_Open] = []
+        self._ended: list[Event] = []
+        self._alarms: list[_Open] = []  # alarms that have ended
+
+    def update(self, result: FrameResult) -> tuple[Event, ...]:
+        """Events that ended before this frame and have not been returned yet, in the order of their ends."""
+        ended = self._close(result.time_s)
+        now = Situation.of(result, self.settings)
+        for kind, holds in self._conditions.update(result, now).items():
+            for row in np.flatnonzero(holds).tolist():
+                self._extend(kind, result, now, row)
+        self._follow_near_misses(result, now)
+        return ended
+
+    def finish(self) -> tuple[Event, ...]:
+        """All events of the drive in the order of their starts, those in progress included; ends the drive."""
+        self._close(math.inf)
+        return tuple(sorted(self._ended, key=lambda event: event.start_s))
+
+    def _close(self, time_s: float) -> tuple[Event, ...]:
+        """End the events that have been interrupted for too long."""
+        over = [event for event in self._open if time_s - event.last_s > self.settings.max_gap_s]
+        if not over:
+            return ()
+        self._open = [event for event in self._open if time_s - event.last_s <= self.settings.max_gap_s]
+        self._alarms += [event for event in over if math.isfinite(event.warning_s)]
+        events = tuple(self._event(event) for event in over if self._counts(event))
+        self._ended += events
+        return events
+
+    def _counts(self, event: _Open) -> bool:
+        """Whether an event that is over counts: it was long enough, and is not part of an alarm."""
+        settings = self.settings
+        if event.kind == "close_following":
+            return event.last_s - event.start_s >= settings.min_following_s
+        if (
+            event.kind in ("hard_approach", "near_miss")
+            and event.last_s - event.start_s < settings.min_critical_s - 1e-9
+        ):
+            return False
+        if event.kind == "hard_approach":
+            alarms = (*self._alarms, *(alarm for alarm in self._open if math.isfinite(alarm.warning_s)))
+            return not any(_overlap(event, alarm) for alarm in alarms)
+        if event.kind == "near_miss":
+            return self._was_avoided(event)
+        return True
+
+    def _was_avoided(self, event: _Open) -> bool:
+        """Whether no contact followed a near miss, from where its object was last seen until the event was over.
+
+        It was beside the ego path, or the gap that was left, closed at the last known speed, is large enough.
+        """
+        seen = event.last_seen
+        unseen_s = event.last_s + self.settings.max_gap_s - seen["time_s"]
+        speeds_mps = (seen["closing_mps"], event.values["closing_mps"])
+        closing_mps = next((speed for speed in speeds_mps if math.isfinite(speed)), 0.0)
+        left_m = seen["gap_m"] - max(closing_mps * unseen_s, 0.0)
+        return seen["apart_m"] > 0 or left_m > self.settings.near_miss_gap_m
+
+    def _follow_near_misses(self, result: FrameResult, now: Situation) -> None:
+        """Store where the objects of near misses are, also after the condition of the near miss has ended."""
+        for event in self._open:
+            if event.kind != "near_miss":
+                continue
+            for row in np.flatnonzero(np.isin(result.tracks.track_id, list(event.track_ids)) & np.isfinite(now.gap_m)):
+                event.last_seen = {
+                    "time_s": result.time_s,
+                    "gap_m": float(now.gap_m[row]),
+                    "closing_mps": float(now.closing_mps[row]),
+                    "apart_m": float(now.apart_m[row]),
+                }
+
+    def _extend(self, kind: EventKind, result: FrameResult, now: Situation, row: int) -> None:
+        """Continue the event of this kind that the track in this row belongs to, or start one."""
+        track_id, class_id = int(result.tracks.track_id[row]), int(result.tracks.class_id[row])
+        distance_m, offset_m = float(now.distance_m[row]), float(now.offset_m[row])
+        event = self._same(kind, track_id, result, (distance_m, offset_m), int(SAME_OBJECT_GROUP[class_id]))
+        time_s = result.time_s
+        if event is None:
+            group = int(SAME_OBJECT_GROUP[class_id])
+            event = _Open(kind, group, time_s, time_s, track_id, {track_id}, distance_m, offset_m)
+            self._open.append(event)
+        event.last_s, event.track_id, event.distance_m, event.offset_m = time_s, track_id, distance_m, offset_m
+        event.track_ids.add(track_id)
+        is_active = result.warnings is not None and bool(result.warnings.active[row])
+        if is_active and kind in WARNING_KINDS and math.isnan(event.warning_s):
+            event.warning_s = time_s
+        values = {
+            "distance_m": distance_m,
+            "sigma_m": float(now.sigma_m[row]),
+            "gap_m": float(now.gap_m[row]),
+            "closing_mps": float(now.closing_mps[row]),
+            "ttc_s": float(now.ttc_s[row]),
+            "headway_s": float(now.headway_s[row]),
+            "probability": float(now.probability[row]),
+            "ego_mps": result.ego_mps,
+        }
+        event.first = event.first or values
+        _collect(event.values, values)
+        criticality = _criticality(kind, values)
+        if not event.peak or criticality > event.criticality:
+            event.criticality, event.peak_track_id, event.peak_class = criticality, track_id, class_id
+            event.peak = {**values, "time_s": time_s, "frame": result.index}
+
+    def _same(
+        self, kind: EventKind, track_id: int, result: FrameResult, place_m: tuple[float, float], group: int
+    ) -> _Open | None:
+        """The event in progress of this kind and object; of one of its earlier tracks if that is gone."""
+        same_kind = [event for event in self._open if event.kind == kind]
+        same = next((event for event in same_kind if track_id in event.track_ids), None)
+        if same is not None or not same_kind:
+            return same
+        present = set(result.tracks.track_id.tolist())
+        distance_m, offset_m = place_m
+        for event in same_kind:
+            elapsed_s = result.time_s - event.last_s
+            moved_m = elapsed_s * np.nan_to_num(event.values["closing_mps"])
+            is_near = abs(event.distance_m - moved_m - distance_m) < _NEAR_M + _NEAR_SHARE * distance_m
+            is_near &= not abs(event.offset_m - offset_m) > _NEAR_ACROSS_M  # unknown offsets may be the same
+            if event.group == group and event.track_id not in present and is_near:
+                return event
+        return None
+
+    def _event(self, event: _Open) -> Event:
+        values, class_name = event.values, ROAD_CLASSES[event.peak_class]
+        return Event(
+            kind=event.kind,
+            start_s=event.start_s,
+            peak_s=event.peak["time_s"],
+            end_s=event.last_s,
+            warning_s=event.warning_s,
+            frame=int(event.peak["frame"]),
+            track_id=event.peak_track_id,
+            class_name=class_name,
+            min_distance_m=values["distance_m"],
+            min_distance_sigma_m=values["sigma_m"],
+            min_ttc_s=values["ttc_s"],
+            closing_mps=values["closing_mps"],
+            ego_mps=event.peak["ego_mps"],
+            probability=values["probability"],
+            reason=reason(
+                event.kind, class_name, event.first, event.peak, values, duration_s=event.last_s - event.start_s
+            ),
+            headway_s=values["headway_s"],
+        )
+
+
+def _collect(extremes: dict[str, float], values: dict[str, float]) -> None:
+    """Update the extremes of an event with the values of a frame: least distances and times, largest speeds."""
+    if not values["distance_m"] >= extremes.get("distance_m", math.inf):
+        extremes["distance_m"], extremes["sigma_m"] = values["distance_m"], values["sigma_m"]
+    for name in ("ttc_s", "headway_s"):
+        extremes[name] = float(np.fmin(extremes.get(name, math.nan), values[name]))
+    for name in ("closing_mps", "probability"):
+        extremes[name] = float(np.fmax(extremes.get(name, math.nan), values[name]))
+
+
+def _criticality(kind: EventKind, values: dict[str, float]) -> float:
+    """Number that is largest in the most critical frame of an event."""
+    if kind in ("close_following", "cut_in") and math.isfinite(values["headway_s"]):
+        return -values["headway_s"]
+    return -values["ttc_s"] if math.isfinite(values["ttc_s"]) else -1e3 - float(np.nan_to_num(values["gap_m"]))
+
+
+def _overlap(first: _Open, second: _Open) -> bool:
+    """Whether two events have a track in common and overlap in time."""
+    is_same = not first.track_ids.isdisjoint(second.track_ids)
+    return is_same and first.start_s <= second.last_s and second.start_s <= first.last_s
+
+
+def events_of(results: Iterable[FrameResult], settings: EventSettings | None = None) -> tuple[Event, ...]:
+    """All events of a drive from its frames in order."""
+    finder = EventFinder(settings)
+    for result in results:
+        finder.update(result)
+    return finder.finish()

@@ -1,0 +1,287 @@
+"""export: a finished run or a label file in another format."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from track_range.detection.classes import map_to_road_classes
+from track_range.detection.formats.box_table import BoxTable, Written, frames_listed
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat, label_format_of
+from track_range.detection.formats.video_labels.yolo_tracks import DATA_YAML, WRITTEN_MARK
+from track_range.foundation.errors import UsageError
+from track_range.foundation.files.atomic_files import atomic_path, describe, write_bytes
+from track_range.foundation.files.folder_lock import is_locked
+from track_range.foundation.files.output_files import OutputError, make_folder
+from track_range.results.columns import Columns, methods_measured
+from track_range.results.replay import frames_of_rows
+from track_range.results.writers import RunInfo, create_writer, writer_names
+from track_range.run.export.images import frames_of_run, frames_of_video, write_images
+from track_range.run.export.settings import ExportSettings
+from track_range.run.export.source import (
+    RunSource,
+    boxes_of_labels,
+    boxes_of_run,
+    is_run,
+    named_boxes,
+    open_run,
+    run_files,
+)
+
+_Write = Callable[[BoxTable, Path], Written]
+
+_MARKS = {"parquet": b"PAR1", "mcap": b"\x89MCAP", "rrd": b"RRF"}
+"""First bytes of the files that only result writers write."""
+
+_DEFAULT_FPS = 10.0
+"""Frame rate of a run whose settings.yaml has none."""
+
+_WRITTEN_ENTRIES = frozenset({"labels", "images", DATA_YAML})
+"""Entries of a folder that an export writes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """Result of an export.
+
+    Attributes:
+        n_boxes: number of boxes that are written.
+        n_images: number of images.
+        notes: notes for the user.
+    """
+
+    n_boxes: int
+    n_images: int
+    notes: tuple[str, ...]
+
+
+def export(settings: ExportSettings) -> Exported:
+    """Write a finished run or a label file in another format.
+
+    A file or folder is replaced only if it has the format that is written.
+
+    Raises:
+        OutputError, LabelFileError, VideoError: an input cannot be used, or the output cannot be written.
+        UsageError: options that contradict each other.
+    """
+    source = open_run(settings.source) if is_run(settings.source) else None
+    _check(settings, source)
+    _check_out(settings)
+    label_format = LABEL_FORMATS.get(settings.to)
+    if label_format is not None and label_format.write is not None:
+        return _export_labels(settings, label_format, label_format.write, source)
+    if source is None:
+        raise UsageError(f"--to {settings.to}: expected the result folder of a run, found labels, which lack its rows.")
+    return _export_rows(settings, source)
+
+
+def _check(settings: ExportSettings, source: RunSource | None) -> None:
+    if settings.to not in LABEL_FORMATS and settings.to not in writer_names():
+        raise UsageError(f"--to {settings.to}: this format is not available in this installation.")
+    if settings.images and settings.to != "yolo":
+        raise UsageError("--images: expected --to yolo; other formats have no folder for images.")
+    if source is not None and (settings.video is not None or settings.first_frame):
+        raise UsageError("--video and --first-frame: expected labels as input; a run has its video and frame numbers.")
+    if settings.images and source is not None and source.run.settings.get("anonymize"):
+        raise UsageError(
+            "--images: this run was anonymized, but images would show the frames of the video as they are."
+        )
+    if settings.images and source is None and settings.video is None:
+        raise UsageError("--images requires --video, the video that the labels belong to.")
+
+
+def _check_out(settings: ExportSettings) -> None:
+    """Check that the output is neither an input nor in the folder of a run in progress.
+
+    Raises:
+        OutputError: it is.
+    """
+    out = settings.out
+    inputs = [settings.source, *run_files(settings.source)]
+    if settings.video is not None:
+        inputs.append(settings.video)
+    if os.path.realpath(out) in {os.path.realpath(path) for path in inputs}:
+        raise OutputError(f"{out}: this input would be overwritten; choose another --out.")
+    if is_locked(out.parent):
+        raise OutputError(
+            f"{out}: a run is writing to this folder; wait for its end, or choose an --out in another folder."
+        )
+
+
+def _export_labels(
+    settings: ExportSettings, label_format: LabelFormat, write: _Write, source: RunSource | None
+) -> Exported:
+    if source is None:
+        table = boxes_of_labels(settings.source, video=settings.video, first_frame=settings.first_frame)
+        notes: tuple[str, ...] = table.notes
+    else:
+        table, notes = boxes_of_run(source), source.run.missing
+    if settings.observed_only:
+        table = table.select(table.observed)
+    if label_format.has_classes:
+        table, unnamed = named_boxes(table)
+        notes = (*notes, *unnamed)
+    if not label_format.is_folder:
+        check_replaceable(settings.out, settings.to)
+        with _output(settings.out), atomic_path(settings.out) as partial:
+            written = write(table, partial)
+            return Exported(written.n_boxes, 0, (*notes, *written.notes))
+    with _replaced_folder(settings.out) as folder:
+        written = write(table, folder)
+        n_images = _write_images(settings, table, folder) if settings.images else 0
+    return Exported(written.n_boxes, n_images, (*notes, *written.notes))
+
+
+def _write_images(settings: ExportSettings, table: BoxTable, folder: Path) -> int:
+    """Write the frames of the video, and remove the labels of frames that it does not have."""
+    frames = frames_of_run(settings.source) if settings.video is None else frames_of_video(settings.video)
+    numbers = write_images(frames, table.video, folder / "images")
+    if len(table) and not np.isin(table.frame, numbers).all():
+        last = max(numbers, default=-1)
+        raise OutputError(
+            f"{settings.source}: expected boxes in the {len(numbers)} frames of the video, 0 to {last}, found one in "
+            f"frame {table.frame[~np.isin(table.frame, numbers)][0]}."
+        )
+    for file in (folder / "labels").iterdir():
+        if not (folder / "images" / file.with_suffix(".jpg").name).exists():
+            file.unlink()
+    return len(numbers)
+
+
+def _export_rows(settings: ExportSettings, source: RunSource) -> Exported:
+    """Write the rows of a run with a result writer."""
+    run, camera = source.run, source.camera
+    if camera is None:
+        raise OutputError(f"{run.folder}: expected settings.yaml with the camera of the run, found none.")
+    columns = run.columns
+    is_written = map_to_road_classes([str(name) for name in columns["class"]]) >= 0
+    notes = run.missing
+    if n_unknown := int(np.count_nonzero(~is_written)):
+        notes = (*notes, f"{n_unknown} rows have a class that is not a road class, and are not written.")
+    if settings.observed_only:
+        is_written &= columns["observed"] != 0
+    columns = {name: values[is_written] for name, values in columns.items()}
+    frames = frames_listed(boxes_of_run(source))
+    writer = create_writer(settings.to)
+    check_replaceable(settings.out, settings.to)
+    fps = source.fps or _DEFAULT_FPS
+    info = RunInfo(
+        camera=camera,
+        rig=None,
+        fps=fps,
+        settings=run.settings,
+        start_utc_s=_start_utc_s(columns),
+        provenance=source.provenance,
+        overlay=overlay if (overlay := run.folder / "overlay.mp4").is_file() else None,
+    )
+    with _output(settings.out), tempfile.TemporaryDirectory(prefix=".export-", dir=settings.out.parent) as temporary:
+        folder = Path(temporary)
+        writer.open(info, folder)
+        try:
+            for result in frames_of_rows(columns, frames, methods_measured(columns), fps):
+                writer.write(result)
+        finally:
+            writer.close(run.summary)
+        _move(folder / writer.files[0], settings.out)
+    return Exported(len(columns["frame"]), 0, notes)
+
+
+def _move(file: Path, out: Path) -> None:
+    """Move a finished file to `out`; devices and symbolic links are written to, not replaced (see `atomic_path`)."""
+    with atomic_path(out) as partial:
+        if partial == out:
+            write_bytes(out, file.read_bytes())
+        else:
+            shutil.move(file, partial)
+
+
+def _start_utc_s(columns: Columns) -> float | None:
+    """UTC of time_s = 0 in seconds since 1970; None = unknown."""
+    starts_s = columns["utc"] - columns["time_s"] if "utc" in columns else np.zeros(0)
+    known = starts_s[np.isfinite(starts_s)]
+    return float(known[0]) if len(known) else None
+
+
+@contextmanager
+def _output(out: Path) -> Iterator[None]:
+    """Context in which `out` is written; its folder is created.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    make_folder(out.parent)
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be written ({describe(error)}).") from error
+
+
+@contextmanager
+def _replaced_folder(out: Path) -> Iterator[Path]:
+    """A new path next to `out`, whose folder replaces `out` at the end.
+
+    Raises:
+        OutputError: the folder cannot be written, or `out` has other files than those of an export.
+    """
+    check_replaceable(out, "yolo")
+    with _output(out), tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as temporary:
+        folder = Path(temporary) / "new"
+        yield folder
+        if out.is_dir():
+            out.rename(Path(temporary) / "old")
+        folder.rename(out)
+
+
+def check_replaceable(out: Path, name: str) -> None:
+    """Check that an output does not exist, or has the format that replaces it.
+
+    Raises:
+        OutputError: it is something else.
+    """
+    if not os.path.lexists(out):
+        return
+    if name == "yolo":
+        if not _is_written_folder(out):
+            raise OutputError(
+                f"{out}: expected a new or empty folder, or one of an earlier export with nothing else in it; choose "
+                "another --out."
+            )
+    elif not _has_format(out, name):
+        raise OutputError(
+            f"{out}: expected a new file, or one in the format {name} to replace, found something else; choose another "
+            "--out."
+        )
+
+
+def _is_written_folder(path: Path) -> bool:
+    """Whether a path is an empty folder, or one that an export wrote."""
+    try:
+        entries = {entry.name for entry in path.iterdir()}
+        if not entries:
+            return True
+        with (path / DATA_YAML).open(encoding="utf-8", errors="replace") as file:
+            return entries <= _WRITTEN_ENTRIES and file.readline().strip() == WRITTEN_MARK
+    except OSError:
+        return False
+
+
+def _has_format(path: Path, name: str) -> bool:
+    """Whether a path is an empty file or has a format, or is a device such as /dev/null."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        return True
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(max(_MARKS.values(), key=len)))
+        if name in _MARKS:
+            return not start or start.startswith(_MARKS[name])
+        return not start or label_format_of(path).name == name
+    except (OSError, LabelFileError):
+        return False

@@ -1,1 +1,0 @@
-"""Reading videos, image folders, pairs and live streams; writing videos."""

@@ -1,0 +1,222 @@
+"""Stage of a run that replaces the images of its results by anonymized ones before they are shown or written.
+
+    pipeline -> results, held back -> regions from earlier and later frames -> blurred image -> overlay, writers
+
+A region does not flicker: boxes that a track lacks are interpolated between the detections before and after, and
+extrapolated to the frames before its first and after its last box. Detections that are not part of a track, also those
+with low scores, are covered in their frame and its neighbours.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from track_range.detection.boxes import iou
+from track_range.detection.detections import Detections
+from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.pipeline.frame_result import FrameResult
+from track_range.views.anonymization.blur import blurred
+from track_range.views.anonymization.regions import Boxes, Regions, regions_of
+
+PAST_S = 0.5
+"""Time for which a track is extrapolated after its last box, and after which boxes are forgotten."""
+
+GROWTH_PER_S = 0.6
+"""Increase of the uncertainty of a box with the time to the nearest detection, relative to its smaller side."""
+
+SPEED_SHARE = 0.5
+"""Uncertainty of the speed of an extrapolated box, as a fraction of its speed."""
+
+SPEED_TIME_S = 0.35
+"""Longest time over which the speed of a box is measured."""
+
+NEIGHBOUR_S = 0.15
+"""Longest time by which detections without a track are covered earlier and later."""
+
+SAME_IOU, EQUAL_IOU = 0.3, 0.9
+"""Minimum IoU of two boxes of the same object in neighbouring frames, and of boxes with nearly equal regions."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LookAhead:
+    """How long results are held back to use later frames.
+
+    Attributes:
+        time_s: longest time; 0 = only the past is used.
+        max_frames: largest number of results held back, which limits the memory.
+    """
+
+    time_s: float
+    max_frames: int
+
+
+OFFLINE = LookAhead(time_s=0.5, max_frames=16)
+"""Look-ahead for files."""
+
+LIVE = LookAhead(time_s=0.0, max_frames=0)
+"""Look-ahead for cameras and streams: none."""
+
+
+def anonymized_results(
+    results: Iterable[FrameResult], look_ahead: LookAhead, rng: np.random.Generator | None = None
+) -> Generator[FrameResult, None, None]:
+    """Results in order with `frame.left` anonymized, and without `frame.right` and `candidates`.
+
+    The regions come from the tracks, and from `candidates` where there are any. If `results` raises, those that are
+    held back are returned before the error.
+
+    Args:
+        results: results with images, in order.
+        look_ahead: how long results are held back.
+        rng: generator of the noise; None = seeded by the operating system.
+    """
+    rng = np.random.default_rng() if rng is None else rng
+    for result, regions in with_regions(results, look_ahead):
+        image = blurred(result.frame.left, regions, rng)
+        image.flags.writeable = False
+        yield replace(result, frame=replace(result.frame, left=image, recorded=None), candidates=None)
+
+
+def with_regions(results: Iterable[FrameResult], look_ahead: LookAhead) -> Iterator[tuple[FrameResult, Regions]]:
+    """Results in order, without the right images, held back for the look-ahead, with the regions to cover."""
+    held: deque[FrameResult] = deque()
+    history = _History()
+    error: BaseException | None = None
+    try:
+        for result in results:
+            history.add(result)
+            held.append(
+                replace(result, frame=replace(result.frame, right=None, recorded=None))
+            )  # whose memory is not needed
+            while held and (len(held) > look_ahead.max_frames or result.time_s - held[0].time_s >= look_ahead.time_s):
+                yield _next(held, history)
+    except (Exception, KeyboardInterrupt) as raised:  # every error is raised after the results before it
+        error = raised
+    while held:
+        yield _next(held, history)
+    if error is not None:
+        raise error
+
+
+def _next(held: deque[FrameResult], history: _History) -> tuple[FrameResult, Regions]:
+    result = held.popleft()
+    history.forget_before(result.time_s - PAST_S)
+    return result, regions_of(history.boxes_at(result.time_s))
+
+
+@dataclass(frozen=True, slots=True)
+class _Box:
+    """A box of a track."""
+
+    time_s: float
+    xyxy_px: FloatArray
+    class_id: int
+    is_observed: bool
+
+
+@dataclass(slots=True)
+class _History:
+    """Boxes of the frames around the one to cover.
+
+    Attributes:
+        tracks: boxes by track id, in order of time.
+        candidates: (time, detections without identity) of the frames.
+    """
+
+    tracks: dict[int, deque[_Box]] = field(default_factory=dict)
+    candidates: deque[tuple[float, Detections]] = field(default_factory=deque)
+
+    def add(self, result: FrameResult) -> None:
+        """Add the boxes of the newest frame."""
+        tracks, time_s = result.tracks, result.time_s
+        for row, track_id in enumerate(tracks.track_id.tolist()):
+            box = _Box(time_s, tracks.xyxy_px[row], int(tracks.class_id[row]), bool(tracks.observed[row]))
+            self.tracks.setdefault(track_id, deque()).append(box)
+        if result.candidates is not None:
+            self.candidates.append((time_s, result.candidates))
+
+    def forget_before(self, time_s: float) -> None:
+        """Remove older boxes."""
+        while self.candidates and self.candidates[0][0] < time_s:
+            self.candidates.popleft()
+        for track_id, boxes in list(self.tracks.items()):
+            while boxes and boxes[0].time_s < time_s:
+                boxes.popleft()
+            if not boxes:
+                del self.tracks[track_id]
+
+    def boxes_at(self, time_s: float) -> Boxes:
+        """All boxes to cover in the frame at `time_s`."""
+        rows = [row for boxes in self.tracks.values() for row in _track_boxes(boxes, time_s)]
+        now = Boxes(
+            np.array([box for box, _, _ in rows], np.float64).reshape(-1, 4),
+            np.array([class_id for _, class_id, _ in rows], np.int64),
+            np.array([margin_px for _, _, margin_px in rows], np.float64),
+        )
+        near = [(abs(at_s - time_s), boxes) for at_s, boxes in self.candidates if abs(at_s - time_s) <= NEIGHBOUR_S]
+        for after_s, candidates in sorted(near, key=lambda item: item[0]):
+            is_covered = _are_covered(candidates, now, min_iou=SAME_IOU if after_s > 0 else EQUAL_IOU)
+            new = candidates.select(~is_covered)
+            margin_px = GROWTH_PER_S * after_s * _sides_px(new.xyxy_px)
+            now = _joined([now, Boxes(new.xyxy_px, new.class_id, margin_px)])
+        return now
+
+
+def _are_covered(candidates: Detections, boxes: Boxes, *, min_iou: float) -> BoolArray:
+    """(N,) whether a box of the same class has at least `min_iou` with a detection."""
+    is_same = candidates.class_id[:, None] == boxes.class_id
+    return np.asarray((is_same & (iou(candidates.xyxy_px, boxes.xyxy_px) >= min_iou)).any(axis=1), np.bool_)
+
+
+def _track_boxes(boxes: Sequence[_Box], time_s: float) -> Iterator[tuple[FloatArray, int, float]]:
+    """Box, class and uncertainty in px of a track in the frame at a time: none, one, or a predicted and another one."""
+    now = next((box for box in boxes if box.time_s == time_s), None)
+    if now is not None and now.is_observed:
+        yield now.xyxy_px, now.class_id, 0.0
+        return
+    before = [box for box in boxes if box.time_s < time_s and box.is_observed]
+    after = [box for box in boxes if box.time_s > time_s and box.is_observed]
+    nearest_s = min([abs(box.time_s - time_s) for box in (*before[-1:], *after[:1])], default=PAST_S)
+    if now is not None:
+        yield now.xyxy_px, now.class_id, GROWTH_PER_S * nearest_s * _side_px(now.xyxy_px)
+    if before and after:
+        start, end = before[-1], after[0]
+        share = (time_s - start.time_s) / (end.time_s - start.time_s)
+        box = (1 - share) * start.xyxy_px + share * end.xyxy_px
+        yield box, start.class_id, GROWTH_PER_S * nearest_s * _side_px(box)
+    elif before or after:
+        nearest = before[-1] if before else after[0]
+        step_s = time_s - nearest.time_s
+        moved = step_s * _speed(before if before else after[::-1])
+        margin_px = GROWTH_PER_S * nearest_s * _side_px(nearest.xyxy_px) + SPEED_SHARE * float(np.abs(moved).max())
+        yield nearest.xyxy_px + moved, nearest.class_id, margin_px
+
+
+def _speed(boxes: Sequence[_Box]) -> FloatArray:
+    """(4,) speed of the edges in px/s at the last of the given boxes, which are in order of time or reversed."""
+    last = boxes[-1]
+    first = next(box for box in boxes if abs(box.time_s - last.time_s) <= SPEED_TIME_S)
+    span_s = last.time_s - first.time_s
+    return np.zeros(4) if span_s == 0 else (last.xyxy_px - first.xyxy_px) / span_s
+
+
+def _side_px(xyxy_px: FloatArray) -> float:
+    """Smaller side of a box."""
+    return float(_sides_px(xyxy_px[None])[0])
+
+
+def _sides_px(xyxy_px: FloatArray) -> FloatArray:
+    """(N,) smaller sides of boxes (N, 4)."""
+    return np.asarray((xyxy_px[:, 2:] - xyxy_px[:, :2]).min(axis=1, initial=np.inf))
+
+
+def _joined(parts: Sequence[Boxes]) -> Boxes:
+    return Boxes(
+        np.concatenate([part.xyxy_px for part in parts]),
+        np.concatenate([part.class_id for part in parts]),
+        np.concatenate([part.margin_px for part in parts]),
+    )

@@ -1,0 +1,249 @@
+"""Clips of events: short parts of overlay.mp4, copied without recoding.
+
+    overlay     K...........K...........K...........K...        K = keyframe, one per second
+    clip              |-----------------------|
+                      recoded  copied
+
+A clip starts `BEFORE_S` before its event and ends `AFTER_S` after it. Players can only start at a keyframe, so the
+frames before the first keyframe of the clip, at most one second, are encoded again with the overlay's settings; all
+others are copied. If the encoder of another version gives other parameter sets, the whole clip is encoded again.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import islice
+from pathlib import Path
+from typing import TypeAlias
+
+import av
+from av.container import InputContainer
+from av.video.stream import VideoStream
+
+from track_range.foundation.files.atomic_files import atomic_folder, describe
+from track_range.foundation.files.input_files import check_regular
+from track_range.foundation.files.output_files import OutputError, make_folder
+from track_range.recording.frame import VideoError, bgr_image
+from track_range.results.events.clip_names import clip_name, is_clip_name
+from track_range.results.events.event import Event
+from track_range.views.overlay.result_video import QUANTIZER
+from track_range.views.writing.video_writer import VideoWriter
+
+BEFORE_S, AFTER_S = 3.0, 2.0
+"""Time before the start and after the end of an event that its clip shows, s."""
+
+MAX_CLIP_S = 30.0
+"""Largest duration of a clip, s; that of a longer event shows two thirds of it before the peak and a third after."""
+
+_MUXER_OPTIONS = {"movflags": "+faststart"}
+"""The index comes first, so that browsers play the clip while it loads."""
+
+
+def write_clips(
+    overlay: Path,
+    events: Sequence[Event],
+    folder: Path,
+    *,
+    starts_s: float,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> tuple[Path, ...]:
+    """Write one clip per event; clips of an earlier run in the folder are removed.
+
+    Args:
+        overlay: overlay.mp4 of the run.
+        events: all events of the run, in the order of events.csv.
+        folder: folder of the clips; it is created if there are events.
+        starts_s: time of the overlay's first frame in seconds from the start of the video.
+        progress: called with the number of finished clips and of all.
+
+    Returns:
+        Paths of the clips; none for events of which the overlay shows no frame.
+
+    Raises:
+        VideoError: the overlay cannot be read.
+        OutputError: a clip cannot be written.
+    """
+    if not overlay.exists():
+        raise VideoError(
+            f"{overlay}: no such file; clips are cut from the overlay, so repeat the run without --no-overlay."
+        )
+    check_regular(overlay, VideoError, "the overlay of a run")
+    remove_clips(folder)
+    if not events:
+        return ()
+    make_folder(folder)
+    written = []
+    for i, event in enumerate(events):
+        path = folder / clip_name(i + 1, event.kind, event.track_id)
+        start_s, end_s = clip_interval_s(event)
+        if cut_clip(overlay, path, start_s - starts_s, end_s - starts_s):
+            written.append(path)
+        progress(i + 1, len(events))
+    return tuple(written)
+
+
+def clip_interval_s(event: Event) -> tuple[float, float]:
+    """Start and end of an event's clip in seconds from the start of the video; the video may be shorter."""
+    start_s, end_s = event.start_s - BEFORE_S, event.end_s + AFTER_S
+    if end_s - start_s > MAX_CLIP_S:
+        start_s = min(max(event.peak_s - 2 * MAX_CLIP_S / 3, start_s), end_s - MAX_CLIP_S)
+        end_s = start_s + MAX_CLIP_S
+    return start_s, end_s
+
+
+def remove_clips(folder: Path) -> None:
+    """Remove the clips of an earlier run, and their folder if it is then empty.
+
+    Raises:
+        OutputError: a clip cannot be removed.
+    """
+    try:
+        for path in list(folder.iterdir()) if folder.is_dir() else ():
+            if is_clip_name(path.name):
+                path.unlink(missing_ok=True)
+            elif is_clip_name(path.name[1:].rpartition(".")[0]):  # temporary folder of a run that was killed
+                shutil.rmtree(path, ignore_errors=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: clips of an earlier run cannot be removed ({describe(error)}).") from error
+    with suppress(OSError):  # other files in it remain
+        folder.rmdir()
+
+
+def cut_clip(video: Path, path: Path, start_s: float, end_s: float) -> bool:
+    """Write the part of a video between two times, relative to its first frame, atomically.
+
+    Args:
+        video: file of a `VideoWriter`.
+        path: the clip.
+        start_s: time of the first frame at the earliest.
+        end_s: time of the last frame at the latest.
+
+    Returns:
+        Whether the video has a frame in this time; otherwise nothing is written.
+
+    Raises:
+        VideoError: the video cannot be read.
+        OutputError: the clip cannot be written.
+    """
+    with ExitStack() as opened:
+        container, stream = opened.enter_context(_opened(video))
+        part = _part_of(container, stream, start_s, end_s)
+        if part is None:
+            return False
+        try:
+            with atomic_folder(path) as folder:
+                packets = part.packets
+                if part.n_head:
+                    head = folder / "head.mp4"
+                    _encode(part, part.n_head, head)
+                    encoded = opened.enter_context(_opened(head))
+                    if not _has_parameters(encoded[1], stream):
+                        _encode(part, part.n_frames, head)
+                        encoded, packets = opened.enter_context(_opened(head)), []
+                    packets = [*_packets(*encoded), *packets]
+                _mux(packets, folder / path.name)
+        except (av.FFmpegError, OSError) as error:
+            raise OutputError(f"{path}: the clip cannot be written ({error.strerror or error}).") from error
+    return True
+
+
+_Packet: TypeAlias = "av.Packet[VideoStream]"
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """The frames of a part of an open video.
+
+    Attributes:
+        container, stream: the video; packets are only valid while it is open.
+        packets: packets from the first keyframe of the part on; their times count from the first frame.
+        n_head: number of frames before that keyframe.
+        n_frames: number of all frames.
+        first_tick: time of the first frame in the video.
+    """
+
+    container: InputContainer
+    stream: VideoStream
+    packets: list[_Packet]
+    n_head: int
+    n_frames: int
+    first_tick: int
+
+    def frames(self, n_frames: int) -> Iterator[av.VideoFrame]:
+        """The first frames of the part."""
+        self.container.seek(self.first_tick, stream=self.stream)
+        later = (frame for frame in self.container.decode(self.stream) if (frame.pts or 0) >= self.first_tick)
+        return islice(later, n_frames)
+
+
+def _part_of(container: InputContainer, stream: VideoStream, start_s: float, end_s: float) -> _Part | None:
+    """The frames between two times; None without one."""
+    ticks_per_s = 1 / (stream.time_base or Fraction(1))
+    first_tick, last_tick = round(start_s * ticks_per_s), round(end_s * ticks_per_s)
+    if last_tick < 0:
+        return None
+    container.seek(max(first_tick, 0), stream=stream)
+    packets: list[_Packet] = []
+    skipped: list[_Packet] = []
+    for packet in _packets(container, stream):
+        if (packet.pts or 0) > last_tick:
+            break
+        if (packet.pts or 0) >= first_tick:
+            (packets if packets or packet.is_keyframe else skipped).append(packet)
+    if not (skipped or packets):
+        return None
+    first_tick = int((skipped or packets)[0].pts or 0)
+    for packet in packets:
+        packet.pts = packet.dts = int(packet.pts or 0) - first_tick
+    return _Part(container, stream, packets, len(skipped), len(skipped) + len(packets), first_tick)
+
+
+def _packets(container: InputContainer, stream: VideoStream) -> Iterator[_Packet]:
+    """Packets of a video, without the one that marks its end, and without one that is cut off there."""
+    return (packet for packet in container.demux(stream) if packet.pts is not None and not packet.is_corrupt)
+
+
+def _encode(part: _Part, n_frames: int, path: Path) -> None:
+    """Write the first frames of a part to a file, with the settings of the overlay."""
+    codec = part.stream.codec_context
+    fps = float(codec.framerate or part.stream.average_rate or 1)
+    with VideoWriter(path, width_px=codec.width, height_px=codec.height, fps=fps, quantizer=QUANTIZER) as writer:
+        for frame in part.frames(n_frames):
+            time_s = ((frame.pts or 0) - part.first_tick) * (frame.time_base or Fraction(1))
+            writer.write(bgr_image(frame), float(time_s))
+
+
+def _has_parameters(stream: VideoStream, other: VideoStream) -> bool:
+    """Whether two streams have the same parameter sets, so that packets of both can follow each other."""
+    return stream.codec_context.extradata == other.codec_context.extradata
+
+
+def _mux(packets: Sequence[_Packet], path: Path) -> None:
+    """Write packets to an MP4 file with the parameters of the first one's stream."""
+    with av.open(str(path), "w", format="mp4", options=_MUXER_OPTIONS) as container:
+        stream = container.add_stream_from_template(packets[0].stream)
+        for packet in packets:
+            packet.stream = stream
+            container.mux(packet)
+
+
+@contextmanager
+def _opened(video: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
+    """Context in which a video is open.
+
+    Raises:
+        VideoError: it cannot be read.
+    """
+    try:
+        with av.open(str(video)) as container:
+            if not container.streams.video:
+                raise VideoError(f"{video}: expected the overlay of a run, found a file without video.")
+            yield container, container.streams.video[0]
+    except av.FFmpegError as error:
+        raise VideoError(
+            f"{video}: expected the overlay of a run, found a file that cannot be read ({error.strerror or error})."
+        ) from error

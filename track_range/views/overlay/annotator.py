@@ -1,0 +1,142 @@
+"""The overlay: a frame with the box, identity and distances of each track drawn on it.
+
+Boxes are solid if detected, dashed if predicted; corners inside a box mark the window of the patch matcher. Labels
+(`labels.py`) are placed near their boxes, inside the image and without overlap (`label_layout.py`). A bird's-eye view
+(`birds_eye.py`) is at the lower left; the lines of the ego lane are drawn on the road. Labels of near tracks are placed
+first; without room for a full label only its first line is drawn, and without room for that none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.foundation.arrays import FloatArray, Image
+from track_range.pipeline.colours import track_colour
+from track_range.pipeline.frame_result import FrameResult
+from track_range.ranging.registry import methods
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.recorded_view import RecordedView
+from track_range.views.overlay.birds_eye import BirdsEye
+from track_range.views.overlay.label_layout import LabelPlacer
+from track_range.views.overlay.labels import BOLD, Lines, corner_lines, label_lines, text_sizes_px
+from track_range.views.overlay.marks import draw_box, draw_inner_windows, draw_lanes, draw_leader, draw_outline
+from track_range.views.overlay.text_renderer import TextRenderer
+
+Status = Callable[[], Sequence[str]]
+"""Returns short texts on the state of the run, such as the frame rate."""
+
+MOST_LABELS = 100
+"""Maximum number of labels per frame; in a crowd only the nearest tracks are labelled."""
+
+
+class Overlay:
+    """Draws the results of one video in their order; not thread-safe.
+
+    Args:
+        class_names: names by class ID.
+        camera: camera of the images, for the bird's-eye view.
+        status: texts for the upper left corner, after frame number and time.
+        warning: text in amber after these.
+        recorded: the recorded image of a wide lens to draw on, in which boxes are curved; None = the left image.
+    """
+
+    def __init__(
+        self,
+        class_names: Sequence[str] = ROAD_CLASSES,
+        *,
+        camera: PinholeCamera | None = None,
+        status: Status = tuple,
+        warning: str = "",
+        recorded: RecordedView | None = None,
+    ) -> None:
+        self.class_names = tuple(class_names)
+        self._recorded = recorded
+        self._status, self._warning = status, warning
+        self._text = TextRenderer()
+        self._inset = BirdsEye(camera)
+        self._placer = LabelPlacer()
+
+    def draw(self, result: FrameResult) -> Image:
+        """A new (H, W, 3) uint8 BGR image: the left frame, or the recorded one, with its tracks drawn on it.
+
+        Boxes may extend beyond the image; boxes with NaN are skipped; a NaN distance is shown as "-".
+        """
+        view = self._recorded
+        canvas = (result.frame.left if view is None or result.frame.recorded is None else result.frame.recorded).copy()
+        line_px = text_sizes_px((canvas.shape[1], canvas.shape[0]))[2]
+        boxes = result.tracks.xyxy_px if view is None else view.boxes(result.tracks.xyxy_px)
+        valid = np.flatnonzero(np.isfinite(boxes).all(axis=1))
+        nearest_first = valid[np.argsort(-boxes[valid, 3])].tolist()
+        # Edges far outside the image are clipped: drawing takes 32-bit pixels, and time for each dash.
+        size_px = np.array(canvas.shape[1::-1], np.float64)
+        boxes = np.clip(boxes, -8.0 * line_px, np.tile(size_px, 2) + 8.0 * line_px)
+        if result.lanes is not None:
+            moved = None if view is None else view.points
+            draw_lanes(canvas, result.lanes, line_px=line_px, moved=moved)
+        self._draw_boxes(canvas, result, boxes, nearest_first[::-1])
+        self._inset.draw(canvas, result)
+        self._draw_labels(canvas, result, boxes, nearest_first)
+        return canvas
+
+    def _draw_boxes(self, canvas: Image, result: FrameResult, boxes: FloatArray, rows: Sequence[int]) -> None:
+        """Draw boxes in the order of `rows`, then the inner windows of the detected ones."""
+        line_px = text_sizes_px((canvas.shape[1], canvas.shape[0]))[2]
+        uses_right = any("right_image" in method.needs and method.name in result.ranges for method in methods())
+        observed = result.tracks.observed.tolist()
+        colours = {row: track_colour(int(result.tracks.track_id[row])) for row in rows}
+        if self._recorded is not None:
+            outlines = self._recorded.outlines(result.tracks.xyxy_px)
+            for row in rows:
+                draw_outline(canvas, outlines[row], bgr=colours[row], line_px=line_px, dashed=not observed[row])
+            return
+        for row in rows:
+            draw_box(canvas, boxes[row], bgr=colours[row], line_px=line_px, dashed=not observed[row])
+        matched = [row for row in rows if observed[row] and uses_right]
+        draw_inner_windows(canvas, boxes[matched], [colours[row] for row in matched])
+
+    def _draw_labels(self, canvas: Image, result: FrameResult, boxes: FloatArray, rows: Sequence[int]) -> None:
+        """Draw the texts in the corners, then the label of each track in the order of `rows`."""
+        image_px = (canvas.shape[1], canvas.shape[0])
+        *sizes_px, line_px = text_sizes_px(image_px)
+        corners = corner_lines(result, sizes_px[1], status=self._status(), warning=self._warning)
+        occupied = self._draw_corners(canvas, corners)
+        rows = rows[:MOST_LABELS]
+        full = [
+            label_lines(result, row, class_names=self.class_names, sizes_px=(sizes_px[0], sizes_px[1])) for row in rows
+        ]
+        lines_of = (full, [lines[:1] for lines in full])
+        placements = self._placer.place(
+            [int(result.tracks.track_id[row]) for row in rows],
+            boxes[rows],
+            np.stack([self._text.sizes_px(lines) for lines in lines_of]),
+            occupied=occupied,
+            image_px=image_px,
+            urgent=[lines[-1][0].weight == BOLD and lines[-1][0].fill is not None for lines in full],
+        )
+        placed = [
+            (row, lines_of[placement[0]][i], placement[1])
+            for i, (row, placement) in enumerate(zip(rows, placements, strict=True))
+            if placement
+        ]
+        colours = {row: track_colour(int(result.tracks.track_id[row])) for row, _, _ in placed}
+        for row, _, place in placed:
+            draw_leader(canvas, place, boxes[row], bgr=colours[row], line_px=line_px)
+        for row, lines, place in placed:
+            self._text.write(canvas, lines, place, stripe=colours[row])
+
+    def _draw_corners(self, canvas: Image, corners: Sequence[Lines]) -> FloatArray:
+        """Draw frame number and time at the upper left and the legend at the upper right, if there is room.
+
+        Returns:
+            (1 to 3, 4) rectangles of these and of the inset, in pixels.
+        """
+        (w, h), (legend_w, legend_h) = self._text.sizes_px(corners).tolist()
+        width = canvas.shape[1]
+        places = np.array([[0, 0, w, h], [width - legend_w, 0, width, legend_h]])
+        places = places[: 0 if w > width else 1 if w + legend_w > width else 2]
+        for lines, place in zip(corners, places, strict=False):
+            self._text.write(canvas, lines, place)
+        return np.vstack([places, self._inset.place((width, canvas.shape[0]))])

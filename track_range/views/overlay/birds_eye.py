@@ -1,0 +1,179 @@
+r"""BirdsEye: inset with a bird's-eye view of the road, to scale: positions of the tracks and their uncertainty.
+
++---------+   Forward (z) is up, x is to the right, both at the same scale; horizontal lines mark distances. A track is
+| --- 40  |   a dot in its colour with a bar of one sigma in both directions along its ray; hollow = predicted; a ring
+|   |o    |   in amber or red = imminent collision. The range is one of `RANGES_M`: it grows immediately when a track
+| --|- 20 |   is farther, and shrinks when none has been for some seconds.
+|  \./    |
++---------+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from track_range.foundation.arrays import FloatArray, Image
+from track_range.pipeline.colours import BLACK, GREY, WHITE, track_colour, warning_colour
+from track_range.pipeline.frame_result import FrameResult
+from track_range.stereo.geometry.camera import PinholeCamera
+
+Point = tuple[int, int]
+
+RANGES_M = (30.0, 60.0, 90.0, 120.0)
+"""Possible ranges of the inset in metres."""
+
+_SHRINK_DELAY_S = 3.0
+"""Seconds for which all tracks must be nearer before the range shrinks."""
+
+_HEIGHT_SHARE, _WIDTH_SHARE = 0.42, 0.3
+"""Largest height and width of the inset as fractions of the image's."""
+
+_ASPECT = 0.8
+"""Width / height of the inset."""
+
+_EGO_MARGIN = 0.06
+"""Part of the inset's height that is below the camera."""
+
+_N_LINES = 3
+"""Number of marked distances."""
+
+_FAINT = (95, 95, 95)
+"""BGR colour of the grid."""
+
+
+@dataclass(slots=True)
+class Scale:
+    """Range of the inset in metres, over time."""
+
+    range_m: float = RANGES_M[0]
+    _needed_s: float = -np.inf
+
+    def update(self, farthest_m: float, time_s: float) -> None:
+        """Update with the farthest track of a frame in metres (0 = no track); times must increase."""
+        needed_m = next((far_m for far_m in RANGES_M if farthest_m <= far_m), RANGES_M[-1])
+        if needed_m >= self.range_m:
+            self._needed_s = time_s
+            self.range_m = needed_m
+        elif time_s - self._needed_s > _SHRINK_DELAY_S:
+            self.range_m = needed_m
+
+
+class BirdsEye:
+    """Draws the insets of one video.
+
+    Attributes:
+        camera: camera of the images, for predicted tracks and the field of view; None = without these.
+    """
+
+    def __init__(self, camera: PinholeCamera | None = None) -> None:
+        """Create the inset of a new video."""
+        self.camera = camera
+        self._scale = Scale()
+        self._font = cv2.FontFace("sans")
+        self._grids: dict[tuple[int, int, float], Image] = {}
+
+    def place(self, image_px: tuple[int, int]) -> FloatArray:
+        """(4,) rectangle of the inset in an image (W, H), at the lower left; empty if the image is too small."""
+        width, height = image_px
+        inset_px = min(_HEIGHT_SHARE * height, _WIDTH_SHARE * width / _ASPECT)
+        inset_px = round(inset_px) if inset_px >= 60 else 0
+        return np.array([0, height - inset_px, round(_ASPECT * inset_px), height], np.float64)
+
+    def draw(self, canvas: Image, result: FrameResult) -> None:
+        """Draw the inset of one frame."""
+        left, top, right, bottom = self.place((canvas.shape[1], canvas.shape[0])).astype(int).tolist()
+        ground_m = self.ground_m(result)
+        known = np.isfinite(ground_m).all(axis=1) & (ground_m[:, 1] > 0)
+        self._scale.update(float(ground_m[known, 1].max(initial=0.0)), result.frame.time_s)
+        inset = canvas[top:bottom, left:right]
+        if not inset.size:
+            return
+        np.right_shift(inset, 2, out=inset)
+        cv2.max(inset, self._grid((bottom - top, right - left)), dst=inset)
+        far_first = np.flatnonzero(known)[np.argsort(-ground_m[known, 1])]
+        for row, (centre, *bar) in zip(far_first.tolist(), self._marks(ground_m[far_first], inset), strict=True):
+            self._draw_track(inset, result, row, centre=centre, bar=bar)
+
+    def ground_m(self, result: FrameResult) -> FloatArray:
+        """(N, 3) x, z and sigma of z of each track in metres, from the fused or filtered distance; NaN = unknown."""
+        n = len(result.tracks)
+        ground_m = np.full((n, 3), np.nan)
+        ground_m[:, :2] = result.xyz_m[:, ::2]
+        if "fused" in result.ranges:
+            ground_m[:, 2] = result.ranges["fused"].sigma_m
+        if self.camera is not None and "fused_kf" in result.ranges:
+            filtered = result.ranges["fused_kf"]
+            centre_px = (result.tracks.xyxy_px[:, :2] + result.tracks.xyxy_px[:, 2:]) / 2
+            predicted_m = self.camera.rays(centre_px)[:, ::2] * filtered.distance_m[:, None]
+            fallback_m = np.hstack([predicted_m, filtered.sigma_m[:, None]])
+            ground_m = np.where(np.isfinite(ground_m).all(axis=1, keepdims=True), ground_m, fallback_m)
+        return ground_m
+
+    def pixels(self, x_m: FloatArray, z_m: FloatArray, inset_hw: tuple[int, int]) -> FloatArray:
+        """(..., 2) pixels in an inset of the given height and width."""
+        height, width = inset_hw
+        px_per_m = (1 - _EGO_MARGIN) * height / self._scale.range_m
+        return np.stack([width / 2 + x_m * px_per_m, (1 - _EGO_MARGIN) * height - z_m * px_per_m], axis=-1)
+
+    def _grid(self, hw: tuple[int, int]) -> Image:
+        """Background of the tracks on black, cached by size and range."""
+        key = (*hw, self._scale.range_m)
+        if key not in self._grids:
+            self._grids[key] = self._new_grid(hw)
+        return self._grids[key]
+
+    def _new_grid(self, hw: tuple[int, int]) -> Image:
+        grid = np.zeros((*hw, 3), np.uint8)
+        range_m, size_px = self._scale.range_m, max(9, hw[0] // 18)
+        ego, *far_ends = self._points(
+            [(0.0, 0.0)] + [(2 * range_m * slope, 2 * range_m) for slope in self._slopes()], hw
+        )
+        for end in far_ends:
+            cv2.line(grid, ego, end, _FAINT, 1, cv2.LINE_AA)
+        for number in range(1, _N_LINES + 1):
+            z_m = range_m * number / _N_LINES
+            y = self._points([(0.0, z_m)], hw)[0][1]
+            cv2.line(grid, (0, y), (hw[1], y), _FAINT, 1)
+            text = f"{z_m:.0f} m" if number == _N_LINES else f"{z_m:.0f}"
+            cv2.putText(grid, text, (3, y + size_px), GREY, self._font, size_px, 450)
+        half = max(2, hw[0] // 60)
+        base_y = ego[1] + 2 * half
+        cv2.fillConvexPoly(grid, np.array([(ego[0] - half, base_y), (ego[0] + half, base_y), ego]), WHITE)
+        cv2.rectangle(grid, (0, 0), (hw[1] - 1, hw[0] - 1), _FAINT, 1)
+        return grid
+
+    def _slopes(self) -> list[float]:
+        """Ratio x / z at the left and the right edge of the camera's field of view; empty without a camera."""
+        if self.camera is None:
+            return []
+        return [(u_px - self.camera.cx_px) / self.camera.fx_px for u_px in (0.0, self.camera.width_px - 1.0)]
+
+    def _marks(self, ground_m: FloatArray, inset: Image) -> list[list[Point]]:
+        """Pixels of the centre of each track and of the two ends of its bar."""
+        z_m, sigma_m = ground_m[:, 1], ground_m[:, 2]
+        scale = np.stack([np.ones_like(z_m), 1 - sigma_m / z_m, 1 + sigma_m / z_m], axis=1)
+        points_m = (ground_m[:, None, :2] * scale[:, :, None]).reshape(-1, 2)
+        points = self._points(points_m, (inset.shape[0], inset.shape[1]))
+        return [points[first : first + 3] for first in range(0, len(points), 3)]
+
+    def _draw_track(self, inset: Image, result: FrameResult, row: int, *, centre: Point, bar: Sequence[Point]) -> None:
+        colour, radius = track_colour(int(result.tracks.track_id[row])), max(2, round(inset.shape[0] / 60))
+        alarm = warning_colour(result, row)
+        is_observed = bool(result.tracks.observed[row])
+        cv2.circle(inset, centre, radius + 2, BLACK if alarm is None else alarm, -1, cv2.LINE_AA)
+        if not is_observed:
+            cv2.circle(inset, centre, radius, BLACK, -1, cv2.LINE_AA)
+        cv2.circle(inset, centre, radius, colour, -1 if is_observed else 1, cv2.LINE_AA)
+        cv2.line(inset, bar[0], bar[1], colour, 1, cv2.LINE_AA)
+
+    def _points(self, points_m: npt.ArrayLike, hw: tuple[int, int]) -> list[Point]:
+        """Pixels in the inset of (N, 2) points x, z in metres; clipped far outside, as drawing takes 16-bit pixels."""
+        x_m, z_m = np.asarray(points_m, np.float64).T
+        limit = 5.0 * max(hw)
+        pixels = np.rint(np.clip(self.pixels(x_m, z_m, hw), -limit, limit)).astype(int)
+        return [(x, y) for x, y in pixels.tolist()]

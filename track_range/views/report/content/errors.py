@@ -1,0 +1,130 @@
+"""Data of the report's charts of distance errors and of the calibration of sigma.
+
+error = distance / truth - 1        z = |distance - truth| / sigma        P(z <= k) = erf(k / sqrt 2) if normal
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from scipy.special import erfinv
+
+from track_range.foundation.arrays import FloatArray
+from track_range.results.columns import Columns, methods_measured
+from track_range.views.report.content.series import column, thinned
+from track_range.views.report.tables import WITHIN_1_SIGMA, WITHIN_2_SIGMA, figure
+
+SCATTER_POINTS = 1500
+"""Maximum number of points of one method in the chart of errors; more would overlap."""
+
+BAND_M = 10.0
+"""Width in metres of the distance bands of the median line."""
+
+MIN_IN_BAND = 3
+"""Minimum number of errors in a band for a median."""
+
+EXPECTED_SHARES = np.arange(0.05, 1.0, 0.05)
+"""Fractions of errors expected within k sigma at which the calibration curve is sampled."""
+
+_SHARE_KEYS = ((WITHIN_1_SIGMA, "within_1_sigma"), (WITHIN_2_SIGMA, "within_2_sigma"))
+"""Expected fraction, and key of the observed one in a method's row of the summary."""
+
+
+def error_curves(columns: Columns, summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Points (x: true distance in m, y: signed error in %) and a line of medians by distance band, per method.
+
+    Without truth in the columns, the line holds the mean absolute error of each distance band in the summary.
+    """
+    curves = {}
+    for method in methods_measured(columns):
+        truth_m, error_pct = _errors_pct(columns, method)
+        if len(truth_m):
+            shown = thinned(len(truth_m), SCATTER_POINTS) if not method.endswith("_kf") else slice(0)
+            curves[method] = {
+                "points": [_rounded(truth_m[shown]), _rounded(error_pct[shown])],
+                "line": [_rounded(part) for part in median_by_distance(truth_m, error_pct)],
+            }
+    return curves or _curves_of_bands(summary)
+
+
+def _errors_pct(columns: Columns, method: str) -> tuple[FloatArray, FloatArray]:
+    truth_m, distance_m = _scored_truth_m(columns), column(columns, f"{method}_m")
+    known = np.isfinite(distance_m) & (truth_m > 0)
+    order = np.argsort(truth_m[known], kind="stable")
+    truth_m, distance_m = truth_m[known][order], distance_m[known][order]
+    return truth_m, 100.0 * (distance_m / truth_m - 1.0)
+
+
+def _scored_truth_m(columns: Columns) -> FloatArray:
+    """(N,) true distances that the tables' errors refer to, in metres; see `results.truth`."""
+    return column(columns, "scored_truth_m" if "scored_truth_m" in columns else "truth_m")
+
+
+def _curves_of_bands(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    curves = {}
+    for method, row in (summary.get("methods") or {}).items():
+        line = band_line(row)
+        if line:
+            curves[method] = {"points": [[], []], "line": [list(part) for part in zip(*line, strict=True)]}
+    return curves
+
+
+def band_line(row: Mapping[str, Any]) -> list[tuple[float, float]]:
+    """(Middle of a distance band in m, mean absolute error there in %) for a method's row of a summary."""
+    return [
+        ((band["from_m"] + band["to_m"]) / 2, error_pct)
+        for band in row.get("bands") or []
+        if (error_pct := figure(band, "mean_relative_error_pct")) is not None
+    ]
+
+
+def median_by_distance(distance_m: FloatArray, error_pct: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Middles in m of distance bands of width `BAND_M`, and median error in each with at least `MIN_IN_BAND` errors."""
+    known = np.isfinite(distance_m) & np.isfinite(error_pct)
+    band = np.floor(distance_m[known] / BAND_M)
+    medians = [
+        (BAND_M * (b + 0.5), np.median(error_pct[known][band == b]))
+        for b in np.unique(band)
+        if np.sum(band == b) >= MIN_IN_BAND
+    ]
+    middles_m, median_pct = np.array(medians, np.float64).reshape(-1, 2).T
+    return middles_m, median_pct
+
+
+def calibration_curves(columns: Columns, summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Fractions of errors expected (x) and observed (y) within k sigma, in %, per method.
+
+    Without truth in the columns, the line holds the summary's fractions within one and two sigma.
+    """
+    k = np.sqrt(2.0) * erfinv(EXPECTED_SHARES)
+    curves = {}
+    for method in methods_measured(columns):
+        z = _errors_in_sigmas(columns, method)
+        if len(z):
+            observed = np.searchsorted(np.sort(z), k, side="right") / len(z)
+            curves[method] = {"line": [_rounded(100.0 * EXPECTED_SHARES), _rounded(100.0 * observed)], "n": len(z)}
+    return curves or _curves_of_shares(summary)
+
+
+def _errors_in_sigmas(columns: Columns, method: str) -> FloatArray:
+    truth_m, sigma_m = _scored_truth_m(columns), column(columns, f"{method}_sigma_m")
+    error_m = np.abs(column(columns, f"{method}_m") - truth_m)
+    known = np.isfinite(error_m) & (sigma_m > 0) & (truth_m > 0)
+    return error_m[known] / sigma_m[known]
+
+
+def _curves_of_shares(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    curves = {}
+    for method, row in (summary.get("methods") or {}).items():
+        known = [
+            (100 * expected, 100 * share) for expected, key in _SHARE_KEYS if (share := figure(row, key)) is not None
+        ]
+        if known:
+            curves[method] = {"line": [list(part) for part in zip(*known, strict=True)], "n": row.get("n")}
+    return curves
+
+
+def _rounded(values: FloatArray) -> list[float]:
+    return [round(float(value), 2) for value in values]

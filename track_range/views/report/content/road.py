@@ -1,0 +1,168 @@
+r"""Positions of the tracks on the road and their collision courses, for the bird's-eye view of the report.
+
+The camera is recovered from the rows: the boxes give the image coordinate u of their centres, and the distances z with
+the lateral positions x the slopes of their rays:
+
+    x / z = (u - cx) / fx        hence a line through (u, x / z) has the slope 1 / fx and passes zero at cx
+
+The course is a line x = x0 + v t through the lateral positions of the last `WINDOW_S`, by least squares. At the time to
+collision T the object passes the camera at the lateral offset
+
+    o = x0 + v T,    var o = s^2 (1 / n + (T - mean t)^2 / sum (t - mean t)^2) + (a T^2 / 2)^2
+
+with t = 0 now, n positions with the standard deviation s, and the standard deviation a of the lateral acceleration.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.results.columns import Columns
+from track_range.results.truth import boxes_px
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.views.report.content.series import column, rows_by_track
+
+EGO_HALF_WIDTH_M = 0.9
+"""Half the width of the ego vehicle in m, of a typical passenger car; as in `ranging`'s collision course."""
+
+COURSE_S = 8.0
+"""Longest time to collision in s of the courses that the page contains; it draws the next 4 s."""
+
+WINDOW_S = 0.8
+"""Duration in s of the positions from which a course is computed: at least eight frames at 10 Hz."""
+
+FILTERED_WINDOW_S = 0.5
+"""The same for the offsets of the collision warning in s, which are filtered: their slope is the lateral speed."""
+
+_LIKELY = 0.5
+"""Smallest probability of contact of an object that is more likely to hit than to pass."""
+
+_MIN_POSITIONS = 4
+"""Minimum number of positions of a course."""
+
+_LATERAL_ACCELERATION_MPS2 = 0.25
+"""Standard deviation a of the lateral acceleration in m/s^2, as in `ranging`'s collision course."""
+
+_CENTRE_SIGMA_PX, _CENTRE_SIGMA_SHARE = 1.0, 0.02
+"""Standard deviation of a box centre: a constant in px, plus a fraction of the box width; as in `ranging`."""
+
+_BORDER_PX = 2.0
+"""Distance in px from the left or right image border within which a box counts as truncated."""
+
+_MIN_ROWS = 3
+"""Minimum number of rows with a position from which a camera is recovered."""
+
+_MAX_RESIDUAL = 0.02
+"""Largest median residual of x / z, about 1 degree; the rows of one camera have less than 1e-4, from rounding."""
+
+
+def road_columns(columns: Columns) -> dict[str, FloatArray]:
+    """Additional columns of rows with positions: (N,) each, NaN = unknown; none if the camera cannot be recovered.
+
+    They are in m and s, and have no names NAME_m, which are distances of methods.
+
+    Keys: `road_x`, position to the right of the camera; `box_width`, width of the box; and where the time to collision
+    `shown_ttc` is at most `COURSE_S`: `passing` and `passing_sigma`, lateral offset of the object at that time. It is
+    relative to the ego path where the rows have `path_offset_m` of the warning, else to the camera's axis.
+    """
+    camera = camera_of_rows(columns)
+    if camera is None:
+        return {}
+    boxes = boxes_px(columns)
+    fused_m, filtered_m = column(columns, "fused_m"), column(columns, "fused_kf_m")
+    ttc_s = column(columns, "ttc_s")
+    m_per_px = np.where(np.isfinite(fused_m), fused_m, filtered_m) / camera.fx_px
+    x_m = ((boxes[:, 0] + boxes[:, 2]) / 2 - camera.cx_px) * m_per_px
+    width_m = (boxes[:, 2] - boxes[:, 0]) * m_per_px
+    is_whole = (boxes[:, 0] > _BORDER_PX) & (boxes[:, 2] < camera.width_px - 1 - _BORDER_PX)
+    road = {
+        "road_x": x_m,
+        "box_width": width_m,
+        "shown_ttc": np.where(ttc_s <= COURSE_S, ttc_s, np.nan),
+        "passing": np.full(len(x_m), np.nan),
+        "passing_sigma": np.full(len(x_m), np.nan),
+    }
+    sigma_m = _CENTRE_SIGMA_PX * m_per_px + _CENTRE_SIGMA_SHARE * width_m
+    is_measured = is_whole & np.isfinite(x_m) & (column(columns, "observed") != 0)
+    offset_m, window_s = x_m, WINDOW_S
+    if np.isfinite(column(columns, "path_offset_m")).any():
+        offset_m, window_s = column(columns, "path_offset_m"), FILTERED_WINDOW_S
+        is_measured = np.isfinite(offset_m)
+    for rows in rows_by_track(columns):
+        road["passing"][rows], road["passing_sigma"][rows] = _courses(
+            columns["time_s"][rows], offset_m[rows], sigma_m[rows], is_measured[rows], road["shown_ttc"][rows], window_s
+        )
+    return road
+
+
+def camera_of_rows(columns: Columns) -> PinholeCamera | None:
+    """The camera whose rays the positions of the rows lie on; None without distances or with positions of several.
+
+    The image is as wide as the rightmost box edge requires, and its height is unknown (1).
+    """
+    if not len(columns["time_s"]) or not {"x1_px", "y1_px", "x2_px", "y2_px", "x_m", "fused_m"} <= columns.keys():
+        return None
+    boxes = boxes_px(columns)
+    u_px = (boxes[:, 0] + boxes[:, 2]) / 2
+    z_m = column(columns, "fused_m")
+    slope = column(columns, "x_m") / np.where(z_m > 1.0, z_m, np.nan)
+    known = np.isfinite(slope) & np.isfinite(u_px)
+    if np.sum(known) < _MIN_ROWS or np.ptp(u_px[known]) < 1.0:
+        return None
+    per_px, offset = np.polyfit(u_px[known], slope[known], 1).tolist()
+    residual = np.median(np.abs(per_px * u_px[known] + offset - slope[known]))
+    if not (per_px > 0 and residual < _MAX_RESIDUAL):
+        return None
+    cx_px = -offset / per_px
+    width_px = round(max(float(np.nanmax(boxes[:, 2])) + 1, 2 * cx_px))
+    return PinholeCamera(1 / per_px, 1 / per_px, cx_px, 0.0, width_px=width_px, height_px=1)
+
+
+def is_on_course(columns: Columns) -> BoolArray:
+    """(N,) whether the object is more likely to hit the ego vehicle than to pass it.
+
+    By the probability of contact where the rows have one, else by the lateral offset; without a camera all are.
+    """
+    probability = column(columns, "contact_probability")
+    if np.isfinite(probability).any():
+        return probability >= _LIKELY
+    if "passing" not in columns:
+        return np.ones(len(columns["time_s"]), np.bool_)
+    reach_m = EGO_HALF_WIDTH_M + column(columns, "box_width") / 2
+    hits: BoolArray = np.abs(column(columns, "passing")) <= reach_m
+    return hits
+
+
+def _courses(
+    time_s: FloatArray,
+    x_m: FloatArray,
+    sigma_m: FloatArray,
+    is_measured: BoolArray,
+    ttc_s: FloatArray,
+    window_s: float,
+) -> tuple[FloatArray, FloatArray]:
+    """(N,) lateral offsets of one track at its times to collision, and their standard deviations; NaN = unknown."""
+    first: IntArray = np.searchsorted(time_s, time_s - window_s - 1e-6)
+    t = time_s - time_s[0]
+    x = np.where(is_measured, x_m, 0.0)
+    n, sum_t, sum_x, sum_tt, sum_tx = (
+        _sum_of_window(np.where(is_measured, values, 0.0), first) for values in (np.ones_like(t), t, x, t * t, t * x)
+    )
+    known = (n >= _MIN_POSITIONS) & np.isfinite(ttc_s)
+    mean_t = sum_t / np.maximum(n, 1)
+    spread = sum_tt - n * mean_t**2
+    known &= spread > 1e-6
+    spread = np.where(known, spread, np.nan)
+    v = (sum_tx - mean_t * sum_x) / spread
+    ahead_s = t + ttc_s - mean_t
+    offset_m = sum_x / np.maximum(n, 1) + v * ahead_s
+    variance = sigma_m**2 * (1 / np.maximum(n, 1) + ahead_s**2 / spread)
+    return offset_m, np.sqrt(variance + (_LATERAL_ACCELERATION_MPS2 * ttc_s**2 / 2) ** 2)
+
+
+def _sum_of_window(values: FloatArray, first: IntArray) -> FloatArray:
+    """(N,) sums of the values from row `first` up to each row."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    sums: FloatArray = total[1:] - total[first]
+    return sums

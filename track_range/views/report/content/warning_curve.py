@@ -1,0 +1,95 @@
+"""warning_curve: false alarms per hour against lead time of the collision warning, measured on simulated drives.
+
+The figure is the same in all reports: it shows what one camera, a stereo rig and both methods together achieve. Its
+values are packaged in assets/warning_curve.json:
+
+    {"protocol": text, "methods": {name: [[false alarms per hour, median lead in s, share of contacts], ...]}}
+
+The share is that of the contacts with a warning at least 2.1 s before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from track_range.foundation.files.structured_text import parse_json
+from track_range.pipeline.colours import colour_of_each
+
+CURVE_FILE = "warning_curve.json"
+
+_WIDTH_PX, _HEIGHT_PX = 640, 300
+_LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 44, 22, 12, 40
+"""Size of the figure and its margins, px."""
+
+_MIN_PER_HOUR = 0.1
+"""Smallest rate of the logarithmic axis, 1/h; curves without a false alarm start there."""
+
+_Point = Sequence[float | None]
+
+
+@cache
+def packaged_curve() -> Mapping[str, Any] | None:
+    """Content of the packaged file; None = it has no values."""
+    source = files("track_range.views.report") / "assets" / CURVE_FILE
+    if not source.is_file():
+        return None
+    content: dict[str, Any] = parse_json(source.read_text(encoding="utf-8"), CURVE_FILE, ValueError, "the curve")
+    return content if content.get("methods") else None
+
+
+def curve_figure(content: Mapping[str, Any]) -> dict[str, Any]:
+    """The figure for the template.
+
+    Keys: `width`, `height`, `protocol`, `alternative` (the curves in words), `x_ticks` and `y_ticks` ({at, text}),
+    `inner` (edges of the axes), and `lines` ({name, colour, path, dots}), all in px.
+    """
+    methods: Mapping[str, Sequence[_Point]] = content["methods"]
+    curves = {name: _known(points) for name, points in methods.items()}
+    points = [point for curve in curves.values() for point in curve]
+    last_decade = math.ceil(math.log10(max([1.0, *(per_hour for per_hour, _, _ in points)])))
+    highest_s = max(1.0, math.ceil(1.1 * max([0.0, *(lead_s for _, lead_s, _ in points)])))
+    first_decade = round(math.log10(_MIN_PER_HOUR))
+
+    def x_px(per_hour: float) -> float:
+        share = (math.log10(max(per_hour, _MIN_PER_HOUR)) - first_decade) / (last_decade - first_decade)
+        return round(_LEFT_PX + share * (_WIDTH_PX - _LEFT_PX - _RIGHT_PX), 1)
+
+    def y_px(lead_s: float) -> float:
+        return round(_TOP_PX + (1 - lead_s / highest_s) * (_HEIGHT_PX - _TOP_PX - _BOTTOM_PX), 1)
+
+    colours = colour_of_each(list(curves))
+    lines = []
+    for name, curve in curves.items():
+        at = [(x_px(per_hour), y_px(lead_s), share) for per_hour, lead_s, share in curve]
+        path = "M" + "L".join(f"{x} {y}" for x, y, _ in at) if at else ""
+        dots = [{"x": x, "y": y, "r": round(1.5 + 4 * share, 1)} for x, y, share in at]
+        lines.append({"name": name, "colour": colours[name], "path": path, "dots": dots})
+    return {
+        "width": _WIDTH_PX,
+        "height": _HEIGHT_PX,
+        "inner": {"left": _LEFT_PX, "right": _WIDTH_PX - _RIGHT_PX, "top": _TOP_PX, "bottom": _HEIGHT_PX - _BOTTOM_PX},
+        "protocol": str(content.get("protocol", "")),
+        "alternative": "; ".join(_words(name, curve) for name, curve in curves.items()),
+        "x_ticks": [{"at": x_px(10.0**k), "text": f"{10.0**k:g}"} for k in range(first_decade, last_decade + 1)],
+        "y_ticks": [{"at": y_px(value), "text": f"{value} s"} for value in range(int(highest_s) + 1)],
+        "lines": lines,
+    }
+
+
+def _known(points: Sequence[_Point]) -> list[tuple[float, float, float]]:
+    """Points with a rate and a lead time in the order of the rate; the share of contacts is 0 where it is unknown."""
+    known = [
+        (float(point[0]), float(point[1]), float((point[2] if len(point) > 2 else None) or 0.0))
+        for point in points
+        if point[0] is not None and point[1] is not None
+    ]
+    return sorted(known)
+
+
+def _words(name: str, curve: Sequence[tuple[float, float, float]]) -> str:
+    texts = [f"{per_hour:.1f} per hour with {lead_s:.1f} s" for per_hour, lead_s, _ in curve]
+    return f"{name}: {', '.join(texts)}" if texts else f"{name}: no values"

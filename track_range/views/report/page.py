@@ -1,0 +1,275 @@
+"""The report: one self-contained HTML page of a run, or of several runs; it works offline.
+
+The overlay video is a separate file. All text from outside (names of files and classes, notes) is escaped, in the
+markup and in the embedded data. Script and style are embedded, and a content security policy with the checksum of the
+script blocks all others.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from track_range.foundation.files.input_files import real_path
+from track_range.foundation.files.output_files import write_text
+from track_range.pipeline.colours import colour_of_each
+from track_range.results.columns import Columns, methods_measured
+from track_range.results.events.clip_names import is_clip_name
+from track_range.results.events.event import Event
+from track_range.views.report import tables
+from track_range.views.report.comparison import (
+    ComparedRun,
+    comparison_grids,
+    comparison_notes,
+    error_lines,
+    event_grids,
+    event_sentence,
+    settings_grid,
+)
+from track_range.views.report.content.errors import calibration_curves, error_curves
+from track_range.views.report.content.events import clips_of, event_records, hidden_events_note, shown_events
+from track_range.views.report.content.known_distances import box_columns, uncalibrated_video
+from track_range.views.report.content.road import camera_of_rows, road_columns
+from track_range.views.report.content.series import track_records
+from track_range.views.report.content.timeline import timeline
+from track_range.views.report.content.warning_curve import curve_figure, packaged_curve
+from track_range.views.report.grids import accuracy_grids, mot_grid, speed_grids, stage_bars
+from track_range.views.report.headlines import headlines, run_line
+from track_range.views.report.sentences import (
+    address,
+    cards,
+    geometry_sentences,
+    run_name,
+    settings_groups,
+    sigma_sentences,
+)
+
+_FILTERED = "_kf"
+"""Ending of the names of filtered methods, which are hidden at first where the unfiltered method is shown."""
+
+
+_SCRIPTS = (
+    "elements",
+    "theme_and_tables",
+    "drawing",
+    "tracks",
+    "birds_eye",
+    "timeline",
+    "playback",
+    "known_distances",
+    "run_charts",
+    "start",
+)
+"""Parts of the script of all pages, in the order of their execution."""
+
+
+def write_report(
+    path: Path,
+    summary: Mapping[str, Any],
+    columns: Columns,
+    events: Sequence[Event] | None = None,
+    *,
+    clips: Path | None = None,
+) -> None:
+    """Write the report of a run atomically.
+
+    Args:
+        path: file to write, usually report.html in the folder of overlay.mp4.
+        summary: content of summary.json.
+        columns: tracks.csv by column, NaN = empty, with the ground truth (`results.truth`) where there is one; zero
+            rows without tracks.
+        events: events of the run, in the order of events.csv; None = unknown, the page is then without them.
+        clips: folder of their clips, to which the page links; it may be missing. None = no links.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    addresses = {} if clips is None else _clip_addresses(clips, path.parent)
+    _write_page(path, report_page(summary, columns, events, clips=addresses))
+
+
+def _clip_addresses(folder: Path, start: Path) -> dict[str, str]:
+    """Addresses of the clips in a folder, relative to `start`, by file name."""
+    try:
+        names = [entry.name for entry in folder.iterdir() if is_clip_name(entry.name)]
+    except OSError:
+        return {}
+    place = Path(os.path.relpath(real_path(folder), real_path(start))).as_posix()
+    return {name: address(f"{place}/{name}") for name in names}
+
+
+def write_comparison(path: Path, runs: Sequence[ComparedRun]) -> None:
+    """Write the page that compares several runs, atomically.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    _write_page(path, comparison_page(runs))
+
+
+def _write_page(path: Path, page: str) -> None:
+    # File names may contain bytes that are not UTF-8; they are replaced by question marks.
+    write_text(path, page.encode("utf-8", "replace").decode("utf-8"))
+
+
+def report_page(
+    summary: Mapping[str, Any],
+    columns: Columns,
+    events: Sequence[Event] | None = None,
+    *,
+    clips: Mapping[str, str] | None = None,
+) -> str:
+    """HTML of the report of a run; `events`: see `write_report`; `clips`: addresses by file name."""
+    columns = {**columns, **road_columns(columns), **box_columns(columns, summary)}
+    shown = None if events is None else shown_events(events)
+    content = run_content(summary, columns, shown or ())
+    accuracy, mot = accuracy_grids(summary), mot_grid(summary.get("tracks") or {})
+    speed, geometry = speed_grids(summary), geometry_sentences(summary)
+    curve = packaged_curve() if content["has_warnings"] else None
+    sections = {
+        "overview": "Overview",
+        "tracks": "Distance over time",
+        "accuracy": "Accuracy" if content["errors"] else "Coverage",
+        "errors": "Errors by distance" if content["errors"] else "",
+        "sigma": "Uncertainty" if content["calibration"] else "",
+        "tracking": "Tracking" if len(mot.rows) > 1 else "",
+        "warnings": "Warnings" if curve else "",
+        "speed": "Speed",
+        "geometry": "Calibration" if geometry else "",
+        "settings": "Settings",
+    }
+    span_s = content["timeline"]["to_s"] - content["timeline"]["from_s"]
+    return rendered(
+        "report.html.j2",
+        title=run_name(summary),
+        subtitle=run_line(summary, columns, span_s),
+        sections={anchor: name for anchor, name in sections.items() if name},
+        headlines=headlines(columns, events),
+        events=None if shown is None else event_records(shown, clips_of(events or (), shown, clips or {})),
+        events_note=hidden_events_note(events or (), shown or ()),
+        has_road=any("x" in track for track in content["tracks"]),
+        cards=list(cards(summary)),
+        notes=summary.get("notes") or [],
+        video=video_link(summary),
+        has_known_distances=content["known_distances"] is not None and bool(content["tracks"]),
+        truth=summary.get("truth"),
+        accuracy=accuracy,
+        speed=speed,
+        stages=stage_bars(summary),
+        mot=mot,
+        mot_classes=(summary.get("tracks") or {}).get("classes") or [],
+        sigma_sentences=sigma_sentences(summary),
+        geometry=geometry,
+        rig=tables.rig_grid((summary.get("alignment") or {}).get("health") or {}),
+        curve=None if curve is None else curve_figure(curve),
+        n_tracks=len(np.unique(columns["track_id"])),
+        settings=list(settings_groups(summary)),
+        content=embedded(content),
+    )
+
+
+def comparison_page(runs: Sequence[ComparedRun]) -> str:
+    """HTML of the page that compares several runs."""
+    lines = error_lines(runs)
+    return rendered(
+        "comparison.html.j2",
+        title=f"Comparison of {len(runs)} runs",
+        runs=[{"name": run.name, "link": address(run.link) if run.link else None, "notes": run.notes} for run in runs],
+        notes=comparison_notes(runs),
+        event_grids=event_grids(runs),
+        event_sentence=event_sentence(runs),
+        grids=comparison_grids(runs),
+        settings=settings_grid(runs),
+        has_errors=bool(lines),
+        content=embedded({"lines": lines}),
+    )
+
+
+def run_content(summary: Mapping[str, Any], columns: Columns, events: Sequence[Event] = ()) -> dict[str, Any]:
+    """Data for the script of the page; columns with `road_columns` where they are known."""
+    errors, calibration = error_curves(columns, summary), calibration_curves(columns, summary)
+    names = [*dict.fromkeys([*methods_measured(columns), *errors, *calibration])]
+    colours = colour_of_each(names)
+    return {
+        "methods": [{"name": name, "colour": colours[name], "shown": _is_shown_first(name, names)} for name in names],
+        "tracks": list(track_records(columns)),
+        "errors": errors,
+        "signed": any(curve["points"][0] for curve in errors.values()),
+        "calibration": calibration,
+        "starts_s": video_starts_s(summary),
+        "timeline": timeline(columns, summary),
+        "events": event_records(events),
+        "camera": _camera(columns),
+        "known_distances": uncalibrated_video(summary),
+        "has_warnings": "contact_probability" in columns and bool(np.isfinite(columns["contact_probability"]).any()),
+    }
+
+
+def _camera(columns: Columns) -> dict[str, float] | None:
+    """Focal length in px, and slopes x / z of the left and the right edge of the image; None = unknown."""
+    camera = camera_of_rows(columns)
+    if camera is None:
+        return None
+    left, right = (round((edge_px - camera.cx_px) / camera.fx_px, 4) for edge_px in (0, camera.width_px - 1))
+    return {"focal_px": round(camera.fx_px, 1), "left": left, "right": right}
+
+
+def _is_shown_first(name: str, names: Sequence[str]) -> bool:
+    return not name.endswith(_FILTERED) or name.removesuffix(_FILTERED) not in names
+
+
+def video_starts_s(summary: Mapping[str, Any]) -> float:
+    """Time of the overlay's first frame in seconds, from the summary; 0 if the summary lacks it."""
+    return round(tables.figure(summary, "starts_s") or 0.0, 6)
+
+
+def video_link(summary: Mapping[str, Any]) -> str | None:
+    """Address of the overlay video relative to the page; None without an overlay."""
+    name = (summary.get("files") or {}).get("overlay")
+    return address(str(name)) if name else None
+
+
+def embedded(content: Mapping[str, Any]) -> str:
+    """JSON for embedding in an HTML element: characters that could begin markup or a comment are escaped."""
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def rendered(template: str, **values: Any) -> str:
+    """HTML of a template in assets/, with the values and the script and style of all pages."""
+    script, style = packaged_script(), _packaged("report.css")
+    checksum = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return _templates().get_template(template).render(script=script, style=style, script_checksum=checksum, **values)
+
+
+@cache
+def _templates() -> jinja2.Environment:
+    """The templates of assets/, which are compiled once."""
+    # Autoescape is set explicitly: jinja2's choice by file suffix does not cover `.j2`.
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("track_range.views.report", "assets"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def packaged_script() -> str:
+    """The script of all pages: its parts in one scope."""
+    parts = "\n".join(_packaged(f"script/{name}.js") for name in _SCRIPTS)
+    return f'"use strict";\n(() => {{\n{parts}}})();\n'
+
+
+def _packaged(name: str) -> str:
+    return (files("track_range.views.report") / "assets" / name).read_text(encoding="utf-8")

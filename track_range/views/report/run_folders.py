@@ -1,0 +1,151 @@
+"""Reports rewritten from the folders of runs, and the comparison of several runs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from track_range.foundation.files.folder_lock import is_locked
+from track_range.foundation.files.input_files import counted, real_path
+from track_range.foundation.files.output_files import OutputError, check_outputs
+from track_range.results.events.clip_names import CLIPS_FOLDER
+from track_range.results.events.event import Event
+from track_range.results.events.files import EVENTS_FILE, EVENTS_PARQUET, write_event_files
+from track_range.results.folder import RunFolder, read_run_folder
+from track_range.results.writers import result_names
+from track_range.views.event_clips import write_clips
+from track_range.views.report.comparison import (
+    ComparedRun,
+    comparison_grids,
+    comparison_notes,
+    event_grids,
+    settings_grid,
+)
+from track_range.views.report.page import write_comparison, write_report
+from track_range.views.report.tables import Grid
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenReport:
+    """Result of `report`.
+
+    Attributes:
+        page: page to open.
+        grids: tables of a comparison; none for a single run.
+        missing: messages about files that are missing in a folder.
+        notes: reasons why the runs may not be comparable; none for a single run.
+        clips: clips of events that were written.
+    """
+
+    page: Path
+    grids: tuple[Grid, ...]
+    missing: tuple[str, ...]
+    notes: tuple[str, ...]
+    clips: tuple[Path, ...] = ()
+
+
+def report(folders: Sequence[Path], out: Path | None = None, *, has_clips: bool = False) -> WrittenReport:
+    """Write report.html into the folder of each run and, for several runs, a page that compares them.
+
+    Args:
+        folders: result folders of runs; duplicates are ignored.
+        out: page of a single run instead of the one in its folder, or page of the comparison (None = comparison.html
+            in the current folder).
+        has_clips: whether a clip of each event is cut from the overlay.
+
+    Raises:
+        OutputError: a folder contains no run, or a page or clip cannot be written or would overwrite an input.
+        VideoError: the overlay of a run is missing or cannot be read, for clips.
+    """
+    runs = [read_run_folder(folder) for folder in {real_path(folder): folder for folder in folders}.values()]
+    pages = [run.folder / "report.html" for run in runs] if len(runs) > 1 else []
+    if out is not None:
+        inputs = (run.folder / name for run in runs for name in result_names() if name != "report.html")
+        check_outputs([*pages, out], inputs)
+    missing = tuple(f"{run.folder}: {sentence}" for run in runs for sentence in (*run.missing, *restore_events(run)))
+    clips = tuple(clip for run in runs for clip in _clips(run)) if has_clips else ()
+    if len(runs) == 1:
+        page = out or runs[0].folder / "report.html"
+        _write(page, runs[0])
+        return WrittenReport(page, (), missing, (), clips)
+    page = out or Path("comparison.html")
+    compared = _compare(runs, page)
+    grids = [*event_grids(compared), *comparison_grids(compared), settings_grid(compared)]
+    return WrittenReport(
+        page, tuple(grid for grid in grids if grid.rows), missing, tuple(comparison_notes(compared)), clips
+    )
+
+
+def _clips(run: RunFolder) -> tuple[Path, ...]:
+    """Write a clip of each event of a run."""
+    starts_s = float(run.summary.get("starts_s") or 0.0)
+    return write_clips(run.folder / "overlay.mp4", run.events, run.folder / CLIPS_FOLDER, starts_s=starts_s)
+
+
+def restore_events(run: RunFolder) -> Iterator[str]:
+    """Write events.csv and events.parquet of a run that was killed or lacks them; yields a sentence about it.
+
+    A run in progress is left alone.
+
+    Raises:
+        OutputError: a file cannot be written, or the events.csv of a finished run is damaged.
+    """
+    if not run.are_events_replayed or is_locked(run.folder):
+        return
+    path = run.folder / EVENTS_FILE
+    if path.exists() and (run.folder / "summary.json").exists():
+        raise OutputError(
+            f"{path}: expected the events of the run, found a damaged file; delete it, so that it is written "
+            "again from the rows."
+        )
+    write_event_files(run.folder, run.events, run.provenance.metadata())
+    yield f"{EVENTS_FILE} and {EVENTS_PARQUET} were written from the rows: {counted(len(run.events), 'event')}."
+
+
+def _write(path: Path, run: RunFolder) -> None:
+    files = run.summary["files"]
+    if real_path(path.parent) != real_path(run.folder):  # links are relative to the page
+        files = {key: _relative(run.folder / str(name), path.parent) for key, name in files.items()}
+    clips = run.folder / CLIPS_FOLDER
+    write_report(path, {**run.summary, "files": files}, run.columns, known_events(run), clips=clips)
+
+
+def known_events(run: RunFolder) -> tuple[Event, ...] | None:
+    """Events of a run; None for a run of a version without events."""
+    return run.events if run.events or run.are_events_replayed or run.summary.get("events") else None
+
+
+def _relative(path: Path, start: Path) -> str:
+    return Path(os.path.relpath(real_path(path), real_path(start))).as_posix()
+
+
+def _compare(runs: Sequence[RunFolder], page: Path) -> list[ComparedRun]:
+    """Write the report of each run and the comparison page."""
+    for run in runs:
+        _write(run.folder / "report.html", run)
+    compared = [
+        ComparedRun(
+            name=name,
+            summary=run.summary,
+            settings=run.settings,
+            link=_relative(run.folder / "report.html", page.parent),
+            notes=run.missing,
+            events=known_events(run),
+            rows=run.columns,
+        )
+        for name, run in zip(short_names([run.folder for run in runs]), runs, strict=True)
+    ]
+    write_comparison(page, compared)
+    return compared
+
+
+def short_names(folders: Sequence[Path]) -> list[str]:
+    """Shortest trailing parts of the paths that are unique."""
+    parts = [real_path(folder).parts for folder in folders]
+    for n in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(path[-n:]) for path in parts]
+        if len(set(names)) == len(names):
+            return names
+    return [str(folder) for folder in folders]

@@ -1,0 +1,204 @@
+"""Sentences of the report, made from a run's summary: name, main results, calibration and alignment, settings.
+
+A disparity error e in pixels changes the distance Z = f B / d by about Z^2 e / (f B).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX
+from track_range.views.report import tables
+
+Summary = Mapping[str, Any]
+
+SETTINGS_GROUPS = {"inputs": "Inputs", "settings": "Settings", "versions": "Versions"}
+"""Sections of a summary that the report lists in full, with their headings."""
+
+_FAR_M = 50.0
+"""Distance in metres at which the effect of the remaining disparity error is given."""
+
+
+def run_name(summary: Summary) -> str:
+    """Name of a run: the names of its videos, each with its folder."""
+    inputs = summary.get("inputs") or {}
+    named = [_recording_name(inputs[key]) for key in ("left", "right", "video", "mono") if inputs.get(key)]
+    return " + ".join(named) or "A run"
+
+
+def _recording_name(value: Any) -> str:
+    """Name of a video with its folder; of several files, that of the first with the number of the others."""
+    files = value if isinstance(value, list) else [value]
+    name = "/".join(Path(str(files[0])).parts[-2:])
+    return name if len(files) == 1 else f"{name} and {len(files) - 1} more"
+
+
+def address(path: str) -> str:
+    """A relative path as a URL; bytes of a file name that are not text are percent-encoded."""
+    return quote(path, errors="surrogateescape")
+
+
+def cards(summary: Summary) -> Iterator[dict[str, str]]:
+    """Main results of a run: frames, speed, tracks, distance error, HOTA."""
+    wall_s, fps = tables.figure(summary, "wall_s"), tables.frames_per_s(summary)
+    tracks = summary.get("tracks") or {}
+    yield card("frames", summary.get("frames"), f"in {wall_s:.1f} s" if wall_s else "")
+    if fps is not None:
+        yield card("frames per second", f"{fps:.1f}", "all stages, wall clock")
+    yield card("tracks", tracks.get("n"), "confirmed road users")
+    yield from _error_cards(summary)
+    hota, idsw = tables.figure(tracks, "hota"), tables.figure(tracks, "idsw")
+    if hota is not None:
+        switches = "" if idsw is None else f"{idsw:.0f} identity switch{'' if idsw == 1 else 'es'}"
+        yield card("HOTA", f"{hota:.1f} %", switches)
+
+
+def _error_cards(summary: Summary) -> Iterator[dict[str, str]]:
+    """Median error of `fused`, and of the best method if it is a different one."""
+    best = best_method(summary)
+    if best is None:
+        return
+    name, error_pct, where = best
+    fused = (summary.get("methods") or {}).get("fused") or {}
+    fused_pct, n = (tables.figure(fused, key) for key in ("median_relative_error_pct", "n"))
+    if fused_pct is None or name == "fused":
+        yield card("median distance error", f"{error_pct:.1f} %", f"{name}, the best method {where}")
+        return
+    of = "" if n is None else f" in {n:.0f} track-frames"
+    yield card("median distance error", f"{fused_pct:.1f} %", f"fused{of}; best: {name} {error_pct:.1f} % {where}")
+
+
+def card(name: str, value: object, detail: str) -> dict[str, str]:
+    """One card; a value that is None was not measured."""
+    return {"name": name, "value": tables.NOTHING if value is None else str(value), "detail": detail}
+
+
+def best_method(summary: Summary) -> tuple[str, float, str] | None:
+    """Name and median relative error in per cent of the best method and the coverage it refers to; None without truth.
+
+    Methods are compared on common coverage if there is one; otherwise one that measures only easy objects could win.
+    """
+    for part, where in (("common", "on common coverage"), ("methods", "on its own coverage")):
+        errors = {
+            name: error
+            for name, row in (summary.get(part) or {}).items()
+            if (error := tables.figure(row, "median_relative_error_pct")) is not None
+        }
+        if errors:
+            name = min(errors, key=lambda method: errors[method])
+            return name, errors[name], where
+    return None
+
+
+def geometry_sentences(summary: Summary) -> list[str]:
+    """Sentences about the calibration and the alignment of the two cameras."""
+    sentences = [_calibration(summary), _estimated_scale(summary.get("learnt_scale") or {})]
+    alignment = summary.get("alignment")
+    if alignment:
+        sentences += [_vertical_offset(alignment), _disparities(alignment), _residual(alignment, summary)]
+        health = alignment.get("health") or {}
+        sentences += [health.get(key) or "" for key in ("sentence", "move_sentence", "unseen")]
+    return [sentence for sentence in sentences if sentence]
+
+
+def _calibration(summary: Summary) -> str:
+    rig = (summary.get("inputs") or {}).get("rig")
+    return {
+        "rig": f"Calibrated: {rig or 'calibration file in the folder of the video'}.",
+        "focal length": "Focal length given by the user; lens distortion is not corrected.",
+        "estimated": "Uncalibrated: the scale is estimated from the sizes of road users; distances are approximate.",
+    }.get(str(summary.get("calibration")), "")
+
+
+def _estimated_scale(scale: Mapping[str, Any]) -> str:
+    if not scale:
+        return ""
+    return (
+        f"Baseline estimated from the sizes of {scale['n_tracks']} tracks: {scale['baseline_m']:.2f} m at a focal "
+        f"length of {scale['focal_px']:.0f} px; all distances share a relative error of "
+        f"{100 * scale['relative_sigma']:.0f} % (1 {tables.SIGMA})."
+    )
+
+
+def _vertical_offset(alignment: Mapping[str, Any]) -> str:
+    offset_px = tables.figure(alignment, "row_offset_px")
+    if offset_px is None:
+        return ""
+    offset_px = round(offset_px, 2) + 0.0  # not -0.00
+    if abs(offset_px) <= MAX_ROW_OFFSET_PX:
+        return f"Vertical offset between left and right {offset_px:+.2f} px: the calibration fits these images."
+    return (
+        f"Vertical offset between left and right {offset_px:+.2f} px, more than {MAX_ROW_OFFSET_PX:g} px: the "
+        "calibration does not fit these images well; the right image was shifted, but a new calibration is recommended."
+    )
+
+
+def _disparities(alignment: Mapping[str, Any]) -> str:
+    offset_px, curvature_px = (tables.figure(alignment, key) or 0.0 for key in ("offset_px", "bow_px"))
+    source = alignment.get("source") or "unknown source"
+    if not offset_px and not curvature_px:
+        return f"Disparity error: {source}."
+    sign = "too small" if offset_px > 0 else "too large"
+    edges = (
+        f", and {abs(curvature_px):.2f} px {'less' if curvature_px < 0 else 'more'} at the left and right image edges"
+        if curvature_px
+        else ""
+    )
+    state = "corrected" if alignment.get("is_applied") else "not significant; not applied"
+    return f"Disparities {abs(offset_px):.2f} px {sign}{edges} (source: {source}): {state}."
+
+
+def _residual(alignment: Mapping[str, Any], summary: Summary) -> str:
+    """Disparity uncertainty that remains after the correction, in pixels and metres."""
+    residual_px = tables.figure(alignment, "residual_px")
+    focal_px, baseline_m = tables.figure(summary, "focal_px"), tables.figure(summary, "baseline_m")
+    if residual_px is None:
+        return ""
+    uncertainty = f"Residual disparity uncertainty {residual_px:.2f} px"
+    if not focal_px or not baseline_m:
+        return f"{uncertainty}, included in every sigma."
+    far_m = _FAR_M**2 * residual_px / (focal_px * baseline_m)
+    return f"{uncertainty} ({far_m:.2f} m at {_FAR_M:.0f} m), included in every sigma."
+
+
+def sigma_sentences(summary: Summary) -> list[str]:
+    """Calibration of each method's sigma, in one sentence per method with errors against ground truth.
+
+    Sigma is about right if the fraction of errors within one sigma differs from 68 % by less than 10 percentage points,
+    or by less than two standard deviations of a fraction of that many errors.
+    """
+    sentences = []
+    for name, row in (summary.get("methods") or {}).items():
+        fraction = tables.figure(row, "within_1_sigma")
+        if fraction is not None:
+            n = tables.figure(row, "n")
+            excess = fraction - tables.WITHIN_1_SIGMA
+            n_errors = math.inf if n is None else max(n, 1.0)
+            tolerance = max(0.1, 2 * math.sqrt(tables.WITHIN_1_SIGMA * (1 - tables.WITHIN_1_SIGMA) / n_errors))
+            verdict = "about right" if abs(excess) < tolerance else ("too large" if excess > 0 else "too small")
+            errors = "errors" if n is None else f"{n:.0f} errors"
+            sentences.append(f"{name}: {verdict} ({100 * fraction:.0f} % of {errors} within one sigma, expected 68 %)")
+    return sentences
+
+
+def settings_groups(summary: Summary) -> Iterator[dict[str, Any]]:
+    """Inputs, settings and versions of a run as rows of dotted names and values."""
+    for key, name in SETTINGS_GROUPS.items():
+        rows = list(flattened(summary.get(key) or {}))
+        if rows:
+            yield {"name": name, "rows": rows}
+
+
+def flattened(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Leaves of nested mappings as (dotted name, text); lists are joined by commas."""
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from flattened(value, f"{prefix}{key}.")
+        elif isinstance(value, list | tuple):
+            yield f"{prefix}{key}", ", ".join(map(str, value))
+        else:
+            yield f"{prefix}{key}", tables.NOTHING if value is None else str(value)
