@@ -25,7 +25,19 @@ from rich.console import Console
 _DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 """Folder of real data beside the project."""
 
-_TIMES = {"wall_s", "frames_per_s", "stages_ms", "versions", "model_s", "latency_ms", "seconds", "ms", "memory_mb"}
+_TIMES = {
+    "wall_s",
+    "frames_per_s",
+    "stages_ms",
+    "versions",
+    "model_s",
+    "latency_ms",
+    "seconds",
+    "ms",
+    "memory_mb",
+    "look_s",
+    "settings_hash",
+}
 """Keys of JSON files that differ from run to run."""
 
 _MACHINE = {"processed_s", "wall_s", "peak_memory_mb", "node", "started_utc", "frames_per_s", "worker", "memory_mb"}
@@ -77,6 +89,9 @@ def commands(data: Path) -> Iterator[tuple[str, list[str]]]:
     grey = data / "kitti_odometry" / "gray51"
     pair = ["--stereo", f"{grey}/left.mp4", f"{grey}/right.mp4", "--rig", f"{grey}/calib.txt"]
     yield "gray51", [*pair, "--no-overlay", "--out", "gray51"]
+    mono = ["--mono", f"{grey}/left.mp4", "--rig", f"{grey}/calib.txt", "--camera-height-m", "1.65", "--no-overlay"]
+    yield "gray51-mono", [*mono, "--out", "gray51-mono"]
+    yield "gray51-speed", [*mono, "--ego-speed", "30", "--out", "gray51-speed"]
     pair = "--stereo drive/left.mp4 drive/right.mp4 --rig drive/rig.yaml --no-overlay --truth drive/truth.csv".split()
     yield "simulated", [*pair, "--write", "csv,mot,parquet,kitti,recorded", "--out", "simulated"]
     for clip in ("highway_two_cars", "solid_white_right"):
@@ -161,11 +176,10 @@ def _difference(old: Path, new: Path) -> str:
         a, b = (dict(_leaves(json.loads(text))) for text in texts)
         keys = [key for key in dict.fromkeys([*a, *b]) if a.get(key) != b.get(key)]
         return "; ".join(f"{key} {a.get(key)} -> {b.get(key)}" for key in keys[:12])
-    if old.suffix == ".out":
-        texts = [
-            re.sub(r"\d+(\.\d+)? ?(s|ms|fps|MB|frames/s|clips/h|%)\b|\d+:\d+(:\d+)?|in \d+\S*|[─━ ]+", "", text)
-            for text in texts
-        ]
+    if old.suffix == ".out" and not old.name.startswith("evaluate"):
+        texts = [text.splitlines()[0] for text in texts]  # tables of runs have times
+    elif old.name == "evaluate-stereo.out":
+        texts = [re.sub(r" +[0-9.]+ *$", "", text, flags=re.MULTILINE) for text in texts]  # the last column is a time
     pairs = zip(*(text.splitlines() for text in texts), strict=False)
     lines = [f"{a[:100]!r} -> {b[:100]!r}" for a, b in pairs if a != b]
     return f"{len(lines)} lines: " + "; ".join(lines[:4]) if lines else ""

@@ -16,7 +16,6 @@ import numpy as np
 from track_range.foundation.errors import UserError
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.size_models.drive_bias import DriveBias
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -50,7 +49,7 @@ class MethodError(UserError):
     """A ranging method that cannot be used; the message names the method and the reason."""
 
 
-@dataclass(slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MethodContext:
     """Inputs from which the rangers of a run, or of an evaluation of boxes, are created.
 
@@ -72,7 +71,6 @@ class MethodContext:
         sgbm_options: parameters of dense stereo set by the user.
         runtime: threads and device for networks; None = the defaults.
         rangers: rangers created so far, by method name; the methods of `RangingMethod.reads` are created first.
-        drive_bias: bias of distances by size, which methods with a known scale learn and methods by size correct.
     """
 
     camera: PinholeCamera
@@ -91,8 +89,7 @@ class MethodContext:
     has_dense_disparity: bool = False
     sgbm_options: Mapping[str, Any] = field(default_factory=dict)
     runtime: Runtime | None = None
-    rangers: dict[str, Ranger] = field(default_factory=dict)
-    drive_bias: DriveBias = field(default_factory=DriveBias)
+    rangers: Mapping[str, Ranger] = field(default_factory=dict)
 
     @property
     def available(self) -> frozenset[Requirement]:

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray32
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.camera_step import CameraStep
 from track_range.stereo.odometry.road_horizon import RoadView
 from track_range.tracking.tracks import Tracks
+
+
+class Measured(NamedTuple):
+    """Distances of one method in a frame, and their evidence of the scale of the drive; None = none."""
+
+    ranges: Ranges
+    evidence: ScaleEvidence | None = None
 
 
 class Ranger(ABC):
@@ -21,7 +29,7 @@ class Ranger(ABC):
     Only `measure` is required. The other members are hooks that a run calls or reads; their defaults do nothing.
     For each frame a run calls `start` (in another thread, up to a few frames ahead), `update_road` and `update_motion`
     if the images show the road and the motion of the camera, `update_lanes` if lanes were detected in the frame, and
-    `measure_with`; after the last frame it calls `close`.
+    `measure_at_scale`, which by default calls `measure_with`; after the last frame it calls `close`.
 
     Attributes:
         background_s: seconds of work so far in the ranger's own threads; a run adds them to the time of its stage.
@@ -45,6 +53,15 @@ class Ranger(ABC):
             others: ranges by method name, of the methods in `RangingMethod.reads` that are part of this run.
         """
         return self.measure(tracks, frame)
+
+    def measure_at_scale(
+        self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
+    ) -> Measured:
+        """As `measure_with`, given the scale of the drive before this frame; also returns the evidence of the frame.
+
+        For methods that measure by size, and those that measure the scale.
+        """
+        return Measured(self.measure_with(tracks, frame, others))
 
     def start(self, frame: Frame) -> None:  # noqa: B027
         """Start work on a frame in the background, before its tracks are known; `measure` of the frame follows."""

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint
+from types import MappingProxyType
 
 from track_range.foundation.entry_points import entry_points
 from track_range.ranging.method import MethodContext, MethodError, RangingMethod
@@ -88,15 +90,18 @@ def in_measuring_order(listed: Sequence[RangingMethod]) -> tuple[RangingMethod, 
 def create_rangers(context: MethodContext, listed: Sequence[RangingMethod] | None = None) -> dict[str, Ranger]:
     """Rangers by name, in measuring order, of all methods (or those `listed`) with their requirements met.
 
-    Adds them to `context.rangers`.
+    Each factory gets the context with the rangers created before.
 
     Raises:
         MethodError: the `reads` of the methods form a cycle.
     """
+    rangers: dict[str, Ranger] = {}
     for method in in_measuring_order(methods() if listed is None else listed):
-        if method.needs <= context.available and (ranger := method.create(context)) is not None:
-            context.rangers[method.name] = ranger
-    return context.rangers
+        if method.needs <= context.available:
+            ranger = method.create(replace(context, rangers=MappingProxyType(rangers)))
+            if ranger is not None:
+                rangers[method.name] = ranger
+    return rangers
 
 
 @cache

@@ -33,7 +33,8 @@ from track_range.detection.models.onnx_session import BoundNetwork
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.prefetch import ClosableQueue
 from track_range.foundation.sparse_flow import BackgroundFlow
-from track_range.pipeline.pipeline import Pipeline
+from track_range.pipeline.frame_pipeline import FramePipeline
+from track_range.pipeline.ranging_stage import RangingStage
 from track_range.recording.files import video_file
 from track_range.recording.pairs.pair_monitor import PairMonitor, SyncMonitor
 from track_range.results.events.finder import EventFinder
@@ -65,8 +66,8 @@ _STEPS: dict[str, tuple[tuple[Any, str], ...]] = {
     "camera motion": ((CameraMotion, "update"), (GroundOdometry, "update"), (StereoOdometry, "update")),
     "appearance": ((ColourLayout, "embed"),),
     "tracking": ((DeepSortTracker, "update"),),
-    "ranging": ((Pipeline, "_ranges"),),
-    "fusion, filters, warnings": ((Pipeline, "result"),),
+    "ranging": ((RangingStage, "measure"),),
+    "fusion, filters, warnings": ((FramePipeline, "step"),),
     "drawing": ((Overlay, "draw"),),
     "colour conversion, written": ((video_writer, "_i420"),),
     "encoding": ((video_writer.VideoWriter, "write"),),

@@ -29,7 +29,7 @@ from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import Image
-from track_range.pipeline.pipeline import noise_shares
+from track_range.pipeline.frame_pipeline import noise_shares
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.method import MethodContext

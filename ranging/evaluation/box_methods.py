@@ -27,6 +27,7 @@ from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import create_rangers, methods
 from track_range.ranging.size_models.curve import CurveError, load_curves
+from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, PlainCurve
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
 from track_range.stereo.geometry.frames import Frame
@@ -138,6 +139,7 @@ def ranger_columns(
     reads = {method.name: method.reads for method in listed}
     class_id = boxes.class_id if size_model is None else _size_classes(boxes)
     rangers: dict[str, Ranger] = {}
+    scale = DriveScale()
     for rows, tracks, frame, is_first in as_frames(boxes, class_id):
         if is_first:
             context = MethodContext(
@@ -147,13 +149,17 @@ def ranger_columns(
                 camera_height_m=options.camera_height_m,
                 has_images=False,
             )
-            rangers = create_rangers(context, listed)
+            rangers, scale = create_rangers(context, listed), DriveScale()
         ranges = {name: _ranges(column, tracks, rows) for name, column in (measured or {}).items()}
+        evidence: list[ScaleEvidence] = []
         for name, ranger in rangers.items():
             others = {other: ranges[other] for other in reads[name] if other in ranges}
-            ranges[name] = result = checked_ranges(name, ranger.measure_with(tracks, frame, others), tracks)
+            in_frame = ranger.measure_at_scale(tracks, frame, others, scale)
+            evidence += [in_frame.evidence] if in_frame.evidence else []
+            ranges[name] = result = checked_ranges(name, in_frame.ranges, tracks)
             columns[name][:2, rows] = result.distance_m, result.sigma_m
             columns[name][2, rows] = np.nan if result.sigma_systematic_m is None else result.sigma_systematic_m
+        scale = scale.after(evidence, frame.time_s)
     return {
         name: MethodColumn(column[0], column[1], column[2] if np.isfinite(column[2]).any() else None)
         for name, column in columns.items()

@@ -19,13 +19,13 @@ object i is a measurement
     R = pitch^2 + edge^2 + (kerb s_i)^2 + (crossfall x_i)^2 + curvature ahead^2
 
 of y0, H, k and the bias b that all distances by size share, which are solved for by weighted least squares over all
-tracks, with priors from image motion, the camera height and the drive (`DriveBias`). A track contributes the average of
-its recent measurements once, since its size error is the same in every frame. For the same reason each object is ranged
-with the road from the other objects only; otherwise its distance would repeat that by size. Without image motion, k and
-b are 0, and the pitch variance (pitch, slopes) is estimated from the residuals.
+tracks, with priors from image motion, the camera height and the drive (`DriveScale`). A track contributes the average
+of its recent measurements once, since its size error is the same in every frame. For the same reason each object is
+ranged with the road from the other objects only; otherwise its distance would repeat that by size. Without image
+motion, k and b are 0, and the pitch variance (pitch, slopes) is estimated from the residuals.
 
 Where the camera height is known, distances from image motion alone, without any size, are the reference from which the
-drive's bias is learnt.
+drive's scale is measured.
 
 The bottom edge belongs to the nearest point on the ground, while `distance_m` is where the ray through the box centre
 meets the object, for a car seen from the side up to half a metre farther (`surface_offset_m`). The box of a detector
@@ -44,9 +44,9 @@ import numpy as np
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
-from track_range.ranging.ranger import Ranger
+from track_range.ranging.ranger import Measured, Ranger
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.size_models.drive_bias import DriveBias
+from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES
 from track_range.ranging.size_models.surface_offset import overhang_m, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -232,14 +232,16 @@ class GroundPlane:
         """(14,) information of the prior, of lane lines and of all tracks."""
         return np.asarray(self._prior + self._lane_terms + self._terms.sum(axis=1))
 
-    def update_road(self, road: RoadView, *, bias_sigma: float) -> None:
+    def update_road(self, road: RoadView, *, bias_sigma: float | None = None) -> None:
         """Set the road in the next frame as image motion shows it, with lengths in metres.
 
         Args:
             road: the road.
-            bias_sigma: standard deviation of the bias that all distances by size share.
+            bias_sigma: standard deviation of the bias that all distances by size share; None = as before.
         """
-        self._road, self._bias_variance = road, bias_sigma**2
+        self._road = road
+        if bias_sigma is not None:
+            self._bias_variance = bias_sigma**2
         self._prior = self._prior_terms()
 
     def set_height(self, height_m: float, sigma_m: float) -> None:
@@ -423,7 +425,6 @@ class GroundRanger(Ranger):
         camera: PinholeCamera,
         settings: GroundSettings | None = None,
         *,
-        drive_bias: DriveBias | None = None,
         is_reference: bool = False,
         has_stereo: bool = False,
     ) -> None:
@@ -432,14 +433,12 @@ class GroundRanger(Ranger):
         Args:
             camera: the camera, undistorted.
             settings: None = the defaults.
-            drive_bias: bias of mono's distances; None = unknown.
-            is_reference: whether the camera height is known, so that the drive's bias is learnt from image motion.
+            is_reference: whether the camera height is known, so that image motion measures the drive's scale.
             has_stereo: whether there is a calibrated pair: the ground then remains a fallback in fusion, since kerbs
-                are an error that mono has as well, and the drive's bias is learnt from stereo.
+                are an error that mono has as well, and stereo measures the drive's scale.
         """
         self._has_stereo = has_stereo
         self.plane = GroundPlane(camera, settings)
-        self._drive_bias = drive_bias or DriveBias()
         self._is_reference = self._has_height = is_reference
         self._road: RoadView | None = None
 
@@ -449,13 +448,23 @@ class GroundRanger(Ranger):
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
         """Distances of the objects on the ground (`GroundPlane.measure`); mono's distances update the horizon."""
+        return self.measure_at_scale(tracks, frame, others, DriveScale()).ranges
+
+    def measure_at_scale(
+        self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
+    ) -> Measured:
+        """As `measure_with`; mono's distances share the uncertainty of the scale, which a known height measures."""
+        if self._road is not None:
+            self.plane.update_road(self._road, bias_sigma=scale.of_class("car").sigma)
         by_size = others["mono"] if "mono" in others else Ranges.unmeasured(tracks.track_id)
         is_independent = self._is_reference and self._road is not None
+        evidence = None
         if is_independent and not self._has_stereo and "mono" in others:
-            self._drive_bias.learn(self.plane.measure_alone(tracks, frame), frame.time_s, shared_sigma=_REFERENCE_SIGMA)
+            alone = self.plane.measure_alone(tracks, frame)
+            evidence = ScaleEvidence(tracks.class_id, None, alone, _REFERENCE_SIGMA)
         ranges = self.plane.measure(tracks, by_size, frame)
         is_fallback = self._has_stereo or not is_independent
-        return Ranges(ranges.track_id, ranges.distance_m, ranges.sigma_m, is_fallback=is_fallback)
+        return Measured(Ranges(ranges.track_id, ranges.distance_m, ranges.sigma_m, is_fallback=is_fallback), evidence)
 
     def update_road(self, road: RoadView) -> None:
         """Use the road in the next frame as image motion shows it."""
@@ -463,7 +472,7 @@ class GroundRanger(Ranger):
         if road.height_m is not None and not self._has_height:
             self.plane.set_height(*road.height_m)
             self._is_reference = road.height_m[1] < _MAX_HEIGHT_SIGMA * road.height_m[0]
-        self.plane.update_road(road, bias_sigma=self._drive_bias.of_class("car").sigma)
+        self.plane.update_road(road)
 
     def update_lanes(self, lines: LaneLines) -> None:
         """Add the row at which the lane lines meet as a measurement of the horizon."""
@@ -508,7 +517,6 @@ def _create(context: MethodContext) -> Ranger:
     return GroundRanger(
         context.camera,
         settings,
-        drive_bias=context.drive_bias,
         is_reference=height_m is not None,
         has_stereo=context.rig is not None,
     )

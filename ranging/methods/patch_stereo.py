@@ -12,9 +12,9 @@ from track_range.foundation.arrays import FloatArray
 from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.methods.size_scaled_stereo import SizeScaledRanger
 from track_range.ranging.methods.triangulation import TrackMatcher, Triangulation, disparities_by_size
-from track_range.ranging.ranger import Ranger
+from track_range.ranging.ranger import Measured, Ranger
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.size_models.drive_bias import DriveBias
+from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
@@ -26,7 +26,7 @@ _DETAILS = ("surfaces", "probability")
 
 
 _REFERENCE_SIGMA = 0.01
-"""Relative error of all distances of a pair, as a reference for the drive's bias of distances by size."""
+"""Relative error of all distances of a pair, as a reference for the scale of the drive."""
 
 
 class StereoRanger(Ranger):
@@ -49,7 +49,6 @@ class StereoRanger(Ranger):
         matcher: BoxMatcher | None = None,
         *,
         alignment: AlignmentSource | None = None,
-        drive_bias: DriveBias | None = None,
     ) -> None:
         """Create a ranger for a rectified rig.
 
@@ -57,7 +56,6 @@ class StereoRanger(Ranger):
             rig: the rectified pair (`Rectifier.rig`).
             matcher: matcher of boxes; None = the patch matcher with the settings for this rig.
             alignment: correction of the disparities; None = no correction.
-            drive_bias: bias of mono's distances, which stereo measures; None = none.
 
         Raises:
             ValueError: the rig is not rectified.
@@ -65,7 +63,7 @@ class StereoRanger(Ranger):
         if not rig.is_rectified:
             raise ValueError("rig: expected a rectified pair; use Rectifier(rig).rig, and its images")
         self._triangulate = Triangulation(rig, alignment or Alignment())
-        self._rig, self._drive_bias = rig, drive_bias
+        self._rig = rig
         self._n_surfaces: Counter[int] = Counter()
         self._matcher = TrackMatcher(matcher or PatchMatcher(PatchMatcherSettings.for_rig(rig)))
 
@@ -80,6 +78,12 @@ class StereoRanger(Ranger):
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
         """As `measure`; mono's distances help to separate an object from what occludes it."""
+        return self.measure_at_scale(tracks, frame, others, DriveScale()).ranges
+
+    def measure_at_scale(
+        self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
+    ) -> Measured:
+        """As `measure_with`; the distances are evidence of the drive's scale, and do not depend on it."""
         by_size = None
         if "mono" in others:
             image_hw = (frame.left.shape[0], frame.left.shape[1])
@@ -87,9 +91,7 @@ class StereoRanger(Ranger):
         disparity_px, sigma_px = self._matcher.match(tracks, frame, by_size)
         details = self._surfaces(tracks) if frame.right is not None else None
         ranges = self._triangulate.ranges(tracks, disparity_px, sigma_px, time_s=frame.time_s, details=details)
-        if self._drive_bias is not None and "mono" in others:
-            self._drive_bias.learn(ranges, frame.time_s, shared_sigma=_REFERENCE_SIGMA)
-        return ranges
+        return Measured(ranges, ScaleEvidence(tracks.class_id, None, ranges, _REFERENCE_SIGMA))
 
     @property
     def matches(self) -> PatchMatches | None:
@@ -122,7 +124,7 @@ def _create(context: MethodContext) -> Ranger | None:
     if context.rig is None:
         matcher = PatchMatcher(PatchMatcherSettings.for_rig(rig))
         return SizeScaledRanger(matcher, focal_px=context.camera.fx_px, focal_sigma=context.focal_sigma)
-    return StereoRanger(rig, alignment=context.drifting_alignment or context.alignment, drive_bias=context.drive_bias)
+    return StereoRanger(rig, alignment=context.drifting_alignment or context.alignment)
 
 
 STEREO = RangingMethod(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,10 +11,10 @@ from track_range.detection.boxes import area_px2, intersection_px2
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.parallax import Parallax
-from track_range.ranging.ranger import Ranger
+from track_range.ranging.ranger import Measured, Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.curve import load_curves
-from track_range.ranging.size_models.drive_bias import DriveBias
+from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.drive_state import DriveState
 from track_range.ranging.size_models.size_model import BORDER_PX, BoxNoise, SizeModel, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -73,7 +74,6 @@ class SizeRanger(Ranger):
         *,
         box_sigma_px: float | None = None,
         noise: BoxNoise | None = None,
-        drive_bias: DriveBias | None = None,
         parallax: Parallax | None = None,
     ) -> None:
         """Create a ranger for `camera` (undistorted).
@@ -83,12 +83,10 @@ class SizeRanger(Ranger):
             curves: model of the sizes of road users; None = the packaged priors.
             box_sigma_px: standard deviation of a box edge, if it is the same for all boxes.
             noise: noise model of the box edges, overrides `box_sigma_px`; None = typical noise of a detector.
-            drive_bias: bias of the drive, which other methods learn; None = not corrected.
             parallax: triangulation of static objects, which corrects their tracks; None = off.
         """
         self._parallax = parallax
         self._step: CameraStep | None = None
-        self._drive_bias = drive_bias or DriveBias()
         self._camera = camera
         self._drive = DriveState()
         self._curves = curves or load_curves()
@@ -97,6 +95,26 @@ class SizeRanger(Ranger):
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances by size; NaN for predicted boxes, boxes truncated at top or bottom, and classes without a model."""
+        return self.measure_at_scale(tracks, frame, {}, DriveScale()).ranges
+
+    def measure_at_scale(
+        self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
+    ) -> Measured:
+        """As `measure`, corrected by the scale of the drive and by the triangulation of static objects.
+
+        The triangulated distances are evidence of the scale; those of this frame already correct their own tracks.
+        """
+        by_size = self._by_size(tracks, frame)
+        step, self._step = self._step, None
+        evidence = ScaleEvidence(tracks.class_id, by_size)
+        if self._parallax is not None:
+            static = self._parallax.measure(tracks, step, scale.expected(by_size, tracks.class_id))
+            if step is not None:
+                evidence = replace(evidence, reference=static, reference_sigma=step.way_sigma, corrects_tracks=True)
+        return Measured(scale.after([evidence], frame.time_s).corrected(by_size, tracks.class_id), evidence)
+
+    def _by_size(self, tracks: Tracks, frame: Frame) -> Ranges:
+        """Distances by size alone."""
         height_px, width_px = frame.left.shape[:2]
         x1_px, y1_px, x2_px, y2_px = tracks.xyxy_px.T
         first_px, last_x_px, last_y_px = BORDER_PX - 0.5, width_px - 0.5 - BORDER_PX, height_px - 0.5 - BORDER_PX
@@ -118,22 +136,11 @@ class SizeRanger(Ranger):
         distance_m[rows] = measured.distance_m
         sigma_m[rows] = np.hypot(measured.sigma_m, incomplete_m)
         systematic_m[rows] = np.hypot(measured.sigma_systematic_m, incomplete_m)
-        by_size = Ranges(tracks.track_id, distance_m, sigma_m, systematic_m)
-        if self._parallax is not None:
-            step, self._step = self._step, None
-            expected = self._drive_bias.expected(by_size, tracks.class_id)
-            static = self._parallax.measure(tracks, step, expected)
-            if step is not None:
-                self._drive_bias.learn(static, frame.time_s, shared_sigma=step.way_sigma, is_own=True)
-        return self._drive_bias.corrected(by_size, tracks.class_id)
+        return Ranges(tracks.track_id, distance_m, sigma_m, systematic_m)
 
     def update_motion(self, step: CameraStep) -> None:
         """Triangulate static objects of the next frame from the motion of the camera."""
         self._step = step
-
-    def summary(self) -> dict[str, Any]:
-        """Bias of the drive by class, if another method measured it."""
-        return {"drive_bias": self._drive_bias.summary()} if self._drive_bias.n_tracks else {}
 
 
 def _create(context: MethodContext) -> Ranger:
@@ -141,7 +148,6 @@ def _create(context: MethodContext) -> Ranger:
         context.camera,
         context.size_model,
         box_sigma_px=context.box_sigma_px,
-        drive_bias=context.drive_bias,
         parallax=Parallax(context.camera) if context.has_images and context.rig is None else None,
     )
 

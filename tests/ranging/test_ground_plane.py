@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.ranging.methods.ground_plane import GroundPlane, GroundRanger, GroundSettings
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.size_models.drive_bias import DriveBias
+from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.surface_offset import overhang_m, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
@@ -247,21 +247,19 @@ def test_slope_of_the_horizon():
     assert plane.measure_alone(moved, at(0.0)).distance_m == pytest.approx([20.0], rel=0.02)
 
 
-def test_drive_bias_is_learnt_from_image_motion():
-    bias = DriveBias()
-    ranger = GroundRanger(CAMERA, SMOOTH, drive_bias=bias, is_reference=True)
+def test_scale_of_the_drive_is_measured_by_image_motion():
+    scale = DriveScale()
+    ranger = GroundRanger(CAMERA, SMOOTH, is_reference=True)
     for k in range(30):
         tracks, by_size = cars_at(np.linspace(10.0, 40.0, 12), size_error=-0.09)
         ranger.update_road(road_view())
-        corrected = bias.corrected(by_size, tracks.class_id)
-        ranger.measure_with(tracks, at(0.1 * k, k), {"mono": corrected})
-    assert bias.of_class("car").log_factor == pytest.approx(-np.log(0.91), abs=0.02)
-    unknown = DriveBias()
-    without_height = GroundRanger(CAMERA, drive_bias=unknown)
+        mono = {"mono": scale.corrected(by_size, tracks.class_id)}
+        evidence = ranger.measure_at_scale(tracks, at(0.1 * k, k), mono, scale).evidence
+        scale = scale.after([ScaleEvidence(tracks.class_id, by_size), evidence], 0.1 * k)
+    assert scale.of_class("car").log_factor == pytest.approx(-np.log(0.91), abs=0.02)
+    without_height = GroundRanger(CAMERA)
     without_height.update_road(road_view())
-    unknown.corrected(by_size, tracks.class_id)
-    without_height.measure_with(tracks, at(0.0), {"mono": by_size})
-    assert unknown.n_tracks == 0
+    assert without_height.measure_at_scale(tracks, at(0.0), {"mono": by_size}, DriveScale()).evidence is None
 
 
 def test_lane_lines_are_ignored_where_image_motion_shows_the_road():

@@ -7,7 +7,7 @@ from track_range.ranging.methods.dense_stereo import DenseRanger
 from track_range.ranging.methods.patch_stereo import StereoRanger
 from track_range.ranging.methods.triangulation import Triangulation, disparities_by_size
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.size_models.drive_bias import DriveBias
+from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
@@ -157,15 +157,17 @@ def test_sizes_of_observed_tracks_are_passed_on():
     assert matcher.by_size is None
 
 
-def test_stereo_measures_the_drive_bias():
+def test_stereo_measures_the_scale_of_the_drive():
     """Sizes say 40 m where stereo measures 50 m: a factor of 1.25, of which each class gets a part."""
-    bias = DriveBias()
-    ranger = StereoRanger(RIG, Recorder(), drive_bias=bias)
+    scale = DriveScale()
+    ranger = StereoRanger(RIG, Recorder())
     tracks = tracks_of(*range(1, 9))
     by_size_m = np.full(8, 40.0)
     for k in range(5):
-        mono = bias.corrected(Ranges(tracks.track_id, by_size_m, 0.08 * by_size_m), tracks.class_id)
-        ranger.measure_with(tracks, frame_at(0.1 * k), {"mono": mono})
+        by_size = Ranges(tracks.track_id, by_size_m, 0.08 * by_size_m)
+        mono = scale.corrected(by_size, tracks.class_id)
+        evidence = ranger.measure_at_scale(tracks, frame_at(0.1 * k), {"mono": mono}, scale).evidence
+        scale = scale.after([ScaleEvidence(tracks.class_id, by_size), evidence], 0.1 * k)
     assert 1.15 < mono.distance_m[0] / 40.0 < 1.25
 
 

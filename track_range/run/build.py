@@ -8,7 +8,10 @@ from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.foundation.sparse_flow import BackgroundFlow
-from track_range.pipeline.pipeline import LIVE_DEPTHS, Pipeline, QueueDepths
+from track_range.pipeline.detection_stage import DetectionStage
+from track_range.pipeline.ego_stage import EgoStage
+from track_range.pipeline.frame_pipeline import FramePipeline
+from track_range.pipeline.ranging_stage import RangingStage
 from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.method import MethodContext
 from track_range.ranging.methods.ground_plane import GroundSettings
@@ -65,7 +68,7 @@ def open_pipeline(
     *,
     tracker: Tracker | None = None,
     ego_speed: EgoSpeed | None = None,
-) -> Pipeline:
+) -> FramePipeline:
     """The pipeline of the settings, with the methods that the source allows.
 
     Args:
@@ -104,23 +107,25 @@ def open_pipeline(
     road_motion = GroundOdometry(source.camera, context.camera_height_m or GroundSettings().height_m, flow=flow)
     tracker_options = replace(open_tracker_options(settings.reid, runtime), flow=flow)
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
-    return Pipeline(
+    measures_speed = settings.ego_speed == AUTO and ego_speed is None and is_ahead
+    return FramePipeline(
         camera=source.camera,
-        detect=boxes.detect,
-        prepare=boxes.prepare,
-        candidates=boxes.candidates if settings.anonymize else None,
+        detection=DetectionStage(
+            detect=boxes.detect,
+            prepare=boxes.prepare,
+            candidates=boxes.candidates if settings.anonymize else None,
+            lane_finder=open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None,
+        ),
         tracker=tracker or create_tracker(settings.tracker, tracker_options),
-        rangers=create_rangers(context),
-        lane_finder=open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None,
-        ego_speed=ego_speed if ego_speed is None or is_ahead else ego_speed.along(settings.yaw_deg),
-        odometry=_odometry(context, flow, road_motion)
-        if settings.ego_speed == AUTO and ego_speed is None and is_ahead
-        else None,
-        road_motion=road_motion if is_ahead else None,
-        camera_height=CameraHeight(road_motion.height_m) if context.camera_height_m is None else None,
+        ego=EgoStage(
+            speed=ego_speed if ego_speed is None or is_ahead else ego_speed.along(settings.yaw_deg),
+            odometry=_odometry(context, flow, road_motion) if measures_speed else None,
+            road_motion=road_motion if is_ahead else None,
+            camera_height=CameraHeight(road_motion.height_m) if context.camera_height_m is None else None,
+        ),
+        ranging=RangingStage(create_rangers(context)),
         warning=CollisionWarning(settings.warning_settings) if is_ahead else None,
         shared_sigma=context.focal_sigma,
-        depths=LIVE_DEPTHS if source.inputs.live is not None else QueueDepths(),
         notes=(*appearance_notes, *method_notes(), *(() if is_ahead else (_SIDE_VIEW,))),
     )
 

@@ -25,6 +25,7 @@ from track_range.foundation.errors import ConfigError, UserError
 from track_range.foundation.files.input_files import real_path
 from track_range.foundation.prefetch import concurrent_stages
 from track_range.pipeline.frame_result import FrameResult
+from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
 from track_range.pipeline.throughput import FrameMeter
 from track_range.ranging.evaluation.truth import read_truth
 from track_range.ranging.size_models.curve import load_curves
@@ -312,9 +313,10 @@ class Run:
             raise session.stopped_by
 
     def _frame_results(self, session: RunSession, files: RunFolder | None) -> Generator[FrameResult, None, None]:
+        depths = None if session.source.inputs.live is None else LIVE_DEPTHS
         with (
             concurrent_stages(has_dense_stereo=self.settings.sgbm),
-            closing(session.pipeline.run(session.source.frames)) as processed,
+            closing(run_in_threads(session.pipeline, session.source.frames, depths)) as processed,
             closing(self._shared(session, processed)) as results,
             frame_progress(self._console, session.source.n_frames) as advance,
         ):

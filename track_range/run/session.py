@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import IntArray
+from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.pipeline import Pipeline
 from track_range.pipeline.throughput import FrameMeter
 from track_range.ranging.evaluation.truth import Truth
 from track_range.recording.recording import Recording
@@ -79,7 +79,7 @@ class RunSession:
     boxes: BoxSource
     source: Recording
     truth: Truth | None
-    pipeline: Pipeline
+    pipeline: FramePipeline
     speed: SpeedSource
     meter: FrameMeter
     table: RunTable = field(default_factory=RunTable)
@@ -151,7 +151,8 @@ class RunSession:
     def notes(self) -> list[str]:
         """Messages for the user so far; more may follow during the run."""
         has_results = bool(self.frame_index)
-        finder, ego, odometry = self.pipeline.lane_finder, self.pipeline.ego_speed, self.pipeline.odometry
+        finder, ego = self.pipeline.detection.lane_finder, self.pipeline.ego.speed
+        odometry = self.pipeline.ego.odometry
         lanes = () if finder is None else finder.notes
         speed = ego.note(self.last_s) if ego is not None and has_results else None
         boxes = self.boxes.notes()
@@ -167,7 +168,7 @@ class RunSession:
             *([f"Stopped early, after {len(self.frame_index)} frames."] if self.stopped_by else []),
             *self._frame_mismatch_notes(),
             *self.frame_notes,
-            *(note for ranger in self.pipeline.rangers.values() if has_results for note in ranger.notes),
+            *(self.pipeline.ranging.notes() if has_results else ()),
             # networks that fall back from the same device have the same note
             *(note for note in self.pipeline.notes if note not in (*boxes, *lanes)),
             *lanes,
@@ -224,7 +225,7 @@ class RunSession:
             columns: rows of the finished frames, `table.to_columns()`.
             matched: ground truth of the rows; None = not given.
         """
-        source, calibration, rangers = self.source, self.source.calibration, self.pipeline.rangers.values()
+        source, calibration, pipeline = self.source, self.source.calibration, self.pipeline
         n_frames = len(self.frame_index)
         self.frame_notes = self._frame_notes(columns)
         return {
@@ -232,11 +233,11 @@ class RunSession:
             "starts_s": round(self.starts_s, 6),
             "utc": None if source.utc is None else source.utc.summary(),
             "ego_speed": self.speed.summary(
-                np.array(self.ego_mps), None if self.pipeline.odometry is None else self.pipeline.odometry.source
+                np.array(self.ego_mps), None if pipeline.ego.odometry is None else pipeline.ego.odometry.source
             ),
             "wall_s": round(self.wall_s, 3),
             "frames_per_s": round(n_frames / self.wall_s, 3) if self.wall_s > 0 else None,
-            "stages_ms": stage_times_ms(self.pipeline.clock.busy_s, n_frames),
+            "stages_ms": stage_times_ms(pipeline.clock.busy_s, n_frames),
             **range_scores(columns, matched, self.methods),
             "tracks": track_scores(columns, self.truth, np.array(self.frame_index, np.int64)),
             "events": events_section(self.events, self.seconds),
@@ -245,7 +246,8 @@ class RunSession:
             "focal_sigma": round(calibration.focal_sigma, 4),
             "baseline_m": source.rig.baseline_m if source.rig else None,
             **({"alignment": calibration.alignment.summary()} if calibration.alignment else {}),
-            **{key: value for ranger in rangers for key, value in ranger.summary().items()},
+            **({"drive_bias": pipeline.scale.summary()} if pipeline.scale.n_tracks else {}),
+            **pipeline.ranging.summary(),
             "truth": self.truth.protocol if self.truth is not None else None,
             "notes": self.notes,
             "inputs": self.inputs,

@@ -6,8 +6,11 @@ import numpy as np
 
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.pipeline.detection_stage import DetectionStage
+from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.pipeline import Pipeline
+from track_range.pipeline.ranging_stage import RangingStage
+from track_range.pipeline.threads import run_in_threads
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -45,8 +48,13 @@ class ExactRanger(Ranger):
 
 
 def test_car_ahead_may_hit_and_oncoming_car_passes() -> None:
-    run = Pipeline(camera=CAMERA, detect=detect, tracker=NumberingTracker(), rangers={"mono": ExactRanger()})
-    results: list[FrameResult] = list(run.run(Frame(i, i / 10, IMAGE, None) for i in range(20)))
+    pipeline = FramePipeline(
+        camera=CAMERA,
+        detection=DetectionStage(detect=detect),
+        tracker=NumberingTracker(),
+        ranging=RangingStage({"mono": ExactRanger()}),
+    )
+    results: list[FrameResult] = list(run_in_threads(pipeline, (Frame(i, i / 10, IMAGE, None) for i in range(20))))
     last = results[-1]
     assert (last.ttc_s < 2).all()
     assert [last.may_hit(row) for row in range(2)] == [True, False]

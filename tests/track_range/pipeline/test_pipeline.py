@@ -6,14 +6,22 @@ import pytest
 from track_range.detection.detections import Detections
 from track_range.detection.detector import DetectorError
 from track_range.detection.lanes.lines import LaneLine, LaneLines
-from track_range.pipeline.pipeline import Pipeline
+from track_range.pipeline.detection_stage import DetectionStage
+from track_range.pipeline.frame_pipeline import FramePipeline
+from track_range.pipeline.ranging_stage import RangingStage
+from track_range.pipeline.threads import run_in_threads
 from track_range.ranging.method import MethodError
 from track_range.ranging.methods.ground_plane import GroundRanger
+from track_range.ranging.methods.patch_stereo import StereoRanger
+from track_range.ranging.methods.size_regression import SizeRanger
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.run.box_source import boxes_of
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.matching.patch_matches import PatchMatches
 from track_range.tracking.registry import TrackerError
 from track_range.tracking.tracks import Tracks
 
@@ -42,12 +50,17 @@ def frames(n, dt_s=0.1):
 
 
 def pipeline(detect=lambda frame: Detections.of([[49.5, 59.5, 69.5, 79.5]], [0.9], [2])):
-    return Pipeline(camera=CAMERA, detect=detect, tracker=OneTrack(), rangers={"mono": Falling()})
+    return FramePipeline(
+        camera=CAMERA,
+        detection=DetectionStage(detect=detect),
+        tracker=OneTrack(),
+        ranging=RangingStage({"mono": Falling()}),
+    )
 
 
 def test_frames_in_order_with_all_methods():
     loop = pipeline()
-    results = list(loop.run(frames(30)))
+    results = list(run_in_threads(loop, frames(30)))
     assert [r.frame.index for r in results] == list(range(30))
     assert set(results[0].ranges) == {"mono", "fused", "mono_kf", "fused_kf"}
     last = results[-1]
@@ -59,14 +72,14 @@ def test_frames_in_order_with_all_methods():
 
 def test_clock_counts_the_stages_that_ran():
     loop = pipeline()
-    list(loop.run(frames(30)))
+    list(run_in_threads(loop, frames(30)))
     assert {name for name, seconds in loop.clock.busy_s.items() if seconds > 0} == {"detect", "track", "mono", "fuse"}
 
 
 def test_shared_error_increases_every_sigma():
     plain, doubtful = pipeline(), pipeline()
     doubtful.shared_sigma = 0.25
-    for one, other in zip(plain.run(frames(3)), doubtful.run(frames(3)), strict=True):
+    for one, other in zip(run_in_threads(plain, frames(3)), run_in_threads(doubtful, frames(3)), strict=True):
         assert set(one.ranges) == set(other.ranges)
         for name, ranges in one.ranges.items():
             assert other.ranges[name].distance_m == pytest.approx(ranges.distance_m)
@@ -115,9 +128,9 @@ class Listening(Falling):
 
 def test_every_hook_of_a_ranger_is_called():
     loop, ranger = pipeline(), Listening()
-    loop.rangers = {"mono": Falling(), "sgbm": Falling(), "stereo": Falling(), "lane": ranger}
-    loop.lane_finder = LinesTo(40.0)
-    list(loop.run(frames(3)))
+    loop.ranging.rangers = {"mono": Falling(), "sgbm": Falling(), "stereo": Falling(), "lane": ranger}
+    loop.detection.lane_finder = LinesTo(40.0)
+    list(run_in_threads(loop, frames(3)))
     assert ranger.started == [0, 1, 2]
     assert ranger.others == [{"mono", "stereo"}] * 3  # only the methods that lane reads
     assert ranger.is_closed
@@ -126,9 +139,9 @@ def test_every_hook_of_a_ranger_is_called():
 
 def test_lanes_are_detected_ten_times_per_second():
     loop, ranger = pipeline(), Listening()
-    loop.lane_finder, loop.rangers = LinesTo(40.0), {"ground": ranger}
-    results = list(loop.run(frames(7, dt_s=1 / 30)))
-    assert loop.lane_finder.looked_s == pytest.approx([0.0, 0.1, 0.2])
+    loop.detection.lane_finder, loop.ranging.rangers = LinesTo(40.0), {"ground": ranger}
+    results = list(run_in_threads(loop, frames(7, dt_s=1 / 30)))
+    assert loop.detection.lane_finder.looked_s == pytest.approx([0.0, 0.1, 0.2])
     assert [r.lanes is results[0].lanes for r in results] == [True] * 3 + [False] * 4
     assert [id(lines) for lines in ranger.lanes] == [id(results[i].lanes) for i in (0, 3, 6)]
 
@@ -136,13 +149,13 @@ def test_lanes_are_detected_ten_times_per_second():
 @pytest.mark.parametrize("y_px", [35.0, 44.0])
 def test_horizon_is_where_lane_lines_meet(y_px):
     loop, ranger = pipeline(), GroundRanger(CAMERA)
-    loop.lane_finder, loop.rangers = LinesTo(y_px), {"ground": ranger}
-    assert len(list(loop.run(frames(3)))) == 3
+    loop.detection.lane_finder, loop.ranging.rangers = LinesTo(y_px), {"ground": ranger}
+    assert len(list(run_in_threads(loop, frames(3)))) == 3
     assert ranger.plane.horizon.y_px == pytest.approx(y_px, abs=1.0)
 
 
 def test_frame_without_boxes():
-    empty = list(pipeline(lambda frame: Detections.empty()).run(frames(3)))
+    empty = list(run_in_threads(pipeline(lambda frame: Detections.empty()), frames(3)))
     assert [len(r.tracks) for r in empty] == [0, 0, 0]
     assert empty[0].xyz_m.shape == (0, 3)
 
@@ -155,7 +168,7 @@ def test_error_in_a_stage_follows_earlier_frames():
 
     seen = []
     with pytest.raises(ValueError, match="broken"):
-        seen.extend(r.frame.index for r in pipeline(detect).run(frames(9)))
+        seen.extend(r.frame.index for r in run_in_threads(pipeline(detect), frames(9)))
     assert seen == [0, 1, 2, 3, 4]
 
 
@@ -167,7 +180,7 @@ def test_closing_early_stops_reading():
             asked.append(frame.index)
             yield frame
 
-    run = pipeline().run(endless())
+    run = run_in_threads(pipeline(), endless())
     next(run)
     run.close()
     assert len(asked) < 50
@@ -179,8 +192,8 @@ def test_receding_track_has_no_ttc():
             return Ranges(tracks.track_id, np.full(len(tracks), 20 + 5 * frame.time_s), np.full(len(tracks), 0.2))
 
     loop = pipeline()
-    loop.rangers = {"mono": Rising()}
-    last = list(loop.run(frames(30)))[-1]
+    loop.ranging.rangers = {"mono": Rising()}
+    last = list(run_in_threads(loop, frames(30)))[-1]
     assert last.closing_mps[0] < -3
     assert np.isnan(last.ttc_s[0])
 
@@ -191,9 +204,9 @@ def test_ranger_of_other_tracks():
             return Ranges.unmeasured(tracks.track_id[1:])
 
     loop = pipeline()
-    loop.rangers = {"mono": Falling(), "radar": Missing()}
+    loop.ranging.rangers = {"mono": Falling(), "radar": Missing()}
     with pytest.raises(MethodError, match="radar"):
-        list(loop.run(frames(1)))
+        list(run_in_threads(loop, frames(1)))
 
 
 class Returning(Ranger):
@@ -216,9 +229,9 @@ class Returning(Ranger):
 )
 def test_ranger_without_ranges(made_of, word):
     loop = pipeline()
-    loop.rangers = {"radar": Returning(made_of)}
+    loop.ranging.rangers = {"radar": Returning(made_of)}
     with pytest.raises(MethodError, match=f"radar.*{word}"):
-        list(loop.run(frames(1)))
+        list(run_in_threads(loop, frames(1)))
 
 
 @pytest.mark.parametrize(
@@ -241,8 +254,8 @@ def test_invalid_distances_become_nan(distance_m, sigma_m, systematic_m):
     loop = pipeline(
         lambda frame: Detections.of([[49.5, 59.5, 69.5, 79.5], [9.5, 59.5, 29.5, 79.5]], [0.9, 0.9], [2, 2])
     )
-    loop.rangers = {"mono": Falling(), "ground": Returning(lambda tracks: Ranges(tracks.track_id, *values))}
-    (result,) = loop.run(frames(1))
+    loop.ranging.rangers = {"mono": Falling(), "ground": Returning(lambda tracks: Ranges(tracks.track_id, *values))}
+    (result,) = run_in_threads(loop, frames(1))
     ground = result.ranges["ground"]
     for column, value in zip((ground.distance_m, ground.sigma_m, ground.sigma_systematic_m), values, strict=True):
         np.testing.assert_array_equal(column, [np.nan, value[1]])
@@ -261,6 +274,40 @@ def test_tracker_and_detector_without_results():
     loop = pipeline()
     loop.tracker = Silent()
     with pytest.raises(TrackerError, match=r"Silent: .*Tracks.*NoneType"):
-        list(loop.run(frames(1)))
+        list(run_in_threads(loop, frames(1)))
     with pytest.raises(DetectorError, match=r"Silent: .*Detections.*NoneType"):
-        list(pipeline(boxes_of(Silent()).detect).run(frames(1)))
+        list(run_in_threads(pipeline(boxes_of(Silent()).detect), frames(1)))
+
+
+class FixedDisparity:
+    """A matcher that returns the same disparity for every box."""
+
+    def __init__(self, disparity_px):
+        self.disparity_px = disparity_px
+
+    def match(self, left, right, xyxy_px, prior_px, by_size=None):
+        n = len(xyxy_px)
+        return PatchMatches.of(np.full(n, self.disparity_px), np.full(n, 0.05), np.zeros(n, np.int64))
+
+
+def test_a_ranger_alone_gives_what_it_gives_in_the_pipeline_at_the_same_scale():
+    """Stereo measures the scale of the drive; mono gets it as a value, and nothing else."""
+    boxes = [[20.0 + 9 * k, 30.0, 28.0 + 9 * k, 52.0] for k in range(6)]
+    loop = pipeline(lambda frame: Detections.of(boxes, [0.9] * 6, [2] * 6))
+    rig = StereoRig.rectified(CAMERA, 0.5)
+    matcher = FixedDisparity(2.0)
+    loop.ranging.rangers = {"mono": SizeRanger(CAMERA), "stereo": StereoRanger(rig, matcher)}
+    alone = {"mono": SizeRanger(CAMERA), "stereo": StereoRanger(rig, matcher)}
+    scale = DriveScale()
+    for frame in (Frame(i, i * 0.1, IMAGE, IMAGE) for i in range(12)):
+        result = loop.step(loop.detected(frame))
+        evidence = []
+        others = {}
+        for name, ranger in alone.items():
+            others[name], seen = ranger.measure_at_scale(result.tracks, frame, dict(others), scale)
+            evidence.append(seen)
+            np.testing.assert_array_equal(others[name].distance_m, result.ranges[name].distance_m)
+            np.testing.assert_array_equal(others[name].sigma_m, result.ranges[name].sigma_m)
+        scale = scale.after(evidence, frame.time_s)
+    assert loop.scale.n_tracks == 6
+    assert abs(scale.of_class("car").log_factor) > 0.01

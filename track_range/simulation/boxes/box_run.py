@@ -18,8 +18,11 @@ import numpy as np
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.pipeline.detection_stage import Detected, DetectionStage
+from track_range.pipeline.ego_stage import EgoStage
+from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.pipeline import Pipeline
+from track_range.pipeline.ranging_stage import RangingStage
 from track_range.pipeline.stage_clock import StageClock
 from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.method import MethodContext
@@ -98,15 +101,13 @@ def run_boxes(
         rangers[MONO.name] = _Sizes(source)
     if "stereo" in methods:
         rangers[STEREO.name] = source
-    pipeline = Pipeline(
+    speeds_mps = np.array([drive.scene.speed_mps(time_s) for time_s in times_s.tolist()])
+    pipeline = FramePipeline(
         camera=camera,
-        detect=lambda frame: Detections.empty(),
+        detection=DetectionStage(detect=lambda frame: Detections.empty()),
         tracker=source,
-        rangers=rangers,
-        ego_speed=EgoSpeed(
-            times_s, np.array([drive.scene.speed_mps(time_s) for time_s in times_s.tolist()]), "simulation"
-        ),
-        image_motion=_TrueYaw(camera, drive),
+        ego=EgoStage(speed=EgoSpeed(times_s, speeds_mps, "simulation"), image_motion=_TrueYaw(camera, drive)),
+        ranging=RangingStage(rangers),
         warning=warning or CollisionWarning(),
         clock=_NoClock(),
     )
@@ -114,7 +115,7 @@ def run_boxes(
     for steps in zip(*tracks, strict=True):
         source.set(steps)
         frame = steps[0][0]
-        result = pipeline.result(Frame(frame.index, frame.time_s, image, None), None, frame.detections)
+        result = pipeline.step(Detected(Frame(frame.index, frame.time_s, image, None), None, frame.detections))
         yield BoxResult(result, *source.truth())
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.size_models.drive_bias import DriveBias
+from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
 CAR, PERSON, TRUCK = (SIZE_CLASSES.index(name) for name in ("car", "person", "truck"))
@@ -12,22 +12,31 @@ def sizes(distance_m, ids, sigma=0.07, systematic=0.06):
     return Ranges(ids, distance_m, sigma * distance_m, systematic * distance_m)
 
 
+def learnt(bias, by_size, class_id, reference, time_s, *, sigma, corrects_tracks=False):
+    """The scale after one frame with one reference."""
+    of_size = ScaleEvidence(class_id, by_size)
+    return bias.after(
+        [of_size, ScaleEvidence(class_id, None, reference, sigma, corrects_tracks=corrects_tracks)], time_s
+    )
+
+
 def drive(n_tracks, factor, *, seed=0, n_frames=20, class_id=CAR, own_sigma=0.05, bias=None):
     """The estimator after `n_tracks` tracks that are `factor` times as far as their sizes say."""
     rng = np.random.default_rng(seed)
-    bias = bias or DriveBias()
+    bias = bias or DriveScale()
     ids = 100 * class_id + np.arange(n_tracks)
     own = np.exp(own_sigma * rng.normal(size=n_tracks))
     for k in range(n_frames):
         true_m = rng.uniform(10, 40, n_tracks)
-        bias.corrected(sizes(true_m / factor / own, ids), np.full(n_tracks, class_id))
+        by_size = sizes(true_m / factor / own, ids)
         measured_m = true_m * np.exp(0.04 * rng.normal(size=n_tracks))
-        bias.learn(Ranges(ids, measured_m, 0.04 * measured_m), 0.1 * k, shared_sigma=0.015)
+        reference = Ranges(ids, measured_m, 0.04 * measured_m)
+        bias = learnt(bias, by_size, np.full(n_tracks, class_id), reference, 0.1 * k, sigma=0.015)
     return bias
 
 
 def test_without_evidence_nothing_changes():
-    bias, ids = DriveBias(), np.array([1, 2])
+    bias, ids = DriveScale(), np.array([1, 2])
     by_size = sizes(np.array([10.0, np.nan]), ids)
     assert bias.corrected(by_size, np.array([CAR, CAR])) is by_size
     assert bias.of_class("car").log_factor == 0.0
@@ -60,7 +69,7 @@ def test_other_classes_share_a_part():
 
 def test_classes_have_separate_biases():
     bias = drive(30, 1.1)
-    drive(30, 1.0, class_id=PERSON, bias=bias)
+    bias = drive(30, 1.0, class_id=PERSON, bias=bias)
     assert bias.of_class("car").log_factor == pytest.approx(np.log(1.1), abs=0.04)
     assert bias.of_class("person").log_factor == pytest.approx(0.0, abs=0.03)
 
@@ -75,10 +84,11 @@ def test_corrected_ranges_have_less_sigma():
 
 
 def test_mistakes_are_no_evidence():
-    bias, ids = DriveBias(), np.array([1, 2])
-    bias.corrected(sizes(np.array([10.0, 10.0]), ids), np.array([CAR, CAR]))
+    bias, ids = DriveScale(), np.array([1, 2])
+    by_size = sizes(np.array([10.0, 10.0]), ids)
     for time_s in (0.1, 0.2):
-        bias.learn(Ranges(ids, np.array([30.0, np.nan]), np.array([1.0, np.nan])), time_s, shared_sigma=0.01)
+        reference = Ranges(ids, np.array([30.0, np.nan]), np.array([1.0, np.nan]))
+        bias = learnt(bias, by_size, np.array([CAR, CAR]), reference, time_s, sigma=0.01)
     assert bias.n_tracks == 0
 
 
@@ -87,16 +97,16 @@ def test_outlying_track_has_little_weight():
     before = bias.of_class("car").log_factor
     ids = np.array([999])
     for k in range(10):  # a van that was detected as a car
-        bias.corrected(sizes(np.array([20.0]), ids), np.array([CAR]))
-        bias.learn(Ranges(ids, np.array([28.0]), np.array([0.8])), 2.0 + 0.1 * k, shared_sigma=0.015)
+        reference = Ranges(ids, np.array([28.0]), np.array([0.8]))
+        bias = learnt(bias, sizes(np.array([20.0]), ids), np.array([CAR]), reference, 2.0 + 0.1 * k, sigma=0.015)
     assert bias.of_class("car").log_factor - before < 0.01
 
 
 def test_many_tracks_are_forgotten():
-    bias, ids = DriveBias(), np.arange(100)
+    bias, ids = DriveScale(), np.arange(100)
     for k in range(8):
-        bias.corrected(sizes(np.full(100, 20.0), ids + 100 * k), np.full(100, CAR))
-        bias.learn(Ranges(ids, np.full(100, 20.0), np.ones(100)), 0.1 * (k + 1), shared_sigma=0.015)
+        by_size, reference = sizes(np.full(100, 20.0), ids + 100 * k), Ranges(ids, np.full(100, 20.0), np.ones(100))
+        bias = learnt(bias, by_size, np.full(100, CAR), reference, 0.1 * (k + 1), sigma=0.015)
     assert bias.n_tracks == 400
 
 
@@ -109,16 +119,14 @@ def test_summary_names_classes_with_evidence():
 
 def test_own_references_correct_their_track():
     """A van that was detected as a car: 25 % farther than its size says."""
-    bias, ids, classes = DriveBias(), np.array([1, 2]), np.array([CAR, CAR])
+    bias, ids, classes = DriveScale(), np.array([1, 2]), np.array([CAR, CAR])
     for k in range(1, 12):
         by_size = sizes(np.array([16.0, 20.0]), ids)
-        bias.corrected(by_size, classes)
-        bias.learn(
-            Ranges(ids, np.array([20.0, np.nan]), np.array([0.4, np.nan])), 0.1 * k, shared_sigma=0.02, is_own=True
-        )
+        reference = Ranges(ids, np.array([20.0, np.nan]), np.array([0.4, np.nan]))
+        bias = learnt(bias, by_size, classes, reference, 0.1 * k, sigma=0.02, corrects_tracks=True)
     after = bias.corrected(by_size, classes)
     assert after.distance_m[0] == pytest.approx(20.0, rel=0.05)
-    assert after.distance_m[1] < 22.5  # the other track has only the drive's share of the 25 %
+    assert after.distance_m[1] < 22.5  # the other track has only the drive's part of the 25 %
     relative = after.sigma_m / after.distance_m
     assert relative[0] < 0.7 * relative[1]
     expected = bias.expected(by_size, classes)
@@ -127,4 +135,16 @@ def test_own_references_correct_their_track():
 
 def test_expected_distances_without_evidence_are_those_by_size():
     by_size = sizes(np.array([16.0]), np.array([1]))
-    assert DriveBias().expected(by_size, np.array([CAR])).distance_m == pytest.approx([16.0])
+    assert DriveScale().expected(by_size, np.array([CAR])).distance_m == pytest.approx([16.0])
+
+
+def test_a_scale_is_a_value():
+    """Evidence makes a new scale; the one before gives what it gave before."""
+    before = drive(10, 1.1)
+    by_size, classes = sizes(np.array([20.0]), np.array([100 * CAR])), np.array([CAR])
+    corrected, tracks = before.corrected(by_size, classes), before.n_tracks
+    reference = Ranges(by_size.track_id, np.array([30.0]), np.array([0.1]))
+    after = learnt(before, by_size, classes, reference, 9.0, sigma=0.01, corrects_tracks=True)
+    assert before.n_tracks == tracks
+    assert before.corrected(by_size, classes).distance_m == corrected.distance_m
+    assert after.corrected(by_size, classes).distance_m > corrected.distance_m

@@ -1,0 +1,279 @@
+r"""DriveScale: error of the distances by size that all objects of a drive share, and its uncertainty.
+
+    log d_i - log s_i = a + c_k + e_i + n_it        d_i: reference distance of object i, s_i: its distance by size
+
+a is common to all classes (focal length, detector), c_k to the objects of class k (cars differ between streets and
+countries), e_i belongs to the object, n_it to the frame. a and c_k have normal priors; e_i has the systematic sigma of
+the distance by size without the part that a drive shares. Each track is one measurement: the average of its frames by
+information, in which errors are correlated over `_CORRELATED_S`. The estimate is the posterior mean over all tracks
+(ridge regression) with Cauchy weights, since vans are detected as cars and contact points are hidden.
+
+Distances by size are multiplied by exp(a + c_k). Their sigma has the variance of the bias in place of its prior one: it
+shrinks as evidence comes, first that of other classes, then that of the class. A reference that is not used elsewhere
+(`ScaleEvidence.corrects_tracks`) also corrects its own track, by the posterior mean of a + c_k + e_i.
+
+A scale is a value: the evidence of frame t gives the scale of frame t + 1 (`DriveScale.after`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_models.size_model import SIZE_CLASSES
+
+_COMMON_SIGMA, _CLASS_SIGMA = 0.03, 0.05
+"""Standard deviations of a and c_k: together 0.06, as biases of mono on whole KITTI drives are -12 to +9 %."""
+
+_PRIOR_VARIANCE = _COMMON_SIGMA**2 + _CLASS_SIGMA**2
+
+_MAX_SHARED = 0.3
+"""Largest fraction of the systematic variance of a distance by size that the drive is taken to cause."""
+
+_CORRELATED_S = 0.5
+"""Time over which the errors of a track's frames are correlated: pitch, and boxes of a detector."""
+
+_MEMORY_S = 180.0
+"""Time constant with which tracks are forgotten: streets change."""
+
+_OWN_S = 5.0
+"""Time for which a track without references stays corrected by its own ones."""
+
+_MAX_TRACKS = 400
+"""Largest number of tracks; more do not change the estimate."""
+
+_N_ROUNDS, _CAUCHY_SIGMA = 3, 2.0
+"""Rounds of reweighting, and scale of the weights 1 / (1 + (residual / scale)^2) in standard deviations."""
+
+_MAX_LOG_RATIO = 0.5
+"""Largest difference of log distance that is evidence; larger ones are mistakes."""
+
+
+class BiasOfClass(NamedTuple):
+    """Bias of a class: log of the factor of its distances, and its standard deviation."""
+
+    log_factor: float
+    sigma: float
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleEvidence:
+    """Evidence of the scale of a drive by one method in one frame, for N tracks.
+
+    Attributes:
+        by_size: distances by size before their correction; None = the method has none.
+        class_id: (N,) classes of the tracks.
+        reference: distances with a known scale, NaN = none; None = the method has none.
+        reference_sigma: relative standard deviation of an error that all references share.
+        corrects_tracks: whether the tracks are corrected by their own references, too.
+    """
+
+    class_id: IntArray
+    by_size: Ranges | None = None
+    reference: Ranges | None = None
+    reference_sigma: float = 0.0
+    corrects_tracks: bool = False
+
+
+class _Tracks(NamedTuple):
+    """Averages of the tracks with evidence, (K,) each."""
+
+    track_id: IntArray
+    class_id: IntArray
+    information: FloatArray
+    weighted_ratio: FloatArray
+    own_variance: FloatArray
+    time_s: FloatArray
+
+
+class _Corrections(NamedTuple):
+    """References that correct their own tracks, (K,) each: information, weighted log ratio, time of the last one."""
+
+    track_id: IntArray
+    information: FloatArray
+    weighted_ratio: FloatArray
+    time_s: FloatArray
+
+    def of(self, track_id: IntArray) -> tuple[FloatArray, FloatArray]:
+        """(N,) information and weighted log ratio of tracks; 0 = none."""
+        row, is_known = _rows(track_id, self.track_id)
+        if not len(self.track_id):
+            return np.zeros(len(track_id)), np.zeros(len(track_id))
+        return np.where(is_known, self.information[row], 0.0), np.where(is_known, self.weighted_ratio[row], 0.0)
+
+
+_NO_IDS = np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class DriveScale:
+    """Bias of the distances by size in one drive, from the evidence so far; `DriveScale()` has none.
+
+    Attributes:
+        log_factor: (K,) posterior mean of a + c_k of the classes `SIZE_CLASSES`.
+        variance: (K,) its variance.
+    """
+
+    log_factor: FloatArray = field(default_factory=lambda: np.zeros(len(SIZE_CLASSES)))
+    variance: FloatArray = field(default_factory=lambda: np.full(len(SIZE_CLASSES), _PRIOR_VARIANCE))
+    _tracks: _Tracks = field(default_factory=lambda: _Tracks(_NO_IDS, _NO_IDS, *np.zeros((4, 0))))
+    _corrections: _Corrections = field(default_factory=lambda: _Corrections(_NO_IDS, *np.zeros((3, 0))))
+    _last_s: tuple[float, float] = (0.0, 0.0)
+    """Times of the last evidence by references that do not correct their tracks, and that do."""
+
+    @property
+    def n_tracks(self) -> int:
+        """Number of tracks with evidence."""
+        return len(self._tracks.track_id)
+
+    def of_class(self, name: str) -> BiasOfClass:
+        """The bias of a size class."""
+        k = SIZE_CLASSES.index(name)
+        return BiasOfClass(float(self.log_factor[k]), float(np.sqrt(self.variance[k])))
+
+    def corrected(self, by_size: Ranges, class_id: IntArray) -> Ranges:
+        """N distances by size corrected by the bias of their classes (N,)."""
+        if not self.n_tracks:
+            return by_size
+        log_factor = self.log_factor[class_id]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            variance = (by_size.sigma_m / by_size.distance_m) ** 2
+            systematic = _systematic_variance(by_size)
+        explained = _shared_variance(systematic) * (1.0 - self.variance[class_id] / _PRIOR_VARIANCE)
+        remaining = systematic - explained
+        information, weighted_ratio = self._corrections.of(by_size.track_id)
+        gain = remaining * information / (1.0 + remaining * information)
+        mean = weighted_ratio / np.where(information > 0, information, 1.0)
+        log_factor = log_factor + gain * (mean - log_factor)
+        explained, remaining = explained + gain * remaining, (1.0 - gain) * remaining
+        distance_m = by_size.distance_m * np.exp(log_factor)
+        sigma_m = distance_m * np.sqrt(variance - explained)
+        return Ranges(by_size.track_id, distance_m, sigma_m, distance_m * np.sqrt(remaining))
+
+    def expected(self, by_size: Ranges, class_id: IntArray) -> Ranges:
+        """N distances by size corrected by all references of their tracks so far."""
+        of_drive = self.corrected(by_size, class_id)
+        if not self.n_tracks:
+            return of_drive
+        row, is_known = _rows(by_size.track_id, self._tracks.track_id)
+        information, weighted_ratio = self._tracks.information[row], self._tracks.weighted_ratio[row]
+        systematic = _systematic_variance(of_drive)
+        gain = np.where(is_known, systematic * information / (1.0 + systematic * information), 0.0)
+        log_factor = self.log_factor[class_id]
+        mean = weighted_ratio / information
+        return Ranges(
+            by_size.track_id,
+            by_size.distance_m * np.exp(log_factor + gain * (mean - log_factor)),
+            of_drive.sigma_m * by_size.distance_m / of_drive.distance_m,
+        )
+
+    def after(self, evidence: Iterable[ScaleEvidence], time_s: float) -> DriveScale:
+        """The scale after the evidence of all methods in one frame.
+
+        References are compared with the distances by size of the same frame, in the order of the methods.
+        """
+        scale, by_size = self, None
+        for item in evidence:
+            by_size = by_size if item.by_size is None else item.by_size
+            if by_size is not None and item.reference is not None:
+                scale = scale._after(item, by_size, item.reference, time_s)
+        return scale
+
+    def _after(self, item: ScaleEvidence, by_size: Ranges, reference: Ranges, time_s: float) -> DriveScale:
+        step_s = min(max(time_s - self._last_s[item.corrects_tracks], 0.0), _CORRELATED_S)
+        last_s = (self._last_s[0], time_s) if item.corrects_tracks else (time_s, self._last_s[1])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = np.log(reference.distance_m / by_size.distance_m)
+            size_variance, systematic = (by_size.sigma_m / by_size.distance_m) ** 2, _systematic_variance(by_size)
+            reference_variance = (reference.sigma_m / reference.distance_m) ** 2
+            noise = reference_variance + size_variance - systematic
+        rows = np.flatnonzero(np.abs(ratio) < _MAX_LOG_RATIO)  # False for NaN
+        if step_s == 0.0 or not len(rows):
+            return replace(self, _last_s=last_s)
+        ids, added = by_size.track_id[rows], step_s / _CORRELATED_S / noise[rows]
+        own = systematic[rows] - _shared_variance(systematic[rows])
+        frame = _Tracks(ids, item.class_id[rows], added, added * ratio[rows], own, np.full(len(rows), time_s))
+        scale = replace(self, _tracks=_averaged(self._tracks, frame), _last_s=last_s)._solved(
+            time_s, item.reference_sigma
+        )
+        if not item.corrects_tracks:
+            return scale
+        information, weighted_ratio = self._corrections.of(ids)
+        added = step_s / _CORRELATED_S / (noise[rows] + item.reference_sigma**2)
+        limit = 1.0 / reference_variance[rows]  # errors of a track's references last
+        stays = np.minimum(1.0, limit / (information + added))
+        others = self._corrections
+        kept = np.flatnonzero((time_s - others.time_s < _OWN_S) & ~np.isin(others.track_id, ids))
+        new = (ids, stays * (information + added), stays * (weighted_ratio + added * ratio[rows]), frame.time_s)
+        merged = (np.concatenate([a, b[kept]]) for a, b in zip(new, others, strict=True))
+        return replace(scale, _corrections=_Corrections(*merged))
+
+    def _solved(self, time_s: float, reference_sigma: float) -> DriveScale:
+        """The posterior of a and c_k over all tracks."""
+        tracks, n_classes = self._tracks, len(SIZE_CLASSES)
+        m = tracks.weighted_ratio / tracks.information
+        variance = tracks.own_variance + 1.0 / tracks.information
+        fresh = np.exp((tracks.time_s - time_s) / _MEMORY_S)
+        A = np.zeros((len(m), 1 + n_classes))
+        A[:, 0] = 1.0
+        A[np.arange(len(m)), 1 + tracks.class_id] = 1.0
+        prior = np.diag([_COMMON_SIGMA**-2, *[_CLASS_SIGMA**-2] * n_classes])
+        log_factor = self.log_factor
+        for _ in range(_N_ROUNDS):
+            residual2 = (m - log_factor[tracks.class_id]) ** 2 / (variance + self.variance[tracks.class_id])
+            weight = fresh / variance / (1.0 + residual2 / _CAUCHY_SIGMA**2)
+            covariance = np.linalg.inv(prior + (A.T * weight) @ A)
+            beta = covariance @ (A.T @ (weight * m))
+            log_factor = beta[0] + beta[1:]
+        of_class = covariance[0, 0] + 2 * covariance[0, 1:] + np.diag(covariance)[1:]
+        return replace(self, log_factor=log_factor, variance=np.minimum(of_class + reference_sigma**2, _PRIOR_VARIANCE))
+
+    def summary(self) -> dict[str, Any]:
+        """Bias and sigma in per cent and number of tracks, by class with evidence."""
+        counts = np.bincount(self._tracks.class_id, minlength=len(SIZE_CLASSES))
+        return {
+            name: {
+                "bias_pct": float(100 * np.expm1(-self.log_factor[k])),
+                "sigma_pct": float(100 * np.sqrt(self.variance[k])),
+                "n_tracks": int(counts[k]),
+            }
+            for k, name in enumerate(SIZE_CLASSES)
+            if counts[k]
+        }
+
+
+def _averaged(known: _Tracks, frame: _Tracks) -> _Tracks:
+    """The averages of the known tracks with those of one frame, in the order of their first frames."""
+    is_new = ~_rows(frame.track_id, known.track_id)[1]
+    added = frame._replace(information=0.0 * frame.information, weighted_ratio=0.0 * frame.weighted_ratio)
+    tracks = _Tracks._make(np.concatenate([a, b[is_new]]) for a, b in zip(known, added, strict=True))
+    row, _ = _rows(frame.track_id, tracks.track_id)
+    tracks.information[row] += frame.information
+    tracks.weighted_ratio[row] += frame.weighted_ratio
+    for column in ("class_id", "own_variance", "time_s"):
+        getattr(tracks, column)[row] = getattr(frame, column)
+    return _Tracks._make(column[-_MAX_TRACKS:] for column in tracks)
+
+
+def _rows(track_id: IntArray, known: IntArray) -> tuple[IntArray, BoolArray]:
+    """(N,) row of each track in `known` (K,), 0 for others, and whether it is there."""
+    if not len(known):
+        return np.zeros(len(track_id), np.int64), np.zeros(len(track_id), np.bool_)
+    is_same = track_id[:, None] == known
+    return np.asarray(is_same.argmax(axis=1)), np.asarray(is_same.any(axis=1))
+
+
+def _shared_variance(systematic: FloatArray) -> FloatArray:
+    """(N,) part of the systematic variance of distances by size that a drive shares."""
+    return np.minimum(_PRIOR_VARIANCE, _MAX_SHARED * systematic)
+
+
+def _systematic_variance(by_size: Ranges) -> FloatArray:
+    """(N,) relative systematic variance of distances by size; all of it if the parts are unknown."""
+    sigma_m = by_size.sigma_m if by_size.sigma_systematic_m is None else by_size.sigma_systematic_m
+    return np.asarray((sigma_m / by_size.distance_m) ** 2)

@@ -1,0 +1,73 @@
+r"""Results of many frames, with reading, inference and the rest of the pipeline in overlapping threads.
+
+reading thread -> lanes thread --> detection thread -> caller's thread -------------------> FrameResult
+decode            lane lines,      network, boxes      FramePipeline.step
+network's input  \---> background work of rangers ---/
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from typing import TypeVar
+
+from track_range.foundation.prefetch import prefetch
+from track_range.pipeline.detection_stage import Detected, Prepared
+from track_range.pipeline.frame_pipeline import FramePipeline
+from track_range.pipeline.frame_result import FrameResult
+from track_range.stereo.geometry.frames import Frame
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, slots=True)
+class QueueDepths:
+    """Number of frames by which each thread may run ahead of the next one.
+
+    Attributes:
+        read: decoded frames that wait for the lane detector.
+        lanes: frames with lane lines, in the network's input, that wait for the network.
+        detected: frames with boxes that wait for the caller.
+    """
+
+    read: int = 4
+    lanes: int = 2
+    detected: int = 2
+
+
+LIVE_DEPTHS = QueueDepths(read=1, lanes=1, detected=1)
+"""Queue depths for cameras, as short as possible to reduce latency."""
+
+
+def run_in_threads(
+    pipeline: FramePipeline, frames: Iterable[Frame], depths: QueueDepths | None = None
+) -> Generator[FrameResult, None, None]:
+    """Results of the frames in order; closing the generator ends the threads and the pipeline."""
+    depths = depths or QueueDepths()
+    with ExitStack() as stack:
+        # closed in reverse order: the last thread first, so that no thread reads from a closed video; rangers last
+        stack.callback(pipeline.close)
+
+        def in_thread(items: Iterable[_T], depth: int, name: str, *, low_priority: bool) -> Iterable[_T]:
+            thread = prefetch(items, depth=depth, low_priority=low_priority, name=name)
+            return stack.enter_context(closing(thread))
+
+        depth = depths.read
+        if pipeline.detection.lane_finder is not None:
+            frames, depth = in_thread(frames, depth, "read", low_priority=True), depths.lanes
+        prepared = in_thread(_prepared(pipeline, frames), depth, "prepare", low_priority=True)
+        for detected in in_thread(_detected(pipeline, prepared), depths.detected, "detect", low_priority=False):
+            yield pipeline.step(detected)
+
+
+def _prepared(pipeline: FramePipeline, frames: Iterable[Frame]) -> Iterator[Prepared]:
+    for frame in frames:
+        yield pipeline.detection.prepared(frame, pipeline.clock)
+
+
+def _detected(pipeline: FramePipeline, frames: Iterable[Prepared]) -> Iterator[Detected]:
+    """Frames with their boxes; rangers that work in the background are started before the detector."""
+    for prepared in frames:
+        pipeline.ranging.start(prepared.frame)
+        yield pipeline.detection.detected(prepared, pipeline.clock)
