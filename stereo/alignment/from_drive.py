@@ -9,6 +9,7 @@ three segments of another drive agree within 0.03 px.
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -82,6 +83,18 @@ class DriveAlignment:
     def is_full(self) -> bool:
         """Whether the drive has enough frames; further frames of it are ignored."""
         return self._n_segments_left <= 0 or self._n_frames_left <= 0
+
+    @property
+    def n_moving(self) -> int:
+        """Number of frames in motion so far."""
+        return len(self._points) + sum(segment.n_frames for *_, segment in self._segments)
+
+    def copy(self) -> DriveAlignment:
+        """A copy for an estimate in between: `estimate` ends the segment that is in progress."""
+        copied = copy(self)
+        copied._segments, copied._reasons = list(self._segments), list(self._reasons)
+        copied._points, copied._matched = list(self._points), list(self._matched)
+        return copied
 
     def start_drive(self) -> None:
         """Start another drive with the same rig at the next frame."""

@@ -35,7 +35,7 @@ from track_range.foundation.sparse_flow import (
     small_grey,
     tracked_corners,
 )
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ego_motion import EgoMotion
@@ -171,7 +171,7 @@ class StereoOdometry:
     def __init__(
         self,
         rig: StereoRig,
-        alignment: Alignment | None = None,
+        alignment: AlignmentSource | None = None,
         settings: StereoOdometrySettings | None = None,
         *,
         flow: BackgroundFlow | None = None,
@@ -179,13 +179,12 @@ class StereoOdometry:
         if not rig.is_rectified:
             raise ValueError("rig: expected a rectified pair")
         self._rig = rig
-        self._alignment = alignment or Alignment()
+        self._alignment: AlignmentSource = alignment or Alignment()
         self._settings = settings or StereoOdometrySettings()
         self._image_hw = rig.left.height_px, rig.left.width_px
         self._flow = flow or BackgroundFlow()
         self._n_halved = self._flow.n_halvings(self._image_hw)
         self._focal_px = rig.left.fx_px / (1 << self._n_halved)
-        self._alignment_sigma_px = self._alignment.residual_px / (1 << self._n_halved)
         self._coarse = _CoarseMatcher(self._focal_px * rig.baseline_m / self._settings.nearest_m / 2)
         self._before: _View | None = None
         self._filter = SpeedFilter()
@@ -229,14 +228,15 @@ class StereoOdometry:
         )
         disparity_px, row_px = (corners - matches).astype(np.float64).T
         is_matched &= (np.abs(row_px) <= settings.max_row_px) & (disparity_px >= settings.min_disparity_px)
-        corners, disparity_px = corners[is_matched], self._aligned(corners[is_matched], disparity_px[is_matched])
+        corners = corners[is_matched]
+        disparity_px = self._aligned(corners, disparity_px[is_matched], self._alignment.at(time_s))
         return _View(time_s, left, corners, disparity_px)
 
-    def _aligned(self, corners: FloatArray32, disparity_px: FloatArray) -> FloatArray:
+    def _aligned(self, corners: FloatArray32, disparity_px: FloatArray, alignment: Alignment) -> FloatArray:
         """(N,) disparities corrected by the alignment, which counts in full pixels."""
         factor = 1 << self._n_halved
         x_px, sigma_px = factor * corners[:, 0].astype(np.float64) + (factor - 1) / 2, np.zeros(len(corners))
-        full_px, _ = self._alignment.corrected(disparity_px * factor, sigma_px, x_px=x_px, camera=self._rig.left)
+        full_px, _ = alignment.corrected(disparity_px * factor, sigma_px, x_px=x_px, camera=self._rig.left)
         return full_px / factor
 
     def _ego_motion(self, before: _View, now: _View, is_masked: BoolArray) -> EgoMotion:
@@ -273,7 +273,8 @@ class StereoOdometry:
         settings = self._settings
         forward_m = -float(fit.motion.rotation[:, 2] @ fit.motion.translation_m)  # z of the displacement -R^T t
         speed_mps, sigma_mps = forward_m / dt_s, math.sqrt(fit.covariance[5, 5]) / dt_s
-        offset = self._alignment_sigma_px / (self._focal_px * self._rig.baseline_m)
+        alignment_sigma_px = self._alignment.at(time_s).residual_px / (1 << self._n_halved)
+        offset = alignment_sigma_px / (self._focal_px * self._rig.baseline_m)
         systematic_mps = math.hypot(fit.by_offset[5] * offset / dt_s, settings.scale_sigma * speed_mps)
         if fit.noise_factor > settings.max_noise_factor:
             return self._unknown(time_s, dt_s)
