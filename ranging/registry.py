@@ -8,37 +8,34 @@ A package registers a `RangingMethod` under the entry point group `track_range.r
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from importlib import import_module
 from importlib.metadata import EntryPoint
 from types import MappingProxyType
 
-from track_range.foundation.entry_points import entry_points
+from track_range.foundation.registry import Registry, imported
 from track_range.ranging.method import MethodContext, MethodError, RangingMethod
 from track_range.ranging.ranger import Ranger
 
-ENTRY_POINT_GROUP = "track_range.ranging_methods"
-
 _METHODS_FOLDER = "track_range.ranging.methods"
-_BUILT_IN = (
-    ("size_regression", "MONO"),
-    ("ground_plane", "GROUND"),
-    ("lane_width", "LANE"),
-    ("patch_stereo", "STEREO"),
-    ("dense_stereo", "SGBM"),
-)
-"""Module and `RangingMethod` of each built-in method, in the order of columns, tables and stages."""
 
-_registered: dict[str, RangingMethod] = {}
-"""Methods added by `register`, in the order of their registration."""
+METHODS: Registry[RangingMethod] = Registry(
+    "track_range.ranging_methods",
+    {
+        "mono": f"{_METHODS_FOLDER}.size_regression:MONO",
+        "ground": f"{_METHODS_FOLDER}.ground_plane:GROUND",
+        "lane": f"{_METHODS_FOLDER}.lane_width:LANE",
+        "stereo": f"{_METHODS_FOLDER}.patch_stereo:STEREO",
+        "sgbm": f"{_METHODS_FOLDER}.dense_stereo:SGBM",
+    },
+)
+"""The ranging methods; built-in ones are in the order of columns, tables and stages."""
 
 
 def methods() -> tuple[RangingMethod, ...]:
     """All ranging methods: built-in ones, those of entry points sorted by name, then registered ones in their order."""
-    return (*_installed()[0], *_registered.values())
+    return (*_installed()[0], *METHODS.registered.values())
 
 
 def method_notes() -> tuple[str, ...]:
@@ -53,21 +50,7 @@ def register(method: RangingMethod) -> None:
         MethodError: another method has its name or its letter.
     """
     _check_unique(method, methods())
-    _registered[method.name] = method
-
-
-@contextmanager
-def registered(method: RangingMethod) -> Iterator[None]:
-    """Context manager that registers a method inside the with-block.
-
-    Raises:
-        MethodError: as `register`.
-    """
-    register(method)
-    try:
-        yield
-    finally:
-        del _registered[method.name]
+    METHODS.registered[method.name] = method
 
 
 def in_measuring_order(listed: Sequence[RangingMethod]) -> tuple[RangingMethod, ...]:
@@ -107,16 +90,15 @@ def create_rangers(context: MethodContext, listed: Sequence[RangingMethod] | Non
 @cache
 def _installed() -> tuple[tuple[RangingMethod, ...], tuple[str, ...]]:
     """The built-in methods and those of entry points, and notes on entry points that cannot be used."""
-    installed = [getattr(import_module(f"{_METHODS_FOLDER}.{module}"), name) for module, name in _BUILT_IN]
+    installed = [imported(method) for method in METHODS.built_in.values()]
     notes = []
-    for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name):
+    for entry in METHODS.installed:
         try:
             method = _loaded(entry)
             _check_unique(method, installed)
+            installed.append(method)
         except MethodError as error:
             notes.append(f"Entry point {entry.name} = {entry.value} cannot be used: {error}.")
-        else:
-            installed.append(method)
     return tuple(installed), tuple(notes)
 
 

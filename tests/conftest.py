@@ -11,6 +11,7 @@ import pytest
 
 from tests.command_line import Finished, run_command
 from tests.drive_cache import DriveCache
+from track_range.ranging import registry
 from track_range.simulation.drive import Drive
 
 pytest_plugins = ["tests.tiers"]
@@ -54,3 +55,27 @@ def render_drive(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathF
 def small_drive(render_drive: Callable[..., Drive]) -> Drive:
     """A simulated drive of 12 frames of 620x188, for tests that only read it."""
     return render_drive()
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Path]]:
+    """Installs a package with entry points, and gives the folder of its metadata.
+
+    `install("track_range.trackers", greedy="tests.toys.toy_tracker:GreedyIouTracker")`
+    """
+    folder = tmp_path / "site-packages"
+    folder.mkdir()
+    monkeypatch.syspath_prepend(str(folder))
+    registry._installed.cache_clear()  # ranging methods are those of the start of the process
+
+    def installed(group: str, **entry_points: str) -> Path:
+        name = f"package{len(list(folder.iterdir()))}"
+        info = folder / f"{name}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        lines = [f"[{group}]", *(f"{key} = {value}" for key, value in entry_points.items())]
+        (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
+        return info
+
+    yield installed
+    registry._installed.cache_clear()

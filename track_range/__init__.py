@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from track_range.foundation.errors import UsageError as UsageError
     from track_range.foundation.errors import UserError as UserError
     from track_range.foundation.files.output_files import OutputError as OutputError
+    from track_range.foundation.processes import tuned_process as tuned_process
     from track_range.pipeline.frame_result import FrameResult as FrameResult
     from track_range.ranging.filtering.distance_filter import DistanceFilters as DistanceFilters
     from track_range.ranging.fusion.fusion import Fusion as Fusion
@@ -77,6 +78,7 @@ _MODULE_OF = {
     "FrameResult": "pipeline.frame_result",
     "open_recording": "recording.recording",
     "read_events": "results.events.files",
+    "tuned_process": "foundation.processes",
     # types
     "Event": "results.events.event",
     "Frame": "stereo.geometry.frames",

@@ -1,28 +1,23 @@
 """Trackers by name: the built-in ones, those of installed packages, and any class as `package.module:Class`.
 
 A tracker needs one file, with a class that has `update` (`track_range.tracking.tracker.Tracker`) and takes
-`TrackerOptions`, and one registration: a line in `_registered`, an entry point of the group `track_range.trackers` in
+`TrackerOptions`, and one registration: a line in `TRACKERS`, an entry point of the group `track_range.trackers` in
 another package, or a call to `register_tracker`.
 """
 
 from __future__ import annotations
 
 import inspect
-import os
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
-from track_range.foundation.entry_points import entry_points
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import quoted
+from track_range.foundation.processes import search_current_folder
+from track_range.foundation.registry import Registry, imported
 from track_range.tracking.tracker import Tracker, TrackerOptions
 from track_range.tracking.tracks import Tracks
-
-ENTRY_POINT_GROUP = "track_range.trackers"
-"""Entry-point group in which other packages register trackers."""
 
 TrackerFactory = Callable[[TrackerOptions], Tracker]
 """A class or function that makes a new tracker from `TrackerOptions`."""
@@ -32,25 +27,26 @@ class TrackerError(UserError):
     """A tracker that is unknown or unusable, or that returned wrong results; the message is one sentence."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class RegisteredTracker:
     """A tracker that `--tracker` can select.
 
     Attributes:
-        name: its name on the command line.
         factory: makes the tracker; a string "package.module:attribute" is imported on first use.
         uses_reid: whether it uses `TrackerOptions.reid`.
     """
 
-    name: str
     factory: TrackerFactory | str
     uses_reid: bool = False
 
 
-_registered: dict[str, RegisteredTracker] = {
-    "deepsort": RegisteredTracker(name="deepsort", factory="track_range.tracking.deepsort:deepsort", uses_reid=True),
-    "sort": RegisteredTracker(name="sort", factory="track_range.tracking.deepsort:sort"),
-}
+TRACKERS: Registry[RegisteredTracker] = Registry(
+    "track_range.trackers",
+    {
+        "deepsort": RegisteredTracker("track_range.tracking.deepsort:deepsort", uses_reid=True),
+        "sort": RegisteredTracker("track_range.tracking.deepsort:sort"),
+    },
+)
 
 
 def register_tracker(name: str, factory: TrackerFactory | str, *, uses_reid: bool = False) -> None:
@@ -62,55 +58,48 @@ def register_tracker(name: str, factory: TrackerFactory | str, *, uses_reid: boo
     """
     if not name or ":" in name:
         raise ValueError(f"{name!r}: expected a tracker's name without a colon")
-    if name in tracker_names():
+    if name in TRACKERS.names:
         raise TrackerError(f"tracker name '{name}': already in use; choose another name.")
-    _registered[name] = RegisteredTracker(name=name, factory=factory, uses_reid=uses_reid)
-
-
-def tracker_names() -> tuple[str, ...]:
-    """Names that `--tracker` accepts: registered trackers first, then those of entry points."""
-    installed = sorted(point.name for point in entry_points(group=ENTRY_POINT_GROUP))
-    return tuple(dict.fromkeys([*_registered, *installed]))
+    TRACKERS.registered[name] = RegisteredTracker(factory, uses_reid=uses_reid)
 
 
 def find_tracker(name: str) -> RegisteredTracker:
     """The tracker with a name or `package.module:Class`, checked as far as possible without creating one.
 
-    The module of a `package.module:Class` is also searched for in the current folder, after the installed ones.
+    The command line also searches for a `package.module:Class` in the current folder, after the installed modules.
 
     Raises:
         TrackerError: there is no such tracker, or it does not take `TrackerOptions`.
     """
-    if name in _registered:
-        return _registered[name]
-    points = [point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name == name]
-    if not points and ":" not in name:
-        known = ", ".join(tracker_names())
+    listed = TRACKERS.find(name)
+    if isinstance(listed, RegisteredTracker):
+        return listed
+    if listed is None and ":" not in name:
+        known = ", ".join(TRACKERS.names)
         raise TrackerError(f"unknown tracker {quoted(name)}: expected {known}, or package.module:Class.")
-    if not points and os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())  # an installed command does not search the current folder by itself
-    factory = _imported(points[0].value if points else name)
+    if listed is None:
+        search_current_folder()
+    factory = _imported(listed or name)
     try:
         inspect.signature(factory).bind(TrackerOptions())
     except (TypeError, ValueError) as error:
         raise TrackerError(f"{name}: expected a class or function with one argument, the TrackerOptions.") from error
-    return RegisteredTracker(name=name, factory=factory, uses_reid=bool(getattr(factory, "uses_reid", False)))
+    return RegisteredTracker(factory, uses_reid=bool(getattr(factory, "uses_reid", False)))
 
 
 def create_tracker(name: str, options: TrackerOptions | None = None) -> Tracker:
     """A new tracker without tracks.
 
     Args:
-        name: one of `tracker_names()`, or `package.module:Class`.
+        name: one of `TRACKERS.names`, or `package.module:Class`.
         options: options for the tracker; None = the defaults.
 
     Raises:
         TrackerError: the name is unknown, the tracker does not take `TrackerOptions`, or it has no method `update`.
     """
-    factory = find_tracker(name).factory
-    make = _imported(factory) if isinstance(factory, str) else factory
+    factory = _imported(find_tracker(name).factory)
     try:
-        tracker = make(options or TrackerOptions())
+        tracker = factory(options or TrackerOptions())
     except TypeError as error:
         raise TrackerError(f"{name}: cannot be created from TrackerOptions ({error}).") from error
     if not callable(getattr(tracker, "update", None)):
@@ -130,20 +119,16 @@ def checked_tracks(tracker: Tracker, result: Any) -> Tracks:
     return result
 
 
-def _imported(path: str) -> TrackerFactory:
-    """The class or function "package.module:attribute".
+def _imported(factory: TrackerFactory | str) -> TrackerFactory:
+    """The class or function, imported if it is given as "package.module:attribute".
 
     Raises:
         TrackerError: the module cannot be imported, or has no such class or function.
     """
-    module_name, _, attribute = path.partition(":")
     try:
-        target = import_module(module_name)
-        for part in attribute.split("."):
-            target = getattr(target, part)
+        made_by = imported(factory)
     except (ImportError, AttributeError, ValueError) as error:
-        raise TrackerError(f"{path}: cannot be imported as a tracker ({error}).") from error
-    if not callable(target):
-        raise TrackerError(f"{path}: expected a class or function, found {type(target).__name__}.")
-    factory: TrackerFactory = target
-    return factory
+        raise TrackerError(f"{factory}: cannot be imported as a tracker ({error}).") from error
+    if not callable(made_by):
+        raise TrackerError(f"{factory}: expected a class or function, found {type(made_by).__name__}.")
+    return made_by

@@ -27,6 +27,7 @@ import numpy as np
 from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.simulated_drives import FPS, SimulatedDrive
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.processes import one_opencv_thread
 from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.ranging.ego_speed import open_ego_speed
 from track_range.simulation.world.scenario_names import SCENARIO_NAMES
@@ -36,7 +37,6 @@ from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.matching.box_matchers import one_thread
 from track_range.stereo.odometry.ego_motion import EgoMotion, Odometry
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
@@ -111,7 +111,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         f"{'yaw mrad/s':>11}{'95 % below':>11}{'ms':>6}"
     )
     rows = []
-    with one_thread():
+    with one_opencv_thread():
         for scenario in options.scenarios:
             for seed in options.seeds:
                 rows += _rows(_simulated(scenario, seed, options.seconds))

@@ -32,6 +32,7 @@ from track_range.detection.lanes.nets import NetLaneFinder
 from track_range.detection.models.onnx_session import BoundNetwork
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.prefetch import ClosableQueue
+from track_range.foundation.processes import tuned_process
 from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.ranging_stage import RangingStage
@@ -201,7 +202,7 @@ def _times_ms(settings: dict[str, Any], n_frames: int) -> dict[str, dict[str, fl
     """Milliseconds per frame of each thread of a run, by step and wait."""
     probe = _Probe()
     begin = end = probe.times_s()
-    with Run(settings_from(settings)) as run:
+    with Run(settings_from(settings)) as run, tuned_process(has_dense_stereo=run.settings.sgbm):
         for number, _ in enumerate(run, 1):
             if number == _N_FIRST:
                 begin = probe.times_s()

@@ -25,7 +25,7 @@ from benchmarks.plain_tables import plain_table
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges
 from track_range.results.columns import methods_with_sigma
-from track_range.results.writers import DEFAULT_WRITERS, OpenWriters, RunInfo, writer_names
+from track_range.results.writers import DEFAULT_WRITERS, WRITERS, OpenWriters, RunInfo
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
@@ -66,7 +66,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Measure each format, the default ones together and ROS 2's profile, and print the table."""
-    cases: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {name: ((name,), {}) for name in writer_names()}
+    cases: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {name: ((name,), {}) for name in WRITERS.names}
     cases["mcap, ros2"] = (("mcap",), {"mcap_profile": "ros2"})
     cases[f"default: {','.join(DEFAULT_WRITERS)}"] = (DEFAULT_WRITERS, {})
     table = plain_table(

@@ -35,7 +35,7 @@ from track_range.detection.darknet.layers import (
 from track_range.detection.darknet.network import read_network
 from track_range.detection.darknet.weights import read_convolutions
 from track_range.detection.models.onnx_session import ModelError
-from track_range.detection.models.writing import atomic_output, silent_conversion
+from track_range.detection.models.writing import atomic_output, conversion_errors
 
 _OPSET = 13
 _IR_VERSION = 8
@@ -86,7 +86,7 @@ def import_darknet(cfg: Path, weights: Path, out: Path, *, names: Sequence[str])
         raise ModelError(f"{cfg}: expected {n_classes} class names in the network's order, got {len(names)}.")
     family = _family(network)
     model = _model(network, weights, {"family": family, **_metadata(network, names)})
-    with atomic_output(out) as folder, silent_conversion(cfg, "written as ONNX"):
+    with atomic_output(out) as folder, conversion_errors(cfg, "written as ONNX"):
         onnx.checker.check_model(model, full_check=True)
         onnx.save(model, folder / out.name)
     return ImportedModel(

@@ -14,22 +14,33 @@ from track_range.foundation.files.atomic_files import atomic_folder, describe
 
 
 @contextlib.contextmanager
-def silent_conversion(path: Path, verb: str) -> Iterator[None]:
-    """Context in which a converter of the model at `path` runs without prints, warnings and log lines.
+def conversion_errors(path: Path, verb: str) -> Iterator[None]:
+    """Context of a converter of the model at `path`.
 
     Raises:
         ModelError: the converter raised an exception; the message is "`path`: cannot be `verb`" with the reason.
+    """
+    try:
+        yield
+    except Exception as error:  # onnx and onnxruntime raise dozens of unrelated types
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise ModelError(f"{path}: cannot be {verb} ({reason}).") from error
+
+
+@contextlib.contextmanager
+def silent_conversion(path: Path, verb: str) -> Iterator[None]:
+    """`conversion_errors` of a converter whose prints, warnings and log lines are discarded, as all of the process are.
+
+    Raises:
+        ModelError: as `conversion_errors`.
     """
     handler, disabled = logging.NullHandler(), logging.root.manager.disable
     logging.root.addHandler(handler)  # otherwise logging.warning() would install a handler that prints
     logging.disable(logging.CRITICAL)
     try:
-        with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+        with conversion_errors(path, verb), warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
             warnings.simplefilter("ignore")
             yield
-    except Exception as error:  # onnx and onnxruntime raise dozens of unrelated types
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise ModelError(f"{path}: cannot be {verb} ({reason}).") from error
     finally:
         logging.disable(disabled)
         logging.root.removeHandler(handler)

@@ -22,7 +22,6 @@ from track_range.foundation.arrays import BoolArray, FloatArray, Image
 from track_range.foundation.robust_statistics import mad_sigma
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.geometry.frames import whole_image
-from track_range.stereo.matching.box_matchers import one_thread
 from track_range.stereo.matching.patches import inner_halves
 from track_range.stereo.matching.sgbm import DisparityMap, Sgbm, SgbmSettings
 
@@ -55,8 +54,7 @@ class ConfidenceRecorder:
         for pair in pairs:
             yield pair
             settings = SgbmSettings.for_rig(pair.rig, chosen={"mode": "hh"})
-            with one_thread():
-                measures = confidence_measures(pair.left, whole_image(pair.right), pair.xyxy_px, settings)
+            measures = confidence_measures(pair.left, whole_image(pair.right), pair.xyxy_px, settings)
             for measure, values in measures.items():
                 self._parts[measure].append(values)
 

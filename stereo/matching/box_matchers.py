@@ -9,12 +9,10 @@ NAME-centre                                 a dense matcher, sampled at the cent
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
@@ -110,20 +108,8 @@ def measure_pairs(
     parts, notes = _Parts(names, expected), dict[str, None]()
     for pair in pairs:
         notes |= dict.fromkeys(pair.notes)
-        with one_thread():
-            parts.add(pair)
+        parts.add(pair)
     return parts.measured(tuple(notes))
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Context in which OpenCV uses one thread; the number of threads is restored afterwards."""
-    n_before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(n_before)
 
 
 class _Parts:

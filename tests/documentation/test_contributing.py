@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import track_range as tr
-from track_range.ranging import registry as method_registry
-from track_range.results import writers as writer_registry
+from track_range.ranging.registry import METHODS
+from track_range.results.writers import WRITERS, create_writer
 from track_range.stereo.rig_formats import reading as rig_reading
-from track_range.tracking import registry as tracker_registry
+from track_range.tracking.registry import TRACKERS
 
 PROJECT = Path(__file__).resolve().parents[2]
 TEXT = (PROJECT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -18,10 +18,10 @@ EXAMPLES = dict(re.findall(r"^## (A [\w ]+)\n.*?```python\n(.*?)```", TEXT, flag
 
 
 @pytest.fixture
-def unregistered(monkeypatch):
+def unregistered():
     """Registries that are restored after the test."""
-    for module in (method_registry, tracker_registry, writer_registry):
-        monkeypatch.setattr(module, "_registered", dict(module._registered))
+    with METHODS.restored(), TRACKERS.restored(), WRITERS.restored():
+        yield
 
 
 def test_examples_are_short():
@@ -56,7 +56,7 @@ def test_tracker_example():
 @pytest.mark.usefixtures("unregistered")
 def test_result_writer_example(tmp_path):
     exec(EXAMPLES["A result writer"], {})  # noqa: S102 - our own text
-    writer = writer_registry.create_writer("lines")
+    writer = create_writer("lines")
     writer.open(None, tmp_path)
     writer.close(None)
     assert (tmp_path / "lines.txt").exists()

@@ -1,10 +1,10 @@
 """Registry of ranging methods: order, validation of descriptions, entry points of other packages."""
 
 from dataclasses import replace
-from importlib.metadata import EntryPoint
 
 import pytest
 
+from tests.toys.registrations import registered_method
 from track_range.ranging import registry
 from track_range.ranging.method import ErrorSource, MethodContext, MethodError, RangingMethod
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -26,14 +26,6 @@ def names(listed):
     return [method.name for method in listed]
 
 
-@pytest.fixture
-def fresh():
-    """A registry as in a new process, restored afterwards."""
-    registry._installed.cache_clear()
-    yield
-    registry._installed.cache_clear()
-
-
 def correlation(method, other):
     """Correlation of the independent errors of two methods."""
     parts = [
@@ -52,7 +44,7 @@ def test_built_in_methods_in_order_with_their_noise():
 
 
 def test_registered_is_limited_to_the_block():
-    with registry.registered(RADAR):
+    with registered_method(RADAR):
         assert names(registry.methods())[-1] == "radar"
         with pytest.raises(MethodError, match="radar"):
             registry.register(RADAR)
@@ -113,7 +105,7 @@ def test_needs_and_reads_accept_any_collection():
     assert "radar" not in registry.create_rangers(MethodContext(camera=CAMERA), [method])
 
 
-def test_entry_points(fresh, monkeypatch, tmp_path):
+def test_entry_points(install, monkeypatch, tmp_path):
     (tmp_path / "radar_package.py").write_text(
         "from dataclasses import replace\n"
         "from track_range.ranging.methods.size_regression import MONO\n"
@@ -128,8 +120,7 @@ def test_entry_points(fresh, monkeypatch, tmp_path):
         "unknown": "no_such_package_of_radars:RADAR",
         "twice": "radar_package:RADAR",
     }
-    entries = [EntryPoint(name, value, registry.ENTRY_POINT_GROUP) for name, value in targets.items()]
-    monkeypatch.setattr(registry, "entry_points", lambda group: entries)
+    install("track_range.ranging_methods", **targets)
     assert names(registry.methods())[5:] == ["radar"]
     notes = registry.method_notes()
     assert [note.split()[2] for note in notes] == ["absent", "other", "twice", "unknown"]

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 from tests.stereo.kitti_folder import write_set
 from track_range.stereo.evaluation.kitti_2015 import read_pairs
-from track_range.stereo.matching.box_matchers import MATCHER_NAMES, measure_pairs, one_thread, open_matcher
+from track_range.stereo.matching.box_matchers import MATCHER_NAMES, measure_pairs, open_matcher
 
 
 def test_all_matchers_on_exact_pairs(tmp_path: Path) -> None:
@@ -51,21 +50,3 @@ def test_unknown_matcher(tmp_path: Path) -> None:
     pair = next(read_pairs(write_set(tmp_path)))
     with pytest.raises(ValueError, match="pach"):
         open_matcher("pach", pair.rig)
-
-
-def test_opencv_threads_are_restored() -> None:
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(3)
-    n_threads = []
-
-    def fail() -> None:
-        with one_thread():
-            n_threads.append(cv2.getNumThreads())
-            raise KeyError
-
-    try:
-        with pytest.raises(KeyError):
-            fail()
-        assert (n_threads, cv2.getNumThreads()) == ([1], 3)
-    finally:
-        cv2.setNumThreads(before)

@@ -3,15 +3,14 @@
 import csv
 import json
 import re
-from importlib.metadata import EntryPoint
 
 import pytest
 
+from tests.toys.registrations import registered_method
 from tests.toys.toy_method import TOY
 from tests.track_range.conftest import write_film
 from tests.track_range.views.overlay_results import BOX, result
 from track_range.pipeline.colours import colour_of_each
-from track_range.ranging import registry
 from track_range.ranging.evaluation.box_methods import method_names
 from track_range.views.overlay.labels import corner_lines, label_lines
 
@@ -20,7 +19,7 @@ TOY_M = 100 * 1.8 / 30
 
 @pytest.fixture
 def toy():
-    with registry.registered(TOY):
+    with registered_method(TOY):
         yield
 
 
@@ -67,24 +66,14 @@ def test_toy_method_in_every_output_of_a_run(toy, run_folder):
     assert_is_everywhere(*run_folder())
 
 
-def test_toy_method_by_entry_point(run_folder, monkeypatch):
-    registry._installed.cache_clear()
-    entry = EntryPoint("toy", "tests.toys.toy_method:TOY", registry.ENTRY_POINT_GROUP)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [entry])
-    try:
-        assert_is_everywhere(*run_folder())
-    finally:
-        registry._installed.cache_clear()
+def test_toy_method_by_entry_point(run_folder, install):
+    install("track_range.ranging_methods", toy="tests.toys.toy_method:TOY")
+    assert_is_everywhere(*run_folder())
 
 
-def test_broken_entry_point_is_a_note(run_folder, monkeypatch):
-    registry._installed.cache_clear()
-    entry = EntryPoint("toy", "tests.no_such_method:TOY", registry.ENTRY_POINT_GROUP)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [entry])
-    try:
-        out, printed = run_folder()
-    finally:
-        registry._installed.cache_clear()
+def test_broken_entry_point_is_a_note(run_folder, install):
+    install("track_range.ranging_methods", toy="tests.no_such_method:TOY")
+    out, printed = run_folder()
     notes = json.loads((out / "summary.json").read_text())["notes"]
     assert [note for note in notes if "toy = tests.no_such_method:TOY" in note]
     assert "tests.no_such_method" in printed

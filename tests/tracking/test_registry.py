@@ -1,28 +1,25 @@
 """Trackers by name, by `module:Class` and by entry point; `tests/toys/toy_tracker.py` is another package's tracker."""
 
-import sys
-
 import numpy as np
 import pytest
 
 from tests.toys.toy_tracker import GreedyIouTracker
 from track_range.detection.detections import Detections
-from track_range.tracking import registry
-from track_range.tracking.registry import TrackerError, create_tracker, find_tracker, register_tracker, tracker_names
+from track_range.tracking.registry import TRACKERS, TrackerError, create_tracker, find_tracker, register_tracker
 from track_range.tracking.tracker import RefinableTracker, TrackerOptions
 
 BOX = Detections.of([[10, 10, 50, 50]], [0.9], [2])
 
 
 @pytest.fixture
-def _restored(monkeypatch):
-    monkeypatch.setattr(registry, "_registered", dict(registry._registered))
-    monkeypatch.setattr(sys, "path", list(sys.path))
+def _restored():
+    with TRACKERS.restored():
+        yield
 
 
 @pytest.mark.parametrize("name", ["deepsort", "sort"])
 def test_built_in_trackers(name):
-    assert name in tracker_names()
+    assert name in TRACKERS.names
     tracker = create_tracker(name)
     assert tracker.update(BOX, 0.0, None).track_id.tolist() == [1]
     assert isinstance(tracker, RefinableTracker)
@@ -46,7 +43,7 @@ def test_reid_is_handed_to_deepsort():
 @pytest.mark.usefixtures("_restored")
 def test_registered_class():
     register_tracker("greedy", GreedyIouTracker)
-    assert tracker_names()[-1] == "greedy"
+    assert TRACKERS.names[-1] == "greedy"
     tracker = create_tracker("greedy")
     assert tracker.update(BOX, 0.0, None).track_id.tolist() == [101]
     assert not isinstance(tracker, RefinableTracker)
@@ -66,21 +63,9 @@ def test_class_by_module_path():
     assert tracker.update(BOX, 0.0, None).track_id.tolist() == [101]
 
 
-@pytest.mark.usefixtures("_restored")
-def test_module_in_the_current_folder(tmp_path, monkeypatch):
-    (tmp_path / "local_module.py").write_text("from tests.toys.toy_tracker import GreedyIouTracker as LocalTracker\n")
-    monkeypatch.chdir(tmp_path)
-    assert create_tracker("local_module:LocalTracker").update(BOX, 0.0, None).track_id.tolist() == [101]
-
-
-@pytest.mark.usefixtures("_restored")
-def test_entry_point(tmp_path, monkeypatch):
-    info = tmp_path / "other-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[track_range.trackers]\nother = tests.toys.toy_tracker:GreedyIouTracker\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    assert "other" in tracker_names()
+def test_entry_point(install):
+    install("track_range.trackers", other="tests.toys.toy_tracker:GreedyIouTracker")
+    assert "other" in TRACKERS.names
     assert create_tracker("other").update(BOX, 0.0, None).track_id.tolist() == [101]
 
 

@@ -16,6 +16,7 @@ import typer
 
 from track_range.cli.lazy import Lazy, lazy_app
 from track_range.foundation.errors import UserError
+from track_range.foundation.processes import owned_process
 
 PROGRAM = "track-range"
 
@@ -189,6 +190,7 @@ def _root(
         raise typer.Exit
 
 
+@owned_process()
 def main() -> None:
     """Entry point of `track-range`."""
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # track-range reports the problem itself

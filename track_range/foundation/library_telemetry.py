@@ -7,31 +7,14 @@ variable: Rerun, only the viewer of which collects statistics. `track-range view
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 
-
-@dataclass(frozen=True, slots=True)
-class TelemetrySwitch:
-    """Environment variable that disables the telemetry of a package.
-
-    Attributes:
-        package: name under which the package is imported.
-        variable: environment variable, read when the package is imported.
-        value: value that disables the telemetry.
-    """
-
-    package: str
-    variable: str
-    value: str
-
-
-TELEMETRY_SWITCHES = (
+TELEMETRY_SWITCHES = {
     # writes a device id and a database of events into the user's cache, and looks up a host to upload them to
-    TelemetrySwitch("onnxruntime", "ORT_DISABLE_TELEMETRY", "1"),
+    "onnxruntime": ("ORT_DISABLE_TELEMETRY", "1"),
     # reports the cluster, the libraries in use and the operating system
-    TelemetrySwitch("ray", "RAY_USAGE_STATS_ENABLED", "0"),
-)
-
+    "ray": ("RAY_USAGE_STATS_ENABLED", "0"),
+}
+"""Environment variable, read at the import of a package, and the value that disables the package's telemetry."""
 
 _CLOSED_PORT = "http://127.0.0.1:9"
 """Address at which nothing listens (the discard port)."""
@@ -52,5 +35,5 @@ records an event before it disables them. Its check for a newer version cannot b
 
 def disable_telemetry() -> None:
     """Set the variables of all switches for this process and those it starts; a user's own value has precedence."""
-    for switch in TELEMETRY_SWITCHES:
-        os.environ.setdefault(switch.variable, switch.value)
+    for variable, value in TELEMETRY_SWITCHES.values():
+        os.environ.setdefault(variable, value)

@@ -8,26 +8,17 @@ slowest stage instead of the sum of all.
 
 from __future__ import annotations
 
-import gc
 import os
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Generator, Iterable
 from typing import Generic, TypeVar
 
 import cv2
-
-from track_range.foundation.processes import n_usable_cores
+import numpy as np
 
 T = TypeVar("T")
-
-_SWITCH_INTERVAL_S = 0.0005
-"""Switch interval of the interpreter during a run; a thread waits at most this long for the GIL (default: 5 ms)."""
-
-_FEW_CORES = 2
-"""Number of cores up to which inference and the other stages need all of them."""
 
 _NICENESS = 15
 """Niceness (0..19) of low-priority threads; the scheduler weight is a thirtieth of that of an ordinary thread."""
@@ -39,74 +30,9 @@ def lower_thread_priority() -> None:
     With fewer cores than busy threads, decoding and drawing would otherwise slow down inference, the bottleneck.
     """
     if sys.platform == "linux":  # on other systems niceness applies to the whole process
+        # starts OpenCV's threads, which serve the whole process and would otherwise have the priority of this one
+        cv2.cvtColor(np.zeros((512, 512, 3), np.uint8), cv2.COLOR_BGR2GRAY)
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
-
-
-class _Shared(Generic[T]):
-    """A setting of the process, changed while at least one run is in progress.
-
-    Args:
-        value: value during runs.
-        read, write: read and change the setting.
-    """
-
-    def __init__(self, value: T, read: Callable[[], T], write: Callable[[T], None]) -> None:
-        self._lock = threading.Lock()
-        self._value, self._read, self._write = value, read, write
-        self._n_users, self._default = 0, value
-
-    @contextmanager
-    def in_use(self) -> Iterator[None]:
-        """Context with the value during runs; the one before is restored at the end of the last concurrent run.
-
-        A setting that has the value before is neither changed nor restored.
-        """
-        with self._lock:
-            if not self._n_users:
-                self._default = self._read()
-                if self._default != self._value:
-                    self._write(self._value)
-            self._n_users += 1
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._n_users -= 1
-                if not self._n_users and self._default != self._value:
-                    self._write(self._default)
-
-
-def _freeze(is_frozen: bool) -> None:
-    if is_frozen:
-        gc.freeze()
-    else:
-        gc.unfreeze()
-
-
-_switch_interval = _Shared(_SWITCH_INTERVAL_S, sys.getswitchinterval, sys.setswitchinterval)
-_opencv_threads = _Shared(1, cv2.getNumThreads, cv2.setNumThreads)
-_frozen_objects = _Shared(True, lambda: gc.get_freeze_count() > 0, _freeze)
-
-
-@contextmanager
-def concurrent_stages(*, has_dense_stereo: bool) -> Iterator[None]:
-    """Context with the settings of the process for stages in threads.
-
-    A thread that returns from inference waits at most 0.5 ms for the GIL; the default, 5 ms, is a tenth of the time per
-    frame. The garbage collector leaves out the objects that exist before the run: a search among them takes 60 ms, and
-    holds the GIL; if the application has frozen objects itself, nothing changes. On two cores or fewer that the process
-    may use, OpenCV uses one thread, since its other ones, which have the priority of inference, would interrupt that;
-    with dense stereo it uses all, since dense stereo is then the bottleneck.
-
-    Args:
-        has_dense_stereo: whether each image is matched densely.
-    """
-    with ExitStack() as stack:
-        stack.enter_context(_switch_interval.in_use())
-        stack.enter_context(_frozen_objects.in_use())
-        if n_usable_cores() <= _FEW_CORES and not has_dense_stereo:
-            stack.enter_context(_opencv_threads.in_use())
-        yield
 
 
 def prefetch(

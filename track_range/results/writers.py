@@ -1,6 +1,6 @@
 """Result writers: one class per format, chosen by name (`--write csv,mot`).
 
-A writer is a class that implements `ResultWriter`, registered by a line in `_registered`, by an entry point of the
+A writer is a class that implements `ResultWriter`, registered by a line in `WRITERS`, by an entry point of the
 group `track_range.result_writers` in another package, or by a call of `register_writer`.
 """
 
@@ -9,25 +9,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path, PureWindowsPath
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.foundation.entry_points import entry_points
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.output_files import OutputError
+from track_range.foundation.registry import Registry, imported
 from track_range.results.provenance import Provenance
 
 if TYPE_CHECKING:
     from track_range.pipeline.frame_result import FrameResult
     from track_range.stereo.geometry.camera import PinholeCamera
     from track_range.stereo.geometry.rig import StereoRig
-
-ENTRY_POINT_GROUP = "track_range.result_writers"
-"""Group of the entry points of writers in other packages."""
 
 DEFAULT_WRITERS = ("csv", "mot", "parquet")
 """Writers of a run without `--write`."""
@@ -122,16 +118,19 @@ class ResultWriter(Protocol):
 WriterFactory = Callable[[], ResultWriter]
 """Function without arguments that returns a writer, usually its class."""
 
-_registered: dict[str, WriterFactory | str] = {
-    "csv": "track_range.results.formats.csv_file:CsvWriter",
-    "mot": "track_range.results.formats.mot_file:MotWriter",
-    "parquet": "track_range.results.formats.parquet_file:ParquetWriter",
-    "kitti": "track_range.results.formats.kitti_file:KittiWriter",
-    "recorded": "track_range.results.formats.recorded_boxes_file:RecordedBoxesWriter",
-    "mcap": "track_range.results.formats.mcap.writer:McapWriter",
-    "rrd": "track_range.results.formats.rerun_file:RerunWriter",
-}
-"""Writers by name; a string "package.module:Class" is imported on first use."""
+WRITERS: Registry[WriterFactory | str] = Registry(
+    "track_range.result_writers",
+    {
+        "csv": "track_range.results.formats.csv_file:CsvWriter",
+        "mot": "track_range.results.formats.mot_file:MotWriter",
+        "parquet": "track_range.results.formats.parquet_file:ParquetWriter",
+        "kitti": "track_range.results.formats.kitti_file:KittiWriter",
+        "recorded": "track_range.results.formats.recorded_boxes_file:RecordedBoxesWriter",
+        "mcap": "track_range.results.formats.mcap.writer:McapWriter",
+        "rrd": "track_range.results.formats.rerun_file:RerunWriter",
+    },
+)
+"""Writers by name, which are imported on first use."""
 
 
 def register_writer(name: str, factory: WriterFactory | str) -> None:
@@ -144,28 +143,9 @@ def register_writer(name: str, factory: WriterFactory | str) -> None:
     Raises:
         WriterError: the name is in use.
     """
-    if name in writer_names():
+    if name in WRITERS.names:
         raise WriterError(f"the name '{name}' is already used by another writer; choose another name.")
-    _registered[name] = factory
-
-
-@contextmanager
-def registered_writer(name: str, factory: WriterFactory | str) -> Iterator[None]:
-    """Context in which a writer is registered.
-
-    Raises:
-        WriterError: the name is in use.
-    """
-    register_writer(name, factory)
-    try:
-        yield
-    finally:
-        del _registered[name]
-
-
-def writer_names() -> tuple[str, ...]:
-    """Names that `--write` accepts: registered writers, then those of entry points."""
-    return tuple(dict.fromkeys([*_registered, *sorted(point.name for point in entry_points(group=ENTRY_POINT_GROUP))]))
+    WRITERS.registered[name] = factory
 
 
 def create_writer(name: str) -> ResultWriter:
@@ -174,12 +154,11 @@ def create_writer(name: str) -> ResultWriter:
     Raises:
         WriterError: there is no writer of that name, it cannot be imported, or it does not implement `ResultWriter`.
     """
-    points = [point.value for point in entry_points(group=ENTRY_POINT_GROUP) if point.name == name]
-    factory = _registered.get(name, points[0] if points else None)
+    factory = WRITERS.find(name)
     if factory is None:
-        raise WriterError(f"unknown format '{name}': expected {', '.join(writer_names())}.")
+        raise WriterError(f"unknown format '{name}': expected {', '.join(WRITERS.names)}.")
     try:
-        writer = (_imported(factory) if isinstance(factory, str) else factory)()
+        writer = imported(factory)()
     except Exception as error:  # other packages may raise anything; runs without this writer are not affected
         reason = f"{type(error).__name__}: {error}"
         raise WriterError(f"the writer '{name}' ({factory}) cannot be used: {reason}.") from error
@@ -211,7 +190,7 @@ def result_names() -> tuple[str, ...]:
     Writers that cannot be used are skipped; they are reported by runs that choose them.
     """
     names: list[str] = []
-    for name in writer_names():
+    for name in WRITERS.names:
         with suppress(WriterError):
             names += _all_files(create_writer(name))
     return (*names, *_RUN_FILES)
@@ -224,12 +203,6 @@ def _all_files(writer: ResultWriter) -> tuple[str, ...]:
 
 def _temporary_files(writer: ResultWriter) -> Any:
     return getattr(writer, "temporary_files", ())
-
-
-def _imported(path: str) -> WriterFactory:
-    module, _, attribute = path.partition(":")
-    factory: WriterFactory = getattr(import_module(module), attribute)
-    return factory
 
 
 def _check_writer(name: str, writer: Any) -> None:

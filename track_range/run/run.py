@@ -23,7 +23,6 @@ from rich.console import Console
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import ConfigError, UserError
 from track_range.foundation.files.input_files import real_path
-from track_range.foundation.prefetch import concurrent_stages
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
 from track_range.pipeline.throughput import FrameMeter
@@ -315,7 +314,6 @@ class Run:
     def _frame_results(self, session: RunSession, files: RunFolder | None) -> Generator[FrameResult, None, None]:
         depths = None if session.source.inputs.live is None else LIVE_DEPTHS
         with (
-            concurrent_stages(has_dense_stereo=self.settings.sgbm),
             closing(run_in_threads(session.pipeline, session.source.frames, depths)) as processed,
             closing(self._shared(session, processed)) as results,
             frame_progress(self._console, session.source.n_frames) as advance,

@@ -456,9 +456,9 @@ class RunSettings(Options):
     @field_validator("write")
     @classmethod
     def _known_writers(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        from track_range.results.writers import writer_names
+        from track_range.results.writers import WRITERS
 
-        known = writer_names()
+        known = WRITERS.names
         if unknown := [name for name in names if name not in known]:
             raise ValueError(f"unknown format {', '.join(unknown)}: expected {', '.join(known)}")
         return tuple(dict.fromkeys(names))

@@ -51,7 +51,6 @@ from track_range.simulation.world.contacts import find_contacts
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.truth import joined, visible_objects
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.matching.box_matchers import one_thread
 from track_range.stereo.rig_formats.rig_yaml import save_rig
 
 __all__ = ["Drive", "DriveOptions", "kitti_text", "write_drive"]
@@ -176,7 +175,6 @@ def write_drive(
         closing(image_writer(drive.left, camera, fps)) as left,
         closing(image_writer(drive.right, camera, fps)) as right,
         ThreadPoolExecutor(N_THREADS) as pool,
-        one_thread(),  # OpenCV's threads would compete with these
     ):
         recorder.write(left, right, pool, progress)
     truth = joined(recorder.labels)

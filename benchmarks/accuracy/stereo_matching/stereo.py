@@ -28,13 +28,13 @@ from rich.table import Table
 from benchmarks.accuracy.stereo_matching.stereo_accuracy import add_accuracy_options, measure_accuracy
 from benchmarks.inputs.drives import REAL_DATA
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.processes import one_opencv_thread
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scene import make_scene
 from track_range.simulation.world.truth import label_scene
 from track_range.stereo.evaluation.kitti_2015 import TRUTH, pair_names, read_pair
 from track_range.stereo.geometry.rectification import Maps, RemappedView
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.matching.box_matchers import one_thread
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.stereo.matching.patches import inner_halves
 from track_range.stereo.matching.sgbm import Mode, Sgbm, SgbmSettings
@@ -96,7 +96,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     real = _real(options.pairs, options.scenes) if options.pairs.is_dir() else []
     small = real or _rendered(options.scenes, width_px=1242, height_px=376)
     groups = {f"{small[0].left.shape[1]}x{small[0].left.shape[0]}": small, **groups}
-    with one_thread():
+    with one_opencv_thread():
         speed = {size: _speed(scenes, options.rounds) for size, scenes in groups.items()}
     _print_speed(speed)
     return {"n_boxes": N_BOXES, "rounds": options.rounds, "speed": speed, "accuracy": measure_accuracy(options)}

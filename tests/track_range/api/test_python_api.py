@@ -138,16 +138,6 @@ def test_closed_run_is_not_iterated(drive):
         iter(run)
 
 
-def test_runs_side_by_side_restore_the_switch_interval(drive):
-    before_s = sys.getswitchinterval()
-    first, second = iter(recorded(drive, duration=0.3)), iter(recorded(drive, duration=0.3))
-    next(first), next(second)
-    first.close()
-    assert sys.getswitchinterval() < before_s
-    second.close()
-    assert sys.getswitchinterval() == before_s
-
-
 def test_second_write_keeps_the_videos(drive, tmp_path):
     run = tr.Run.mono(drive.left, focal_px=700, detections=drive.detections, duration=0.3, out=tmp_path / "out")
     for _ in run:

@@ -16,7 +16,7 @@ from track_range.foundation.library_telemetry import TELEMETRY_SWITCHES
 PROJECT = Path(__file__).resolve().parents[3]
 TRACK_RANGE = Path(sys.executable).with_name("track-range")
 FOLDERS = ("detection", "tracking", "stereo", "ranging", "track_range")
-VARIABLES = {switch.variable for switch in TELEMETRY_SWITCHES}
+VARIABLES = {variable for variable, _ in TELEMETRY_SWITCHES.values()}
 
 BOXES = "class,x1,y1,x2,y2,distance_m,fx\n" + "".join(
     f"car,100,100,{100 + 1760 / z_m:.2f},{100 + 1650 / z_m:.2f},{z_m},1100\n" for z_m in np.linspace(5, 65, 200)
@@ -131,19 +131,19 @@ def variable_after_import(module, variable, environment):
 
 
 @pytest.mark.parametrize(
-    "switch",
-    [pytest.param(s, marks=pytest.mark.slow if s.package == "ray" else ()) for s in TELEMETRY_SWITCHES],
-    ids=lambda switch: switch.package,
+    "package",
+    [pytest.param(package, marks=pytest.mark.slow if package == "ray" else ()) for package in TELEMETRY_SWITCHES],
 )
-def test_importers_disable_telemetry(fresh_environment, switch):
+def test_importers_disable_telemetry(fresh_environment, package):
     """Each package of ours that imports one with telemetry disables it, and a user's own setting is kept."""
-    if not is_installed(switch.package):
-        pytest.skip(f"{switch.package} is not installed")
-    for folder in importers_of(switch.package):
+    if not is_installed(package):
+        pytest.skip(f"{package} is not installed")
+    variable, value = TELEMETRY_SWITCHES[package]
+    for folder in importers_of(package):
         module = module_of(folder)
-        assert variable_after_import(module, switch.variable, fresh_environment) == switch.value
-        own = fresh_environment | {switch.variable: "own"}
-        assert variable_after_import(module, switch.variable, own) == "own"
+        assert variable_after_import(module, variable, fresh_environment) == value
+        own = fresh_environment | {variable: "own"}
+        assert variable_after_import(module, variable, own) == "own"
 
 
 def test_importers_of_onnxruntime():

@@ -3,17 +3,20 @@ from __future__ import annotations
 import gc
 import itertools
 import os
+import subprocess
+import sys
 import threading
 import weakref
 from collections.abc import Iterator
+from pathlib import Path
 
-import cv2
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.foundation.prefetch import concurrent_stages, prefetch
+from track_range.foundation.prefetch import prefetch
 
+PROJECT = Path(__file__).resolve().parents[3]
 WAIT_S = 20.0  # long enough for any machine; exceeded only if something hangs
 
 
@@ -195,43 +198,26 @@ def test_depth_below_one(depth: int) -> None:
         prefetch([], depth=depth)
 
 
-@pytest.mark.parametrize(("n_cores", "has_dense_stereo", "n_threads"), [(2, False, 1), (2, True, 3), (4, False, 3)])
-def test_threads_of_opencv_during_runs(
-    n_cores: int, has_dense_stereo: bool, n_threads: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: 64)
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(n_cores)), raising=False)
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(3)
-    try:
-        with concurrent_stages(has_dense_stereo=has_dense_stereo):
-            with concurrent_stages(has_dense_stereo=has_dense_stereo):
-                assert cv2.getNumThreads() == n_threads
-            assert cv2.getNumThreads() == n_threads
-        assert cv2.getNumThreads() == 3
-    finally:
-        cv2.setNumThreads(before)
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a niceness of each thread")
+def test_only_the_thread_gets_a_lower_priority() -> None:
+    code = """if True:
+        import os, threading
+        import cv2, numpy as np
+        from track_range.foundation.prefetch import lower_thread_priority
 
+        def work():
+            lower_thread_priority()
+            cv2.resize(np.zeros((999, 999, 3), np.uint8), (2000, 2000))  # in OpenCV's threads
+            print(*(os.getpriority(os.PRIO_PROCESS, int(task)) for task in os.listdir("/proc/self/task")))
 
-def test_objects_before_runs_are_frozen_during_them() -> None:
-    assert gc.get_freeze_count() == 0
-    with concurrent_stages(has_dense_stereo=False):
-        with concurrent_stages(has_dense_stereo=False):
-            assert gc.get_freeze_count() > 1000
-        assert gc.get_freeze_count() > 1000
-    assert gc.get_freeze_count() == 0
-
-
-def test_objects_that_the_application_has_frozen_remain_frozen() -> None:
-    gc.freeze()
-    try:
-        n_frozen = gc.get_freeze_count()
-        tracked = [[number] for number in range(1000)]
-        with concurrent_stages(has_dense_stereo=False):
-            assert gc.get_freeze_count() < n_frozen + len(tracked)
-        assert gc.get_freeze_count() < n_frozen + len(tracked)
-        with concurrent_stages(has_dense_stereo=False):
-            gc.unfreeze()  # the application's decision
-        assert gc.get_freeze_count() == 0
-    finally:
-        gc.unfreeze()
+        cv2.setNumThreads(2)
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+    """
+    printed = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=PROJECT)
+    niceness = [int(text) for text in printed.stdout.split()]
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    assert len(niceness) > 2
+    assert sorted(niceness)[:-1] == [before] * (len(niceness) - 1)
+    assert max(niceness) > before

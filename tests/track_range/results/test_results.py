@@ -10,12 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.toys.registrations import registered_method
 from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.method import ErrorSource, RangingMethod
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.registry import methods, registered
+from track_range.ranging.registry import methods
 from track_range.results.columns import column_names, methods_with_sigma
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.table import FRAMES_PER_BATCH, RunTable
@@ -81,9 +82,9 @@ def test_fixed_columns():
 
 
 def test_columns_of_further_methods_are_appended(tmp_path):
-    with registered(toy_method(is_filtered=False)):
+    with registered_method(toy_method(is_filtered=False)):
         assert column_names() == [*CONTRACT, "toy_m", "toy_sigma_m"]
-    with registered(toy_method(is_filtered=True)):
+    with registered_method(toy_method(is_filtered=True)):
         assert column_names() == [*CONTRACT, "toy_m", "toy_sigma_m", "toy_kf_m", "toy_kf_sigma_m"]
         assert methods_with_sigma()[-5:] == ["toy", "mono_kf", "stereo_kf", "fused_kf", "toy_kf"]
         frame = result()

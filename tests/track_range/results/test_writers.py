@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import json
-from importlib.metadata import EntryPoint
 
 import pytest
 
+from tests.toys.registrations import registered_writer
 from tests.toys.toy_writer import NAME, JsonLinesWriter
 from tests.track_range.results.test_results import result
 from track_range.foundation.files.output_files import OutputError
-from track_range.results import writers
 from track_range.results.writers import (
     DEFAULT_WRITERS,
+    WRITERS,
     OpenWriters,
     RunInfo,
     WriterError,
     create_writer,
     create_writers,
     register_writer,
-    registered_writer,
     result_names,
-    writer_names,
 )
 from track_range.run.settings import RunSettings, UsageError, settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -85,10 +83,9 @@ def test_summary_does_not_depend_on_the_writers(tmp_path, mono_run):
     assert summaries[0] == summaries[1]
 
 
-def test_entry_point(monkeypatch):
-    point = EntryPoint("toy", "tests.toys.toy_writer:JsonLinesWriter", writers.ENTRY_POINT_GROUP)
-    monkeypatch.setattr(writers, "entry_points", lambda group: [point] if group == writers.ENTRY_POINT_GROUP else [])
-    assert writer_names() == (*BUILT_IN, "toy")
+def test_entry_point(install):
+    install("track_range.result_writers", toy="tests.toys.toy_writer:JsonLinesWriter")
+    assert WRITERS.names == (*BUILT_IN, "toy")
     assert isinstance(create_writer("toy"), JsonLinesWriter)
     assert "frames.jsonl" in result_names()
 
@@ -143,11 +140,10 @@ def writer_of(*files):
     return type("Custom", (JsonLinesWriter,), {"files": files})
 
 
-def test_unusable_writers(tmp_path, mono_run, monkeypatch):
+def test_unusable_writers(tmp_path, mono_run, monkeypatch, install):
     (tmp_path / "broken_writer.py").write_text("1 / 0\n")
     monkeypatch.syspath_prepend(tmp_path)
-    point = EntryPoint("broken", "broken_writer:Writer", writers.ENTRY_POINT_GROUP)
-    monkeypatch.setattr(writers, "entry_points", lambda group: [point])
+    install("track_range.result_writers", broken="broken_writer:Writer")
     without_files = type("WithoutFiles", (), dict.fromkeys(("open", "write", "close"), print))
     with registered_writer("plain", object), registered_writer("nameless", without_files):
         status, _, complaint = mono_run("  write: [csv]")

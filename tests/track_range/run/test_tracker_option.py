@@ -1,6 +1,7 @@
 """`--tracker` of a run: built-in names, and a class of another package whose ids appear in the results."""
 
 import csv
+import sys
 
 import pytest
 
@@ -32,10 +33,10 @@ def test_ids_are_the_trackers(mono_run, name, ids):
     assert mono_run("--tracker", name)[:2] == (0, ids)
 
 
-def test_registered_tracker(mono_run, monkeypatch):
-    monkeypatch.setattr(registry, "_registered", dict(registry._registered))
-    registry.register_tracker("greedy", GreedyIouTracker)
-    assert mono_run("--tracker", "greedy")[:2] == (0, {101})
+def test_registered_tracker(mono_run):
+    with registry.TRACKERS.restored():
+        registry.register_tracker("greedy", GreedyIouTracker)
+        assert mono_run("--tracker", "greedy")[:2] == (0, {101})
 
 
 @pytest.mark.parametrize(
@@ -44,3 +45,11 @@ def test_registered_tracker(mono_run, monkeypatch):
 def test_wrong_tracker(mono_run, name, status):
     result, _, complaint = mono_run("--tracker", name)
     assert (result, name in complaint) == (status, True), complaint
+
+
+def test_tracker_of_the_current_folder(mono_run, tmp_path, monkeypatch):
+    (tmp_path / "local_module.py").write_text("from tests.toys.toy_tracker import GreedyIouTracker as LocalTracker\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [folder for folder in sys.path if folder])
+    assert mono_run("--tracker", "local_module:LocalTracker")[:2] == (0, {101})
+    sys.modules.pop("local_module")

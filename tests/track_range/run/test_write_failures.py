@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import track_range as tr
+from tests.toys.registrations import registered_writer
 from tests.track_range.results.test_results import result, writing
 from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.foundation.errors import UserError
@@ -27,7 +28,7 @@ from track_range.results.formats.parquet_file import read_tracks_parquet
 from track_range.results.formats.row_file import RowFile
 from track_range.results.progress_note import ProgressNote, read_progress
 from track_range.results.table import RunTable
-from track_range.results.writers import OpenWriters, registered_writer
+from track_range.results.writers import OpenWriters
 from track_range.run.prepared_folder import PreparedFolder
 from track_range.run.settings import settings_from
 from track_range.views.overlay.result_video import ResultVideo, VideoFormat

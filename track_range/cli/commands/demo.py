@@ -16,6 +16,7 @@ from track_range.cli.parameters import command
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.files.output_files import locked_output
 from track_range.foundation.options import Options, option
+from track_range.foundation.processes import one_opencv_thread
 from track_range.run.progress import step_progress
 from track_range.run.settings import RunSettings
 from track_range.simulation.drive import DriveOptions, write_drive
@@ -55,7 +56,7 @@ def _demo(options: DemoOptions) -> None:
 def _run_demo(options: DemoOptions) -> None:
     boxes = "the simulation: true boxes with noise" if options.playback else "the packaged detector"
     print_line(console, f"Simulated stereo drive of {options.seconds:g} s; detections from {boxes}.")
-    with step_progress(console, "rendering") as progress:
+    with step_progress(console, "rendering") as progress, one_opencv_thread():
         drive = write_drive(
             options.out / "drive",
             seed=options.seed,

@@ -12,6 +12,7 @@ from track_range.cli.lazy import single_app
 from track_range.cli.parameters import given_values, parameters, with_parameters
 from track_range.foundation.errors import UsageError
 from track_range.foundation.options import Options, option
+from track_range.foundation.processes import tuned_process
 from track_range.run.settings import RunSettings, settings_from
 
 if TYPE_CHECKING:
@@ -131,7 +132,7 @@ def _process(run: Run, console: Console, view: LiveView | None, print_results: C
     if view is not None:
         print_notes(console, [view.begin(run.draw, video=run.uncalibrated_video)])
     try:
-        with closing(iter(run)) as frames:
+        with tuned_process(has_dense_stereo=run.settings.sgbm), closing(iter(run)) as frames:
             for frame in frames:
                 if view is not None:
                     view.offer(frame)

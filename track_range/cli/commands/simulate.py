@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from functools import partial
 
 from track_range.cli.console import console, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
+from track_range.foundation.processes import one_opencv_thread
 from track_range.run.progress import step_progress
 from track_range.simulation.settings import SimulationSettings
 from track_range.simulation.simulate import DEFAULT_FPS, simulate
 
 
 def _simulate(settings: SimulationSettings) -> None:
-    simulated = simulate(settings, partial(step_progress, console))
+    # the frames of a drive are rendered in several threads, with which OpenCV's would compete
+    with one_opencv_thread() if settings.images is None else nullcontext():
+        simulated = simulate(settings, partial(step_progress, console))
     for note in simulated.notes:
         print_line(console, note)
     drive = simulated.drive

@@ -41,6 +41,7 @@ from track_range.fleet.storage.listings import FolderListings
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import printable
+from track_range.foundation.processes import tuned_process
 from track_range.results.events.clip_names import CLIPS_FOLDER
 from track_range.results.events.files import EVENTS_PARQUET, write_events_parquet
 from track_range.run.opened_detectors import OpenedDetectors
@@ -173,7 +174,7 @@ class _ClipRun:
         progress.phase = "opening"
         n_bytes = max(file.size for file in local.files.values())
         progress.video_s = plausible_s(_header_s(local.clip, settings), n_bytes)
-        with Run(settings, opened_detectors=_DETECTORS) as run:
+        with Run(settings, opened_detectors=_DETECTORS) as run, tuned_process(has_dense_stereo=settings.sgbm):
             progress.phase = "processing"
             for _ in run:
                 progress.frames += 1

@@ -17,6 +17,7 @@ from pathlib import Path
 from track_range.fleet.engine.plan import ClipProgress, ClipTask, FleetPlan, Outcome, Process
 from track_range.fleet.engine.scratch import open_scratch
 from track_range.fleet.engine.shared_files import SharedFile, with_shared_files
+from track_range.foundation.processes import owned_process
 
 _PAGE_BYTES = resource.getpagesize()
 
@@ -91,7 +92,8 @@ class Worker:
         """Process a clip."""
         self._progress = ClipProgress(clip=task.clip.name)
         try:
-            return self._process(task, self._plan, self._progress)
+            with owned_process():
+                return self._process(task, self._plan, self._progress)
         finally:
             self._progress = ClipProgress()
             if time.monotonic() - self._freed_s > _FREE_INTERVAL_S:

@@ -23,7 +23,7 @@ from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.files.output_files import OutputError, make_folder
 from track_range.results.columns import Columns, methods_measured
 from track_range.results.replay import frames_of_rows
-from track_range.results.writers import RunInfo, create_writer, writer_names
+from track_range.results.writers import WRITERS, RunInfo, create_writer
 from track_range.run.export.images import frames_of_run, frames_of_video, write_images
 from track_range.run.export.settings import ExportSettings
 from track_range.run.export.source import (
@@ -84,7 +84,7 @@ def export(settings: ExportSettings) -> Exported:
 
 
 def _check(settings: ExportSettings, source: RunSource | None) -> None:
-    if settings.to not in LABEL_FORMATS and settings.to not in writer_names():
+    if settings.to not in LABEL_FORMATS and settings.to not in WRITERS.names:
         raise UsageError(f"--to {settings.to}: this format is not available in this installation.")
     if settings.images and settings.to != "yolo":
         raise UsageError("--images: expected --to yolo; other formats have no folder for images.")

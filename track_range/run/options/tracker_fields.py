@@ -10,7 +10,8 @@ from track_range.foundation.options import option
 def tracker_option(**shown: Any) -> Any:
     """Name or class of the tracker: `str`."""
     return option(
-        "Tracker: deepsort (motion and appearance), sort (motion only), or a class of an installed package.",
+        "Tracker: deepsort (motion and appearance), sort (motion only), or a class of an installed package or of a "
+        "module in the current folder, in which only the command line searches.",
         metavar="NAME|MODULE:CLASS",
         **shown,
     )

@@ -17,6 +17,7 @@ from track_range.cli.parameters import command
 from track_range.evaluation.stereo_evaluation import evaluate_stereo
 from track_range.foundation.files.output_files import write_text
 from track_range.foundation.options import option
+from track_range.foundation.processes import one_opencv_thread
 from track_range.run.progress import step_progress
 from track_range.views.report import tables
 
@@ -33,7 +34,8 @@ class StereoOptions(StereoEvaluationSettings):
 
 def _stereo(options: StereoOptions) -> None:
     check_result_files(options)
-    figures = evaluate_stereo(options, partial(step_progress, console))
+    with one_opencv_thread():  # for comparable times per frame
+        figures = evaluate_stereo(options, partial(step_progress, console))
     _print(figures)
     if options.figure is not None:
         draw_risk(_curves(figures), options.figure)
