@@ -29,7 +29,7 @@ from track_range.detection.lanes.lines import LaneLines
 from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 from track_range.simulation.world.scenarios import SCENARIOS as ALL_SCENARIOS
 
 SCENARIOS = ("town", "highway", "city", "cut-in", "queue")
@@ -194,7 +194,7 @@ def _agreement(video: Path, finders: Sequence[str]) -> dict[str, Any]:
 def _ten_per_second(video: Path) -> Iterator[tuple[Image, float]]:
     """About ten images per second of a video, with their times in s."""
     due_s = -np.inf
-    for frame in VideoReader(video):
+    for frame in open_video(video):
         if frame.time_s >= due_s:
             yield frame.image, frame.time_s
             due_s = frame.time_s + STEP_S

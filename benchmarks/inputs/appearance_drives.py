@@ -22,7 +22,7 @@ from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti
 from track_range.foundation.arrays import FloatArray, Image, IntArray
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 from track_range.simulation.camera.playback import HIDDEN, play_back
 from track_range.simulation.render.renderer import Renderer
 from track_range.simulation.world.scene import (
@@ -110,7 +110,7 @@ def simulated(seed: int, *, seconds: float, is_shaken: bool = True) -> Appearanc
 
 def real(folder: Path, seeds: Sequence[int]) -> Iterator[AppearanceDrive]:
     """A drive of kitti_stereo with detections of the playback detector, for each seed."""
-    images = [read.image for read in VideoReader(folder / "left.mp4")]
+    images = [read.image for read in open_video(folder / "left.mp4")]
     truth = read_kitti(folder / "label.txt")
     truth = truth.select((truth.track_id >= 0) & (truth.frame < len(images)))
     has_class = [str(kitti_type).lower() in ROAD_CLASS_OF for kitti_type in truth.kitti_type]

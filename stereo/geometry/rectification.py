@@ -195,7 +195,7 @@ class Undistorter:
         _check_size(image, self._size_px, "image")
         return image if self._maps is None else _remapped(image, self._maps)
 
-    def boxes(self, xyxy_px: FloatArray) -> FloatArray:
+    def left_boxes(self, xyxy_px: FloatArray) -> FloatArray:
         """Boxes (N, 4) in pixels of the video -> in pixels of its undistorted images."""
         return xyxy_px if self._maps is None else self._view.boxes(xyxy_px)
 

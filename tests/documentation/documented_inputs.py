@@ -14,7 +14,7 @@ import track_range as tr
 from tests.detection.onnx_models import write_model
 from tests.stereo.board_scenes import drawn, rig, varied_poses
 from track_range.detection.formats.video_labels.kitti import read_kitti
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 from track_range.simulation.drive import Drive
 from track_range.stereo.calibration.boards import ChessBoard
 
@@ -78,7 +78,7 @@ def _image_folders(folder: Path) -> None:
     """The frames of the drive as numbered images."""
     for side in ("left", "right"):
         (folder / side).mkdir()
-        for number, frame in enumerate(VideoReader(folder / f"{side}.mp4")):
+        for number, frame in enumerate(open_video(folder / f"{side}.mp4")):
             cv2.imwrite(str(folder / side / f"{number:06}.png"), frame.image)
 
 

@@ -115,11 +115,11 @@ def test_boxes_move_like_points_on_their_edges() -> None:
     rectified = rectifier.rig.left.project(corners_m @ r1.T).reshape(1, 4)
     np.testing.assert_allclose(rectifier.left_boxes(box), rectified, atol=6.0)  # the rotation tilts the edges slightly
     straight = LEFT.without_distortion().project(corners_m).reshape(1, 4)
-    np.testing.assert_allclose(undistorter.boxes(box), straight, atol=1.0)
+    np.testing.assert_allclose(undistorter.left_boxes(box), straight, atol=1.0)
     assert np.abs(box - straight).max() > 2.0  # the distortion exceeds the tolerance
     ideal = Undistorter(LEFT.without_distortion())
-    assert ideal.boxes(box) is box
-    assert undistorter.boxes(np.zeros((0, 4))).shape == (0, 4)
+    assert ideal.left_boxes(box) is box
+    assert undistorter.left_boxes(np.zeros((0, 4))).shape == (0, 4)
 
 
 def test_rectified_pair_is_not_copied() -> None:

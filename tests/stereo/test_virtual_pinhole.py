@@ -70,7 +70,7 @@ def test_points_and_boxes_there_and_back(camera):
     rays = camera.recorded_rays(xy_px)
     undistorted_px = undistorter.camera.project(rays)
     assert np.allclose(undistorter.recorded_points(undistorted_px), xy_px, atol=1e-6)
-    boxes = undistorter.boxes(np.concatenate([xy_px - 1, xy_px + 1], axis=1))
+    boxes = undistorter.left_boxes(np.concatenate([xy_px - 1, xy_px + 1], axis=1))
     assert np.allclose((boxes[:, :2] + boxes[:, 2:]) / 2, undistorted_px, atol=0.05)
 
 
@@ -101,8 +101,8 @@ def test_recorded_boxes_invert_the_undistortion_of_boxes(camera):
     rng = np.random.default_rng(0)
     corner, size = rng.uniform((50, 50), (600, 350), (40, 2)), rng.uniform(5, 160, (40, 2))
     recorded = np.concatenate([corner, corner + size], axis=1)
-    boxes = undistorter.boxes(recorded)
-    assert np.allclose(undistorter.boxes(undistorter.recorded_boxes(boxes)), boxes, atol=0.1)
+    boxes = undistorter.left_boxes(recorded)
+    assert np.allclose(undistorter.left_boxes(undistorter.recorded_boxes(boxes)), boxes, atol=0.1)
     assert undistorter.recorded_boxes(np.zeros((0, 4))).shape == (0, 4)
 
 

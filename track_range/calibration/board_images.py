@@ -20,8 +20,8 @@ from track_range.detection.formats.image_labels.labelled_images import ImageFile
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.recording.frame import TIME_EPSILON_S
-from track_range.recording.pairs.pairing import StereoVideo
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
+from track_range.recording.pairs.recorded_pair import RecordedPair
 from track_range.stereo.calibration.board_views import RejectedView
 
 _MAX_VIDEO_SHOTS = 300
@@ -97,7 +97,7 @@ class VideoShots:
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self.files = tuple(paths)
-        self._readers = [VideoReader(path) for path in paths]
+        self._readers = [open_video(path) for path in paths]
         first = self._readers[0]
         length_s = (first.n_frames or 0) / first.fps
         self._step_s = max(_SHORTEST_STEP_S, length_s / _MAX_VIDEO_SHOTS)
@@ -118,7 +118,7 @@ class VideoShots:
             for frame in self._readers[0]:
                 yield frame.time_s, (frame.image,)
             return
-        for left, right in StereoVideo(self._readers[0], self._readers[1]):
+        for left, right in RecordedPair(self._readers[0], self._readers[1]):
             yield left.time_s, (left.image, right.image)
 
 

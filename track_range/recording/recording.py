@@ -14,12 +14,17 @@ from pathlib import Path
 
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.recording.bags.bag import is_bag
-from track_range.recording.cameras.calibration import Calibration, LensView, find_calibration
+from track_range.recording.cameras.calibration import LensView, RecordingCalibration, Video, find_calibration
 from track_range.recording.frame import VideoError
-from track_range.recording.inputs import Images, Inputs
+from track_range.recording.live.address import LiveAddress
+from track_range.recording.live.live_video import LiveVideo
 from track_range.recording.names import BagTopic, VideoName, video_name
+from track_range.recording.open_video import open_video
 from track_range.recording.pairs.auto_alignment import ESTIMATION_SPAN_S, find_alignment
+from track_range.recording.pairs.live_pair import LivePair
 from track_range.recording.pairs.pair_monitor import MAX_CHECKED_PAIRS, Monitor, PairMonitor, SyncMonitor
+from track_range.recording.pairs.recorded_pair import RecordedPair
+from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart, parsed_utc
 from track_range.stereo.alignment.drift import DriftMonitor
 from track_range.stereo.alignment.from_drive import MIN_STEP_S
@@ -38,15 +43,17 @@ class Recording:
 
     Attributes:
         frames: rectified (one camera: undistorted) frames, to be iterated once; closing it closes the videos.
-        inputs: the opened videos.
+        videos: the left or only video, and the right one.
+        pair: the two videos, paired by time; None = one video.
         calibration: the camera models.
         monitors: the checks of a pair that continue while its frames are iterated.
         start_utc: UTC of the first frame as given by the user; None = that of the video.
     """
 
     frames: Generator[Frame, None, None]
-    inputs: Inputs
-    calibration: Calibration
+    videos: tuple[Video, ...]
+    pair: RecordedPair | LivePair | None
+    calibration: RecordingCalibration
     monitors: tuple[Monitor, ...]
     start_utc: UtcStart | None = None
 
@@ -57,7 +64,7 @@ class Recording:
 
     @property
     def rig(self) -> StereoRig | None:
-        """The rectified pair; None = one camera, or a pair without calibration."""
+        """The rectified pair with its alignment; None = one camera, or a pair without calibration."""
         return self.calibration.rig
 
     @property
@@ -68,29 +75,45 @@ class Recording:
     @property
     def fps(self) -> float:
         """Nominal frame rate."""
-        return self.inputs.fps
+        return self.videos[0].fps
 
     @property
     def n_frames(self) -> int | None:
         """Estimated number of frames; None = unknown."""
-        return self.inputs.n_frames
+        return self.videos[0].n_frames
+
+    @property
+    def live(self) -> LiveVideo | None:
+        """The left video if it is a camera or a stream, else None."""
+        return self.videos[0] if isinstance(self.videos[0], LiveVideo) else None
+
+    @property
+    def busy_s(self) -> float:
+        """Time spent reading and decoding so far, s, summed over both videos."""
+        return sum(video.busy_s for video in self.videos)
 
     @property
     def utc(self) -> UtcStart | None:
         """UTC of the left video's first frame; None = unknown."""
-        return self.start_utc or self.inputs.utc
+        return self.start_utc or self.videos[0].utc
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user about the recording; complete only after the last frame."""
-        checks = (note for monitor in self.monitors for note in monitor.notes)
-        utc_note = None if self.utc is None else self.utc.note()
-        return (*self.calibration.notes, *self.inputs.notes, *([utc_note] if utc_note else ()), *checks)
+        utc = self.utc
+        sources = (
+            self.calibration.notes,
+            *(video.notes for video in self.videos),
+            () if self.pair is None else self.pair.notes,
+            (utc.note(),) if utc is not None else (),
+            *(monitor.notes for monitor in self.monitors),
+        )
+        return tuple(note for notes in sources for note in notes if note)
 
     def close(self) -> None:
         """Close the videos."""
         self.frames.close()
-        self.inputs.close()
+        _close(self.videos, self.pair)
 
 
 def open_recording(
@@ -148,19 +171,52 @@ def open_recording(
     left, right = _with_topics(video_name(left), None if right is None else video_name(right), topics)
     utc = None if start_utc is None else parsed_utc(start_utc)
     with ExitStack() as on_error:
-        inputs = Inputs.open(left, right, start_s=start_s, duration_s=duration_s, folder_fps=folder_fps)
-        on_error.callback(inputs.close)
-        rig_path = None if rig is None else Path(rig)
-        calibration = find_calibration(left, inputs, rig=rig_path, focal_px=focal_px, view=LensView(fov_deg, yaw_deg))
+        videos = _opened((left,) if right is None else (left, right), start_s, duration_s, folder_fps, on_error)
+        pair = None if right is None else _paired(*videos)
+        on_error.callback(_close, videos, pair)
+        calibration = find_calibration(
+            left, videos, rig=None if rig is None else Path(rig), focal_px=focal_px, view=LensView(fov_deg, yaw_deg)
+        )
         monitors: tuple[Monitor, ...] = ()
-        if calibration.uncalibrated is not None:
-            calibration, monitors = _with_row_correction(calibration, inputs)
-        elif calibration.rig is not None:
+        if pair is not None and calibration.uncalibrated is not None:
+            calibration, monitors = _with_row_correction(calibration, pair)
+        elif pair is not None and calibration.rig is not None:
             monitors = (PairMonitor(), SyncMonitor()) if has_checks else ()
-            calibration = _aligned(calibration, calibration.rig, inputs, align, monitors[:1], progress)
-            monitors += _drift_monitors(calibration, inputs)
+            calibration = _aligned(calibration, calibration.rig, pair, align, monitors[:1], progress)
+            monitors += _drift_monitors(calibration, videos)
         on_error.pop_all()
-    return Recording(_frames(inputs, calibration, monitors, utc), inputs, calibration, monitors, utc)
+    return Recording(_frames(videos, pair, calibration, monitors, utc), videos, pair, calibration, monitors, utc)
+
+
+def _opened(
+    names: Sequence[VideoName], start_s: float, duration_s: float | None, folder_fps: float, on_error: ExitStack
+) -> tuple[Video, ...]:
+    """The videos with these names, left first."""
+    videos: list[Video] = []
+    for name in names:
+        if isinstance(name, LiveAddress):
+            videos.append(LiveVideo(name, start_s=start_s, duration_s=duration_s))
+        else:
+            left = videos[0] if videos and isinstance(videos[0], RecordedVideo) else None
+            videos.append(open_video(name, folder_fps=folder_fps, start_s=start_s, duration_s=duration_s, left=left))
+        on_error.callback(videos[-1].close)
+    return tuple(videos)
+
+
+def _paired(left: Video, right: Video) -> RecordedPair | LivePair:
+    if isinstance(left, LiveVideo) and isinstance(right, LiveVideo):
+        return LivePair(left, right)
+    if isinstance(left, RecordedVideo) and isinstance(right, RecordedVideo):
+        return RecordedPair(left, right)
+    raise VideoError(
+        f"{left.path} and {right.path}: expected two recorded videos or two live streams, got one of each; "
+        "both must be of the same kind."
+    )
+
+
+def _close(videos: Sequence[Video], pair: RecordedPair | LivePair | None) -> None:
+    for opened in videos if pair is None else (pair,):
+        opened.close()
 
 
 def _with_topics(left: VideoName, right: VideoName | None, topics: Sequence[str]) -> tuple[VideoName, VideoName | None]:
@@ -185,15 +241,15 @@ def _with_topics(left: VideoName, right: VideoName | None, topics: Sequence[str]
 
 
 def _aligned(
-    calibration: Calibration,
+    calibration: RecordingCalibration,
     rig: StereoRig,
-    inputs: Inputs,
+    pair: RecordedPair | LivePair,
     align: str | Path | Alignment,
     checks: tuple[PairMonitor, ...],
     progress: StepProgress,
-) -> Calibration:
+) -> RecordingCalibration:
     """A calibrated pair with its alignment; the first image pair is checked even if no alignment is estimated."""
-    with closing(_first_frames(calibration, inputs, checks)) as first_frames:
+    with closing(_first_frames(calibration, pair, checks)) as first_frames:
         alignment = find_alignment(align, rig, first_frames, progress)
         if align != "auto" and checks:
             next(first_frames, None)
@@ -202,38 +258,40 @@ def _aligned(
     return calibration.with_alignment(alignment)
 
 
-def _drift_monitors(calibration: Calibration, inputs: Inputs) -> tuple[Monitor, ...]:
+def _drift_monitors(calibration: RecordingCalibration, videos: Sequence[Video]) -> tuple[Monitor, ...]:
     """The monitor of a recorded pair whose alignment was measured; none for streams, which it would delay."""
-    alignment = calibration.alignment
-    if alignment is None or alignment.drifting is None or calibration.rig is None or inputs.live is not None:
+    alignment, is_live = calibration.alignment, isinstance(videos[0], LiveVideo)
+    if alignment is None or alignment.drifting is None or calibration.rig is None or is_live:
         return ()
     shift_px = alignment.applied.shift_px
     return (DriftMonitor(calibration.rig, alignment.drifting, alignment.measured, shift_px=shift_px),)
 
 
-def _with_row_correction(calibration: Calibration, inputs: Inputs) -> tuple[Calibration, tuple[Monitor, ...]]:
+def _with_row_correction(
+    calibration: RecordingCalibration, pair: RecordedPair | LivePair
+) -> tuple[RecordingCalibration, tuple[Monitor, ...]]:
     """An uncalibrated pair with the row offset of its first image pairs corrected, and its monitors."""
     monitor = PairMonitor(n_conclusive=_N_ROW_PAIRS)
-    with closing(inputs.read_ahead()) as pairs:
-        for pair in islice(pairs, MAX_CHECKED_PAIRS):
-            monitor.add(_frame(pair, calibration, inputs))
+    with closing(pair.read_ahead()) as images:
+        for left, right in islice(images, MAX_CHECKED_PAIRS):
+            monitor.add(calibration.frame(left, right, pair.left.first_time_s))
             if monitor.is_done:
                 break
     return calibration.with_row_offsets(monitor.row_offsets_px), (SyncMonitor(),) if monitor.row_offsets_px else ()
 
 
 def _first_frames(
-    calibration: Calibration, inputs: Inputs, checks: tuple[PairMonitor, ...]
+    calibration: RecordingCalibration, pair: RecordedPair | LivePair, checks: tuple[PairMonitor, ...]
 ) -> Generator[Frame, None, None]:
     """Frames of the first seconds at the interval that the alignment needs; `checks` also receive those in between."""
     first_s, last_s = math.nan, -math.inf
-    with closing(inputs.read_ahead()) as pairs:
-        for pair in pairs:
-            time_s = pair[0].time_s - inputs.left.first_time_s
+    with closing(pair.read_ahead()) as images:
+        for left, right in images:
+            time_s = left.time_s - pair.left.first_time_s
             first_s = time_s if math.isnan(first_s) else first_s
             is_due = time_s - last_s >= MIN_STEP_S
             if is_due or not all(check.is_done for check in checks):
-                frame = _frame(pair, calibration, inputs)
+                frame = calibration.frame(left, right, pair.left.first_time_s)
                 for check in checks:
                     check.add(frame)
                 if is_due:
@@ -244,23 +302,19 @@ def _first_frames(
 
 
 def _frames(
-    inputs: Inputs, calibration: Calibration, monitors: tuple[Monitor, ...], utc: UtcStart | None
+    videos: tuple[Video, ...],
+    pair: RecordedPair | LivePair | None,
+    calibration: RecordingCalibration,
+    monitors: tuple[Monitor, ...],
+    utc: UtcStart | None,
 ) -> Generator[Frame, None, None]:
     """All frames, each passed to the monitors; closing the generator closes the videos."""
-    with closing(inputs), closing(iter(inputs)) as images:
-        for left_and_right in images:
-            frame = _frame(left_and_right, calibration, inputs, utc)
+    with ExitStack() as on_end:
+        on_end.callback(_close, videos, pair)
+        images = on_end.enter_context(closing(iter(videos[0] if pair is None else pair)))
+        for image in images:
+            left, right = image if isinstance(image, tuple) else (image, None)
+            frame = calibration.frame(left, right, videos[0].first_time_s, utc or videos[0].utc)
             for monitor in monitors:
                 monitor.add(frame)
             yield frame
-
-
-def _frame(images: Images, calibration: Calibration, inputs: Inputs, utc: UtcStart | None = None) -> Frame:
-    """The images of one time, cropped to their common size and rectified."""
-    left, _ = images
-    cut = inputs.cut(images)
-    left_image, right_image = calibration.rectified(*cut)
-    time_s, start = left.time_s - inputs.left.first_time_s, utc or inputs.utc
-    utc_s = math.nan if start is None else start.start_s + time_s
-    recorded = cut[0] if calibration.has_wide_lens else None
-    return Frame(left.index, time_s, left_image, right_image, utc_s, recorded)

@@ -26,7 +26,7 @@ def with_focal_length(
         VideoError: the video cannot be read.
     """
     guesses = recording.calibration.guesses
-    if not guesses or recording.inputs.live is not None:
+    if not guesses or recording.live is not None:
         return recording
     video = settings.left
     if settings.topics and not isinstance(video, BagTopic):

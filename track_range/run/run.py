@@ -225,7 +225,7 @@ class Run:
             )
             pipeline = open_pipeline(settings, recording, boxes, curves, tracker=self._tracker, ego_speed=speed.ego)
             on_error.pop_all()
-        meter = FrameMeter(recording.inputs.live)
+        meter = FrameMeter(recording.live)
         return RunSession(
             settings=settings,
             boxes=boxes,
@@ -243,9 +243,9 @@ class Run:
             return boxes_of(self._detector)
         return open_box_source(
             self.settings,
-            recording.calibration.rectified_boxes,
+            recording.calibration.rectifier.left_boxes,
             lambda name: ready_model(name, self._console),
-            size_px=recording.inputs.size_px,
+            size_px=recording.calibration.sizes_px[0],
             view_size_px=recording.size_px if recording.calibration.has_wide_lens else None,
             opened=self._open_detector,
         )
@@ -304,7 +304,7 @@ class Run:
                     with suppress(UserError):  # the first error is the one to report
                         files.finish_videos()
             session.wall_s = time.perf_counter() - start_s + session.opened_s
-            session.pipeline.clock.busy_s["read"] = session.source.inputs.busy_s
+            session.pipeline.clock.busy_s["read"] = session.source.busy_s
             # after an error, that is the one to report
             with ignore_interrupts(), suppress(*(UserError,) if session.stopped_by else ()):
                 self._finish(files)
@@ -342,7 +342,7 @@ class Run:
             return results
         from track_range.views.anonymization.look_ahead import LIVE, OFFLINE, anonymized_results
 
-        look_ahead = OFFLINE if session.source.inputs.live is None else LIVE
+        look_ahead = OFFLINE if session.source.live is None else LIVE
         return anonymized_results(results, look_ahead)
 
     def _finish(self, files: RunFolder | None) -> None:
@@ -412,7 +412,7 @@ class Run:
         """Name of the one recorded video, if its focal length is not known exactly; None = calibrated, or another."""
         shown, calibration = self.session.inputs.get("mono"), self.session.source.calibration
         is_known = calibration.kind == "rig" and not calibration.focal_sigma
-        is_live = self.session.source.inputs.live is not None
+        is_live = self.session.source.live is not None
         return None if is_known or is_live or not isinstance(shown, str) else shown
 
     @property

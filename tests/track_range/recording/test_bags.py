@@ -19,10 +19,11 @@ from tests.track_range.recording.bag_writers import START_NS, write_foxglove, wr
 from tests.track_range.results.test_results import result
 from track_range.foundation.errors import UsageError
 from track_range.recording.bags.bag import is_bag
+from track_range.recording.bags.bag_video import BagVideo
 from track_range.recording.bags.decoding import _ros_reader
 from track_range.recording.frame import VideoError
 from track_range.recording.names import BagTopic, Segments
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 from track_range.recording.recording import open_recording
 from track_range.results.writers import OpenWriters, RunInfo
 from track_range.run.settings import save_settings, settings_from
@@ -68,14 +69,14 @@ def test_pair_in_a_bag(tmp_path: Path, images: list[np.ndarray], number_in: Call
     assert frames[0].utc_s == pytest.approx(START_NS / 1e9)
     assert recording.fps == pytest.approx(10.0)
     assert recording.n_frames == 12
-    assert not [note for note in recording.inputs.notes if "skipped" in note or "cut" in note]
+    assert not [note for note in recording.notes if "skipped" in note or "cut" in note]
 
 
 @pytest.mark.parametrize("kind", ["foxglove", "sqlite3", "mcap", "ros1"])
 def test_later_start_in_a_bag(tmp_path: Path, images: list[np.ndarray], kind: str, monkeypatch: Any) -> None:
     monkeypatch.setattr("track_range.recording.bags.bag_video._MAX_LATENCY_S", 0.05)
     bag = write(tmp_path / "drive.bag", kind, BOTH, images)
-    reader = VideoReader(BagTopic(bag, f"/left/{topic_of(kind)}"), start_s=0.65, duration_s=0.3)
+    reader = open_video(BagTopic(bag, f"/left/{topic_of(kind)}"), start_s=0.65, duration_s=0.3)
     assert [frame.index for frame in reader] == [7, 8, 9]
 
 
@@ -96,7 +97,7 @@ def test_raw_images(tmp_path: Path, encoding: str) -> None:
         "rgba8": np.dstack([bgr[..., ::-1], grey]),
     }[encoding]
     bag = write_ros1(tmp_path / "drive.bag", ("/cam",), [stored] * 2, topic="image_raw", encoding=encoding)
-    frames = list(VideoReader(bag))
+    frames = list(open_video(bag))
     expected = (90, 90, 90) if encoding.startswith("mono") else (40, 90, 200)
     assert len(frames) == 2
     assert frames[0].image[20, 20].tolist() == list(expected)
@@ -107,7 +108,7 @@ def test_depth_images_are_refused(tmp_path: Path, encoding: str) -> None:
     stored = np.ones((48, 64), np.uint16 if encoding == "16UC1" else np.float32)
     bag = write_ros1(tmp_path / "drive.bag", ("/cam",), [stored] * 2, topic="image_raw", encoding=encoding)
     with pytest.raises(VideoError, match=rf"drive\.bag: .*depth.*{encoding}"):
-        VideoReader(bag)
+        open_video(bag)
 
 
 def test_messages_compressed_one_by_one(
@@ -123,7 +124,7 @@ def test_messages_compressed_one_by_one(
 
     monkeypatch.setattr(Writer, "__init__", compressing)
     bag = write(tmp_path / "drive", "sqlite3", ("/cam",), images)
-    assert [number_in(frame.image) for frame in VideoReader(bag)] == list(range(12))
+    assert [number_in(frame.image) for frame in open_video(bag)] == list(range(12))
 
 
 def test_sqlite_bag_that_is_cut_off(tmp_path: Path, images: list[np.ndarray], number_in: Callable[..., int]) -> None:
@@ -131,7 +132,7 @@ def test_sqlite_bag_that_is_cut_off(tmp_path: Path, images: list[np.ndarray], nu
     file = next(bag.glob("*.db3"))
     content = file.read_bytes()
     file.write_bytes(content[: len(content) * 2 // 3])
-    reader = VideoReader(BagTopic(file, None))
+    reader = open_video(BagTopic(file, None))
     numbers = [number_in(frame.image) for frame in reader]
     assert 12 <= len(numbers) < 240
     assert numbers[:12] == list(range(12))
@@ -153,9 +154,9 @@ def test_uncalibrated_camera_has_no_calibration(
 ) -> None:
     monkeypatch.setattr("tests.track_range.recording.bag_writers.K", [0.0] * 9)
     bag = write(tmp_path / "drive", "mcap", ("/cam",), images[:2])
-    reader = VideoReader(bag)
-    assert reader.bag is not None
-    assert reader.bag.camera is None
+    reader = open_video(bag)
+    assert isinstance(reader, BagVideo)
+    assert reader.camera is None
 
 
 def test_rectified_cameras_that_contradict_each_other() -> None:
@@ -187,7 +188,7 @@ def test_video_messages(tmp_path: Path, film: Callable[..., Path], number_in: Ca
             message = CompressedVideo(timestamp=Timestamp(100, number * 10**8), data=packet, format="h264")
             writer.add_message(channel, number * 10**8, message.encode(), number * 10**8)
         writer.finish()
-    reader = VideoReader(tmp_path / "drive.mcap")
+    reader = open_video(tmp_path / "drive.mcap")
     assert (reader.width_px, reader.height_px, reader.utc) == (64, 48, None)
     assert len(list(reader)) > 0
 
@@ -203,7 +204,7 @@ def test_missing_topic_lists_the_topics(tmp_path: Path, images: list[np.ndarray]
     bag = write(tmp_path / "bag", "mcap", BOTH, images)
     for name in (BagTopic(bag, None), BagTopic(bag, "/left/image"), BagTopic(bag, "/chatter")):
         with pytest.raises(VideoError, match=r"/left/image_raw/compressed \(sensor_msgs/Compre") as raised:
-            VideoReader(name)
+            open_video(name)
         assert len(str(raised.value)) < 300 + len(str(bag))
 
 
@@ -231,7 +232,7 @@ def test_bag_that_is_cut_off(
     bag = write(tmp_path / "drive", kind, ("/cam",), noisy)
     content = bag.read_bytes()
     bag.write_bytes(content[: int(share * len(content))])
-    reader = VideoReader(BagTopic(bag, f"/cam/{topic_of(kind)}"))
+    reader = open_video(BagTopic(bag, f"/cam/{topic_of(kind)}"))
     n_frames = len(list(reader))
     assert 4 <= n_frames < 12 or share > 0.9
     assert any("cut off" in note for note in reader.notes)
@@ -257,7 +258,7 @@ def test_damaged_bags(tmp_path: Path, images: list[np.ndarray], kind: str) -> No
         damaged[start : start + 40] = random.integers(0, 256, 40, np.uint8).tobytes()[: len(damaged) - start]
         file.write_bytes(bytes(damaged[: int(random.integers(1, len(damaged)))] if random.random() < 0.5 else damaged))
         try:
-            frames = list(VideoReader(BagTopic(bag, f"/cam/{topic_of(kind)}")))
+            frames = list(open_video(BagTopic(bag, f"/cam/{topic_of(kind)}")))
         except VideoError as error:
             messages.append(str(error))
         else:
@@ -270,7 +271,7 @@ def test_damaged_bags(tmp_path: Path, images: list[np.ndarray], kind: str) -> No
 def test_empty_bags(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "drive.bag").write_bytes(content)
     with pytest.raises(VideoError, match=r"drive\.bag"):
-        VideoReader(BagTopic(tmp_path / "drive.bag", "/cam"))
+        open_video(BagTopic(tmp_path / "drive.bag", "/cam"))
 
 
 @pytest.mark.parametrize("profile", ["foxglove", "ros2"])
@@ -300,7 +301,7 @@ def test_missing_package_is_named(
     _ros_reader.cache_clear()
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(VideoError, match=r"pip install 'track-range\[mcap\]'"):
-        VideoReader(bag)
+        open_video(bag)
 
 
 def test_fisheye_model(tmp_path: Path) -> None:
@@ -335,15 +336,15 @@ def test_bag_in_several_files(tmp_path: Path, images: list[np.ndarray], monkeypa
     for number in range(2):
         monkeypatch.setattr("tests.track_range.recording.bag_writers.START_NS", START_NS + number * 1_200_000_000)
         write_foxglove(folder / f"trip_{number}.mcap", ("/cam",), images)
-    reader = VideoReader(BagTopic(folder, "/cam/image"))
+    reader = open_video(BagTopic(folder, "/cam/image"))
     assert [frame.index for frame in reader] == list(range(24))
     assert reader.n_frames == 24
-    assert [frame.index for frame in VideoReader(folder, start_s=1.55, duration_s=0.2)] == [16, 17]
+    assert [frame.index for frame in open_video(folder, start_s=1.55, duration_s=0.2)] == [16, 17]
     with pytest.raises(VideoError, match="one bag"):
-        VideoReader(Segments((folder / "trip_0.mcap", folder / "trip_1.mcap")))
+        open_video(Segments((folder / "trip_0.mcap", folder / "trip_1.mcap")))
     (folder / "trip_1.mcap").rename(folder / "other.mcap")
     with pytest.raises(VideoError, match=r"metadata\.yaml"):
-        VideoReader(folder)
+        open_video(folder)
 
 
 def test_journal_of_a_killed_recorder(tmp_path: Path, images: list[np.ndarray]) -> None:
@@ -355,7 +356,7 @@ def test_journal_of_a_killed_recorder(tmp_path: Path, images: list[np.ndarray]) 
         database.commit()
         copy = tmp_path / "copy"
         shutil.copytree(bag, copy)  # with the journal, as after a kill
-    assert 0 < len(list(VideoReader(BagTopic(copy, "/cam/image_raw/compressed")))) < 12
+    assert 0 < len(list(open_video(BagTopic(copy, "/cam/image_raw/compressed")))) < 12
 
 
 def test_settings_of_a_bag(tmp_path: Path, images: list[np.ndarray]) -> None:

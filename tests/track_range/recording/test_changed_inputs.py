@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from track_range.recording.frame import VideoError
-from track_range.recording.inputs import Inputs
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
+from track_range.recording.pairs.recorded_pair import RecordedPair
 from track_range.run.run import Run
 
 Film = Callable[..., Path]
@@ -76,7 +76,7 @@ def test_finished_frames_are_kept(tmp_path: Path, noise: Path) -> None:
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_changed_video_of_a_pair(tmp_path: Path, film: Film, change: Callable[[Path], None], side: str) -> None:
     paths = {name: noisy_film(tmp_path / f"{name}.mkv", film) for name in ("left", "right")}
-    pairs = iter(Inputs.open(paths["left"], paths["right"]))
+    pairs = iter(RecordedPair(open_video(paths["left"]), open_video(paths["right"])))
     indices = [next(pairs)[0].index]
     change(paths[side])
     with pytest.raises(VideoError, match=rf"{side}\.mkv: .*while it was read"):
@@ -85,7 +85,7 @@ def test_changed_video_of_a_pair(tmp_path: Path, film: Film, change: Callable[[P
 
 
 def test_deleted_video_is_read_to_its_end(noise: Path) -> None:
-    reader = VideoReader(noise)
+    reader = open_video(noise)
     frames = iter(reader)
     next(frames)
     noise.unlink()
@@ -93,7 +93,7 @@ def test_deleted_video_is_read_to_its_end(noise: Path) -> None:
 
 
 def test_growing_video_is_noted(noise: Path) -> None:
-    reader = VideoReader(noise)
+    reader = open_video(noise)
     frames = iter(reader)
     next(frames)
     with noise.open("ab") as file:
@@ -103,7 +103,7 @@ def test_growing_video_is_noted(noise: Path) -> None:
 
 
 def test_touched_video_is_unchanged(noise: Path) -> None:
-    reader = VideoReader(noise)
+    reader = open_video(noise)
     frames = iter(reader)
     next(frames)
     os.utime(noise, ns=(0, 0))
@@ -115,7 +115,7 @@ def test_touched_video_is_unchanged(noise: Path) -> None:
 
 
 def test_video_replaced_before_the_second_reading(noise: Path) -> None:
-    reader = VideoReader(noise)
+    reader = open_video(noise)
     assert len(list(reader)) == N_FRAMES
     replaced(noise)
     with pytest.raises(VideoError, match="replaced"):
@@ -136,7 +136,7 @@ def write_image(path: Path, image: np.ndarray) -> None:
 
 
 def after_two_images(folder: Path, change: Callable[[], None]) -> list[int]:
-    frames = iter(VideoReader(folder))
+    frames = iter(open_video(folder))
     indices = [next(frames).index, next(frames).index]
     change()
     indices.extend(frame.index for frame in frames)

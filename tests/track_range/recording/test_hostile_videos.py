@@ -16,7 +16,7 @@ import pytest
 
 from track_range.recording.frame import VideoError
 from track_range.recording.live.address import live_address
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 
 Film = Callable[..., Path]
 
@@ -66,7 +66,7 @@ def test_playlists_open_no_address_and_no_other_file(
         playlist = tmp_path / name
         playlist.write_text(PLAYLISTS[name].format(target=target), encoding="ascii")
         with pytest.raises(VideoError, match="video"):
-            VideoReader(playlist)
+            open_video(playlist)
     assert not connections
     assert segment.stat().st_atime_ns == 1
 
@@ -77,7 +77,7 @@ def test_pipes_devices_and_folders_without_images(tmp_path: Path) -> None:
     (tmp_path / "loop").symlink_to("loop")
     for name, words in (("pipe.mp4", "pipe.*udp:"), ("zero.mp4", "device"), ("loop", "loop"), ("no.mp4", "no such")):
         with pytest.raises(VideoError, match=f"{name}: .*{words}") as error:
-            VideoReader(tmp_path / name)
+            open_video(tmp_path / name)
         assert len(str(error.value)) < 300 + len(str(tmp_path))
 
 
@@ -94,18 +94,18 @@ def test_odd_entries_of_image_folders(tmp_path: Path) -> None:
     for word, make in makers.items():
         make()
         with pytest.raises(VideoError, match=rf"1\.png: .*{word}"):
-            VideoReader(tmp_path)
+            open_video(tmp_path)
         entry.rmdir() if entry.is_dir() else entry.unlink()
     (tmp_path / f"{10**20}.png").write_bytes((tmp_path / "0.png").read_bytes())
     with pytest.raises(VideoError, match="digits"):
-        VideoReader(tmp_path)
+        open_video(tmp_path)
 
 
 @pytest.mark.parametrize(("width_px", "height_px"), [(4, 4), (2, 64)])
 def test_tiny_images(tmp_path: Path, width_px: int, height_px: int) -> None:
     cv2.imwrite(str(tmp_path / "0.png"), np.zeros((height_px, width_px, 3), np.uint8))
     with pytest.raises(VideoError, match=f"{width_px}x{height_px}"):
-        VideoReader(tmp_path)
+        open_video(tmp_path)
 
 
 def test_huge_announced_frames(tmp_path: Path, film: Film) -> None:
@@ -116,7 +116,7 @@ def test_huge_announced_frames(tmp_path: Path, film: Film) -> None:
         stored[at + 5 : at + 9] = struct.pack(">HH", 65_500, 65_500)
     path.write_bytes(stored)
     with pytest.raises(VideoError, match="megapixels"):
-        VideoReader(path)
+        open_video(path)
 
 
 @pytest.mark.parametrize("rate", [(0, 0), (1, 2**32 - 1), (2**31 - 1, 1), (0, 10)])
@@ -126,7 +126,7 @@ def test_impossible_frame_rates(tmp_path: Path, film: Film, rate: tuple[int, int
     at = stored.index(b"strh") + 28  # dwScale, dwRate
     stored[at : at + 8] = struct.pack("<II", *rate)
     path.write_bytes(stored)
-    reader = VideoReader(path)
+    reader = open_video(path)
     frames = list(reader)
     assert len(frames) >= 2
     assert 0 < reader.fps <= 1e5

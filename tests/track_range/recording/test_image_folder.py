@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from track_range.recording.frame import VideoError
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 
 Level = Callable[..., np.ndarray]
 NumberIn = Callable[[np.ndarray], int]
@@ -38,7 +38,7 @@ def test_images_are_sorted_by_number(folder: Path, level: Level, number_in: Numb
     (folder / "cover.png").write_bytes(b"no number")
     (folder / "._left2_12.png").write_bytes(b"hidden")
     (folder / "calib_7.txt").write_text("no image", encoding="ascii")
-    reader = VideoReader(folder)
+    reader = open_video(folder)
     frames = [(frame.index, round(frame.time_s, 6), number_in(frame.image)) for frame in reader]
     assert frames == [(0, 0.8, 8), (1, 0.9, 9), (2, 1.0, 10), (3, 1.1, 11)]
     assert (reader.width_px, reader.height_px, reader.fps, reader.n_frames) == (64, 48, 10.0, 4)
@@ -47,7 +47,7 @@ def test_images_are_sorted_by_number(folder: Path, level: Level, number_in: Numb
 
 def test_missing_number_is_a_dropped_frame(folder: Path, level: Level) -> None:
     fill(folder, level, [3, 4, 7, 8])
-    reader = VideoReader(folder, folder_fps=20.0)
+    reader = open_video(folder, folder_fps=20.0)
     assert [(frame.index, round(frame.time_s, 6)) for frame in reader] == [(0, 0.15), (1, 0.2), (4, 0.35), (5, 0.4)]
     (note,) = reader.notes
     assert note.startswith(f"{folder}: 2 numbers")
@@ -55,11 +55,11 @@ def test_missing_number_is_a_dropped_frame(folder: Path, level: Level) -> None:
 
 def test_part_of_a_folder(folder: Path, level: Level) -> None:
     fill(folder, level, list(range(2, 12)))
-    reader = VideoReader(folder, start_s=0.3, duration_s=0.4)
+    reader = open_video(folder, start_s=0.3, duration_s=0.4)
     assert [frame.index for frame in reader] == [3, 4, 5, 6]
     assert reader.n_frames == 4
     with pytest.raises(VideoError, match=r"data: no frame from 1.20 s; .* 0.20 s"):
-        list(VideoReader(folder, start_s=1.0))
+        list(open_video(folder, start_s=1.0))
 
 
 @pytest.mark.parametrize("beside", [True, False])
@@ -68,7 +68,7 @@ def test_kitti_timestamps_are_used(folder: Path, level: Level, beside: bool) -> 
     path = stamp(folder, ["51.168593664", "51.272099072", "51.375610368", "51.582000000"])
     if not beside:
         path = path.rename(folder / path.name)
-    reader = VideoReader(folder)
+    reader = open_video(folder)
     times_s = [frame.time_s for frame in reader]
     assert np.diff(times_s) == pytest.approx([0.103505408, 0.103511296, 0.206389632], abs=1e-6)
     assert times_s[0] == pytest.approx(1_317_042_651.168593664, abs=1e-6)  # 2011-09-26 13:10:51 UTC
@@ -80,7 +80,7 @@ def test_kitti_timestamps_are_used(folder: Path, level: Level, beside: bool) -> 
 def test_backward_timestamps_are_skipped(folder: Path, level: Level) -> None:
     fill(folder, level, [0, 1, 2, 3])
     stamp(folder, ["51.1", "51.2", "51.2", "51.3"])
-    reader = VideoReader(folder)
+    reader = open_video(folder)
     assert [frame.index for frame in reader] == [0, 1, 3]
     assert reader.notes[-1].startswith(f"{folder}: 1 image ")
 
@@ -88,7 +88,7 @@ def test_backward_timestamps_are_skipped(folder: Path, level: Level) -> None:
 def test_timestamps_of_another_recording_are_not_used(folder: Path, level: Level) -> None:
     fill(folder, level, [0, 1])
     path = stamp(folder, ["51.1", "51.2", "51.3"])
-    reader = VideoReader(folder)
+    reader = open_video(folder)
     assert [frame.time_s for frame in reader] == [0.0, 0.1]
     (note,) = reader.notes
     assert note.startswith(f"{path}: ignored")
@@ -99,7 +99,7 @@ def test_invalid_timestamps_are_not_used(folder: Path, level: Level, text: str) 
     fill(folder, level, [0, 1])
     path = folder / "timestamps.txt"
     path.write_text(text, encoding="ascii")
-    reader = VideoReader(folder)
+    reader = open_video(folder)
     assert [frame.time_s for frame in reader] == [0.0, 0.1]
     (note,) = reader.notes
     assert note.startswith(f"{path}: ignored")
@@ -108,7 +108,7 @@ def test_invalid_timestamps_are_not_used(folder: Path, level: Level, text: str) 
 def test_frame_rate_of_one_image_with_a_timestamp(folder: Path, level: Level) -> None:
     fill(folder, level, [0])
     stamp(folder, ["51.1"])
-    assert VideoReader(folder, folder_fps=15).fps == 15
+    assert open_video(folder, folder_fps=15).fps == 15
 
 
 @pytest.mark.parametrize("suffix", ["png", "jpg", "bmp", "tiff", "webp", "pgm", "JPEG"])
@@ -117,20 +117,20 @@ def test_image_formats(folder: Path, level: Level, number_in: NumberIn, suffix: 
         image = level(number)
         stored = cv2.imencode(f".{suffix}", image[..., 0] if suffix == "pgm" else image)[1]
         (folder / f"{number}.{suffix}").write_bytes(stored.tobytes())
-    assert [number_in(frame.image) for frame in VideoReader(folder)] == [0, 1]
+    assert [number_in(frame.image) for frame in open_video(folder)] == [0, 1]
 
 
 def test_16_bit_images_keep_the_upper_8_bits(folder: Path) -> None:
     stored = np.array([[0, 255, 256, 65_535] * 2], np.uint16).repeat(8, axis=0)
     cv2.imwrite(str(folder / "0.png"), stored)
-    (frame,) = VideoReader(folder)
+    (frame,) = open_video(folder)
     assert frame.image.dtype == np.uint8
     assert frame.image[0, :4].tolist() == [[0, 0, 0], [0, 0, 0], [1, 1, 1], [255, 255, 255]]
 
 
 def test_colour_is_bgr_without_alpha(folder: Path) -> None:
     cv2.imwrite(str(folder / "0.png"), np.full((8, 8, 4), (10, 20, 200, 128), np.uint8))
-    reader = VideoReader(folder)
+    reader = open_video(folder)
     (frame,) = reader
     assert frame.image[0, 0].tolist() == [10, 20, 200]
     assert not reader.is_grey
@@ -139,21 +139,21 @@ def test_colour_is_bgr_without_alpha(folder: Path) -> None:
 def test_folder_without_numbered_images(folder: Path) -> None:
     (folder / "readme.txt").write_text("nothing", encoding="ascii")
     with pytest.raises(VideoError, match=r"data: .*numbered images"):
-        VideoReader(folder)
+        open_video(folder)
 
 
 def test_two_cameras_in_one_folder(folder: Path, level: Level) -> None:
     fill(folder, level, [0, 1], name="left_{}.png")
     fill(folder, level, [0, 1], name="right_{}.png")
     with pytest.raises(VideoError, match=r"left_0.png and right_0.png .*number"):
-        VideoReader(folder)
+        open_video(folder)
 
 
 @pytest.mark.parametrize("stored", [b"", b"no image at all"])
 def test_damaged_image(folder: Path, level: Level, stored: bytes) -> None:
     fill(folder, level, [0, 1, 2])
     (folder / "000001.png").write_bytes(stored)
-    frames = iter(VideoReader(folder))
+    frames = iter(open_video(folder))
     assert next(frames).index == 0
     with pytest.raises(VideoError, match=r"000001.png: .*damaged"):
         next(frames)
@@ -163,32 +163,32 @@ def test_damaged_first_image(folder: Path, level: Level) -> None:
     fill(folder, level, [0, 1])
     (folder / "000000.png").write_bytes((folder / "000000.png").read_bytes()[:60])
     with pytest.raises(VideoError, match=r"000000.png: .*damaged"):
-        VideoReader(folder)
+        open_video(folder)
 
 
 def test_images_of_another_size(folder: Path, level: Level) -> None:
     fill(folder, level, [0, 1])
     cv2.imwrite(str(folder / "000002.png"), level(2, width_px=60))
     with pytest.raises(VideoError, match=r"000002.png: expected .*60x48"):
-        list(VideoReader(folder))
+        list(open_video(folder))
 
 
 def test_float_pixels(folder: Path) -> None:
     cv2.imwrite(str(folder / "0.tiff"), np.zeros((8, 8, 3), np.float32))
     with pytest.raises(VideoError, match=r"0.tiff: .*float32"):
-        VideoReader(folder)
+        open_video(folder)
 
 
 def test_image_is_deleted_while_reading(folder: Path, level: Level) -> None:
     fill(folder, level, [0, 1])
-    reader = VideoReader(folder)
+    reader = open_video(folder)
     (folder / "000001.png").unlink()
     with pytest.raises(VideoError, match=r"000001.png: .*read"):
         list(reader)
 
 
 def test_real_images(shared_data: Path) -> None:
-    reader = VideoReader(shared_data / "kitti2015" / "image_2")
+    reader = open_video(shared_data / "kitti2015" / "image_2")
     frames = list(reader)
     assert len(frames) == reader.n_frames == 16
     assert all(frame.image.shape == (375, 1242, 3) for frame in frames)

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.recording import inputs
 from track_range.recording.frame import VideoError
+from track_range.recording.pairs import recorded_pair
 from track_range.recording.recording import open_recording
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -240,7 +240,7 @@ def test_frames_do_not_depend_on_the_buffer_size(tmp_path, film, opened_files, m
     buffered = open_recording(left, right)
     expected = list(buffered.frames)
     n_opened = len(opened_files)
-    monkeypatch.setattr(inputs, "MAX_LOOK_AHEAD_BYTES", 3 * 2 * 1.5 * WIDTH_PX * HEIGHT_PX)
+    monkeypatch.setattr(recorded_pair, "MAX_LOOK_AHEAD_BYTES", 3 * 2 * 1.5 * WIDTH_PX * HEIGHT_PX)
     reread = open_recording(left, right)
     frames = list(reread.frames)
     assert (n_opened, len(opened_files) - n_opened) == (2, 4)  # the frames do not fit in the buffer: read twice
@@ -255,11 +255,11 @@ def test_frames_do_not_depend_on_the_buffer_size(tmp_path, film, opened_files, m
 @pytest.mark.slow
 def test_buffered_frames_are_freed_one_by_one(tmp_path, film):
     recording = open_recording(*films(tmp_path, film))
-    n_buffered = recording.inputs.pairs.n_buffered
+    n_buffered = recording.pair.n_ahead
     next(recording.frames)
-    assert (n_buffered, recording.inputs.pairs.n_buffered) == (14, 13)
+    assert (n_buffered, recording.pair.n_ahead) == (14, 13)
     recording.close()
-    assert recording.inputs.pairs.n_buffered == 0
+    assert recording.pair.n_ahead == 0
 
 
 def test_alignment_given(pair):

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from track_range.foundation.errors import UsageError
 from track_range.recording.frame import VideoError
-from track_range.recording.inputs import Inputs
 from track_range.recording.names import Segments
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
+from track_range.recording.pairs.recorded_pair import RecordedPair
 from track_range.recording.segments.segment_times import (
     SegmentFacts,
     SegmentPlan,
@@ -60,7 +60,7 @@ NAMES = ["20260131_142530.mp4", "20260131_142531.mp4", "20260131_142532.mp4"]
 
 def test_files_of_a_folder_are_one_video(tmp_path: Path, trip: Trip, number_in: Callable[..., int]) -> None:
     trip(tmp_path / "trip", NAMES)
-    reader = VideoReader(tmp_path / "trip")
+    reader = open_video(tmp_path / "trip")
     frames = list(reader)
     assert [frame.index for frame in frames] == list(range(30))
     assert [frame.time_s for frame in frames] == pytest.approx([number / 10 for number in range(30)])
@@ -77,48 +77,48 @@ def test_part_of_a_recording(
     tmp_path: Path, trip: Trip, number_in: Callable[..., int], suffix: str, start_s: float, duration_s: float | None
 ) -> None:
     trip(tmp_path / "trip", [name.replace("mp4", suffix) for name in NAMES])
-    whole = VideoReader(tmp_path / "trip")
+    whole = open_video(tmp_path / "trip")
     until_s = whole.first_time_s + start_s + (duration_s or 9.0) - 1e-6
     expected = [
         (frame.index, round(frame.time_s, 3), number_in(frame.image))
         for frame in whole
         if whole.first_time_s + start_s - 1e-6 <= frame.time_s < until_s
     ]
-    part = VideoReader(tmp_path / "trip", start_s=start_s, duration_s=duration_s)
+    part = open_video(tmp_path / "trip", start_s=start_s, duration_s=duration_s)
     assert [(frame.index, round(frame.time_s, 3), number_in(frame.image)) for frame in part] == expected
     assert expected[0][0] == expected[0][2]
 
 
 def test_gap_between_files(tmp_path: Path, trip: Trip) -> None:
     trip(tmp_path / "trip", [NAMES[0], "20260131_142601.mp4"])
-    reader = VideoReader(tmp_path / "trip")
+    reader = open_video(tmp_path / "trip")
     frames = list(reader)
     assert [frame.index for frame in frames] == list(range(20))
     assert frames[10].time_s == pytest.approx(31.0)
     assert "1 gap between the files, 30.0 s" in reader.notes[0]
-    assert [frame.index for frame in VideoReader(tmp_path / "trip", start_s=20.0)] == list(range(10, 20))
+    assert [frame.index for frame in open_video(tmp_path / "trip", start_s=20.0)] == list(range(10, 20))
 
 
 def test_order_by_creation_times(tmp_path: Path, film: Film) -> None:
     for name, time in (("b.mp4", "2026-01-31T14:25:30Z"), ("a.mp4", "2026-01-31T14:25:31Z")):
         film(tmp_path / name, [number / 10 for number in range(10)], metadata={"creation_time": time})
-    reader = VideoReader(Segments((tmp_path / "a.mp4", tmp_path / "b.mp4")))
-    assert [segment.path.name for segment in reader._source._segments] == ["b.mp4", "a.mp4"]  # type: ignore[union-attr]
+    reader = open_video(Segments((tmp_path / "a.mp4", tmp_path / "b.mp4")))
+    assert [segment.path.name for segment in reader._segments] == ["b.mp4", "a.mp4"]  # type: ignore[union-attr]
     assert "another order" in reader.notes[0]
 
 
 def test_order_without_times(tmp_path: Path, trip: Trip, number_in: Callable[..., int]) -> None:
     files = trip(tmp_path / "trip", ["GX2.mp4", "GX10.mp4", "GX11.mp4"])
-    reader = VideoReader(tmp_path / "trip")
+    reader = open_video(tmp_path / "trip")
     assert [number_in(frame.image) for frame in reader][::10] == [0, 10, 20]
     assert "without usable dates" in reader.notes[0]
-    given = VideoReader(Segments((files[2], files[0])))
+    given = open_video(Segments((files[2], files[0])))
     assert [number_in(frame.image) for frame in given][::10] == [20, 0]
 
 
 def test_time_stamps_that_continue(tmp_path: Path, trip: Trip) -> None:
     trip(tmp_path / "trip", ["c.ts", "a.ts", "b.ts"], first_s=100.0, step_s=1.5)
-    reader = VideoReader(tmp_path / "trip")
+    reader = open_video(tmp_path / "trip")
     times_s = [frame.time_s - reader.first_time_s for frame in reader]
     assert times_s[::10] == pytest.approx([0.0, 1.5, 3.0])
     assert "2 gaps between the files, 1.0 s" in reader.notes[0]
@@ -128,9 +128,9 @@ def test_files_of_two_cameras(tmp_path: Path, trip: Trip) -> None:
     names = [name.replace(".", f"_{camera}.") for name in NAMES[:2] for camera in "FR"]
     trip(tmp_path / "trip", names)
     with pytest.raises(VideoError, match=r"--mono '.*\*_F\.mp4'") as raised:
-        VideoReader(tmp_path / "trip")
+        open_video(tmp_path / "trip")
     assert len(str(raised.value)) < 300 + 2 * len(str(tmp_path))
-    front = VideoReader(tmp_path / "trip" / "*_F.mp4")
+    front = open_video(tmp_path / "trip" / "*_F.mp4")
     assert [frame.index for frame in front] == list(range(20))
     assert settings_from({"mono": str(tmp_path / "trip" / "*_F.mp4")}).out_dir == Path("trip-track-range")
 
@@ -139,7 +139,7 @@ def test_empty_and_damaged_files_are_skipped(tmp_path: Path, trip: Trip) -> None
     files = trip(tmp_path / "trip", [*NAMES, "20260131_142545.mp4"])
     files[0].write_bytes(b"")
     files[2].write_bytes(files[2].read_bytes()[:300])
-    reader = VideoReader(tmp_path / "trip")
+    reader = open_video(tmp_path / "trip")
     assert [frame.time_s for frame in reader][::10] == pytest.approx([0.0, 14.0])
     assert sum(note.startswith("Skipped: ") for note in reader.notes) == 2
 
@@ -147,10 +147,10 @@ def test_empty_and_damaged_files_are_skipped(tmp_path: Path, trip: Trip) -> None
 def test_missing_and_vanished_files(tmp_path: Path, trip: Trip) -> None:
     files = trip(tmp_path / "trip", NAMES)
     with pytest.raises(VideoError, match="no such file"):
-        VideoReader(Segments((files[0], tmp_path / "missing.mp4")))
+        open_video(Segments((files[0], tmp_path / "missing.mp4")))
     with pytest.raises(VideoError, match="pattern"):
-        VideoReader(tmp_path / "trip" / "*.avi")
-    frames = iter(VideoReader(tmp_path / "trip"))
+        open_video(tmp_path / "trip" / "*.avi")
+    frames = iter(open_video(tmp_path / "trip"))
     next(frames)
     files[1].unlink()
     with pytest.raises(VideoError, match=r"142531\.mp4.*deleted"):
@@ -159,7 +159,7 @@ def test_missing_and_vanished_files(tmp_path: Path, trip: Trip) -> None:
 
 def test_file_replaced_while_reading(tmp_path: Path, trip: Trip) -> None:
     files = trip(tmp_path / "trip", NAMES)
-    frames = iter(VideoReader(tmp_path / "trip"))
+    frames = iter(open_video(tmp_path / "trip"))
     next(frames)
     files[1].write_bytes(files[1].read_bytes()[:-100])
     with pytest.raises(VideoError, match="shortened"):
@@ -169,27 +169,27 @@ def test_file_replaced_while_reading(tmp_path: Path, trip: Trip) -> None:
 def test_copies_are_used_once(tmp_path: Path, trip: Trip) -> None:
     files = trip(tmp_path / "trip", NAMES[:2])
     shutil.copy(files[0], tmp_path / "trip" / "copy of it.mp4")
-    reader = VideoReader(tmp_path / "trip")
+    reader = open_video(tmp_path / "trip")
     assert len(list(reader)) == 20
     assert "same content" in reader.notes[0]
-    assert len(list(VideoReader(Segments((files[0], files[1], files[0]))))) == 20
+    assert len(list(open_video(Segments((files[0], files[1], files[0]))))) == 20
 
 
 def test_files_that_do_not_fit(tmp_path: Path, film: Film, trip: Trip, level: Callable[..., np.ndarray]) -> None:
     trip(tmp_path / "trip", NAMES[:2])
     film(tmp_path / "trip" / "20260131_142533.mp4", [0.0], images=[level(0, width_px=96)])
     with pytest.raises(VideoError, match="96x48"):
-        VideoReader(tmp_path / "trip")
+        open_video(tmp_path / "trip")
     (tmp_path / "trip" / "20260131_142533.mp4").unlink()
     (tmp_path / "trip" / "000001.png").write_bytes(b"")
     with pytest.raises(VideoError, match="both"):
-        VideoReader(tmp_path / "trip")
+        open_video(tmp_path / "trip")
 
 
 def test_other_frame_rate_is_noted(tmp_path: Path, film: Film, trip: Trip) -> None:
     trip(tmp_path / "trip", NAMES[:1])
     film(tmp_path / "trip" / NAMES[1], [number / 20 for number in range(20)], rate=20)
-    reader = VideoReader(tmp_path / "trip")
+    reader = open_video(tmp_path / "trip")
     assert len(list(reader)) == 30
     assert "20 frames/s instead of 10" in reader.notes[0]
 
@@ -197,21 +197,21 @@ def test_other_frame_rate_is_noted(tmp_path: Path, film: Film, trip: Trip) -> No
 def test_pair_in_several_files(tmp_path: Path, trip: Trip) -> None:
     trip(tmp_path / "left", [NAMES[0], "20260131_142601.mp4"])
     trip(tmp_path / "right", [NAMES[0], "20260131_142602.mp4"])  # the dates are truncated to seconds
-    inputs = Inputs.open(tmp_path / "left", tmp_path / "right")
-    pairs = list(inputs)
-    assert [(left.index, right.index) for left, right in pairs if right] == [(n, n) for n in range(20)]
-    inputs.close()
+    left = open_video(tmp_path / "left")
+    pair = RecordedPair(left, open_video(tmp_path / "right", left=left))
+    assert [(one.index, other.index) for one, other in pair] == [(n, n) for n in range(20)]
+    pair.close()
 
 
 def test_results_in_the_folder_of_the_input(tmp_path: Path, trip: Trip) -> None:
     trip(tmp_path / "trip", [*NAMES, "overlay.mp4"])
     (tmp_path / "trip" / "settings.yaml").touch()
-    assert len(list(VideoReader(tmp_path / "trip"))) == 30
+    assert len(list(open_video(tmp_path / "trip"))) == 30
 
 
 def test_one_file_in_a_folder(tmp_path: Path, trip: Trip) -> None:
     trip(tmp_path / "trip", ["drive.mp4"])
-    assert VideoReader(tmp_path / "trip").notes == ()
+    assert open_video(tmp_path / "trip").notes == ()
 
 
 def test_settings_of_several_files(tmp_path: Path) -> None:
@@ -343,8 +343,8 @@ def test_repeated_second_is_skipped(tmp_path: Path, film: Film, names: tuple[str
     parts_s = ((0.0, 2.0), (1.0, 3.0), (2.0, 4.0))
     for name, (from_s, until_s) in zip(names, parts_s, strict=True):
         copied(whole, tmp_path / "trip" / name, from_s, until_s)
-    reader = VideoReader(tmp_path / "trip")
-    frames, expected = list(reader), list(VideoReader(whole))
+    reader = open_video(tmp_path / "trip")
+    frames, expected = list(reader), list(open_video(whole))
     assert [frame.time_s for frame in frames] == pytest.approx([frame.time_s for frame in expected], abs=1e-4)
     assert all(np.array_equal(a.image, b.image) for a, b in zip(frames, expected, strict=True))
     assert any("2 overlaps" in note for note in reader.notes)
@@ -364,18 +364,19 @@ def test_equal_frames_that_are_no_overlap(
     (tmp_path / "trip").mkdir()
     for name, images in (("1.mp4", one), ("2.mp4", other)):
         film(tmp_path / "trip" / name, [k / 10 for k in range(len(images))], images=images, codec="mjpeg")
-    assert len(list(VideoReader(tmp_path / "trip"))) == 23
+    assert len(list(open_video(tmp_path / "trip"))) == 23
 
 
 def test_missing_file_of_an_undated_pair(tmp_path: Path, trip: Trip) -> None:
     trip(tmp_path / "left", ["l1.mp4", "l3.mp4"])
     trip(tmp_path / "right", ["r1.mp4", "r2.mp4", "r3.mp4"])
+    left = open_video(tmp_path / "left")
     with pytest.raises(VideoError, match=r"right: .*found 3"):
-        Inputs.open(tmp_path / "left", tmp_path / "right")
+        open_video(tmp_path / "right", left=left)
 
 
 def test_file_of_another_size_is_named(tmp_path: Path, trip: Trip, film: Film) -> None:
     trip(tmp_path / "trip", ["clip1.mp4", "clip3.mp4"])
     film(tmp_path / "trip" / "clip0.mp4", [0.0, 0.1], images=[np.zeros((32, 48, 3), np.uint8)] * 2)
     with pytest.raises(VideoError, match=r"clip0\.mp4: .*64x48"):
-        VideoReader(tmp_path / "trip")
+        open_video(tmp_path / "trip")

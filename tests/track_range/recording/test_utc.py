@@ -10,7 +10,7 @@ import cv2
 import pytest
 
 from track_range.foundation.errors import UsageError
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 from track_range.recording.recording import open_recording
 from track_range.recording.utc import Stamp, parsed_utc, stamp_in_header, stamp_in_name, start_of
 from track_range.run.settings import settings_from
@@ -101,11 +101,11 @@ def test_name_decides_whether_the_header_states_the_end() -> None:
 
 
 def test_start_of_a_file_by_its_name(tmp_path: Path, film) -> None:  # type: ignore[no-untyped-def]
-    utc = VideoReader(film(tmp_path / "20260131_142530.mp4", [0.0, 0.1])).utc
+    utc = open_video(film(tmp_path / "20260131_142530.mp4", [0.0, 0.1])).utc
     assert utc is not None
     assert utc.summary() == {"start": "2026-01-31T14:25:30.000Z", "source": "file name", "uncertainty_s": 50400.0}
     assert "--start-utc" in (utc.note() or "")
-    assert VideoReader(film(tmp_path / "film.mp4", [0.0, 0.1])).utc is None
+    assert open_video(film(tmp_path / "film.mp4", [0.0, 0.1])).utc is None
 
 
 def test_time_of_a_run(tmp_path: Path, film) -> None:  # type: ignore[no-untyped-def]
@@ -122,7 +122,7 @@ def test_time_of_an_image_folder(tmp_path: Path, level) -> None:  # type: ignore
     for number in range(2):
         cv2.imwrite(str(tmp_path / f"{number:06}.png"), level(number))
     (tmp_path / "timestamps.txt").write_text("2011-09-26 13:02:25.5\n2011-09-26 13:02:25.6\n")
-    utc = VideoReader(tmp_path).utc
+    utc = open_video(tmp_path).utc
     assert utc is not None
     assert (utc.start_s, utc.source, utc.is_local) == (seconds("2011-09-26T13:02:25.500"), "timestamps.txt", True)
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from track_range.recording.frame import VideoError
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
+from track_range.recording.recorded_video import RecordedVideo
 
 Film = Callable[..., Path]
 NumberIn = Callable[[np.ndarray], int]
@@ -19,14 +20,14 @@ UNEVEN_S = [0.0, 0.1, 0.2, 0.35, 0.4, 0.5, 0.9, 1.0, 1.1, 1.2, 1.25, 1.3, 1.4, 1
 EVEN_S = [number / 10 for number in range(40)]
 
 
-def frames_of(reader: VideoReader, number_in: NumberIn) -> list[tuple[int, float, int]]:
+def frames_of(reader: RecordedVideo, number_in: NumberIn) -> list[tuple[int, float, int]]:
     """(index, time, number encoded in the image) of every frame."""
     return [(frame.index, round(frame.time_s, 3), number_in(frame.image)) for frame in reader]
 
 
 @pytest.mark.parametrize("suffix", ["mp4", "mkv", "mov"])
 def test_times_and_order_with_b_frames(tmp_path: Path, film: Film, number_in: NumberIn, suffix: str) -> None:
-    reader = VideoReader(film(tmp_path / f"film.{suffix}", UNEVEN_S))
+    reader = open_video(film(tmp_path / f"film.{suffix}", UNEVEN_S))
     assert frames_of(reader, number_in) == [(number, time_s, number) for number, time_s in enumerate(UNEVEN_S)]
     assert (reader.width_px, reader.height_px) == (64, 48)
     (note,) = reader.notes
@@ -36,7 +37,7 @@ def test_times_and_order_with_b_frames(tmp_path: Path, film: Film, number_in: Nu
 def test_images_are_contiguous_bgr_arrays(tmp_path: Path, film: Film) -> None:
     blue = np.zeros((48, 64, 3), np.uint8)
     blue[..., 0] = 200
-    reader = VideoReader(film(tmp_path / "blue.mp4", [0.0, 0.1], images=[blue, blue]))
+    reader = open_video(film(tmp_path / "blue.mp4", [0.0, 0.1], images=[blue, blue]))
     for frame in reader:
         assert (frame.image.shape, frame.image.dtype) == ((48, 64, 3), np.uint8)
         assert frame.image.flags.c_contiguous
@@ -45,12 +46,12 @@ def test_images_are_contiguous_bgr_arrays(tmp_path: Path, film: Film) -> None:
 
 
 def test_video_without_colour_is_grey(tmp_path: Path, film: Film) -> None:
-    assert VideoReader(film(tmp_path / "film.mp4", EVEN_S[:3])).is_grey
+    assert open_video(film(tmp_path / "film.mp4", EVEN_S[:3])).is_grey
 
 
 @pytest.mark.parametrize("suffix", ["mp4", "mkv", "mov"])
 def test_start_offset_of_a_stream(tmp_path: Path, film: Film, suffix: str) -> None:
-    reader = VideoReader(film(tmp_path / f"late.{suffix}", [0.7, 0.8, 0.9]))
+    reader = open_video(film(tmp_path / f"late.{suffix}", [0.7, 0.8, 0.9]))
     assert [frame.time_s for frame in reader] == pytest.approx([0.7, 0.8, 0.9])
     assert reader.first_time_s == pytest.approx(0.7)
     assert [frame.index for frame in reader] == [0, 1, 2]
@@ -61,9 +62,9 @@ def test_start_offset_of_a_stream(tmp_path: Path, film: Film, suffix: str) -> No
 @pytest.mark.parametrize("start_s", [0.0, 0.05, 0.3, 0.6, 1.15, 3.9])
 def test_later_start(tmp_path: Path, film: Film, number_in: NumberIn, suffix: str, start_s: float) -> None:
     path = film(tmp_path / f"film.{suffix}", EVEN_S)
-    whole = VideoReader(path)
+    whole = open_video(path)
     rest = [frame for frame in frames_of(whole, number_in) if frame[1] >= whole.first_time_s + start_s - 1e-6]
-    assert frames_of(VideoReader(path, start_s=start_s), number_in) == rest
+    assert frames_of(open_video(path, start_s=start_s), number_in) == rest
     assert len(rest) == 40 - round(np.ceil(10 * start_s))
 
 
@@ -73,8 +74,8 @@ def test_frames_before_the_start_are_not_decoded(tmp_path: Path, film: Film) -> 
     damaged = stored.index(b"mdat") + len(stored) // 5  # after the first keyframe, in the first of four seconds
     stored[damaged : damaged + 1000] = bytes([255]) * 1000
     path.write_bytes(stored)
-    assert VideoReader(path).first_time_s == 0
-    whole, late = VideoReader(path), VideoReader(path, start_s=2.0)
+    assert open_video(path).first_time_s == 0
+    whole, late = open_video(path), open_video(path, start_s=2.0)
     assert len(list(whole)) < 40
     assert whole.notes
     assert ([frame.index for frame in late], late.notes) == (list(range(20, 40)), ())
@@ -82,22 +83,24 @@ def test_frames_before_the_start_are_not_decoded(tmp_path: Path, film: Film) -> 
 
 def test_part_of_a_video_and_its_number_of_frames(tmp_path: Path, film: Film) -> None:
     path = film(tmp_path / "film.mp4", EVEN_S)
-    reader = VideoReader(path, start_s=1.0, duration_s=0.5)
+    reader = open_video(path, start_s=1.0, duration_s=0.5)
     assert reader.n_frames == 5
     assert [frame.index for frame in reader] == [10, 11, 12, 13, 14]
-    assert VideoReader(path).n_frames == 40
-    assert VideoReader(path, start_s=3.0).n_frames == 10
-    assert VideoReader(path, start_s=9.0).n_frames == 0
+    assert open_video(path).n_frames == 40
+    assert open_video(path, start_s=3.0).n_frames == 10
+    assert open_video(path, start_s=9.0).n_frames == 0
 
 
 def test_origin_of_the_start_time(tmp_path: Path, film: Film) -> None:
     path = film(tmp_path / "late.mkv", [0.7, 0.8, 0.9, 1.0])
-    assert [frame.index for frame in VideoReader(path, start_s=0.1)] == [1, 2, 3]
-    assert [frame.index for frame in VideoReader(path, start_s=0.1, origin_s=0.8)] == [2, 3]
+    assert [frame.index for frame in open_video(path, start_s=0.1)] == [1, 2, 3]
+    video = open_video(path)
+    video.select(0.1, origin_s=0.8)
+    assert [frame.index for frame in video] == [2, 3]
 
 
 def test_reader_can_be_iterated_again(tmp_path: Path, film: Film, number_in: NumberIn) -> None:
-    reader = VideoReader(film(tmp_path / "film.mp4", EVEN_S))
+    reader = open_video(film(tmp_path / "film.mp4", EVEN_S))
     first = next(iter(reader))
     assert (first.index, first.time_s) == (0, 0.0)
     assert frames_of(reader, number_in) == frames_of(reader, number_in)
@@ -108,7 +111,7 @@ def test_reader_can_be_iterated_again(tmp_path: Path, film: Film, number_in: Num
 def test_frames_are_upright(tmp_path: Path, film: Film, degrees: int, flip: tuple[bool, bool]) -> None:
     stored = np.zeros((48, 64, 3), np.uint8)
     stored[:24, :32], stored[:24, 32:], stored[24:, :32] = 220, 150, 80
-    reader = VideoReader(film(tmp_path / "turned.mp4", [0.0, 0.1], images=[stored] * 2, rotation=(degrees, *flip)))
+    reader = open_video(film(tmp_path / "turned.mp4", [0.0, 0.1], images=[stored] * 2, rotation=(degrees, *flip)))
     rotated = np.rot90(stored, degrees // 90)  # counterclockwise, as in the video's metadata
     expected = rotated[:, ::-1] if flip[0] else rotated
     for frame in reader:
@@ -119,31 +122,31 @@ def test_frames_are_upright(tmp_path: Path, film: Film, degrees: int, flip: tupl
 
 
 def test_rotation_by_an_odd_angle_is_ignored(tmp_path: Path, film: Film) -> None:
-    reader = VideoReader(film(tmp_path / "askew.mp4", [0.0, 0.1], rotation=(30, False, False)))
+    reader = open_video(film(tmp_path / "askew.mp4", [0.0, 0.1], rotation=(30, False, False)))
     assert (reader.width_px, reader.height_px, reader.notes) == (64, 48, ())
 
 
 def test_non_square_pixels_are_reported(tmp_path: Path, film: Film) -> None:
-    reader = VideoReader(film(tmp_path / "wide.mp4", [0.0, 0.1], aspect=Fraction(4, 3)))
+    reader = open_video(film(tmp_path / "wide.mp4", [0.0, 0.1], aspect=Fraction(4, 3)))
     assert reader.width_px == 64
     assert "not square" in reader.notes[0]
 
 
 def test_stream_without_timestamps(tmp_path: Path, film: Film, number_in: NumberIn) -> None:
-    reader = VideoReader(film(tmp_path / "film.h264", EVEN_S))
+    reader = open_video(film(tmp_path / "film.h264", EVEN_S))
     interval_s = 1 / reader.fps
     assert frames_of(reader, number_in) == [(n, round(n * interval_s, 3), n) for n in range(40)]
 
 
 def test_avi_with_b_frames_is_in_order(tmp_path: Path, film: Film, number_in: NumberIn) -> None:
-    reader = VideoReader(film(tmp_path / "film.avi", EVEN_S))
+    reader = open_video(film(tmp_path / "film.avi", EVEN_S))
     assert frames_of(reader, number_in) == [(n, n / 10, n) for n in range(40)]
 
 
 def test_repeated_and_backward_times_are_skipped(tmp_path: Path, film: Film, number_in: NumberIn) -> None:
     path = film(tmp_path / "film.avi", EVEN_S[:8], codec="mjpeg")
     retimed = retimed_copy(path, tmp_path / "film.mkv", [0, 100, 200, 200, 150, 300, 400, 500])
-    reader = VideoReader(retimed)
+    reader = open_video(retimed)
     assert [(time_s, number) for _, time_s, number in frames_of(reader, number_in)] == [
         (0.0, 0),
         (0.1, 1),
@@ -172,14 +175,14 @@ def retimed_copy(path: Path, copy: Path, stamps_ms: list[int]) -> Path:
 
 def test_missing_file() -> None:
     with pytest.raises(VideoError, match=r"nowhere/left.mp4: no such file"):
-        VideoReader(Path("nowhere/left.mp4"))
+        open_video(Path("nowhere/left.mp4"))
 
 
 def test_empty_file(tmp_path: Path) -> None:
     path = tmp_path / "empty.mp4"
     path.touch()
     with pytest.raises(VideoError, match=r"empty.mp4: .*empty"):
-        VideoReader(path)
+        open_video(path)
 
 
 @pytest.mark.parametrize("name", ["notes.txt", "left.mp4"])
@@ -187,7 +190,7 @@ def test_text_is_not_a_video(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     path.write_text("0 0 Car 0 0 -1.57 614.24 181.78 727.31 284.77\n" * 40, encoding="ascii")
     with pytest.raises(VideoError, match=rf"{name}: .*video"):
-        VideoReader(path)
+        open_video(path)
 
 
 def test_audio_is_not_a_video(tmp_path: Path) -> None:
@@ -196,14 +199,14 @@ def test_audio_is_not_a_video(tmp_path: Path) -> None:
         sound.setparams((1, 2, 8000, 0, "NONE", ""))
         sound.writeframes(bytes(16_000))
     with pytest.raises(VideoError, match=r"sound.wav: .*no video"):
-        VideoReader(path)
+        open_video(path)
 
 
 def test_unknown_codec(tmp_path: Path, film: Film) -> None:
     path = film(tmp_path / "film.mp4", EVEN_S[:5])
     path.write_bytes(path.read_bytes().replace(b"avc1", b"zzz1"))
     with pytest.raises(VideoError, match=r"film.mp4: .*no video"):
-        VideoReader(path)
+        open_video(path)
 
 
 def test_single_image_is_not_a_video(tmp_path: Path) -> None:
@@ -212,14 +215,14 @@ def test_single_image_is_not_a_video(tmp_path: Path) -> None:
     path = tmp_path / "000000.png"
     cv2.imwrite(str(path), np.zeros((8, 8, 3), np.uint8))
     with pytest.raises(VideoError, match=r"000000.png: .*single image"):
-        VideoReader(path)
+        open_video(path)
 
 
 def test_link_loop(tmp_path: Path) -> None:
     path = tmp_path / "loop.mp4"
     path.symlink_to(path)
     with pytest.raises(VideoError, match=r"loop.mp4: .*loop"):
-        VideoReader(path)
+        open_video(path)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may read everything")
@@ -227,11 +230,11 @@ def test_file_without_permission(tmp_path: Path, film: Film) -> None:
     path = film(tmp_path / "film.mp4", EVEN_S[:3])
     path.chmod(0)
     with pytest.raises(VideoError, match=r"film.mp4: .*Permission denied"):
-        VideoReader(path)
+        open_video(path)
 
 
 def test_file_is_deleted_between_readings(tmp_path: Path, film: Film) -> None:
-    reader = VideoReader(film(tmp_path / "film.mp4", EVEN_S[:3]))
+    reader = open_video(film(tmp_path / "film.mp4", EVEN_S[:3]))
     assert len(list(reader)) == 3
     reader.path.unlink()
     with pytest.raises(VideoError, match=r"film.mp4: .*No such file"):
@@ -241,9 +244,9 @@ def test_file_is_deleted_between_readings(tmp_path: Path, film: Film) -> None:
 def test_start_after_the_end(tmp_path: Path, film: Film) -> None:
     path = film(tmp_path / "film.mp4", EVEN_S)
     with pytest.raises(VideoError, match=r"film.mp4: no frame from 4.00 s"):
-        list(VideoReader(path, start_s=4.0))
+        list(open_video(path, start_s=4.0))
     with pytest.raises(VideoError, match=r"film.mp4: no frame from 0.02 s"):
-        list(VideoReader(path, start_s=0.02, duration_s=0.05))
+        list(open_video(path, start_s=0.02, duration_s=0.05))
 
 
 def test_images_that_change_size(tmp_path: Path, film: Film, level: Callable[..., np.ndarray]) -> None:
@@ -253,7 +256,7 @@ def test_images_that_change_size(tmp_path: Path, film: Film, level: Callable[...
     )
     path = tmp_path / "both.ts"
     path.write_bytes(small.read_bytes() + wide.read_bytes())
-    frames = iter(VideoReader(path))
+    frames = iter(open_video(path))
     with pytest.raises(VideoError, match=r"both.ts: expected .*64x48"):
         [next(frames) for _ in range(11)]
 
@@ -262,7 +265,7 @@ def test_mp4_without_an_index(tmp_path: Path, film: Film) -> None:
     path = film(tmp_path / "film.mp4", EVEN_S)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(VideoError, match=r"film.mp4: .*index"):
-        VideoReader(path)
+        open_video(path)
 
 
 def test_no_frame_can_be_decoded(tmp_path: Path, film: Film) -> None:
@@ -271,7 +274,7 @@ def test_no_frame_can_be_decoded(tmp_path: Path, film: Film) -> None:
     media = stored.index(b"mdat") + 4
     path.write_bytes(stored[:media] + bytes(len(stored) - media))
     with pytest.raises(VideoError, match=r"film.mp4: .*decoded"):
-        VideoReader(path)
+        open_video(path)
 
 
 FRAGMENTED = {"movflags": "frag_keyframe+empty_moov+default_base_moof"}
@@ -282,9 +285,9 @@ FRAGMENTED = {"movflags": "frag_keyframe+empty_moov+default_base_moof"}
 )
 def test_truncated_file(tmp_path: Path, film: Film, number_in: NumberIn, suffix: str, options: dict[str, str]) -> None:
     path = film(tmp_path / f"film.{suffix}", EVEN_S, images=noisy_images(40), options=options)
-    whole = [frame.time_s for frame in VideoReader(path)]
+    whole = [frame.time_s for frame in open_video(path)]
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    reader = VideoReader(path)
+    reader = open_video(path)
     frames = [(frame.index, frame.time_s) for frame in reader]
     assert 10 <= len(frames) <= 30
     assert frames == list(enumerate(whole))[: len(frames)]
@@ -296,18 +299,18 @@ def test_truncated_file(tmp_path: Path, film: Film, number_in: NumberIn, suffix:
 def test_truncated_transport_stream(tmp_path: Path, film: Film) -> None:
     path = film(tmp_path / "film.ts", EVEN_S, images=noisy_images(40))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    assert 10 <= len(list(VideoReader(path))) <= 30  # such a file does not state its duration
+    assert 10 <= len(list(open_video(path))) <= 30  # such a file does not state its duration
 
 
 @pytest.mark.parametrize("suffix", ["mp4", "avi", "mkv", "ts"])
 def test_damage_in_the_middle(tmp_path: Path, film: Film, suffix: str) -> None:
     path = film(tmp_path / f"film.{suffix}", EVEN_S, images=noisy_images(40))
-    whole = {frame.index: frame.time_s for frame in VideoReader(path)}
+    whole = {frame.index: frame.time_s for frame in open_video(path)}
     stored = bytearray(path.read_bytes())
     middle = len(stored) // 2
     stored[middle : middle + 600] = np.random.default_rng(0).integers(0, 256, 600, np.uint8).tobytes()
     path.write_bytes(stored)
-    reader = VideoReader(path)
+    reader = open_video(path)
     frames = [(frame.index, frame.time_s) for frame in reader]
     if suffix == "ts":  # no checksums, so some damage is not detected; its place varies
         assert 30 <= len(frames) <= 41
@@ -330,7 +333,7 @@ def test_reading_stops_at_an_invalid_packet(tmp_path: Path) -> None:
     images[6] = b"GARBAGE" * 40
     path = tmp_path / "film.y4m"
     path.write_bytes(b"YUV4MPEG2 W16 H16 F10:1 C420jpeg\n" + b"".join(images))
-    reader = VideoReader(path)
+    reader = open_video(path)
     assert [frame.index for frame in reader] == [0, 1, 2, 3, 4, 5]
     (note,) = reader.notes
     assert note.startswith(f"{path}: ")
@@ -352,7 +355,7 @@ def noisy_images(n: int) -> list[np.ndarray]:
     ],
 )
 def test_real_videos(shared_data: Path, name: str, n: int, fps: int) -> None:
-    reader = VideoReader(shared_data / name)
+    reader = open_video(shared_data / name)
     times_s = []
     for number, frame in enumerate(reader):
         assert frame.index == number
@@ -363,5 +366,5 @@ def test_real_videos(shared_data: Path, name: str, n: int, fps: int) -> None:
 
 
 def test_real_grey_video(shared_data: Path) -> None:
-    reader = VideoReader(shared_data / "kitti_odometry/gray51/left.mp4")
+    reader = open_video(shared_data / "kitti_odometry/gray51/left.mp4")
     assert (reader.width_px, reader.height_px, reader.n_frames, reader.is_grey) == (1226, 370, 51, True)

@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.simulation.drive import write_drive
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -30,7 +30,7 @@ def recorded_boxes(folder):
 
 
 def size_px(video):
-    reader = VideoReader(video)
+    reader = open_video(video)
     return reader.width_px, reader.height_px
 
 

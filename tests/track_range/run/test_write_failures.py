@@ -22,7 +22,7 @@ from track_range.foundation.files.folder_lock import FolderLockError, locked_fol
 from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.stage_clock import StageClock
 from track_range.recording.frame import VideoError
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.formats.parquet_file import read_tracks_parquet
 from track_range.results.formats.row_file import RowFile
@@ -150,7 +150,7 @@ def test_video_is_playable_after_a_failure(tmp_path: Path) -> None:
         with pytest.raises(VideoError, match=r"out\.mp4"):
             writer.close()  # with free space again
         if limit > 5000:
-            frames = [frame.time_s for frame in VideoReader(path)]
+            frames = [frame.time_s for frame in open_video(path)]
             assert frames == pytest.approx([number / 10 for number in range(len(frames))])
             counts.append(len(frames))
         assert path.stat().st_size <= limit
@@ -165,7 +165,7 @@ def test_trailer_without_space(tmp_path: Path) -> None:
         writer.write(image, number / 10)
     with file_size_limit(path.stat().st_size + 1), pytest.raises(VideoError, match=r"out\.mp4"):
         writer.close()
-    assert len(list(VideoReader(path))) == 4  # the muxer holds the last one
+    assert len(list(open_video(path))) == 4  # the muxer holds the last one
 
 
 @pytest.mark.parametrize("n_bytes", [1, 3, 7, 16, 1000])
@@ -199,7 +199,7 @@ def test_lag_of_a_video(tmp_path: Path, fps: float, max_lag: int) -> None:
             if video.precedes_rows:
                 video.write(frame)
             n_rows = index + 1
-            n_frames = len(list(VideoReader(path))) if n_rows > max_lag else 0
+            n_frames = len(list(open_video(path))) if n_rows > max_lag else 0
             assert n_rows - n_frames <= max_lag
             if not video.precedes_rows:
                 video.write(frame)
@@ -253,7 +253,7 @@ def test_run_on_a_full_disk(tmp_path: Path, inputs: Callable[..., tr.Run], limit
             n_frames += 1
     assert n_frames == run.summary["frames"]
     check_folder(tmp_path, n_frames)
-    assert n_frames - 6 <= len(list(VideoReader(tmp_path / "overlay.mp4"))) <= n_frames
+    assert n_frames - 6 <= len(list(open_video(tmp_path / "overlay.mp4"))) <= n_frames
 
 
 @pytest.mark.slow

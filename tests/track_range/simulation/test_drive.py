@@ -9,7 +9,7 @@ import pytest
 from track_range.detection.boxes import iou
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.ranging.ego_speed import open_ego_speed
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 from track_range.simulation.drive import N_THREADS, DriveOptions, kitti_text, write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scenarios import make_scenario
@@ -38,7 +38,7 @@ def test_progress_counts_every_frame(drive):
 def test_videos_show_the_scene(drive):
     renderer = Renderer(make_scene(3, seconds=0.4), SMALL)
     for path, side in ((drive[0].left, "left"), (drive[0].right, "right")):
-        frames = list(VideoReader(path))
+        frames = list(open_video(path))
         np.testing.assert_allclose([frame.time_s for frame in frames], [0.0, 0.1, 0.2, 0.3], atol=1e-4)
         image = frames[3].image.astype(float)
         expected = renderer.render(0.3, side=side)
@@ -162,7 +162,7 @@ def test_kitti_2015_layout(tmp_path):
 @pytest.mark.slow
 def test_odd_sizes_grow_by_one(tmp_path):
     written = write_drive(tmp_path, seconds=0.1, rig=kitti_like_rig(width_px=311, height_px=95))
-    frame = next(iter(VideoReader(written.left)))
+    frame = next(iter(open_video(written.left)))
     assert frame.image.shape == (96, 312, 3)
     rig, _ = load_rig(written.rig, size_px=(312, 96))
     assert rig.left.fx_px == pytest.approx(721.5 * 311 / 1240)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 from track_range.simulation.camera.faults import Faults
 from track_range.simulation.drive import DriveOptions, write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig, noise_steps
@@ -93,7 +93,7 @@ def test_standard_deviation_of_noise(sigma):
 def test_late_right_camera_keeps_its_timestamps(tmp_path):
     faults = Faults(late_s=0.5)
     drive = write_drive(tmp_path, seconds=0.2, rig=SMALL, options=DriveOptions(scenario="highway", faults=faults))
-    frames = list(VideoReader(drive.right))
+    frames = list(open_video(drive.right))
     assert [frame.time_s for frame in frames] == pytest.approx([0.0, 0.1], abs=1e-4)
     renderer = Renderer(make_scenario("highway", seconds=0.2), SMALL, noise_grey=0)
     grey = frames[0].image.astype(float).mean(axis=2)
@@ -105,7 +105,7 @@ def test_late_right_camera_keeps_its_timestamps(tmp_path):
 def test_dropped_frames_leave_gaps_in_time(tmp_path):
     options = DriveOptions(scenario="town", faults=Faults(drop_share=0.4), noise_grey=0)
     drive = write_drive(tmp_path, seed=5, seconds=2.0, rig=SMALL, options=options)
-    left_s, right_s = ([frame.time_s for frame in VideoReader(path)] for path in (drive.left, drive.right))
+    left_s, right_s = ([frame.time_s for frame in open_video(path)] for path in (drive.left, drive.right))
     assert 6 <= len(left_s) <= 18
     assert left_s != right_s
     assert left_s[0] == right_s[0] == 0.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.rig_yaml import save_rig
@@ -78,7 +78,7 @@ def test_faults_reach_the_files(cli, rig, tmp_path):
     more = ["--noise", 6, "--wrong-rig", "baseline", "--drop-frames", 0]
     status, _, errors = cli("simulate", "--out", faulty, "--seconds", 0.2, "--rig", rig, *faults, *more)
     assert status == 0, errors
-    means = [next(iter(VideoReader(folder / "right.mp4"))).image.mean() for folder in (plain, faulty)]
+    means = [next(iter(open_video(folder / "right.mp4"))).image.mean() for folder in (plain, faulty)]
     assert 1.15 < means[1] / means[0] < 1.4
     baselines = [
         yaml.safe_load((folder / "rig.yaml").read_text())["right_from_left"]["translation_m"][0]

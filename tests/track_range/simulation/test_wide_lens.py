@@ -86,7 +86,7 @@ def test_files_of_a_drive(drive):
     assert truth.xyxy_px[:, 2].max() <= pinhole.width_px - 1
     assert (detections.xyxy_px >= 0).all()
     assert (detections.xyxy_px[:, 2:] <= (319, 159)).all()
-    undistorted = Undistorter(LENS).boxes(detections.xyxy_px)
+    undistorted = Undistorter(LENS).left_boxes(detections.xyxy_px)
     nearest_px = [
         np.abs(truth.xyxy_px[truth.frame == frame] - box).max(axis=1).min()
         for frame, box in zip(detections.frame, undistorted, strict=True)

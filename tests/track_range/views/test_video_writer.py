@@ -14,7 +14,7 @@ import pytest
 
 import track_range.views.writing.video_writer as video_writer
 from track_range.recording.frame import VideoError
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 from track_range.views.writing.video_writer import VideoWriter
 
 UNEVEN_S = [0.0, 0.1, 0.21, 0.3, 0.75, 0.8, 1.4, 1.5, 2.9, 3.0]
@@ -29,7 +29,7 @@ def write(path: Path, images: list[np.ndarray], times_s: list[float], **options:
 
 def test_round_trip_of_images_and_times(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
     write(tmp_path / "out.mp4", [level(number) for number in range(10)], UNEVEN_S)
-    frames = list(VideoReader(tmp_path / "out.mp4"))
+    frames = list(open_video(tmp_path / "out.mp4"))
     assert [frame.time_s for frame in frames] == pytest.approx(UNEVEN_S, abs=1e-5)
     for number, frame in enumerate(frames):
         assert np.abs(frame.image.astype(int) - level(number)).max() <= 2
@@ -37,14 +37,14 @@ def test_round_trip_of_images_and_times(tmp_path: Path, level: Callable[..., np.
 
 def test_times_count_from_the_first_image(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
     write(tmp_path / "out.mp4", [level(0), level(1)], [1_317_042_651.25, 1_317_042_651.35])
-    assert [frame.time_s for frame in VideoReader(tmp_path / "out.mp4")] == pytest.approx([0.0, 0.1], abs=1e-5)
+    assert [frame.time_s for frame in open_video(tmp_path / "out.mp4")] == pytest.approx([0.0, 0.1], abs=1e-5)
 
 
 def test_round_trip_of_colours(tmp_path: Path) -> None:
     colours = [(0, 0, 255), (0, 255, 0), (255, 0, 0), (0, 255, 255), (30, 120, 200)]
     images = [np.full((32, 32, 3), colour, np.uint8) for colour in colours]
     write(tmp_path / "out.mp4", images, [number / 10 for number in range(5)], crf=1)
-    for colour, frame in zip(colours, VideoReader(tmp_path / "out.mp4"), strict=True):
+    for colour, frame in zip(colours, open_video(tmp_path / "out.mp4"), strict=True):
         assert np.abs(frame.image.astype(int) - colour).max() <= 6
 
 
@@ -53,7 +53,7 @@ def test_odd_sizes_are_extended(tmp_path: Path, width_px: int, height_px: int) -
     image = np.zeros((height_px, width_px, 3), np.uint8)
     image[:, -1], image[-1] = 200, 200
     write(tmp_path / "out.mp4", [image, image], [0.0, 0.1], crf=1)
-    frame = next(iter(VideoReader(tmp_path / "out.mp4")))
+    frame = next(iter(open_video(tmp_path / "out.mp4")))
     assert frame.image.shape == (48, 64, 3)
     assert np.abs(frame.image[:height_px, :width_px].astype(int) - image).max() <= 8
     assert frame.image[:, -1].min() > 190 or width_px == 64
@@ -109,7 +109,7 @@ def test_killed_process_leaves_a_playable_file(tmp_path: Path, number_in: Callab
         [sys.executable, "-c", KILLED, str(path)], check=False, env={**os.environ, "PYTHONPATH": str(project)}
     )
     assert ended.returncode == -signal.SIGKILL
-    frames = [(frame.index, round(frame.time_s, 3), number_in(frame.image)) for frame in VideoReader(path)]
+    frames = [(frame.index, round(frame.time_s, 3), number_in(frame.image)) for frame in open_video(path)]
     assert len(frames) == 34  # the muxer holds the last frame
     assert frames == [(number, number / 10, number) for number in range(len(frames))]
 
@@ -119,8 +119,8 @@ def test_file_is_readable_while_written(tmp_path: Path, level: Callable[..., np.
     with VideoWriter(path, width_px=64, height_px=48, fps=10.0) as writer:
         for number in range(21):
             writer.write(level(number), number / 10)
-        assert len(list(VideoReader(path))) == 20
-    assert len(list(VideoReader(path))) == 21
+        assert len(list(open_video(path))) == 20
+    assert len(list(open_video(path))) == 21
 
 
 def test_close_without_images(tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_times_must_increase(tmp_path: Path, level: Callable[..., np.ndarray]) -
             with pytest.raises(ValueError, match=r"time_s"):
                 writer.write(level(1), time_s)
         writer.write(level(1), 5.1)
-    assert len(list(VideoReader(tmp_path / "out.mp4"))) == 2
+    assert len(list(open_video(tmp_path / "out.mp4"))) == 2
 
 
 def test_times_closer_than_a_tick_still_increase(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
@@ -179,11 +179,11 @@ def test_missing_encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_psnr_of_real_frames(shared_data: Path, tmp_path: Path) -> None:
-    images = [frame.image for frame in VideoReader(shared_data / "kitti_stereo" / "0003" / "left.mp4")]
+    images = [frame.image for frame in open_video(shared_data / "kitti_stereo" / "0003" / "left.mp4")]
     write(tmp_path / "out.mp4", images, [number / 10 for number in range(16)])
     errors = [
         np.square(frame.image.astype(float) - image).mean()
-        for frame, image in zip(VideoReader(tmp_path / "out.mp4"), images, strict=True)
+        for frame, image in zip(open_video(tmp_path / "out.mp4"), images, strict=True)
     ]
     psnr_db = 10 * np.log10(255**2 / np.mean(errors))
     assert 30 < psnr_db < 40

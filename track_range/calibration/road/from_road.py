@@ -33,7 +33,7 @@ from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
 from track_range.recording.cameras.focal_sources import focal_guesses
 from track_range.recording.live.address import LiveAddress
 from track_range.recording.names import VideoName, files_of, video_name
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 from track_range.recording.recording import open_recording
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
@@ -130,7 +130,7 @@ def calibrate_on_road(
     check_outputs([file for file in (settings.out, settings.json_file) if file is not None], files_of(video))
     if isinstance(video, LiveAddress) or not files_of(video):
         raise UsageError(f"--mono {video}: expected a recorded video; record the camera first.")
-    with closing(VideoReader(video)) as reader:
+    with closing(open_video(video)) as reader:
         size_px = reader.width_px, reader.height_px
         duration_s = (reader.n_frames or 0) / reader.fps if reader.fps else 0.0
         guesses = focal_guesses(reader, settings.camera_model)

@@ -24,7 +24,7 @@ from track_range.detection.formats.image_labels.labelled_images import (
 )
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UsageError
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 
 
 class LabelledFrames(Protocol):
@@ -151,7 +151,7 @@ class _VideoFrames:
 
     def __init__(self, source: LabelledSource) -> None:
         self._of_classes, self._truth = source.of_classes, read_sequence(source.labels)
-        self._video = VideoReader(source.images)
+        self._video = open_video(source.images)
         self.n_images = self._video.n_frames
 
     def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]:

@@ -14,7 +14,8 @@ from track_range.evaluation.sequences.find import SequenceFile
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.files.atomic_files import describe
 from track_range.recording.frame import VideoError
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
+from track_range.recording.recorded_video import RecordedVideo
 from track_range.tracking.offline_refinement import OfflineRefinement
 from track_range.tracking.registry import checked_tracks
 from track_range.tracking.tracker import RefinableTracker, Tracker
@@ -101,7 +102,7 @@ def track_sequence(
     Raises:
         VideoError: the images cannot be read.
     """
-    video = None if images is None else VideoReader(images, folder_fps=fps)
+    video = None if images is None else open_video(images, folder_fps=fps)
     refinable = tracker if isinstance(tracker, RefinableTracker) else None
     refinement, online, spent_s, image_counts = OfflineRefinement(), [], 0.0, _ImageCounts()
     for frame, time_s, image in _frames(video, n_frames, fps):
@@ -154,7 +155,7 @@ class _ImageCounts:
         return tuple(notes)
 
 
-def _frames(video: VideoReader | None, n_frames: int, fps: float) -> Iterator[tuple[int, float, Image | None]]:
+def _frames(video: RecordedVideo | None, n_frames: int, fps: float) -> Iterator[tuple[int, float, Image | None]]:
     """Number, time and image of each frame; frames that the video lacks get interpolated times, or times at `fps`."""
     next_frame, time_s = 0, -1 / fps
     if video is not None:

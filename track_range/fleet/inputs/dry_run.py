@@ -14,9 +14,10 @@ from track_range.fleet.storage.listings import FolderListings
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import UserError
 from track_range.recording.bags.bag import is_bag
+from track_range.recording.bags.bag_video import BagVideo
 from track_range.recording.files.video_file import VideoHeader
 from track_range.recording.names import BagTopic
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig
 
 _BATCH = 256
@@ -145,8 +146,8 @@ class _Check:
             topics = [topic.strip() for topic in self.clip.settings.get("topics", "").split(",")]
             topic = topics[index] if index < len(topics) else ""
             fps = float(self.clip.settings.get("folder_fps", self.folder_fps))
-            with closing(VideoReader(BagTopic(path, topic or None) if bag else path, folder_fps=fps)) as reader:
-                camera = None if reader.bag is None else reader.bag.camera
+            with closing(open_video(BagTopic(path, topic or None) if bag else path, folder_fps=fps)) as reader:
+                camera = reader.camera if isinstance(reader, BagVideo) else None
                 size_px = (reader.width_px, reader.height_px)
                 return _Header(size_px, reader.fps, (reader.n_frames or 0) / reader.fps, camera is not None)
         header = VideoHeader.read(path)

@@ -23,6 +23,7 @@ from track_range.recording.bags.decoding import (
 from track_range.recording.files.file_state import FileState
 from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, is_neutral, strictly_later
 from track_range.recording.names import BagTopic
+from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart
 from track_range.stereo.rig_formats.camera_info import CameraInfo
 
@@ -48,17 +49,19 @@ _CALIBRATION_NAMES = ("camera_info", "calibration")
 """Last parts of the names of calibration topics."""
 
 
-class BagVideo:
-    """Images of one topic, in the order of their time stamps.
+class BagVideo(RecordedVideo):
+    """Images of one topic, in the order of their time stamps, which are seconds since 1970.
 
     Attributes:
-        width_px, height_px, is_grey, fps, first_time_s, n_frames: see `VideoReader`; times are seconds since 1970.
         camera: calibration of the camera, from a topic beside that of the images; None = none.
         is_rectified: whether the topic's name states that the images are rectified.
 
     Raises:
         VideoError: the bag has no such topic, or no image can be read. While iterating: an image differs in size.
     """
+
+    path: BagTopic
+    parts = ()
 
     def __init__(self, name: BagTopic) -> None:
         self.path = name
@@ -81,21 +84,21 @@ class BagVideo:
         steps_s = np.diff(times_s)
         steps_s = steps_s[steps_s > TIME_EPSILON_S]
         self.fps = float(1 / np.median(steps_s)) if steps_s.size else _FALLBACK_RATE_HZ
-        self.n_frames = self._topic.n_messages
+        self.n_total = self._topic.n_messages
         self.is_rectified = "rect" in self._topic.name.lower().replace("direct", "")
         self.camera = self._calibration()
 
     @property
     def utc(self) -> UtcStart | None:
-        """UTC of the first image; None = unknown."""
+        """See `RecordedVideo`."""
         if self.first_time_s < _FIRST_PLAUSIBLE_S:
             return None
         source = "time stamps of the images" if self._uses_headers else "recording times of the bag"
         return UtcStart(self.first_time_s, source, _UTC_UNCERTAINTY_S)
 
     @property
-    def notes(self) -> list[str]:
-        """Messages for the user, including the problems of the latest reading."""
+    def notes(self) -> tuple[str, ...]:
+        """See `RecordedVideo`."""
         notes = list(self._setup_notes)
         if self._bag.end_problem:
             notes.append(f"{self.path}: {self._bag.end_problem}; the images before that were used.")
@@ -105,19 +108,10 @@ class BagVideo:
             notes.append(f"{self.path}: {counted(self._n_damaged, 'damaged image')} skipped.")
         if self._n_backward:
             notes.append(f"{self.path}: {counted(self._n_backward, 'image')} with a repeated or backward time skipped.")
-        return notes
-
-    def close(self) -> None:
-        """Close the bag, which is opened only while it is read."""
+        return tuple(notes)
 
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
-        """The images with times in [from_s, until_s).
-
-        Damaged messages are skipped, and reading ends where the file is cut off; see `notes`.
-
-        Raises:
-            VideoError: an image differs in size from the first.
-        """
+        """See `RecordedVideo.frames`; reading ends where the file is cut off."""
         self._n_backward = self._n_damaged = 0
         self.check_unchanged()
         decoder, last_s = ImageDecoder(self._topic), None
@@ -143,11 +137,7 @@ class BagVideo:
                 yield VideoFrame(number, time_s, self._checked(image))
 
     def check_unchanged(self) -> None:
-        """Check that the files are those that were opened; they may have been deleted, or have grown.
-
-        Raises:
-            VideoError: a file was replaced, shortened or overwritten in the meantime.
-        """
+        """See `RecordedVideo`."""
         for file, state in self._states.items():
             change = state.change_of(file)
             if change:

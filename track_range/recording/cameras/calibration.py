@@ -1,8 +1,9 @@
-"""Calibration: the camera models of a recording, and the rectification of its images."""
+"""RecordingCalibration: the camera models of a recording, and the rectification of its images."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -12,6 +13,7 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.ranging.fitting.camera.focal_evidence import best_guess, default_guess
 from track_range.ranging.fitting.camera.measurements import FocalGuess
+from track_range.recording.bags.bag_video import BagVideo
 from track_range.recording.cameras.focal_sources import focal_guesses
 from track_range.recording.cameras.uncalibrated import (
     ASSUMED_BASELINE_M,
@@ -19,13 +21,15 @@ from track_range.recording.cameras.uncalibrated import (
     UncalibratedPair,
     focal_sentence,
 )
-from track_range.recording.inputs import Inputs
+from track_range.recording.frame import VideoError, VideoFrame
+from track_range.recording.live.live_video import LiveVideo
 from track_range.recording.names import VideoName, files_of
 from track_range.recording.pairs.auto_alignment import PairAlignment
-from track_range.recording.reader import VideoReader
+from track_range.recording.recorded_video import RecordedVideo
+from track_range.recording.utc import UtcStart
 from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.frames import ImageView
+from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.recorded_view import RecordedView
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
@@ -37,6 +41,15 @@ from track_range.stereo.rig_formats.reading import find_rig, left_from_reference
 
 _MAX_HEIGHT_SIGMA = 0.05
 """Relative standard deviation of a fitted camera height up to which it is used as known."""
+
+_CODEC_CROP_PX = 2
+"""Tolerated difference in size between left and right, px: codecs need even sizes, so one may lack a row or column."""
+
+Video = RecordedVideo | LiveVideo
+"""A source of the images of one camera."""
+
+Sizes = tuple[tuple[int, int], ...]
+"""(width, height) of the recorded images of the left or only camera, and of the right one."""
 
 CalibrationKind = Literal["rig", "focal length", "estimated"]
 """Source of the metric scale: a file, a given focal length, or the sizes of road users."""
@@ -59,13 +72,14 @@ WHOLE_VIEW = LensView()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Calibration:
+class RecordingCalibration:
     """The camera models of a recording's rectified images.
 
     Attributes:
         kind: source of the metric scale.
         camera: the left or only camera.
         rectifier: computes the rectified (one camera: undistorted) images.
+        sizes_px: (width, height) of the left or only recorded images, and of the right ones; larger ones are cropped.
         rig: the rectified pair; None = one camera, or a pair without calibration.
         raw_rig: the pair as loaded.
         raw_camera: the left or only camera as loaded; None = as recorded images are.
@@ -85,6 +99,7 @@ class Calibration:
     kind: CalibrationKind
     camera: PinholeCamera
     rectifier: Rectifier | Undistorter
+    sizes_px: Sizes
     rig: StereoRig | None = None
     raw_rig: StereoRig | None = None
     raw_camera: PinholeCamera | None = None
@@ -145,20 +160,28 @@ class Calibration:
             return None
         return RecordedView(self.rectifier, (self.raw_camera.width_px, self.raw_camera.height_px))
 
-    @property
-    def rectified_boxes(self) -> Callable[[FloatArray], FloatArray]:
-        """Function from boxes (N, 4) in pixels of the left video to boxes in pixels of its rectified images."""
-        return self.rectifier.boxes if isinstance(self.rectifier, Undistorter) else self.rectifier.left_boxes
+    def frame(self, left: VideoFrame, right: VideoFrame | None, first_s: float, start: UtcStart | None = None) -> Frame:
+        """The images of one time, cropped to `sizes_px` and rectified (one camera: undistorted).
 
-    def rectified(self, left: Image, right: Image | None) -> tuple[Image, ImageView | None]:
-        """Rectify (one camera: undistort) the images of one time, (H, W, 3) uint8 as recorded."""
+        Args:
+            left: of the left or only camera.
+            right: of the right camera; None = one camera.
+            first_s: file time of the left video's first frame.
+            start: UTC of that frame; None = unknown.
+        """
+        images = (left.image,) if right is None else (left.image, right.image)
+        cut = [image[:height_px, :width_px] for image, (width_px, height_px) in zip(images, self.sizes_px, strict=True)]
+        left_image: Image
+        right_image: ImageView | None
         if isinstance(self.rectifier, Undistorter):
-            return self.rectifier.undistort(left), None
-        if right is None:
-            raise ValueError("right: the rectifier of a pair expects two images")
-        return self.rectifier.rectify(left, right)
+            left_image, right_image = self.rectifier.undistort(cut[0]), None
+        else:
+            left_image, right_image = self.rectifier.rectify(cut[0], cut[1])
+        time_s = left.time_s - first_s
+        utc_s = math.nan if start is None else start.start_s + time_s
+        return Frame(left.index, time_s, left_image, right_image, utc_s, cut[0] if self.has_wide_lens else None)
 
-    def with_alignment(self, alignment: PairAlignment) -> Calibration:
+    def with_alignment(self, alignment: PairAlignment) -> RecordingCalibration:
         """A copy with the alignment of the pair; its right view and shift, if any, become part of the rectification."""
         rectifier, measured = self.rectifier, alignment.measured
         view = RightView.of(measured).if_needed(self.camera)
@@ -173,7 +196,7 @@ class Calibration:
             )
         return replace(self, rectifier=rectifier, alignment=alignment)
 
-    def with_row_offsets(self, row_offsets_px: list[float]) -> Calibration:
+    def with_row_offsets(self, row_offsets_px: list[float]) -> RecordingCalibration:
         """A copy with the row offsets of the first frames of an uncalibrated pair; an empty list = unknown."""
         if self.uncalibrated is None:
             return self
@@ -181,7 +204,7 @@ class Calibration:
         rectifier = Rectifier(_assumed_rig(self.camera), row_offset_px=pair.row_offset_px)
         return replace(self, rectifier=rectifier, uncalibrated=pair)
 
-    def with_focal_length(self, guess: FocalGuess) -> Calibration:
+    def with_focal_length(self, guess: FocalGuess) -> RecordingCalibration:
         """A copy of an uncalibrated camera or pair with another estimate of its focal length.
 
         The rectified images do not depend on it.
@@ -193,17 +216,11 @@ class Calibration:
 
 
 def find_calibration(
-    left: VideoName,
-    inputs: Inputs,
-    *,
-    rig: Path | None,
-    focal_px: float | None,
-    view: LensView = WHOLE_VIEW,
-) -> Calibration:
-    """The calibration of opened videos: from the file `rig`, the focal length, the bag, or a file next to `left`.
+    left: VideoName, videos: Sequence[Video], *, rig: Path | None, focal_px: float | None, view: LensView = WHOLE_VIEW
+) -> RecordingCalibration:
+    """The calibration of one or two opened videos, left first.
 
-    The first of these is used.
-
+    It comes from the file `rig`, the focal length, the bag, or a file next to `left`; the first of these is used.
     Without any of these, the focal length is estimated, and the distances are uncalibrated. Images of wide lenses are
     undistorted to `view`.
 
@@ -211,7 +228,8 @@ def find_calibration(
         RigError: the file cannot be used or does not fit the images; or there is a field of view, but no wide lens.
         VideoError: the videos of an uncalibrated pair differ in size.
     """
-    calibration = _found_calibration(left, inputs, rig, focal_px, view)
+    sizes_px = _cropped_sizes_px(videos)
+    calibration = _found_calibration(left, videos, sizes_px, rig, focal_px, view)
     if view != WHOLE_VIEW and not calibration.has_wide_lens:
         raise RigError(
             "--fov-deg, --yaw-deg: expected a calibration with a wide lens (kannala-brandt, double-sphere or omni), "
@@ -220,106 +238,118 @@ def find_calibration(
     return replace(calibration, view=view)
 
 
+def _cropped_sizes_px(videos: Sequence[Video]) -> Sizes:
+    """Sizes to which the images are cropped: a common one if only rows or columns of a codec differ."""
+    sizes = tuple((video.width_px, video.height_px) for video in videos)
+    if any(abs(a - b) > _CODEC_CROP_PX for a, b in zip(sizes[0], sizes[-1], strict=True)):
+        return sizes
+    return ((min(w for w, _ in sizes), min(h for _, h in sizes)),) * len(sizes)
+
+
 def _found_calibration(
-    left: VideoName, inputs: Inputs, rig: Path | None, focal_px: float | None, view: LensView
-) -> Calibration:
-    if rig is None and focal_px is None and (in_bag := _calibration_in_bag(inputs, view)) is not None:
+    left: VideoName, videos: Sequence[Video], sizes_px: Sizes, rig: Path | None, focal_px: float | None, view: LensView
+) -> RecordingCalibration:
+    if rig is None and focal_px is None and (in_bag := _calibration_in_bag(videos, sizes_px, view)) is not None:
         return in_bag
     first_file = next(iter(files_of(left)), None) if rig is None and focal_px is None else None
     neighbour = None if first_file is None else find_rig(first_file)
     search_notes = () if neighbour is None else (f"Using calibration {neighbour} found next to the left video.",)
     path = neighbour if rig is None else rig
     if path is not None:
-        load = _loaded_pair if inputs.pairs is not None else _loaded_camera
-        loaded = load(path, inputs, view)
+        loaded = _loaded(path, sizes_px, view, is_grey=videos[0].is_grey)
         return replace(loaded, search_notes=search_notes)
-    guesses = () if focal_px is not None else _guesses(inputs)
+    guesses = () if focal_px is not None else _guesses(videos[0])
     guess = best_guess(guesses) if focal_px is None else FocalGuess(focal_px, GIVEN_FOCAL_SIGMA, "--focal-px")
-    camera = PinholeCamera.of_focal_length(guess.focal_px, inputs.size_px)
+    camera = PinholeCamera.of_focal_length(guess.focal_px, sizes_px[0])
     check_camera(camera, "--focal-px" if focal_px is not None else f"{left}: focal length")
-    focal = None if focal_px is not None else guess
-    if inputs.pairs is not None:
-        inputs.check_equal_sizes()
-        return Calibration(
-            kind="estimated",
-            camera=camera,
-            rectifier=Rectifier(_assumed_rig(camera)),
-            uncalibrated=UncalibratedPair.of(inputs.size_px, guess, is_given=focal_px is not None),
-            guesses=guesses,
-            focal=focal,
-        )
-    kind: CalibrationKind = "focal length" if focal is None else "estimated"
-    return Calibration(kind=kind, camera=camera, rectifier=Undistorter(camera), guesses=guesses, focal=focal)
-
-
-def _guesses(inputs: Inputs) -> tuple[FocalGuess, ...]:
-    """Guesses of the focal length from the header of the left video, or the usual one."""
-    if isinstance(inputs.left, VideoReader):
-        return focal_guesses(inputs.left)
-    return (default_guess(inputs.size_px[0]),)
-
-
-def _loaded_pair(path: Path, inputs: Inputs, view: LensView) -> Calibration:
-    is_grey = inputs.left.is_grey
-    raw_rig, notes = load_rig(path, size_px=inputs.size_px, right_size_px=inputs.right_size_px, is_grey=is_grey)
-    rectifier = Rectifier(raw_rig, fov_deg=view.fov_deg, source=path)
-    return Calibration(
-        kind="rig",
-        camera=rectifier.rig.left,
-        rectifier=rectifier,
-        rig=rectifier.rig,
-        raw_rig=raw_rig,
-        raw_camera=raw_rig.left,
-        path=path,
-        left_from_reference_m=left_from_reference_m(path, is_grey=is_grey, size_px=inputs.size_px),
-        file_notes=(*notes, *_wide_notes(raw_rig.left, rectifier.rig.left, view)),
+    pair = None
+    if len(videos) > 1:
+        _check_equal_sizes(videos, sizes_px)
+        pair = UncalibratedPair.of(sizes_px[0], guess, is_given=focal_px is not None)
+    return RecordingCalibration(
+        kind="estimated" if pair is not None or focal_px is None else "focal length",
+        camera=camera,
+        rectifier=Undistorter(camera) if pair is None else Rectifier(_assumed_rig(camera)),
+        sizes_px=sizes_px,
+        uncalibrated=pair,
+        guesses=guesses,
+        focal=None if focal_px is not None else guess,
     )
 
 
-def _calibration_in_bag(inputs: Inputs, view: LensView) -> Calibration | None:
+def _check_equal_sizes(videos: Sequence[Video], sizes_px: Sizes) -> None:
+    """Check that left and right have the same size, which a pair without a rig must have."""
+    if sizes_px[0] != sizes_px[1]:
+        (lw, lh), (rw, rh) = sizes_px
+        raise VideoError(
+            f"{videos[1].path}: expected {lw}x{lh} px like {videos[0].path}, got {rw}x{rh}; unequal cameras need a "
+            "--rig with both of them."
+        )
+
+
+def _guesses(video: Video) -> tuple[FocalGuess, ...]:
+    """Guesses of the focal length from the header of the left video, or the usual one."""
+    return focal_guesses(video) if isinstance(video, RecordedVideo) else (default_guess(video.width_px),)
+
+
+def _loaded(path: Path, sizes_px: Sizes, view: LensView, *, is_grey: bool) -> RecordingCalibration:
+    """The calibration of one camera or a pair from a file."""
+    if len(sizes_px) > 1:
+        rig, notes = load_rig(path, size_px=sizes_px[0], right_size_px=sizes_px[1], is_grey=is_grey)
+        loaded = _of_rig(rig, path, notes, sizes_px, view)
+    else:
+        camera, notes = load_camera(path, size_px=sizes_px[0], is_grey=is_grey)
+        loaded = replace(_of_camera(camera, path, notes, sizes_px, view), mounting=mounting_of(path))
+    shift_m = left_from_reference_m(path, is_grey=is_grey, size_px=sizes_px[0])
+    return replace(loaded, left_from_reference_m=shift_m)
+
+
+def _calibration_in_bag(videos: Sequence[Video], sizes_px: Sizes, view: LensView) -> RecordingCalibration | None:
     """The calibration of the cameras in the bag or bags of a recording; None = not (all) calibrated."""
-    bags = [reader.bag for reader in inputs.readers if isinstance(reader, VideoReader) and reader.bag is not None]
+    bags = [video for video in videos if isinstance(video, BagVideo)]
     messages = [bag.camera for bag in bags if bag.camera is not None]
-    if not messages or len(messages) < len(inputs.readers):
+    if not messages or len(messages) < len(videos):
         return None
     path = bags[0].path.path
     is_rectified = all(bag.is_rectified or is_undistorted(message) for bag, message in zip(bags, messages, strict=True))
     if len(messages) == 1:
-        camera, notes = fitted_to_size(camera_of(messages[0], path, is_rectified=is_rectified), inputs.size_px, path)
+        camera, notes = fitted_to_size(camera_of(messages[0], path, is_rectified=is_rectified), sizes_px[0], path)
         check_camera(camera, path)
-        return _of_camera(camera, path, notes, view)
+        return _of_camera(camera, path, notes, sizes_px, view)
     given = rig_of(messages[0], messages[1], path, is_rectified=is_rectified)
     check_rig(given, path)
-    left, left_notes = fitted_to_size(given.left, inputs.size_px, f"{path} (left)")
-    right, right_notes = fitted_to_size(given.right, inputs.right_size_px, f"{path} (right)")
+    left, left_notes = fitted_to_size(given.left, sizes_px[0], f"{path} (left)")
+    right, right_notes = fitted_to_size(given.right, sizes_px[1], f"{path} (right)")
     rig = StereoRig(left, right, given.right_from_left)
-    rectifier = Rectifier(rig, fov_deg=view.fov_deg)
-    return Calibration(
+    return _of_rig(rig, path, (*left_notes, *right_notes), sizes_px, view)
+
+
+def _of_rig(
+    rig: StereoRig, path: Path, notes: tuple[str, ...], sizes_px: Sizes, view: LensView
+) -> RecordingCalibration:
+    rectifier = Rectifier(rig, fov_deg=view.fov_deg, source=path)
+    return RecordingCalibration(
         kind="rig",
         camera=rectifier.rig.left,
         rectifier=rectifier,
+        sizes_px=sizes_px,
         rig=rectifier.rig,
         raw_rig=rig,
         raw_camera=rig.left,
         path=path,
-        file_notes=(*left_notes, *right_notes, *_wide_notes(rig.left, rectifier.rig.left, view)),
+        file_notes=(*notes, *_wide_notes(rig.left, rectifier.rig.left, view)),
     )
 
 
-def _loaded_camera(path: Path, inputs: Inputs, view: LensView) -> Calibration:
-    is_grey = inputs.left.is_grey
-    camera, notes = load_camera(path, size_px=inputs.size_px, is_grey=is_grey)
-    shift_m = left_from_reference_m(path, is_grey=is_grey, size_px=inputs.size_px)
-    loaded = _of_camera(camera, path, notes, view)
-    return replace(loaded, left_from_reference_m=shift_m, mounting=mounting_of(path))
-
-
-def _of_camera(camera: PinholeCamera, path: Path, notes: tuple[str, ...], view: LensView) -> Calibration:
+def _of_camera(
+    camera: PinholeCamera, path: Path, notes: tuple[str, ...], sizes_px: Sizes, view: LensView
+) -> RecordingCalibration:
     undistorter = Undistorter(camera, fov_deg=view.fov_deg, yaw_deg=view.yaw_deg)
-    return Calibration(
+    return RecordingCalibration(
         kind="rig",
         camera=undistorter.camera,
         rectifier=undistorter,
+        sizes_px=sizes_px,
         raw_camera=camera,
         path=path,
         file_notes=(*notes, *_wide_notes(camera, undistorter.camera, view)),

@@ -16,7 +16,7 @@ from track_range.foundation.files.input_files import quoted
 from track_range.ranging.fitting.camera.focal_evidence import default_guess
 from track_range.ranging.fitting.camera.measurements import FocalGuess
 from track_range.recording.cameras.known_cameras import KNOWN_CAMERAS, camera_named
-from track_range.recording.reader import VideoReader
+from track_range.recording.recorded_video import RecordedVideo
 
 _FILM_DIAGONAL_MM = 43.27
 """Diagonal of 36 mm x 24 mm."""
@@ -38,16 +38,16 @@ _EXIF_FOLDER, _EXIF_FILM_MM, _EXIF_MODEL = 0x8769, 0xA405, 0x0110
 """EXIF tags: the folder of details, FocalLengthIn35mmFilm in it, and Model."""
 
 
-def focal_guesses(reader: VideoReader, camera_model: str | None = None) -> tuple[FocalGuess, ...]:
+def focal_guesses(video: RecordedVideo, camera_model: str | None = None) -> tuple[FocalGuess, ...]:
     """Guesses from the model given by the user, the header or EXIF; the usual field of view if there is none.
 
     Raises:
         UsageError: the camera model is unknown.
     """
-    size_px = reader.width_px, reader.height_px
+    size_px = video.width_px, video.height_px
     if camera_model is not None:
         return (_of_model(camera_model, size_px[0]),)
-    tags = {key.lower(): value for key, value in reader.metadata.items()} or _exif(Path(str(reader.path)))
+    tags = {key.lower(): value for key, value in video.metadata.items()} or _exif(Path(str(video.path)))
     guesses = (_of_film(tags, size_px), _of_tags(tags, size_px[0]))
     return tuple(guess for guess in guesses if guess is not None) or (default_guess(size_px[0]),)
 

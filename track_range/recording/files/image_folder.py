@@ -21,6 +21,7 @@ from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.images import IMAGE_SUFFIXES, read_image
 from track_range.foundation.files.input_files import check_regular, counted, read_bytes
 from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, is_neutral, strictly_later
+from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import ZONE_SPAN_S, UtcStart
 
 _MAX_NUMBER = 2**63 - 1
@@ -33,38 +34,35 @@ _TIMESTAMPS_NAME = "timestamps.txt"
 _TIMESTAMP = re.compile(r"((?:19|20|21)\d\d-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d{1,9})?)")
 
 
-class ImageFolder:
+class ImageFolder(RecordedVideo):
     """Numbered images in one folder, in the order of their numbers.
 
-    Attributes:
-        width_px, height_px: size of every image.
-        is_grey: whether the first image has no colour.
-        fps: nominal frame rate: the argument, or the median rate of timestamps.txt.
-        first_time_s: time of the first image; seconds since 1970 with timestamps.txt.
-        n_frames: images in the folder.
-        notes: messages for the user.
+    `fps` is the argument, or the median rate of timestamps.txt, with which times are seconds since 1970.
 
     Raises:
         VideoError: no numbered images, two with the same number, one that is not a regular file, or the first cannot
             be decoded.
     """
 
+    path: Path
+    n_total: int
+
     def __init__(self, path: Path, *, fps: float) -> None:
         self.path = path
         self._images = _numbered_images(path)
         self._states = [_state(image) for _, image in self._images]
-        self.n_frames = len(self._images)
+        self.n_total = len(self._images)
         first, last = self._images[0][0], self._images[-1][0]
-        stamps_s, self._folder_notes = _stamps_of(path, self.n_frames)
+        stamps_s, self._folder_notes = _stamps_of(path, self.n_total)
         self._has_stamps = stamps_s is not None
         self.fps = fps if stamps_s is None else _median_rate_hz(stamps_s, default_hz=fps)
         self._times_s = [number / fps for number, _ in self._images] if stamps_s is None else stamps_s.tolist()
-        if n_missing := last - first + 1 - self.n_frames:
+        if n_missing := last - first + 1 - self.n_total:
             self._folder_notes.append(
                 f"{path}: {counted(n_missing, 'number is', 'numbers are')} missing between "
                 f"{self._images[0][1].name} and {self._images[-1][1].name}; treated as dropped frames."
             )
-        self.first_time_s: float = self._times_s[0]
+        self.first_time_s = self._times_s[0]
         self._first_image: Image | None = _decoded(self._images[0][1])
         self.height_px, self.width_px = self._first_image.shape[:2]
         self.is_grey = is_neutral(self._first_image)
@@ -72,29 +70,25 @@ class ImageFolder:
 
     @property
     def utc(self) -> UtcStart | None:
-        """UTC of the first image, from timestamps.txt; None = unknown."""
+        """See `RecordedVideo`."""
         if not self._has_stamps:
             return None
         return UtcStart(self.first_time_s, "timestamps.txt", ZONE_SPAN_S, is_local=True)
 
     @property
-    def notes(self) -> list[str]:
-        """Messages for the user, including the problems of the latest reading."""
+    def notes(self) -> tuple[str, ...]:
+        """See `RecordedVideo`."""
         if not self._n_backward:
-            return list(self._folder_notes)
+            return tuple(self._folder_notes)
         skipped = f"{counted(self._n_backward, 'image')} with a repeated or backward timestamp skipped."
-        return [*self._folder_notes, f"{self.path}: {skipped}"]
+        return (*self._folder_notes, f"{self.path}: {skipped}")
 
     def close(self) -> None:
-        """Free the first image if it has not been used."""
+        """See `RecordedVideo`."""
         self._first_image = None
 
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
-        """The images with times in [from_s, until_s).
-
-        Raises:
-            VideoError: an image was deleted, cannot be decoded, or differs in size from the first.
-        """
+        """See `RecordedVideo`."""
         self._n_backward, last_s, first_number = 0, None, self._images[0][0]
         for (number, path), stamp_s in zip(self._images, self._times_s, strict=True):
             time_s = strictly_later(stamp_s, last_s, interval_s=1 / self.fps)
@@ -106,13 +100,7 @@ class ImageFolder:
                 yield VideoFrame(number - first_number, time_s, self._checked(path))
 
     def check_unchanged(self) -> None:
-        """Check that no image has shrunk or been overwritten since the folder was opened.
-
-        Images may be deleted after they have been read, and one that was still being written may have grown.
-
-        Raises:
-            VideoError: an image has changed.
-        """
+        """See `RecordedVideo.check_unchanged`; an image that was still being written may have grown."""
         for (_, path), (n_bytes, modified_ns) in zip(self._images, self._states, strict=True):
             try:
                 status = path.stat()

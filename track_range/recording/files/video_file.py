@@ -34,6 +34,7 @@ from track_range.foundation.files.input_files import counted
 from track_range.recording.files.decode_log import DecodeLog
 from track_range.recording.files.file_state import FileState
 from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, bgr_image, is_neutral, strictly_later
+from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.threads import DECODER_THREADS
 from track_range.recording.utc import Stamp, UtcStart, stamp_in_header, stamp_in_name, start_of
 
@@ -69,14 +70,14 @@ _OPTIONS = {
 """FFmpeg's options for opening a file."""
 
 
-class VideoFile:
-    """A video file, opened once for its properties and the first reading, and again for each later reading.
-
-    Attributes: see `VideoReader`.
+class VideoFile(RecordedVideo):
+    """A video file.
 
     Raises:
         VideoError: the file cannot be read, contains no video, or nothing can be decoded.
     """
+
+    path: Path
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -102,47 +103,37 @@ class VideoFile:
 
         declared_s, is_end = _declared_duration_s(container, stream)
         self._declared_end_s = declared_s if is_end else self.first_time_s + declared_s
-        self.n_frames: int | None = stream.frames or None
-        if self.n_frames is None and declared_s:
-            self.n_frames = max(1, round((self._declared_end_s - self.first_time_s) * self.fps))
+        self.n_total = stream.frames or None
+        if self.n_total is None and declared_s:
+            self.n_total = max(1, round((self._declared_end_s - self.first_time_s) * self.fps))
 
         self._axes = _display_axes(self._first.frame)
-        if self._axes != _UPRIGHT:
+        self.is_upright_file = self._axes == _UPRIGHT
+        if not self.is_upright_file:
             self._file_notes.append(f"{path}: rotated upright according to its metadata.")
         image = _YuvImage(self._first.frame, self._axes).to_bgr()
         self.height_px, self.width_px = image.shape[:2]
         self.is_grey = is_neutral(image)
 
     @property
-    def is_upright(self) -> bool:
-        """Whether the images need no rotation."""
-        return self._axes == _UPRIGHT
-
-    @property
     def utc(self) -> UtcStart | None:
-        """UTC of the first frame; None = unknown."""
+        """See `RecordedVideo`."""
         return start_of(*self._stamps, max(0.0, self._declared_end_s - self.first_time_s))
 
     @property
-    def notes(self) -> list[str]:
-        """Messages for the user, including the problems of the latest reading."""
+    def notes(self) -> tuple[str, ...]:
+        """See `RecordedVideo`."""
         growth = ["grew while it was read; frames that were added may be missing."] if self._has_grown else []
-        return [*self._file_notes, *(f"{self.path}: {note}" for note in (*self._log.notes, *growth))]
+        return (*self._file_notes, *(f"{self.path}: {note}" for note in (*self._log.notes, *growth)))
 
     def close(self) -> None:
-        """Close the file if its first reading has not started."""
+        """See `RecordedVideo`."""
         if self._reading is not None:
             self._reading.close()
             self._reading = self._first = None
 
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
-        """The frames with times in [from_s, until_s).
-
-        Damaged frames are skipped, and reading ends where the file becomes unreadable; see `notes`.
-
-        Raises:
-            VideoError: a frame differs in size from the first, or the file cannot be opened again.
-        """
+        """See `RecordedVideo.frames`; reading ends where the file becomes unreadable."""
         if self._reading is None:
             self.check_unchanged()
         reading, first = self._reading or _Reading(self.path, self._state), self._first
@@ -161,11 +152,7 @@ class VideoFile:
         self._log.note_shortfall(self._declared_end_s, tolerance_s=_SHORTFALL_FRAMES / self.fps)
 
     def check_unchanged(self) -> None:
-        """Check that the file is the one that was opened; it may have been deleted, or have grown.
-
-        Raises:
-            VideoError: it was replaced, shortened or overwritten in the meantime.
-        """
+        """See `RecordedVideo`."""
         _check_unchanged(self.path, self._state)
         self._has_grown = self._state.has_grown(self.path)
 

@@ -21,6 +21,7 @@ from track_range.recording.files.video_file import VideoFile, VideoHeader, count
 from track_range.recording.files.video_part import VideoPart
 from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame
 from track_range.recording.names import Segments, is_pattern, matching_files
+from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.segments.repeated_frames import repeated_s
 from track_range.recording.segments.segment_times import SegmentFacts, arranged, paired_starts_s
 from track_range.recording.utc import UtcStart
@@ -67,7 +68,7 @@ class _Segment:
         return self.facts.path
 
 
-class SegmentedVideo:
+class SegmentedVideo(RecordedVideo):
     """Several video files as one video; frame numbers and times continue from file to file.
 
     Files that cannot be read are skipped with a note, unless none can. A file that is named repeatedly, or copied, is
@@ -79,9 +80,6 @@ class SegmentedVideo:
         left: the left video of a pair, if this is the right one; its files give the times of the right ones.
 
     Attributes:
-        width_px, height_px, is_grey, fps: of the first file; see `VideoReader`.
-        first_time_s: time of the first frame.
-        n_frames: estimated number of frames; None = unknown.
         plan: order and times of the files.
 
     Raises:
@@ -109,19 +107,15 @@ class SegmentedVideo:
         self._n_overlapping = self._n_notes = 0
         self._current: VideoFile | None = self._first_file()
         first = self._current
-        self.width_px, self.height_px, self.is_grey, self.fps = (
-            first.width_px,
-            first.height_px,
-            first.is_grey,
-            first.fps,
-        )
+        self.width_px, self.height_px = first.width_px, first.height_px
+        self.is_grey, self.fps = first.is_grey, first.fps
         self.first_time_s = self._starts_s[0]
         counts = [s.header.n_frames or round(s.facts.duration_s * self.fps) for s in self._segments]
-        self.n_frames: int | None = sum(counts) or None
+        self.n_total = sum(counts) or None
 
     @property
     def parts(self) -> tuple[VideoPart, ...]:
-        """The files with their times."""
+        """See `RecordedVideo`."""
         utc = self.utc
         starts_s = [start_s - self.first_time_s for start_s in self._starts_s]
         return tuple(
@@ -131,28 +125,25 @@ class SegmentedVideo:
 
     @property
     def utc(self) -> UtcStart | None:
-        """UTC of the first frame; None = unknown."""
+        """See `RecordedVideo`."""
         return None if self.plan.utc is None else self.plan.utc.shifted(self.first_time_s - self._planned_first_s)
 
     @property
-    def notes(self) -> list[str]:
-        """Messages for the user, including the problems of the latest reading."""
+    def notes(self) -> tuple[str, ...]:
+        """See `RecordedVideo`."""
         notes = [*self._setup_notes, *self._reading_notes]
         if self._n_notes > _N_NOTES:
             notes.append(f"{self.path}: {self._n_notes - _N_NOTES} more messages about single files.")
-        return notes
+        return tuple(notes)
 
     def close(self) -> None:
-        """Close the first file if it has not been read."""
+        """See `RecordedVideo`."""
         if self._current is not None:
             self._current.close()
             self._current = None
 
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
-        """The frames with times in [from_s, until_s); see `VideoFile.frames`.
-
-        Files before `from_s` are not decoded.
-        """
+        """See `RecordedVideo.frames`; files before `from_s` are not decoded."""
         self._reading_notes, self._n_notes = [], 0
         n_before, last_s = 0, -float("inf")
         for number, (segment, start_s) in enumerate(zip(self._segments, self._starts_s, strict=True)):
@@ -176,11 +167,7 @@ class SegmentedVideo:
             n_before += max(self._counted_frames(segment), n_read)
 
     def check_unchanged(self) -> None:
-        """Check that the files are those that were opened; they may have been deleted.
-
-        Raises:
-            VideoError: a file was replaced, shortened or overwritten in the meantime.
-        """
+        """See `RecordedVideo`."""
         for segment in self._segments:
             _check_unchanged(segment)
 

@@ -18,7 +18,8 @@ from track_range.foundation.errors import UserError
 from track_range.ranging.ego_speed import EgoSpeed
 from track_range.recording.frame import TIME_EPSILON_S
 from track_range.recording.names import RecordedName
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
+from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.telemetry.time_offset import MAX_OFFSET_S, MotionSeries
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
@@ -75,7 +76,7 @@ def motion_of(
     """
     rows: list[tuple[float, float, float, float]] = []
     with suppress(UserError, av.FFmpegError):  # the run reports what it cannot read
-        reader = VideoReader(video, folder_fps=folder_fps, start_s=start_s, duration_s=span_s)
+        reader = open_video(video, folder_fps=folder_fps, start_s=start_s, duration_s=span_s)
         if (reader.width_px, reader.height_px) != (camera.width_px, camera.height_px):
             camera = _resized(camera, reader.width_px, reader.height_px)
         estimator = ImageMotionEstimator(camera)
@@ -92,7 +93,7 @@ def motion_of(
 
 
 def _images(
-    video: RecordedName, reader: VideoReader, start_s: float, span_s: float
+    video: RecordedName, reader: RecordedVideo, start_s: float, span_s: float
 ) -> Generator[tuple[float, Image], None, None]:
     """Times in seconds from the first frame, and images."""
     n_left = max(round(_MAX_DECODED_PX / (reader.width_px * reader.height_px)), _MIN_DECODED)

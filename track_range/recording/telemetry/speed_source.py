@@ -19,7 +19,7 @@ from track_range.foundation.files.input_files import first_line
 from track_range.foundation.files.numeric_text import number
 from track_range.ranging.ego_speed import EgoSpeed, EgoSpeedError, open_ego_speed
 from track_range.recording.files.video_part import VideoPart
-from track_range.recording.live.reader import LiveReader
+from track_range.recording.live.live_video import LiveVideo
 from track_range.recording.recording import Recording
 from track_range.recording.telemetry.errors import TelemetryError
 from track_range.recording.telemetry.found import FoundTelemetry, candidates, named_telemetry
@@ -103,13 +103,13 @@ def open_speed(
     """
     if setting == OFF:
         return SpeedSource()
-    reader = recording.inputs.left
-    parts = () if isinstance(reader, LiveReader) else reader.parts
+    reader = recording.videos[0]
+    parts = () if isinstance(reader, LiveVideo) else reader.parts
     if (utc := recording.start_utc) is not None:
         parts = tuple(replace(part, utc=utc.shifted(part.start_s)) for part in parts)
 
     def motion() -> MotionSeries:
-        if isinstance(reader, LiveReader):
+        if isinstance(reader, LiveVideo):
             return _NO_MOTION
         span_s = SPAN_S if duration_s is None else min(SPAN_S, max(duration_s, _MIN_SPAN_S))
         video, part_s = _file_at(parts, start_s, span_s) or (reader.path, 0.0)

@@ -11,7 +11,7 @@ import cv2
 from track_range.detection.formats.box_table import VideoFacts
 from track_range.detection.formats.video_labels.coco import image_name
 from track_range.foundation.arrays import Image
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 from track_range.run.build import open_input
 from track_range.run.settings import settings_from
 
@@ -37,7 +37,7 @@ def frames_of_video(video: Path) -> Iterator[tuple[int, Image]]:
     Raises:
         VideoError: it cannot be read.
     """
-    with closing(VideoReader(video)) as reader:
+    with closing(open_video(video)) as reader:
         for frame in reader:
             yield frame.index, frame.image
 

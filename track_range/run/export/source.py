@@ -18,7 +18,7 @@ from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_yaml
 from track_range.foundation.validation import validated
 from track_range.recording.live.address import live_address
-from track_range.recording.reader import VideoReader
+from track_range.recording.open_video import open_video
 from track_range.results.folder import DetectedCamera, RunFolder, read_run_folder
 from track_range.results.formats.run_boxes import table_of_rows
 from track_range.results.provenance import Provenance, settings_hash
@@ -164,7 +164,7 @@ def boxes_of_labels(path: Path, *, video: Path | None, first_frame: int) -> BoxT
 
 
 def _facts(video: Path) -> VideoFacts:
-    with closing(VideoReader(video)) as reader:
+    with closing(open_video(video)) as reader:
         return VideoFacts(video.stem, reader.n_frames, 0, (reader.width_px, reader.height_px), reader.fps)
 
 

@@ -12,9 +12,9 @@ from collections.abc import Generator
 import numpy as np
 
 from track_range.foundation.files.input_files import counted
-from track_range.recording.frame import VideoError, VideoFrame
-from track_range.recording.live.reader import LiveReader
-from track_range.recording.live.stream import SILENCE_S
+from track_range.recording.frame import VideoError
+from track_range.recording.live.live_video import SILENCE_S, LiveVideo
+from track_range.recording.pairs.video_pair import Pair, VideoPair
 
 _SHARED_CLOCK_INTERVALS = 0.25
 """Largest time difference within a pair, in frame intervals, if both streams use the same clock."""
@@ -24,22 +24,17 @@ _ARRIVAL_INTERVALS = 0.5
 partner."""
 
 
-class LivePair:
+class LivePair(VideoPair[LiveVideo]):
     """Pairs of frames of two live streams; the iteration starts with the newest frames.
-
-    Attributes:
-        left, right: the readers.
-        tolerance_s: largest time difference within a pair.
 
     Raises:
         VideoError: while iterating: a connection is lost, or no frames are close enough in time.
     """
 
-    def __init__(self, left: LiveReader, right: LiveReader) -> None:
-        self.left, self.right = left, right
-        self._is_shared = all(reader.stream.clock.is_shared for reader in (left, right))
+    def __init__(self, left: LiveVideo, right: LiveVideo) -> None:
+        self._is_shared = all(video.clock.is_shared for video in (left, right))
         intervals = _SHARED_CLOCK_INTERVALS if self._is_shared else _ARRIVAL_INTERVALS
-        self.tolerance_s = intervals / max(left.fps, right.fps)
+        super().__init__(left, right, tolerance_s=intervals / max(left.fps, right.fps), max_ahead_bytes=0)
         self._differences_s: list[float] = []
         self._n_pairs = 0
 
@@ -55,20 +50,15 @@ class LivePair:
             "moving objects are less accurate.",
         )
 
-    def close(self) -> None:
-        """Close both connections."""
-        for reader in (self.left, self.right):
-            reader.close()
-
-    def __iter__(self) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
+    def pairs(self) -> Generator[Pair, None, None]:
+        """The pairs, from the newest frames on."""
         self.left.begin()
         arrival = threading.Event()
-        readers = (self.left, self.right)
-        for reader in readers:
-            reader.stream.notify(arrival)
+        for video in (self.left, self.right):
+            video.notify(arrival)
         while True:
             arrival.clear()  # cleared first: a frame that arrives meanwhile sets it again
-            is_over = any(reader.stream.is_over for reader in readers)
+            is_over = self.left.is_over or self.right.is_over
             newest = self._newest()
             if newest is not None and self.left.is_after_end(newest[1]):
                 return
@@ -84,7 +74,7 @@ class LivePair:
 
     def _newest(self) -> tuple[int, float, int, float] | None:
         """Index and time of the left frame, then of the right frame, of the newest waiting pair; None = no pair."""
-        left, right = self.left.stream.waiting_s(), self.right.stream.waiting_s()
+        left, right = self.left.waiting_s(), self.right.waiting_s()
         if not left or not right:
             return None
         right_s = np.array([time_s for _, time_s in right])
@@ -96,7 +86,7 @@ class LivePair:
 
     def _read_pair(
         self, left_index: int, left_s: float, right_index: int, right_s: float
-    ) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
+    ) -> Generator[Pair, None, None]:
         left, right = self.left.take(left_index), self.right.take(right_index)
         if left is None or right is None or not self.left.is_after_start(left_s):
             return
@@ -105,8 +95,8 @@ class LivePair:
         yield left, right
 
     def _check(self) -> None:
-        for reader in (self.left, self.right):
-            reader.stream.check()
+        for video in (self.left, self.right):
+            video.check()
         if not self._n_pairs:
             raise VideoError(
                 f"{self.left.path} and {self.right.path}: expected pairs of frames at most "

@@ -14,27 +14,25 @@ import pytest
 from tests.track_range.recording.live_servers import N_LEVELS, RATE_HZ, cameras, number_of, served, sound
 from tests.track_range.views.overlay_results import result
 from track_range.recording.frame import VideoError
-from track_range.recording.live import reader as live_reader
-from track_range.recording.live import stream as live_stream
+from track_range.recording.live import live_video
 from track_range.recording.live.address import LiveAddress
-from track_range.recording.live.pair import LivePair
-from track_range.recording.live.reader import LiveReader
-from track_range.recording.live.stream import LiveStream
+from track_range.recording.live.live_video import LiveVideo
+from track_range.recording.pairs.live_pair import LivePair
 from track_range.views.live_view.view import LiveView
 
 
-def wait_for_frames(reader: LiveReader, n: int) -> None:
+def wait_for_frames(reader: LiveVideo, n: int) -> None:
     """Wait until `n` more frames have arrived."""
-    arrival, n_expected = threading.Event(), reader.stream.n_received + n
-    reader.stream.notify(arrival)
-    while reader.stream.n_received < n_expected:
+    arrival, n_expected = threading.Event(), reader.n_received + n
+    reader.notify(arrival)
+    while reader.n_received < n_expected:
         assert arrival.wait(20)
         arrival.clear()
 
 
 def test_frames_are_in_order_with_the_streams_time_steps() -> None:
     with cameras(1) as (camera,):
-        reader = LiveReader(LiveAddress(camera.url))
+        reader = LiveVideo(LiveAddress(camera.url))
         assert (reader.width_px, reader.height_px, reader.is_grey, reader.fps) == (64, 48, True, RATE_HZ)
         assert reader.n_frames is None
         frames = list(itertools.islice(reader, 6))
@@ -48,7 +46,7 @@ def test_frames_are_in_order_with_the_streams_time_steps() -> None:
 
 def test_slow_reader_gets_the_newest_frame() -> None:
     with cameras(1) as (camera,):
-        reader = LiveReader(LiveAddress(camera.url))
+        reader = LiveVideo(LiveAddress(camera.url))
         frames = iter(reader)
         first = next(frames)
         wait_for_frames(reader, 12)
@@ -56,7 +54,7 @@ def test_slow_reader_gets_the_newest_frame() -> None:
         assert reader.notes == ()
         frames.close()
     assert second.index >= first.index + 12
-    n_received = reader.stream.n_received
+    n_received = reader.n_received
     (note,) = reader.notes
     assert note.startswith(f"{camera.url}: ")
     assert f"{n_received - 2} dropped" in note
@@ -64,23 +62,23 @@ def test_slow_reader_gets_the_newest_frame() -> None:
 
 def test_stream_is_read_to_its_end() -> None:
     with cameras(1, 120) as (camera,):
-        reader = LiveReader(LiveAddress(camera.url))
+        reader = LiveVideo(LiveAddress(camera.url))
         frames = list(reader)
     assert number_of(frames[-1].image) == 119 % N_LEVELS
-    assert reader.stream.is_over
+    assert reader.is_over
     assert reader.is_closed
     assert reader.notes[0].startswith(f"{camera.url}: ")
-    assert f"{reader.stream.n_received} frames" in reader.notes[0]
+    assert f"{reader.n_received} frames" in reader.notes[0]
 
 
 def test_invalid_address() -> None:
     with pytest.raises(VideoError, match=r"^http://\[::1/x: .*opened"):
-        LiveReader(LiveAddress("http://[::1/x"))
+        LiveVideo(LiveAddress("http://[::1/x"))
 
 
 def test_unplugged_camera() -> None:
     with cameras(1, 120, is_torn=True) as (camera,):
-        reader = LiveReader(LiveAddress(camera.url))
+        reader = LiveVideo(LiveAddress(camera.url))
         frames = iter(reader)
         next(frames)
         with pytest.raises(VideoError, match=rf"^{camera.url}: .*lost after \d+ frames"):
@@ -90,7 +88,7 @@ def test_unplugged_camera() -> None:
 
 def test_part_of_a_stream() -> None:
     with cameras(1) as (camera,):
-        reader = LiveReader(LiveAddress(camera.url), start_s=0.2, duration_s=0.3)
+        reader = LiveVideo(LiveAddress(camera.url), start_s=0.2, duration_s=0.3)
         times_s = np.array([frame.time_s for frame in reader]) - reader.first_time_s
     assert times_s.min() >= 0.2 - 1e-6
     assert times_s.max() < 0.5
@@ -101,22 +99,22 @@ def test_connection_refused() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     with pytest.raises(VideoError, match=rf"^tcp://127.0.0.1:{port}: .*refused"):
-        LiveStream(LiveAddress(f"tcp://127.0.0.1:{port}"))
+        LiveVideo(LiveAddress(f"tcp://127.0.0.1:{port}"))
 
 
 def test_missing_camera() -> None:
     with pytest.raises(VideoError, match=r"^/dev/video999: .*camera"):
-        LiveStream(LiveAddress("/dev/video999"))
+        LiveVideo(LiveAddress("/dev/video999"))
 
 
 def test_device_is_not_a_camera() -> None:
     with pytest.raises(VideoError, match=r"^/dev/null: .*camera"):
-        LiveStream(LiveAddress("/dev/null"))
+        LiveVideo(LiveAddress("/dev/null"))
 
 
 def test_stream_without_video() -> None:
     with served(sound()) as url, pytest.raises(VideoError, match=rf"^{url}: .*no video"):
-        LiveStream(LiveAddress(url))
+        LiveVideo(LiveAddress(url))
 
 
 def test_stream_of_random_bytes() -> None:
@@ -125,14 +123,13 @@ def test_stream_of_random_bytes() -> None:
         served(noise) as url,
         pytest.raises(VideoError, match=rf"^{url}: .*(opened|received)"),
     ):
-        LiveStream(LiveAddress(url))
+        LiveVideo(LiveAddress(url))
 
 
 def test_stream_stops_sending(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (live_reader, live_stream):
-        monkeypatch.setattr(module, "SILENCE_S", 0.5)
+    monkeypatch.setattr(live_video, "SILENCE_S", 0.5)
     with cameras(1) as (camera,):
-        reader = LiveReader(LiveAddress(camera.url))
+        reader = LiveVideo(LiveAddress(camera.url))
         camera.interval_s = 50
         with pytest.raises(VideoError, match=rf"^{camera.url}: .*lost"):
             list(reader)
@@ -140,7 +137,7 @@ def test_stream_stops_sending(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_credentials_are_not_in_messages() -> None:
     with pytest.raises(VideoError) as raised:
-        LiveStream(LiveAddress("rtsp://me:secret@127.0.0.1:1/x"))
+        LiveVideo(LiveAddress("rtsp://me:secret@127.0.0.1:1/x"))
     assert "secret" not in str(raised.value)
 
 
@@ -156,7 +153,7 @@ def test_live_view_stream_and_change_of_size() -> None:
         offering = threading.Thread(target=offer_on, args=(view,))
         offering.start()
         try:
-            frames = iter(LiveReader(LiveAddress(f"{view.page.url}stream.mjpg")))
+            frames = iter(LiveVideo(LiveAddress(f"{view.page.url}stream.mjpg")))
             assert next(frames).image.shape == (48, 64, 3)
             sizes.append(large)
             with pytest.raises(VideoError, match=r"expected .*64x48"):
@@ -168,7 +165,7 @@ def test_live_view_stream_and_change_of_size() -> None:
 
 def test_pair_is_the_newest_within_the_tolerance() -> None:
     with cameras(2) as (one, other):
-        left, right = (LiveReader(LiveAddress(camera.url)) for camera in (one, other))
+        left, right = (LiveVideo(LiveAddress(camera.url)) for camera in (one, other))
         pair = LivePair(left, right)
         pairs = iter(pair)
         first = next(pairs)
@@ -180,14 +177,14 @@ def test_pair_is_the_newest_within_the_tolerance() -> None:
     for left_frame, right_frame in (first, second):
         assert abs(left_frame.time_s - right_frame.time_s) <= pair.tolerance_s == 0.5 / RATE_HZ
     assert second[0].index > first[0].index + 8  # not the next frame; the newest pair may lag behind the newest frame
-    assert left.stream.n_taken <= 4 < left.stream.n_received
+    assert left.n_taken <= 4 < left.n_received
     assert "2 pairs" in pair.notes[0]
 
 
 @pytest.mark.slow
 def test_pair_ends_with_one_stream() -> None:
     with cameras(1, 150) as (one,), cameras(1) as (other,):
-        pair = LivePair(LiveReader(LiveAddress(one.url)), LiveReader(LiveAddress(other.url)))
+        pair = LivePair(LiveVideo(LiveAddress(one.url)), LiveVideo(LiveAddress(other.url)))
         assert 0 < len(list(pair)) <= 150
         pair.close()
 
@@ -195,7 +192,7 @@ def test_pair_ends_with_one_stream() -> None:
 @pytest.mark.slow
 def test_pair_fails_with_one_stream() -> None:
     with cameras(1) as (one,), cameras(1, 200, is_torn=True) as (other,):
-        pair = LivePair(LiveReader(LiveAddress(one.url)), LiveReader(LiveAddress(other.url)))
+        pair = LivePair(LiveVideo(LiveAddress(one.url)), LiveVideo(LiveAddress(other.url)))
         with pytest.raises(VideoError, match=rf"^{other.url}: .*lost"):
             list(pair)
         pair.close()
@@ -204,7 +201,7 @@ def test_pair_fails_with_one_stream() -> None:
 def test_pair_is_read_twice() -> None:
     """First the frames for the alignment, then the run, which continues with the newest frames and times from 0."""
     with cameras(2) as (one, other):
-        pair = LivePair(*(LiveReader(LiveAddress(camera.url)) for camera in (one, other)))
+        pair = LivePair(*(LiveVideo(LiveAddress(camera.url)) for camera in (one, other)))
         first = list(itertools.islice(pair, 3))
         first_time_s = pair.left.first_time_s
         run = list(itertools.islice(pair, 3))
@@ -215,7 +212,7 @@ def test_pair_is_read_twice() -> None:
 
 def test_part_of_a_pair() -> None:
     with cameras(2) as (one, other):
-        readers = (LiveReader(LiveAddress(camera.url), start_s=0.1, duration_s=0.8) for camera in (one, other))
+        readers = (LiveVideo(LiveAddress(camera.url), start_s=0.1, duration_s=0.8) for camera in (one, other))
         pair = LivePair(*readers)
         times_s = np.array([left.time_s for left, _ in pair]) - pair.left.first_time_s
         pair.close()
@@ -226,7 +223,7 @@ def test_part_of_a_pair() -> None:
 @pytest.mark.slow
 def test_streams_without_a_common_time() -> None:
     with cameras(2, 200) as (one, other):
-        pair = LivePair(*(LiveReader(LiveAddress(camera.url)) for camera in (one, other)))
+        pair = LivePair(*(LiveVideo(LiveAddress(camera.url)) for camera in (one, other)))
         pair.tolerance_s = 0.0
         with pytest.raises(VideoError, match=r"expected pairs"):
             list(pair)
@@ -237,4 +234,4 @@ def test_playlist_of_a_server_opens_no_file(tmp_path: Path, film: Callable[..., 
     segment = film(tmp_path / "segment.ts", [number / 10 for number in range(10)])
     playlist = f"#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nfile://{segment}\n#EXT-X-ENDLIST\n"
     with served(playlist.encode()) as address, pytest.raises(VideoError, match="opened"):
-        LiveStream(LiveAddress(address))
+        LiveVideo(LiveAddress(address))

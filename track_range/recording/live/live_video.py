@@ -1,13 +1,15 @@
-"""LiveStream: the newest frames of a camera or a network stream, read in a thread that never waits for the consumer.
+"""LiveVideo: the newest frames of a camera or a network stream, read in a thread that never waits for the consumer.
 
 camera --> thread: demux, decode --> queue of the newest frames --> consumer; older frames are dropped and counted
 """
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
+from collections.abc import Generator
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -18,10 +20,11 @@ from av.video.stream import VideoStream
 from track_range.foundation.files.images import MAX_PIXELS
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.prefetch import lower_thread_priority
-from track_range.recording.frame import VideoError, VideoFrame, bgr_image, is_neutral
+from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, bgr_image, is_neutral
 from track_range.recording.live.address import LiveAddress
 from track_range.recording.live.clock import StreamClock
 from track_range.recording.threads import LIVE_FRAMES
+from track_range.recording.utc import UtcStart
 
 _OPEN_S = 10.0
 """Timeout for opening a stream, s."""
@@ -35,6 +38,9 @@ _SIZE_LIMIT = {"max_pixels": str(MAX_PIXELS)}
 _FALLBACK_RATE_HZ = 25.0
 """Frame rate of a stream that does not declare one."""
 
+_CAMERA_DELAY_S, _STREAM_DELAY_S = 0.1, 2.0
+"""Largest delay, s, between exposure and arrival of the frames of a camera and of a network stream; assumed."""
+
 
 @dataclass(frozen=True, slots=True)
 class _WaitingFrame:
@@ -45,29 +51,42 @@ class _WaitingFrame:
     frame: av.VideoFrame
 
 
-class LiveStream:
-    """An open camera or stream.
+class LiveVideo:
+    """An open camera or stream, read once: the iteration starts with the newest frame and closes the connection.
+
+    Args:
+        address: the camera or stream.
+        start_s: time in s to skip at the beginning.
+        duration_s: length of the part to read; None = until the stream ends or the run is stopped.
 
     Attributes:
-        address: address of the camera or stream.
-        fps: nominal frame rate.
+        path: the address.
+        width_px, height_px, is_grey, fps: see `RecordedVideo`.
+        first_time_s: time of `time.monotonic` at which the reading started.
+        n_frames: None = unknown.
+        busy_s: CPU time spent on converting frames.
         clock: converts timestamps to times.
-        width_px, height_px: size of the images.
-        is_grey: whether the first image has no colour.
         n_received: frames decoded so far.
         n_taken: frames passed to the consumer.
         ended_by: FFmpeg's error message if the connection was lost; empty = it is open, or was ended normally.
         has_ended: whether the source ended the stream normally.
+        is_over: whether no more frames will arrive.
+        is_closed: whether the connection has been closed.
 
     Raises:
-        VideoError: the source cannot be opened, contains no video, or sends no frame.
+        VideoError: the source cannot be opened, contains no video, or sends no frame. While iterating: the connection
+            is lost, or the image size changes.
     """
 
-    def __init__(self, address: LiveAddress) -> None:
-        self.address = address
+    n_frames: int | None = None
+
+    def __init__(self, address: LiveAddress, *, start_s: float = 0.0, duration_s: float | None = None) -> None:
+        self.path = address
+        self._start_s, self._duration_s = start_s, math.inf if duration_s is None else duration_s
         self.clock = StreamClock()
         self.n_received = self.n_taken = 0
-        self.ended_by, self.has_ended, self._is_over = "", False, False
+        self.ended_by, self.has_ended, self.is_over, self.is_closed = "", False, False, False
+        self.busy_s = 0.0
         self._waiting: deque[_WaitingFrame] = deque(maxlen=LIVE_FRAMES)
         self._lock = threading.Lock()
         self._arrivals: list[threading.Event] = []
@@ -86,15 +105,46 @@ class LiveStream:
         image = bgr_image(self._waiting[-1].frame)
         self.height_px, self.width_px = image.shape[:2]
         self.is_grey = is_neutral(image)
+        self._utc_from_monotonic_s = time.time() - time.monotonic()
+        self.first_time_s = self.waiting_s()[0][1]
 
     @property
-    def is_over(self) -> bool:
-        """Whether no more frames will arrive."""
-        return self._is_over
+    def utc(self) -> UtcStart:
+        """Time of this machine's clock at which the reading started."""
+        delay_s = _CAMERA_DELAY_S if self.path.is_camera else _STREAM_DELAY_S
+        return UtcStart(self.first_time_s + self._utc_from_monotonic_s, "clock of this computer", delay_s)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user; empty until the reading has ended."""
+        if not self.is_closed:
+            return ()
+        n_dropped = self.n_received - self.n_taken
+        received = counted(self.n_received, "frame")
+        ended = (f"{self.path}: the source ended the stream after {received}.",) if self.has_ended else ()
+        if not n_dropped:
+            return ended
+        return (
+            *ended,
+            f"{self.path}: {received} received, {self.n_taken} processed, {n_dropped} dropped (busy or unpaired).",
+        )
 
     def notify(self, event: threading.Event) -> None:
         """Set this event whenever a frame arrives, and when the stream ends."""
         self._arrivals.append(event)
+
+    def begin(self) -> None:
+        """Start reading: times count from the newest waiting frame."""
+        waiting = self.waiting_s()
+        self.first_time_s = waiting[-1][1] if waiting else time.monotonic()
+
+    def is_after_start(self, time_s: float) -> bool:
+        """Whether a time is at or after the start of the part to read."""
+        return time_s - self.first_time_s >= self._start_s - TIME_EPSILON_S
+
+    def is_after_end(self, time_s: float) -> bool:
+        """Whether a time is at or after the end of the part to read."""
+        return time_s - self.first_time_s >= self._start_s + self._duration_s - TIME_EPSILON_S
 
     def waiting_s(self) -> list[tuple[int, float]]:
         """(index, time) of the waiting frames, oldest first."""
@@ -107,6 +157,7 @@ class LiveStream:
         Raises:
             VideoError: its size differs from that of the first frame.
         """
+        began_s = time.thread_time()
         with self._lock:
             while self._waiting and self._waiting[0].index < index:
                 self._waiting.popleft()
@@ -117,11 +168,12 @@ class LiveStream:
         width_px, height_px = waiting.frame.width, waiting.frame.height
         if (width_px, height_px) != (self.width_px, self.height_px):
             raise VideoError(
-                f"{self.address}: expected images of {self.width_px}x{self.height_px} px, got {width_px}x{height_px}; "
+                f"{self.path}: expected images of {self.width_px}x{self.height_px} px, got {width_px}x{height_px}; "
                 "set the camera to a fixed image size."
             )
-        image = bgr_image(waiting.frame)
-        return VideoFrame(waiting.index, waiting.time_s, image)
+        frame = VideoFrame(waiting.index, waiting.time_s, bgr_image(waiting.frame))
+        self.busy_s += time.thread_time() - began_s
+        return frame
 
     def check(self) -> None:
         """Raise an error if the stream has not ended normally.
@@ -131,12 +183,38 @@ class LiveStream:
         """
         if self.ended_by:
             received = counted(self.n_received, "frame")
-            raise VideoError(f"{self.address}: connection lost after {received} ({self.ended_by}); check the camera.")
+            raise VideoError(f"{self.path}: connection lost after {received} ({self.ended_by}); check the camera.")
 
     def close(self) -> None:
         """Stop the thread and close the connection."""
         self._is_closing.set()
         self._thread.join(_OPEN_S + SILENCE_S)
+        self.is_closed = True
+
+    def __iter__(self) -> Generator[VideoFrame, None, None]:
+        self.begin()
+        try:
+            yield from self._newest()
+        finally:
+            self.close()
+
+    def _newest(self) -> Generator[VideoFrame, None, None]:
+        arrival = threading.Event()
+        self.notify(arrival)
+        while True:
+            arrival.clear()  # cleared first: a frame that arrives meanwhile sets it again
+            is_over, newest = self.is_over, self.waiting_s()[-1:]
+            if not newest and is_over:
+                self.check()
+                return
+            if not newest and not arrival.wait(SILENCE_S):
+                raise VideoError(f"{self.path}: connection lost, no frame for {SILENCE_S:.0f} s; check the camera.")
+            for index, time_s in newest:
+                if self.is_after_end(time_s):
+                    return
+                frame = self.take(index)
+                if frame is not None and self.is_after_start(time_s):
+                    yield frame
 
     def _read(self, container: InputContainer, stream: VideoStream) -> None:
         lower_thread_priority()
@@ -146,7 +224,7 @@ class LiveStream:
             self.has_ended = not self._is_closing.is_set()
         except av.FFmpegError as error:
             self.ended_by = "" if self._is_closing.is_set() else _reason(error)
-        self._is_over = True
+        self.is_over = True
         self._set_events()
 
     def _receive(self, container: InputContainer, stream: VideoStream) -> None:

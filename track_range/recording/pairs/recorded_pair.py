@@ -1,4 +1,4 @@
-"""StereoVideo: the frames of two videos, paired by time.
+"""RecordedPair: the frames of two recorded videos, paired by time.
 
 Each frame is paired with the frame of the other video that is nearest in time, not by its number: cameras drop frames,
 start at different times and run at different rates.
@@ -17,8 +17,9 @@ from dataclasses import dataclass
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.prefetch import prefetch
 from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame
-from track_range.recording.reader import VideoReader
-from track_range.recording.threads import FRAMES_AHEAD
+from track_range.recording.pairs.video_pair import Pair, VideoPair
+from track_range.recording.recorded_video import RecordedVideo
+from track_range.recording.threads import FRAMES_AHEAD, MAX_LOOK_AHEAD_BYTES
 
 _TOLERANCE_INTERVALS = 0.25
 """Largest time difference within a pair, in intervals of the faster video.
@@ -37,7 +38,7 @@ class _Side:
 
     Attributes:
         name: "left" or "right".
-        reader: the video.
+        video: the video.
         frames: its frames, decoded ahead in a thread.
         current: the frame to be paired next; None = not started, or ended.
         n_read: frames read so far.
@@ -48,7 +49,7 @@ class _Side:
     """
 
     name: str
-    reader: VideoReader
+    video: RecordedVideo
     frames: Generator[VideoFrame, None, None]
     current: VideoFrame | None = None
     n_read: int = 0
@@ -63,12 +64,12 @@ class _Side:
     @property
     def n_unread(self) -> int:
         """Estimated number of frames not yet read; too large for a damaged file."""
-        return 0 if self.is_over else max(0, (self.reader.n_frames or 0) - self.n_read)
+        return 0 if self.is_over else max(0, (self.video.n_frames or 0) - self.n_read)
 
     @property
     def end_s(self) -> float:
         """Estimated end of the part to read, s."""
-        return self.last_s + self.n_unread / self.reader.fps
+        return self.last_s + self.n_unread / self.video.fps
 
     def advance(self) -> None:
         """Read the next frame; an error is stored, so that the frames before it can be paired."""
@@ -92,29 +93,25 @@ class _Side:
         self.n_after = 0
 
 
-class StereoVideo:
+class RecordedPair(VideoPair[RecordedVideo]):
     """Pairs of frames of two videos with times that differ by at most a quarter of the shorter nominal frame interval.
 
     Each video is decoded ahead in a thread. Each iteration starts from the beginning.
 
-    Attributes:
-        left, right: the readers.
-        tolerance_s: largest time difference within a pair.
-
     Raises:
-        VideoError: while iterating: no pair at all, or an error of the readers.
+        VideoError: while iterating: no pair at all, or an error of the videos.
     """
 
-    def __init__(self, left: VideoReader, right: VideoReader) -> None:
-        self.left, self.right = left, right
-        self.tolerance_s = _TOLERANCE_INTERVALS / max(left.fps, right.fps)
+    def __init__(self, left: RecordedVideo, right: RecordedVideo) -> None:
+        tolerance_s = _TOLERANCE_INTERVALS / max(left.fps, right.fps)
+        super().__init__(left, right, tolerance_s=tolerance_s, max_ahead_bytes=MAX_LOOK_AHEAD_BYTES)
         self._n_pairs, self._nearest_s = 0, math.inf
         self._sides = self._new_sides()
 
     def _new_sides(self) -> tuple[_Side, _Side]:
         left, right = (
-            _Side(name, reader, prefetch(reader, depth=FRAMES_AHEAD, low_priority=True, name=f"read {name}"))
-            for name, reader in (("left", self.left), ("right", self.right))
+            _Side(name, video, prefetch(video, depth=FRAMES_AHEAD, low_priority=True, name=f"read {name}"))
+            for name, video in (("left", self.left), ("right", self.right))
         )
         return left, right
 
@@ -124,12 +121,7 @@ class StereoVideo:
         left, right = self._sides
         return (*self._rate_notes(), *self._unpaired_notes(left, right), *self._unpaired_notes(right, left))
 
-    def close(self) -> None:
-        """Close both files if they have not been read."""
-        self.left.close()
-        self.right.close()
-
-    def __iter__(self) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
+    def pairs(self) -> Generator[Pair, None, None]:
         """Pair the earlier of two frames with the other one unless its successor is nearer to that."""
         self._n_pairs, self._nearest_s = 0, math.inf
         self._sides = left, right = self._new_sides()
@@ -157,7 +149,7 @@ class StereoVideo:
         for side in self._sides:
             if side.error is not None:
                 raise side.error
-            side.reader.check_unchanged()
+            side.video.check_unchanged()
         if not self._n_pairs:
             raise VideoError(self._no_pairs_message())
 
@@ -197,7 +189,7 @@ class StereoVideo:
         return notes
 
     def _no_pairs_message(self) -> str:
-        spans = [f"{side.reader.path} ({side.first_s or 0.0:.2f} s to {side.end_s:.2f} s)" for side in self._sides]
+        spans = [f"{side.video.path} ({side.first_s or 0.0:.2f} s to {side.end_s:.2f} s)" for side in self._sides]
         return (
             f"{spans[0]} and {spans[1]}: expected frames at most {self.tolerance_s:.3f} s apart, the nearest are "
             f"{self._nearest_s:.3f} s apart; use two videos of one recording, from cameras with synchronised clocks."

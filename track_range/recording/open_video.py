@@ -1,0 +1,82 @@
+"""open_video: the file, files, folder or topic of a bag with a name, as a `RecordedVideo`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from track_range.foundation.files.atomic_files import describe
+from track_range.foundation.files.input_files import quoted
+from track_range.recording.bags.bag import is_bag
+from track_range.recording.bags.bag_video import BagVideo
+from track_range.recording.files.image_folder import ImageFolder
+from track_range.recording.files.video_file import VideoFile
+from track_range.recording.frame import VideoError
+from track_range.recording.names import BagTopic, RecordedName, Segments
+from track_range.recording.recorded_video import RecordedVideo
+from track_range.recording.segments.segmented_video import SegmentedVideo, segment_files
+
+_MIN_SIDE_PX = 8
+"""Smallest width and height of a video; smaller ones show no road users, and their headers are usually damaged."""
+
+
+def open_video(
+    name: RecordedName,
+    *,
+    folder_fps: float = 10.0,
+    start_s: float = 0.0,
+    duration_s: float | None = None,
+    left: RecordedVideo | None = None,
+) -> RecordedVideo:
+    """A video file, several files that are one recording, a folder of numbered images, or a topic of a bag.
+
+    Args:
+        name: the file, the folder of images or videos, a pattern such as `DIR/*_F.mp4`, several files, or a topic.
+        folder_fps: frame rate of a folder without timestamps.txt.
+        start_s: start of the part to read, in seconds after the first frame, for the right video of the left one.
+        duration_s: length of the part to read; None = to the end.
+        left: the left video of a pair, if this is the right one.
+
+    Raises:
+        VideoError: the path does not exist, is no video, nothing can be decoded, or the images are too small.
+    """
+    video = _opened(name, folder_fps, left)
+    if min(video.width_px, video.height_px) < _MIN_SIDE_PX:
+        video.close()
+        raise VideoError(
+            f"{name}: expected images of at least {_MIN_SIDE_PX}x{_MIN_SIDE_PX} px, found "
+            f"{video.width_px}x{video.height_px} px; check the video."
+        )
+    video.select(start_s, duration_s, origin_s=None if left is None else left.first_time_s)
+    return video
+
+
+def _opened(name: RecordedName, folder_fps: float, left: RecordedVideo | None) -> RecordedVideo:
+    if isinstance(name, Path) and is_bag(name):
+        name = BagTopic(name, None)
+    if isinstance(name, BagTopic):
+        return BagVideo(name)
+    try:
+        files = segment_files(name)
+    except ValueError as error:  # a null character
+        raise VideoError(f"{quoted(str(name))}: cannot be read (invalid name); check the name.") from error
+    if files is not None and (len(files) > 1 or isinstance(name, Segments)):
+        return SegmentedVideo(name, files, left=left if isinstance(left, SegmentedVideo) else None)
+    if files:
+        return VideoFile(files[0])
+    if isinstance(name, Segments):
+        raise VideoError(f"{name}: expected video files, found none.")
+    return _file_or_folder(name, folder_fps)
+
+
+def _file_or_folder(path: Path, folder_fps: float) -> VideoFile | ImageFolder:
+    try:
+        is_folder = path.is_dir()
+    except (OSError, ValueError) as error:  # a null character
+        reason = describe(error) if isinstance(error, OSError) else "invalid name"
+        raise VideoError(f"{path}: cannot be read ({reason}); check its permissions.") from error
+    if path.is_fifo():
+        raise VideoError(
+            f"{path}: expected a video file, found a named pipe; give a stream by its address, such as "
+            "udp://127.0.0.1:5000, or record it to a file first."
+        )
+    return ImageFolder(path, fps=folder_fps) if is_folder else VideoFile(path)

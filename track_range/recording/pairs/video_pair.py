@@ -1,0 +1,88 @@
+r"""VideoPair: the frames of two videos, paired by time; the first pairs can be read before the main pass.
+
+pairs -> read_ahead() -> alignment, checks
+               \-> buffer of at most `max_ahead_bytes` -> iteration: buffered pairs first (freed one by one), the rest
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Generator
+from contextlib import closing
+from typing import Generic, TypeVar
+
+from track_range.recording.frame import VideoFrame
+from track_range.recording.live.live_video import LiveVideo
+from track_range.recording.recorded_video import RecordedVideo
+
+V = TypeVar("V", RecordedVideo, LiveVideo)
+
+Pair = tuple[VideoFrame, VideoFrame]
+
+
+class VideoPair(ABC, Generic[V]):
+    """Pairs of frames of two videos; the first ones may be read once before the iteration, and are not decoded twice.
+
+    Args:
+        left, right: the videos.
+        tolerance_s: largest time difference within a pair.
+        max_ahead_bytes: size of the buffer, which always holds one pair. If more pairs do not fit, the buffer is
+            dropped and the iteration restarts: recorded videos from their start, live ones with the next pair.
+    """
+
+    def __init__(self, left: V, right: V, *, tolerance_s: float, max_ahead_bytes: int) -> None:
+        self.left: V = left
+        self.right: V = right
+        self.tolerance_s = tolerance_s
+        self._max_bytes = max_ahead_bytes
+        self._unread: Generator[Pair, None, None] | None = None
+        self._ahead: deque[tuple[Callable[[], VideoFrame], Callable[[], VideoFrame]]] = deque()
+
+    @property
+    @abstractmethod
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user; complete only after the last pair."""
+
+    @abstractmethod
+    def pairs(self) -> Generator[Pair, None, None]:
+        """The pairs, read from the start of recorded videos, or from the newest frames of live ones."""
+
+    @property
+    def n_ahead(self) -> int:
+        """Number of pairs in the buffer."""
+        return len(self._ahead)
+
+    def read_ahead(self) -> Generator[Pair, None, None]:
+        """The first pairs, until the caller stops; to be called at most once, before the iteration."""
+        unread, n_bytes, is_full = self.pairs(), 0, False
+        self._unread = unread
+        try:
+            for left, right in unread:
+                n_bytes += left.n_packed_bytes + right.n_packed_bytes
+                is_full |= bool(self._ahead) and n_bytes > self._max_bytes
+                if is_full:
+                    self._ahead.clear()
+                else:
+                    self._ahead.append((left.packed(), right.packed()))
+                yield left, right
+        finally:
+            if is_full:
+                unread.close()
+                self._unread = None
+
+    def __iter__(self) -> Generator[Pair, None, None]:
+        unread, self._unread = self._unread or self.pairs(), None
+        with closing(unread):
+            while self._ahead:
+                left, right = self._ahead.popleft()
+                yield left(), right()
+            yield from unread
+
+    def close(self) -> None:
+        """Stop reading, free the buffer, and close both videos."""
+        self._ahead.clear()
+        if self._unread is not None:
+            self._unread.close()
+        self.left.close()
+        self.right.close()

@@ -1,0 +1,128 @@
+"""RecordedVideo: the images of one camera from a file, several files, a folder of images, or a topic of a bag."""
+
+from __future__ import annotations
+
+import math
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import closing
+from pathlib import Path
+
+from track_range.recording.files.video_part import VideoPart
+from track_range.recording.frame import VideoError, VideoFrame
+from track_range.recording.names import RecordedName
+from track_range.recording.threads import DECODER_THREADS
+from track_range.recording.utc import UtcStart
+
+_now_s = time.thread_time if DECODER_THREADS == 1 else time.perf_counter
+
+
+class RecordedVideo(ABC):
+    """The frames of a recording; each iteration reads the part that was selected, at first all of it.
+
+    A file is opened once for its properties and the first iteration, and again for each later iteration.
+
+    Attributes:
+        path: name of the recording.
+        width_px, height_px: size of the upright images.
+        is_grey: whether the first frame has no colour.
+        fps: nominal frame rate.
+        first_time_s: time of the file's first frame, independent of the selected part.
+        n_total: estimated number of frames of the whole recording; None = unknown.
+        metadata: tags in the header of a single video file, and of its video stream; empty for other recordings.
+        is_upright_file: whether this is one video file that stores its images as they are shown, without a rotation.
+        busy_s: time spent reading and decoding so far: CPU time of this thread, or wall time where FFmpeg decodes in
+            several threads.
+
+    Raises:
+        VideoError: while iterating: no frame in the part to read, an image of a folder cannot be decoded, an image has
+            another size, or the file or folder was replaced, shortened or overwritten in the meantime.
+    """
+
+    path: RecordedName
+    width_px: int
+    height_px: int
+    is_grey: bool
+    fps: float
+    first_time_s: float
+    n_total: int | None
+    metadata: Mapping[str, str] = {}
+    is_upright_file = False
+    busy_s = 0.0
+    _part_s: tuple[float, float] | None = None  # file times
+
+    @property
+    @abstractmethod
+    def utc(self) -> UtcStart | None:
+        """UTC of the first frame; None = unknown."""
+
+    @property
+    @abstractmethod
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user, including the problems of the latest reading; complete only after the last frame."""
+
+    @property
+    def parts(self) -> tuple[VideoPart, ...]:
+        """The video files, or the folder of images, with their times; none for a topic of a bag."""
+        duration_s = (self.n_total or 0) / self.fps if self.fps else 0.0
+        return (VideoPart(Path(str(self.path)), 0.0, duration_s, self.utc),)
+
+    @property
+    def n_frames(self) -> int | None:
+        """Estimated number of frames in the selected part; None = unknown."""
+        if self.n_total is None or self._part_s is None:
+            return self.n_total
+        from_s, until_s = self._part_s
+        if from_s <= self.first_time_s and math.isinf(until_s):
+            return self.n_total
+        end_s = min(until_s, self.first_time_s + self.n_total / self.fps)
+        return max(0, round((end_s - max(from_s, self.first_time_s)) * self.fps))
+
+    def select(self, start_s: float, duration_s: float | None = None, *, origin_s: float | None = None) -> None:
+        """Read only a part; most frames before it are not decoded.
+
+        Args:
+            start_s: start of the part, in seconds after `origin_s`.
+            duration_s: length of the part; None = to the end.
+            origin_s: file time from which `start_s` counts; None = that of the first frame. For the right video of a
+                pair: `first_time_s` of the left one.
+        """
+        from_s = (self.first_time_s if origin_s is None else origin_s) + start_s
+        self._part_s = from_s, math.inf if duration_s is None else from_s + duration_s
+
+    @abstractmethod
+    def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
+        """The frames with file times in [from_s, until_s); damaged ones are skipped, see `notes`."""
+
+    @abstractmethod
+    def check_unchanged(self) -> None:
+        """Check that the file or folder is the one that was opened; it may have been deleted, or have grown.
+
+        Raises:
+            VideoError: it was replaced, shortened or overwritten in the meantime.
+        """
+
+    def close(self) -> None:  # noqa: B027  # not all recordings keep files open
+        """Close the file, if it has not been read."""
+
+    def __iter__(self) -> Generator[VideoFrame, None, None]:
+        from_s, until_s = self._part_s or (self.first_time_s, math.inf)
+        is_empty = True
+        with closing(self.frames(from_s, until_s)) as frames:
+            while (frame := self._timed(frames)) is not None:
+                is_empty = False
+                yield frame
+        self.check_unchanged()
+        if is_empty:
+            part = "" if math.isinf(until_s) else f" to {until_s:.2f} s"
+            raise VideoError(
+                f"{self.path}: no frame from {from_s:.2f} s{part}; the video starts at {self.first_time_s:.2f} s, "
+                "choose another start or duration."
+            )
+
+    def _timed(self, frames: Iterator[VideoFrame]) -> VideoFrame | None:
+        began_s = _now_s()
+        frame = next(frames, None)
+        self.busy_s += _now_s() - began_s
+        return frame
