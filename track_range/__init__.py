@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from track_range.results.writers import register_writer as register_writer
     from track_range.run.run import Run as Run
     from track_range.run.settings import RunSettings as RunSettings
+    from track_range.stereo.alignment.file import load_alignment as load_alignment
     from track_range.stereo.geometry.camera import PinholeCamera as PinholeCamera
     from track_range.stereo.geometry.frames import Frame as Frame
     from track_range.stereo.geometry.rectification import Rectifier as Rectifier
@@ -99,6 +100,7 @@ _MODULE_OF = {
     "DistanceFilters": "ranging.filtering.distance_filter",
     "Rectifier": "stereo.geometry.rectification",
     "load_rig": "api.parts",
+    "load_alignment": "stereo.alignment.file",
     "Overlay": "views.overlay.annotator",
     # evaluation
     "evaluate_events": "api.evaluation",

@@ -30,8 +30,8 @@ class DenseRanger(Ranger):
     def __init__(
         self, rig: StereoRig, settings: SgbmSettings | None = None, *, alignment: AlignmentSource | None = None
     ) -> None:
-        """Create a ranger for a rectified rig; `alignment` corrects its disparities, None = no correction."""
-        self._triangulate = Triangulation(rig, alignment or Alignment())
+        """Create a ranger for a rectified rig; `alignment` corrects its disparities, None = that of the rig."""
+        self._triangulate = Triangulation(rig, alignment or rig.alignment or Alignment())
         self._settings = settings or SgbmSettings.for_rig(rig)
         self._sgbm = Sgbm(self._settings)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="sgbm")

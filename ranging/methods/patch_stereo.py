@@ -53,16 +53,16 @@ class StereoRanger(Ranger):
         """Create a ranger for a rectified rig.
 
         Args:
-            rig: the rectified pair (`Rectifier.rig`).
+            rig: the rectified pair (`Recording.rig`, `Rectifier.rig`).
             matcher: matcher of boxes; None = the patch matcher with the settings for this rig.
-            alignment: correction of the disparities; None = no correction.
+            alignment: correction of the disparities; None = that of the rig, which `open_recording` has estimated.
 
         Raises:
             ValueError: the rig is not rectified.
         """
         if not rig.is_rectified:
             raise ValueError("rig: expected a rectified pair; use Rectifier(rig).rig, and its images")
-        self._triangulate = Triangulation(rig, alignment or Alignment())
+        self._triangulate = Triangulation(rig, alignment or rig.alignment or Alignment())
         self._rig = rig
         self._n_surfaces: Counter[int] = Counter()
         self._matcher = TrackMatcher(matcher or PatchMatcher(PatchMatcherSettings.for_rig(rig)))

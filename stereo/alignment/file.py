@@ -68,12 +68,21 @@ def save_alignment(alignment: Alignment, path: Path) -> None:
     write_rig_text(path, yaml_text(content, width=120, allow_unicode=True))
 
 
-def load_alignment(path: Path) -> Alignment:
-    """The alignment of a file.
+def load_alignment(path: str | Path) -> Alignment:
+    """The alignment of a file written by `track-range align`.
+
+    It corrects the disparities of images that are rectified with the rig alone. `open_recording(align=...)` takes it
+    as well, and corrects rows and large offsets in its images.
+
+    Example:
+        >>> import track_range as tr
+        >>> rig = tr.Rectifier(tr.load_rig("rig.yaml")).rig
+        >>> ranger = tr.StereoRanger(rig, alignment=tr.load_alignment("align.yaml"))
 
     Raises:
         RigError: the file cannot be read, is not an alignment, or has a wrong value.
     """
+    path = Path(path)
     expected = "an alignment file written by `track-range align`"
     content = validated(_AlignmentFile, read_yaml(path, RigError, expected), path, RigError)
     values = content.model_dump(exclude={_VERSION_KEY, "source"})

@@ -13,6 +13,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray, check_shape
 from track_range.foundation.errors import UserError
+from track_range.stereo.alignment.model import AlignmentSource
 from track_range.stereo.geometry.camera import PinholeCamera
 
 
@@ -35,11 +36,13 @@ class StereoRig:
         left: the left camera; all distances are in its frame.
         right: the right camera.
         right_from_left: (4, 4) rigid transform, metres.
+        alignment: correction of the disparities of a rectified pair, as `open_recording` estimates it; None = unknown.
     """
 
     left: PinholeCamera
     right: PinholeCamera
     right_from_left: FloatArray
+    alignment: AlignmentSource | None = None
 
     def __post_init__(self) -> None:
         check_shape("right_from_left", self.right_from_left, (4, 4))

@@ -41,6 +41,13 @@ def test_disparities_are_aligned_before_triangulation():
     assert ranges.sigma_m == pytest.approx([500 / disparity_px**2 * 0.5])  # hypot(0.3, 0.4)
 
 
+@pytest.mark.parametrize("given", [None, Alignment(offset_px=1.0, residual_px=0.0)])
+def test_alignment_of_the_rig_is_the_default(given):
+    rig = replace(RIG, alignment=Alignment(offset_px=0.5, residual_px=0.0))
+    ranges = StereoRanger(rig, Recorder(), alignment=given).measure(tracks_of(1), frame_at(0.0))
+    assert ranges.distance_m == pytest.approx([500 / (11.0 if given else 10.5)])
+
+
 def test_sigma_includes_an_unmeasured_alignment():
     ranges = StereoRanger(RIG, Recorder()).measure(tracks_of(1), frame_at(0.0))
     assert ranges.sigma_m == pytest.approx([50.0**2 / 500 * np.hypot(0.1, UNCORRECTED_SIGMA_PX)])

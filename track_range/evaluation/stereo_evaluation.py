@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,7 +37,7 @@ def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress =
         PairFileError, RigError, VideoError, LabelFileError: the pairs, their rig or the alignment cannot be used.
     """
     _check_names(settings.matchers)
-    known = None if settings.align in (OFF, LEAVE_TWO_OUT) else load_alignment(Path(settings.align))
+    known = None if settings.align in (OFF, LEAVE_TWO_OUT) else load_alignment(settings.align)
     n_pairs = _n_pairs(settings)
     recorder = ConfidenceRecorder() if DENSE_MATCHER in settings.matchers else None
     with progress("pairs") as advance:

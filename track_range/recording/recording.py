@@ -28,7 +28,7 @@ from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart, parsed_utc
 from track_range.stereo.alignment.drift import DriftMonitor
 from track_range.stereo.alignment.from_drive import MIN_STEP_S
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
@@ -66,6 +66,11 @@ class Recording:
     def rig(self) -> StereoRig | None:
         """The rectified pair with its alignment; None = one camera, or a pair without calibration."""
         return self.calibration.rig
+
+    @property
+    def alignment(self) -> AlignmentSource | None:
+        """The correction of the disparities of the rectified frames; None = no rig."""
+        return None if self.rig is None else self.rig.alignment
 
     @property
     def size_px(self) -> tuple[int, int]:

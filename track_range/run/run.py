@@ -312,7 +312,7 @@ class Run:
             raise session.stopped_by
 
     def _frame_results(self, session: RunSession, files: RunFolder | None) -> Generator[FrameResult, None, None]:
-        depths = None if session.source.inputs.live is None else LIVE_DEPTHS
+        depths = None if session.source.live is None else LIVE_DEPTHS
         with (
             closing(run_in_threads(session.pipeline, session.source.frames, depths)) as processed,
             closing(self._shared(session, processed)) as results,

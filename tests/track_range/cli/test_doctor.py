@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -15,6 +16,7 @@ def test_report_as_json(cli):
     status, text, _ = cli("doctor", "--json")
     report = json.loads(text)
     assert (status, report["ok"]) == (0, True)
+    assert Path(report["folders"]["package"]).name == "track_range"
     assert set(report) == {"ok", "system", "versions", "inference", "codecs", "extras", "folders", "checks"}
     assert re.match(r"\d+\.\d+", report["versions"]["numpy"])
     assert "CPUExecutionProvider" in report["inference"]["providers"]

@@ -65,6 +65,7 @@ def test_row_offset_is_corrected_and_reported(pair, tmp_path):
     recording = open_recording(pair[0], right)
     assert any("+4.0 px" in note and "corrected" in note for note in recording.notes)
     assert recording.calibration.alignment.measured.row_offset_px == pytest.approx(4.0, abs=0.1)
+    assert recording.rig.alignment is recording.alignment
     frame = next(recording.frames)
     grey = cv2.cvtColor(frame.left, cv2.COLOR_BGR2GRAY).astype(int)
     assert np.median(np.abs(grey[8:-8, SHIFT_PX:] - whole_image(frame.right)[8:-8, :-SHIFT_PX])) <= 4
@@ -260,6 +261,15 @@ def test_buffered_frames_are_freed_one_by_one(tmp_path, film):
     assert (n_buffered, recording.pair.n_ahead) == (14, 13)
     recording.close()
     assert recording.pair.n_ahead == 0
+
+
+def test_rig_holds_the_alignment_of_its_images(pair):
+    given = Alignment(offset_px=7.4, residual_px=0.1)
+    recording = open_recording(*pair, align=given)
+    assert recording.rig.alignment.at(1.0) == given.after_shift()  # the images are shifted by 7 px
+    assert open_recording(pair[0]).alignment is None
+    off = open_recording(*pair, align="off")
+    assert off.alignment.at(0.0).offset_px == 0.0
 
 
 def test_alignment_given(pair):

@@ -164,7 +164,7 @@ def _has_codec(name: str, mode: Literal["r", "w"]) -> bool:
 
 def _folders() -> dict[str, str]:
     return {
-        "package": str(Path(__file__).parents[1]),
+        "package": str(Path(__file__).parents[2]),
         "model cache": _text(_model_cache),
         "temporary files": _text(tempfile.gettempdir),
         "TRACK_RANGE_CACHE": os.environ.get("TRACK_RANGE_CACHE", "not set"),

@@ -80,7 +80,7 @@ class RecordingCalibration:
         camera: the left or only camera.
         rectifier: computes the rectified (one camera: undistorted) images.
         sizes_px: (width, height) of the left or only recorded images, and of the right ones; larger ones are cropped.
-        rig: the rectified pair; None = one camera, or a pair without calibration.
+        rig: the rectified pair with its alignment; None = one camera, or a pair without calibration.
         raw_rig: the pair as loaded.
         raw_camera: the left or only camera as loaded; None = as recorded images are.
         view: the part of the field of view of wide lenses to which their images are undistorted.
@@ -194,7 +194,8 @@ class RecordingCalibration:
                 fov_deg=self.view.fov_deg,
                 source=self.path or "the rig",
             )
-        return replace(self, rectifier=rectifier, alignment=alignment)
+        rig = None if self.rig is None else replace(self.rig, alignment=alignment.correction)
+        return replace(self, rig=rig, rectifier=rectifier, alignment=alignment)
 
     def with_row_offsets(self, row_offsets_px: list[float]) -> RecordingCalibration:
         """A copy with the row offsets of the first frames of an uncalibrated pair; an empty list = unknown."""

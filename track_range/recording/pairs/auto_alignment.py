@@ -14,7 +14,7 @@ from track_range.stereo.alignment.drift import DriftingAlignment
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.from_drive import DriveAlignment
 from track_range.stereo.alignment.health import RigHealth
-from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -44,6 +44,11 @@ class PairAlignment:
     def applied(self) -> Alignment:
         """The correction that is applied to disparities."""
         return self.measured if self.is_applied else self.measured.withheld()
+
+    @property
+    def correction(self) -> AlignmentSource:
+        """The correction of the disparities of rectified frames, whose right image is shifted by `shift_px`."""
+        return self.drifting or self.applied.after_shift()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -109,7 +114,7 @@ def find_alignment(
     if align == "off":
         return PairAlignment(measured=Alignment(source="off, as requested"), is_applied=False, rig=rig)
     if align != "auto":
-        return PairAlignment(measured=load_alignment(Path(align)), is_applied=True, rig=rig)
+        return PairAlignment(measured=load_alignment(align), is_applied=True, rig=rig)
     began_s = time.perf_counter()
     drive, first_s = DriveAlignment(rig), math.nan
     with progress("estimating the alignment") as advance:
