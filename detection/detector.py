@@ -1,4 +1,4 @@
-"""The `Detector` protocol: what every detector of road users implements."""
+"""The `ObjectDetector` protocol: what every detector of road users implements."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from track_range.foundation.errors import UserError
 
 
 class DetectorError(UserError):
-    """An object that does not implement `Detector`; the message names its class."""
+    """An object that does not implement `ObjectDetector`; the message names its class."""
 
 
-class Detector(Protocol):
+class ObjectDetector(Protocol):
     """Detector of road users in images; use one instance per video stream, in one thread."""
 
     def detect(self, image: Image) -> Detections:
@@ -21,7 +21,7 @@ class Detector(Protocol):
         ...
 
 
-def checked_detections(detector: Detector, result: Any) -> Detections:
+def checked_detections(detector: ObjectDetector, result: Any) -> Detections:
     """`result`, the return value of `detector.detect`, after a check of its type.
 
     Raises:

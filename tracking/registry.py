@@ -1,6 +1,6 @@
 """Trackers by name: the built-in ones, those of installed packages, and any class as `package.module:Class`.
 
-A tracker needs one file, with a class that has `update` (`track_range.tracking.tracker.Tracker`) and takes
+A tracker needs one file, with a class that has `update` (`track_range.tracking.tracker.ObjectTracker`) and takes
 `TrackerOptions`, and one registration: a line in `TRACKERS`, an entry point of the group `track_range.trackers` in
 another package, or a call to `register_tracker`.
 """
@@ -16,10 +16,10 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.processes import search_current_folder
 from track_range.foundation.registry import Registry, imported
-from track_range.tracking.tracker import Tracker, TrackerOptions
+from track_range.tracking.tracker import ObjectTracker, TrackerOptions
 from track_range.tracking.tracks import Tracks
 
-TrackerFactory = Callable[[TrackerOptions], Tracker]
+TrackerFactory = Callable[[TrackerOptions], ObjectTracker]
 """A class or function that makes a new tracker from `TrackerOptions`."""
 
 
@@ -87,7 +87,7 @@ def find_tracker(name: str) -> RegisteredTracker:
     return RegisteredTracker(factory, uses_reid=bool(getattr(factory, "uses_reid", False)))
 
 
-def create_tracker(name: str, options: TrackerOptions | None = None) -> Tracker:
+def create_tracker(name: str, options: TrackerOptions | None = None) -> ObjectTracker:
     """A new tracker without tracks.
 
     Args:
@@ -107,7 +107,7 @@ def create_tracker(name: str, options: TrackerOptions | None = None) -> Tracker:
     return tracker
 
 
-def checked_tracks(tracker: Tracker, result: Any) -> Tracks:
+def checked_tracks(tracker: ObjectTracker, result: Any) -> Tracks:
     """The result of a tracker's `update`, checked to be `Tracks`.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Protocols of tracking: `Tracker`, which assigns identities to detections, and `AppearanceModel`."""
+"""Protocols of tracking: `ObjectTracker`, which assigns identities to detections, and `AppearanceModel`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.tracking.tracks import Tracks
 
 
-class Tracker(Protocol):
+class ObjectTracker(Protocol):
     """Assigns identities to the boxes of successive frames; all state belongs to the instance."""
 
     def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
@@ -24,7 +24,7 @@ class Tracker(Protocol):
 
 
 @runtime_checkable
-class RefinableTracker(Tracker, Protocol):
+class RefinableTracker(ObjectTracker, Protocol):
     """A tracker with additional output for `track_range.tracking.offline_refinement`; optional.
 
     The tracks of other trackers are refined too, but without the boxes from before a track's confirmation, and tracks

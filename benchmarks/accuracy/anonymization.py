@@ -35,7 +35,7 @@ from track_range.run.box_source import CANDIDATE_SCORE
 from track_range.run.options.detector_options import DetectorOptions, open_detector
 from track_range.run.ready_model import ready_model
 from track_range.simulation.camera.masks import masks_of
-from track_range.simulation.world.bodies.faces import Part
+from track_range.simulation.world.bodies.faces import IdentifyingPart
 from track_range.simulation.world.truth import visible_objects
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.deepsort import DeepSortTracker
@@ -45,12 +45,12 @@ from track_range.views.anonymization.regions import Regions
 
 SCENARIOS = ("town", "highway", "city", "cut-in", "crossing", "queue", "night")
 
-READABLE_PX = {Part.HEAD: 8, Part.PLATE: 12}
+READABLE_PX = {IdentifyingPart.HEAD: 8, IdentifyingPart.PLATE: 12}
 """Minimum width of a part of which details can be recognised, px."""
 
 CLASSES = {
-    Part.HEAD: [ROAD_CLASSES.index(name) for name in ("person", "bicycle", "motorcycle")],
-    Part.PLATE: [ROAD_CLASSES.index(name) for name in ("car", "motorcycle", "bus", "truck")],
+    IdentifyingPart.HEAD: [ROAD_CLASSES.index(name) for name in ("person", "bicycle", "motorcycle")],
+    IdentifyingPart.PLATE: [ROAD_CLASSES.index(name) for name in ("car", "motorcycle", "bus", "truck")],
 }
 """Classes of road users with each part."""
 
@@ -61,7 +61,7 @@ TRACKED_IOU = 0.3
 MIN_VISIBLE_SHARE = 0.1
 
 BoxSource = Literal["detector", "truth"]
-Key = tuple[Part, bool, bool]
+Key = tuple[IdentifyingPart, bool, bool]
 """Part, whether only readable ones count, whether only those of tracked objects count."""
 
 
@@ -77,7 +77,7 @@ class SeenPart:
     """
 
     user: int
-    part: Part
+    part: IdentifyingPart
     row: IntArray
     column: IntArray
     is_tracked: dict[BoxSource, bool]
@@ -173,7 +173,7 @@ def seen_parts(
     """The parts in the masks of a frame."""
     box_of = {int(row): boxes_px[k] for k, row in enumerate(visible_row)}
     for number in np.unique(np.where(part > 0, 2 * user + part, 0))[1:].tolist():
-        which, row = Part((number - 1) % 2 + 1), (number - 1) // 2
+        which, row = IdentifyingPart((number - 1) % 2 + 1), (number - 1) // 2
         rows, columns = np.nonzero((part == which) & (user == row))
         is_tracked = {
             source: row in box_of and _is_shown(box_of[row], shown.select(np.isin(shown.class_id, CLASSES[which])))
@@ -202,7 +202,7 @@ def scores(drives: Sequence[Sequence[SeenFrame]], source: BoxSource, look_ahead:
     n_covered: dict[Key, int] = {}
     n_pixels: dict[Key, int] = {}
     n_needless = n_image = 0
-    exposed: dict[tuple[Part, bool], dict[tuple[int, int], bool]] = {}
+    exposed: dict[tuple[IdentifyingPart, bool], dict[tuple[int, int], bool]] = {}
     for drive, frames in enumerate(drives):
         results = with_regions((frame.results[source] for frame in frames), look_ahead)
         for frame, (_, regions) in zip(frames, results, strict=True):

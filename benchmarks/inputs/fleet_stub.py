@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from track_range.fleet.engine.fingerprint import content_hash, present_fingerprint
-from track_range.fleet.engine.plan import ClipProgress, ClipTask, FleetPlan, Outcome
+from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, FleetPlan
 from track_range.fleet.fleet_run import run_fleet
 from track_range.fleet.inputs.listing import clips_of
 from track_range.fleet.output.data_set import publish_record, read_clips
@@ -24,7 +24,7 @@ _METHODS = ("mono", "ground", "lane", "stereo", "fused", "mono_kf", "stereo_kf",
 _STAGES = ("read", "detect", "track", "mono", "stereo", "fuse", "write")
 
 
-def publish_stub(task: ClipTask, plan: FleetPlan, _progress: ClipProgress) -> Outcome:
+def publish_stub(task: ClipTask, plan: FleetPlan, _progress: ClipProgress) -> ClipOutcome:
     """Publish a record of the usual size, without tracks."""
     record = ClipRecord(
         clip=task.clip.name,
@@ -49,7 +49,7 @@ def publish_stub(task: ClipTask, plan: FleetPlan, _progress: ClipProgress) -> Ou
         labels=dict(task.clip.labels),
     )
     publish_record(Location.of(plan.out), record.row())
-    return Outcome(record.row(), is_published=True)
+    return ClipOutcome(record.row(), is_published=True)
 
 
 def main() -> None:

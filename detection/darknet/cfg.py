@@ -34,7 +34,7 @@ _MAX_SHOWN = 40
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class CfgSection:
     """One section of a cfg.
 
     Attributes:
@@ -124,7 +124,7 @@ class Section:
         return self.error(f"expected {expected}, got '{_short(f'{key}={self.options.get(key)}')}'")
 
 
-def read_sections(path: Path, known: Collection[str]) -> list[Section]:
+def read_sections(path: Path, known: Collection[str]) -> list[CfgSection]:
     """The sections of a cfg; the first one is [net].
 
     Args:
@@ -150,14 +150,14 @@ def _text_of(path: Path) -> str:
     return content.decode("utf-8-sig", errors="replace")  # comments may have any encoding
 
 
-def _sections(path: Path, text: str) -> Iterator[Section]:
+def _sections(path: Path, text: str) -> Iterator[CfgSection]:
     options: dict[str, str] = {}
     is_open = False
     for line_number, line in _lines(text):
         if line.startswith("["):
             kind = line.strip("[]")
             options, is_open = {}, True
-            yield Section(path, line_number, _ALIASES.get(kind, kind), options)
+            yield CfgSection(path, line_number, _ALIASES.get(kind, kind), options)
             continue
         key, equals, value = line.partition("=")
         if not (equals and key and is_open):

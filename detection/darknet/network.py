@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from track_range.detection.darknet.cfg import Section, read_sections
+from track_range.detection.darknet.cfg import CfgSection, read_sections
 from track_range.detection.darknet.layers import (
     ACTIVATIONS,
     IMAGE,
@@ -40,7 +40,7 @@ def read_network(path: Path) -> Network:
     return network
 
 
-def read_layers(path: Path) -> tuple[Section, list[Section], Network]:
+def read_layers(path: Path) -> tuple[CfgSection, list[CfgSection], Network]:
     """The section [net], the [yolo] sections and the network of a cfg, without checks of the heads together.
 
     Raises:
@@ -65,7 +65,7 @@ def read_layers(path: Path) -> tuple[Section, list[Section], Network]:
     return net, [section for section in sections if section.kind == "yolo"], network
 
 
-def _check_grid(section: Section, image: Shape, grid: Shape) -> None:
+def _check_grid(section: CfgSection, image: Shape, grid: Shape) -> None:
     """Raise an error unless the cells of a [yolo] layer have a whole number of input pixels a side."""
     if image[1] % grid[1] or image[2] % grid[2]:
         raise section.error(
@@ -74,7 +74,7 @@ def _check_grid(section: Section, image: Shape, grid: Shape) -> None:
         )
 
 
-def _check_heads(net: Section, heads: Sequence[YoloHead]) -> None:
+def _check_heads(net: CfgSection, heads: Sequence[YoloHead]) -> None:
     if len(heads) not in (2, 3):
         raise net.error(f"expected two or three [yolo] sections as in YOLOv3 and YOLOv4, got {len(heads)}")
     if len({(len(head.anchors_px), head.n_classes) for head in heads}) != 1:
@@ -101,11 +101,11 @@ class _Trunk:
         self.image = image
         self.layers: list[Layer] = []
 
-    def before(self, section: Section) -> int:
+    def before(self, section: CfgSection) -> int:
         """Index of the previous layer."""
         return self.source(section, len(self.layers) - 1)
 
-    def source(self, section: Section, index: int) -> int:
+    def source(self, section: CfgSection, index: int) -> int:
         """`index` after a check that the layer is not a [yolo], whose output cannot be an input of layers."""
         if index >= 0 and isinstance(self.layers[index].operation, YoloHead):
             raise section.error(f"its source, layer {index}, is a [yolo] layer, which has no features")
@@ -114,7 +114,7 @@ class _Trunk:
     def shape(self, index: int) -> Shape:
         return self.image if index == IMAGE else self.layers[index].shape
 
-    def layer_indices(self, section: Section, key: str) -> tuple[int, ...]:
+    def layer_indices(self, section: CfgSection, key: str) -> tuple[int, ...]:
         """Indices of the layers under `key`; negative numbers are relative to the current layer."""
         current = len(self.layers)
         indices = tuple(index + current if index < 0 else index for index in section.integers(key))
@@ -125,7 +125,9 @@ class _Trunk:
         return tuple(self.source(section, index) for index in indices)
 
 
-def _window(section: Section, shape: Shape, *, size: int, padding: int, stride_yx: tuple[int, int]) -> tuple[int, int]:
+def _window(
+    section: CfgSection, shape: Shape, *, size: int, padding: int, stride_yx: tuple[int, int]
+) -> tuple[int, int]:
     """Rows and columns of the output of a sliding window; `padding` is the sum of both sides."""
     rows, columns = ((side + padding - size) // stride + 1 for side, stride in zip(shape[1:], stride_yx, strict=True))
     if rows < 1 or columns < 1:
@@ -133,12 +135,12 @@ def _window(section: Section, shape: Shape, *, size: int, padding: int, stride_y
     return rows, columns
 
 
-def _stride_yx(section: Section) -> tuple[int, int]:
+def _stride_yx(section: CfgSection) -> tuple[int, int]:
     stride = section.integer("stride", 1, minimum=1)
     return section.integer("stride_y", stride, minimum=1), section.integer("stride_x", stride, minimum=1)
 
 
-def _convolution(section: Section, trunk: _Trunk) -> Layer:
+def _convolution(section: CfgSection, trunk: _Trunk) -> Layer:
     section.require_defaults(_PLAIN_CONVOLUTION)
     source = trunk.before(section)
     shape = trunk.shape(source)
@@ -163,7 +165,7 @@ def _convolution(section: Section, trunk: _Trunk) -> Layer:
     return Layer(operation, (source,), (operation.n_filters, rows, columns))
 
 
-def _max_pool(section: Section, trunk: _Trunk) -> Layer:
+def _max_pool(section: CfgSection, trunk: _Trunk) -> Layer:
     section.require_defaults({"maxpool_depth": 0, "antialiasing": 0})
     source = trunk.before(section)
     shape = trunk.shape(source)
@@ -176,7 +178,7 @@ def _max_pool(section: Section, trunk: _Trunk) -> Layer:
     return Layer(MaxPool(size, stride_yx, padding), (source,), (shape[0], rows, columns))
 
 
-def _upsample(section: Section, trunk: _Trunk) -> Layer:
+def _upsample(section: CfgSection, trunk: _Trunk) -> Layer:
     section.require_defaults({"scale": 1})
     source = trunk.before(section)
     channels, rows, columns = trunk.shape(source)
@@ -184,7 +186,7 @@ def _upsample(section: Section, trunk: _Trunk) -> Layer:
     return Layer(Upsample(stride), (source,), (channels, rows * stride, columns * stride))
 
 
-def _route(section: Section, trunk: _Trunk) -> Layer:
+def _route(section: CfgSection, trunk: _Trunk) -> Layer:
     sources = trunk.layer_indices(section, "layers")
     shapes = [trunk.shape(source) for source in sources]
     groups, group_id = section.integer("groups", 1, minimum=1), section.integer("group_id", 0)
@@ -197,7 +199,7 @@ def _route(section: Section, trunk: _Trunk) -> Layer:
     return Layer(Route(groups, group_id), sources, (channels, *shapes[0][1:]))
 
 
-def _shortcut(section: Section, trunk: _Trunk) -> Layer:
+def _shortcut(section: CfgSection, trunk: _Trunk) -> Layer:
     section.word("weights_type", "none", ("none",))
     sources = (trunk.before(section), *trunk.layer_indices(section, "from"))
     shapes = [trunk.shape(source) for source in sources]
@@ -206,12 +208,12 @@ def _shortcut(section: Section, trunk: _Trunk) -> Layer:
     return Layer(Shortcut(section.word("activation", "linear", ACTIVATIONS)), sources, shapes[0])
 
 
-def _dropout(section: Section, trunk: _Trunk) -> Layer:
+def _dropout(section: CfgSection, trunk: _Trunk) -> Layer:
     source = trunk.before(section)
     return Layer(Dropout(), (source,), trunk.shape(source))
 
 
-def _yolo(section: Section, trunk: _Trunk) -> Layer:
+def _yolo(section: CfgSection, trunk: _Trunk) -> Layer:
     section.require_defaults({"new_coords": 0})
     source = trunk.before(section)
     numbers = section.numbers("anchors")
@@ -252,7 +254,7 @@ _PLAIN_CONVOLUTION = {
 }
 """Darknet's defaults of unsupported options, which would change the weights file or the arithmetic."""
 
-_READERS: Mapping[str, Callable[[Section, _Trunk], Layer]] = {
+_READERS: Mapping[str, Callable[[CfgSection, _Trunk], Layer]] = {
     "convolutional": _convolution,
     "maxpool": _max_pool,
     "upsample": _upsample,

@@ -13,7 +13,7 @@ import numpy as np
 from track_range.ranging.evaluation.box_evaluation import CLASSES, NEAREST_M
 from track_range.ranging.evaluation.errors import BANDS_M, MethodColumn
 from track_range.ranging.fitting.labelled_boxes import BoxSet
-from track_range.stereo.evaluation.disparity_errors import Column
+from track_range.stereo.evaluation.disparity_errors import MatcherColumn
 from track_range.stereo.evaluation.risk_coverage import risk_coverage
 
 
@@ -23,7 +23,7 @@ def distance_risk(boxes: BoxSet, column: MethodColumn) -> dict[str, dict[str, An
         return {}
     in_span = (boxes.distance_m >= NEAREST_M) & (boxes.distance_m <= BANDS_M[-1])
     known = np.where(np.isfinite(column.distance_m), column.distance_m, np.nan)
-    reciprocal = Column(1.0 / known, column.sigma_m / known**2)
+    reciprocal = MatcherColumn(1.0 / known, column.sigma_m / known**2)
     curves = {}
     for name in CLASSES:
         rows = np.flatnonzero(in_span & (boxes.class_name == name))

@@ -93,7 +93,7 @@ class Bundle:
         return float(np.linalg.norm(positions - positions[0], axis=1).max())
 
 
-class Fit(NamedTuple):
+class BundleFit(NamedTuple):
     """An optimised bundle, the standard deviation of its points, and the (N,) weights, 0..1, of the observations."""
 
     bundle: Bundle
@@ -170,7 +170,7 @@ class _Elimination(NamedTuple):
     blocks: _PointBlocks
 
 
-def fit_bundle(observed: Observations, start: Bundle, rig: StereoRig) -> Fit:
+def fit_bundle(observed: Observations, start: Bundle, rig: StereoRig) -> BundleFit:
     """The bundle with the minimum robust cost, from a start within a few pixels of it; `rig` is rectified."""
     bundle, damping = start, 1e-4
     linear = linearize(observed, bundle, rig)
@@ -192,7 +192,7 @@ def fit_bundle(observed: Observations, start: Bundle, rig: StereoRig) -> Fit:
         if gain < _MIN_RELATIVE_GAIN or (gain < _SETTLED_GAIN and change_px < _SETTLED_PX):
             break
     noise_px = _noise_px(linear.residual)
-    return Fit(bundle, noise_px, _cauchy(linear.residual, noise_px))
+    return BundleFit(bundle, noise_px, _cauchy(linear.residual, noise_px))
 
 
 def equations_by_group(

@@ -19,8 +19,8 @@ from track_range.foundation.robust_statistics import jackknife_covariance
 from track_range.stereo.alignment.bundle_adjustment import (
     N_ERRORS,
     Bundle,
+    BundleFit,
     Equations,
-    Fit,
     Observations,
     equations_by_group,
     fit_bundle,
@@ -157,7 +157,7 @@ def _fitted(observed: Observations, initial: InitialBundle | None, rig: StereoRi
     return _segment(used, fit, rig)
 
 
-def _static_points(observed: Observations, start: Bundle, rig: StereoRig) -> tuple[Observations, Fit, float]:
+def _static_points(observed: Observations, start: Bundle, rig: StereoRig) -> tuple[Observations, BundleFit, float]:
     """Observations and fit of static points, and their fraction; moving points bias the fit even with small weights."""
     fit = fit_bundle(observed, start, rig)
     n_points = len(start.points)
@@ -196,7 +196,7 @@ def combine(
     return CombinedEstimate(_solve(whole, chosen, known_px), covariance_px2, _spread_px(whole))
 
 
-def _segment(observed: Observations, fit: Fit, rig: StereoRig) -> Segment:
+def _segment(observed: Observations, fit: BundleFit, rig: StereoRig) -> Segment:
     """The information from a fit; parts of the time have equal numbers of points."""
     n_points, n_frames = int(observed.point.max()) + 1, int(observed.frame.max()) + 1
     n_observations = np.bincount(observed.point, minlength=n_points)

@@ -31,15 +31,15 @@ N_RESAMPLES = 500
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class MatcherColumn:
     """Results of one matcher for N objects: (N,) disparities and (N,) standard deviations, px; NaN = no value."""
 
     disparity_px: FloatArray
     sigma_px: FloatArray
 
-    def select(self, rows: BoolArray | IntArray) -> Column:
+    def select(self, rows: BoolArray | IntArray) -> MatcherColumn:
         """The results of the given rows."""
-        return Column(self.disparity_px[rows], self.sigma_px[rows])
+        return MatcherColumn(self.disparity_px[rows], self.sigma_px[rows])
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class Objects:
         return replace(self, **parts)
 
 
-def corrected(column: Column, objects: Objects, alignments: Mapping[int, Alignment]) -> Column:
+def corrected(column: MatcherColumn, objects: Objects, alignments: Mapping[int, Alignment]) -> MatcherColumn:
     """The disparities corrected with the alignment of each pair; disparities <= 0 become NaN."""
     disparity_px, sigma_px = column.disparity_px.copy(), column.sigma_px.copy()
     for number, camera in enumerate(objects.cameras):
@@ -85,7 +85,7 @@ def corrected(column: Column, objects: Objects, alignments: Mapping[int, Alignme
             disparity_px[rows], sigma_px[rows], x_px=objects.x_px[rows], camera=camera
         )
     is_positive = disparity_px > 0
-    return Column(np.where(is_positive, disparity_px, np.nan), np.where(is_positive, sigma_px, np.nan))
+    return MatcherColumn(np.where(is_positive, disparity_px, np.nan), np.where(is_positive, sigma_px, np.nan))
 
 
 def folds(n_pairs: int, *, n_left_out: int = 2) -> list[range]:
@@ -97,7 +97,7 @@ Fit = Callable[..., Alignment]
 """`stereo.alignment.from_reference.fit_reference`, or a function with the same parameters."""
 
 
-def left_out_alignments(column: Column, objects: Objects, fit: Fit, *, seed: int = 0) -> dict[int, Alignment]:
+def left_out_alignments(column: MatcherColumn, objects: Objects, fit: Fit, *, seed: int = 0) -> dict[int, Alignment]:
     """Alignment by pair, each fitted to all pairs except those of its fold (cross-validation).
 
     Raises:
@@ -119,19 +119,23 @@ def left_out_alignments(column: Column, objects: Objects, fit: Fit, *, seed: int
     return alignments
 
 
-def matcher_figures(columns: Mapping[str, Column], objects: Objects, *, seed: int = 0) -> dict[str, dict[str, Any]]:
+def matcher_figures(
+    columns: Mapping[str, MatcherColumn], objects: Objects, *, seed: int = 0
+) -> dict[str, dict[str, Any]]:
     """Metrics of each matcher for all objects, with bands and bootstrap intervals."""
     return {name: _figures_with_bands(column, objects, seed=seed) for name, column in columns.items()}
 
 
-def common_figures(columns: Mapping[str, Column], objects: Objects, *, seed: int = 0) -> dict[str, dict[str, Any]]:
+def common_figures(
+    columns: Mapping[str, MatcherColumn], objects: Objects, *, seed: int = 0
+) -> dict[str, dict[str, Any]]:
     """Metrics of each matcher for the objects measured by all of them, so that rejecting hard objects gives no gain."""
     is_common = np.all([np.isfinite(column.disparity_px) for column in columns.values()], axis=0)
     common = objects.select(is_common)
     return {name: _figures_with_bands(column.select(is_common), common, seed=seed) for name, column in columns.items()}
 
 
-def figures(column: Column, true_px: FloatArray) -> dict[str, Any]:
+def figures(column: MatcherColumn, true_px: FloatArray) -> dict[str, Any]:
     """Metrics of one matcher for objects with true disparities (N,); None where undefined."""
     is_measured = np.isfinite(column.disparity_px)
     n, measured_px = len(is_measured), column.disparity_px[is_measured]
@@ -156,7 +160,7 @@ def figures(column: Column, true_px: FloatArray) -> dict[str, Any]:
     }
 
 
-def _figures_with_bands(column: Column, objects: Objects, *, seed: int) -> dict[str, Any]:
+def _figures_with_bands(column: MatcherColumn, objects: Objects, *, seed: int) -> dict[str, Any]:
     bands = []
     for low, high in BANDS_M:
         rows = (objects.distance_m >= low) & (objects.distance_m < high)
@@ -165,12 +169,12 @@ def _figures_with_bands(column: Column, objects: Objects, *, seed: int) -> dict[
     return {**figures_with_intervals(column, objects, seed=seed), "bands": bands}
 
 
-def figures_with_intervals(column: Column, objects: Objects, *, seed: int = 0) -> dict[str, Any]:
+def figures_with_intervals(column: MatcherColumn, objects: Objects, *, seed: int = 0) -> dict[str, Any]:
     """Metrics of one matcher with their bootstrap intervals."""
     return {**figures(column, objects.true_px), "intervals": _intervals(column, objects, seed=seed)}
 
 
-def _intervals(column: Column, objects: Objects, *, seed: int) -> dict[str, list[float]]:
+def _intervals(column: MatcherColumn, objects: Objects, *, seed: int) -> dict[str, list[float]]:
     """95 % bootstrap interval of each figure, by resampling groups; none with fewer than two groups."""
     members = [np.flatnonzero(objects.group == number) for number in np.unique(objects.group)]
     if len(members) < 2:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.stereo.evaluation.disparity_errors import FAILURE, Column, figures
+from track_range.stereo.evaluation.disparity_errors import FAILURE, MatcherColumn, figures
 
 STEP_PCT = 5
 """Step of the answered share along a curve, per cent."""
@@ -25,7 +25,7 @@ _KEYS = ("failures_pct", "mean_relative_error_pct", "p95_relative_error_pct")
 """Figures of the answered boxes."""
 
 
-def risk_coverage(column: Column, true_px: FloatArray, uncertainty: FloatArray | None = None) -> dict[str, Any]:
+def risk_coverage(column: MatcherColumn, true_px: FloatArray, uncertainty: FloatArray | None = None) -> dict[str, Any]:
     """The curve and its areas, as plain values for JSON.
 
     Args:
@@ -56,7 +56,7 @@ def risk_coverage(column: Column, true_px: FloatArray, uncertainty: FloatArray |
     }
 
 
-def certain_first(column: Column, uncertainty: FloatArray | None = None) -> IntArray:
+def certain_first(column: MatcherColumn, uncertainty: FloatArray | None = None) -> IntArray:
     """(N,) rows of the boxes from the most to the least certain one, boxes without a value last.
 
     Equal uncertainties are in the order of the relative sigma.

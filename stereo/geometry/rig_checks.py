@@ -76,7 +76,7 @@ Pairs for driving share more than 90 %."""
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class RigCalibration:
     """Content of a calibration file in any format.
 
     Attributes:
@@ -96,10 +96,10 @@ class Calibration:
     right_from_left: FloatArray | None
     left_from_reference_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: tuple[str, ...] = ()
-    unrectified: Calibration | None = None
+    unrectified: RigCalibration | None = None
     mounting: Mounting | None = None
 
-    def of_size(self, size_px: tuple[int, int] | None) -> Calibration:
+    def of_size(self, size_px: tuple[int, int] | None) -> RigCalibration:
         """The cameras of images of `size_px` = (width, height): as recorded or rectified; None = rectified."""
         if self.unrectified is None or size_px is None or _is_size_of(self.left, size_px):
             return self

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.stereo.evaluation.disparity_errors import Column, Objects
+from track_range.stereo.evaluation.disparity_errors import MatcherColumn, Objects
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import ImageView, whole_image
@@ -80,7 +80,7 @@ class MatcherResults:
     """
 
     objects: Objects
-    columns: dict[str, Column]
+    columns: dict[str, MatcherColumn]
     ms_per_frame: dict[str, float]
     notes: tuple[str, ...] = ()
 
@@ -139,7 +139,7 @@ class _Parts:
 
     def measured(self, notes: tuple[str, ...]) -> MatcherResults:
         columns = {
-            name: Column(*(np.concatenate([part[i] for part in parts]) for i in (0, 1)))
+            name: MatcherColumn(*(np.concatenate([part[i] for part in parts]) for i in (0, 1)))
             for name, parts in self._results.items()
         }
         arrays = {

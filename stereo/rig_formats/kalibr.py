@@ -29,7 +29,7 @@ from track_range.foundation.files.structured_text import parse_yaml
 from track_range.foundation.validation import Number, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.geometry.rig_checks import Calibration, ImageSide
+from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration
 from track_range.stereo.rig_formats.rig_format import RigFormat
 
 _CAMERA = re.compile(r"^cam\d+\s*:", re.MULTILINE)
@@ -80,7 +80,7 @@ def _has_cameras(text: str) -> bool:
     return _CAMERA.search(text) is not None
 
 
-def _read(text: str, source: object) -> Calibration:
+def _read(text: str, source: object) -> RigCalibration:
     """The first two cameras of a chain, the left one first.
 
     Raises:
@@ -91,7 +91,7 @@ def _read(text: str, source: object) -> Calibration:
         raise RigError(f"{source}: expected a block cam0, found none; {_HINT}.")
     first, first_block = _camera(content["cam0"], f"{source}: cam0")
     if not isinstance(content.get("cam1"), dict):
-        return Calibration(first, None, None)
+        return RigCalibration(first, None, None)
     notes = [f"{source}: using cam0 and cam1 of {len(content)} cameras."] if "cam2" in content else []
     second, second_block = _camera(content["cam1"], f"{source}: cam1")
     second_from_first = _second_from_first(first_block, second_block)
@@ -101,8 +101,8 @@ def _read(text: str, source: object) -> Calibration:
         )
     if second_from_first[0, 3] > abs(second_from_first[1, 3]):
         notes.append(f"{source}: cam1 is to the left of cam0, so cam1 is used as the left camera.")
-        return Calibration(second, first, _inverse(second_from_first), notes=tuple(notes))
-    return Calibration(first, second, second_from_first, notes=tuple(notes))
+        return RigCalibration(second, first, _inverse(second_from_first), notes=tuple(notes))
+    return RigCalibration(first, second, second_from_first, notes=tuple(notes))
 
 
 def _inverse(transform: FloatArray) -> FloatArray:

@@ -25,7 +25,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.geometry.rig_checks import BASELINE_M, MAX_SIDE_PX, NO_VERTICAL_PAIRS, Calibration
+from track_range.stereo.geometry.rig_checks import BASELINE_M, MAX_SIDE_PX, NO_VERTICAL_PAIRS, RigCalibration
 from track_range.stereo.rig_formats.rig_format import RigFormat
 
 _LINE = re.compile(r"^[ \t]*(P|S)(?:_rect_0)?([0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
@@ -65,7 +65,7 @@ def _nameless(text: str) -> list[str]:
     return lines if all(is_matrix) else []
 
 
-def _read(text: str, source: object, is_grey: bool) -> Calibration:
+def _read(text: str, source: object, is_grey: bool) -> RigCalibration:
     """The cameras of a calib.txt: the colour pair, or the grey one if `is_grey` or if it is the only one.
 
     Raises:
@@ -101,7 +101,7 @@ def _read(text: str, source: object, is_grey: bool) -> Calibration:
     return replace(rectified, notes=(*notes, note), unrectified=unrectified)
 
 
-def _read_nameless(lines: Sequence[str], source: object) -> Calibration:
+def _read_nameless(lines: Sequence[str], source: object) -> RigCalibration:
     """The one or two cameras of lines without names; the right camera has the smaller P[0, 3] = -f B.
 
     Raises:
@@ -145,7 +145,7 @@ def _calibration(
     left: PinholeCamera,
     right: PinholeCamera | None,
     notes: tuple[str, ...],
-) -> Calibration:
+) -> RigCalibration:
     """The rectified cameras of (3, 4) projection matrices."""
     x_m, y_m, z_m = np.linalg.solve(left_matrix[:, :3], left_matrix[:, 3]).tolist()
     right_from_left = None
@@ -154,10 +154,10 @@ def _calibration(
         right_from_left[0, 3] = (
             right_matrix[0, 3] * (left_matrix[0, 0] / right_matrix[0, 0]) - left_matrix[0, 3]
         ) / left.fx_px
-    return Calibration(left, right, right_from_left, (x_m, y_m, z_m), notes)
+    return RigCalibration(left, right, right_from_left, (x_m, y_m, z_m), notes)
 
 
-def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[str, ...]) -> Calibration | None:
+def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[str, ...]) -> RigCalibration | None:
     """The cameras of the images before rectification; None if the file lacks values of the left one.
 
     Raises:
@@ -189,12 +189,12 @@ def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[
         f"rectification, {cameras[0].width_px}x{cameras[0].height_px} px."
     )
     if len(cameras) == 1:
-        return Calibration(cameras[0], None, None, notes=(*notes, note))
+        return RigCalibration(cameras[0], None, None, notes=(*notes, note))
     # a rotation of six digits is inverted by its transpose; rig_checks verifies the product
     reference_from_left = np.eye(4)
     reference_from_left[:3, :3] = motions[0][:3, :3].T
     reference_from_left[:3, 3] = -motions[0][:3, :3].T @ motions[0][:3, 3]
-    return Calibration(cameras[0], cameras[1], motions[1] @ reference_from_left, notes=(*notes, note))
+    return RigCalibration(cameras[0], cameras[1], motions[1] @ reference_from_left, notes=(*notes, note))
 
 
 def _recorded_size(size: FloatArray, name: str) -> tuple[int, int]:

@@ -35,7 +35,7 @@ from track_range.stereo.geometry.lenses.kannala_brandt import KANNALA_BRANDT
 from track_range.stereo.geometry.lenses.registry import PINHOLE
 from track_range.stereo.geometry.rectification import distortion_coefficients, stereo_rectification
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX, Calibration, check_camera, check_rig
+from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX, RigCalibration, check_camera, check_rig
 from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
 
 _NONE: FloatArray = np.zeros(0)
@@ -90,7 +90,7 @@ def _is_file_storage(text: str) -> bool:
     return "opencv-matrix" in text or "<opencv_storage>" in text
 
 
-def _read(text: str, path: Path) -> Calibration:
+def _read(text: str, path: Path) -> RigCalibration:
     """The cameras of one file, or of intrinsics and extrinsics in one folder; `path` is one of the two.
 
     Raises:
@@ -112,7 +112,7 @@ def _read(text: str, path: Path) -> Calibration:
     left = _camera(values, "1", path, is_fisheye=is_fisheye)
     missing = [key for key in _OF_PAIR if key not in values]
     if len(missing) == len(_OF_PAIR):
-        return Calibration(left, None, None, notes=fisheye_notes)
+        return RigCalibration(left, None, None, notes=fisheye_notes)
     if missing:
         raise RigError(
             f"{path}: expected {', '.join(_OF_PAIR)} of two cameras in this file or in "
@@ -125,7 +125,7 @@ def _read(text: str, path: Path) -> Calibration:
     baseline_m = float(np.linalg.norm(right_from_left[:3, 3]))
     note = f"{path}: the baseline is {baseline_m:.4g} m, assuming that the square size was given in metres."
     right = _camera(values, "2", path, is_fisheye=is_fisheye)
-    return Calibration(left, right, right_from_left, notes=(note, *fisheye_notes))
+    return RigCalibration(left, right, right_from_left, notes=(note, *fisheye_notes))
 
 
 def _fisheye(values: Mapping[str, FloatArray], path: Path) -> tuple[bool, tuple[str, ...]]:

@@ -13,7 +13,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import (
-    Calibration,
+    RigCalibration,
     check_camera,
     check_rig,
     fitted_to_size,
@@ -168,7 +168,7 @@ def _format_of(text: str, path: Path) -> RigFormat:
     )
 
 
-def _read(path: Path, *, is_grey: bool, is_pair: bool) -> Calibration:
+def _read(path: Path, *, is_grey: bool, is_pair: bool) -> RigCalibration:
     """Content of a file, or of the two camera_info of ROS in a folder, for two cameras or one."""
     if os.path.isdir(path):
         return read_folder(path)

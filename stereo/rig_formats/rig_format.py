@@ -10,7 +10,7 @@ from pathlib import Path
 from track_range.foundation.files.atomic_files import describe, write_text
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.geometry.rig_checks import Calibration
+from track_range.stereo.geometry.rig_checks import RigCalibration
 
 RigWriter = Callable[[StereoRig | PinholeCamera, Path, Sequence[str]], None]
 """Writes a rig or one camera to a path, with comment lines; raises RigError."""
@@ -34,9 +34,9 @@ class RigFormat:
     name: str
     title: str
     recognises: Callable[[str], bool]
-    read: Callable[[str, Path, bool], Calibration]
+    read: Callable[[str, Path, bool], RigCalibration]
     missing: Callable[[str, Path, bool], str]
-    read_pair: Callable[[str, Path, bool], Calibration] | None = None
+    read_pair: Callable[[str, Path, bool], RigCalibration] | None = None
     write: RigWriter | None = None
 
 

@@ -29,7 +29,7 @@ from track_range.foundation.validation import Number, PositiveNumber, Version1, 
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.geometry.rig_checks import Calibration, ImageSide, check_camera, check_rig
+from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration, check_camera, check_rig
 from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
 
 VERSION = 1
@@ -150,13 +150,15 @@ def _commented(lines: Sequence[str]) -> str:
     return "".join(f"# {part}\n" for line in lines for part in line.splitlines())
 
 
-def _read(text: str, path: Path, _is_grey: bool) -> Calibration:
+def _read(text: str, path: Path, _is_grey: bool) -> RigCalibration:
     rig = validated(_RigFile, parse_yaml(text, path, RigError, "a rig"), path, RigError)
     left = rig.left.camera()
     if rig.right is None or rig.right_from_left is None:
         mounting = None if rig.mounting is None else Mounting(**rig.mounting.model_dump())
-        return Calibration(left, None, None, mounting=mounting, notes=() if mounting is None else (mounting.sentence,))
-    return Calibration(left, rig.right.camera(), rig.right_from_left.matrix())
+        return RigCalibration(
+            left, None, None, mounting=mounting, notes=() if mounting is None else (mounting.sentence,)
+        )
+    return RigCalibration(left, rig.right.camera(), rig.right_from_left.matrix())
 
 
 RIG_YAML = RigFormat(

@@ -22,7 +22,7 @@ from track_range.foundation.files.input_files import read_text
 from track_range.foundation.files.structured_text import parse_yaml
 from track_range.foundation.validation import Integer, Number, validated
 from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.geometry.rig_checks import Calibration, ImageSide
+from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration
 from track_range.stereo.rig_formats.camera_info import CameraInfo, camera_of, is_undistorted, rig_of
 from track_range.stereo.rig_formats.rig_format import RigFormat
 
@@ -120,7 +120,7 @@ def _is_camera_info(text: str) -> bool:
     return _RECOGNISED.search(text) is not None
 
 
-def _read(text: str, path: Path) -> Calibration:
+def _read(text: str, path: Path) -> RigCalibration:
     """The camera, or the two cameras, of one file.
 
     Raises:
@@ -130,7 +130,7 @@ def _read(text: str, path: Path) -> Calibration:
     return _pair(cameras[0], cameras[1], path) if len(cameras) == 2 else _single(cameras[0])
 
 
-def _read_pair(text: str, path: Path) -> Calibration:
+def _read_pair(text: str, path: Path) -> RigCalibration:
     """As `_read`; the other camera of a file with one is that of the file for the other side, if there is one."""
     cameras = _cameras(text, path)
     if len(cameras) == 1 and (partner := _partner(path)) is not None:
@@ -138,7 +138,7 @@ def _read_pair(text: str, path: Path) -> Calibration:
     return _pair(cameras[0], cameras[1], path) if len(cameras) == 2 else _single(cameras[0])
 
 
-def read_folder(folder: Path) -> Calibration:
+def read_folder(folder: Path) -> RigCalibration:
     """The two cameras of the files in a folder.
 
     Raises:
@@ -208,14 +208,14 @@ def _camera(content: object, path: Path) -> _Camera:
     return _Camera(info, path, bool(is_raw))
 
 
-def _single(camera: _Camera) -> Calibration:
+def _single(camera: _Camera) -> RigCalibration:
     """The calibration of one camera."""
     only = camera_of(camera.info, camera.path, is_rectified=camera.is_rectified)
     note = f"{camera.path}: {_TITLE} of one camera; {_assumption(is_rectified=camera.is_rectified)}."
-    return Calibration(only, None, None, notes=(note,))
+    return RigCalibration(only, None, None, notes=(note,))
 
 
-def _pair(first: _Camera, second: _Camera, source: Path) -> Calibration:
+def _pair(first: _Camera, second: _Camera, source: Path) -> RigCalibration:
     """The rig of two cameras in any order.
 
     Raises:
@@ -233,7 +233,7 @@ def _pair(first: _Camera, second: _Camera, source: Path) -> Calibration:
         f"{source}: {_TITLE}, {names.format('left' if left is first else 'right')} camera by P[0, 3] = -f B; "
         f"{_assumption(is_rectified=is_rectified)}."
     )
-    return Calibration(rig.left, rig.right, rig.right_from_left, notes=(note,))
+    return RigCalibration(rig.left, rig.right, rig.right_from_left, notes=(note,))
 
 
 def _assumption(*, is_rectified: bool) -> str:

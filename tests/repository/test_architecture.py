@@ -133,6 +133,15 @@ def test_folders_are_small_enough_to_read(package):
         assert len(entries) <= (20 if folder.name == "track_range" else 18), (folder, sorted(entries))
 
 
+def test_no_two_public_classes_share_a_name():
+    modules: dict[str, list[str]] = {}
+    for module, path in rooms.sources().items():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                modules.setdefault(node.name, []).append(module)
+    assert {name: found for name, found in modules.items() if len(found) > 1} == {}
+
+
 def test_packages_neither_assert_nor_swallow_everything():
     wrong = []
     words = re.compile(r"^\s*(assert\b|except\s*:)", re.MULTILINE)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from track_range.stereo.alignment.from_reference import fit_reference
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.evaluation.disparity_errors import (
-    Column,
+    MatcherColumn,
     Objects,
     common_figures,
     corrected,
@@ -30,9 +30,9 @@ CAMERA = PinholeCamera(700.0, 700.0, 600.0, 180.0, 1200, 360)
 NAN = np.nan
 
 
-def column(disparity_px: list[float], sigma_px: list[float] | None = None) -> Column:
+def column(disparity_px: list[float], sigma_px: list[float] | None = None) -> MatcherColumn:
     measured = np.array(disparity_px, np.float64)
-    return Column(measured, np.where(np.isfinite(measured), sigma_px or 1.0, NAN))
+    return MatcherColumn(measured, np.where(np.isfinite(measured), sigma_px or 1.0, NAN))
 
 
 def objects(true_px: list[float], *, group: list[int] | None = None, pair: list[int] | None = None) -> Objects:
@@ -156,7 +156,7 @@ def test_order_is_irrelevant_and_truth_has_no_error(rows: list[tuple[float, floa
     order = np.arange(len(rows))
     random.shuffle(order)  # type: ignore[attr-defined]
     measured = column((true_px + error_px).tolist())
-    shuffled = Column(measured.disparity_px[order], measured.sigma_px[order])
+    shuffled = MatcherColumn(measured.disparity_px[order], measured.sigma_px[order])
     assert figures(measured, true_px) == figures(shuffled, true_px[order])
     perfect = figures(column(true_px.tolist()), true_px)
     assert perfect["p95_relative_error_pct"] == perfect["bias_pct"] == perfect["failures_pct"] == 0.0

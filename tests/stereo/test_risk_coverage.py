@@ -7,12 +7,12 @@ import pytest
 
 from tests.stereo.kitti_folder import noise
 from track_range.stereo.evaluation.dense_confidence import MEASURES, confidence_measures, consistent_pixels
-from track_range.stereo.evaluation.disparity_errors import Column
+from track_range.stereo.evaluation.disparity_errors import MatcherColumn
 from track_range.stereo.evaluation.risk_coverage import certain_first, risk_coverage
 from track_range.stereo.matching.sgbm import SgbmSettings
 
 TRUE_PX = np.array([20.0, 20.0, 20.0, 20.0])
-COLUMN = Column(np.array([16.0, 20.0, np.nan, 19.0]), np.array([2.0, 0.1, np.nan, 0.5]))
+COLUMN = MatcherColumn(np.array([16.0, 20.0, np.nan, 19.0]), np.array([2.0, 0.1, np.nan, 0.5]))
 """Errors of 25, 0 and 5.26 %; the third box has no value."""
 
 
@@ -39,11 +39,11 @@ def test_curve_by_hand():
 
 
 def test_curve_without_values():
-    nothing = Column(np.full(2, np.nan), np.full(2, np.nan))
+    nothing = MatcherColumn(np.full(2, np.nan), np.full(2, np.nan))
     result = risk_coverage(nothing, np.ones(2))
     assert (result["area_failures_pct"], result["area_error_pct"]) == (100.0, None)
     assert result["curve"][-1]["mean_relative_error_pct"] is None
-    empty = risk_coverage(Column(np.zeros(0), np.zeros(0)), np.zeros(0))
+    empty = risk_coverage(MatcherColumn(np.zeros(0), np.zeros(0)), np.zeros(0))
     assert (empty["area_failures_pct"], empty["curve"][0]["n"]) == (None, 0)
 
 

@@ -18,7 +18,7 @@ from track_range.stereo.alignment.from_reference import fit_reference
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.evaluation.dense_confidence import BEST_MEASURE, DENSE_MATCHER, ConfidenceRecorder
 from track_range.stereo.evaluation.disparity_errors import (
-    Column,
+    MatcherColumn,
     common_figures,
     corrected,
     left_out_alignments,
@@ -63,7 +63,7 @@ def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress =
 
 
 def _risk_coverage(
-    columns: Mapping[str, Column], measured: MatcherResults, measures: Mapping[str, FloatArray]
+    columns: Mapping[str, MatcherColumn], measured: MatcherResults, measures: Mapping[str, FloatArray]
 ) -> dict[str, dict[str, Any]]:
     """Curve and areas by matcher and by the measure that sorts its boxes: sigma, or a confidence measure."""
     true_px = measured.objects.true_px
@@ -116,7 +116,7 @@ def _counted(
 
 def _aligned(
     measured: MatcherResults, settings: StereoEvaluationSettings, known: Alignment | None
-) -> tuple[dict[str, Column], Any]:
+) -> tuple[dict[str, MatcherColumn], Any]:
     """The corrected disparities by matcher, and the applied alignment as plain values for JSON."""
     objects, columns = measured.objects, measured.columns
     n_pairs = len(objects.cameras)

@@ -12,7 +12,7 @@ import numpy as np
 from track_range.detection.boxes import area_px2
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
-from track_range.detection.detector import Detector, checked_detections
+from track_range.detection.detector import ObjectDetector, checked_detections
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.arrays import FloatArray, IntArray
@@ -80,7 +80,7 @@ def open_box_source(
         return _recorded(settings.detections, class_id, rectified_boxes, size_px, view_size_px)
     path = ready_model(settings.detector or "")
     network = opened(path, DetectorOptions.of(settings))
-    detector: Detector = network
+    detector: ObjectDetector = network
     session = network.session
     description = {
         "file": path.name,
@@ -99,7 +99,7 @@ def open_box_source(
     )
 
 
-def boxes_of(detector: Detector) -> BoxSource:
+def boxes_of(detector: ObjectDetector) -> BoxSource:
     """Source of the boxes of a detector object with `detect(image)`.
 
     Its `detect` raises DetectorError if the object does not return `Detections`.

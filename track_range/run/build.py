@@ -31,7 +31,7 @@ from track_range.stereo.odometry.ego_motion import Odometry
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 from track_range.tracking.registry import create_tracker
-from track_range.tracking.tracker import Tracker
+from track_range.tracking.tracker import ObjectTracker
 
 _SIDE_VIEW = (
     "--yaw-deg: in a view to the side there are no lane lines, no horizon from image motion, no times to collision and "
@@ -66,7 +66,7 @@ def open_pipeline(
     boxes: BoxSource,
     size_model: SizeModel,
     *,
-    tracker: Tracker | None = None,
+    tracker: ObjectTracker | None = None,
     ego_speed: EgoSpeed | None = None,
 ) -> FramePipeline:
     """The pipeline of the settings, with the methods that the source allows.

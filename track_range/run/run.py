@@ -52,12 +52,12 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
-    from track_range.detection.detector import Detector
+    from track_range.detection.detector import ObjectDetector
     from track_range.results.events.event import Event
     from track_range.run.opened_detectors import OpenedDetectors
     from track_range.stereo.geometry.camera import PinholeCamera
     from track_range.stereo.geometry.rig import StereoRig
-    from track_range.tracking.tracker import Tracker
+    from track_range.tracking.tracker import ObjectTracker
 
 
 class Run:
@@ -82,8 +82,8 @@ class Run:
         self,
         settings: RunSettings,
         *,
-        detector: Detector | None = None,
-        tracker: Tracker | None = None,
+        detector: ObjectDetector | None = None,
+        tracker: ObjectTracker | None = None,
         progress: bool | Console = False,
         opened_detectors: OpenedDetectors | None = None,
     ) -> None:

@@ -26,7 +26,7 @@ from benchmarks.inputs.occlusion_pairs import OcclusionPair, is_scored, sequence
 from benchmarks.plain_tables import figure_text, plain_table
 from track_range.evaluation.expected_disparities import expected_disparities
 from track_range.foundation.arrays import BoolArray
-from track_range.stereo.evaluation.disparity_errors import Column, Objects, figures_with_intervals
+from track_range.stereo.evaluation.disparity_errors import MatcherColumn, Objects, figures_with_intervals
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.matching.box_matchers import MATCHER_NAMES, measure_pairs
 
@@ -100,7 +100,7 @@ class _Measured:
         results = measure_pairs(recorded(), matchers, expected=expected_disparities)
         rows = np.concatenate(scored)
         self.objects: Objects = replace(results.objects.select(rows), group=np.array(seed, np.int64))
-        self.columns: dict[str, Column] = {name: column.select(rows) for name, column in results.columns.items()}
+        self.columns: dict[str, MatcherColumn] = {name: column.select(rows) for name, column in results.columns.items()}
         self.kind, self.class_name = np.array(kind, np.str_), np.array(class_name, np.str_)
         self.covered, self.is_modal = np.array(covered, np.float64), np.array(is_modal, np.bool_)
 
@@ -124,7 +124,9 @@ def _figures(parts: Sequence[_Measured]) -> dict[str, dict[str, dict[str, Any]]]
         figures[group] = {}
         for name in parts[0].columns:
             columns = [part.columns[name].select(chosen) for part, chosen in zip(parts, rows, strict=True)]
-            column = Column(*(np.concatenate([getattr(c, key) for c in columns]) for key in Column.__slots__))
+            column = MatcherColumn(
+                *(np.concatenate([getattr(c, key) for c in columns]) for key in MatcherColumn.__slots__)
+            )
             figures[group][name] = figures_with_intervals(column, objects)
     return figures
 

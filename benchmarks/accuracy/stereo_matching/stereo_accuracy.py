@@ -26,7 +26,7 @@ from track_range.calibration.drive_pairs import read_drive
 from track_range.evaluation.expected_disparities import expected_disparities
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.simulation.drive import write_drive
-from track_range.stereo.evaluation.disparity_errors import Column, figures
+from track_range.stereo.evaluation.disparity_errors import MatcherColumn, figures
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.matching.box_matchers import MatcherResults, measure_pairs
 
@@ -63,7 +63,7 @@ def _simulated(n_drives: int, fps: float) -> dict[str, Any]:
     objects = measured.objects
     near = (objects.distance_m >= FROM_M) & (objects.distance_m <= TO_M)
     return {
-        matcher: figures(Column(column.disparity_px[near], column.sigma_px[near]), objects.true_px[near])
+        matcher: figures(MatcherColumn(column.disparity_px[near], column.sigma_px[near]), objects.true_px[near])
         for matcher, column in measured.columns.items()
     }
 
@@ -77,11 +77,11 @@ def _drives(folder: Path, n_drives: int, fps: float) -> Iterator[StereoPair]:
 def _repeatability(drive: Path) -> dict[str, Any]:
     """Standard deviations per track, with their median and maximum, by matcher and for the labels."""
     measured = measure_pairs(read_drive(drive), MATCHERS, expected=expected_disparities)
-    truth = Column(measured.objects.true_px, np.zeros(len(measured.objects)))
+    truth = MatcherColumn(measured.objects.true_px, np.zeros(len(measured.objects)))
     return {name: _repeated(measured, column) for name, column in {**measured.columns, "labels": truth}.items()}
 
 
-def _repeated(measured: MatcherResults, column: Column) -> dict[str, Any]:
+def _repeated(measured: MatcherResults, column: MatcherColumn) -> dict[str, Any]:
     objects = measured.objects
     tracks = scatter_px(objects.group, objects.pair, column.disparity_px)
     values = np.array(list(tracks.values()))

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from track_range.detection.training.data.augmentation import AugmentationSettings, LabelledPixels, mosaic, single
 from track_range.detection.training.data.data_set import LabelledSet
-from track_range.detection.training.losses.assignment import Objects
+from track_range.detection.training.losses.assignment import LabelledObjects
 from track_range.detection.training.losses.detection_loss import Batch, Completeness
 from track_range.foundation.arrays import IntArray
 
@@ -83,11 +83,11 @@ def scaled(images: Tensor) -> Tensor:
     return images.float() / 255
 
 
-def _objects(samples: Sequence[LabelledPixels]) -> Objects:
+def _objects(samples: Sequence[LabelledPixels]) -> LabelledObjects:
     image = np.repeat(np.arange(len(samples)), [len(sample.class_index) for sample in samples])
     xyxy = np.concatenate([sample.xyxy for sample in samples])
     cxcywh = np.concatenate([(xyxy[:, :2] + xyxy[:, 2:]) / 2, xyxy[:, 2:] - xyxy[:, :2]], axis=1)
-    return Objects(
+    return LabelledObjects(
         torch.from_numpy(image),
         torch.from_numpy(np.concatenate([sample.class_index for sample in samples])),
         torch.from_numpy(cxcywh.astype(np.float32)),

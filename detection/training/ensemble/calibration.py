@@ -61,7 +61,7 @@ class Samples:
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class EnsembleCalibration:
     """Coefficients of the logistic regression by class.
 
     Attributes:
@@ -123,7 +123,7 @@ def matches(fused: FusedBoxes, truth: ImageTruth, class_id: int) -> BoolArray:
     return is_match
 
 
-def fit_calibration(by_class: Sequence[Samples], is_known: BoolArray) -> Calibration | None:
+def fit_calibration(by_class: Sequence[Samples], is_known: BoolArray) -> EnsembleCalibration | None:
     """Coefficients fitted to the samples of each road class; None if no class has enough matches.
 
     A class with fewer than `MIN_POSITIVES` matches has the mean coefficients of the others; the weights of detectors
@@ -148,10 +148,10 @@ def fit_calibration(by_class: Sequence[Samples], is_known: BoolArray) -> Calibra
     shared = known_weight * np.divide(mean_weight.sum(), total, out=np.zeros_like(total), where=total > 0)
     weight[~is_fitted] = shared.T[~is_fitted]
     intercept[~is_fitted] = intercept[is_fitted].mean()
-    return Calibration(intercept, weight, np.where(is_fitted, n_positives, 0))
+    return EnsembleCalibration(intercept, weight, np.where(is_fitted, n_positives, 0))
 
 
-def reliability(calibration: Calibration, of_class: Samples, class_id: int) -> Reliability:
+def reliability(calibration: EnsembleCalibration, of_class: Samples, class_id: int) -> Reliability:
     """Probabilities and matches of one class in `N_BINS` bins, of samples that should not be those of the fit."""
     score = np.zeros((len(of_class.score), of_class.score.shape[1], len(ROAD_CLASSES)))
     score[:, :, class_id] = of_class.score

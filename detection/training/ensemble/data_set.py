@@ -25,7 +25,7 @@ from track_range.detection.formats.image_labels.labelled_images import LabelledI
 from track_range.detection.training.data.data_yaml import OwnLabels
 from track_range.detection.training.ensemble.calibration import (
     MIN_POSITIVES,
-    Calibration,
+    EnsembleCalibration,
     fit_calibration,
     reliability,
     samples,
@@ -46,7 +46,7 @@ COUNTED_PROBABILITIES = (0.1, 0.3, 0.6)
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class PseudoLabelFigures:
     """Pseudo-labels of a data set in figures.
 
     Attributes:
@@ -61,7 +61,7 @@ class Outcome:
     known_class_id: IntArray
     n_labels: IntArray
     n_ignored: IntArray
-    calibration: Calibration
+    calibration: EnsembleCalibration
     validation: dict[int, Reliability]
 
 
@@ -96,7 +96,7 @@ def label_training_images(
     unreadable: Collection[Path] = (),
     min_probability: float = 0.1,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Outcome:
+) -> PseudoLabelFigures:
     """Write the pseudo-labels of every training image to `out`, NAME.txt with lines `class cx cy w h probability`.
 
     Args:
@@ -147,7 +147,7 @@ def label_training_images(
         )
         _write(out / f"{item.path.stem}.txt", labels.as_text(data.names))
         _count(labels, n_labels, n_ignored)
-    return Outcome(np.flatnonzero(is_known), n_labels, n_ignored, calibration, validation)
+    return PseudoLabelFigures(np.flatnonzero(is_known), n_labels, n_ignored, calibration, validation)
 
 
 def is_validated_on_training_images(data: OwnLabels) -> bool:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, fully_known
-from track_range.detection.detector import Detector
+from track_range.detection.detector import ObjectDetector
 from track_range.detection.formats.image_labels.labelled_images import ImageFileError, read_image
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.training.errors import TrainingError
@@ -57,7 +57,7 @@ class ViewBoxes:
         check_shape("class_id", self.class_id, (n,))
 
 
-def detect_views(detector: Detector, image: Image) -> ViewBoxes:
+def detect_views(detector: ObjectDetector, image: Image) -> ViewBoxes:
     """The boxes of a detector in `image`, (H, W, 3) uint8 BGR, and in its mirror image."""
     height, width = image.shape[:2]
     size_px = np.array([width, height, width, height], np.float64)

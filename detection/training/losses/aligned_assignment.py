@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from track_range.detection.training.losses.assignment import Objects
+from track_range.detection.training.losses.assignment import LabelledObjects
 from track_range.detection.training.losses.box_losses import pair_iou
 
 _N_POSITIVES = 10
@@ -56,7 +56,7 @@ class AlignedCells:
 
 @torch.no_grad()
 def assign_aligned(
-    objects: Objects, scores: Tensor, cxcywh_px: Tensor, centre_px: Tensor, stride_px: Tensor
+    objects: LabelledObjects, scores: Tensor, cxcywh_px: Tensor, centre_px: Tensor, stride_px: Tensor
 ) -> AlignedCells:
     """The positive cells of T objects.
 

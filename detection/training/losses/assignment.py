@@ -16,7 +16,7 @@ from track_range.detection.training.networks.network import AnchorNetwork
 
 
 @dataclass(frozen=True, slots=True)
-class Objects:
+class LabelledObjects:
     """Labelled objects of a batch of images.
 
     Attributes:
@@ -33,13 +33,13 @@ class Objects:
     is_ignored: Tensor
     confidence: Tensor
 
-    def to(self, device: torch.device) -> Objects:
+    def to(self, device: torch.device) -> LabelledObjects:
         """The objects on another device."""
-        return Objects(*(getattr(self, name).to(device) for name in self.__dataclass_fields__))
+        return LabelledObjects(*(getattr(self, name).to(device) for name in self.__dataclass_fields__))
 
-    def select(self, index: Tensor) -> Objects:
+    def select(self, index: Tensor) -> LabelledObjects:
         """The objects that indices or a mask (T,) select."""
-        return Objects(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+        return LabelledObjects(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Cells:
         return Cells(*(torch.cat([getattr(self, n), getattr(other, n)]) for n in self.__dataclass_fields__))
 
 
-def assign(objects: Objects, network: AnchorNetwork, head: int, grid_hw: tuple[int, int]) -> Cells:
+def assign(objects: LabelledObjects, network: AnchorNetwork, head: int, grid_hw: tuple[int, int]) -> Cells:
     """The positive cells of a head with `grid_hw` rows and columns."""
     stride_px, anchors_px = network.strides_px[head], network.anchors_px[head]
     ratio = objects.cxcywh[:, None, 2:] / anchors_px[None]

@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits as cross_entropy
 
-from track_range.detection.training.losses.assignment import Cells, Objects, assign
+from track_range.detection.training.losses.assignment import Cells, LabelledObjects, assign
 from track_range.detection.training.losses.box_losses import BOX_LOSSES, BoxLoss
 from track_range.detection.training.networks.network import AnchorNetwork
 from track_range.detection.training.teacher import TeacherOutputs
@@ -75,7 +75,7 @@ class Batch:
     """
 
     images: Tensor
-    objects: Objects
+    objects: LabelledObjects
     complete: Completeness
     teacher: list[TeacherOutputs] | None = None
 
@@ -136,7 +136,7 @@ class DetectionLoss:
         }
 
     def _of_head(
-        self, head: int, raw: Tensor, labels: Objects, batch: Batch, teacher: TeacherOutputs | None
+        self, head: int, raw: Tensor, labels: LabelledObjects, batch: Batch, teacher: TeacherOutputs | None
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Box, objectness and class loss of one head, without their weights."""
         network = self._network
@@ -168,7 +168,7 @@ class DetectionLoss:
         return box, _BALANCE[stride_px] * objectness, class_score
 
 
-def _of_labels(cells: Cells, labels: Objects, n_classes: int) -> _Positives:
+def _of_labels(cells: Cells, labels: LabelledObjects, n_classes: int) -> _Positives:
     """The positives of labels, from the cells assigned to them."""
     scores = torch.nn.functional.one_hot(labels.class_index[cells.object_index], n_classes).float()
     ones = torch.ones(len(cells.object_index), device=scores.device)
@@ -182,7 +182,7 @@ def _of_teacher(teacher: TeacherOutputs) -> _Positives:
     return _Positives(cells, teacher.cxcywh, teacher.class_score, weight, torch.zeros_like(weight).bool())
 
 
-def _objectness_mask(raw: Tensor, stride_px: int, objects: Objects, positive: tuple[Tensor, ...]) -> Tensor:
+def _objectness_mask(raw: Tensor, stride_px: int, objects: LabelledObjects, positive: tuple[Tensor, ...]) -> Tensor:
     """(B, A, rows, columns) weight of the objectness loss: 0 inside ignored boxes except for positive cells, else 1."""
     mask = torch.ones(raw.shape[:4], device=raw.device)
     ignored = objects.select(objects.is_ignored)
@@ -195,7 +195,7 @@ def _objectness_mask(raw: Tensor, stride_px: int, objects: Objects, positive: tu
     return mask
 
 
-def _corrected(teacher: TeacherOutputs, objects: Objects, complete: Completeness) -> TeacherOutputs:
+def _corrected(teacher: TeacherOutputs, objects: LabelledObjects, complete: Completeness) -> TeacherOutputs:
     """The teacher's outputs with box and class of overlapping labels, and without its false positives."""
     cells, n_classes = teacher.cells, teacher.class_score.shape[1]
     label, is_labelled = _best_overlap(teacher, objects, ~objects.is_ignored)
@@ -210,7 +210,7 @@ def _corrected(teacher: TeacherOutputs, objects: Objects, complete: Completeness
     return TeacherOutputs(objectness, cells.select(~is_false), boxes[~is_false], scores[~is_false])
 
 
-def _best_overlap(teacher: TeacherOutputs, objects: Objects, is_candidate: Tensor) -> tuple[Tensor, Tensor]:
+def _best_overlap(teacher: TeacherOutputs, objects: LabelledObjects, is_candidate: Tensor) -> tuple[Tensor, Tensor]:
     """(P,) index of the candidate object that each teacher's box overlaps most, and whether it is the same object."""
     index = torch.zeros_like(teacher.cells.image)
     overlap = torch.zeros(len(index), device=index.device)

@@ -28,14 +28,14 @@ COCO_ANCHORS_PX: Anchors = (
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
+class ModelScale:
     """Depth and width of a variant as multiples of those of the base architecture (YOLOv5l)."""
 
     depth: float
     width: float
 
 
-SCALES: Mapping[str, Scale] = {"yolov5n": Scale(0.33, 0.25), "yolov5s": Scale(0.33, 0.50)}
+SCALES: Mapping[str, ModelScale] = {"yolov5n": ModelScale(0.33, 0.25), "yolov5s": ModelScale(0.33, 0.50)}
 
 
 BODY_PREFIX = "body."
@@ -49,7 +49,7 @@ class YoloV5Body(nn.Module):
         n_channels: channels of the three levels of features.
     """
 
-    def __init__(self, scale: Scale, *, has_cbam: bool = False) -> None:
+    def __init__(self, scale: ModelScale, *, has_cbam: bool = False) -> None:
         super().__init__()
         c1, c2, c3, c4, c5 = (_width(n, scale) for n in (64, 128, 256, 512, 1024))
         d1, d2, d3 = (max(round(n * scale.depth), 1) for n in (3, 6, 9))
@@ -122,6 +122,6 @@ def background_head(n_in: int, n_anchors: int, n_classes: int, *, stride_px: int
     return head
 
 
-def _width(n_channels: int, scale: Scale) -> int:
+def _width(n_channels: int, scale: ModelScale) -> int:
     """Number of channels at this width, rounded up to a multiple of 8."""
     return math.ceil(n_channels * scale.width / 8) * 8

@@ -7,7 +7,7 @@ import torch
 from track_range.detection.boxes import iou, xyxy_from_cxcywh
 from track_range.detection.training.losses.aligned_assignment import assign_aligned
 from track_range.detection.training.losses.aligned_loss import AlignedLoss
-from track_range.detection.training.losses.assignment import Objects
+from track_range.detection.training.losses.assignment import LabelledObjects
 from track_range.detection.training.losses.detection_loss import Batch, Completeness
 from track_range.detection.training.networks.network import cells_xy
 from track_range.detection.training.networks.registry import make_network
@@ -28,11 +28,15 @@ def objects(*rows, ignored=False, confidence=1.0, image=0):
     table = torch.tensor(rows, dtype=torch.float32).reshape(-1, 5)
     n = len(table)
     flags = torch.full((n,), ignored, dtype=torch.bool)
-    return Objects(torch.full((n,), image), table[:, 0].long(), table[:, 1:], flags, torch.full((n,), confidence))
+    return LabelledObjects(
+        torch.full((n,), image), table[:, 0].long(), table[:, 1:], flags, torch.full((n,), confidence)
+    )
 
 
 def joined(*parts):
-    return Objects(*(torch.cat([getattr(part, n) for part in parts]) for n in Objects.__dataclass_fields__))
+    return LabelledObjects(
+        *(torch.cat([getattr(part, n) for part in parts]) for n in LabelledObjects.__dataclass_fields__)
+    )
 
 
 def batch(labels, *, is_complete=(True, True), n_images=1):

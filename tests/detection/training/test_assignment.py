@@ -1,6 +1,6 @@
 import torch
 
-from track_range.detection.training.losses.assignment import Objects, assign
+from track_range.detection.training.losses.assignment import LabelledObjects, assign
 from track_range.detection.training.networks.registry import make_network
 
 
@@ -8,7 +8,7 @@ def objects(*rows):
     """Rows of class, cx, cy, w, h in the first image."""
     table = torch.tensor(rows, dtype=torch.float32).reshape(-1, 5)
     image = torch.zeros(len(table), dtype=torch.int64)
-    return Objects(
+    return LabelledObjects(
         image, table[:, 0].long(), table[:, 1:], torch.zeros(len(table), dtype=torch.bool), torch.ones(len(table))
     )
 

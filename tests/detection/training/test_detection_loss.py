@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from track_range.detection.training.losses.assignment import Cells, Objects
+from track_range.detection.training.losses.assignment import Cells, LabelledObjects
 from track_range.detection.training.losses.detection_loss import Batch, Completeness, DetectionLoss
 from track_range.detection.training.networks.registry import make_network
 from track_range.detection.training.teacher import TeacherOutputs
@@ -15,12 +15,14 @@ HIGH_LOGIT = 12.0
 def no_objects(*, ignored=()):
     boxes = torch.tensor([*ignored], dtype=torch.float32).reshape(-1, 4)
     n = len(boxes)
-    return Objects(torch.zeros(n).long(), torch.zeros(n).long(), boxes, torch.ones(n).bool(), torch.ones(n))
+    return LabelledObjects(torch.zeros(n).long(), torch.zeros(n).long(), boxes, torch.ones(n).bool(), torch.ones(n))
 
 
 def one(cx, cy, w, h, class_index=0):
     boxes = torch.tensor([[cx, cy, w, h]], dtype=torch.float32)
-    return Objects(torch.zeros(1).long(), torch.tensor([class_index]), boxes, torch.zeros(1).bool(), torch.ones(1))
+    return LabelledObjects(
+        torch.zeros(1).long(), torch.tensor([class_index]), boxes, torch.zeros(1).bool(), torch.ones(1)
+    )
 
 
 def batch(objects, *, teacher=None, is_complete=(True, True)):
@@ -168,7 +170,7 @@ def test_class_is_distilled_at_label_cells(network):
 
 def test_ignored_box_does_not_block_a_label(network):
     label = one(27, 43, 16, 30)
-    both = Objects(
+    both = LabelledObjects(
         *(
             torch.cat([getattr(no_objects(ignored=[(29, 45, 16, 30)]), n), getattr(label, n)])
             for n in ("image", "class_index", "cxcywh", "is_ignored", "confidence")

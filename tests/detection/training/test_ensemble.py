@@ -18,7 +18,7 @@ from track_range.detection.formats.image_labels.labelled_images import ImageFile
 from track_range.detection.formats.image_labels.yolo_labels import YoloLabelReader, YoloLabels
 from track_range.detection.training.data.data_yaml import read_data_yaml, read_own_labels
 from track_range.detection.training.ensemble.calibration import (
-    Calibration,
+    EnsembleCalibration,
     Samples,
     fit_calibration,
     matches,
@@ -316,6 +316,6 @@ def test_data_that_cannot_get_pseudo_labels(tmp_path, changes, message):
 
 
 def test_probability_of_unknown_scores_is_finite():
-    calibration = Calibration(np.zeros(8), np.ones((8, 1)), np.full(8, 20))
+    calibration = EnsembleCalibration(np.zeros(8), np.ones((8, 1)), np.full(8, 20))
     score = np.linspace(0, 1, 11)[:, None, None] * np.ones((1, 1, 8))
     assert np.isfinite(calibration.probability(score)).all()

@@ -13,7 +13,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from track_range.fleet.engine.fingerprint import content_hash, fingerprint
-from track_range.fleet.engine.plan import ClipProgress, ClipTask, FleetPlan, Outcome
+from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, FleetPlan
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.output.data_set import publish_record, publish_tracks
 from track_range.fleet.output.record import ClipRecord
@@ -33,7 +33,7 @@ def stub_clips(folder: Path, *names: str) -> list[Clip]:
     return clips
 
 
-def process_stub(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> Outcome:
+def process_stub(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> ClipOutcome:
     """Fail according to the name of the clip, else publish one row."""
     progress.phase, progress.video_s = "processing", 1.0
     name = task.clip.name
@@ -45,10 +45,10 @@ def process_stub(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> Out
     try:
         return published(task, plan)
     except (OSError, StorageError) as error:
-        return Outcome({}, fatal=str(error))
+        return ClipOutcome({}, fatal=str(error))
 
 
-def published(task: ClipTask, plan: FleetPlan) -> Outcome:
+def published(task: ClipTask, plan: FleetPlan) -> ClipOutcome:
     """The outcome of a clip with one row in tracks.parquet."""
     clip, out = task.clip, Location.of(plan.out)
     stat = os.stat(clip.left)
@@ -67,7 +67,7 @@ def published(task: ClipTask, plan: FleetPlan) -> Outcome:
         stages_ms={"read": 1.5},
     )
     if task.known_hash == record.content_hash:
-        return Outcome(record.row(), is_unchanged=True)
+        return ClipOutcome(record.row(), is_unchanged=True)
     table = pa.table({"frame": [0], "text": [digest]})
     from pyarrow import parquet
 
@@ -76,7 +76,7 @@ def published(task: ClipTask, plan: FleetPlan) -> Outcome:
         parquet.write_table(table, file)
         publish_tracks(out, clip.name, file)
     publish_record(out, record.row())
-    return Outcome(record.row(), is_published=True)
+    return ClipOutcome(record.row(), is_published=True)
 
 
 def _crash() -> None:

@@ -7,7 +7,7 @@ import pytest
 from track_range.simulation.camera.masks import masks_of
 from track_range.simulation.drive import DriveOptions, write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
-from track_range.simulation.world.bodies.faces import Part
+from track_range.simulation.world.bodies.faces import IdentifyingPart
 from track_range.simulation.world.bodies.road_users import BUILDERS
 from track_range.simulation.world.scene import AWAY_RAD, SIZE_HWL_M, TOWARDS_RAD, RoadUser, Scene
 
@@ -40,7 +40,7 @@ def masks():
 @pytest.mark.parametrize("kind", ["Car", "Van", "Truck", "Bus", "Motorcycle"])
 def test_plates_are_inside_the_3d_box(kind):
     faces = BUILDERS[kind](np.random.default_rng(0), SIZE_HWL_M[kind])
-    plates = [face for face in faces if face.part == Part.PLATE]
+    plates = [face for face in faces if face.part == IdentifyingPart.PLATE]
     assert len(plates) == (1 if kind == "Motorcycle" else 2)
     height, width, length = SIZE_HWL_M[kind]
     for plate in plates:
@@ -54,7 +54,7 @@ def test_plates_are_inside_the_3d_box(kind):
 def test_plate_of_a_car(masks, user):
     part, row = masks
     rows, columns = np.nonzero((part > 0) & (row == user))
-    assert set(part[rows, columns]) == {Part.PLATE}
+    assert set(part[rows, columns]) == {IdentifyingPart.PLATE}
     px_per_m = RIG.left.fx_px / (12.0 - SIZE_HWL_M["Car"][2] / 2)
     assert 0.35 * px_per_m < np.ptp(columns) + 1 < 0.55 * px_per_m
     assert 0.07 * px_per_m < np.ptp(rows) + 1 < 0.18 * px_per_m
@@ -65,7 +65,7 @@ def test_plate_of_a_car(masks, user):
 def test_heads(masks, user):
     part, row = masks
     px_per_m = RIG.left.fx_px / 9.0
-    rows, columns = np.nonzero((part == Part.HEAD) & (row == user))
+    rows, columns = np.nonzero((part == IdentifyingPart.HEAD) & (row == user))
     assert abs(columns.mean() - (RIG.left.cx_px + USERS[user][1] * px_per_m)) < 6
     assert abs(rows.min() - (RIG.left.cy_px - (SIZE_HWL_M["Pedestrian"][0] - 1.65) * px_per_m)) < 3
     assert np.ptp(rows) < 0.3 * px_per_m
@@ -73,8 +73,8 @@ def test_heads(masks, user):
 
 def test_hidden_parts_are_not_in_the_masks(masks):
     part, row = masks
-    whole_px = ((part == Part.HEAD) & (row == 2)).sum() * (9 / 17) ** 2
-    assert ((part == Part.HEAD) & (row == 4)).sum() < 0.3 * whole_px
+    whole_px = ((part == IdentifyingPart.HEAD) & (row == 2)).sum() * (9 / 17) ** 2
+    assert ((part == IdentifyingPart.HEAD) & (row == 4)).sum() < 0.3 * whole_px
 
 
 def test_a_pixel_needs_two_samples():

@@ -31,7 +31,7 @@ from track_range.recording.frame import VideoError
 from track_range.run.options.tracker_options import open_tracker_options
 from track_range.run.settings import check_tracker
 from track_range.tracking.registry import create_tracker
-from track_range.tracking.tracker import Tracker
+from track_range.tracking.tracker import ObjectTracker
 
 DEFAULT_FPS = 10.0
 """Frame rate of sequences without seqinfo.ini: KITTI's."""
@@ -169,7 +169,7 @@ def _track_one(
     sequence: SequenceFile,
     recorded: RecordedDetections,
     images: Path | None,
-    tracker: Tracker,
+    tracker: ObjectTracker,
     settings: TrackSettings,
     progress: FrameProgress,
 ) -> tuple[TrackedFile, tuple[str, ...]]:

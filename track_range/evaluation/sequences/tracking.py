@@ -18,7 +18,7 @@ from track_range.recording.open_video import open_video
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.tracking.offline_refinement import OfflineRefinement
 from track_range.tracking.registry import checked_tracks
-from track_range.tracking.tracker import RefinableTracker, Tracker
+from track_range.tracking.tracker import ObjectTracker, RefinableTracker
 from track_range.tracking.tracks import Tracks
 
 _VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm")
@@ -80,7 +80,7 @@ def _videos(folder: Path, name: str) -> list[Path]:
 
 def track_sequence(
     recorded: RecordedDetections,
-    tracker: Tracker,
+    tracker: ObjectTracker,
     *,
     n_frames: int,
     fps: float,

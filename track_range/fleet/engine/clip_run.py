@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from track_range.fleet.engine.fingerprint import content_hash, fingerprint
 from track_range.fleet.engine.limits import plausible_s
-from track_range.fleet.engine.plan import ClipProgress, ClipTask, FleetPlan, Outcome
+from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, FleetPlan
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.inputs.dry_run import check_clips
 from track_range.fleet.output.data_set import (
@@ -69,7 +69,7 @@ class _UnchangedError(Exception):
     """The content of the files is that of the complete result."""
 
 
-def run_clip(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> Outcome:
+def run_clip(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> ClipOutcome:
     """Process a clip and publish its results.
 
     Args:
@@ -81,7 +81,7 @@ def run_clip(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> Outcome
     try:
         return clip_run.outcome()
     except _PublishingError as error:
-        return Outcome(clip_run.failed("internal", str(error)), fatal=str(error))
+        return ClipOutcome(clip_run.failed("internal", str(error)), fatal=str(error))
 
 
 class _ClipRun:
@@ -107,7 +107,7 @@ class _ClipRun:
             labels=dict(self._clip.labels),
         )
 
-    def outcome(self) -> Outcome:
+    def outcome(self) -> ClipOutcome:
         """Process the clip."""
         _reset_peak_memory()
         try:
@@ -119,9 +119,9 @@ class _ClipRun:
                 self._names = {str(file.path): str(Location.of(file.address)) for file in local.files.values()}
                 self._add_inputs(local)
                 self._process(local, folder)
-            return Outcome(self._record.row(), is_published=True)
+            return ClipOutcome(self._record.row(), is_published=True)
         except _UnchangedError:
-            return Outcome(self._record.row(), is_unchanged=True)
+            return ClipOutcome(self._record.row(), is_unchanged=True)
         except StorageError as error:
             return self._failure("fetch", error, is_transient=error.is_transient)
         except UserError as error:
@@ -136,7 +136,7 @@ class _ClipRun:
         text = printable(" ".join(self._with_names(message).split()))[:_MAX_ERROR]
         return self._with_times(replace(self._record, status="failed", error=text, error_kind=kind)).row()
 
-    def _failure(self, kind: str, error: Exception, *, is_transient: bool = False) -> Outcome:
+    def _failure(self, kind: str, error: Exception, *, is_transient: bool = False) -> ClipOutcome:
         if _is_full(error):
             raise _PublishingError(
                 f"no space left for the clip {self._clip.name} on {platform.node()}: {error}"
@@ -146,7 +146,7 @@ class _ClipRun:
             message = f"unexpected error, {type(error).__name__}: {message or 'no text'} ({_place(error)})"
         if kind == "memory":
             message = message or "the memory of the machine is not enough for this clip"
-        return Outcome(self.failed(kind, message), is_transient=is_transient)
+        return ClipOutcome(self.failed(kind, message), is_transient=is_transient)
 
     def _add_inputs(self, local: FetchedClip) -> None:
         """Add the fingerprint of the files to the record.

@@ -18,7 +18,7 @@ from track_range.fleet.engine.attempts import Attempts, ErrorKind
 from track_range.fleet.engine.counts import Counts
 from track_range.fleet.engine.fingerprint import present_fingerprint
 from track_range.fleet.engine.plan import ClipTask, FleetPlan
-from track_range.fleet.engine.pool import Event, Slot, WorkerPool, alive_nodes
+from track_range.fleet.engine.pool import Slot, WorkerEvent, WorkerPool, alive_nodes
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import ClipTable, journal_row, publish_record
 from track_range.fleet.output.file_names import FileNames
@@ -119,7 +119,7 @@ class Driver:
             return
         self._pool.submit(slot, task)
 
-    def _handle(self, event: Event) -> None:
+    def _handle(self, event: WorkerEvent) -> None:
         if event.kind == "ready":
             self._ready(event)
         elif event.kind == "finished":
@@ -127,7 +127,7 @@ class Driver:
         else:
             self._lost(event)
 
-    def _ready(self, event: Event) -> None:
+    def _ready(self, event: WorkerEvent) -> None:
         info = event.slot.info
         if info is not None and info.version != self._plan.version:
             raise FleetError(
@@ -136,7 +136,7 @@ class Driver:
             )
         self._has_started, self._n_starts_lost = True, 0
 
-    def _finished(self, event: Event) -> None:
+    def _finished(self, event: WorkerEvent) -> None:
         outcome, task = event.outcome, event.task
         if outcome is None or task is None:
             return
@@ -154,7 +154,7 @@ class Driver:
         else:
             self._add_failed(task, row)
 
-    def _lost(self, event: Event) -> None:
+    def _lost(self, event: WorkerEvent) -> None:
         self._pool.replace(event.slot)
         task = event.task
         if task is None:

@@ -63,7 +63,7 @@ class ClipTask:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class ClipOutcome:
     """Answer of a worker about a clip.
 
     Attributes:
@@ -132,7 +132,7 @@ class FleetPlan:
         return bool(self.options.get("anonymize"))
 
 
-Process = Callable[[ClipTask, FleetPlan, ClipProgress], Outcome]
+Process = Callable[[ClipTask, FleetPlan, ClipProgress], ClipOutcome]
 """Processes a clip in a worker."""
 
 

@@ -21,7 +21,7 @@ import ray
 from track_range.fleet.engine.attempts import ErrorKind
 from track_range.fleet.engine.cluster import Cluster
 from track_range.fleet.engine.limits import Limits
-from track_range.fleet.engine.plan import ClipTask, FleetPlan, Outcome, Process
+from track_range.fleet.engine.plan import ClipOutcome, ClipTask, FleetPlan, Process
 from track_range.fleet.engine.scratch import folder_of
 from track_range.fleet.engine.shared_files import shared_files
 from track_range.fleet.engine.worker import Worker, WorkerInfo, WorkerState
@@ -74,7 +74,7 @@ class Slot:
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class WorkerEvent:
     """What happened to a worker.
 
     Attributes:
@@ -90,7 +90,7 @@ class Event:
     slot: Slot
     kind: Literal["ready", "finished", "lost"]
     task: ClipTask | None = None
-    outcome: Outcome | None = None
+    outcome: ClipOutcome | None = None
     error_kind: ErrorKind = ""
     reason: str = ""
     node: str = ""
@@ -135,7 +135,7 @@ class WorkerPool:
         slot.task, slot.start_s, slot.state = task, time.monotonic(), None
         slot.answer = slot.actor.run.remote(task)
 
-    def events(self, timeout_s: float) -> Iterator[Event]:
+    def events(self, timeout_s: float) -> Iterator[WorkerEvent]:
         """What has happened, after waiting for at most `timeout_s`."""
         by_answer = {slot.answer: slot for slot in self.slots if slot.answer is not None}
         if by_answer:
@@ -161,7 +161,7 @@ class WorkerPool:
         for slot in self.slots:
             self._kill(slot)
 
-    def _event(self, slot: Slot) -> Event:
+    def _event(self, slot: Slot) -> WorkerEvent:
         answer, slot.answer = slot.answer, None
         try:
             value = ray.get(answer)
@@ -169,16 +169,16 @@ class WorkerPool:
             return self._lost(slot, *(_cause(error) if slot.info is not None else ("crash", _last_line(error))))
         if isinstance(value, WorkerInfo):
             slot.info = value
-            return Event(slot, "ready")
+            return WorkerEvent(slot, "ready")
         task, slot.task = slot.task, None
         slot.n_clips += 1
-        return Event(slot, "finished", task, outcome=value)
+        return WorkerEvent(slot, "finished", task, outcome=value)
 
-    def _lost(self, slot: Slot, kind: ErrorKind, reason: str) -> Event:
+    def _lost(self, slot: Slot, kind: ErrorKind, reason: str) -> WorkerEvent:
         self._kill(slot, has_ended=kind == "crash")
         task, slot.task = slot.task, None
         node = "" if slot.info is None else slot.info.node
-        return Event(slot, "lost", task, error_kind=kind, reason=reason, node=node)
+        return WorkerEvent(slot, "lost", task, error_kind=kind, reason=reason, node=node)
 
     def _kill(self, slot: Slot, *, has_ended: bool = False) -> None:
         """End a worker; the number of a process that `has_ended` may be that of another one by now."""
@@ -208,7 +208,7 @@ class WorkerPool:
                 slot.state_s = now_s
                 slot.state_call = slot.actor.state.options(concurrency_group="state").remote()
 
-    def _over_limit(self) -> Iterator[Event]:
+    def _over_limit(self) -> Iterator[WorkerEvent]:
         """Events of workers that are over a limit; they are ended."""
         now_s = time.monotonic()
         for slot in self.slots:

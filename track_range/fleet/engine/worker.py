@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from track_range.fleet.engine.plan import ClipProgress, ClipTask, FleetPlan, Outcome, Process
+from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, FleetPlan, Process
 from track_range.fleet.engine.scratch import open_scratch
 from track_range.fleet.engine.shared_files import SharedFile, with_shared_files
 from track_range.foundation.processes import owned_process
@@ -88,7 +88,7 @@ class Worker:
         node = ray.get_runtime_context().get_node_id()
         return WorkerInfo(os.getpid(), platform.node(), node, version("track-range"))
 
-    def run(self, task: ClipTask) -> Outcome:
+    def run(self, task: ClipTask) -> ClipOutcome:
         """Process a clip."""
         self._progress = ClipProgress(clip=task.clip.name)
         try:

@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from track_range.detection.classes import ROAD_CLASS_OF
-from track_range.simulation.world.contacts import Contact
+from track_range.simulation.world.contacts import EgoContact
 
 HEADER = "object_id,class,contact_s\n"
 
 
-def contacts_text(contacts: Iterable[Contact]) -> str:
+def contacts_text(contacts: Iterable[EgoContact]) -> str:
     """Content of contacts.csv, with its header also without contacts."""
     rows = (
         f"{contact.track_id},{ROAD_CLASS_OF[contact.kitti_type.lower()]},{contact.contact_s:.4f}\n"

@@ -57,7 +57,7 @@ _ALIGNED_RAD = np.pi / 4
 
 
 @dataclass(frozen=True, slots=True)
-class Contact:
+class EgoContact:
     """A contact of the ego vehicle with a road user.
 
     Attributes:
@@ -73,9 +73,9 @@ class Contact:
     is_real: bool
 
 
-def find_contacts(scene: Scene, seconds: float) -> tuple[Contact, ...]:
+def find_contacts(scene: Scene, seconds: float) -> tuple[EgoContact, ...]:
     """The contacts in the first `seconds` of a scene, earliest first, as the module defines them."""
-    contacts: dict[int, Contact] = {}
+    contacts: dict[int, EgoContact] = {}
     real = first_contact(scene, seconds)
     end_s = seconds if real is None else real.contact_s
     for start_s in _brake_starts_s(scene, end_s):
@@ -88,13 +88,13 @@ def find_contacts(scene: Scene, seconds: float) -> tuple[Contact, ...]:
     return tuple(sorted(contacts.values(), key=lambda contact: contact.contact_s))
 
 
-def first_contact(scene: Scene, seconds: float) -> Contact | None:
+def first_contact(scene: Scene, seconds: float) -> EgoContact | None:
     """The first real contact in the first `seconds` of a scene; None = none."""
     touching = _first_touch(scene, lambda times_s: ego_z_m(scene, times_s), (0.0, seconds))
     return None if touching is None else _contact(scene, *touching, is_real=True)
 
 
-def _unbraked_contact(scene: Scene, start_s: float, seconds: float) -> Contact | None:
+def _unbraked_contact(scene: Scene, start_s: float, seconds: float) -> EgoContact | None:
     """The first contact if the ego vehicle keeps its speed from `start_s` on, without those with followed vehicles."""
     z_m, speed_mps = scene.ego_z_m(start_s), _along_z_mps(scene, start_s)
     end_s = min(start_s + UNBRAKED_S, seconds)
@@ -104,9 +104,9 @@ def _unbraked_contact(scene: Scene, start_s: float, seconds: float) -> Contact |
     return _contact(scene, *touching, is_real=False)
 
 
-def _contact(scene: Scene, row: int, contact_s: float, *, is_real: bool) -> Contact:
+def _contact(scene: Scene, row: int, contact_s: float, *, is_real: bool) -> EgoContact:
     user = scene.road_users[row]
-    return Contact(user.track_id, user.kitti_type, contact_s, is_real)
+    return EgoContact(user.track_id, user.kitti_type, contact_s, is_real)
 
 
 def _brake_starts_s(scene: Scene, end_s: float) -> Iterator[float]:

@@ -20,7 +20,7 @@ from track_range.detection.training.ensemble.calibration import MIN_POSITIVES
 from track_range.detection.training.ensemble.data_set import (
     COUNTED_PROBABILITIES,
     DETECTIONS,
-    Outcome,
+    PseudoLabelFigures,
     is_validated_on_training_images,
     label_training_images,
     usable_classes,
@@ -126,7 +126,7 @@ def _print_unreadable(messages: list[str]) -> None:
             print_notes(console, [f"and {len(messages) - _N_LISTED} more"])
 
 
-def _print_outcome(outcome: Outcome, members: list[EnsembleMember]) -> None:
+def _print_outcome(outcome: PseudoLabelFigures, members: list[EnsembleMember]) -> None:
     print_grid(console, _label_grid(outcome))
     others = [ROAD_CLASSES[i] for i in outcome.known_class_id if not outcome.calibration.n_positives[i]]
     if others:
@@ -141,7 +141,7 @@ def _print_outcome(outcome: Outcome, members: list[EnsembleMember]) -> None:
     print_notes(console, [note for member in members for note in member.notes if "dropped" in note])
 
 
-def _label_grid(outcome: Outcome) -> Grid:
+def _label_grid(outcome: PseudoLabelFigures) -> Grid:
     """One row per class: matches of the fit, pseudo-labels by minimum probability, and boxes to ignore."""
     rows = outcome.known_class_id
     fitted = [int(n) or None for n in outcome.calibration.n_positives[rows]]

@@ -37,7 +37,7 @@ LIGHT_MEAN, LIGHT_ALONG, LIGHT_DOWN, LIGHT_LEFT = 0.92, -0.02, -0.28, -0.2
 """Brightness of a slanted side: the mean, and what its outward normal's x, y and z add; similar to `SUN`."""
 
 
-class Part(IntEnum):
+class IdentifyingPart(IntEnum):
     """Part of a road user by which a person can be identified; the values are those of the masks."""
 
     NONE = 0
@@ -65,7 +65,7 @@ class Face:
     texture: Image
     two_sided: bool = False
     is_shadow: bool = False
-    part: Part = Part.NONE
+    part: IdentifyingPart = IdentifyingPart.NONE
 
     def rotated(self, rotation: FloatArray) -> Face:
         """The face rotated by (3, 3)."""

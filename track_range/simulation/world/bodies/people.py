@@ -12,7 +12,7 @@ from track_range.simulation.world.bodies.faces import (
     Colour,
     Extent,
     Face,
-    Part,
+    IdentifyingPart,
     Vector,
     block,
     coloured_face,
@@ -177,7 +177,7 @@ def _head(
     for (under, over), bare in zip(pairwise(rings), BARE_SIDES, strict=True):
         head += loft(rng, under, over, hair, contrast=4.0, others=dict.fromkeys(bare, skin))
     head.append(lid(rng, rings[-1], hair, contrast=4.0))
-    return [*neck, *(replace(face, part=Part.HEAD) for face in head)]
+    return [*neck, *(replace(face, part=IdentifyingPart.HEAD) for face in head)]
 
 
 def _bicycle_wheel(rng: np.random.Generator, centre_x: float, radius: float) -> list[Face]:
@@ -230,7 +230,7 @@ def motorcyclist(rng: np.random.Generator, size_hwl_m: tuple[float, float, float
         *prism(rng, (-0.15, 0.35, 0.25, seat, -0.6 * z, -0.3 * z), (52, 48, 46), contrast=8.0),
     ]
     head = prism(rng, (-0.05, 0.24, neck, height, -0.14, 0.14), helmet, contrast=6.0)
-    faces += [replace(face, part=Part.HEAD) for face in head]
+    faces += [replace(face, part=IdentifyingPart.HEAD) for face in head]
     for centre in (-x + radius, x - radius):
         faces += _wheel(rng, centre, radius, half_width=0.07)
     body = block(rng, (-0.8 * x, 0.7 * x, 0.32, seat, -0.15, 0.15), paint, contrast=6.0)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from track_range.simulation.world.bodies.faces import Face, Part, Vector, coloured_face
+from track_range.simulation.world.bodies.faces import Face, IdentifyingPart, Vector, coloured_face
 from track_range.simulation.world.textures.painting import Box, number_plate
 
 RECESS_M = 0.001
@@ -35,7 +35,7 @@ def with_plate(face: Face, box: Box) -> list[Face]:
         (right - left) / width * face.along,
         (bottom - top) / height * face.down,
         picture[top:bottom, left:right].copy(),
-        part=Part.PLATE,
+        part=IdentifyingPart.PLATE,
     )
     picture[y1:y2, x1:x2, 3] = 0
     return [face, plate]
@@ -45,4 +45,4 @@ def plate_face(rng: np.random.Generator, place: tuple[Vector, Vector, Vector]) -
     """A number plate at `place`, (corner, along, down) in metres, that is not part of another face."""
     face = coloured_face(rng, place, (222, 228, 228), contrast=4.0)
     number_plate(face.texture, (0.0, 0.0, 1.0, 1.0))
-    return replace(face, part=Part.PLATE)
+    return replace(face, part=IdentifyingPart.PLATE)
