@@ -183,7 +183,7 @@ def open_recording(
             left, videos, rig=None if rig is None else Path(rig), focal_px=focal_px, view=LensView(fov_deg, yaw_deg)
         )
         monitors: tuple[Monitor, ...] = ()
-        if pair is not None and calibration.uncalibrated is not None:
+        if pair is not None and calibration.is_uncalibrated_pair:
             calibration, monitors = _with_row_correction(calibration, pair)
         elif pair is not None and calibration.rig is not None:
             monitors = (PairMonitor(), SyncMonitor()) if has_checks else ()

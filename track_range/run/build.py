@@ -18,14 +18,12 @@ from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.registry import create_rangers, method_notes
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.ranging.warning.collision_warning import CollisionWarning
-from track_range.recording.cameras.uncalibrated import ASSUMED_BASELINE_M
 from track_range.recording.recording import Recording, open_recording
 from track_range.recording.telemetry.speed_source import AUTO
 from track_range.run.box_source import BoxSource
 from track_range.run.options.tracker_options import open_tracker_options
 from track_range.run.settings import RunSettings
 from track_range.stereo.alignment.model import Alignment
-from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import Odometry
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
@@ -86,11 +84,10 @@ def open_pipeline(
     """
     is_ahead = settings.yaw_deg == 0
     runtime = Runtime(n_threads=settings.threads, device=settings.device)
-    pair = source.calibration.uncalibrated
     context = MethodContext(
         camera=source.camera,
         rig=source.rig,
-        assumed_rig=StereoRig.rectified(pair.camera, ASSUMED_BASELINE_M) if pair and pair.has_equal_rows else None,
+        assumed_rig=source.calibration.assumed_rig,
         alignment=source.calibration.alignment.applied.after_shift() if source.calibration.alignment else Alignment(),
         drifting_alignment=source.calibration.alignment.drifting if source.calibration.alignment else None,
         focal_sigma=source.calibration.focal_sigma,

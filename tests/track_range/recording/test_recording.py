@@ -109,20 +109,20 @@ def test_pair_without_rig_is_uncalibrated(pair, tmp_path):
     recording = open_recording(*pair)
     assert (recording.rig, recording.calibration.kind, recording.calibration.alignment) == (None, "estimated", None)
     assert recording.camera.fx_px == pytest.approx(WIDTH_PX / 2 / np.tan(np.radians(75 / 2)))
-    assert recording.calibration.uncalibrated.has_equal_rows
-    assert recording.calibration.uncalibrated.focal_sigma == 0.3
+    assert recording.calibration.assumed_rig is not None
+    assert recording.calibration.focal_sigma == 0.3
     frame = next(recording.frames)
     assert (frame.left[:, SHIFT_PX:] == frame.right[:, :-SHIFT_PX]).all()
     assert any("75 degrees" in note and "track-range calibrate" in note for note in recording.notes)
     given = open_recording(*pair, focal_px=280.0)
-    assert (given.camera.fx_px, given.calibration.uncalibrated.focal_sigma) == (280.0, 0.02)
+    assert (given.camera.fx_px, given.calibration.focal_sigma) == (280.0, 0.02)
     assert any("280 px" in note for note in given.notes)
 
 
 def test_uncalibrated_rows_corrected_or_stereo_off(pair, tmp_path):
     (tmp_path / "rig.yaml").unlink()
     recording = open_recording(pair[0], write_view(tmp_path / "low", SHIFT_PX, row_px=-4))
-    assert recording.calibration.uncalibrated.row_offset_px == pytest.approx(4.0, abs=0.1)
+    assert recording.calibration.row_offset_px == pytest.approx(4.0, abs=0.1)
     frame = next(recording.frames)
     grey = cv2.cvtColor(frame.left, cv2.COLOR_BGR2GRAY).astype(int)
     difference = np.abs(grey[8:-8, SHIFT_PX:] - whole_image(frame.right)[8:-8, :-SHIFT_PX])
@@ -135,7 +135,7 @@ def test_uncalibrated_rows_corrected_or_stereo_off(pair, tmp_path):
         rotation = cv2.getRotationMatrix2D(middle, 12.0, 1.0)
         cv2.imwrite(str(rotated / image.name), cv2.warpAffine(cv2.imread(str(image)), rotation, (WIDTH_PX, HEIGHT_PX)))
     recording = open_recording(pair[0], rotated)
-    assert not recording.calibration.uncalibrated.has_equal_rows
+    assert recording.calibration.assumed_rig is None
     assert any("needs a rig" in note for note in recording.notes)
 
 

@@ -18,8 +18,8 @@ from track_range.recording.cameras.focal_sources import focal_guesses
 from track_range.recording.cameras.uncalibrated import (
     ASSUMED_BASELINE_M,
     GIVEN_FOCAL_SIGMA,
-    UncalibratedPair,
     focal_sentence,
+    pair_notes,
 )
 from track_range.recording.frame import VideoError, VideoFrame
 from track_range.recording.live.live_video import LiveVideo
@@ -27,6 +27,7 @@ from track_range.recording.names import VideoName, files_of
 from track_range.recording.pairs.auto_alignment import PairAlignment
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart
+from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX
 from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame, ImageView
@@ -89,9 +90,10 @@ class RecordingCalibration:
         file_notes: messages for the user about the file.
         search_notes: the sentence that names the file if it was not given but found.
         alignment: disparity correction of a calibrated pair.
-        uncalibrated: assumptions about a pair without calibration.
+        row_offset_px: y_right - y_left of matching points of a pair without calibration, which is corrected; None =
+            the rows do not match, so that the pair cannot be matched, or the recording is another one.
         guesses: guesses of a focal length that is not known; empty = it is.
-        focal: estimate of a focal length that is not known; None = it is.
+        focal: estimate of a focal length that is not known exactly; None = it is.
         mounting: height and pitch of a camera that was calibrated from the road, and the uncertainty of its focal
             length; None = unknown.
     """
@@ -109,7 +111,7 @@ class RecordingCalibration:
     file_notes: tuple[str, ...] = ()
     search_notes: tuple[str, ...] = ()
     alignment: PairAlignment | None = None
-    uncalibrated: UncalibratedPair | None = None
+    row_offset_px: float | None = None
     guesses: tuple[FocalGuess, ...] = ()
     focal: FocalGuess | None = None
     mounting: Mounting | None = None
@@ -117,8 +119,6 @@ class RecordingCalibration:
     @property
     def focal_sigma(self) -> float:
         """Relative standard deviation of the focal length, which all distances share; 0 = calibrated."""
-        if self.uncalibrated is not None:
-            return self.uncalibrated.focal_sigma
         if self.focal is not None:
             return self.focal.sigma
         return 0.0 if self.mounting is None else self.mounting.focal_sigma
@@ -135,18 +135,29 @@ class RecordingCalibration:
     def notes(self) -> tuple[str, ...]:
         """Messages for the user."""
         alignment = () if self.alignment is None else self.alignment.notes
-        uncalibrated = () if self.uncalibrated is None else self.uncalibrated.notes
-        return (*self.search_notes, *self.file_notes, *alignment, *uncalibrated, *self._focal_notes)
+        return (*self.search_notes, *self.file_notes, *alignment, *self._focal_notes)
 
     @property
     def _focal_notes(self) -> tuple[str, ...]:
-        """Message about the estimated focal length of one camera."""
-        if self.uncalibrated is not None or self.focal is None:
+        """Messages about an estimated focal length."""
+        if self.focal is None:
             return ()
+        if self.is_uncalibrated_pair:
+            return pair_notes(self.focal, self.row_offset_px, is_given=not self.guesses)
         return (
             f"No calibration: {focal_sentence(self.focal)}, and all distances share its error; a known distance "
             "reduces it: track-range calibrate --mono VIDEO --known-distance 'T_S,X1,Y1,X2,Y2=METRES' --out rig.yaml.",
         )
+
+    @property
+    def is_uncalibrated_pair(self) -> bool:
+        """Whether there are two cameras without a rig."""
+        return self.rig is None and len(self.sizes_px) > 1
+
+    @property
+    def assumed_rig(self) -> StereoRig | None:
+        """An uncalibrated pair that can be matched, with an assumed baseline; None = any other recording."""
+        return None if self.row_offset_px is None else _assumed_rig(self.camera)
 
     @property
     def has_wide_lens(self) -> bool:
@@ -198,22 +209,19 @@ class RecordingCalibration:
         return replace(self, rig=rig, rectifier=rectifier, alignment=alignment)
 
     def with_row_offsets(self, row_offsets_px: list[float]) -> RecordingCalibration:
-        """A copy with the row offsets of the first frames of an uncalibrated pair; an empty list = unknown."""
-        if self.uncalibrated is None:
+        """A copy of an uncalibrated pair with the median row offset of its first frames; an empty list = unknown."""
+        if not row_offsets_px:
             return self
-        pair = self.uncalibrated.with_row_offsets(row_offsets_px)
-        rectifier = Rectifier(_assumed_rig(self.camera), row_offset_px=pair.row_offset_px)
-        return replace(self, rectifier=rectifier, uncalibrated=pair)
+        row_px = float(np.median(row_offsets_px))
+        row_px = row_px if abs(row_px) > MAX_ROW_OFFSET_PX else 0.0
+        return replace(self, rectifier=Rectifier(_assumed_rig(self.camera), row_offset_px=row_px), row_offset_px=row_px)
 
     def with_focal_length(self, guess: FocalGuess) -> RecordingCalibration:
         """A copy of an uncalibrated camera or pair with another estimate of its focal length.
 
         The rectified images do not depend on it.
         """
-        pair = None if self.uncalibrated is None else self.uncalibrated.with_focal_length(guess)
-        size_px = self.camera.width_px, self.camera.height_px
-        camera = PinholeCamera.of_focal_length(guess.focal_px, size_px)
-        return replace(self, camera=camera, uncalibrated=pair, focal=guess)
+        return replace(self, camera=PinholeCamera.of_focal_length(guess.focal_px, self.sizes_px[0]), focal=guess)
 
 
 def find_calibration(
@@ -263,18 +271,17 @@ def _found_calibration(
     guess = best_guess(guesses) if focal_px is None else FocalGuess(focal_px, GIVEN_FOCAL_SIGMA, "--focal-px")
     camera = PinholeCamera.of_focal_length(guess.focal_px, sizes_px[0])
     check_camera(camera, "--focal-px" if focal_px is not None else f"{left}: focal length")
-    pair = None
-    if len(videos) > 1:
+    is_pair = len(videos) > 1
+    if is_pair:
         _check_equal_sizes(videos, sizes_px)
-        pair = UncalibratedPair.of(sizes_px[0], guess, is_given=focal_px is not None)
+    is_exact = focal_px is not None and not is_pair
     return RecordingCalibration(
-        kind="estimated" if pair is not None or focal_px is None else "focal length",
+        kind="focal length" if is_exact else "estimated",
         camera=camera,
-        rectifier=Undistorter(camera) if pair is None else Rectifier(_assumed_rig(camera)),
+        rectifier=Rectifier(_assumed_rig(camera)) if is_pair else Undistorter(camera),
         sizes_px=sizes_px,
-        uncalibrated=pair,
         guesses=guesses,
-        focal=None if focal_px is not None else guess,
+        focal=None if is_exact else guess,
     )
 
 

@@ -17,12 +17,11 @@ from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.foundation.files.input_files import counted
 from track_range.recording.bags.bag import is_bag
 from track_range.recording.files.file_state import FileState
-from track_range.recording.files.video_file import VideoFile, VideoHeader, count_packets
+from track_range.recording.files.video_file import VideoFile, VideoHeader, compressed_frames, count_packets
 from track_range.recording.files.video_part import VideoPart
 from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame
 from track_range.recording.names import Segments, is_pattern, matching_files
 from track_range.recording.recorded_video import RecordedVideo
-from track_range.recording.segments.repeated_frames import repeated_s
 from track_range.recording.segments.segment_times import SegmentFacts, arranged, paired_starts_s
 from track_range.recording.utc import UtcStart
 
@@ -46,6 +45,12 @@ _CUT_STEP_S = 1e-4
 
 _RATE_DIFFERENCE = 0.01
 """Relative difference up to which frame rates count as equal."""
+
+_MAX_OVERLAP_S = 5.0
+"""Longest overlap, s, that is searched; dashcams repeat 1 to 3 s."""
+
+_MIN_REPEATED_BYTES = 2000
+"""Smallest number of bytes of repeated frames; fewer are those of an empty picture, which may be equal by chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +100,7 @@ class SegmentedVideo(RecordedVideo):
             raise VideoError(f"{name}: expected at most {_MAX_FILES} files, found {len(paths)}; select fewer files.")
         segments = self._segments_of(paths)
         facts = [segment.facts for segment in segments]
-        plan = arranged(facts, is_given_order=isinstance(name, Segments), repeated_s=repeated_s)
+        plan = arranged(facts, is_given_order=isinstance(name, Segments), repeated_s=_repeated_s)
         by_path = {segment.path: segment for segment in segments}
         self.plan = plan
         self._segments = [by_path[facts.path] for facts in plan.facts]
@@ -300,6 +305,28 @@ def _videos_in(name: Path) -> list[Path] | None:
             f"pattern such as '{name / ('*' + videos[0].suffix)}', or another folder."
         )
     return videos or None
+
+
+def _repeated_s(before: SegmentFacts, after: SegmentFacts) -> float:
+    """Time, s, from the start of `after` to the end of `before`, if its first frames are the last ones of `before`.
+
+    Dashcams with an overlap write the last second of a file also to the beginning of the next one, without encoding it
+    again. 0 = no compressed frame is in both, or a file cannot be read.
+    """
+    try:
+        with closing(compressed_frames(after.path)) as beginning:
+            _, first = next(beginning, (0.0, b""))
+            end = list(compressed_frames(before.path, last_s=_MAX_OVERLAP_S))
+            matches = [number for number, (_, content) in enumerate(end) if content == first]
+            if not first or len(matches) != 1:
+                return 0.0
+            repeated = end[matches[0] :]
+            is_equal = all(content == next(beginning, (0.0, b""))[1] for _, content in repeated[1:])
+    except VideoError:
+        return 0.0
+    if not is_equal or sum(len(content) for _, content in repeated) < _MIN_REPEATED_BYTES:
+        return 0.0
+    return before.first_s + before.duration_s - repeated[0][0]
 
 
 def _have_equal_content(one: Path, other: Path) -> bool:
