@@ -24,6 +24,7 @@ from track_range.recording.pairs.auto_alignment import ESTIMATION_SPAN_S, find_a
 from track_range.recording.pairs.live_pair import LivePair
 from track_range.recording.pairs.pair_monitor import MAX_CHECKED_PAIRS, Monitor, PairMonitor, SyncMonitor
 from track_range.recording.pairs.recorded_pair import RecordedPair
+from track_range.recording.pairs.video_pair import VideoPair
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart, parsed_utc
 from track_range.stereo.alignment.drift import DriftMonitor
@@ -32,6 +33,8 @@ from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
+
+PairedVideos = RecordedPair | LivePair
 
 _N_ROW_PAIRS = 3
 """Number of conclusive image pairs from which the row offset of an uncalibrated pair is estimated, as their median."""
@@ -43,19 +46,22 @@ class Recording:
 
     Attributes:
         frames: rectified (one camera: undistorted) frames, to be iterated once; closing it closes the videos.
-        videos: the left or only video, and the right one.
-        pair: the two videos, paired by time; None = one video.
+        source: the opened video, or two, paired by time.
         calibration: the camera models.
         monitors: the checks of a pair that continue while its frames are iterated.
         start_utc: UTC of the first frame as given by the user; None = that of the video.
     """
 
     frames: Generator[Frame, None, None]
-    videos: tuple[Video, ...]
-    pair: RecordedPair | LivePair | None
+    source: Video | PairedVideos
     calibration: RecordingCalibration
     monitors: tuple[Monitor, ...]
     start_utc: UtcStart | None = None
+
+    @property
+    def videos(self) -> tuple[Video, ...]:
+        """The left or only video, and the right one."""
+        return (self.source.left, self.source.right) if isinstance(self.source, VideoPair) else (self.source,)
 
     @property
     def camera(self) -> PinholeCamera:
@@ -109,7 +115,7 @@ class Recording:
         sources = (
             self.calibration.notes,
             *(video.notes for video in self.videos),
-            () if self.pair is None else self.pair.notes,
+            self.source.notes if isinstance(self.source, VideoPair) else (),
             (utc.note(),) if utc is not None else (),
             *(monitor.notes for monitor in self.monitors),
         )
@@ -118,7 +124,7 @@ class Recording:
     def close(self) -> None:
         """Close the videos."""
         self.frames.close()
-        _close(self.videos, self.pair)
+        self.source.close()
 
 
 def open_recording(
@@ -175,37 +181,34 @@ def open_recording(
     """
     left, right = _with_topics(video_name(left), None if right is None else video_name(right), topics)
     utc = None if start_utc is None else parsed_utc(start_utc)
+
+    def opened(name: VideoName, beside: Video | None = None) -> Video:
+        if isinstance(name, LiveAddress):
+            return LiveVideo(name, start_s=start_s, duration_s=duration_s)
+        left_video = beside if isinstance(beside, RecordedVideo) else None
+        return open_video(name, folder_fps=folder_fps, start_s=start_s, duration_s=duration_s, left=left_video)
+
     with ExitStack() as on_error:
-        videos = _opened((left,) if right is None else (left, right), start_s, duration_s, folder_fps, on_error)
-        pair = None if right is None else _paired(*videos)
-        on_error.callback(_close, videos, pair)
+        videos: tuple[Video, ...] = (opened(left),)
+        on_error.callback(videos[0].close)
+        source: Video | PairedVideos = videos[0]
+        if right is not None:
+            videos = *videos, opened(right, beside=videos[0])
+            on_error.callback(videos[1].close)
+            source = _paired(*videos)
+            on_error.callback(source.close)
         calibration = find_calibration(
             left, videos, rig=None if rig is None else Path(rig), focal_px=focal_px, view=LensView(fov_deg, yaw_deg)
         )
         monitors: tuple[Monitor, ...] = ()
-        if pair is not None and calibration.is_uncalibrated_pair:
-            calibration, monitors = _with_row_correction(calibration, pair)
-        elif pair is not None and calibration.rig is not None:
+        if isinstance(source, VideoPair) and calibration.rig is not None:
             monitors = (PairMonitor(), SyncMonitor()) if has_checks else ()
-            calibration = _aligned(calibration, calibration.rig, pair, align, monitors[:1], progress)
-            monitors += _drift_monitors(calibration, videos)
+            calibration = _aligned(calibration, calibration.rig, source, align, monitors[:1], progress)
+            monitors += _drift_monitors(calibration, source)
+        elif isinstance(source, VideoPair):
+            calibration, monitors = _with_row_correction(calibration, source)
         on_error.pop_all()
-    return Recording(_frames(videos, pair, calibration, monitors, utc), videos, pair, calibration, monitors, utc)
-
-
-def _opened(
-    names: Sequence[VideoName], start_s: float, duration_s: float | None, folder_fps: float, on_error: ExitStack
-) -> tuple[Video, ...]:
-    """The videos with these names, left first."""
-    videos: list[Video] = []
-    for name in names:
-        if isinstance(name, LiveAddress):
-            videos.append(LiveVideo(name, start_s=start_s, duration_s=duration_s))
-        else:
-            left = videos[0] if videos and isinstance(videos[0], RecordedVideo) else None
-            videos.append(open_video(name, folder_fps=folder_fps, start_s=start_s, duration_s=duration_s, left=left))
-        on_error.callback(videos[-1].close)
-    return tuple(videos)
+    return Recording(_frames(source, calibration, monitors, utc), source, calibration, monitors, utc)
 
 
 def _paired(left: Video, right: Video) -> RecordedPair | LivePair:
@@ -217,11 +220,6 @@ def _paired(left: Video, right: Video) -> RecordedPair | LivePair:
         f"{left.path} and {right.path}: expected two recorded videos or two live streams, got one of each; "
         "both must be of the same kind."
     )
-
-
-def _close(videos: Sequence[Video], pair: RecordedPair | LivePair | None) -> None:
-    for opened in videos if pair is None else (pair,):
-        opened.close()
 
 
 def _with_topics(left: VideoName, right: VideoName | None, topics: Sequence[str]) -> tuple[VideoName, VideoName | None]:
@@ -248,7 +246,7 @@ def _with_topics(left: VideoName, right: VideoName | None, topics: Sequence[str]
 def _aligned(
     calibration: RecordingCalibration,
     rig: StereoRig,
-    pair: RecordedPair | LivePair,
+    pair: PairedVideos,
     align: str | Path | Alignment,
     checks: tuple[PairMonitor, ...],
     progress: StepProgress,
@@ -263,17 +261,17 @@ def _aligned(
     return calibration.with_alignment(alignment)
 
 
-def _drift_monitors(calibration: RecordingCalibration, videos: Sequence[Video]) -> tuple[Monitor, ...]:
+def _drift_monitors(calibration: RecordingCalibration, pair: PairedVideos) -> tuple[Monitor, ...]:
     """The monitor of a recorded pair whose alignment was measured; none for streams, which it would delay."""
-    alignment, is_live = calibration.alignment, isinstance(videos[0], LiveVideo)
-    if alignment is None or alignment.drifting is None or calibration.rig is None or is_live:
+    alignment = calibration.alignment
+    if alignment is None or alignment.drifting is None or calibration.rig is None or isinstance(pair, LivePair):
         return ()
     shift_px = alignment.applied.shift_px
     return (DriftMonitor(calibration.rig, alignment.drifting, alignment.measured, shift_px=shift_px),)
 
 
 def _with_row_correction(
-    calibration: RecordingCalibration, pair: RecordedPair | LivePair
+    calibration: RecordingCalibration, pair: PairedVideos
 ) -> tuple[RecordingCalibration, tuple[Monitor, ...]]:
     """An uncalibrated pair with the row offset of its first image pairs corrected, and its monitors."""
     monitor = PairMonitor(n_conclusive=_N_ROW_PAIRS)
@@ -286,7 +284,7 @@ def _with_row_correction(
 
 
 def _first_frames(
-    calibration: RecordingCalibration, pair: RecordedPair | LivePair, checks: tuple[PairMonitor, ...]
+    calibration: RecordingCalibration, pair: PairedVideos, checks: tuple[PairMonitor, ...]
 ) -> Generator[Frame, None, None]:
     """Frames of the first seconds at the interval that the alignment needs; `checks` also receive those in between."""
     first_s, last_s = math.nan, -math.inf
@@ -307,19 +305,17 @@ def _first_frames(
 
 
 def _frames(
-    videos: tuple[Video, ...],
-    pair: RecordedPair | LivePair | None,
+    source: Video | PairedVideos,
     calibration: RecordingCalibration,
     monitors: tuple[Monitor, ...],
     utc: UtcStart | None,
 ) -> Generator[Frame, None, None]:
     """All frames, each passed to the monitors; closing the generator closes the videos."""
-    with ExitStack() as on_end:
-        on_end.callback(_close, videos, pair)
-        images = on_end.enter_context(closing(iter(videos[0] if pair is None else pair)))
+    video = source.left if isinstance(source, VideoPair) else source
+    with closing(source), closing(iter(source)) as images:
         for image in images:
             left, right = image if isinstance(image, tuple) else (image, None)
-            frame = calibration.frame(left, right, videos[0].first_time_s, utc or videos[0].utc)
+            frame = calibration.frame(left, right, video.first_time_s, utc or video.utc)
             for monitor in monitors:
                 monitor.add(frame)
             yield frame

@@ -142,17 +142,12 @@ class RecordingCalibration:
         """Messages about an estimated focal length."""
         if self.focal is None:
             return ()
-        if self.is_uncalibrated_pair:
+        if len(self.sizes_px) > 1:
             return pair_notes(self.focal, self.row_offset_px, is_given=not self.guesses)
         return (
             f"No calibration: {focal_sentence(self.focal)}, and all distances share its error; a known distance "
             "reduces it: track-range calibrate --mono VIDEO --known-distance 'T_S,X1,Y1,X2,Y2=METRES' --out rig.yaml.",
         )
-
-    @property
-    def is_uncalibrated_pair(self) -> bool:
-        """Whether there are two cameras without a rig."""
-        return self.rig is None and len(self.sizes_px) > 1
 
     @property
     def assumed_rig(self) -> StereoRig | None:
