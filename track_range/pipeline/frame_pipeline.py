@@ -27,7 +27,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.registry import checked_tracks
-from track_range.tracking.tracker import Tracker
+from track_range.tracking.tracker import ObjectTracker
 from track_range.tracking.tracks import Tracks
 
 FUSED_NOISE_SHARE = 0.35
@@ -63,7 +63,7 @@ class FramePipeline:
 
     camera: PinholeCamera
     detection: DetectionStage
-    tracker: Tracker
+    tracker: ObjectTracker
     ranging: RangingStage
     ego: EgoStage = field(default_factory=EgoStage)
     scale: DriveScale = field(default_factory=DriveScale)
