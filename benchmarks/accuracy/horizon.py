@@ -136,7 +136,7 @@ def _columns(settings: RunSettings, truth_file: Path) -> Columns:
     for _ in run:
         pass
     camera = run.camera
-    rows = run.session.table.to_columns(is_rounded=False)
+    rows = run.session.rows.table.to_columns(is_rounded=False)
     truth = read_truth(truth_file, camera, np.zeros(3))
     return with_truth(rows, matched_truth(rows, truth))
 

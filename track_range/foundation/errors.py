@@ -6,6 +6,7 @@ program and keeps its traceback.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from typing import ClassVar
 
 
@@ -27,3 +28,15 @@ class UsageError(ConfigError):
 
 class RunStoppedError(UserError):
     """The user stopped a run early with Ctrl-C or SIGTERM; the results of the finished frames are kept."""
+
+
+def call_all(steps: Iterable[Callable[[], object]]) -> None:
+    """Call functions in order, also after one of them has raised a UserError; the first such error is then raised."""
+    errors = []
+    for step in steps:
+        try:
+            step()
+        except UserError as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -50,10 +50,6 @@ class ProgressNote:
             write_text(path, json.dumps(asdict(self)) + "\n", is_flushed=False)
         except OSError as error:
             raise OutputError(f"{path}: cannot be written ({describe(error)}).") from error
-
-    def with_state(self, state: str, *, frames: int = 0) -> ProgressNote:
-        """This note with another state."""
-        return replace(self, state=state, frames=frames)
 
 
 def read_progress(folder: Path) -> ProgressNote | None:

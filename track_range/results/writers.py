@@ -6,15 +6,16 @@ group `track_range.result_writers` in another package, or by a call of `register
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path, PureWindowsPath
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.foundation.errors import UserError
+from track_range.foundation.errors import UserError, call_all
 from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.registry import Registry, imported
@@ -286,19 +287,14 @@ class OpenWriters:
                 with self._errors_of(writer, "writing failed"):
                     writer.write(result)
             except BaseException:
-                self._discard_last(self._open[:number])
+                self.discard_last(number)
                 raise
 
-    def discard_last(self) -> None:
-        """Remove the last frame from all files that can be cut back."""
-        self._discard_last(self._open)
-
-    def _discard_last(self, written: Iterable[ResultWriter]) -> None:
-        for writer in written:
-            discard_last = getattr(writer, "discard_last", None)
-            if callable(discard_last):
-                with suppress(OSError):  # the error that made this necessary is the one to report
-                    discard_last()
+    def discard_last(self, n_writers: int | None = None) -> None:
+        """Remove the last frame from all files that can be cut back, or from those of the first `n_writers`."""
+        for writer in self._open[:n_writers]:
+            with suppress(OSError):  # the error that made this necessary is the one to report
+                getattr(writer, "discard_last", lambda: None)()
 
     def close(self, summary: Mapping[str, Any] | None) -> None:
         """Finish all files; a second call does nothing.
@@ -306,17 +302,13 @@ class OpenWriters:
         Raises:
             OutputError: a file cannot be finished, unless `write` has already raised for it.
         """
-        failures: list[OutputError] = []
-        while self._open:
-            writer = self._open.pop(0)
-            has_failed = writer is self._failed
-            try:
-                with self._errors_of(writer, "writing failed"):
-                    writer.close(summary)
-            except OutputError as error:
-                failures += [] if has_failed else [error]
-        if failures:
-            raise failures[0]
+        # each is removed before it is closed: after an unexpected error, a second call closes those that are left
+        call_all(partial(self._close, self._open.pop(0), summary) for _ in range(len(self._open)))
+
+    def _close(self, writer: ResultWriter, summary: Mapping[str, Any] | None) -> None:
+        is_reported = suppress(OutputError) if writer is self._failed else nullcontext()
+        with is_reported, self._errors_of(writer, "writing failed"):
+            writer.close(summary)
 
     @contextmanager
     def _errors_of(self, writer: ResultWriter, problem: str) -> Iterator[None]:

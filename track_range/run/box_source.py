@@ -15,7 +15,8 @@ from track_range.detection.detections import Detections
 from track_range.detection.detector import ObjectDetector, checked_detections
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
 from track_range.detection.yolo.detector import YoloDetector
-from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.arrays import IntArray
+from track_range.recording.recording import Recording
 from track_range.run.options.detector_options import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.frames import Frame
@@ -53,22 +54,16 @@ class BoxSource:
 
 def open_box_source(
     settings: RunSettings,
-    rectified_boxes: Callable[[FloatArray], FloatArray],
+    recording: Recording,
     ready_model: Callable[[str], Path],
-    *,
-    size_px: tuple[int, int] | None = None,
-    view_size_px: tuple[int, int] | None = None,
     opened: Callable[[Path, DetectorOptions], YoloDetector] = open_detector,
 ) -> BoxSource:
     """The detector or the recorded detections of the settings.
 
     Args:
         settings: of the run.
-        rectified_boxes: converts (N, 4) boxes of the recorded images to rectified pixels.
+        recording: the opened recording.
         ready_model: returns the file of a model by name or path, downloading it first if necessary.
-        size_px: (width, height) of the recorded images, which YOLO labels need; None = unknown.
-        view_size_px: (width, height) of the undistorted images of a wide lens, which do not show all recorded boxes;
-            None = they do.
         opened: returns the detector of a file and options.
 
     Raises:
@@ -77,7 +72,7 @@ def open_box_source(
     """
     class_id = tuple(int(i) for i in road_class_ids(settings.classes))
     if settings.detections is not None:
-        return _recorded(settings.detections, class_id, rectified_boxes, size_px, view_size_px)
+        return _recorded(settings.detections, class_id, recording)
     path = ready_model(settings.detector or "")
     network = opened(path, DetectorOptions.of(settings))
     detector: ObjectDetector = network
@@ -120,21 +115,16 @@ def boxes_of(detector: ObjectDetector) -> BoxSource:
     )
 
 
-def _recorded(
-    path: Path,
-    class_id: tuple[int, ...],
-    rectified_boxes: Callable[[FloatArray], FloatArray],
-    size_px: tuple[int, int] | None,
-    view_size_px: tuple[int, int] | None,
-) -> BoxSource:
+def _recorded(path: Path, class_id: tuple[int, ...], recording: Recording) -> BoxSource:
     # MOTChallenge files have no classes: a single one in --classes applies, else person, as in MOTChallenge
-    recorded = read_detections(path, default_class_id=class_id[0] if len(class_id) == 1 else 0, size_px=size_px)
+    default_class_id, size_px = class_id[0] if len(class_id) == 1 else 0, recording.calibration.sizes_px[0]
+    recorded = read_detections(path, default_class_id=default_class_id, size_px=size_px)
     if not recorded.is_rectified:
         boxes = recorded.detections
-        boxes = replace(boxes, xyxy_px=rectified_boxes(boxes.xyxy_px))
+        boxes = replace(boxes, xyxy_px=recording.calibration.rectifier.left_boxes(boxes.xyxy_px))
         recorded = replace(recorded, detections=boxes)
-        if view_size_px is not None:
-            recorded = _in_view(recorded, view_size_px)
+        if recording.calibration.has_wide_lens:  # its undistorted images do not show all recorded boxes
+            recorded = _in_view(recorded, recording.size_px)
 
     def detect(frame: Frame) -> Detections:
         detections = recorded.at(frame.index)

@@ -16,7 +16,7 @@ from track_range.run.settings import RunSettings
 def with_focal_length(
     recording: Recording,
     settings: RunSettings,
-    boxes: BoxSource,
+    box_source: BoxSource,
     size_model: SizeModel,
     progress: StepProgress = no_progress,
 ) -> Recording:
@@ -35,7 +35,7 @@ def with_focal_length(
         posterior = focal_from_video(
             video,
             guesses,
-            boxes.detect,
+            box_source.detect,
             size_model,
             span_s=(settings.start_s, settings.duration_s),
             folder_fps=settings.folder_fps,

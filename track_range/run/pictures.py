@@ -6,50 +6,43 @@ from track_range.recording.recording import Recording
 from track_range.run.settings import RunSettings
 from track_range.views.overlay.annotator import Overlay, Status
 from track_range.views.overlay.disparity_view import DisparityPicture, StackedPicture
-from track_range.views.overlay.result_video import Draw, VideoFormat
+from track_range.views.overlay.result_video import Draw
 
 
-def pictures(settings: RunSettings, source: Recording, status: Status = tuple) -> dict[str, Draw]:
-    """Drawing functions of the videos of a run, by file name without suffix; `status`: see `Overlay`."""
-    drawn: dict[str, Draw] = {}
+def pictures(settings: RunSettings, recording: Recording, status: Status) -> dict[str, tuple[Draw, tuple[int, int]]]:
+    """Drawing function and (width, height) of the videos of a run, by file name without suffix.
+
+    `status`: see `Overlay`.
+    """
+    drawn: dict[str, tuple[Draw, tuple[int, int]]] = {}
+    rig, size_px = recording.rig, recording.size_px
     if settings.overlay:
-        drawn["overlay"] = overlay_picture(settings, source, status)
-    if settings.disparity and source.rig is not None:
-        drawn["disparity"] = DisparityPicture(source.rig).draw
+        recorded = recording.calibration.recorded_view if settings.overlay_recorded else None
+        width_px, height_px = size_px if recorded is None else recorded.size_px
+        height_px *= 2 if settings.overlay_disparity and rig is not None else 1
+        drawn["overlay"] = overlay_picture(settings, recording, status), (width_px, height_px)
+    if settings.disparity and rig is not None:
+        drawn["disparity"] = DisparityPicture(rig).draw, size_px
     return drawn
 
 
-def missing_outputs(settings: RunSettings, source: Recording) -> tuple[str, ...]:
-    """Messages about requested videos that are not possible because the recording has no rig."""
-    lens = (
-        ("--overlay-recorded: the calibration has no wide lens, so the overlay shows the rectified images.",)
-        if settings.overlay_recorded and not source.calibration.has_wide_lens
-        else ()
-    )
-    if source.rig is not None:
-        return lens
-    disparity = ("No disparity.mp4: dense stereo requires a calibrated pair.",) if settings.disparity else ()
-    below = (
-        ("No disparities below the overlay: dense stereo requires a calibrated pair.",)
-        if settings.overlay_disparity
-        else ()
-    )
-    return (*lens, *disparity, *below)
-
-
-def overlay_picture(settings: RunSettings, source: Recording, status: Status = tuple) -> Draw:
+def overlay_picture(settings: RunSettings, recording: Recording, status: Status) -> Draw:
     """Drawing function of a new overlay, with the disparities below it if requested and possible."""
-    warning = "uncalibrated" if source.calibration.kind == "estimated" else ""
-    recorded = source.calibration.recorded_view if settings.overlay_recorded else None
-    overlay = Overlay(camera=source.camera, status=status, warning=warning, recorded=recorded)
-    if settings.overlay_disparity and source.rig is not None:
-        return StackedPicture(overlay, source.rig).draw
+    warning = "uncalibrated" if recording.calibration.kind == "estimated" else ""
+    recorded = recording.calibration.recorded_view if settings.overlay_recorded else None
+    overlay = Overlay(camera=recording.camera, status=status, warning=warning, recorded=recorded)
+    if settings.overlay_disparity and recording.rig is not None:
+        return StackedPicture(overlay, recording.rig).draw
     return overlay.draw
 
 
-def video_format(name: str, settings: RunSettings, source: Recording) -> VideoFormat:
-    """Size and frame rate of one of `pictures`."""
-    recorded = source.calibration.recorded_view if settings.overlay_recorded and name == "overlay" else None
-    width_px, height_px = source.size_px if recorded is None else recorded.size_px
-    is_double = name == "overlay" and settings.overlay_disparity and source.rig is not None
-    return VideoFormat((width_px, 2 * height_px if is_double else height_px), source.fps)
+def missing_outputs(settings: RunSettings, recording: Recording) -> tuple[str, ...]:
+    """Messages about requested videos that are not possible because the recording has no rig."""
+    notes = []
+    if settings.overlay_recorded and not recording.calibration.has_wide_lens:
+        notes.append("--overlay-recorded: the calibration has no wide lens, so the overlay shows the rectified images.")
+    if settings.disparity and recording.rig is None:
+        notes.append("No disparity.mp4: dense stereo requires a calibrated pair.")
+    if settings.overlay_disparity and recording.rig is None:
+        notes.append("No disparities below the overlay: dense stereo requires a calibrated pair.")
+    return tuple(notes)

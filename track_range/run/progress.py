@@ -10,21 +10,6 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 
-class _Advance:
-    """Callable that advances a progress bar by one frame and updates its frame rate."""
-
-    def __init__(self, progress: Progress, n_frames: int | None) -> None:
-        self._progress = progress
-        self._task = progress.add_task("frames", total=n_frames, fps=0.0)
-        self._start_s = time.perf_counter()
-        self._n = 0
-
-    def __call__(self) -> None:
-        self._n += 1
-        fps = self._n / max(time.perf_counter() - self._start_s, 1e-9)
-        self._progress.update(self._task, completed=self._n, fps=fps)
-
-
 @contextmanager
 def frame_progress(console: Console, n_frames: int | None) -> Iterator[Callable[[], None]]:
     """Progress bar with frames, frame rate and remaining time; yields a callable that advances it by one frame.
@@ -39,7 +24,14 @@ def frame_progress(console: Console, n_frames: int | None) -> Iterator[Callable[
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        yield _Advance(progress, n_frames)
+        task = progress.add_task("frames", total=n_frames, fps=0.0)
+        start_s = time.perf_counter()
+
+        def advance() -> None:
+            n = int(progress.tasks[0].completed) + 1
+            progress.update(task, completed=n, fps=n / max(time.perf_counter() - start_s, 1e-9))
+
+        yield advance
 
 
 @contextmanager

@@ -12,8 +12,8 @@ from __future__ import annotations
 import html
 import time
 import weakref
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing, suppress
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, cast
@@ -24,26 +24,12 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.errors import ConfigError, UserError
 from track_range.foundation.files.input_files import real_path
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
-from track_range.pipeline.throughput import FrameMeter
-from track_range.ranging.evaluation.truth import read_truth
-from track_range.ranging.size_models.curve import load_curves
-from track_range.recording.recording import Recording
-from track_range.recording.telemetry.speed_source import open_speed
-from track_range.results.events.finder import EventFinder
-from track_range.results.progress_note import LOADING
 from track_range.results.replay import frames_of_rows
-from track_range.results.truth import matched_truth, with_truth
-from track_range.run.box_source import BoxSource, boxes_of, open_box_source
-from track_range.run.build import open_input, open_pipeline
-from track_range.run.focal_estimate import with_focal_length
 from track_range.run.interrupts import defer_interrupts, ignore_interrupts
 from track_range.run.options.detector_options import open_detector
-from track_range.run.outputs import RunFolder, check_folder
+from track_range.run.output import RunOutput
 from track_range.run.pictures import overlay_picture
-from track_range.run.prepared_folder import PreparedFolder
-from track_range.run.progress import frame_progress, step_progress
-from track_range.run.ready_model import ready_model
+from track_range.run.progress import frame_progress
 from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings, settings_from
 from track_range.views.overlay.result_video import Draw
@@ -109,7 +95,7 @@ class Run:
         self._open_detector = opened_detectors or open_detector
         self._console = progress if isinstance(progress, Console) else Console(quiet=not progress)
         self._folder: Path | None = settings.out
-        self._prepared: PreparedFolder | None = None
+        self._output = RunOutput(self.settings, None)  # until the inputs are opened
         self._session: RunSession | None = None
         self._frames: weakref.ref[Generator[FrameResult, None, None]] | None = None
         self._is_closed = False
@@ -169,86 +155,27 @@ class Run:
             VideoError, RigError, ModelError, LabelFileError, ...: an input cannot be used.
         """
         if self._session is None:
-            if self._folder is not None:
-                self._prepare(self._folder)
             try:
-                self._session = self._opened()
+                output = self._output_of_folder()
+                self._session = RunSession(
+                    self.settings,
+                    detector=self._detector,
+                    tracker=self._tracker,
+                    open_detector=self._open_detector,
+                    console=self._console,
+                    report=output.report,
+                )
             except BaseException:
-                self._close_folder()
+                self._output.close()
                 raise
         return self
 
-    def _prepare(self, folder: Path) -> PreparedFolder:
-        """The output folder, locked for this run."""
-        if self._prepared is None or self._prepared.folder != folder:
-            self._close_folder()
-            check_folder(self.settings, folder)
-            self._prepared = PreparedFolder(self.settings, folder)
-        return self._prepared
-
-    def _close_folder(self) -> None:
-        if self._prepared is not None:
-            self._prepared.close()
-            self._prepared = None
-
-    def _step_progress(self, task: str) -> AbstractContextManager[Callable[[int, int | None], None]]:
-        """Progress bar of a task of the opening, which is also noted in progress.json."""
-        if self._prepared is not None:
-            self._prepared.report(task)
-        return step_progress(self._console, task)
-
-    def _opened(self) -> RunSession:
-        settings = self.settings
-        curves = load_curves(settings.curves)
-        start_s = time.perf_counter()
-        recording = open_input(settings, self._step_progress)
-        opened_s = time.perf_counter() - start_s  # includes decoding of the first frames
-        calibration = recording.calibration
-        opened_s -= calibration.alignment.estimation_s if calibration.alignment else 0.0
-        with ExitStack() as on_error:
-            on_error.callback(recording.close)
-            if self._prepared is not None:
-                self._prepared.report(LOADING)
-            boxes = self._boxes(recording)
-            if self._detector is None:  # another object may depend on the order of the frames
-                recording = with_focal_length(recording, settings, boxes, curves, self._step_progress)
-                calibration = recording.calibration
-            truth = None
-            if settings.truth is not None:
-                truth = read_truth(settings.truth, calibration.camera, calibration.left_from_reference_m)
-            speed = open_speed(
-                settings.ego_speed,
-                recording,
-                start_s=settings.start_s,
-                duration_s=settings.duration_s,
-                folder_fps=settings.folder_fps,
-            )
-            pipeline = open_pipeline(settings, recording, boxes, curves, tracker=self._tracker, ego_speed=speed.ego)
-            on_error.pop_all()
-        meter = FrameMeter(recording.live)
-        return RunSession(
-            settings=settings,
-            boxes=boxes,
-            source=recording,
-            truth=truth,
-            pipeline=pipeline,
-            speed=speed,
-            finder=EventFinder(settings.event_settings),
-            meter=meter,
-            opened_s=opened_s,
-        )
-
-    def _boxes(self, recording: Recording) -> BoxSource:
-        if self._detector is not None:
-            return boxes_of(self._detector)
-        return open_box_source(
-            self.settings,
-            recording.calibration.rectifier.left_boxes,
-            lambda name: ready_model(name, self._console),
-            size_px=recording.calibration.sizes_px[0],
-            view_size_px=recording.size_px if recording.calibration.has_wide_lens else None,
-            opened=self._open_detector,
-        )
+    def _output_of_folder(self) -> RunOutput:
+        """The output, with its folder locked; `write` may give another folder after the opening."""
+        if self._output.folder != self._folder or self._session is None:
+            self._output.close()
+            self._output = RunOutput(self.settings, self._folder)
+        return self._output
 
     def close(self) -> None:
         """End the run: finish its files and close the recording."""
@@ -257,8 +184,8 @@ class Run:
         if frames is not None:
             frames.close()
         if self._session is not None:
-            self._session.source.close()
-        self._close_folder()
+            self._session.recording.close()
+        self._output.close()
 
     def __enter__(self) -> Self:
         return self.open()
@@ -285,75 +212,35 @@ class Run:
     def _processed(self) -> Generator[FrameResult, None, None]:
         """Results of all frames; a run that fails or is stopped after the first frame is finished before the error."""
         session = self.session
-        with ExitStack() as stack:
-            stack.enter_context(closing(session.source))
-            files = None
-            if self._folder is not None:
-                stack.callback(self._close_folder)
-                files = stack.enter_context(RunFolder(session, self._prepare(self._folder)))
+        with closing(session.recording), self._output_of_folder() as output:
+            output.start(session)
             start_s = time.perf_counter()
             try:
-                yield from self._frame_results(session, files)
-                if files is not None:
-                    files.finish_videos()
+                with session.results() as results, frame_progress(self._console, self.n_frames) as advance:
+                    for result in results:
+                        session.meter.add(result)
+                        with defer_interrupts():
+                            output.write(result, session.rows.add)
+                        advance()
+                        yield result
+                output.finish_videos()
             except (GeneratorExit, KeyboardInterrupt, Exception) as error:
-                if not session.frame_index:
+                if not len(session.rows):
                     raise
                 session.stopped_by = error
-                if files is not None:
-                    with suppress(UserError):  # the first error is the one to report
-                        files.finish_videos()
-            session.wall_s = time.perf_counter() - start_s + session.opened_s
-            session.pipeline.clock.busy_s["read"] = session.source.busy_s
-            # after an error, that is the one to report
+                with suppress(Exception):  # the first error is the one to report
+                    output.finish_videos()
+            session.wall_s += time.perf_counter() - start_s
             with ignore_interrupts(), suppress(*(UserError,) if session.stopped_by else ()):
-                self._finish(files)
+                self._finish(output)
         if session.stopped_by is not None:
             raise session.stopped_by
 
-    def _frame_results(self, session: RunSession, files: RunFolder | None) -> Generator[FrameResult, None, None]:
-        depths = None if session.source.live is None else LIVE_DEPTHS
-        with (
-            closing(run_in_threads(session.pipeline, session.source.frames, depths)) as processed,
-            closing(self._shared(session, processed)) as results,
-            frame_progress(self._console, session.source.n_frames) as advance,
-        ):
-            for result in results:
-                session.meter.add(result)
-                with defer_interrupts():
-                    if files is not None:
-                        files.write(result)
-                    try:
-                        ended = session.add(result)
-                    except BaseException:
-                        if files is not None:
-                            files.discard_last()
-                        raise
-                    if files is not None:
-                        files.add_events(ended)
-                advance()
-                yield result
-
-    def _shared(
-        self, session: RunSession, results: Generator[FrameResult, None, None]
-    ) -> Generator[FrameResult, None, None]:
-        """Results as everything after the pipeline gets them: anonymized if requested."""
-        if not self.settings.anonymize:
-            return results
-        from track_range.views.anonymization.look_ahead import LIVE, OFFLINE, anonymized_results
-
-        look_ahead = OFFLINE if session.source.live is None else LIVE
-        return anonymized_results(results, look_ahead)
-
-    def _finish(self, files: RunFolder | None) -> None:
+    def _finish(self, output: RunOutput) -> None:
         """Compute the summary of the run, and finish its files."""
-        session, rows = self.session, self.session.table.to_columns()
-        session.finish_events()
-        matched = None if session.truth is None else matched_truth(rows, session.truth)
-        self._summary = {**session.summary(rows, matched), "files": {} if files is None else files.videos}
-        if files is not None:
-            files.finish(self._summary, rows if matched is None else with_truth(rows, matched))
-            self.files = tuple(files.folder / name for name in files.files)
+        self._summary, columns = self.session.finish(output.videos)
+        output.finish(self._summary, columns)
+        self.files = output.files
 
     def write(self, folder: str | Path) -> Path:
         """Process all frames and write tracks.csv, mot.txt, overlay.mp4, summary.json and the other files to `folder`.
@@ -377,15 +264,13 @@ class Run:
             )
         if self._folder is not None and real_path(folder) == real_path(self._folder):
             return folder  # already written while iterating, including videos
-        session = self.session
-        try:
-            rows = session.table.to_columns(is_rounded=False)
-            with RunFolder(session, self._prepare(folder), has_videos=False) as files:
-                for result in frames_of_rows(rows, session.frame_index, session.methods, session.source.fps):
-                    files.write(result)
-                self._finish(files)
-        finally:
-            self._close_folder()
+        session, rows = self.session, self.session.rows
+        with RunOutput(self.settings, folder) as output:
+            output.start(session, has_videos=False)
+            columns = rows.table.to_columns(is_rounded=False)
+            for result in frames_of_rows(columns, rows.frame_index, rows.methods, session.recording.fps):
+                output.write(result)
+            self._finish(output)
         return folder
 
     # -- results --------------------------------------------------------------------------------------------------
@@ -400,25 +285,25 @@ class Run:
     @property
     def camera(self) -> PinholeCamera:
         """Camera model of the rectified left frames."""
-        return self.session.source.camera
+        return self.session.recording.camera
 
     @property
     def rig(self) -> StereoRig | None:
         """Rectified stereo rig; None for one camera, or without calibration."""
-        return self.session.source.rig
+        return self.session.recording.rig
 
     @property
     def uncalibrated_video(self) -> str | None:
         """Name of the one recorded video, if its focal length is not known exactly; None = calibrated, or another."""
-        shown, calibration = self.session.inputs.get("mono"), self.session.source.calibration
+        shown, calibration = self.session.inputs.get("mono"), self.session.recording.calibration
         is_known = calibration.kind == "rig" and not calibration.focal_sigma
-        is_live = self.session.source.live is not None
+        is_live = self.session.recording.live is not None
         return None if is_known or is_live or not isinstance(shown, str) else shown
 
     @property
     def n_frames(self) -> int | None:
         """Expected number of frames; None = unknown."""
-        return self.session.source.n_frames
+        return self.session.recording.n_frames
 
     @property
     def notes(self) -> list[str]:
@@ -434,7 +319,7 @@ class Run:
         """Overlay of a frame, (H, W, 3) uint8 BGR; to be called from one thread, in the order of the frames."""
         if self._overlay is None:
             session = self.session
-            self._overlay = overlay_picture(session.settings, session.source, session.meter.captions)
+            self._overlay = overlay_picture(session.settings, session.recording, session.meter.captions)
         return self._overlay(result)
 
     @property
@@ -451,11 +336,11 @@ class Run:
     @property
     def events(self) -> tuple[Event, ...]:
         """Events so far that have ended; of a finished run all events, in the order of their starts."""
-        return self.session.events
+        return self.session.rows.events
 
     def to_arrow(self) -> pa.Table:
         """Rows so far, one per track and frame, with the columns of tracks.csv; null = not measured."""
-        return self.session.table.to_arrow()
+        return self.session.rows.table.to_arrow()
 
     def to_pandas(self) -> pd.DataFrame:
         """Rows so far as a pandas data frame, as `to_arrow`.
@@ -463,14 +348,14 @@ class Run:
         Raises:
             ImportError: pandas is not installed.
         """
-        return self.session.table.to_pandas()
+        return self.session.rows.table.to_pandas()
 
     def _repr_html_(self) -> str:
         """Representation in notebooks: the videos, and the main results of a finished run."""
         source = self.settings.stereo or (self.settings.mono,)
         title = " and ".join(html.escape(str(name)) for name in source)
         if self._summary is None:
-            n_frames = 0 if self._session is None else len(self._session.frame_index)
+            n_frames = 0 if self._session is None else len(self._session.rows)
             return f"<p><b>track-range run</b> of {title}: {n_frames} frames so far</p>"
         rows = "".join(
             f"<tr><th>{html.escape(str(name))}</th><td>{html.escape(str(value))}</td></tr>"

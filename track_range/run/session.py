@@ -1,37 +1,47 @@
-"""RunSession: state of a run in progress: opened inputs, finished frames, notes and summary."""
+"""RunSession: opened inputs of a run, the rows and events of its finished frames, its notes and its summary."""
 
 from __future__ import annotations
 
 import os
 import platform
-from dataclasses import dataclass, field
-from functools import cache
+import time
+from collections.abc import Callable, Generator, Mapping
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 
-from track_range.foundation.arrays import IntArray
-from track_range.pipeline.frame_pipeline import FramePipeline
+from track_range.detection.detector import ObjectDetector
+from track_range.detection.yolo.detector import YoloDetector
 from track_range.pipeline.frame_result import FrameResult
+from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
 from track_range.pipeline.throughput import FrameMeter
-from track_range.ranging.evaluation.truth import Truth
-from track_range.recording.recording import Recording
-from track_range.recording.telemetry.speed_source import SpeedSource
+from track_range.ranging.evaluation.truth import read_truth
+from track_range.ranging.size_models.curve import load_curves
+from track_range.recording.telemetry.speed_source import open_speed
 from track_range.results.columns import Columns
-from track_range.results.events.event import Event
 from track_range.results.events.finder import EventFinder
 from track_range.results.events.summary import events_section
+from track_range.results.progress_note import LOADING
 from track_range.results.provenance import Provenance, settings_hash
+from track_range.results.run_rows import RunRows
 from track_range.results.summary import range_scores, stage_times_ms, track_scores
-from track_range.results.table import RunTable
-from track_range.results.truth import MatchedTruth, boxes_px
+from track_range.results.truth import boxes_px, matched_truth, with_truth
 from track_range.results.writers import RunInfo
-from track_range.run.box_source import BoxSource
-from track_range.run.pictures import missing_outputs, pictures
+from track_range.run.box_source import boxes_of, open_box_source
+from track_range.run.build import open_input, open_pipeline
+from track_range.run.focal_estimate import with_focal_length
+from track_range.run.options.detector_options import DetectorOptions
+from track_range.run.pictures import missing_outputs
+from track_range.run.progress import step_progress
+from track_range.run.ready_model import ready_model
 from track_range.run.settings import RunSettings, absolute_settings, input_files, unused_options, without_folders
 from track_range.tracking.evaluation.frame_shift import frame_shift_note
+from track_range.tracking.tracker import ObjectTracker
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
 _INPUTS = ("left", "right", "mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
@@ -47,213 +57,134 @@ ANONYMIZED = (
 """Note of a run with --anonymize."""
 
 
-@dataclass(slots=True, kw_only=True)
 class RunSession:
-    """State of a run in progress.
+    """Opened inputs of a run, and what its finished frames gave.
+
+    Args:
+        settings: settings of the run.
+        detector: detector object; None = the model or the file of the settings.
+        tracker: tracker object; None = that of the settings.
+        open_detector: returns the detector of a file and options.
+        console: for progress bars.
+        report: called with the name of each task of the opening.
 
     Attributes:
         settings: settings of the run.
-        boxes: source of the detections.
-        source: the opened recording.
+        recording: the opened recording.
+        box_source: source of the detections.
         truth: ground truth; None = not given.
-        pipeline: stages of the run.
         speed: ego speed and its origin.
+        pipeline: stages of the run.
+        rows: rows and events of the finished frames.
         meter: rate and latency of the results.
-        table: rows of the finished frames.
-        finder: finds the events in them.
-        events: events that have ended; after `finish_events` all events, in the order of their starts.
-        has_all_events: whether `finish_events` was called.
-        frame_index: numbers of the finished frames.
-        ego_mps: ego speed at the finished frames, NaN = unknown.
-        methods: names of the distances that were measured in any finished frame.
-        starts_s: time of the first finished frame.
-        last_s: time of the last finished frame.
         wall_s: wall-clock seconds for opening the videos and processing all frames, without loading the network and
             without the estimation of the alignment (`alignment.look_s`).
-        opened_s: seconds for opening the videos.
         stopped_by: error that ended the run early; None = not stopped.
         frame_notes: messages for the user about the frame numbers of labels, known at the end of the run.
+
+    Raises:
+        VideoError, RigError, ModelError, LabelFileError, ...: an input cannot be used.
     """
 
-    settings: RunSettings
-    boxes: BoxSource
-    source: Recording
-    truth: Truth | None
-    pipeline: FramePipeline
-    speed: SpeedSource
-    meter: FrameMeter
-    table: RunTable = field(default_factory=RunTable)
-    finder: EventFinder
-    events: tuple[Event, ...] = ()
-    has_all_events: bool = False
-    frame_index: list[int] = field(default_factory=list)
-    ego_mps: list[float] = field(default_factory=list)
-    methods: set[str] = field(default_factory=set)
-    starts_s: float = 0.0
-    last_s: float = 0.0
-    wall_s: float = 0.0
-    opened_s: float = 0.0
-    stopped_by: BaseException | None = None
-    frame_notes: tuple[str, ...] = ()
+    def __init__(
+        self,
+        settings: RunSettings,
+        *,
+        detector: ObjectDetector | None,
+        tracker: ObjectTracker | None,
+        open_detector: Callable[[Path, DetectorOptions], YoloDetector],
+        console: Console,
+        report: Callable[[str], None],
+    ) -> None:
+        def progress(task: str) -> AbstractContextManager[Callable[[int, int | None], None]]:
+            report(task)
+            return step_progress(console, task)
 
-    def add(self, result: FrameResult) -> tuple[Event, ...]:
-        """Add a finished frame, and return the events that ended before it.
+        self.settings = settings
+        self.stopped_by: BaseException | None = None
+        self.frame_notes: tuple[str, ...] = ()
+        curves = load_curves(settings.curves)
+        start_s = time.perf_counter()
+        self.recording = open_input(settings, progress)
+        alignment = self.recording.calibration.alignment
+        self.wall_s = time.perf_counter() - start_s - (alignment.estimation_s if alignment else 0.0)
+        with ExitStack() as on_error:
+            on_error.callback(self.recording.close)
+            report(LOADING)
+            if detector is not None:
+                self.box_source = boxes_of(detector)
+            else:  # an object may depend on the order of the frames, so that it cannot look ahead
+                models = partial(ready_model, console=console)
+                self.box_source = open_box_source(settings, self.recording, models, open_detector)
+                self.recording = with_focal_length(self.recording, settings, self.box_source, curves, progress)
+            calibration, path = self.recording.calibration, settings.truth
+            shift_m = calibration.left_from_reference_m
+            self.truth = None if path is None else read_truth(path, calibration.camera, shift_m)
+            self.speed = open_speed(
+                settings.ego_speed,
+                self.recording,
+                start_s=settings.start_s,
+                duration_s=settings.duration_s,
+                folder_fps=settings.folder_fps,
+            )
+            self.pipeline = open_pipeline(
+                settings, self.recording, self.box_source, curves, tracker=tracker, ego_speed=self.speed.ego
+            )
+            on_error.pop_all()
+        self.rows = RunRows(fps=self.recording.fps, finder=EventFinder(settings.event_settings))
+        self.meter = FrameMeter(self.recording.live)
 
-        Raises:
-            OutputError: its rows cannot be stored.
-        """
-        ended = self.finder.update(result)
-        self.table.append(result)
-        self.events += ended
-        self.last_s = result.time_s
-        if not self.frame_index:
-            self.starts_s = self.last_s
-        self.frame_index.append(result.index)
-        self.ego_mps.append(result.ego_mps)
-        self.methods.update(result.ranges)
-        return ended
+    @contextmanager
+    def results(self) -> Generator[Generator[FrameResult, None, None], None, None]:
+        """Context with the results of all frames, anonymized if requested; its end stops the threads."""
+        is_live = self.recording.live is not None
+        with (
+            closing(run_in_threads(self.pipeline, self.recording.frames, LIVE_DEPTHS if is_live else None)) as results,
+        ):
+            if not self.settings.anonymize:
+                yield results
+                return
+            from track_range.views.anonymization.look_ahead import LIVE, OFFLINE, anonymized_results
 
-    def finish_events(self) -> None:
-        """End the search for events after the last frame: `events` then contains those in progress as well.
-
-        A second call does nothing.
-        """
-        if not self.has_all_events:
-            self.events, self.has_all_events = self.finder.finish(), True
-
-    @property
-    def seconds(self) -> float:
-        """Duration of the finished frames in seconds, that of the last one included."""
-        if not self.frame_index:
-            return 0.0
-        return self.last_s - self.starts_s + (1 / self.source.fps if self.source.fps else 0.0)
-
-    @property
-    def info(self) -> RunInfo:
-        """Information about the run for result writers."""
-        return RunInfo(
-            camera=self.source.camera,
-            rig=self.source.rig,
-            fps=self.source.fps,
-            settings=absolute_settings(self.settings),
-            start_utc_s=None if self.source.utc is None else self.source.utc.start_s,
-            provenance=self.provenance,
-            notes=tuple(self.notes),
-            recorded_boxes=self.source.calibration.rectifier.recorded_boxes,
-        )
+            with closing(anonymized_results(results, LIVE if is_live else OFFLINE)) as anonymized:
+                yield anonymized
 
     @property
     def provenance(self) -> Provenance:
         """Origin of the results, for the result files."""
-        return Provenance.of_inputs(self.detected(), settings_hash(absolute_settings(self.settings)))
+        return Provenance.of_inputs(self.found(), settings_hash(absolute_settings(self.settings)))
 
-    @property
-    def notes(self) -> list[str]:
-        """Messages for the user so far; more may follow during the run."""
-        has_results = bool(self.frame_index)
-        finder, ego = self.pipeline.detection.lane_finder, self.pipeline.ego.speed
-        odometry = self.pipeline.ego.odometry
-        lanes = () if finder is None else finder.notes
-        speed = ego.note(self.last_s) if ego is not None and has_results else None
-        boxes = self.boxes.notes()
-        notes = [
-            *([ANONYMIZED] if self.settings.anonymize else []),
-            *boxes,
-            *(self.truth.notes if self.truth is not None else ()),
-            *self.source.notes,
-            *self.speed.notes,
-            *([_NO_POSITIONS] if self.settings.keep_gps and self.speed.track is None else []),
-            *missing_outputs(self.settings, self.source),
-            *unused_options(self.settings),
-            *([f"Stopped early, after {len(self.frame_index)} frames."] if self.stopped_by else []),
-            *self._frame_mismatch_notes(),
-            *self.frame_notes,
-            *(self.pipeline.ranging.notes() if has_results else ()),
-            # networks that fall back from the same device have the same note
-            *(note for note in self.pipeline.notes if note not in (*boxes, *lanes)),
-            *lanes,
-            *([] if speed is None else [speed]),
-            *([] if odometry is None else [f"Ego speed from {odometry.source}; --ego-speed off ignores it."]),
-            *self.meter.notes,
-        ]
-        return [self._without_paths(note) for note in notes] if self.settings.anonymize else notes
+    def info(self, overlay: Path | None) -> RunInfo:
+        """Information about the run for result writers."""
+        recording = self.recording
+        return RunInfo(
+            camera=recording.camera,
+            rig=recording.rig,
+            fps=recording.fps,
+            settings=absolute_settings(self.settings),
+            start_utc_s=None if recording.utc is None else recording.utc.start_s,
+            provenance=self.provenance,
+            notes=tuple(self.notes),
+            overlay=overlay,
+            recorded_boxes=recording.calibration.rectifier.recorded_boxes,
+        )
 
-    def _without_paths(self, note: str) -> str:
-        """A note with the names of the input files instead of their paths, and without the home folder."""
-        rig = self.source.calibration.path
-        for path in [*input_files(self.settings), *([] if rig is None else [rig]), *self.speed.files]:
-            for text in (os.path.realpath(path), str(path)):
-                note = note.replace(text, path.name) if os.sep in text else note
-        return note.replace(str(Path.home()), "~")
-
-    def _frame_mismatch_notes(self) -> list[str]:
-        """Notes on files of boxes or labels without any frame number of the video."""
-        processed = np.array(self.frame_index, np.int64)
-        return [
-            f"{option} has boxes for frames {frames.min()} to {frames.max()}, but none for the frames of the video, "
-            f"{processed.min()} to {processed.max()}: check that it belongs to this video and how it counts frames."
-            for option, frames in self._labelled_frames().items()
-            if len(frames) and len(processed) and not np.isin(frames, processed).any()
-        ]
-
-    def _labelled_frames(self) -> dict[str, IntArray]:
-        """Frame numbers of the files of boxes or labels, by option."""
-        frames_of = {"--detections": self.boxes.frames}
-        return frames_of if self.truth is None else {**frames_of, "--truth": self.truth.frame}
-
-    def _frame_notes(self, columns: Columns) -> tuple[str, ...]:
-        """Notes on labels beyond the end of the video, and on ground truth whose frames are off by one."""
-        last = max(self.frame_index, default=-1)
-        is_whole = self.stopped_by is None and self.settings.duration_s is None and last >= 0
-        beyond = [
-            f"{option} has boxes up to frame {frames.max()}, but the last frame of the video is {last}; boxes "
-            "beyond it are ignored."
-            for option, frames in self._labelled_frames().items()
-            if is_whole and len(frames) and frames.min() <= last < frames.max()
-        ]
-        if self.truth is None:
-            return tuple(beyond)
-        labels = self.truth.select(self.truth.class_id >= 0)
-        frame = columns["frame"].astype(np.int64)
-        shift = frame_shift_note("--truth", labels.frame, labels.xyxy_px, frame, boxes_px(columns))
-        return (*beyond, *shift)
-
-    def summary(self, columns: Columns, matched: MatchedTruth | None) -> dict[str, Any]:
-        """Content of summary.json.
-
-        Args:
-            columns: rows of the finished frames, `table.to_columns()`.
-            matched: ground truth of the rows; None = not given.
-        """
-        source, calibration, pipeline = self.source, self.source.calibration, self.pipeline
-        n_frames = len(self.frame_index)
-        self.frame_notes = self._frame_notes(columns)
+    def found(self) -> dict[str, Any]:
+        """Section `found` of settings.yaml: properties of the opened inputs."""
+        recording, camera = self.recording, self.recording.camera
+        rig = recording.calibration.path
         return {
-            "frames": n_frames,
-            "starts_s": round(self.starts_s, 6),
-            "utc": None if source.utc is None else source.utc.summary(),
-            "ego_speed": self.speed.summary(
-                np.array(self.ego_mps), None if pipeline.ego.odometry is None else pipeline.ego.odometry.source
-            ),
-            "wall_s": round(self.wall_s, 3),
-            "frames_per_s": round(n_frames / self.wall_s, 3) if self.wall_s > 0 else None,
-            "stages_ms": stage_times_ms(pipeline.clock.busy_s, n_frames),
-            **range_scores(columns, matched, self.methods),
-            "tracks": track_scores(columns, self.truth, np.array(self.frame_index, np.int64)),
-            "events": events_section(self.events, self.seconds),
-            "calibration": calibration.kind,
-            "focal_px": source.camera.fx_px,
-            "focal_sigma": round(calibration.focal_sigma, 4),
-            "baseline_m": source.rig.baseline_m if source.rig else None,
-            **({"alignment": calibration.alignment.summary()} if calibration.alignment else {}),
-            **({"drive_bias": pipeline.scale.summary()} if pipeline.scale.n_tracks else {}),
-            **pipeline.ranging.summary(),
-            "truth": self.truth.protocol if self.truth is not None else None,
-            "notes": self.notes,
-            "inputs": self.inputs,
-            "files": {name: f"{name}.mp4" for name in pictures(self.settings, source)},
+            **self.box_source.description,
+            "rig": None if rig is None else rig.name if self.settings.anonymize else str(rig),
+            "calibration": recording.calibration.kind,
+            "focal_px": camera.fx_px,
+            "focal_y_px": camera.fy_px,
+            "principal_point_px": [camera.cx_px, camera.cy_px],
+            "baseline_m": recording.rig.baseline_m if recording.rig else None,
+            "image_size_px": list(recording.size_px),
+            "fps": recording.fps,
+            "utc": None if recording.utc is None else recording.utc.summary(),
             "versions": _versions(),
-            **self.provenance.section(),
         }
 
     @property
@@ -265,23 +196,112 @@ class RunSession:
         inputs = {key: shown[key] for key in _INPUTS if key in shown}
         return without_folders(inputs) if self.settings.anonymize else inputs
 
-    def detected(self) -> dict[str, Any]:
-        """Section `found` of settings.yaml: properties of the opened inputs."""
-        source, camera = self.source, self.source.camera
-        rig = source.calibration.path
-        return {
-            **self.boxes.description,
-            "rig": None if rig is None else rig.name if self.settings.anonymize else str(rig),
-            "calibration": source.calibration.kind,
-            "focal_px": camera.fx_px,
-            "focal_y_px": camera.fy_px,
-            "principal_point_px": [camera.cx_px, camera.cy_px],
-            "baseline_m": source.rig.baseline_m if source.rig else None,
-            "image_size_px": list(source.size_px),
-            "fps": source.fps,
-            "utc": None if source.utc is None else source.utc.summary(),
+    @property
+    def notes(self) -> list[str]:
+        """Messages for the user so far; more may follow during the run."""
+        settings, n_frames = self.settings, len(self.rows)
+        finder, ego = self.pipeline.detection.lane_finder, self.pipeline.ego.speed
+        odometry = self.pipeline.ego.odometry
+        lanes = () if finder is None else finder.notes
+        speed = ego.note(self.rows.last_s) if ego is not None and n_frames else None
+        boxes = self.box_source.notes()
+        notes = [
+            *([ANONYMIZED] if settings.anonymize else []),
+            *boxes,
+            *(self.truth.notes if self.truth is not None else ()),
+            *self.recording.notes,
+            *self.speed.notes,
+            *([_NO_POSITIONS] if settings.keep_gps and self.speed.track is None else []),
+            *missing_outputs(settings, self.recording),
+            *unused_options(settings),
+            *([f"Stopped early, after {n_frames} frames."] if self.stopped_by else []),
+            *self.frame_notes,
+            *(self.pipeline.ranging.notes() if n_frames else ()),
+            # networks that fall back from the same device have the same note
+            *(note for note in self.pipeline.notes if note not in (*boxes, *lanes)),
+            *lanes,
+            *([] if speed is None else [speed]),
+            *([] if odometry is None else [f"Ego speed from {odometry.source}; --ego-speed off ignores it."]),
+            *self.meter.notes,
+        ]
+        return [self._without_paths(note) for note in notes] if settings.anonymize else notes
+
+    def _without_paths(self, note: str) -> str:
+        """A note with the names of the input files instead of their paths, and without the home folder."""
+        rig = self.recording.calibration.path
+        for path in [*input_files(self.settings), *([] if rig is None else [rig]), *self.speed.files]:
+            for text in (os.path.realpath(path), str(path)):
+                note = note.replace(text, path.name) if os.sep in text else note
+        return note.replace(str(Path.home()), "~")
+
+    def _notes_on_frames(self, columns: Columns) -> tuple[str, ...]:
+        """Notes on files of boxes or labels whose frame numbers do not fit those of the video."""
+        processed = np.array(self.rows.frame_index, np.int64)
+        if not len(processed):
+            return ()
+        first, last = processed.min(), processed.max()
+        is_whole = self.stopped_by is None and self.settings.duration_s is None
+        labelled = {"--detections": self.box_source.frames}
+        labelled |= {} if self.truth is None else {"--truth": self.truth.frame}
+        labelled = {option: frames for option, frames in labelled.items() if len(frames)}
+        missed = [
+            f"{option} has boxes for frames {frames.min()} to {frames.max()}, but none for the frames of the video, "
+            f"{first} to {last}: check that it belongs to this video and how it counts frames."
+            for option, frames in labelled.items()
+            if not np.isin(frames, processed).any()
+        ]
+        beyond = [
+            f"{option} has boxes up to frame {frames.max()}, but the last frame of the video is {last}; boxes "
+            "beyond it are ignored."
+            for option, frames in labelled.items()
+            if is_whole and frames.min() <= last < frames.max()
+        ]
+        if self.truth is None:
+            return (*missed, *beyond)
+        labels = self.truth.select(self.truth.class_id >= 0)
+        frame = columns["frame"].astype(np.int64)
+        shift = frame_shift_note("--truth", labels.frame, labels.xyxy_px, frame, boxes_px(columns))
+        return (*missed, *beyond, *shift)
+
+    def finish(self, videos: Mapping[str, str]) -> tuple[dict[str, Any], Columns]:
+        """Content of summary.json, and the rows, with the ground truth if there is one.
+
+        Args:
+            videos: file names by video ("overlay", "disparity").
+        """
+        rows, recording, pipeline = self.rows, self.recording, self.pipeline
+        calibration, odometry = recording.calibration, pipeline.ego.odometry
+        rows.finish()
+        columns, n_frames = rows.table.to_columns(), len(rows)
+        matched = None if self.truth is None else matched_truth(columns, self.truth)
+        self.frame_notes = self._notes_on_frames(columns)
+        busy_s = {**pipeline.clock.busy_s, "read": recording.busy_s}
+        summary = {
+            "frames": n_frames,
+            "starts_s": round(rows.starts_s, 6),
+            "utc": None if recording.utc is None else recording.utc.summary(),
+            "ego_speed": self.speed.summary(np.array(rows.ego_mps), None if odometry is None else odometry.source),
+            "wall_s": round(self.wall_s, 3),
+            "frames_per_s": round(n_frames / self.wall_s, 3) if self.wall_s > 0 else None,
+            "stages_ms": stage_times_ms(busy_s, n_frames),
+            **range_scores(columns, matched, rows.methods),
+            "tracks": track_scores(columns, self.truth, np.array(rows.frame_index, np.int64)),
+            "events": events_section(rows.events, rows.seconds),
+            "calibration": calibration.kind,
+            "focal_px": recording.camera.fx_px,
+            "focal_sigma": round(calibration.focal_sigma, 4),
+            "baseline_m": recording.rig.baseline_m if recording.rig else None,
+            **({"alignment": calibration.alignment.summary()} if calibration.alignment else {}),
+            **({"drive_bias": pipeline.scale.summary()} if pipeline.scale.n_tracks else {}),
+            **pipeline.ranging.summary(),
+            "truth": self.truth.protocol if self.truth is not None else None,
+            "notes": self.notes,
+            "inputs": self.inputs,
+            "files": dict(videos),
             "versions": _versions(),
+            **self.provenance.section(),
         }
+        return summary, columns if matched is None else with_truth(columns, matched)
 
 
 def _versions() -> dict[str, str]:

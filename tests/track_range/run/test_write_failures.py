@@ -29,9 +29,7 @@ from track_range.results.formats.row_file import RowFile
 from track_range.results.progress_note import ProgressNote, read_progress
 from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters
-from track_range.run.prepared_folder import PreparedFolder
-from track_range.run.settings import settings_from
-from track_range.views.overlay.result_video import ResultVideo, VideoFormat
+from track_range.views.overlay.result_video import ResultVideo
 from track_range.views.report.run_folders import report
 from track_range.views.writing.fragment_file import FragmentFile
 from track_range.views.writing.video_writer import VideoWriter
@@ -191,7 +189,7 @@ def test_fragments_in_parts(tmp_path: Path, n_bytes: int) -> None:
 def test_lag_of_a_video(tmp_path: Path, fps: float, max_lag: int) -> None:
     """After the rows of a frame, the file lacks at most so many frames."""
     path, image = tmp_path / "out.mp4", np.zeros((48, 64, 3), np.uint8)
-    with ResultVideo(path, lambda _: image, form=VideoFormat((64, 48), fps), clock=StageClock()) as video:
+    with ResultVideo(path, lambda _: image, size_px=(64, 48), fps=fps, clock=StageClock()) as video:
         for index in range(12):
             frame = result(index)
             object.__setattr__(frame.frame, "time_s", index / fps)
@@ -280,6 +278,8 @@ def test_failing_overlay(tmp_path: Path, inputs: Callable[..., tr.Run], monkeypa
     def failing(self: ResultVideo, frame: Any) -> None:
         if frame.index == 6:
             raise failure
+        if frame.index > 6:
+            raise RuntimeError("drawing failed again")
         draw(self, frame)
 
     monkeypatch.setattr(ResultVideo, "_draw", failing)
@@ -376,11 +376,23 @@ def test_other_commands_lock_their_folder(tmp_path: Path, cli: Callable[..., Any
     assert set(out.iterdir()) == before
 
 
-def test_temporary_files_of_a_killed_run(tmp_path: Path) -> None:
+def test_temporary_files_of_a_killed_run(tmp_path: Path, inputs: Callable[..., tr.Run]) -> None:
     """Those of all atomically written files are removed by the next run, other hidden files are not."""
     for name in (".123.settings.yaml", ".123.tracks.parquet", ".123.run.rrd", ".123.notes", ".git"):
         (tmp_path / name).write_text("")
-    prepared = PreparedFolder(settings_from({"mono": "a.mp4"}), tmp_path)
-    prepared.confirm()
-    prepared.close()
-    assert {path.name for path in tmp_path.iterdir()} == {"settings.yaml", ".123.notes", ".git"}
+    list(inputs(tmp_path, overlay=False))
+    assert {path.name for path in tmp_path.iterdir() if path.name.startswith(".")} == {".123.notes", ".git"}
+
+
+def test_rows_that_cannot_be_stored(
+    tmp_path: Path, inputs: Callable[..., tr.Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The temporary folder is full while the output folder is not: the files end with the last stored frame."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    run = inputs(tmp_path / "out", overlay=False)
+    run.session.rows.table = RunTable(rows_per_batch=10)
+    with pytest.raises(OutputError, match="rows of the run cannot be stored"):
+        list(run)
+    assert run.summary["frames"] == 4
+    assert len(run.session.rows) == 4
+    check_folder(tmp_path / "out", 4)

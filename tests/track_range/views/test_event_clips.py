@@ -149,7 +149,7 @@ def test_run_writes_clips(small_drive, tmp_path):
     run = tr.Run.stereo(
         small_drive.left, small_drive.right, detections=small_drive.detections, align="off", sgbm=False, clips=True
     )
-    run.session.finder = SeenFinder()
+    run.session.rows.finder = SeenFinder()
     run.write(tmp_path)
     written = sorted(path.name for path in (tmp_path / "clips").iterdir())
     assert written == [clip_name(i + 1, one.kind, one.track_id) for i, one in enumerate(run.events)]

@@ -181,7 +181,7 @@ class _ClipRun:
         self._run_s = time.perf_counter() - start_s
         progress.phase = "publishing"
         summary = run.summary
-        table = run.session.table.to_arrow(is_rounded=False)
+        table = run.session.rows.table.to_arrow(is_rounded=False)
         metadata = {**run.session.provenance.metadata(), **self._metadata()}
         write_tracks(folder / TRACKS_FILE, table, metadata)
         write_events_parquet(folder / EVENTS_PARQUET, run.events, metadata)
@@ -220,7 +220,7 @@ class _ClipRun:
             rows=n_rows,
             tracks=int(summary["tracks"]["n"]),
             events=len(run.events),
-            seconds=round(session.seconds, 6),
+            seconds=round(session.rows.seconds, 6),
             calibration=str(summary["calibration"]),
             start_utc=str(utc.get("start") or ""),
             warnings=[self._with_names(note) for note in summary["notes"]],

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -26,14 +25,6 @@ Draw = Callable[[FrameResult], Image]
 """Draws a result as (H, W, 3) uint8 BGR; called from one thread."""
 
 
-@dataclass(frozen=True, slots=True)
-class VideoFormat:
-    """(Width, height) in pixels and nominal frame rate of a video."""
-
-    size_px: tuple[int, int]
-    fps: float
-
-
 class ResultVideo:
     """Draws and encodes results in a thread; an error is raised by a later call of `wait` or `write`.
 
@@ -42,19 +33,19 @@ class ResultVideo:
             `write` then returns after the frame is encoded.
     """
 
-    def __init__(self, path: Path, draw: Draw, *, form: VideoFormat, clock: StageClock) -> None:
-        """Create the video; its time is added to the stage "write" of `clock`.
+    def __init__(self, path: Path, draw: Draw, *, size_px: tuple[int, int], fps: float, clock: StageClock) -> None:
+        """Create the video of (width, height) pixels; its time is added to the stage "write" of `clock`.
 
         Raises:
             VideoError: the file cannot be written.
         """
-        width_px, height_px = form.size_px
-        self._writer = VideoWriter(path, width_px=width_px, height_px=height_px, fps=form.fps, quantizer=QUANTIZER)
+        width_px, height_px = size_px
+        self._writer = VideoWriter(path, width_px=width_px, height_px=height_px, fps=fps, quantizer=QUANTIZER)
         self._picture = draw
         self._clock = clock
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=path.stem, initializer=lower_thread_priority)
         self._queue: deque[Future[None]] = deque()
-        max_lag = min(_MAX_LAG_FRAMES, max(1, int(_MAX_LAG_S * form.fps)))
+        max_lag = min(_MAX_LAG_FRAMES, max(1, int(_MAX_LAG_S * fps)))
         # The rows of the next frame are written while these frames wait, and the muxer holds others.
         self._max_queued = max(0, max_lag - MAX_HELD_FRAMES - 1)
         self.precedes_rows = max_lag <= MAX_HELD_FRAMES

@@ -18,7 +18,7 @@ from track_range.views.report.run_folders import report
 
 def recorded(drive, **options):
     run = tr.Run.stereo(drive.left, drive.right, detections=drive.detections, overlay=False, align="off", **options)
-    run.session.finder = SeenFinder()
+    run.session.rows.finder = SeenFinder()
     return run
 
 
@@ -36,7 +36,7 @@ def test_events_grow_and_are_complete_at_the_end(small_drive, tmp_path):
     section = json.loads((out / "summary.json").read_text())["events"]
     assert section == run.summary["events"]
     assert section["n"] == section["by_kind"]["forward_collision"] == len(events) > 0
-    assert section["hours"] == pytest.approx(run.session.seconds / 3600, abs=1e-6)
+    assert section["hours"] == pytest.approx(run.session.rows.seconds / 3600, abs=1e-6)
     assert section["worst"]["warning_s"] is None
     assert read_run_folder(out).events == events
     assert not read_run_folder(out).are_events_replayed

@@ -1,0 +1,285 @@
+"""RunOutput: files of a run. Rows, events and videos grow during the run; summary and report are written at its end."""
+
+from __future__ import annotations
+
+import os
+import time
+import weakref
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from track_range.foundation.errors import UserError, call_all
+from track_range.foundation.files.folder_lock import FolderLock
+from track_range.foundation.files.output_files import (
+    OutputError,
+    check_outputs,
+    clear_results,
+    make_folder,
+    write_text,
+)
+from track_range.pipeline.frame_result import FrameResult
+from track_range.recording.telemetry.position_file import TELEMETRY_FILE, write_positions
+from track_range.results.columns import Columns
+from track_range.results.events.clip_names import CLIPS_FOLDER
+from track_range.results.events.event import Event
+from track_range.results.events.files import EventFiles
+from track_range.results.progress_note import OPENING, PROCESSING, PROGRESS_FILE, ProgressNote
+from track_range.results.summary import write_summary
+from track_range.results.writers import OpenWriters, create_writers, result_names
+from track_range.run.pictures import pictures
+from track_range.run.session import RunSession
+from track_range.run.settings import RunSettings, absolute_settings, input_files, save_settings
+from track_range.views.event_clips import remove_clips, write_clips
+from track_range.views.overlay.result_video import ResultVideo
+from track_range.views.report.page import write_report
+from track_range.views.report.tables import markdown
+
+_NOTE_INTERVAL_S = 1.0
+"""Minimum time between two notes on the number of frames."""
+
+
+class RunOutput:
+    """Files of a run, from the opening of its inputs to its end: `start`, `write` for each frame, `finish`.
+
+    The folder is locked, and contains progress.json and, unless the folder has one of an earlier run, settings.yaml.
+    Results of an earlier run remain until `start`, so that a run with unusable inputs does not remove them; such a run
+    also removes what it created. As a context manager, it closes what `finish` did not, and removes progress.json and
+    the lock.
+
+    Args:
+        settings: settings of the run.
+        folder: the output folder; None = nothing is written.
+
+    Attributes:
+        folder: the output folder.
+        videos: file names by video ("overlay", "disparity").
+        files: all files that the run writes.
+
+    Raises:
+        FolderLockError: another run is writing to the folder.
+        OutputError: the folder or a file cannot be written to, or is an input.
+        WriterError: one of the result writers cannot be used.
+    """
+
+    def __init__(self, settings: RunSettings, folder: Path | None) -> None:
+        self.folder, self._settings = folder, settings
+        self.videos: Mapping[str, str] = {}
+        self.files: tuple[Path, ...] = ()
+        self._open, self._videos_open = ExitStack(), ExitStack()
+        self._temporary: list[Path] = []
+        undo = ExitStack()
+        self._close = weakref.finalize(self, _close, undo, os.getpid())  # also of a run that is dropped
+        if folder is not None:
+            try:
+                self._note = self._prepare(folder, undo)
+            except BaseException:
+                self.close()
+                raise
+
+    def _prepare(self, folder: Path, undo: ExitStack) -> ProgressNote:
+        """Check and lock the folder before any work is done, and write the first note to it."""
+        settings = self._settings
+        create_writers(settings.write)
+        tables = [settings.table] if settings.table is not None else []
+        check_outputs(tables, [*input_files(settings), *(folder / name for name in result_names())])
+        self._new_folders = [path for path in (folder, *folder.parents) if not path.exists()]
+        undo.callback(_remove, self._new_folders)
+        make_folder(folder)
+        undo.callback(FolderLock(folder).release)
+        undo.callback(_remove, self._temporary)
+        existing = sorted(name for name in result_names() if (folder / name).exists())
+        # without results, the files are of a run that was killed while it opened its inputs
+        if "settings.yaml" not in existing or existing == [PROGRESS_FILE, "settings.yaml"]:
+            self._temporary.append(folder / "settings.yaml")
+            save_settings(settings, folder / "settings.yaml")
+        self._temporary.append(folder / PROGRESS_FILE)
+        note = ProgressNote(OPENING, os.getpid(), datetime.now().astimezone().isoformat(" ", "seconds"))
+        note.write(folder)
+        return note
+
+    def report(self, state: str) -> None:
+        """Change the state in progress.json.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        if self.folder is not None:
+            self._note = replace(self._note, state=state)
+            self._note.write(self.folder)
+
+    def start(self, session: RunSession, *, has_videos: bool = True) -> None:
+        """Remove the files of an earlier run from the folder, and open those of this run, whose inputs are usable.
+
+        Args:
+            session: the opened run.
+            has_videos: whether videos are written; False if the images are no longer available.
+
+        Raises:
+            OutputError, VideoError, WriterError: a file cannot be written.
+        """
+        if self.folder is None:
+            return
+        settings, folder = self._settings, self.folder
+        self._session, self._clock, self._n_frames = session, session.pipeline.clock, 0
+        self._clear(folder)
+        self.report(PROCESSING)
+        self._noted_s = time.monotonic()
+        save_settings(settings, folder / "settings.yaml", detected=session.found())
+        recording = session.recording
+        drawn = pictures(settings, recording, session.meter.captions) if has_videos else {}
+        self.videos = {name: f"{name}.mp4" for name in drawn}
+        info = session.info(folder / self.videos["overlay"] if "overlay" in drawn else None)
+        self._events = self._open.enter_context(EventFiles(folder, info.provenance.metadata()))
+        self._writers = self._open.enter_context(OpenWriters(settings.write, info, folder))
+        self._open.enter_context(self._videos_open)
+        self._videos = [
+            self._videos_open.enter_context(
+                ResultVideo(folder / self.videos[name], draw, size_px=size_px, fps=recording.fps, clock=self._clock)
+            )
+            for name, (draw, size_px) in drawn.items()
+        ]
+        rows = (*self._events.files, *self._writers.files)
+        positions = () if not settings.keep_gps or session.speed.track is None else (TELEMETRY_FILE,)
+        names = (*self.videos.values(), "report.html", *rows, *positions, "summary.json", "settings.yaml")
+        self.files = tuple(folder / name for name in names)
+
+    def _clear(self, folder: Path) -> None:
+        """Remove the files of an earlier run; the folder and its files are kept at the end, except progress.json."""
+        names = result_names()
+        inputs = [*input_files(self._settings), *self._session.speed.files]
+        clear_results(folder, [name for name in names if name != PROGRESS_FILE], except_for=inputs)
+        remove_clips(folder / CLIPS_FOLDER)
+        # temporary files `.PID.NAME` of runs that were killed (see `atomic_files`)
+        _remove([path for path in folder.glob(".[0-9]*.*") if path.name.lstrip(".0123456789") in names])
+        self._new_folders.clear()
+        self._temporary[:] = [folder / PROGRESS_FILE]
+
+    def write(self, result: FrameResult, record: Callable[[FrameResult], Sequence[Event]] = lambda _result: ()) -> None:
+        """Write the rows of a frame, pass it to the threads that write the videos, and write the events that ended.
+
+        The rows are written only if the videos of the earlier frames did not fail; if the rows of one file fail, or
+        `record`, those of the others are removed.
+
+        Args:
+            result: the frame.
+            record: adds the frame to the rows of the run, and returns the events that ended.
+
+        Raises:
+            OutputError, VideoError: writing failed for this or an earlier frame; the first error, if there are several.
+        """
+        if self.folder is None:
+            record(result)
+            return
+        for video in self._videos:
+            video.wait()
+        self._draw(result, precedes_rows=True)
+        try:
+            with self._clock.stage("write"):
+                self._writers.write(result)
+        except UserError:
+            for video in self._videos:
+                video.raise_error()
+            raise
+        self._draw(result, precedes_rows=False)
+        self._count(self.folder)
+        try:
+            ended = record(result)
+        except BaseException:
+            self._writers.discard_last()
+            raise
+        with self._clock.stage("write"):
+            self._events.add(ended)
+
+    def _draw(self, result: FrameResult, *, precedes_rows: bool) -> None:
+        for video in self._videos:
+            if video.precedes_rows == precedes_rows:
+                video.write(result)
+
+    def _count(self, folder: Path) -> None:
+        """Count a frame, and note the number in progress.json at most once per second."""
+        self._n_frames += 1
+        now_s = time.monotonic()
+        if now_s - self._noted_s >= _NOTE_INTERVAL_S:
+            self._noted_s = now_s
+            with suppress(OutputError):  # the note is not a result
+                replace(self._note, frames=self._n_frames).write(folder)
+
+    def finish_videos(self) -> None:
+        """Draw and encode the queued frames, and close the videos.
+
+        Raises:
+            VideoError: writing failed for this or an earlier frame.
+        """
+        self._videos_open.close()
+
+    def finish(self, summary: Mapping[str, Any], columns: Columns) -> None:
+        """Write summary.json, report.html, the events and the Markdown tables, and close the files of the rows.
+
+        If a file cannot be written, the others are.
+
+        Args:
+            summary: the results of the run.
+            columns: rows of the run, with the ground truth if there is one.
+
+        Raises:
+            OutputError: a file cannot be written; the first one, if there are several.
+        """
+        if self.folder is None:
+            return
+        settings, folder, rows, track = self._settings, self.folder, self._session.rows, self._session.speed.track
+        clips = folder / CLIPS_FOLDER if settings.clips else None
+        shown = {key: value for key, value in absolute_settings(settings).items() if value not in ([], {})}
+        report = {**summary, "settings": shown}
+        steps: list[Callable[[], object]] = [partial(self._events.finish, rows.events)]
+        if clips is not None and "overlay" in self.videos:
+            overlay = folder / self.videos["overlay"]
+            steps.append(partial(write_clips, overlay, rows.events, clips, starts_s=rows.starts_s))
+            self.files += (clips,) if rows.events else ()
+        steps += [
+            partial(write_summary, folder / "summary.json", summary),
+            partial(write_report, folder / "report.html", report, columns, rows.events, clips=clips),
+            partial(self._writers.close, summary),
+        ]
+        if settings.keep_gps and track is not None:
+            times = {"first_s": rows.starts_s, "last_s": rows.last_s}
+            steps.append(partial(write_positions, folder / TELEMETRY_FILE, track, **times))
+        if settings.table is not None:
+            steps.append(partial(write_text, settings.table, markdown(summary)))
+        call_all(steps)
+
+    def close(self) -> None:
+        """Remove the note and the lock and, without `start`, all that was created; a second call does nothing."""
+        self._close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        try:
+            self._open.close()
+        except UserError:
+            if error is None:  # the first error is the one to report
+                raise
+        finally:
+            self.close()
+
+
+def _close(undo: ExitStack, pid: int) -> None:
+    if os.getpid() == pid:  # not in a forked process
+        undo.close()
+
+
+def _remove(paths: Sequence[Path]) -> None:
+    """Remove files and empty folders, as far as possible."""
+    for path in paths:
+        with suppress(OSError):
+            if path.is_dir():
+                path.rmdir()
+            else:
+                path.unlink()
