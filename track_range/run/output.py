@@ -130,7 +130,7 @@ class RunOutput:
         self._clear(folder)
         self.report(PROCESSING)
         self._noted_s = time.monotonic()
-        save_settings(settings, folder / "settings.yaml", detected=session.found())
+        save_settings(settings, folder / "settings.yaml", detected=session.detected())
         recording = session.recording
         drawn = pictures(settings, recording, session.meter.captions) if has_videos else {}
         self.videos = {name: f"{name}.mp4" for name in drawn}

@@ -152,7 +152,7 @@ class RunSession:
     @property
     def provenance(self) -> Provenance:
         """Origin of the results, for the result files."""
-        return Provenance.of_inputs(self.found(), settings_hash(absolute_settings(self.settings)))
+        return Provenance.of_inputs(self.detected(), settings_hash(absolute_settings(self.settings)))
 
     def info(self, overlay: Path | None) -> RunInfo:
         """Information about the run for result writers."""
@@ -169,7 +169,7 @@ class RunSession:
             recorded_boxes=recording.calibration.rectifier.recorded_boxes,
         )
 
-    def found(self) -> dict[str, Any]:
+    def detected(self) -> dict[str, Any]:
         """Section `found` of settings.yaml: properties of the opened inputs."""
         recording, camera = self.recording, self.recording.camera
         rig = recording.calibration.path
