@@ -74,27 +74,37 @@ VOC_CLASSES = (
 """Pascal VOC's 20 class names, in alphabetical order as networks trained on VOC use them."""
 
 
+ROAD_CLASS_TABLE = ", ".join(f"{class_id} {name}" for class_id, name in enumerate(ROAD_CLASSES))
+"""All road classes with their ids, for messages."""
+
+
 class ClassNameError(UserError, ValueError):
     """Unknown class name; the message suggests the most similar road class."""
 
 
-def road_class_ids(names: Iterable[str]) -> IntArray:
-    """Sorted class ids of names that a user typed: road classes or their synonyms, in any case.
+def road_class_id(name: str) -> int:
+    """Class id of a road class or a synonym, in any case.
+
+    Example:
+        >>> import track_range as tr
+        >>> tr.class_id("car"), tr.class_id("Pedestrian"), tr.ROAD_CLASSES[2]
+        (2, 0, 'car')
 
     Raises:
-        ClassNameError: a name is unknown.
+        ClassNameError: the name is unknown.
     """
-    class_ids = set()
-    for name in names:
-        key = name.strip().lower()
-        if key not in ROAD_CLASS_OF:
-            near = difflib.get_close_matches(key, ROAD_CLASS_OF, n=1, cutoff=0.0)[0]
-            raise ClassNameError(
-                f"unknown class '{name.strip()}': did you mean '{ROAD_CLASS_OF[near]}'? "
-                f"The classes are {', '.join(ROAD_CLASSES)}."
-            )
-        class_ids.add(ROAD_CLASSES.index(ROAD_CLASS_OF[key]))
-    return np.array(sorted(class_ids), np.int64)
+    key = name.strip().lower()
+    if key not in ROAD_CLASS_OF:
+        near = difflib.get_close_matches(key, ROAD_CLASS_OF, n=1, cutoff=0.0)[0]
+        raise ClassNameError(
+            f"unknown class '{name.strip()}': did you mean '{ROAD_CLASS_OF[near]}'? The classes are {ROAD_CLASS_TABLE}."
+        )
+    return ROAD_CLASSES.index(ROAD_CLASS_OF[key])
+
+
+def road_class_ids(names: Iterable[str]) -> IntArray:
+    """Sorted class ids of names that a user typed, see `road_class_id`."""
+    return np.array(sorted({road_class_id(name) for name in names}), np.int64)
 
 
 def map_to_road_classes(names: Sequence[str]) -> IntArray:
@@ -107,3 +117,13 @@ def fully_known(names: Sequence[str]) -> BoolArray:
     """(8,) road classes that a list of class names has as a whole, not only a kind of them such as stop signs."""
     road = map_to_road_classes([name for name in names if name.strip().lower() not in _KINDS])
     return np.isin(np.arange(len(ROAD_CLASSES)), road)
+
+
+def class_counts(class_ids: IntArray) -> str:
+    """Number of objects of each class in words, such as "2 car, 1 bus"; "none" for (0,) ids."""
+    counts = [(np.count_nonzero(class_ids == i), name) for i, name in enumerate(ROAD_CLASSES)]
+    return ", ".join(f"{count} {name}" for count, name in counts if count) or "none"
+
+
+ROAD_OF_COCO = {80: map_to_road_classes(COCO_CLASSES), 91: map_to_road_classes(COCO_CATEGORIES)}
+"""(80,) and (91,) road class of each of COCO's class numbers and category ids; -1 = not a road class."""

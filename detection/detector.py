@@ -10,7 +10,7 @@ from track_range.foundation.errors import UserError
 
 
 class DetectorError(UserError):
-    """An object that does not implement `ObjectDetector`; the message names its class."""
+    """A detector that returns no valid `Detections`; the message names its class and the frame."""
 
 
 class ObjectDetector(Protocol):
@@ -21,13 +21,17 @@ class ObjectDetector(Protocol):
         ...
 
 
-def checked_detections(detector: ObjectDetector, result: Any) -> Detections:
-    """`result`, the return value of `detector.detect`, after a check of its type.
+def checked_detections(detector: ObjectDetector, image: Image, frame_index: int) -> Detections:
+    """The detections of a detector of another package in the image of a frame.
 
     Raises:
-        DetectorError: `result` is not a `Detections`.
+        DetectorError: it does not return `Detections`, or raises a ValueError, as `Detections` does for invalid values.
     """
+    where = f"{type(detector).__module__}:{type(detector).__qualname__}, frame {frame_index}"
+    try:
+        result: Any = detector.detect(image)
+    except ValueError as error:
+        raise DetectorError(f"{where}: {str(error).rstrip('.')}.") from error
     if not isinstance(result, Detections):
-        name = f"{type(detector).__module__}:{type(detector).__qualname__}"
-        raise DetectorError(f"{name}: expected detect() to return Detections, got {type(result).__name__}.")
+        raise DetectorError(f"{where}: expected detect() to return Detections, got {type(result).__name__}.")
     return result

@@ -124,8 +124,7 @@ class DeepSortTracker:
     """Tracks the objects of one stream of frames; ids count from 1, and the output is deterministic.
 
     Tracks that start in the first frame are confirmed at once; later ones are tentative, and not in the output, until
-    `DeepSortSettings.n_init` and `init_score_sum` are reached. Boxes that are not finite, or have no area or score,
-    are ignored.
+    `DeepSortSettings.n_init` and `init_score_sum` are reached. Boxes without area are ignored.
     """
 
     def __init__(

@@ -62,11 +62,10 @@ class Reliability:
         """Reliability of detections with scores (K,) in [0, 1], of which those in the mask (K,) match a label.
 
         Raises:
-            ValueError: a score is outside of [0, 1] or NaN, or there is no bin.
+            ValueError: there is no bin.
         """
         if n_bins < 1:
             raise ValueError(f"n_bins: expected at least 1, got {n_bins}")
-        _check_scores(score)
         index = np.minimum((score * n_bins).astype(np.int64), n_bins - 1)  # a score of 1 is in the last bin
         n = np.bincount(index, minlength=n_bins)
         with np.errstate(invalid="ignore"):
@@ -194,11 +193,8 @@ def evaluate_calibration(
         min_height_px: smaller labels are ignored, and so are smaller unmatched detections.
 
     Raises:
-        ValueError: `detections` and `truth` differ in length, a score is outside of [0, 1] or NaN, or `n_bins` is
-            less than 1.
+        ValueError: `detections` and `truth` differ in length, or `n_bins` is less than 1.
     """
-    for of_image in detections:
-        _check_scores(of_image.score)
     matches = {
         class_id: match_class(detections, truth, class_id, min_height_px=min_height_px)[0]
         for class_id in range(len(ROAD_CLASSES))
@@ -210,17 +206,6 @@ def evaluate_calibration(
         _reliability(ClassMatches.concatenate(list(matches.values())), min_score, n_bins),
         {class_id: _reliability(of_class, min_score, n_bins) for class_id, of_class in matches.items()},
     )
-
-
-def _check_scores(score: FloatArray) -> None:
-    """Check that the scores (K,) are in [0, 1].
-
-    Raises:
-        ValueError: one is not.
-    """
-    is_wrong = ~((score >= 0.0) & (score <= 1.0))
-    if is_wrong.any():
-        raise ValueError(f"score: expected numbers between 0 and 1, got {score[is_wrong][0]:g}")
 
 
 def _reliability(matches: ClassMatches, min_score: float, n_bins: int) -> Reliability:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -47,6 +47,17 @@ _MAX_SCORE = 1e6
 
 DetectionFormat = Literal["mot", "kitti", "rrc", "tracks", "labels"]
 """Format of a file: MOTChallenge, KITTI, plain rows as published by RRC, track-range's tracks.csv, or other labels."""
+
+
+class _Rows(NamedTuple):
+    """All N rows of a file, also those without a valid frame number, box, score or road class; `kind` is for notes."""
+
+    kind: str
+    frame: IntArray
+    xyxy_px: FloatArray
+    score: FloatArray
+    class_id: IntArray
+    descriptor: Descriptors | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,28 +114,32 @@ def read_detections(
     file_format = _format_of(path)
     table = _label_table(path, VideoFacts(size_px=size_px)) if file_format == "labels" else None
     if table is None:
-        kind, frame, boxes = _FORMATS[file_format](path, default_class_id)
+        rows = _FORMATS[file_format](path, default_class_id)
     else:
-        kind, frame, boxes = label_format_of(path, "detections").title, table.frame, _boxes_of(table)
-    file_form = _form_of(file_format, kind)
+        known = np.where(np.isnan(table.score), 1.0, table.score)
+        kind = label_format_of(path, "detections").title
+        rows = _Rows(kind, table.frame, table.xyxy_px, known, table.class_id)
+    file_form = _form_of(file_format, rows.kind)
     if form not in (None, file_form):
-        raise LabelFileError(f"{path}: expected the format {form}, got {file_form} ({kind}).")
-    score, score_note = _as_probability(np.where(np.abs(boxes.score) <= _MAX_SCORE, boxes.score, np.nan))
-    is_plausible = are_valid_boxes(boxes.xyxy_px) & are_plausible_boxes(boxes.xyxy_px)
-    is_valid = is_plausible & np.isfinite(score) & (boxes.class_id >= 0) & (frame >= 0)
-    if np.any(frame > MAX_FRAME):
-        raise LabelFileError(f"{path}: expected frame numbers up to {MAX_FRAME}, got {frame.max()}.")
-    order = np.flatnonzero(is_valid)[np.argsort(frame[is_valid], kind="stable")]
-    notes = [f"Read {path.name} as {kind}: {len(order)} boxes."]
-    if len(order) < len(frame):
-        n_dropped = len(frame) - len(order)
+        raise LabelFileError(f"{path}: expected the format {form}, got {file_form} ({rows.kind}).")
+    score, score_note = _as_probability(np.where(np.abs(rows.score) <= _MAX_SCORE, rows.score, np.nan))
+    is_plausible = are_valid_boxes(rows.xyxy_px) & are_plausible_boxes(rows.xyxy_px)
+    is_valid = is_plausible & np.isfinite(score) & (rows.class_id >= 0) & (rows.frame >= 0)
+    if np.any(rows.frame > MAX_FRAME):
+        raise LabelFileError(f"{path}: expected frame numbers up to {MAX_FRAME}, got {rows.frame.max()}.")
+    order = np.flatnonzero(is_valid)[np.argsort(rows.frame[is_valid], kind="stable")]
+    notes = [f"Read {path.name} as {rows.kind}: {len(order)} boxes."]
+    if len(order) < len(rows.frame):
+        n_dropped = len(rows.frame) - len(order)
         notes.append(f"{path.name}: ignored {n_dropped} rows that are not a valid box of a road class.")
     if table is not None:
         notes += [*table.notes, *other_labels_note(table, path)]
-    detections = Detections(boxes.xyxy_px, score, boxes.class_id, boxes.descriptor)
+    detections = Detections.of(rows.xyxy_px[order], score[order], rows.class_id[order])
+    if rows.descriptor is not None:
+        detections = replace(detections, descriptor=rows.descriptor[order])
     return RecordedDetections(
-        frame[order],
-        detections.select(order),
+        rows.frame[order],
+        detections,
         file_form,
         notes=(*notes, *score_note),
         is_rectified=file_form == "tracks" or (table is not None and table.video.is_rectified),
@@ -135,11 +150,6 @@ def _label_table(path: Path, video: VideoFacts) -> BoxTable:
     """The boxes of a label file that are observed, as those of tracks.csv."""
     table = label_format_of(path, "detections").read(path, video)
     return table.select(table.observed)
-
-
-def _boxes_of(table: BoxTable) -> Detections:
-    score = np.where(np.isnan(table.score), 1.0, table.score)
-    return Detections.of(table.xyxy_px, score, table.class_id)
 
 
 def _is_empty(path: Path) -> bool:
@@ -168,29 +178,30 @@ def _form_of(file_format: str, kind: str) -> DetectionFormat:
     return "mot" if kind.startswith("MOT") else "rrc"
 
 
-def _read_kitti(path: Path, _: int) -> tuple[str, IntArray, Detections]:
+def _read_kitti(path: Path, _: int) -> _Rows:
     labels = read_kitti(path)
     score = np.where(np.isfinite(labels.score), labels.score, 1.0)
     class_id = map_to_road_classes([str(name) for name in labels.kitti_type])
-    return "KITTI rows", labels.frame, Detections.of(labels.xyxy_px, score, class_id)
+    return _Rows("KITTI rows", labels.frame, labels.xyxy_px, score, class_id)
 
 
-def _read_comma(path: Path, default_class_id: int) -> tuple[str, IntArray, Detections]:
+def _read_comma(path: Path, default_class_id: int) -> _Rows:
     table = _comma_table(path)
-    class_id = np.full(len(table), default_class_id)
+    frame, class_id = table[:, 0].astype(np.int64), np.full(len(table), default_class_id, np.int64)
     name = ROAD_CLASSES[default_class_id]
     if table.shape[1] == _PLAIN_COLUMNS:
-        boxes = Detections.of(table[:, 1:5], table[:, 5], class_id)
-        return f"rows frame,x1,y1,x2,y2,score of class {name}", table[:, 0].astype(np.int64), boxes
+        kind = f"rows frame,x1,y1,x2,y2,score of class {name}"
+        return _Rows(kind, frame, table[:, 1:5], table[:, 5], class_id)
     if table.shape[1] not in _MOT_COLUMNS:
         raise LabelFileError(
             f"{path}: expected 7 to 10 columns frame,id,x,y,w,h,score,... (MOTChallenge) or 6 columns "
             f"frame,x1,y1,x2,y2,score, got {table.shape[1]}."
         )
     score = np.where(table[:, 6] == -1, 1.0, table[:, 6])  # -1 = no score in MOTChallenge
-    boxes = Detections(xyxy_from_mot(table[:, 2:6]), score, class_id.astype(np.int64), _descriptors(path, table))
-    with_embeddings = f" with embeddings of {boxes.descriptor.shape[1]} numbers" if boxes.descriptor.shape[1] else ""
-    return f"MOTChallenge rows of class {name}{with_embeddings}", table[:, 0].astype(np.int64) - 1, boxes
+    descriptor = _descriptors(path, table)
+    with_embeddings = "" if descriptor is None else f" with embeddings of {descriptor.shape[1]} numbers"
+    kind = f"MOTChallenge rows of class {name}{with_embeddings}"
+    return _Rows(kind, frame - 1, xyxy_from_mot(table[:, 2:6]), score, class_id, descriptor)
 
 
 def _comma_table(path: Path) -> FloatArray:
@@ -223,15 +234,15 @@ def _fault(path: Path, lines: list[str]) -> LabelFileError:
     return LabelFileError(f"{path}: expected rows of comma-separated numbers, all of the same length.")
 
 
-def _descriptors(path: Path, table: FloatArray) -> Descriptors:
-    """(N, D) float32 embeddings from the feat.npy in the folder of `path`; D = 0 if there is no such file.
+def _descriptors(path: Path, table: FloatArray) -> Descriptors | None:
+    """(N, D) float32 embeddings from the feat.npy in the folder of `path`; None if there is no such file.
 
     Raises:
         LabelFileError: feat.npy cannot be read, or its rows differ from those of `path`.
     """
     features_path = path.with_name(_FEATURES_NAME)
     if not os.path.lexists(features_path):
-        return np.zeros((len(table), 0), np.float32)
+        return None
     features = np.asarray(read_array(features_path, LabelFileError, f"embeddings of {path.name}"), np.float64)
     n_columns = table.shape[1]
     if features.ndim != 2 or features.shape[0] != len(table) or features.shape[1] <= n_columns:
@@ -246,7 +257,7 @@ def _descriptors(path: Path, table: FloatArray) -> Descriptors:
     return features[:, n_columns:].astype(np.float32)
 
 
-def _read_tracks_csv(path: Path, _: int) -> tuple[str, IntArray, Detections]:
+def _read_tracks_csv(path: Path, _: int) -> _Rows:
     expected = ("frame", "x1_px", "y1_px", "x2_px", "y2_px", "score", "observed")
     table = read_csv_table(path, LabelFileError, f"columns {', '.join(expected)}, class")
     table.require((*expected, "class"))
@@ -255,11 +266,9 @@ def _read_tracks_csv(path: Path, _: int) -> tuple[str, IntArray, Detections]:
     table.check("frame", cells[:, 0], is_frame, f"an integer from 0 to {MAX_FRAME}")
     class_id = map_to_road_classes(table.texts("class"))
     observed = cells[:, 6] == 1
-    return (
-        "the observed rows of a tracks.csv",
-        cells[observed, 0].astype(np.int64),
-        Detections.of(cells[observed, 1:5], cells[observed, 5], class_id[observed]),
-    )
+    cells, class_id = cells[observed], class_id[observed]
+    kind = "the observed rows of a tracks.csv"
+    return _Rows(kind, cells[:, 0].astype(np.int64), cells[:, 1:5], cells[:, 5], class_id)
 
 
 _FORMATS = {"kitti": _read_kitti, "comma": _read_comma, "tracks": _read_tracks_csv}

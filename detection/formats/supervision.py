@@ -43,29 +43,18 @@ class SupervisionBoxes:
         return len(self.xyxy)
 
 
-@dataclass(frozen=True, slots=True)
-class RoadBoxes:
-    """Boxes read from supervision's attributes: those of road classes only.
-
-    Attributes:
-        xyxy_px: (N, 4) boxes, pixel centres at integers.
-        score: (N,) confidence in [0, 1]; 1 if the boxes have none.
-        class_id: (N,) index into `ROAD_CLASSES`.
-        tracker_id: (N,) identities, or None.
-    """
-
-    xyxy_px: FloatArray
-    score: FloatArray
-    class_id: IntArray
-    tracker_id: IntArray | None
-
-
-def read_supervision(boxes: Any, class_names: Sequence[str] | None = None) -> RoadBoxes:
-    """The boxes of road classes among `boxes`.
+def read_supervision(
+    boxes: Any, class_names: Sequence[str] | None = None
+) -> tuple[FloatArray, FloatArray, IntArray, IntArray | None]:
+    """The M boxes of road classes among `boxes`.
 
     Args:
         boxes: an object with `xyxy` (N, 4) and optionally `confidence`, `class_id`, `tracker_id` (N,) and `data`.
         class_names: names of the class ids; None = the names in `data["class_name"]`, else COCO's names.
+
+    Returns:
+        (M, 4) boxes with pixel centres at integers, (M,) confidence, 1 if the boxes have none, (M,) class id, and (M,)
+        identities or None.
 
     Raises:
         ValueError: arrays of unequal length, or a class id without a name.
@@ -77,12 +66,9 @@ def read_supervision(boxes: Any, class_names: Sequence[str] | None = None) -> Ro
     score = _column(boxes, "confidence", n)
     tracker_id = _column(boxes, "tracker_id", n)
     rows = np.flatnonzero(class_id >= 0)
-    return RoadBoxes(
-        xyxy_px=xyxy[rows] - _CORNER_FROM_CENTRE_PX,
-        score=np.ones(len(rows)) if score is None else score[rows].astype(np.float64),
-        class_id=class_id[rows],
-        tracker_id=None if tracker_id is None else tracker_id[rows].astype(np.int64),
-    )
+    known = np.ones(len(rows)) if score is None else score[rows].astype(np.float64)
+    numbers = None if tracker_id is None else tracker_id[rows].astype(np.int64)
+    return xyxy[rows] - _CORNER_FROM_CENTRE_PX, known, class_id[rows], numbers
 
 
 def supervision_boxes(

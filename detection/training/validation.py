@@ -57,10 +57,10 @@ class NetworkDetector:
         candidates = RowDecoder(0).decode([rows], self._min_score)
         class_id, group = self._road_class_id[candidates.class_index], SAME_OBJECT_GROUP
         best = nms(candidates.xyxy_net, candidates.score, group[class_id], max_iou=_MAX_IOU, max_boxes=_MAX_BOXES)
-        boxes = Detections.of(
-            letterbox.to_image_clipped(candidates.xyxy_net[best]), candidates.score[best], class_id[best]
-        )
-        return boxes.select(are_valid_boxes(boxes.xyxy_px))
+        xyxy_px = letterbox.to_image_clipped(candidates.xyxy_net[best])
+        is_valid = are_valid_boxes(xyxy_px)
+        best = best[is_valid]
+        return Detections.of(xyxy_px[is_valid], candidates.score[best], class_id[best])
 
 
 def validate(

@@ -299,8 +299,9 @@ class YoloDetector:
             max_boxes=self._settings.max_boxes,
         )
         xyxy_px = source.letterbox.to_image_clipped(candidates.xyxy_net[best])
-        boxes = Detections.of(xyxy_px, candidates.score[best], class_id[best])
-        return boxes.select(are_valid_boxes(boxes.xyxy_px))
+        is_valid = are_valid_boxes(xyxy_px)
+        best = best[is_valid]
+        return Detections.of(xyxy_px[is_valid], candidates.score[best], class_id[best])
 
     def _input_for(self, image: Image) -> _Input:
         """The input for images of this size.

@@ -9,6 +9,7 @@ from track_range.detection.classes import (
     ClassNameError,
     fully_known,
     map_to_road_classes,
+    road_class_id,
     road_class_ids,
 )
 
@@ -16,11 +17,14 @@ from track_range.detection.classes import (
 def test_names_and_synonyms():
     assert road_class_ids(["car", " Pedestrian "]).tolist() == [0, 2]
     assert road_class_ids([]).tolist() == []
+    assert [road_class_id(name) for name in ROAD_CLASSES] == list(range(8))
 
 
 def test_unknown_name_suggests_the_nearest():
     with pytest.raises(ClassNameError, match="'trcuk': did you mean 'truck'"):
         road_class_ids(["trcuk"])
+    with pytest.raises(ValueError, match=r"0 person.*2 car.*7 traffic sign"):
+        road_class_id("tram")
 
 
 def test_coco_categories_by_id():

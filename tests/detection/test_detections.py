@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
 
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
+
+GOOD = ([1.0, 2.0, 3.0, 4.0], 0.5, 2)
 
 
 def test_shapes_are_checked():
@@ -15,3 +18,53 @@ def test_select_takes_rows_in_order():
     assert chosen.score.tolist() == [0.3, 0.1]
     assert chosen.class_id.tolist() == [2, 0]
     assert len(detections.select(np.zeros(3, bool))) == len(Detections.empty()) == 0
+
+
+@pytest.mark.parametrize(
+    ("box", "score", "class_id", "message"),
+    [
+        ([1, 2, 3, 4], 0.5, 8, "class_id: .*0 person.*5 truck.*7 traffic sign.*from_coco.*got 8 in row 1"),
+        ([1, 2, 3, 4], 0.5, -1, "class_id: .*got -1 in row 1"),
+        ([1, 2, 3, 4], 1.2, 2, "score: .*0 to 1, got 1.2 in row 1"),
+        ([1, 2, 3, 4], -0.1, 2, "score: .*got -0.1"),
+        ([1, 2, 3, 4], np.nan, 2, "score: .*got nan"),
+        ([1, 2, 3, 4], np.inf, 2, "score: .*got inf"),
+        ([3, 2, 1, 4], 0.5, 2, r"xyxy_px: .*left <= right.*got \[3.0, 2.0, 1.0, 4.0\] in row 1"),
+        ([1, 4, 3, 2], 0.5, 2, "xyxy_px: .*top <= bottom"),
+        ([1, 2, np.nan, 4], 0.5, 2, "xyxy_px: .*finite.*nan"),
+        ([1, 2, np.inf, 4], 0.5, 2, "xyxy_px: .*finite.*inf"),
+        ([-np.inf, 2, 3, 4], 0.5, 2, "xyxy_px: .*finite.*-inf"),
+    ],
+)
+def test_values_are_checked(box, score, class_id, message):
+    good_box, good_score, good_class = GOOD
+    with pytest.raises(ValueError, match=message):
+        Detections.of([good_box, box, good_box], [good_score, score, good_score], [good_class, class_id, good_class])
+
+
+def test_limits_are_valid():
+    boxes = Detections.of([[1, 1, 1, 1], [-5, -5, 1e5, 1e5]], [0, 1], [0, len(ROAD_CLASSES) - 1])
+    assert boxes.score.tolist() == [0, 1]
+
+
+def test_coco_numbers_become_road_classes():
+    coco = [0, 1, 2, 3, 5, 7, 9, 11, 4, 79]
+    boxes = [[i, 0, i + 1, 1] for i in range(len(coco))]
+    road = Detections.from_coco(boxes, np.linspace(0.1, 1, len(coco)), coco)
+    assert [ROAD_CLASSES[i] for i in road.class_id] == list(ROAD_CLASSES)  # airplane and toothbrush are left out
+    assert road.xyxy_px[:, 0].tolist() == list(range(8))
+    assert road.score.tolist() == pytest.approx([0.1 * i for i in range(1, 9)])
+    by_category = Detections.from_coco(boxes[:3], [0.5] * 3, [3, 8, 90], n_ids=91)
+    assert [ROAD_CLASSES[i] for i in by_category.class_id] == ["car", "truck"]
+    assert len(Detections.from_coco([], [], [])) == 0
+
+
+@pytest.mark.parametrize("number", [-1, 80])
+def test_unknown_coco_numbers(number):
+    with pytest.raises(ValueError, match=f"0 to 79, got {number}"):
+        Detections.from_coco([[0, 0, 1, 1]], [0.5], [number])
+
+
+def test_detections_are_shown_in_one_line():
+    assert repr(Detections.of([[0, 0, 1, 1]] * 3, [0.5] * 3, [2, 5, 2])) == "Detections(2 car, 1 truck)"
+    assert repr(Detections.empty()) == "Detections(none)"

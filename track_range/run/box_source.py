@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.boxes import area_px2
+from track_range.detection.boxes import are_valid_boxes, area_px2
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
 from track_range.detection.detector import ObjectDetector, checked_detections
@@ -97,13 +97,13 @@ def open_box_source(
 def boxes_of(detector: ObjectDetector) -> BoxSource:
     """Source of the boxes of a detector object with `detect(image)`.
 
-    Its `detect` raises DetectorError if the object does not return `Detections`.
+    Its `detect` raises DetectorError if the object does not return valid `Detections`.
     """
     last = Detections.empty()
 
     def detect(frame: Frame) -> Detections:
         nonlocal last
-        last = checked_detections(detector, detector.detect(frame.left))
+        last = checked_detections(detector, frame.left, frame.index)
         return last
 
     return BoxSource(
@@ -120,11 +120,7 @@ def _recorded(path: Path, class_id: tuple[int, ...], recording: Recording) -> Bo
     default_class_id, size_px = class_id[0] if len(class_id) == 1 else 0, recording.calibration.sizes_px[0]
     recorded = read_detections(path, default_class_id=default_class_id, size_px=size_px)
     if not recorded.is_rectified:
-        boxes = recorded.detections
-        boxes = replace(boxes, xyxy_px=recording.calibration.rectifier.left_boxes(boxes.xyxy_px))
-        recorded = replace(recorded, detections=boxes)
-        if recording.calibration.has_wide_lens:  # its undistorted images do not show all recorded boxes
-            recorded = _in_view(recorded, recording.size_px)
+        recorded = _rectified(recorded, recording)
 
     def detect(frame: Frame) -> Detections:
         detections = recorded.at(frame.index)
@@ -139,11 +135,14 @@ def _recorded(path: Path, class_id: tuple[int, ...], recording: Recording) -> Bo
     )
 
 
-def _in_view(recorded: RecordedDetections, size_px: tuple[int, int]) -> RecordedDetections:
-    """The boxes of which at least half is inside an image of `size_px`, cut at its edges."""
-    boxes = recorded.detections
-    cut_px = np.clip(boxes.xyxy_px, 0.0, np.tile(np.array(size_px, np.float64) - 1, 2))
-    share = area_px2(cut_px) / np.maximum(area_px2(boxes.xyxy_px), 1e-9)
-    shown = np.flatnonzero(share >= _MIN_SHOWN)  # false for NaN, behind the view
-    cut = replace(boxes, xyxy_px=cut_px).select(shown)
-    return replace(recorded, frame=recorded.frame[shown], detections=cut)
+def _rectified(recorded: RecordedDetections, recording: Recording) -> RecordedDetections:
+    """The boxes in rectified pixels; those of a wide lens are cut at the edges of its undistorted images."""
+    xyxy_px = recording.calibration.rectifier.left_boxes(recorded.detections.xyxy_px)
+    rows = np.flatnonzero(are_valid_boxes(xyxy_px))  # those behind the view are NaN
+    xyxy_px = xyxy_px[rows]
+    if recording.calibration.has_wide_lens:  # whose undistorted images do not show all recorded boxes
+        cut_px = np.clip(xyxy_px, 0.0, np.tile(np.array(recording.size_px, np.float64) - 1, 2))
+        is_shown = area_px2(cut_px) / area_px2(xyxy_px) >= _MIN_SHOWN
+        rows, xyxy_px = rows[is_shown], cut_px[is_shown]
+    boxes = replace(recorded.detections.select(rows), xyxy_px=xyxy_px)
+    return replace(recorded, frame=recorded.frame[rows], detections=boxes)

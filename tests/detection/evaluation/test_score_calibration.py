@@ -123,14 +123,6 @@ def test_json():
     assert (empty["n"], empty["ece"], empty["mce"], empty["ece_if_calibrated"]) == (0, None, None, None)
 
 
-@pytest.mark.parametrize("score", [-0.2, 1.5, np.nan])
-def test_scores_that_are_no_probabilities(score):
-    truth = ImageTruth.of([square(0)], [CAR])
-    detections = Detections.of([square(0), square(100)], [0.9, score], [CAR] * 2)
-    with pytest.raises(ValueError, match=rf"between 0 and 1, got {score:g}"):
-        evaluate_calibration([detections], [truth], known_class_id=np.arange(N))
-
-
 @pytest.mark.parametrize("n_bins", [0, -3])
 def test_too_few_bins(n_bins):
     with pytest.raises(ValueError, match=f"n_bins: expected at least 1, got {n_bins}"):

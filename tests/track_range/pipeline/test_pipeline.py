@@ -275,8 +275,22 @@ def test_tracker_and_detector_without_results():
     loop.tracker = Silent()
     with pytest.raises(TrackerError, match=r"Silent: .*Tracks.*NoneType"):
         list(run_in_threads(loop, frames(1)))
-    with pytest.raises(DetectorError, match=r"Silent: .*Detections.*NoneType"):
+    with pytest.raises(DetectorError, match=r"Silent, frame 0: .*Detections.*NoneType"):
         list(run_in_threads(pipeline(boxes_of(Silent()).detect), frames(1)))
+
+
+def test_detector_with_invalid_boxes():
+    class Coco:
+        def __init__(self):
+            self.n_images = 0
+
+        def detect(self, image):
+            self.n_images += 1
+            return Detections.of([[49.5, 59.5, 69.5, 79.5]], [0.9], [2 if self.n_images < 3 else 9])
+
+    with pytest.raises(DetectorError, match=r"Coco, frame 2: class_id: .*5 truck.*got 9 in row 0\.$") as raised:
+        list(run_in_threads(pipeline(boxes_of(Coco()).detect), frames(5)))
+    assert isinstance(raised.value.__cause__, ValueError)
 
 
 class FixedDisparity:

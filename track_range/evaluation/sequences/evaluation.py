@@ -10,7 +10,7 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
-from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes, road_class_ids
+from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes, road_class_id
 from track_range.detection.formats.box_table import NO_FACTS, BoxTable
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import is_blank, label_format_of, read_labels
@@ -149,7 +149,7 @@ def _boxes_of(table: BoxTable, road_class: str, path: Path) -> TrackedBoxes:
 def _class_of_labels(tables: Iterable[BoxTable], road_class: str | None) -> str:
     """The class to evaluate: the given one, else the most frequent one."""
     if road_class is not None:
-        return ROAD_CLASSES[int(road_class_ids([road_class])[0])]
+        return ROAD_CLASSES[road_class_id(road_class)]
     class_id = np.concatenate([np.zeros(0, np.int64), *(table.class_id[table.class_id >= 0] for table in tables)])
     return ROAD_CLASSES[int(np.bincount(class_id, minlength=len(ROAD_CLASSES)).argmax())] if len(class_id) else "car"
 
@@ -170,7 +170,7 @@ def _empty_truth_notes(truth: Iterable[SequenceFile]) -> tuple[str, ...]:
 def _class_of(form: TruthFormat, road_class: str | None) -> str:
     if road_class is None:
         return "car" if form == "kitti" else "person"
-    name = ROAD_CLASSES[int(road_class_ids([road_class])[0])]
+    name = ROAD_CLASSES[road_class_id(road_class)]
     if form == "mot" and name != "person":
         raise UsageError(f"--class {road_class}: expected person, the only class of MOTChallenge's ground truth.")
     if form == "kitti" and name not in KITTI_TYPES:

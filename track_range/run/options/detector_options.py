@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Self
 
-from track_range.detection.classes import road_class_ids
+from track_range.detection.classes import road_class_id, road_class_ids
 from track_range.detection.models.lookup import models_folder
 from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import Device, Runtime
@@ -113,7 +113,7 @@ def thresholds(option: str | None, *, otherwise: float) -> tuple[float, tuple[tu
         name, separator, number = part.rpartition("=")
         score = _score(number)
         if separator:
-            by_class += [(int(class_id), score) for class_id in road_class_ids([name])]
+            by_class.append((road_class_id(name), score))
         elif min_score is None:
             min_score = score
         else:
