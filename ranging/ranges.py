@@ -16,9 +16,8 @@ class Ranges:
 
     Example:
         >>> import numpy as np, track_range as tr
-        >>> ranges = tr.Ranges(np.array([7]), np.array([22.4]), np.array([0.7]))
-        >>> float(ranges.distance_m[0])
-        22.4
+        >>> tr.Ranges(np.array([7, 8]), np.array([22.4, np.nan]), np.array([0.7, np.nan]))
+        Ranges(1 of 2 measured, 22.4 to 22.4 m)
 
     Attributes:
         track_id: (N,) int64, the tracks in the order of the frame's Tracks.
@@ -50,6 +49,11 @@ class Ranges:
 
     def __len__(self) -> int:
         return len(self.track_id)
+
+    def __repr__(self) -> str:
+        known_m = self.distance_m[np.isfinite(self.distance_m)]
+        span = f", {known_m.min():.1f} to {known_m.max():.1f} m" if len(known_m) else ""
+        return f"Ranges({len(known_m)} of {len(self)} measured{span})"
 
     @classmethod
     def unmeasured(cls, track_id: IntArray) -> Ranges:

@@ -4,7 +4,8 @@
 
     run = tr.Run.stereo("left.mp4", "right.mp4", rig="rig.yaml")  # or tr.Run.mono("dashcam.mp4", focal_px=1150)
     for frame in run:
-        print(frame.index, frame.tracks.track_id, frame.ranges["fused"].distance_m)
+        for t in frame.objects:
+            print(t.id, t.class_name, t.distance_m, t.sigma_m, t.closing_mps, t.ttc_s)
     table = run.to_arrow()
 
 Every name below is imported when it is first used, so that `import track_range` is fast.
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from track_range.api.parts import Detector as Detector
     from track_range.api.parts import Tracker as Tracker
     from track_range.api.parts import load_rig as load_rig
+    from track_range.detection.classes import ROAD_CLASSES as ROAD_CLASSES
+    from track_range.detection.classes import road_class_id as class_id
     from track_range.detection.detections import Detections as Detections
     from track_range.detection.evaluation import evaluate_detections as evaluate_detections
     from track_range.detection.evaluation.object_sizes import evaluate_by_size as evaluate_detections_by_size
@@ -36,7 +39,9 @@ if TYPE_CHECKING:
     from track_range.foundation.files.output_files import OutputError as OutputError
     from track_range.foundation.processes import tuned_process as tuned_process
     from track_range.pipeline.frame_result import FrameResult as FrameResult
+    from track_range.pipeline.frame_result import TrackedObject as TrackedObject
     from track_range.ranging.filtering.distance_filter import DistanceFilters as DistanceFilters
+    from track_range.ranging.filtering.lateral_motion import LateralFilters as LateralFilters
     from track_range.ranging.fusion.fusion import Fusion as Fusion
     from track_range.ranging.method import ErrorSource as ErrorSource
     from track_range.ranging.method import MethodError as MethodError
@@ -48,6 +53,9 @@ if TYPE_CHECKING:
     from track_range.ranging.ranges import Ranges as Ranges
     from track_range.ranging.registry import methods as ranging_methods
     from track_range.ranging.registry import register as register_method
+    from track_range.ranging.warning.collision_warning import CollisionWarning as CollisionWarning
+    from track_range.ranging.warning.settings import WarningSettings as WarningSettings
+    from track_range.ranging.warning.warnings import Warnings as Warnings
     from track_range.recording.frame import VideoError as VideoError
     from track_range.recording.recording import open_recording as open_recording
     from track_range.results.events.event import Event as Event
@@ -77,6 +85,7 @@ _MODULE_OF = {
     "Run": "run.run",
     "RunSettings": "run.settings",
     "FrameResult": "pipeline.frame_result",
+    "TrackedObject": "pipeline.frame_result",
     "open_recording": "recording.recording",
     "read_events": "results.events.files",
     "tuned_process": "foundation.processes",
@@ -87,8 +96,11 @@ _MODULE_OF = {
     "ImageTruth": "detection.formats.image_labels.image_truth",
     "Tracks": "tracking.tracks",
     "Ranges": "ranging.ranges",
+    "Warnings": "ranging.warning.warnings",
     "PinholeCamera": "stereo.geometry.camera",
     "StereoRig": "stereo.geometry.rig",
+    "ROAD_CLASSES": "detection.classes",
+    "class_id": "detection.classes:road_class_id",
     # parts
     "Detector": "api.parts",
     "Tracker": "api.parts",
@@ -98,6 +110,9 @@ _MODULE_OF = {
     "PatchMatcher": "stereo.matching.patch_matcher",
     "Fusion": "ranging.fusion.fusion",
     "DistanceFilters": "ranging.filtering.distance_filter",
+    "LateralFilters": "ranging.filtering.lateral_motion",
+    "CollisionWarning": "ranging.warning.collision_warning",
+    "WarningSettings": "ranging.warning.settings",
     "Rectifier": "stereo.geometry.rectification",
     "load_rig": "api.parts",
     "load_alignment": "stereo.alignment.file",

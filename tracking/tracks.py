@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from track_range.detection.classes import class_counts
 from track_range.detection.formats.supervision import read_supervision, supervision_boxes
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, Rows, check_shape, row_numbers
 
@@ -20,13 +21,13 @@ class Tracks:
         >>> import numpy as np, track_range as tr
         >>> box = np.array([[100.0, 50.0, 180.0, 110.0]])
         >>> tracks = tr.Tracks(np.array([7]), box, np.array([2]), np.array([0.9]), np.array([True]))
-        >>> len(tracks), tracks.track_id.tolist()
-        (1, [7])
+        >>> tracks, tracks.track_id.tolist()
+        (Tracks(1 car), [7])
 
     Attributes:
         track_id: (N,) int64, >= 1, unique within a frame, the same for one road user in all frames.
         xyxy_px: (N, 4) float64 box, in the frame's pixels.
-        class_id: (N,) int64, index into `detection.classes.ROAD_CLASSES`.
+        class_id: (N,) int64, index into `ROAD_CLASSES`.
         score: (N,) float64 in [0, 1].
         observed: (N,) bool, False where the box is predicted, without a detection in this frame.
     """
@@ -48,6 +49,9 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.track_id)
 
+    def __repr__(self) -> str:
+        return f"Tracks({class_counts(self.class_id)})"
+
     @classmethod
     def empty(cls) -> Tracks:
         """No tracks."""
@@ -63,15 +67,13 @@ class Tracks:
         Raises:
             ValueError: `tracker_id` is missing, or contains an identity twice.
         """
-        detections = read_supervision(boxes, class_names)
-        if detections.tracker_id is None:
+        xyxy_px, score, class_id, track_id = read_supervision(boxes, class_names)
+        if track_id is None:
             raise ValueError("tracker_id: expected an identity for each box, got None")
-        rows = np.flatnonzero(detections.tracker_id >= 0)
-        track_id = detections.tracker_id[rows]
-        if len(np.unique(track_id)) < len(track_id):
+        tracks = cls(track_id, xyxy_px, class_id, score, np.ones(len(track_id), np.bool_)).select(track_id >= 0)
+        if len(np.unique(tracks.track_id)) < len(tracks):
             raise ValueError("tracker_id: expected each identity once in a frame, got duplicates")
-        observed = np.ones(len(rows), np.bool_)
-        return cls(track_id, detections.xyxy_px[rows], detections.class_id[rows], detections.score[rows], observed)
+        return tracks
 
     def to_supervision(self) -> Any:
         """`supervision.Detections` with `tracker_id`, or an equivalent object if supervision is not installed."""

@@ -87,7 +87,15 @@ class LateralMotion:
 
 
 class LateralFilters:
-    """Kalman filters of the lateral motion of all tracks of a video, relative to one camera."""
+    """Kalman filters of the lateral motion of all tracks of a video, relative to one camera.
+
+    Example:
+        >>> import numpy as np, track_range as tr
+        >>> camera = tr.PinholeCamera(700.0, 700.0, 320.0, 180.0, width_px=640, height_px=360)
+        >>> tracks = tr.Tracks.empty()
+        >>> tr.LateralFilters(camera).update(tracks, np.zeros(0), time_s=0.0).half_width_m.tolist()
+        []
+    """
 
     def __init__(self, camera: PinholeCamera) -> None:
         """Start without tracks; boxes are in the pixels of `camera` (undistorted)."""

@@ -94,7 +94,23 @@ _LAST_S = 7
 
 
 class CollisionWarning:
-    """Probability of contact and alarm of all tracks of a video."""
+    """Probability of contact and alarm of all tracks of a video.
+
+    Example:
+        >>> import numpy as np, track_range as tr
+        >>> camera = tr.PinholeCamera(700.0, 700.0, 320.0, 180.0, width_px=640, height_px=360)
+        >>> distances, lateral = tr.DistanceFilters({"fused": 0.35}), tr.LateralFilters(camera)
+        >>> warning, ids = tr.CollisionWarning(tr.WarningSettings(front_m=1.0)), np.array([1])
+        >>> for i in range(10):  # a standing car straight ahead, 45 m away at first, at 15 m/s
+        ...     time_s, z_m = 0.1 * i, 45.0 - 1.5 * i
+        ...     box = np.array([[320 - 630 / z_m, 180 - 300 / z_m, 320 + 630 / z_m, 180 + 750 / z_m]])
+        ...     tracks = tr.Tracks(ids, box, np.array([tr.class_id("car")]), np.array([0.9]), np.array([True]))
+        ...     motion = distances.update({"fused": tr.Ranges(ids, np.array([z_m]), np.array([0.5]))}, time_s)["fused"]
+        ...     sideways = lateral.update(tracks, motion.ranges.distance_m, time_s)
+        ...     warnings = warning.update(tracks, motion, sideways, time_s, ego_mps=15.0, yaw_rad_s=0.0)
+        >>> warnings.active.tolist(), round(float(warnings.probability[0]), 2)
+        ([True], 1.0)
+    """
 
     def __init__(self, settings: WarningSettings | None = None) -> None:
         """Start without tracks; None = default settings."""

@@ -9,6 +9,11 @@ from dataclasses import dataclass
 class WarningSettings:
     """Settings of the collision warning.
 
+    Example:
+        >>> import track_range as tr
+        >>> tr.WarningSettings(front_m=2.0, on_probability=0.5).off_probability
+        0.1
+
     The thresholds of the alarm and the standard deviations of the motion were chosen on simulated drives without images
     of all scenarios (seeds 0 to 7 with stereo, 0 to 5 with one camera) and on rendered ones (30 of the seeds 0 to 29),
     for warnings at least 2.1 s before contacts and few false alarms. The noise of the ego path was fitted to the shapes

@@ -14,6 +14,12 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 class Warnings:
     """Collision warnings of one frame, in the order of its N tracks.
 
+    Example:
+        >>> import numpy as np, track_range as tr
+        >>> warnings = tr.Warnings(np.array([0.9, 0.1]), np.array([True, False]), np.array([0.2, 3.5]))
+        >>> warnings.select(slice(1)).probability.tolist()
+        [0.9]
+
     Attributes:
         probability: (N,) probability of contact within the horizon, 0..1; NaN = unknown.
         active: (N,) whether an alarm is on.

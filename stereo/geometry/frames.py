@@ -49,3 +49,8 @@ class Frame:
     right: ImageView | None
     utc_s: float = math.nan
     recorded: Image | None = None
+
+    def __repr__(self) -> str:
+        height, width = self.left.shape[:2]
+        cameras = "one camera" if self.right is None else "two cameras"
+        return f"Frame(index={self.index}, time_s={self.time_s:.3f}, {width} x {height} px, {cameras})"

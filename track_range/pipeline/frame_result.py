@@ -1,4 +1,4 @@
-"""FrameResult: tracks, distances and times to collision of one frame."""
+"""FrameResult: tracks, distances and times to collision of one frame, as arrays and object by object."""
 
 from __future__ import annotations
 
@@ -9,19 +9,55 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneLines
-from track_range.foundation.arrays import FloatArray
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.ranging.filtering.collision_course import PassingOffsets
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.warning.warnings import Warnings
-from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.tracking.tracks import Tracks
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedObject:
+    """One road user in one frame.
+
+    Attributes:
+        id: identity, the same in all frames.
+        class_name: one of `ROAD_CLASSES`.
+        xyxy_px: left, top, right, bottom edge of its box.
+        distance_m: fused distance, `ranges["fused"]` and `fused_m` in tracks.csv; NaN = not measured, as where the box
+            is predicted. The filtered one is `ranges["fused_kf"]`.
+        sigma_m: its standard deviation.
+        closing_mps: closing speed, from the filtered distance, positive = approaching; NaN = unknown.
+        ttc_s: time to collision, distance / closing speed; NaN = not approaching.
+        position_m: ranged point in the left camera's frame (x right, y down, z forward); z is `distance_m`.
+        is_observed: False where the box is predicted, without a detection in this frame.
+    """
+
+    id: int
+    class_name: str
+    xyxy_px: tuple[float, float, float, float]
+    distance_m: float
+    sigma_m: float
+    closing_mps: float
+    ttc_s: float
+    position_m: tuple[float, float, float]
+    is_observed: bool
 
 
 @dataclass(frozen=True, slots=True)
 class FrameResult:
     """Tracks of one frame with their distances; every array is in the order of the tracks.
+
+    Example:
+        >>> import track_range as tr
+        >>> run = tr.Run.stereo("left.mp4", "right.mp4", rig="rig.yaml")
+        >>> near = {t.class_name for frame in run for t in frame.objects if t.is_observed and t.distance_m < 40}
+        >>> "car" in near
+        True
 
     Attributes:
         frame: the images and their time; with `--anonymize` the anonymized left image only.
@@ -59,6 +95,38 @@ class FrameResult:
     ego_mps: float = math.nan
     ego_sigma_mps: float = math.nan
     warnings: Warnings | None = None
+
+    def __repr__(self) -> str:
+        objects = self.objects
+        measured = [(t.distance_m, f", nearest {t.class_name} {t.id} at {t.distance_m:.1f} m") for t in objects]
+        nearest = min((pair for pair in measured if math.isfinite(pair[0])), default=(0.0, ""))[1]
+        return f"FrameResult(index={self.index}, time_s={self.time_s:.3f}, {len(objects)} objects{nearest})"
+
+    @property
+    def objects(self) -> tuple[TrackedObject, ...]:
+        """The road users one by one, in the order of the tracks; made at each access, from the arrays."""
+        tracks = self.tracks
+        fused = self.ranges["fused"] if "fused" in self.ranges else Ranges.unmeasured(tracks.track_id)
+        columns = (
+            *(tracks.track_id, tracks.class_id, tracks.xyxy_px, fused.distance_m, fused.sigma_m),
+            *(self.closing_mps, self.ttc_s, self.xyz_m, tracks.observed),
+        )
+        return tuple(
+            TrackedObject(number, ROAD_CLASSES[class_id], tuple(box), z, sigma, closing, ttc, tuple(xyz), is_observed)
+            for number, class_id, box, z, sigma, closing, ttc, xyz, is_observed in zip(
+                *(column.tolist() for column in columns), strict=True
+            )
+        )
+
+    @property
+    def left(self) -> Image:
+        """(H, W, 3) uint8 BGR left image, see `Frame`."""
+        return self.frame.left
+
+    @property
+    def right(self) -> ImageView | None:
+        """Right image, see `Frame`; None for one camera."""
+        return self.frame.right
 
     @property
     def index(self) -> int:

@@ -202,6 +202,16 @@ def test_own_detector_and_tracker_objects(drive):
         recorded(drive, detector=MiddleBox())
 
 
+def test_own_detector_with_invalid_boxes(drive):
+    class Percent:
+        def detect(self, image):
+            return tr.Detections.of([[10, 10, 60, 60]], [90], [2])
+
+    run = tr.Run.mono(drive.left, focal_px=700, detector=Percent(), duration=0.3)
+    with pytest.raises(tr.UserError, match=r"Percent, frame 0: score: .*got 90\.0"):
+        list(run)
+
+
 def test_parts_range_a_pair(drive):
     run = recorded(drive, duration=0.2)
     frame = next(iter(run))
@@ -286,6 +296,7 @@ def test_tracks_measured_against_themselves(tmp_path):
         *("Run", "Detections", "Tracks", "Ranges", "PinholeCamera", "StereoRig", "Detector", "Tracker", "SizeRanger"),
         *("StereoRanger", "Fusion", "DistanceFilters", "Rectifier", "load_rig", "evaluate_stereo", "open_recording"),
         "load_alignment",
+        *("FrameResult", "class_id", "LateralFilters", "CollisionWarning", "WarningSettings", "Warnings"),
     ],
 )
 def test_docstring_example(drive, tmp_path, monkeypatch, name):
