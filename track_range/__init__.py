@@ -86,7 +86,7 @@ _MODULE_OF = {
     "RunSettings": "run.settings",
     "FrameResult": "pipeline.frame_result",
     "TrackedObject": "pipeline.frame_result",
-    "open_recording": "recording.recording",
+    "open_recording": "api.parts",
     "read_events": "results.events.files",
     "tuned_process": "foundation.processes",
     # types

@@ -42,7 +42,7 @@ from track_range.results.events.finder import EventFinder
 from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters
 from track_range.run.run import Run
-from track_range.run.settings import settings_from
+from track_range.run.settings_files import settings_from
 from track_range.stereo.alignment.drift import DriftMonitor
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.odometry.ground_odometry import GroundOdometry

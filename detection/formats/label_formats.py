@@ -27,11 +27,8 @@ from track_range.detection.formats.video_labels.text_tables import (
 from track_range.detection.formats.video_labels.yolo_tracks import is_yolo_folder, read_yolo_folder, write_yolo
 from track_range.foundation.files.input_files import first_line, open_regular, readable
 
-_PARQUET_MARK = b"PAR1"
+_PARQUET_MARK = "PAR1"
 """First bytes of a Parquet file."""
-
-_FIRST_CHARACTERS = {"{": "coco", "[": "coco", "<": "cvat"}
-"""Format by the first character of a file: JSON or XML."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,38 +38,73 @@ class LabelFormat:
     Attributes:
         name: name on the command line.
         title: name for messages.
+        is_format: whether a file or folder has the format, from its path and its first line that is not blank ("" for a
+            folder, the first bytes of Parquet).
         read: returns the boxes of a file or folder; facts about the video fill in what the file does not state.
         write: writes a table to a path; None = not written.
         has_classes: whether a box has a class.
         is_general: whether detections and ground truth are read with `read`, without rules of a benchmark.
         is_folder: whether it is written as a folder with one file per frame.
+        is_of_run: whether it has the rows of a run, and so no ground truth.
         precision_px: largest difference of an edge that is written and read again; None = depends on the image size.
     """
 
     name: str
     title: str
+    is_format: Callable[[Path, str], bool]
     read: Callable[[Path, VideoFacts], BoxTable]
     write: Callable[[BoxTable, Path], Written] | None = None
     has_classes: bool = True
     is_general: bool = False
     is_folder: bool = False
+    is_of_run: bool = False
     precision_px: float | None = None
+
+
+def _starts(*starts: str) -> Callable[[Path, str], bool]:
+    return lambda path, first: first.startswith(starts)
 
 
 LABEL_FORMATS = {
     label_format.name: label_format
     for label_format in (
-        LabelFormat("mot", "MOTChallenge", read_mot_table, write_mot_table, has_classes=False, precision_px=0.01),
-        LabelFormat("kitti", "KITTI", read_kitti_table, write_kitti_table, precision_px=0.005),
-        LabelFormat("coco", "COCO", read_coco, write_coco, is_general=True, precision_px=0.0005),
-        LabelFormat("cvat", "CVAT for video 1.1", read_cvat, write_cvat, is_general=True, precision_px=0.0005),
-        LabelFormat("yolo", "YOLO", read_yolo_folder, write_yolo, is_general=True, is_folder=True),
-        LabelFormat("csv", "a CSV of labels", read_csv_table_of_labels),
-        LabelFormat("tracks", "a tracks.csv", read_tracks_table),
-        LabelFormat("parquet", "a tracks.parquet", read_parquet_table, is_general=True),
+        LabelFormat(
+            "mot", "MOTChallenge", _starts(""), read_mot_table, write_mot_table, has_classes=False, precision_px=0.01
+        ),
+        LabelFormat(
+            "kitti",
+            "KITTI",
+            lambda path, first: "," not in first,
+            read_kitti_table,
+            write_kitti_table,
+            precision_px=0.005,
+        ),
+        LabelFormat("tracks", "a tracks.csv", _starts("frame,time_s,"), read_tracks_table, is_of_run=True),
+        LabelFormat(
+            "csv",
+            "a CSV of labels",
+            lambda path, first: "," in first and has_label_columns(path),
+            read_csv_table_of_labels,
+        ),
+        LabelFormat("coco", "COCO", _starts("{", "["), read_coco, write_coco, is_general=True, precision_px=0.0005),
+        LabelFormat(
+            "cvat", "CVAT for video 1.1", _starts("<"), read_cvat, write_cvat, is_general=True, precision_px=0.0005
+        ),
+        LabelFormat(
+            "yolo",
+            "YOLO",
+            lambda path, first: not first and is_yolo_folder(path),
+            read_yolo_folder,
+            write_yolo,
+            is_general=True,
+            is_folder=True,
+        ),
+        LabelFormat(
+            "parquet", "a tracks.parquet", _starts(_PARQUET_MARK), read_parquet_table, is_general=True, is_of_run=True
+        ),
     )
 }
-"""All formats by name."""
+"""All formats by name, the least specific one first: a file has the last one that recognises it."""
 
 
 def label_format_of(path: Path, expected: str = "labels") -> LabelFormat:
@@ -85,7 +117,13 @@ def label_format_of(path: Path, expected: str = "labels") -> LabelFormat:
     Raises:
         LabelFileError: it cannot be read, or is empty.
     """
-    return LABEL_FORMATS[_format_name(path, expected)]
+    first = ""
+    if not os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
+        is_parquet = _starts_as_parquet(path, expected)
+        first = _PARQUET_MARK if is_parquet else first_line(path, LabelFileError, expected).strip()
+        if not first:
+            raise LabelFileError(f"{path}: expected {expected}, got an empty file.")
+    return next(form for form in reversed(LABEL_FORMATS.values()) if form.is_format(path, first))
 
 
 def read_labels(path: Path, video: VideoFacts = NO_FACTS, *, expected: str = "labels") -> BoxTable:
@@ -113,23 +151,6 @@ def is_blank(path: Path, expected: str) -> bool:
     return not first_line(path, LabelFileError, expected)
 
 
-def _format_name(path: Path, expected: str) -> str:
-    if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
-        return "yolo" if is_yolo_folder(path) else "kitti"
-    if _starts_as_parquet(path, expected):
-        return "parquet"
-    first = first_line(path, LabelFileError, expected).strip()
-    if not first:
-        raise LabelFileError(f"{path}: expected {expected}, got an empty file.")
-    if first[0] in _FIRST_CHARACTERS:
-        return _FIRST_CHARACTERS[first[0]]
-    if "," not in first:
-        return "kitti"
-    if has_label_columns(path):
-        return "csv"
-    return "tracks" if first.startswith("frame,time_s,") else "mot"
-
-
 def _starts_as_parquet(path: Path, expected: str) -> bool:
     with open_regular(path, LabelFileError, expected) as file, readable(path, LabelFileError):
-        return file.read(len(_PARQUET_MARK)) == _PARQUET_MARK
+        return file.read(len(_PARQUET_MARK)) == _PARQUET_MARK.encode()

@@ -11,10 +11,12 @@ from track_range.evaluation.events.settings import EventEvaluationSettings
 from track_range.evaluation.sequences.evaluation import evaluate_tracks as _evaluate_tracks
 from track_range.evaluation.sequences.settings import TrackEvaluationSettings
 from track_range.evaluation.stereo_evaluation import evaluate_stereo as _evaluate_stereo
+from track_range.foundation.keywords import KeywordsInErrors
 from track_range.ranging.evaluation.labelled_ranges import evaluate_ranges as _evaluate_ranges
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
 
 
+@KeywordsInErrors(RangeEvaluationSettings)
 def evaluate_ranges(labels: str | Path, calib: str | Path, **options: Any) -> dict[str, Any]:
     """Distance errors of the methods that need only boxes, on KITTI labels; as `track-range evaluate ranges --json`.
 
@@ -30,6 +32,7 @@ def evaluate_ranges(labels: str | Path, calib: str | Path, **options: Any) -> di
     return _evaluate_ranges(RangeEvaluationSettings.of({"labels": labels, "calib": calib, **options}))
 
 
+@KeywordsInErrors(StereoEvaluationSettings)
 def evaluate_stereo(pairs: str | Path, **options: Any) -> dict[str, Any]:
     """Distance errors of stereo matchers on pairs with true disparities; as `track-range evaluate stereo --json`.
 
@@ -50,6 +53,7 @@ def evaluate_stereo(pairs: str | Path, **options: Any) -> dict[str, Any]:
     return _evaluate_stereo(StereoEvaluationSettings.of({"pairs": pairs, **options}))
 
 
+@KeywordsInErrors(TrackEvaluationSettings)
 def evaluate_tracks(truth: str | Path, results: str | Path, **options: Any) -> dict[str, Any]:
     """HOTA, CLEAR and identity metrics of tracks against ground truth; as `track-range evaluate tracks --json`.
 
@@ -65,6 +69,7 @@ def evaluate_tracks(truth: str | Path, results: str | Path, **options: Any) -> d
     return _evaluate_tracks(TrackEvaluationSettings.of({"truth": truth, "results": results, **options}))
 
 
+@KeywordsInErrors(EventEvaluationSettings)
 def evaluate_events(events: str | Path, truth: str | Path, **options: Any) -> dict[str, Any]:
     """Hits, misses, false alarms and lead times of warnings or events; as `track-range evaluate events --json`.
 

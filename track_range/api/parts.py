@@ -17,13 +17,18 @@ from track_range.detection.detections import Detections
 from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.detection.models.onnx_session import Device, Runtime
 from track_range.foundation.arrays import Image
+from track_range.foundation.keywords import KeywordsInErrors
+from track_range.recording import recording
 from track_range.run.options.detector_options import DetectorOptions, open_detector
 from track_range.run.options.tracker_options import open_tracker_options
 from track_range.run.ready_model import ready_model
+from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import load_calibration, missing_camera
 from track_range.tracking.registry import checked_tracks, create_tracker
 from track_range.tracking.tracks import Tracks
+
+open_recording = KeywordsInErrors(RunSettings)(recording.open_recording)
 
 
 def load_rig(path: str | Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False) -> StereoRig:

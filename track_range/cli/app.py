@@ -16,6 +16,7 @@ import typer
 
 from track_range.cli.lazy import Lazy, lazy_app
 from track_range.foundation.errors import UserError
+from track_range.foundation.keywords import flags_in_errors
 from track_range.foundation.processes import owned_process
 
 PROGRAM = "track-range"
@@ -191,6 +192,7 @@ def _root(
 
 
 @owned_process()
+@flags_in_errors()
 def main() -> None:
     """Entry point of `track-range`."""
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # track-range reports the problem itself

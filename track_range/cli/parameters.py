@@ -11,7 +11,7 @@ import typer
 from annotated_types import Ge, Le
 from pydantic.fields import FieldInfo
 
-from track_range.foundation.options import Options, is_list, option_of, value_type
+from track_range.foundation.options import Options, choices_of, is_list, option_of, value_type
 
 _O = TypeVar("_O", bound=Options)
 
@@ -43,17 +43,17 @@ def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Par
     listed = []
     for name, field in model.model_fields.items():
         shown = option_of(field)
-        if shown["is_file_only"]:
+        if shown.is_file_only:
             continue
         kind = _typer_type(field)
         if is_only_given and get_origin(kind) is Literal:
             kind = str
-        is_optional = is_only_given or (bool(shown["old_names"]) and not field.is_required())
+        is_optional = is_only_given or (bool(shown.old_names) and not field.is_required())
         default = None if is_optional else _default(field)
         declaration = _declaration(model, name, is_checked=not is_only_given)
         listed.append(_parameter(name, kind, declaration, default))
-        for old_name in shown["old_names"]:
-            hidden = typer.Option(_old_flag(model.flag(name), shown["flag"], old_name), hidden=True)
+        for old_name in shown.old_names:
+            hidden = typer.Option(_old_flag(model.flag(name), shown.flag, old_name), hidden=True)
             listed.append(_parameter(old_name, kind, hidden, None))
     return listed
 
@@ -62,7 +62,7 @@ def given_values(model: type[Options], values: Mapping[str, Any]) -> dict[str, A
     """Values that are given, by field of the model."""
     given: dict[str, Any] = {}
     for name, field in model.model_fields.items():
-        for key in (name, *option_of(field)["old_names"]):
+        for key in (name, *option_of(field).old_names):
             value = values.get(key)
             if value is not None and not (isinstance(value, list) and not value):
                 given.setdefault(name, value)
@@ -81,34 +81,33 @@ def _declaration(model: type[Options], name: str, *, is_checked: bool) -> Any:
     common: dict[str, Any] = {
         "help": _help(field),
         "show_default": False,  # the help text names it
-        "metavar": shown["metavar"] or _placeholder(kind),
-        "rich_help_panel": shown["panel"],
+        "metavar": "|".join((*shown.words, shown.metavar or _placeholder(field))) or None,
+        "rich_help_panel": model.panel_of(name),
     }
-    if get_origin(kind) is Literal and not is_checked:
-        choices = get_args(kind)
+    if (choices := choices_of(field)) and not is_checked:
         common["autocompletion"] = lambda incomplete: [word for word in choices if word.startswith(incomplete)]
     if kind in (int, float) and is_checked:
         common["min"] = next((mark.ge for mark in field.metadata if isinstance(mark, Ge)), None)
         common["max"] = next((mark.le for mark in field.metadata if isinstance(mark, Le)), None)
-    if shown["is_argument"]:
+    if shown.is_argument:
         return typer.Argument(**common)
-    return typer.Option(shown["flag"] or model.flag(name), **common)
+    return typer.Option(shown.flag or model.flag(name), **common)
 
 
-def _placeholder(kind: Any) -> str | None:
-    """Placeholder of a value in the help where the option declares none; None for a switch."""
-    if get_origin(kind) is Literal:
-        return "|".join(get_args(kind))
-    return _PLACEHOLDERS.get(kind, "TEXT")
+def _placeholder(field: FieldInfo) -> str:
+    """Placeholder of a value in the help where the option declares none; "" for a switch."""
+    return "|".join(choices_of(field)) or _PLACEHOLDERS.get(value_type(field), "TEXT")
 
 
-_PLACEHOLDERS = {bool: None, int: "N", float: "NUMBER", Path: "FILE"}
-"""Default placeholder in the help by type of the value; None for switches."""
+_PLACEHOLDERS = {bool: "", int: "N", float: "NUMBER", Path: "FILE"}
+"""Default placeholder in the help by type of the value."""
 
 
 def _typer_type(field: FieldInfo) -> Any:
     """Type for Typer's parsing of a field; unsupported types are parsed as text and validated by the model."""
-    kind, is_repeated = value_type(field), option_of(field)["is_repeated"]
+    if choices := choices_of(field):
+        return Literal[*choices]
+    kind, is_repeated = value_type(field), option_of(field).is_repeated
     if get_origin(kind) is tuple:
         first, *others = get_args(kind)
         if others != [Ellipsis] and not is_repeated:
@@ -120,7 +119,7 @@ def _typer_type(field: FieldInfo) -> Any:
 
 
 def _plain(kind: Any) -> Any:
-    return kind if kind in (str, int, float, bool, Path) or get_origin(kind) is Literal else str
+    return kind if kind in (str, int, float, bool, Path) else str
 
 
 def _default(field: FieldInfo) -> Any:
@@ -136,7 +135,7 @@ def _help(field: FieldInfo) -> str:
     """Help text of an option with its default, or "(required)"."""
     text = (field.description or "").removesuffix(".")
     if field.is_required():
-        return f"{text}." if option_of(field)["is_argument"] else f"{text} (required)."
+        return f"{text}." if option_of(field).is_argument else f"{text} (required)."
     value = ",".join(map(str, field.default)) if is_list(field) else field.default
     if isinstance(value, bool) or not isinstance(value, str | int | float | Path | tuple) or value in ("", Path()):
         return f"{text}."

@@ -75,15 +75,13 @@ class FleetSettings(Options):
             panel=_INPUT,
         ),
     ] = None
-    dry_run: Annotated[
-        bool, option("Only a list of the clips, with the problems in their headers.", flag="--dry-run", panel=_INPUT)
-    ] = False
-    retry_failed: Annotated[
-        bool, option("Repetition of the clips that failed before.", flag="--retry-failed", panel=_OUTPUT)
-    ] = False
+    dry_run: Annotated[bool, option("Only a list of the clips, with the problems in their headers.", panel=_INPUT)] = (
+        False
+    )
+    retry_failed: Annotated[bool, option("Repetition of the clips that failed before.", panel=_OUTPUT)] = False
     reports: Annotated[
         bool,
-        option("Report (report.html, summary.json) of each clip in runs/clip=NAME.", flag="--reports", panel=_OUTPUT),
+        option("Report (report.html, summary.json) of each clip in runs/clip=NAME.", panel=_OUTPUT),
     ] = False
     workers: Annotated[
         int | None,

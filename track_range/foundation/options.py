@@ -7,60 +7,79 @@ API use the same names.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from types import UnionType
-from typing import Any, Self, Union, get_args, get_origin
+from typing import Any, ClassVar, Literal, Self, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator, model_validator
 from pydantic.fields import FieldInfo
 
 from track_range.foundation.errors import UsageError
-from track_range.foundation.files.input_files import shortened
+from track_range.foundation.files.input_files import quoted, shortened
 from track_range.foundation.validation import first_problem
 
 
-def option(
-    description: str,
-    *,
-    flag: str | None = None,
-    metavar: str | None = None,
-    panel: str | None = None,
-    is_repeated: bool = False,
-    is_argument: bool = False,
-    is_file_only: bool = False,
-    old_names: tuple[str, ...] = (),
-    **constraints: Any,
-) -> Any:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Declaration:
+    """Everything about an option besides its type, default and help text.
+
+    Attributes:
+        flag: such as "--start" or "--overlay/--no-overlay"; None = the field's name with hyphens.
+        metavar: placeholder of the value in the help, without the words.
+        words: values with a meaning of their own, such as "auto" and "off".
+        choices: returns the values of an option of type `str` that has no others; called when they are needed, since
+            tables of formats import libraries.
+        panel: heading of the option's section in the help; None = that of the model in which the option is declared.
+        is_repeated: the option is repeated for each value of a list, instead of given once with commas.
+        is_argument: the option is positional, without a flag.
+        is_file_only: the option exists only in settings files, not on the command line.
+        is_file: a text that may be the path of a file or folder; fields of type `Path` are.
+        is_output: the option selects or shapes files of results: it does not change their rows, and is no input.
+        is_per_clip: the clips of a fleet may have different values, in a column of the manifest.
+        is_shared: all clips of a fleet have one value: a manifest has no column with this name.
+        instead: why a fleet does not take the option, and what to do instead; "" = it takes it.
+        old_names: earlier names of the field, still accepted in files and as hidden options.
+    """
+
+    flag: str | None = None
+    metavar: str | None = None
+    words: tuple[str, ...] = ()
+    choices: Callable[[], Sequence[str]] | None = None
+    panel: str | None = None
+    is_repeated: bool = False
+    is_argument: bool = False
+    is_file_only: bool = False
+    is_file: bool = False
+    is_output: bool = False
+    is_per_clip: bool = False
+    is_shared: bool = False
+    instead: str = ""
+    old_names: tuple[str, ...] = ()
+
+
+def option(description: str, **given: Any) -> Any:
     """Describe a field of `Options`, in its annotation `Annotated[TYPE, ...]`.
 
     Args:
         description: help text: a noun phrase with unit, allowed values and default where they are not obvious.
-        flag: such as "--start" or "--overlay/--no-overlay"; None = the field's name with hyphens.
-        metavar: placeholder of the value in the help.
-        panel: heading of the option's section in the help.
-        is_repeated: the option is repeated for each value of a list, instead of given once with commas.
-        is_argument: the option is positional, without a flag.
-        is_file_only: the option exists only in settings files, not on the command line.
-        old_names: earlier names of the field, still accepted in files and as hidden options.
-        constraints: arguments of `pydantic.Field`: ge, le, gt, lt, allow_inf_nan.
+        given: attributes of `Declaration`, and arguments of `pydantic.Field`, see `_CONSTRAINTS`.
     """
-    declaration = {
-        "flag": flag,
-        "metavar": metavar,
-        "panel": panel,
-        "is_repeated": is_repeated,
-        "is_argument": is_argument,
-        "is_file_only": is_file_only,
-        "old_names": old_names,
-    }
-    return Field(description=description, json_schema_extra={"option": declaration}, **constraints)  # type: ignore[dict-item]
+    constraints = {name: given.pop(name) for name in _CONSTRAINTS & given.keys()}
+    declaration: Any = Declaration(**given)
+    return Field(description=description, json_schema_extra={"option": declaration}, **constraints)
 
 
-def option_of(field: FieldInfo) -> Mapping[str, Any]:
-    """The arguments of `option` in the declaration of a field."""
+_CONSTRAINTS = frozenset(("ge", "le", "gt", "lt", "min_length"))
+
+
+def option_of(field: FieldInfo) -> Declaration:
+    """The declaration of a field."""
     extra = field.json_schema_extra
-    declaration = extra.get("option") if isinstance(extra, dict) else None
-    if not isinstance(declaration, Mapping):
+    declaration: object = extra.get("option") if isinstance(extra, dict) else None
+    if not isinstance(declaration, Declaration):
         raise TypeError("a field of Options needs an option(...)")
     return declaration
 
@@ -80,38 +99,90 @@ def is_list(field: FieldInfo) -> bool:
     return get_origin(kind) is tuple and get_args(kind)[-1] is Ellipsis
 
 
+def is_file(field: FieldInfo) -> bool:
+    """Whether the value of a field is, or may be, the path of a file or folder."""
+    return value_type(field) is Path or option_of(field).is_file
+
+
+def choices_of(field: FieldInfo) -> Sequence[str]:
+    """The values of a field that has no others; () for other fields."""
+    kind, listed = value_type(field), option_of(field).choices
+    return get_args(kind) if get_origin(kind) is Literal else () if listed is None else listed()
+
+
 class Options(BaseModel):
-    """Base class of option models: immutable, unknown names are errors."""
+    """Base class of option models: immutable, unknown names are errors.
+
+    Numbers, paths and lists of names are accepted for texts, and texts such as "car,bus" for lists.
+
+    Attributes:
+        panel: heading of the section of the options in the help; None = they have no section of their own.
+    """
+
+    panel: ClassVar[str | None] = None
 
     model_config = ConfigDict(
-        extra="forbid", frozen=True, defer_build=True, allow_inf_nan=False
+        extra="forbid", frozen=True, defer_build=True, allow_inf_nan=False, coerce_numbers_to_str=True
     )  # built when first used: --help is faster
 
     @model_validator(mode="before")
     @classmethod
-    def _old_names_and_lists(cls, given: Any) -> Any:
-        """Values by the current names of the fields, with texts such as "car,bus" split into lists."""
+    def _current_names(cls, given: Any) -> Any:
+        """Values by the current names of the fields."""
         if not isinstance(given, Mapping):
             return given
         values = dict(given)
         for name, field in cls.model_fields.items():
-            for old_name in option_of(field)["old_names"]:
+            for old_name in option_of(field).old_names:
                 if old_name in values:
                     values.setdefault(name, values.pop(old_name))
-            if isinstance(values.get(name), str) and is_list(field):
-                values[name] = tuple(part.strip() for part in values[name].split(",")) if values[name].strip() else ()
         return values
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _in_its_type(cls, value: Any, info: ValidationInfo) -> Any:
+        """A value from Python or YAML in the type of its field where the meaning is clear; the choices are checked."""
+        field = cls.model_fields[info.field_name or ""]
+        kind, declaration = value_type(field), option_of(field)
+        if isinstance(value, str) and is_list(field):
+            return tuple(part.strip() for part in value.split(",")) if value.strip() else ()
+        if kind is not str:
+            return value
+        if value is False and "off" in declaration.words:
+            return "off"  # YAML reads an unquoted `off` as false
+        if isinstance(value, list | tuple) and all(isinstance(part, str) for part in value):
+            return ",".join(value)
+        if declaration.choices is not None and value is not None and value not in (names := choices_of(field)):
+            raise ValueError(f"expected {', '.join(map(repr, names[:-1]))} or {names[-1]!r}, found {quoted(value)}")
+        return os.fspath(value) if isinstance(value, os.PathLike) else value
+
+    @classmethod
+    def fields_where(cls, is_chosen: Callable[[FieldInfo], object]) -> frozenset[str]:
+        """Names of the fields for which a condition holds."""
+        return frozenset(name for name, field in cls.model_fields.items() if is_chosen(field))
+
+    @classmethod
+    def panel_of(cls, name: str) -> str | None:
+        """Heading under which a field is listed in the help."""
+        declared_in = next(base for base in cls.__mro__ if name in base.__annotations__)
+        return option_of(cls.model_fields[name]).panel or getattr(declared_in, "panel", None)
 
     @classmethod
     def flag(cls, name: str) -> str:
         """The option of a field, such as "--start", or the metavar of an argument; unknown names are unchanged."""
         field = cls.model_fields.get(name)
-        if field is None or option_of(field)["is_file_only"]:
+        if field is None or option_of(field).is_file_only:
             return name
         declaration = option_of(field)
-        if declaration["is_argument"]:
-            return str(declaration["metavar"] or name.upper())
-        return str(declaration["flag"] or "--" + name.replace("_", "-")).partition("/")[0]
+        if declaration.is_argument:
+            return declaration.metavar or name.upper()
+        return (declaration.flag or "--" + name.replace("_", "-")).partition("/")[0]
+
+    @classmethod
+    def keywords(cls) -> dict[str, str]:
+        """Fields by keyword in Python: the name, or that of the flag, such as `duration` for duration_s."""
+        flags = {name: cls.flag(name).removeprefix("--").replace("-", "_") for name in cls.model_fields}
+        return {keyword: name for name, of_flag in flags.items() for keyword in (of_flag, name)}
 
     @classmethod
     def problem(cls, error: ValidationError) -> str:

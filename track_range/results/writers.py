@@ -14,7 +14,6 @@ from pathlib import Path, PureWindowsPath
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
-from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.errors import UserError, call_all
 from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.output_files import OutputError
@@ -22,12 +21,24 @@ from track_range.foundation.registry import Registry, imported
 from track_range.results.provenance import Provenance
 
 if TYPE_CHECKING:
+    from track_range.foundation.arrays import FloatArray, Image
     from track_range.pipeline.frame_result import FrameResult
     from track_range.stereo.geometry.camera import PinholeCamera
     from track_range.stereo.geometry.rig import StereoRig
 
 DEFAULT_WRITERS = ("csv", "mot", "parquet")
 """Writers of a run without `--write`."""
+
+FILES_OF_WRITERS: Mapping[str, str] = {
+    "csv": "tracks.csv",
+    "mot": "mot.txt",
+    "parquet": "tracks.parquet",
+    "kitti": "kitti.txt",
+    "recorded": "recorded_boxes.csv, in pixels of the video",
+    "mcap": "run.mcap, for Foxglove and ROS 2",
+    "rrd": "run.rrd, for rerun",
+}
+"""Files of the writers in this package, by name, for help texts."""
 
 _RUN_FILES = (
     *("summary.json", "settings.yaml", "progress.json", "overlay.mp4", "disparity.mp4", "report.html"),

@@ -34,7 +34,8 @@ from track_range.results.summary import write_summary
 from track_range.results.writers import OpenWriters, create_writers, result_names
 from track_range.run.pictures import pictures
 from track_range.run.session import RunSession
-from track_range.run.settings import RunSettings, absolute_settings, input_files, save_settings
+from track_range.run.settings import RunSettings
+from track_range.run.settings_files import absolute_settings, input_files, save_settings
 from track_range.views.event_clips import remove_clips, write_clips
 from track_range.views.overlay.result_video import ResultVideo
 from track_range.views.report.page import write_report

@@ -16,13 +16,14 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import TYPE_CHECKING, Any, Self, Unpack, cast
 
 from rich.console import Console
 
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import ConfigError, UserError
 from track_range.foundation.files.input_files import real_path
+from track_range.foundation.keywords import KeywordsInErrors
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.replay import frames_of_rows
 from track_range.run.interrupts import defer_interrupts, ignore_interrupts
@@ -31,7 +32,8 @@ from track_range.run.output import RunOutput
 from track_range.run.pictures import overlay_picture
 from track_range.run.progress import frame_progress
 from track_range.run.session import RunSession
-from track_range.run.settings import RunSettings, settings_from
+from track_range.run.settings import RunSettings
+from track_range.run.settings_files import settings_from
 from track_range.views.overlay.result_video import Draw
 
 if TYPE_CHECKING:
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from track_range.detection.detector import ObjectDetector
     from track_range.results.events.event import Event
     from track_range.run.opened_detectors import OpenedDetectors
+    from track_range.run.option_types import RunOptions
     from track_range.stereo.geometry.camera import PinholeCamera
     from track_range.stereo.geometry.rig import StereoRig
     from track_range.tracking.tracker import ObjectTracker
@@ -108,7 +111,7 @@ class Run:
         cls,
         left: str | Path | Sequence[str | Path],
         right: str | Path | Sequence[str | Path] | None = None,
-        **options: Any,
+        **options: Unpack[RunOptions],
     ) -> Self:
         """A run on the videos, image folders or streams of two cameras.
 
@@ -123,10 +126,10 @@ class Run:
             ConfigError: an option is unknown or invalid, or contradicts another one.
         """
         sides = (left,) if right is None else (left, right)
-        return cls._of({"stereo": tuple(_video(side) for side in sides)}, options)
+        return cls._of({"stereo": tuple(_video(side) for side in sides)}, {**options})
 
     @classmethod
-    def mono(cls, video: str | Path | Sequence[str | Path], **options: Any) -> Self:
+    def mono(cls, video: str | Path | Sequence[str | Path], **options: Unpack[RunOptions]) -> Self:
         """A run on the video, image folder or stream of one camera; see `stereo` for the options.
 
         A list contains the files of one recording: `Run.mono(["0001.mp4", "0002.mp4"], focal_px=1150)`.
@@ -134,20 +137,22 @@ class Run:
         Raises:
             ConfigError: an option is unknown or invalid, or contradicts another one.
         """
-        return cls._of({"mono": _video(video)}, options)
+        return cls._of({"mono": _video(video)}, {**options})
 
     @classmethod
-    def _of(cls, source: dict[str, Any], options: dict[str, Any]) -> Self:
-        objects: dict[str, Any] = {}
+    @KeywordsInErrors(RunSettings)
+    def _of(cls, source: Mapping[str, Any], options: Mapping[str, Any]) -> Self:
+        objects = {"progress": options.get("progress", False)}
         for name, method in (("detector", "detect"), ("tracker", "update")):
             if hasattr(options.get(name), method):
-                objects[name] = options.pop(name)
-        progress = options.pop("progress", False)
-        values = {_field_of(name): _plain(name, value) for name, value in options.items()}
-        return cls(settings_from({**source, **values}), **objects, progress=progress)
+                objects[name] = options[name]
+        keywords = RunSettings.keywords()
+        values = {keywords.get(name, name): options[name] for name in options if name not in objects}
+        return cls(settings_from({**source, **values}), **objects)
 
     # -- open -----------------------------------------------------------------------------------------------------
 
+    @KeywordsInErrors(RunSettings)
     def open(self) -> Self:
         """Open all inputs, so that unusable ones are reported before the first frame.
 
@@ -205,9 +210,13 @@ class Run:
             raise RuntimeError("expected a run that was not iterated yet; create a new one, or use its rows (to_arrow)")
         if self._is_closed:
             raise RuntimeError("expected an open run, but it was closed; create a new one")
-        frames = self._processed()
+        frames = self._with_keywords(self._processed())
         self._frames = weakref.ref(frames)  # a weak reference: when the loop drops the generator, the run ends
         return frames
+
+    def _with_keywords(self, frames: Generator[FrameResult, None, None]) -> Generator[FrameResult, None, None]:
+        with KeywordsInErrors(RunSettings):
+            yield from frames
 
     def _processed(self) -> Generator[FrameResult, None, None]:
         """Results of all frames; a run that fails or is stopped after the first frame is finished before the error."""
@@ -242,6 +251,7 @@ class Run:
         output.finish(self._summary, columns)
         self.files = output.files
 
+    @KeywordsInErrors(RunSettings)
     def write(self, folder: str | Path) -> Path:
         """Process all frames and write tracks.csv, mot.txt, overlay.mp4, summary.json and the other files to `folder`.
 
@@ -364,25 +374,8 @@ class Run:
         return f"<p><b>track-range run</b> of {title}</p><table>{rows}</table>"
 
 
-def _field_of(name: str) -> str:
-    """Field of the settings that an option sets: `duration_s` for `duration`, since its flag is --duration."""
-    flags = {RunSettings.flag(field): field for field in RunSettings.model_fields}
-    return flags.get("--" + name.replace("_", "-"), name)
-
-
 def _video(name: str | Path | Sequence[str | Path]) -> str | list[str]:
     return str(name) if isinstance(name, str | Path) else [str(part) for part in name]
-
-
-def _plain(name: str, value: Any) -> Any:
-    """Paths, numbers and lists converted to the text that the command line takes."""
-    if isinstance(value, Path):
-        return str(value)
-    if name in ("min_score", "ego_speed") and isinstance(value, int | float) and not isinstance(value, bool):
-        return str(value)
-    if name == "names" and isinstance(value, list | tuple):
-        return ",".join(value)
-    return value
 
 
 def _class_name(value: Any) -> str:

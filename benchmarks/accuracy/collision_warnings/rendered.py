@@ -15,6 +15,7 @@ from track_range.evaluation.events.contacts import read_contacts
 from track_range.evaluation.events.scores import contact_scores, is_warning
 from track_range.foundation.arrays import FloatArray
 from track_range.results.events.event import Event
+from track_range.run.option_types import RunOptions
 from track_range.run.run import Run
 from track_range.simulation.boxes.true_boxes import TrueBoxes, true_boxes
 from track_range.simulation.world.scenarios import make_scenario
@@ -81,10 +82,13 @@ def real_warnings(**source: Any) -> list[Event]:
 def run_of(drive: ConflictDrive, *, is_stereo: bool) -> Run:
     """A run on a rendered drive with its stored boxes."""
     files = drive.files
-    options = {"detector": drive.detector(), "ego_speed": str(files.ego_speed)}
-    if is_stereo:
-        return Run.stereo(files.left, files.right, rig=files.rig, sgbm=False, **options)
-    return Run.mono(files.left, rig=files.rig, **options)
+    options: RunOptions = {
+        "detector": drive.detector(),
+        "ego_speed": files.ego_speed,
+        "rig": files.rig,
+        "sgbm": False,
+    }
+    return Run.stereo(files.left, files.right, **options) if is_stereo else Run.mono(files.left, **options)
 
 
 def _seconds(drive: ConflictDrive) -> float:

@@ -10,10 +10,9 @@ centres are at integers. KITTI labels are used without change (`detection.format
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -31,8 +30,6 @@ from track_range.foundation.files import images as image_files
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.foundation.files.input_files import quoted
-
-LabelFormat = Literal["yolo", "kitti", "coco"]
 
 
 class ImageFileError(UserError):
@@ -98,14 +95,14 @@ def images_in(folder: Path) -> list[Path]:
 
 
 def read_labelled(
-    images: Path, labels: Path, label_format: LabelFormat, *, names: Sequence[str] | None = None
+    images: Path, labels: Path, label_format: str, *, names: Sequence[str] | None = None
 ) -> list[LabelledImage]:
     """The images of a folder that have labels, sorted by name.
 
     Args:
         images: folder of images.
         labels: folder of label files, or the file of a COCO data set or a KITTI sequence.
-        label_format: format of the labels.
+        label_format: format of the labels, a name in `IMAGE_LABELS`.
         names: class names for the numbers in YOLO labels; None = from classes.txt or data.yaml in the folder of labels,
             else the 8 road classes.
 
@@ -113,16 +110,7 @@ def read_labelled(
         ImageFileError: there are no images.
         LabelFileError: the labels cannot be read, or none of the images has labels.
     """
-    paths = images_in(images)
-    if label_format == "coco":
-        labelled = _coco(paths, labels)
-    elif label_format == "kitti" and labels.is_file():
-        by_frame = read_sequence(labels)
-        numbers = ((path, frame_in_name(path.stem)) for path in paths)
-        labelled = [LabelledImage(path, by_frame(number), False) for path, number in numbers if number is not None]
-    else:
-        read = _yolo_reader(labels, names) if label_format == "yolo" else _kitti_object
-        labelled = [read(path, file) for path in paths if (file := labels / f"{path.stem}.txt").is_file()]
+    labelled = IMAGE_LABELS[label_format](images_in(images), labels, names)
     if not labelled:
         raise LabelFileError(f"{labels}: no labels for any image in {images}; check the folders and --format.")
     return labelled
@@ -167,26 +155,31 @@ def of_split(labelled: Sequence[LabelledImage], manifest: Mapping[str, ManifestR
     ]
 
 
-def _kitti_object(image: Path, file: Path) -> LabelledImage:
-    return LabelledImage(image, truth_of_kitti(read_kitti_image(file)), False)
+def _with_files(paths: Sequence[Path], folder: Path) -> Iterator[tuple[Path, Path]]:
+    """The images that have a label file in a folder, each with it."""
+    return ((path, file) for path in paths if (file := folder / f"{path.stem}.txt").is_file())
 
 
-def _yolo_reader(folder: Path, names: Sequence[str] | None) -> Callable[[Path, Path], LabelledImage]:
-    """Function that reads the label file of an image."""
+def _yolo(paths: Sequence[Path], folder: Path, names: Sequence[str] | None) -> list[LabelledImage]:
     reader = YoloLabelReader(names, folder)
-
-    def read(image: Path, file: Path) -> LabelledImage:
-        labels = reader.read(file)
-        return LabelledImage(image, ImageTruth.of(labels.xyxy, labels.class_id), True, labels.notes)
-
-    return read
+    read = ((path, reader.read(file)) for path, file in _with_files(paths, folder))
+    return [LabelledImage(path, ImageTruth.of(of.xyxy, of.class_id), True, of.notes) for path, of in read]
 
 
-def _coco(paths: Sequence[Path], file: Path) -> list[LabelledImage]:
+def _kitti(paths: Sequence[Path], labels: Path, names: Sequence[str] | None) -> list[LabelledImage]:
+    if not labels.is_file():
+        files = _with_files(paths, labels)
+        return [LabelledImage(path, truth_of_kitti(read_kitti_image(file)), False) for path, file in files]
+    by_frame = read_sequence(labels)
+    numbers = ((path, frame_in_name(path.stem)) for path in paths)
+    return [LabelledImage(path, by_frame(number), False) for path, number in numbers if number is not None]
+
+
+def _coco(paths: Sequence[Path], file: Path, names: Sequence[str] | None) -> list[LabelledImage]:
     """The images that a COCO file has labels for, by file name."""
     coco = CocoFile.read(file)
-    names, images = coco.category_names(), coco.images()
-    rows = coco.rows({image_id: number for number, image_id in enumerate(images)}, names)
+    class_names, images = coco.category_names(), coco.images()
+    rows = coco.rows({image_id: number for number, image_id in enumerate(images)}, class_names)
     class_id = map_to_road_classes(rows.class_name)
     order = np.argsort(rows.frame, kind="stable")
     order = order[class_id[order] >= 0]
@@ -220,3 +213,11 @@ def _numbers_by_name(coco: CocoFile, names: Collection[str]) -> dict[str, int]:
         if name in names and numbers.setdefault(name, number) != number:
             raise LabelFileError(f"{coco.path}, {where}: expected each file name once, found {quoted(name)} twice.")
     return numbers
+
+
+IMAGE_LABELS: Mapping[str, Callable[[Sequence[Path], Path, Sequence[str] | None], list[LabelledImage]]] = {
+    "yolo": _yolo,
+    "kitti": _kitti,
+    "coco": _coco,
+}
+"""Readers by format: from the images, the folder or file of labels, and YOLO's class names."""

@@ -8,9 +8,13 @@ from typer.testing import CliRunner
 
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command, parameters
+from track_range.fleet.inputs.clip import CLIP_SETTINGS, is_file_setting
 from track_range.foundation.errors import UsageError
-from track_range.foundation.options import Options, option
-from track_range.run.settings import RunSettings, settings_from
+from track_range.foundation.options import Options, option, option_of
+from track_range.results.provenance import _NOT_HASHED
+from track_range.results.writers import WRITERS, create_writer
+from track_range.run.settings import RunSettings
+from track_range.run.settings_files import settings_from
 
 
 class Recipe(Options):
@@ -19,6 +23,8 @@ class Recipe(Options):
     spices: Annotated[tuple[str, ...], option("Spices to add.")] = ()
     books: Annotated[tuple[Path, ...], option("Book to look into.", flag="--book", is_repeated=True)] = ()
     heat: Annotated[Literal["low", "high"], option("Heat of the stove.")] = "low"
+    form: Annotated[str, option("Form of the noodles.", choices=lambda: ("long", "short"))] = "long"
+    salt: Annotated[str, option("Salt.", words=("auto", "off"), metavar="GRAMS")] = "auto"
     stirred: Annotated[bool, option("Stirring.", flag="--stir/--no-stir", old_names=("agitated",))] = True
     secret: Annotated[float, option("Secret ingredient.", is_file_only=True)] = 0.5
 
@@ -60,7 +66,8 @@ def test_old_name_in_a_settings_file():
 
 
 @pytest.mark.parametrize(
-    "arguments", [("soup", "--guests", 0), ("soup", "--guests", 10), ("soup", "--heat", "none"), ()]
+    "arguments",
+    [("soup", "--guests", 0), ("soup", "--guests", 10), ("soup", "--heat", "none"), ("soup", "--form", "round"), ()],
 )
 def test_values_out_of_bounds_are_wrong_usage(cook, arguments):
     assert cook(*arguments).exit_code == 2
@@ -76,8 +83,24 @@ def test_invalid_values_from_python():
         Recipe.of({"dish": "soup", "guests": 0})
     with pytest.raises(UsageError, match=r"^DISH: "):
         Recipe.of({})
-    with pytest.raises(UsageError, match="salt"):
-        Recipe.of({"dish": "soup", "salt": 1})
+    with pytest.raises(UsageError, match="pepper"):
+        Recipe.of({"dish": "soup", "pepper": 1})
+
+
+def test_choices_and_words_are_listed():
+    shown = {item.name: item.annotation.__metadata__[0].metavar for item in parameters(Recipe)}
+    assert (shown["heat"], shown["form"], shown["salt"]) == ("low|high", "long|short", "auto|off|GRAMS")
+    with pytest.raises(UsageError, match=r"^--form: expected 'long' or 'short', found 'round'\.$"):
+        Recipe.of({"dish": "soup", "form": "round"})
+
+
+def test_values_of_files_and_python():
+    recipe = Recipe.of({"dish": Path("soup"), "salt": False, "books": ["a"], "spices": "salt,dill"})
+    assert (recipe.dish, recipe.salt, recipe.books, recipe.spices) == ("soup", "off", (Path("a"),), ("salt", "dill"))
+    assert Recipe.of({"dish": ["soup", "bread"], "salt": 2.5}).model_dump(include={"dish", "salt"}) == {
+        "dish": "soup,bread",
+        "salt": "2.5",
+    }
 
 
 def test_parameters_show_panel_metavar_and_bounds():
@@ -100,3 +123,27 @@ def test_every_setting_of_a_run_has_a_help_text():
         assert field.description, name
         assert field.description[0].isupper(), name
         assert field.description.endswith("."), name
+
+
+def test_hash_of_the_settings_is_without_those_of_output_files():
+    assert RunSettings.fields_where(lambda field: option_of(field).is_output) == _NOT_HASHED
+
+
+def test_help_names_the_files_of_all_writers():
+    help_text = RunSettings.model_fields["write"].description
+    for name in WRITERS.names:
+        writer = create_writer(name)
+        if type(writer).__module__.startswith("track_range."):
+            assert f"{name} ({writer.files[0]}" in help_text
+
+
+def test_settings_of_clips_and_fleets():
+    """A new option of a run is none of a clip; those that a fleet refuses say what to do instead."""
+    refused = RunSettings.fields_where(lambda field: option_of(field).instead)
+    assert refused == {"stereo", "mono", "truth", "detections", "start_utc", "table"}
+    assert {"rig", "focal_px", "ego_speed", "align"} <= CLIP_SETTINGS
+    assert CLIP_SETTINGS.isdisjoint(RunSettings.fields_where(lambda field: option_of(field).is_shared))
+    assert [name for name in sorted(CLIP_SETTINGS) if is_file_setting(name, "a")] == [
+        *("align", "curves", "detections", "ego_speed", "rig", "truth"),
+    ]
+    assert not any(is_file_setting(name, value) for name in ("align", "ego_speed") for value in ("auto", "off", "30.5"))

@@ -26,7 +26,7 @@ from track_range.recording.names import BagTopic, Segments
 from track_range.recording.open_video import open_video
 from track_range.recording.recording import open_recording
 from track_range.results.writers import OpenWriters, RunInfo
-from track_range.run.settings import save_settings, settings_from
+from track_range.run.settings_files import save_settings, settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import RigError

@@ -26,7 +26,7 @@ from track_range.recording.segments.segment_times import (
     paired_starts_s,
 )
 from track_range.recording.utc import Stamp, stamp_in_name
-from track_range.run.settings import save_settings, settings_from
+from track_range.run.settings_files import save_settings, settings_from
 
 Film = Callable[..., Path]
 Trip = Callable[..., list[Path]]

@@ -35,7 +35,7 @@ from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters, RunInfo, create_writers
 from track_range.run.export.export import export
 from track_range.run.export.settings import ExportSettings
-from track_range.run.settings import settings_from
+from track_range.run.settings_files import settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA = PinholeCamera(700.0, 710.0, 20.0, 30.0, 50, 50)

@@ -9,6 +9,7 @@ import pytest
 from tests.toys.registrations import registered_writer
 from tests.toys.toy_writer import NAME, JsonLinesWriter
 from tests.track_range.results.test_results import result
+from track_range.foundation.errors import UsageError
 from track_range.foundation.files.output_files import OutputError
 from track_range.results.writers import (
     DEFAULT_WRITERS,
@@ -21,7 +22,8 @@ from track_range.results.writers import (
     register_writer,
     result_names,
 )
-from track_range.run.settings import RunSettings, UsageError, settings_from
+from track_range.run.settings import RunSettings
+from track_range.run.settings_files import settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
 
 BUILT_IN = ("csv", "mot", "parquet", "kitti", "recorded", "mcap", "rrd")

@@ -4,7 +4,7 @@ import pytest
 import yaml
 
 from track_range.foundation.errors import ConfigError, UsageError
-from track_range.run.settings import save_settings, settings_from
+from track_range.run.settings_files import save_settings, settings_from
 
 PAIR = {"stereo": (Path("left.mp4"), Path("right.mp4")), "detector": "m.onnx"}
 

@@ -13,7 +13,8 @@ from track_range.cli.parameters import given_values, parameters, with_parameters
 from track_range.foundation.errors import UsageError
 from track_range.foundation.options import Options, option
 from track_range.foundation.processes import tuned_process
-from track_range.run.settings import RunSettings, settings_from
+from track_range.run.settings import RunSettings
+from track_range.run.settings_files import settings_from
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -43,7 +43,6 @@ class EventEvaluationSettings(Options):
             metavar="H",
             gt=0,
             le=1e6,
-            allow_inf_nan=False,
         ),
     ] = None
     min_lead_s: Annotated[
@@ -54,6 +53,5 @@ class EventEvaluationSettings(Options):
             metavar="S",
             ge=0,
             le=60,
-            allow_inf_nan=False,
         ),
     ] = MIN_LEAD_S

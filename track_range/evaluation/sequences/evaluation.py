@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from track_range.evaluation.sequences.find import (
     no_truth_note,
     paired,
 )
-from track_range.evaluation.sequences.settings import TrackEvaluationSettings, TruthFormat
+from track_range.evaluation.sequences.settings import TrackEvaluationSettings, truth_formats
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import counted
@@ -53,7 +53,7 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
     """
     truth, results = settings.truth, settings.results
     labelled = find_sequences(truth, "gt")
-    form: TruthFormat = settings.truth_format or _form_of(labelled[0].path)
+    form = settings.truth_format or _form_of(labelled[0].path)
     # In the output folder of `track` only KITTI rows contain the classes that KITTI's truth distinguishes.
     folders = [results / name for name in ((KITTI_FOLDER, MOT_FOLDER) if form == "kitti" else (MOT_FOLDER,))]
     results_folder = next((folder for folder in folders if folder.is_dir()), results)
@@ -99,17 +99,17 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
     return figures
 
 
-def _form_of(path: Path) -> TruthFormat:
+def _form_of(path: Path) -> str:
     """The format of a file of ground truth; an empty one is taken to be KITTI's."""
     if is_blank(path, "ground truth"):
         return "kitti"
     name = label_format_of(path, "ground truth").name
-    if name not in get_args(TruthFormat):
+    if name not in truth_formats():
         raise LabelFileError(f"{path}: expected ground truth, found the rows of a run.")
-    return cast(TruthFormat, name)
+    return name
 
 
-def _truth_table(path: Path, form: TruthFormat | None, notes: list[str]) -> BoxTable:
+def _truth_table(path: Path, form: str | None, notes: list[str]) -> BoxTable:
     """The labels of a file in one of the formats without rules for boxes that are ignored; notes are appended.
 
     Raises:
@@ -167,7 +167,7 @@ def _empty_truth_notes(truth: Iterable[SequenceFile]) -> tuple[str, ...]:
     )
 
 
-def _class_of(form: TruthFormat, road_class: str | None) -> str:
+def _class_of(form: str, road_class: str | None) -> str:
     if road_class is None:
         return "car" if form == "kitti" else "person"
     name = ROAD_CLASSES[road_class_id(road_class)]
@@ -181,7 +181,7 @@ def _class_of(form: TruthFormat, road_class: str | None) -> str:
 
 
 def _cleaned(
-    truth: SequenceFile, results: SequenceFile, form: TruthFormat, road_class: str
+    truth: SequenceFile, results: SequenceFile, form: str, road_class: str
 ) -> tuple[TrackedBoxes, TrackedBoxes]:
     """The boxes of truth and results of one sequence that are evaluated by the benchmark's rules."""
     if form == "mot":

@@ -14,7 +14,6 @@ from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.formats.image_labels.labelled_images import (
     ImageFileError,
-    LabelFormat,
     LabelledImage,
     of_split,
     read_image,
@@ -52,7 +51,7 @@ class LabelledSource:
     Attributes:
         images: folder of images, or a video.
         labels: folder or file of labels.
-        label_format: "yolo", "kitti" or "coco"; None = KITTI for a video, COCO for a .json file, else YOLO.
+        label_format: a name in `IMAGE_LABELS`; None = KITTI for a video, COCO for a .json file, else YOLO.
         label_names: class names of YOLO's numbers; None = those of a file next to the labels, or the road classes.
         manifest: CSV file with the split of each image and its completely labelled classes.
         split: split of the manifest to use.
@@ -62,7 +61,7 @@ class LabelledSource:
 
     images: Path
     labels: Path
-    label_format: LabelFormat | None = None
+    label_format: str | None = None
     label_names: tuple[str, ...] | None = None
     manifest: Path | None = None
     split: str = "val"
@@ -75,7 +74,7 @@ class LabelledSource:
         return self.images.is_file()
 
     @property
-    def format(self) -> LabelFormat:
+    def format(self) -> str:
         """The format of the labels, given or detected from the file names."""
         if self.label_format is not None:
             return self.label_format

@@ -8,21 +8,36 @@ from typing import Annotated, Literal
 from track_range.detection.evaluation.matching import SizeMeasure
 from track_range.foundation.options import Options, option
 from track_range.run.options.detector_fields import (
-    Device,
-    anchors_option,
-    device_option,
-    letterbox_option,
-    names_option,
-    size_option,
-    threads_option,
+    AnchorsField,
+    DeviceField,
+    LetterboxField,
+    NamesField,
+    SizeField,
+    ThreadsField,
 )
-from track_range.run.options.tracker_fields import reid_option, tracker_option
+from track_range.run.options.tracker_fields import ReidField, TrackerField
 
-TruthFormat = Literal["mot", "kitti", "csv", "coco", "cvat", "yolo"]
+
+def truth_formats() -> tuple[str, ...]:
+    """Names of the label formats that can be ground truth."""
+    from track_range.detection.formats.label_formats import LABEL_FORMATS
+
+    return tuple(name for name, label_format in LABEL_FORMATS.items() if not label_format.is_of_run)
+
+
+def _image_label_formats() -> tuple[str, ...]:
+    from track_range.detection.formats.image_labels.labelled_images import IMAGE_LABELS
+
+    return tuple(IMAGE_LABELS)
+
 
 LabelFormatField = Annotated[
-    Literal["yolo", "kitti", "coco"] | None,
-    option("Format of the labels (default: KITTI for a video, COCO for a .json file, else YOLO).", flag="--format"),
+    str | None,
+    option(
+        "Format of the labels (default: KITTI for a video, COCO for a .json file, else YOLO).",
+        flag="--format",
+        choices=_image_label_formats,
+    ),
 ]
 LabelNamesField = Annotated[
     str | None,
@@ -80,8 +95,8 @@ class TrackSettings(Options):
     fps: Annotated[
         float | None, option("Frame rate (default: from seqinfo.ini, else 10).", metavar="FPS", ge=0.01, le=1000)
     ] = None
-    tracker: Annotated[str, tracker_option()] = "deepsort"
-    reid: Annotated[Path | None, reid_option()] = None
+    tracker: TrackerField = "deepsort"
+    reid: ReidField = None
     online: Annotated[
         bool,
         option("Tracks as a live run reports them: no filled gaps and no boxes from before a track was confirmed."),
@@ -107,8 +122,10 @@ class TrackEvaluationSettings(Options):
         ),
     ]
     truth_format: Annotated[
-        TruthFormat | None,
-        option("Format of the ground truth (default: detected from its content).", flag="--format"),
+        str | None,
+        option(
+            "Format of the ground truth (default: detected from its content).", flag="--format", choices=truth_formats
+        ),
     ] = None
     road_class: Annotated[
         str | None,
@@ -164,9 +181,9 @@ class DetectionEvaluationSettings(Options):
             "and 96^2 px) or its height (limits of 25, 50 and 100 px), both in pixels of the image."
         ),
     ] = "area"
-    names: Annotated[str | None, names_option()] = None
-    anchors: Annotated[str | None, anchors_option()] = None
-    letterbox: Annotated[str | None, letterbox_option()] = None
-    size_px: Annotated[int | None, size_option()] = None
-    threads: Annotated[int, threads_option()] = 0
-    device: Annotated[Device, device_option()] = "auto"
+    names: NamesField = None
+    anchors: AnchorsField = None
+    letterbox: LetterboxField = None
+    size_px: SizeField = None
+    threads: ThreadsField = 0
+    device: DeviceField = "auto"

@@ -41,12 +41,14 @@ from track_range.fleet.storage.listings import FolderListings
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import printable
+from track_range.foundation.keywords import flags_in_errors
 from track_range.foundation.processes import tuned_process
 from track_range.results.events.clip_names import CLIPS_FOLDER
 from track_range.results.events.files import EVENTS_PARQUET, write_events_parquet
 from track_range.run.opened_detectors import OpenedDetectors
 from track_range.run.run import Run
-from track_range.run.settings import RunSettings, settings_from
+from track_range.run.settings import RunSettings
+from track_range.run.settings_files import settings_from
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -69,6 +71,7 @@ class _UnchangedError(Exception):
     """The content of the files is that of the complete result."""
 
 
+@flags_in_errors()
 def run_clip(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> ClipOutcome:
     """Process a clip and publish its results.
 

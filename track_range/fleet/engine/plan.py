@@ -19,31 +19,22 @@ from track_range.fleet.settings import FleetSettings
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import open_regular
 from track_range.foundation.files.numeric_text import number
+from track_range.foundation.options import is_file, option_of
 from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.telemetry.speed_source import AUTO, OFF
 from track_range.run.options.detector_options import DetectorOptions, open_detector
-from track_range.run.settings import RunSettings, read_settings, settings_from
+from track_range.run.settings import RunSettings
+from track_range.run.settings_files import read_settings, settings_from
 
-REFUSED: Mapping[str, str] = {
-    "stereo": "the recordings are arguments: `track-range fleet run DIR --pattern '{clip}_left.mp4,{clip}_right.mp4'`",
-    "mono": "the recordings are arguments: `track-range fleet run DIR`",
-    "truth": "ground truth belongs to a clip; give it in the column truth of a manifest",
-    "detections": "recorded detections belong to a clip; give them in the column detections of a manifest",
-    "start_utc": "the start of a recording belongs to a clip; give it in the column start_utc of a manifest",
-    "table": "it would be overwritten by every clip; use `track-range fleet report`",
-}
-"""Options of a run that a fleet does not take, and what to do instead."""
+_NOT_TAKEN = RunSettings.fields_where(lambda field: option_of(field).instead) | (
+    RunSettings.model_fields.keys() & FleetSettings.model_fields.keys()
+)
+"""Options of a run that belong to its clips, or are options of a fleet with another meaning."""
 
-OWN = ("out", "threads", "rig")
-"""Options of a run that are options of a fleet with another meaning."""
-
-_OUTPUTS = ("write", "keep_gps", "overlay", "clips", "disparity", "overlay_disparity")
+_OUTPUTS = RunSettings.fields_where(lambda field: option_of(field).is_output)
 """Options of a run for its outputs, which a fleet does not take from the settings.yaml of a run."""
 
-_NOT_HASHED = ("stereo", "mono", "out", "table", "threads")
-"""Settings of a run that do not change the published files of a clip, or belong to the clip."""
-
-_SHARED_FILES = ("detector", "names", "align", "lanes", "curves", "reid")
+_SHARED_FILES = RunSettings.fields_where(is_file) - _NOT_TAKEN
 """Settings of a run that are, or may be, files which all clips share."""
 
 
@@ -143,7 +134,7 @@ def common_options(file: Path) -> dict[str, Any]:
         ConfigError: the file cannot be read, or contains an unknown key or an invalid value.
     """
     values = read_settings(file)
-    options = {key: value for key, value in values.items() if key not in (*REFUSED, *OWN, *_OUTPUTS)}
+    options = {key: value for key, value in values.items() if key not in _NOT_TAKEN | _OUTPUTS}
     try:
         _validated(options)
     except UsageError as error:
@@ -163,8 +154,9 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
         ModelError, ConfigError: a shared file cannot be read.
     """
     for name in options:
-        if name in REFUSED:
-            raise UsageError(f"{RunSettings.flag(name)}: not an option of a fleet; {REFUSED[name]}.")
+        field = RunSettings.model_fields.get(name)
+        if field is not None and (instead := option_of(field).instead):
+            raise UsageError(f"{RunSettings.flag(name)}: not an option of a fleet; {instead}.")
     given = {"overlay": False, **options, "threads": settings.threads}
     checked = _validated(given)
     _check_ego_speed(checked.ego_speed)
@@ -208,13 +200,13 @@ def _check_ego_speed(setting: str) -> None:
 def _shared_files(settings: RunSettings) -> dict[str, Path]:
     """Files of the settings that all clips share; the others are words."""
     files: dict[str, Path] = {}
-    for name in _SHARED_FILES:
+    for name in sorted(_SHARED_FILES):
         value = getattr(settings, name)
         if name == "detector" and value is not None:
             model = find_model(value)
             if model.origin != "catalogue" or model.entry is None:
                 files[name] = model.path.absolute()
-        elif value is not None and (name in ("curves", "reid") or Path(value).suffix):
+        elif isinstance(value, Path) or (value is not None and Path(value).suffix and math.isnan(number(value))):
             files[name] = Path(value).absolute()
     return files
 
@@ -239,7 +231,7 @@ def _sha256(path: Path) -> str:
 def _settings_hash(settings: RunSettings, shared: Mapping[str, str], *, has_reports: bool) -> str:
     """Hash of the settings in canonical JSON: files by their content, and the version of track-range."""
     values = settings.model_dump(mode="json", exclude_none=True)
-    hashed = {key: value for key, value in values.items() if key not in _NOT_HASHED}
+    hashed = {key: value for key, value in values.items() if key not in _NOT_TAKEN}
     hashed.update({name: f"sha256:{digest}" for name, digest in shared.items()})
     content = {"run": hashed, "reports": has_reports, "version": version("track-range")}
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))

@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from track_range.fleet.storage.entry import FileStat
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.numeric_text import number
+from track_range.foundation.options import is_file, option_of, value_type
 from track_range.recording.telemetry.sidecars.reading import OXTS_NAME, TABLE_NAME, sidecar_names
+from track_range.run.settings import RunSettings
 
-FILE_SETTINGS = frozenset(("rig", "truth", "detections", "curves"))
-"""Settings of a clip that are files."""
-
-_AUTO_OR_OFF = frozenset(("auto", "off"))
-
-_FILE_OR_WORD_SETTINGS: Mapping[str, frozenset[str]] = {"ego_speed": _AUTO_OR_OFF, "align": _AUTO_OR_OFF}
-"""Settings of a clip that are a file, a number, or one of these words."""
-
-CLIP_SETTINGS = (
-    FILE_SETTINGS
-    | _FILE_OR_WORD_SETTINGS.keys()
-    | frozenset(
-        ("topics", "focal_px", "start_s", "duration_s", "folder_fps", "start_utc", "camera_height_m", "lane_width_m")
-    )
-)
+CLIP_SETTINGS = RunSettings.fields_where(lambda field: option_of(field).is_per_clip)
 """Names of the run settings that may differ from clip to clip."""
 
 RIG_NAMES = ("rig.yaml", "calib.txt")
@@ -138,7 +128,6 @@ def _first(candidates: Iterable[Location], stat: Callable[[Location], FileStat |
 
 def is_file_setting(name: str, value: str) -> bool:
     """Whether the value of a clip's setting is the path of a file or folder."""
-    if name in FILE_SETTINGS:
-        return True
-    words = _FILE_OR_WORD_SETTINGS.get(name)
-    return words is not None and value not in words and number(value) != number(value)
+    field = RunSettings.model_fields[name]
+    is_path = value_type(field) is Path
+    return is_path or (is_file(field) and value not in option_of(field).words and math.isnan(number(value)))

@@ -25,17 +25,16 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, quoted, shortened
 from track_range.foundation.files.numeric_text import number
+from track_range.foundation.options import option_of, value_type
 from track_range.recording.utc import parsed_utc
+from track_range.run.settings import RunSettings
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 _EXPECTED = "a manifest with the column left and optionally clip, right, rig, ego_speed, truth and others"
 
-_NUMBERS = frozenset(("focal_px", "start_s", "duration_s", "folder_fps", "camera_height_m", "lane_width_m"))
-"""Settings that are numbers."""
-
-_FLEET_OPTIONS = frozenset(("detector", "classes", "min_score", "tracker", "reid", "mono", "stereo", "sgbm", "out"))
+_FLEET_OPTIONS = RunSettings.fields_where(lambda field: option_of(field).is_shared)
 """Options of a run that are equal for all clips; as a label they would be read as a setting that has an effect."""
 
 _MAX_COLUMNS, _MAX_CELLS, _MAX_CELL = 1000, 50_000_000, 10_000
@@ -127,7 +126,7 @@ class _Manifest:
         known = self._values.get((name, text))
         if known is not None:
             return known
-        if name in _NUMBERS and not math.isfinite(number(text)):
+        if value_type(RunSettings.model_fields[name]) is float and not math.isfinite(number(text)):
             raise self._fault(row, f"expected a number for {name}, found {quoted(text)}")
         if name == "start_utc":
             try:

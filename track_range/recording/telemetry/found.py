@@ -18,7 +18,7 @@ from track_range.recording.telemetry.checks import selected, usable
 from track_range.recording.telemetry.containers.embedded import embedded
 from track_range.recording.telemetry.errors import TelemetryError
 from track_range.recording.telemetry.exiftool import read_with_exiftool
-from track_range.recording.telemetry.sidecars.reading import read_sidecar, sidecar_names
+from track_range.recording.telemetry.sidecars.reading import SUFFIXES, read_sidecar, sidecar_names
 from track_range.recording.telemetry.track import TelemetryTrack
 from track_range.recording.telemetry.video_clock import VideoClock, on_video_clock
 
@@ -64,7 +64,7 @@ def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
     first = parts[0]
     whole_s = max(part.start_s + part.duration_s for part in parts) if first.duration_s else 0.0
     recording = replace(first, duration_s=whole_s)
-    is_sidecar = path.suffix.lower() in (".gpx", ".srt", ".csv", ".nmea", ".txt", ".gps")
+    is_sidecar = path.suffix.lower() in SUFFIXES
     track = read_sidecar(path, first.path.name, whole_s) if is_sidecar else _in_video(path)
     if track is None:
         raise TelemetryError(f"{path}: expected speeds or positions with times, found none.")

@@ -24,7 +24,7 @@ from track_range.recording.recording import Recording
 from track_range.recording.telemetry.errors import TelemetryError
 from track_range.recording.telemetry.found import FoundTelemetry, candidates, named_telemetry
 from track_range.recording.telemetry.image_evidence import SPAN_S, contradiction, motion_of
-from track_range.recording.telemetry.sidecars.reading import OXTS_NAME, TABLE_NAME
+from track_range.recording.telemetry.sidecars.reading import OXTS_NAME, SPEED_TABLE_SUFFIXES, SUFFIXES, TABLE_NAME
 from track_range.recording.telemetry.sidecars.speed_csv import is_telemetry_csv
 from track_range.recording.telemetry.time_offset import MotionSeries, TimeOffset, estimated_offset
 from track_range.recording.telemetry.track import TelemetryTrack
@@ -156,7 +156,7 @@ def _named(setting: str, parts: Sequence[VideoPart], motion: Motion) -> SpeedSou
 
 def _is_table(path: Path) -> bool:
     """Whether a file is a CSV with times of the video, or one without telemetry, whose error names these columns."""
-    if path.suffix.lower() in (".gpx", ".nmea", ".srt", ".gps"):
+    if path.suffix.lower() in SUFFIXES and path.suffix.lower() not in SPEED_TABLE_SUFFIXES:
         return False
     try:
         header = {cell.strip().lower() for cell in first_line(path, EgoSpeedError, "CSV").split(",")}

@@ -25,7 +25,7 @@ from track_range.results.columns import Columns, methods_measured
 from track_range.results.replay import frames_of_rows
 from track_range.results.writers import WRITERS, RunInfo, create_writer
 from track_range.run.export.images import frames_of_run, frames_of_video, write_images
-from track_range.run.export.settings import ExportSettings
+from track_range.run.export.settings import MARKS, ExportSettings
 from track_range.run.export.source import (
     RunSource,
     boxes_of_labels,
@@ -37,9 +37,6 @@ from track_range.run.export.source import (
 )
 
 _Write = Callable[[BoxTable, Path], Written]
-
-_MARKS = {"parquet": b"PAR1", "mcap": b"\x89MCAP", "rrd": b"RRF"}
-"""First bytes of the files that only result writers write."""
 
 _DEFAULT_FPS = 10.0
 """Frame rate of a run whose settings.yaml has none."""
@@ -279,9 +276,9 @@ def _has_format(path: Path, name: str) -> bool:
         return True
     try:
         with path.open("rb") as file:
-            start = file.read(len(max(_MARKS.values(), key=len)))
-        if name in _MARKS:
-            return not start or start.startswith(_MARKS[name])
+            start = file.read(len(max(MARKS.values(), key=len)))
+        if name in MARKS:
+            return not start or start.startswith(MARKS[name])
         return not start or label_format_of(path).name == name
     except (OSError, LabelFileError):
         return False

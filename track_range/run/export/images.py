@@ -13,7 +13,7 @@ from track_range.detection.formats.video_labels.coco import image_name
 from track_range.foundation.arrays import Image
 from track_range.recording.open_video import open_video
 from track_range.run.build import open_input
-from track_range.run.settings import settings_from
+from track_range.run.settings_files import settings_from
 
 _JPEG_QUALITY = 95
 """Quality of the images, 0 to 100: differences to the video are not visible."""

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from track_range.foundation.options import Options, option
 
-ExportFormat = Literal["parquet", "kitti", "coco", "cvat", "mot", "yolo", "mcap", "rrd"]
+MARKS: Mapping[str, bytes] = {"parquet": b"PAR1", "mcap": b"\x89MCAP", "rrd": b"RRF"}
+"""First bytes of the files that only result writers write, from the rows of a run."""
+
+
+def export_formats() -> tuple[str, ...]:
+    """Names of the formats that are written: label formats, then those of the rows of a run."""
+    from track_range.detection.formats.label_formats import LABEL_FORMATS
+
+    return (*(name for name, label_format in LABEL_FORMATS.items() if label_format.write is not None), *MARKS)
 
 
 class ExportSettings(Options):
@@ -22,7 +31,7 @@ class ExportSettings(Options):
             is_argument=True,
         ),
     ]
-    to: Annotated[ExportFormat, option("Format of the output.")]
+    to: Annotated[str, option("Format of the output.", choices=export_formats)]
     out: Annotated[Path, option("File to write; a folder for yolo.", metavar="PATH")]
     observed_only: Annotated[bool, option("Output without predicted boxes.")] = False
     images: Annotated[

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Any
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import given_values, parameters, with_parameters
 from track_range.fleet.settings import FleetSettings
+from track_range.foundation.options import option_of
 from track_range.run.settings import RunSettings
 
 if TYPE_CHECKING:
     from track_range.fleet.inputs.clip import Clip
-
-_REFUSED = ("stereo", "mono", "truth", "detections", "start_utc", "table")
-"""Options of a run that are hidden here and refused, with what to do instead."""
 
 _MAX_NAME = 20
 """Longest name of a failed clip at the end, in characters."""
@@ -113,7 +111,8 @@ def _parameters() -> list[Parameter]:
     names = {parameter.name for parameter in own}
     shared = [parameter for parameter in parameters(RunSettings, is_only_given=True) if parameter.name not in names]
     for parameter in shared:
-        if parameter.name in _REFUSED:
+        field = RunSettings.model_fields.get(parameter.name)
+        if field is not None and option_of(field).instead:
             parameter.annotation.__metadata__[0].hidden = True
     return [*own, *shared]
 

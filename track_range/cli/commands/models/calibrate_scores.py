@@ -36,7 +36,7 @@ from track_range.evaluation.sequences.settings import LabelFormatField, LabelNam
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.files.output_files import OutputError, write_bytes, write_text
 from track_range.foundation.options import Options, option
-from track_range.run.options.detector_fields import threads_option
+from track_range.run.options.detector_fields import ThreadsField
 from track_range.run.options.detector_options import DetectorOptions, class_names, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
@@ -64,7 +64,7 @@ class CalibrateScoresOptions(Options):
     label_names: LabelNamesField = None
     manifest: ManifestField = None
     split: SplitField = "val"
-    threads: Annotated[int, threads_option()] = 0
+    threads: ThreadsField = 0
     json_file: Annotated[Path | None, option("JSON file for the coefficients.", flag="--json", metavar="FILE")] = None
 
 

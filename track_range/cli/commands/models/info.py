@@ -17,7 +17,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.models.lookup import ModelLocation, find_model
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.options import Options, option
-from track_range.run.options.detector_fields import anchors_option, letterbox_option, names_option
+from track_range.run.options.detector_fields import AnchorsField, LetterboxField, NamesField
 from track_range.run.options.detector_options import DetectorOptions, open_detector
 
 _ABOUT = ("data", "date", "epochs", "licence", "license")
@@ -33,9 +33,9 @@ class InfoOptions(Options):
     model: Annotated[
         str, option("ONNX file, or a name from `track-range models list`.", metavar="FILE|NAME", is_argument=True)
     ]
-    names: Annotated[str | None, names_option()] = None
-    anchors: Annotated[str | None, anchors_option()] = None
-    letterbox: Annotated[str | None, letterbox_option()] = None
+    names: NamesField = None
+    anchors: AnchorsField = None
+    letterbox: LetterboxField = None
 
 
 def _info(options: InfoOptions) -> None:

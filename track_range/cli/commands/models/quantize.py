@@ -28,11 +28,11 @@ from track_range.foundation.arrays import FloatArray32, Image
 from track_range.foundation.files.output_files import make_folder
 from track_range.foundation.options import Options, option
 from track_range.run.options.detector_fields import (
-    anchors_option,
-    letterbox_option,
-    names_option,
-    size_option,
-    threads_option,
+    AnchorsField,
+    LetterboxField,
+    NamesField,
+    SizeField,
+    ThreadsField,
 )
 from track_range.run.options.detector_options import DetectorOptions, class_names, open_detector
 from track_range.run.progress import frame_progress
@@ -95,11 +95,11 @@ class QuantizeOptions(Options):
     label_names: LabelNamesField = None
     manifest: ManifestField = None
     split: SplitField = "val"
-    names: Annotated[str | None, names_option()] = None
-    anchors: Annotated[str | None, anchors_option()] = None
-    letterbox: Annotated[str | None, letterbox_option()] = None
-    size_px: Annotated[int | None, size_option()] = None
-    threads: Annotated[int, threads_option()] = 0
+    names: NamesField = None
+    anchors: AnchorsField = None
+    letterbox: LetterboxField = None
+    size_px: SizeField = None
+    threads: ThreadsField = 0
     json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from track_range.foundation.options import Options, option
-from track_range.run.options.detector_fields import Device, device_option, size_option, threads_option
+from track_range.run.options.detector_fields import DeviceField, SizeField, ThreadsField
 
 _DATA, _TRAINING, _OUTPUT, _VARIANTS = "Data and network", "Training", "Output", "Network variants"
 
@@ -187,6 +187,6 @@ class PseudoLabelOptions(Options):
             le=1.0,
         ),
     ] = 0.1
-    size_px: Annotated[int | None, size_option()] = None
-    threads: Annotated[int, threads_option()] = 0
-    device: Annotated[Device, device_option()] = "auto"
+    size_px: SizeField = None
+    threads: ThreadsField = 0
+    device: DeviceField = "auto"

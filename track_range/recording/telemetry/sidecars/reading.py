@@ -1,9 +1,14 @@
-"""read_sidecar: telemetry of a file of any supported format, and the names of such files beside a video."""
+"""read_sidecar: telemetry of a file of any supported format, and the names of such files beside a video.
+
+A format is a module with a reader, and a row of `SIDECARS`.
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 from track_range.recording.telemetry.sidecars.blackvue import read_blackvue
 from track_range.recording.telemetry.sidecars.gpx import read_gpx
@@ -13,11 +18,33 @@ from track_range.recording.telemetry.sidecars.speed_csv import read_csv
 from track_range.recording.telemetry.sidecars.srt import read_srt
 from track_range.recording.telemetry.track import TelemetryTrack
 
-SUFFIXES = (".gpx", ".nmea", ".srt", ".csv", ".txt", ".gps")
-"""Suffixes of telemetry beside a video, in the order in which they are looked for."""
+TABLE_NAME, OXTS_NAME = "ego_speed.csv", "oxts"
+"""Names of the speed beside a video that are not telemetry: a table and KITTI's folder."""
 
-TABLE_NAME, OXTS_NAME, SEVENTYMAI_NAME = "ego_speed.csv", "oxts", "GPSData000001.txt"
-"""Names of telemetry beside a video that do not depend on the name of the video."""
+
+class Sidecar(NamedTuple):
+    """Suffixes and reader of a format, which returns None for files without telemetry or of another format."""
+
+    suffixes: tuple[str, ...]
+    read: Callable[[Path, str, float], TelemetryTrack | None]
+    name: str = ""  # of a file that does not have the name of the video
+
+
+SIDECARS = (
+    Sidecar((".gpx",), lambda path, video, duration_s: read_gpx(path)),
+    Sidecar((".nmea",), lambda path, video, duration_s: read_nmea(path)),
+    Sidecar((".srt",), lambda path, video, duration_s: read_srt(path)),
+    Sidecar((".csv",), lambda path, video, duration_s: read_csv(path)),
+    Sidecar((".txt", ".gps"), lambda path, video, duration_s: read_blackvue(path)),
+    Sidecar((".txt", ".gps"), read_seventymai, name="GPSData000001.txt"),
+    Sidecar((".txt", ".gps"), lambda path, video, duration_s: read_nmea(path)),
+)
+"""All formats, in the order in which their files are looked for, and in which a file is tried."""
+
+SUFFIXES = tuple(dict.fromkeys(suffix for sidecar in SIDECARS for suffix in sidecar.suffixes))
+
+SPEED_TABLE_SUFFIXES = (".csv", ".txt")
+"""Suffixes that tables of times and speeds have, too (`--ego-speed FILE`)."""
 
 _CAMERA_LETTER = re.compile(r"(?<=_[A-Z])[FRIO]$")
 """Letter of the camera at the end of the names of BlackVue videos; their logs have none: ..._NF.mp4, ..._N.gps."""
@@ -29,7 +56,7 @@ def sidecar_names(video: str) -> tuple[str, ...]:
     stems = dict.fromkeys((stem, _CAMERA_LETTER.sub("", stem)))
     names = [f"{name}{suffix}" for suffix in SUFFIXES for name in stems]
     shown = [variant for name in names for variant in (name, _upper(name))]
-    return (*shown, SEVENTYMAI_NAME)
+    return (*shown, *(sidecar.name for sidecar in SIDECARS if sidecar.name))
 
 
 def _upper(name: str) -> str:
@@ -48,13 +75,6 @@ def read_sidecar(path: Path, video: str, duration_s: float) -> TelemetryTrack | 
     Raises:
         TelemetryError: it cannot be read or used.
     """
-    suffix = path.suffix.lower()
-    if suffix == ".gpx":
-        return read_gpx(path)
-    if suffix == ".srt":
-        return read_srt(path)
-    if suffix == ".csv":
-        return read_csv(path)
-    if suffix == ".nmea":
-        return read_nmea(path)
-    return read_blackvue(path) or read_seventymai(path, video, duration_s) or read_nmea(path)
+    readers = [sidecar.read for sidecar in SIDECARS if path.suffix.lower() in sidecar.suffixes]
+    tracks = (read(path, video, duration_s) for read in readers)
+    return next((track for track in tracks if track is not None), None)

@@ -12,19 +12,18 @@ import math
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, BinaryIO, cast
 
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.formats.extras import check_extra
+from track_range.results.formats.mcap import PROFILES
 from track_range.results.formats.mcap.messages import NANOSECONDS, Message, Profile, jpeg
 from track_range.results.formats.row_file import FrameFile
 from track_range.results.formats.scene import track_objects
 from track_range.results.writers import RunInfo
 
 MCAP_FILE = "run.mcap"
-
-FOXGLOVE, ROS2 = "foxglove", "ros2"
-"""Names of the profiles."""
 
 _EXTRA = "mcap"
 
@@ -56,7 +55,8 @@ class McapWriter:
 
         self._info = info
         self._has_images = bool(info.settings.get("mcap_images", False))
-        self._profile = _profile(str(info.settings.get("mcap_profile", FOXGLOVE)), info)
+        profile = resolve_name(PROFILES.get(str(info.settings.get("mcap_profile")), PROFILES["foxglove"]))
+        self._profile: Profile = profile(info.camera)
         start_us = round((info.start_utc_s or 0.0) * 1e6)  # float64 holds microseconds since 1970
         self._start_ns = min(max(start_us * 1000, 0), _MAX_TIME_NS)
         self._held: tuple[int, list[Message]] | None = None
@@ -189,14 +189,3 @@ class _Sink:
 
     def flush(self) -> None:
         """Do nothing."""
-
-
-def _profile(name: str, info: RunInfo) -> Profile:
-    """The profile of a name; modules are imported here, since their packages are optional."""
-    if name == ROS2:
-        from track_range.results.formats.mcap.ros2_profile import Ros2Profile
-
-        return Ros2Profile(info.camera)
-    from track_range.results.formats.mcap.foxglove_profile import FoxgloveProfile
-
-    return FoxgloveProfile(info.camera)

@@ -1,0 +1,66 @@
+"""Keyword arguments of `Run.mono` and `Run.stereo`, for type checkers; written by `.ci/run_options.py`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from track_range.detection.detector import ObjectDetector
+    from track_range.tracking.tracker import ObjectTracker
+
+
+class RunOptions(TypedDict, total=False):
+    """Options of a run by keyword; None = not given."""
+
+    topics: str | Sequence[str] | None
+    rig: str | Path | None
+    focal_px: float | None
+    fov_deg: float | None
+    yaw_deg: float | None
+    start: float | None
+    start_s: float | None
+    duration: float | None
+    duration_s: float | None
+    folder_fps: float | None
+    start_utc: str | None
+    ego_speed: str | Path | float | None
+    truth: str | Path | None
+    detector: str | Path | ObjectDetector | None
+    classes: str | Sequence[str] | None
+    min_score: str | float | None
+    detections: str | Path | None
+    names: str | Path | Sequence[str] | None
+    anchors: str | None
+    letterbox: str | None
+    size: int | None
+    size_px: int | None
+    threads: int | None
+    device: Literal["auto", "cpu", "cuda", "tensorrt"] | None
+    tracker: str | ObjectTracker | None
+    reid: str | Path | None
+    curves: str | Path | None
+    sgbm: bool | None
+    sgbm_options: Mapping[str, Any] | None
+    warning_options: Mapping[str, Any] | None
+    event_options: Mapping[str, Any] | None
+    align: str | Path | None
+    lanes: str | Path | None
+    lane_width_m: float | None
+    camera_height_m: float | None
+    out: str | Path | None
+    write: str | Sequence[str] | None
+    anonymize: bool | None
+    mcap_profile: Literal["foxglove", "ros2"] | None
+    mcap_images: bool | None
+    table: str | Path | None
+    keep_gps: bool | None
+    overlay: bool | None
+    clips: bool | None
+    disparity: bool | None
+    overlay_disparity: bool | None
+    overlay_recorded: bool | None
+    progress: bool | Console

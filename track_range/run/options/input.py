@@ -1,0 +1,197 @@
+"""Options of a run for its input: the videos, their calibration, and what is known about the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+from pydantic import field_serializer, field_validator
+
+from track_range.foundation.errors import ConfigError
+from track_range.foundation.options import Options, option
+from track_range.recording.names import Segments, VideoName, video_name
+from track_range.recording.utc import parsed_utc
+
+_clip_option = partial(option, is_per_clip=True)
+
+
+class InputOptions(Options):
+    """The recording of a run, and how it is read."""
+
+    panel: ClassVar = "Input"
+
+    stereo: Annotated[
+        tuple[VideoName, VideoName] | None,
+        option(
+            "Left and right video: files, folders of numbered images, camera numbers (0 1) or streams (rtsp://...); "
+            "for recordings in several files, folders of videos, patterns such as 'DIR/*_L.mp4', or the option "
+            "repeated for each pair of files.",
+            metavar="LEFT RIGHT",
+            is_repeated=True,
+            is_shared=True,
+            instead="the recordings are arguments: `track-range fleet run DIR --pattern "
+            "'{clip}_left.mp4,{clip}_right.mp4'`",
+        ),
+    ] = None
+    mono: Annotated[
+        VideoName | None,
+        option(
+            "Video of a single camera: a file, a folder of numbered images, a camera number or a stream; for a "
+            "recording in several files, a folder of videos, a pattern such as 'DIR/*_F.mp4', or the option repeated "
+            "for each file.",
+            metavar="VIDEO",
+            is_repeated=True,
+            is_shared=True,
+            instead="the recordings are arguments: `track-range fleet run DIR`",
+        ),
+    ] = None
+    topics: Annotated[
+        tuple[str, ...],
+        _clip_option(
+            "Topics of the images in an MCAP file or ROS bag: one for --mono, two for --stereo BAG; without --rig, the "
+            "calibration is that of the topics camera_info beside them.",
+            metavar="LEFT,RIGHT",
+        ),
+    ] = ()
+    rig: Annotated[
+        Path | None,
+        _clip_option(
+            "Calibration file: rig.yaml, KITTI's calib.txt, ROS's camera_info, OpenCV's stereo calibration or Kalibr's "
+            "camchain (default: rig.yaml or calib.txt in the folder of the left video; without one, distances are "
+            "uncalibrated)."
+        ),
+    ] = None
+    focal_px: Annotated[
+        float | None,
+        _clip_option(
+            "Focal length in pixels of a camera without a calibration file; the principal point is the image centre.",
+            metavar="PX",
+            gt=0,
+        ),
+    ] = None
+    fov_deg: Annotated[
+        float | None,
+        option(
+            "Horizontal field of view in degrees to which the images of a wide lens are undistorted (default: that of "
+            "the lens, at most 120).",
+            metavar="DEG",
+            ge=20,
+            le=120,
+        ),
+    ] = None
+    yaw_deg: Annotated[
+        float,
+        option(
+            "With --mono, direction in degrees to the right of the camera's axis to which the images of a wide lens "
+            "are undistorted.",
+            metavar="DEG",
+            ge=-120,
+            le=120,
+        ),
+    ] = 0.0
+    start_s: Annotated[
+        float,
+        _clip_option("Time in the video, in seconds, at which the run starts.", flag="--start", metavar="S", ge=0),
+    ] = 0.0
+    duration_s: Annotated[
+        float | None,
+        _clip_option(
+            "Length of the run in seconds (default: to the end of the video).", flag="--duration", metavar="S", gt=0
+        ),
+    ] = None
+    folder_fps: Annotated[
+        float,
+        _clip_option("Frame rate of folders of images, which have no timestamps.", metavar="FPS", ge=0.01, le=1000),
+    ] = 10.0
+    start_utc: Annotated[
+        str | None,
+        _clip_option(
+            "Date and time (UTC) of the video's first frame, for the column utc (default: from the video's header, its "
+            "name or its timestamps, where they state it).",
+            metavar="2026-01-31T14:25:30Z",
+            instead="the start of a recording belongs to a clip; give it in the column start_utc of a manifest",
+        ),
+    ] = None
+    ego_speed: Annotated[
+        str,
+        _clip_option(
+            "Speed of the camera, for the absolute speeds of objects: from GPS records in the video or in a file "
+            "beside it, else from the images (auto), unknown (off), a constant in km/h, a file (CSV, GPX, NMEA, SRT, "
+            "...), or KITTI's oxts folder.",
+            words=("auto", "off"),
+            metavar="KMH|FILE|DIR",
+            is_file=True,
+        ),
+    ] = "auto"
+    truth: Annotated[
+        Path | None,
+        _clip_option(
+            "Ground truth to measure the errors against: KITTI tracking labels, or a CSV with the columns "
+            "frame, id, class, x1, y1, x2, y2, distance_m and optionally visible_share, closing_mps (other columns "
+            "are ignored); or COCO, CVAT for video or YOLO labels with track ids.",
+            instead="ground truth belongs to a clip; give it in the column truth of a manifest",
+        ),
+    ] = None
+
+    @field_validator("stereo", mode="before")
+    @classmethod
+    def _pair_of_names(cls, pair: Any) -> Any:
+        """Convert names to paths, several files, or the addresses of cameras and streams; one bag is both videos."""
+        if isinstance(pair, str | Path):
+            pair = (pair,)
+        if isinstance(pair, list | tuple) and len(pair) == 1:
+            from track_range.recording.bags.bag import is_bag  # imports NumPy
+
+            if not (isinstance(pair[0], str | Path) and is_bag(Path(pair[0]))):
+                raise ValueError("expected LEFT and RIGHT, or one MCAP file or ROS bag with --topics LEFT,RIGHT")
+            pair = (pair[0], pair[0])
+        return tuple(_source_name(name) for name in pair) if isinstance(pair, list | tuple) else pair
+
+    @field_validator("mono", mode="before")
+    @classmethod
+    def _name(cls, video: Any) -> Any:
+        """Convert a name to a path, several files, or the address of a camera or stream."""
+        return _source_name(video)
+
+    @field_serializer("stereo", "mono")
+    def _named(self, video: VideoName | tuple[VideoName, VideoName] | None) -> Any:
+        """Names as text, several files as a list; addresses without passwords."""
+        if isinstance(video, tuple):
+            return [plain_name(name, str) for name in video]
+        return None if video is None else plain_name(video, str)
+
+    @field_validator("start_utc", mode="before")
+    @classmethod
+    def _date_and_time(cls, value: Any) -> Any:
+        """Check the date and time; YAML reads an unquoted one as a datetime."""
+        if isinstance(value, datetime):
+            value = value.isoformat()
+        if isinstance(value, str):
+            parsed_utc(value)
+        return value
+
+    @property
+    def videos(self) -> tuple[VideoName, ...]:
+        """The videos, left before right."""
+        return self.stereo or (() if self.mono is None else (self.mono,))
+
+    @property
+    def left(self) -> VideoName:
+        """The left or only video; it gives the output folder its name."""
+        if not self.videos:
+            raise ConfigError("expected a video, got none: give --stereo LEFT RIGHT or --mono VIDEO.")
+        return self.videos[0]
+
+
+def _source_name(value: Any) -> Any:
+    """A recording or live source from text or a list of texts; other values are left to the validation."""
+    is_list = isinstance(value, list | tuple) and all(isinstance(part, str | Path) for part in value)
+    return video_name(value) if isinstance(value, str) or is_list else value
+
+
+def plain_name(video: VideoName, text: Callable[[VideoName], str]) -> str | list[str]:
+    """The name of a recording as text, several files as a list."""
+    return [text(path) for path in video.paths] if isinstance(video, Segments) else text(video)
