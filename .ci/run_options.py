@@ -1,4 +1,4 @@
-"""Writes track_range/run/option_types.py, the types of the keyword arguments of `Run.mono` and `Run.stereo`.
+"""Writes track_range/run/option_types.py, the types of the keyword arguments of `Run` and `Pipeline`.
 
 python .ci/run_options.py [--check]
 """
@@ -13,11 +13,11 @@ from typing import Any, get_args, get_origin
 from pydantic.fields import FieldInfo
 
 from track_range.foundation.options import choices_of, is_file, is_list, value_type
-from track_range.run.settings import RunSettings
+from track_range.run.settings import PipelineOptions, RunSettings
 
 FILE = Path(__file__).parents[1] / "track_range/run/option_types.py"
 
-HEAD = '''"""Keyword arguments of `Run.mono` and `Run.stereo`, for type checkers; written by `.ci/run_options.py`."""
+HEAD = '''"""Keyword arguments of `Run` and `Pipeline`, for type checkers; written by `.ci/run_options.py`."""
 
 from __future__ import annotations
 
@@ -29,10 +29,18 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from track_range.detection.detector import ObjectDetector
+    from track_range.stereo.geometry.rig import StereoRig
     from track_range.tracking.tracker import ObjectTracker
 
 
-class RunOptions(TypedDict, total=False):
+class PipelineKeywords(TypedDict, total=False):
+    """Options of detection, tracking and ranging by keyword; None = not given."""
+
+'''
+
+RUN_HEAD = '''
+
+class RunKeywords(PipelineKeywords, total=False):
     """Options of a run by keyword; None = not given."""
 
 '''
@@ -43,6 +51,7 @@ ALSO = {
     "min_score": "float",
     "ego_speed": "float",
     "names": "Sequence[str]",
+    "rig": "StereoRig",
 }
 """What else Python gives for an option."""
 
@@ -50,8 +59,10 @@ ALSO = {
 def main() -> None:
     """Write the file, or exit with an error if it differs."""
     types = {keyword: _type(name) for keyword, name in RunSettings.keywords().items() if name not in ("mono", "stereo")}
-    lines = [f"    {keyword}: {kind}" for keyword, kind in {**types, "progress": "bool | Console"}.items()]
-    text = HEAD + "\n".join(lines) + "\n"
+    lines = {keyword: f"    {keyword}: {kind}\n" for keyword, kind in {**types, "progress": "bool | Console"}.items()}
+    shared = [keyword for keyword in PipelineOptions.keywords() if keyword not in ("align", "detections")]
+    of_run = [keyword for keyword in lines if keyword not in shared]
+    text = "".join([HEAD, *(lines[name] for name in shared), RUN_HEAD, *(lines[name] for name in of_run)])
     if "--check" not in sys.argv:
         FILE.write_text(text, encoding="utf-8")
     elif text != FILE.read_text(encoding="utf-8"):

@@ -76,7 +76,7 @@ class MethodContext:
     camera: PinholeCamera
     rig: StereoRig | None = None
     assumed_rig: StereoRig | None = None
-    alignment: Alignment = field(default_factory=Alignment)
+    alignment: AlignmentSource = field(default_factory=Alignment)
     drifting_alignment: AlignmentSource | None = None
     focal_sigma: float = 0.0
     size_model: SizeModel | None = None

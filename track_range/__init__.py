@@ -63,6 +63,10 @@ if TYPE_CHECKING:
     from track_range.results.events.files import read_events as read_events
     from track_range.results.writers import WriterError as WriterError
     from track_range.results.writers import register_writer as register_writer
+    from track_range.run.pipeline import FrameError as FrameError
+    from track_range.run.pipeline import MonoPipeline as MonoPipeline
+    from track_range.run.pipeline import Pipeline as Pipeline
+    from track_range.run.pipeline import StereoPipeline as StereoPipeline
     from track_range.run.run import Run as Run
     from track_range.run.settings import RunSettings as RunSettings
     from track_range.stereo.alignment.file import load_alignment as load_alignment
@@ -83,6 +87,9 @@ if TYPE_CHECKING:
 _MODULE_OF = {
     # a run
     "Run": "run.run",
+    "Pipeline": "run.pipeline",
+    "StereoPipeline": "run.pipeline",
+    "MonoPipeline": "run.pipeline",
     "RunSettings": "run.settings",
     "FrameResult": "pipeline.frame_result",
     "TrackedObject": "pipeline.frame_result",
@@ -138,6 +145,7 @@ _MODULE_OF = {
     "UserError": "foundation.errors",
     "ConfigError": "foundation.errors",
     "UsageError": "foundation.errors",
+    "FrameError": "run.pipeline",
     "VideoError": "recording.frame",
     "RigError": "stereo.geometry.rig",
     "ModelError": "detection.models.onnx_session",

@@ -131,7 +131,7 @@ def open_recording(
     left: str | VideoName | Sequence[str | Path],
     right: str | VideoName | Sequence[str | Path] | None = None,
     *,
-    rig: str | Path | None = None,
+    rig: str | Path | StereoRig | None = None,
     focal_px: float | None = None,
     fov_deg: float | None = None,
     yaw_deg: float = 0.0,
@@ -150,7 +150,8 @@ def open_recording(
         left: video file, several files of one recording, folder of such files or of numbered images, camera (0,
             /dev/video0) or stream (rtsp://...).
         right: the same; None = one camera.
-        rig: calibration file: rig.yaml, KITTI's calib.txt, OpenCV's or Kalibr's; None = one next to `left`, if any.
+        rig: calibration file: rig.yaml, KITTI's calib.txt, OpenCV's or Kalibr's; or the models of two cameras, of which
+            one video has the left one; None = a file next to `left`, if any.
         focal_px: focal length of cameras without a calibration file.
         fov_deg: horizontal field of view, 20 to 120 degrees, to which the images of wide lenses are undistorted; None =
             that of the lens, up to 120 degrees.
@@ -198,7 +199,11 @@ def open_recording(
             source = _paired(*videos)
             on_error.callback(source.close)
         calibration = find_calibration(
-            left, videos, rig=None if rig is None else Path(rig), focal_px=focal_px, view=LensView(fov_deg, yaw_deg)
+            left,
+            videos,
+            rig=Path(rig) if isinstance(rig, str) else rig,
+            focal_px=focal_px,
+            view=LensView(fov_deg, yaw_deg),
         )
         monitors: tuple[Monitor, ...] = ()
         if isinstance(source, VideoPair) and calibration.rig is not None:

@@ -17,6 +17,7 @@ from track_range.detection.formats.detection_files import RecordedDetections, re
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.arrays import IntArray
 from track_range.recording.recording import Recording
+from track_range.run.options.detection import DetectionOptions
 from track_range.run.options.detector_options import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.frames import Frame
@@ -73,6 +74,15 @@ def open_box_source(
     class_id = tuple(int(i) for i in road_class_ids(settings.classes))
     if settings.detections is not None:
         return _recorded(settings.detections, class_id, recording)
+    return network_source(settings, ready_model, opened)
+
+
+def network_source(
+    settings: DetectionOptions,
+    ready_model: Callable[[str], Path],
+    opened: Callable[[Path, DetectorOptions], YoloDetector],
+) -> BoxSource:
+    """The detector of the settings; see `open_box_source`."""
     path = ready_model(settings.detector or "")
     network = opened(path, DetectorOptions.of(settings))
     detector: ObjectDetector = network

@@ -18,12 +18,13 @@ from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.registry import create_rangers, method_notes
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.ranging.warning.collision_warning import CollisionWarning
+from track_range.recording.cameras.calibration import RecordingCalibration
 from track_range.recording.recording import Recording, open_recording
-from track_range.recording.telemetry.speed_source import AUTO
 from track_range.run.box_source import BoxSource
 from track_range.run.options.tracker_options import open_tracker_options
-from track_range.run.settings import RunSettings
-from track_range.stereo.alignment.model import Alignment
+from track_range.run.settings import PipelineOptions, RunSettings
+from track_range.stereo.alignment.model import Alignment, AlignmentSource
+from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import Odometry
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
@@ -38,13 +39,13 @@ _SIDE_VIEW = (
 """Note of a run with a view to the side, along whose axis the vehicle does not drive."""
 
 
-def open_input(settings: RunSettings, progress: StepProgress = no_progress) -> Recording:
-    """The recording of the settings; raises the errors of `open_recording`."""
+def open_input(settings: RunSettings, progress: StepProgress = no_progress, rig: StereoRig | None = None) -> Recording:
+    """The recording of the settings; `rig` replaces their calibration. Raises the errors of `open_recording`."""
     left, right = settings.stereo or (settings.left, None)
     return open_recording(
         left,
         right,
-        rig=settings.rig,
+        rig=rig or settings.rig,
         focal_px=settings.focal_px,
         fov_deg=settings.fov_deg,
         yaw_deg=settings.yaw_deg,
@@ -59,40 +60,47 @@ def open_input(settings: RunSettings, progress: StepProgress = no_progress) -> R
 
 
 def open_pipeline(
-    settings: RunSettings,
-    source: Recording,
+    settings: PipelineOptions,
+    calibration: RecordingCalibration,
     boxes: BoxSource,
     size_model: SizeModel,
     *,
     tracker: ObjectTracker | None = None,
+    alignment: AlignmentSource | None = None,
     ego_speed: EgoSpeed | None = None,
+    measures_speed: bool = True,
+    needs_candidates: bool = False,
 ) -> FramePipeline:
-    """The pipeline of the settings, with the methods that the source allows.
+    """The pipeline of the settings, with the methods that the calibration allows.
 
     Args:
-        settings: of the run.
-        source: the opened recording.
+        settings: of detection, tracking and ranging.
+        calibration: of the frames.
         boxes: source of the detections.
         size_model: size model of the mono method.
         tracker: replaces the tracker of the settings.
-        ego_speed: speed of the camera; None = unknown, and measured from the images where a scale is known.
+        alignment: replaces that of the calibration.
+        ego_speed: speed of the camera; None = unknown.
+        measures_speed: whether an unknown speed is measured from the images where a scale is known.
+        needs_candidates: whether results have all boxes, for anonymization.
 
     Raises:
         ModelError: the re-identification or lane network cannot be used.
         TrackerError: the tracker cannot be created.
         MethodError: ranging methods of other packages depend on each other in a cycle.
     """
-    is_ahead = settings.yaw_deg == 0
+    yaw_deg, aligned = calibration.view.yaw_deg, calibration.alignment
+    is_ahead = yaw_deg == 0
     runtime = Runtime(n_threads=settings.threads, device=settings.device)
     context = MethodContext(
-        camera=source.camera,
-        rig=source.rig,
-        assumed_rig=source.calibration.assumed_rig,
-        alignment=source.calibration.alignment.applied.after_shift() if source.calibration.alignment else Alignment(),
-        drifting_alignment=source.calibration.alignment.drifting if source.calibration.alignment else None,
-        focal_sigma=source.calibration.focal_sigma,
+        camera=calibration.camera,
+        rig=calibration.rig,
+        assumed_rig=calibration.assumed_rig,
+        alignment=alignment or (aligned.applied.after_shift() if aligned else Alignment()),
+        drifting_alignment=alignment or (aligned.drifting if aligned else None),
+        focal_sigma=calibration.focal_sigma,
         size_model=size_model,
-        camera_height_m=settings.camera_height_m or source.calibration.camera_height_m,
+        camera_height_m=settings.camera_height_m or calibration.camera_height_m,
         lane_width_m=settings.lane_width_m,
         has_visible_boxes=settings.detections is None,
         has_lane_lines=settings.lanes != "off" and is_ahead,
@@ -101,22 +109,23 @@ def open_pipeline(
         runtime=runtime,
     )
     flow = BackgroundFlow()
-    road_motion = GroundOdometry(source.camera, context.camera_height_m or GroundSettings().height_m, flow=flow)
+    road_motion = GroundOdometry(calibration.camera, context.camera_height_m or GroundSettings().height_m, flow=flow)
     tracker_options = replace(open_tracker_options(settings.reid, runtime), flow=flow)
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
-    measures_speed = settings.ego_speed == AUTO and ego_speed is None and is_ahead
     return FramePipeline(
-        camera=source.camera,
+        camera=calibration.camera,
         detection=DetectionStage(
             detect=boxes.detect,
             prepare=boxes.prepare,
-            candidates=boxes.candidates if settings.anonymize else None,
+            candidates=boxes.candidates if needs_candidates else None,
             lane_finder=open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None,
         ),
         tracker=tracker or create_tracker(settings.tracker, tracker_options),
         ego=EgoStage(
-            speed=ego_speed if ego_speed is None or is_ahead else ego_speed.along(settings.yaw_deg),
-            odometry=_odometry(context, flow, road_motion) if measures_speed else None,
+            speed=ego_speed if ego_speed is None or is_ahead else ego_speed.along(yaw_deg),
+            odometry=_odometry(context, flow, road_motion)
+            if measures_speed and ego_speed is None and is_ahead
+            else None,
             road_motion=road_motion if is_ahead else None,
             camera_height=CameraHeight(road_motion.height_m) if context.camera_height_m is None else None,
         ),

@@ -1,4 +1,4 @@
-"""Keyword arguments of `Run.mono` and `Run.stereo`, for type checkers; written by `.ci/run_options.py`."""
+"""Keyword arguments of `Run` and `Pipeline`, for type checkers; written by `.ci/run_options.py`."""
 
 from __future__ import annotations
 
@@ -10,29 +10,16 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from track_range.detection.detector import ObjectDetector
+    from track_range.stereo.geometry.rig import StereoRig
     from track_range.tracking.tracker import ObjectTracker
 
 
-class RunOptions(TypedDict, total=False):
-    """Options of a run by keyword; None = not given."""
+class PipelineKeywords(TypedDict, total=False):
+    """Options of detection, tracking and ranging by keyword; None = not given."""
 
-    topics: str | Sequence[str] | None
-    rig: str | Path | None
-    focal_px: float | None
-    fov_deg: float | None
-    yaw_deg: float | None
-    start: float | None
-    start_s: float | None
-    duration: float | None
-    duration_s: float | None
-    folder_fps: float | None
-    start_utc: str | None
-    ego_speed: str | Path | float | None
-    truth: str | Path | None
     detector: str | Path | ObjectDetector | None
     classes: str | Sequence[str] | None
     min_score: str | float | None
-    detections: str | Path | None
     names: str | Path | Sequence[str] | None
     anchors: str | None
     letterbox: str | None
@@ -47,10 +34,29 @@ class RunOptions(TypedDict, total=False):
     sgbm_options: Mapping[str, Any] | None
     warning_options: Mapping[str, Any] | None
     event_options: Mapping[str, Any] | None
-    align: str | Path | None
     lanes: str | Path | None
     lane_width_m: float | None
     camera_height_m: float | None
+
+
+class RunKeywords(PipelineKeywords, total=False):
+    """Options of a run by keyword; None = not given."""
+
+    topics: str | Sequence[str] | None
+    rig: str | Path | StereoRig | None
+    focal_px: float | None
+    fov_deg: float | None
+    yaw_deg: float | None
+    start: float | None
+    start_s: float | None
+    duration: float | None
+    duration_s: float | None
+    folder_fps: float | None
+    start_utc: str | None
+    ego_speed: str | Path | float | None
+    truth: str | Path | None
+    detections: str | Path | None
+    align: str | Path | None
     out: str | Path | None
     write: str | Sequence[str] | None
     anonymize: bool | None

@@ -33,7 +33,7 @@ from track_range.run.pictures import overlay_picture
 from track_range.run.progress import frame_progress
 from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings
-from track_range.run.settings_files import settings_from
+from track_range.run.settings_files import options_and_objects, settings_from
 from track_range.views.overlay.result_video import Draw
 
 if TYPE_CHECKING:
@@ -41,9 +41,10 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from track_range.detection.detector import ObjectDetector
+    from track_range.recording.pairs.auto_alignment import PairAlignment
     from track_range.results.events.event import Event
     from track_range.run.opened_detectors import OpenedDetectors
-    from track_range.run.option_types import RunOptions
+    from track_range.run.option_types import RunKeywords
     from track_range.stereo.geometry.camera import PinholeCamera
     from track_range.stereo.geometry.rig import StereoRig
     from track_range.tracking.tracker import ObjectTracker
@@ -73,6 +74,7 @@ class Run:
         *,
         detector: ObjectDetector | None = None,
         tracker: ObjectTracker | None = None,
+        rig: StereoRig | None = None,
         progress: bool | Console = False,
         opened_detectors: OpenedDetectors | None = None,
     ) -> None:
@@ -82,19 +84,22 @@ class Run:
             settings: settings of the run; files are written if `out` is set.
             detector: an object with `detect(image) -> Detections`, instead of the model of the settings.
             tracker: an object with `update(detections, time_s, image) -> Tracks`, instead of that in the settings.
+            rig: models of the cameras, instead of a calibration file.
             progress: whether to show progress bars (also in a notebook), or the Rich console to show them on.
             opened_detectors: detectors that are used again instead of being opened for this run; None = none.
 
         Raises:
-            ConfigError: both a detector and recorded detections are given.
+            ConfigError: both a detector and recorded detections are given, or a rig and a focal length.
         """
+        if rig is not None and settings.focal_px is not None:
+            raise ConfigError("give rig or focal_px, not both.")
         if detector is not None and settings.detections is not None:
             raise ConfigError("expected either a detector or detections, got both.")
         # objects are recorded in settings.yaml by their class, as module:Class
         objects = {"detector": detector, "tracker": tracker}
         named = {key: _class_name(value) for key, value in objects.items() if value is not None}
         self.settings = settings.model_copy(update=named)
-        self._detector, self._tracker = detector, tracker
+        self._detector, self._tracker, self._rig = detector, tracker, rig
         self._open_detector = opened_detectors or open_detector
         self._console = progress if isinstance(progress, Console) else Console(quiet=not progress)
         self._folder: Path | None = settings.out
@@ -111,7 +116,7 @@ class Run:
         cls,
         left: str | Path | Sequence[str | Path],
         right: str | Path | Sequence[str | Path] | None = None,
-        **options: Unpack[RunOptions],
+        **options: Unpack[RunKeywords],
     ) -> Self:
         """A run on the videos, image folders or streams of two cameras.
 
@@ -120,7 +125,7 @@ class Run:
             right: recording of the right camera; None = `left` is a bag, with `topics=("/left", "/right")`.
             options: options of `track-range run`, with underscores: `rig="rig.yaml"`, `detector="yolov5n.onnx"`,
                 `align="off"`, `sgbm=False`, `out="results"`. `detector` and `tracker` may also be objects with
-                `detect` and `update`, `progress` shows progress bars.
+                `detect` and `update`, `rig` a `StereoRig`; `progress` shows progress bars.
 
         Raises:
             ConfigError: an option is unknown or invalid, or contradicts another one.
@@ -129,7 +134,7 @@ class Run:
         return cls._of({"stereo": tuple(_video(side) for side in sides)}, {**options})
 
     @classmethod
-    def mono(cls, video: str | Path | Sequence[str | Path], **options: Unpack[RunOptions]) -> Self:
+    def mono(cls, video: str | Path | Sequence[str | Path], **options: Unpack[RunKeywords]) -> Self:
         """A run on the video, image folder or stream of one camera; see `stereo` for the options.
 
         A list contains the files of one recording: `Run.mono(["0001.mp4", "0002.mp4"], focal_px=1150)`.
@@ -142,13 +147,9 @@ class Run:
     @classmethod
     @KeywordsInErrors(RunSettings)
     def _of(cls, source: Mapping[str, Any], options: Mapping[str, Any]) -> Self:
-        objects = {"progress": options.get("progress", False)}
-        for name, method in (("detector", "detect"), ("tracker", "update")):
-            if hasattr(options.get(name), method):
-                objects[name] = options[name]
-        keywords = RunSettings.keywords()
-        values = {keywords.get(name, name): options[name] for name in options if name not in objects}
-        return cls(settings_from({**source, **values}), **objects)
+        values, objects = options_and_objects(RunSettings, options)
+        progress = values.pop("progress", False)
+        return cls(settings_from({**source, **values}), **objects, progress=progress)
 
     # -- open -----------------------------------------------------------------------------------------------------
 
@@ -166,6 +167,7 @@ class Run:
                     self.settings,
                     detector=self._detector,
                     tracker=self._tracker,
+                    rig=self._rig,
                     open_detector=self._open_detector,
                     console=self._console,
                     report=output.report,
@@ -301,6 +303,11 @@ class Run:
     def rig(self) -> StereoRig | None:
         """Rectified stereo rig; None for one camera, or without calibration."""
         return self.session.recording.rig
+
+    @property
+    def alignment(self) -> PairAlignment | None:
+        """The alignment of a calibrated pair, which `Pipeline.stereo(align=...)` takes; None = other recordings."""
+        return self.session.recording.calibration.alignment
 
     @property
     def uncalibrated_video(self) -> str | None:

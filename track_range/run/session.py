@@ -22,7 +22,7 @@ from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
 from track_range.pipeline.throughput import FrameMeter
 from track_range.ranging.evaluation.truth import read_truth
 from track_range.ranging.size_models.curve import load_curves
-from track_range.recording.telemetry.speed_source import open_speed
+from track_range.recording.telemetry.speed_source import AUTO, open_speed
 from track_range.results.columns import Columns
 from track_range.results.events.finder import EventFinder
 from track_range.results.events.summary import events_section
@@ -41,6 +41,7 @@ from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
 from track_range.run.settings import RunSettings
 from track_range.run.settings_files import absolute_settings, input_files, unused_options, without_folders
+from track_range.stereo.geometry.rig import StereoRig
 from track_range.tracking.evaluation.frame_shift import frame_shift_note
 from track_range.tracking.tracker import ObjectTracker
 
@@ -65,6 +66,7 @@ class RunSession:
         settings: settings of the run.
         detector: detector object; None = the model or the file of the settings.
         tracker: tracker object; None = that of the settings.
+        rig: models of the cameras; None = the calibration of the settings.
         open_detector: returns the detector of a file and options.
         console: for progress bars.
         report: called with the name of each task of the opening.
@@ -93,6 +95,7 @@ class RunSession:
         *,
         detector: ObjectDetector | None,
         tracker: ObjectTracker | None,
+        rig: StereoRig | None,
         open_detector: Callable[[Path, DetectorOptions], YoloDetector],
         console: Console,
         report: Callable[[str], None],
@@ -106,7 +109,7 @@ class RunSession:
         self.frame_notes: tuple[str, ...] = ()
         curves = load_curves(settings.curves)
         start_s = time.perf_counter()
-        self.recording = open_input(settings, progress)
+        self.recording = open_input(settings, progress, rig)
         alignment = self.recording.calibration.alignment
         self.wall_s = time.perf_counter() - start_s - (alignment.estimation_s if alignment else 0.0)
         with ExitStack() as on_error:
@@ -129,7 +132,14 @@ class RunSession:
                 folder_fps=settings.folder_fps,
             )
             self.pipeline = open_pipeline(
-                settings, self.recording, self.box_source, curves, tracker=tracker, ego_speed=self.speed.ego
+                settings,
+                calibration,
+                self.box_source,
+                curves,
+                tracker=tracker,
+                ego_speed=self.speed.ego,
+                measures_speed=settings.ego_speed == AUTO,
+                needs_candidates=settings.anonymize,
             )
             on_error.pop_all()
         self.rows = RunRows(fps=self.recording.fps, finder=EventFinder(settings.event_settings))

@@ -17,7 +17,11 @@ from track_range.run.options.ranging import RangingOptions
 
 
 # pydantic lists the fields of the last base first
-class RunSettings(OutputOptions, RangingOptions, TrackingOptions, DetectionOptions, InputOptions):
+class PipelineOptions(RangingOptions, TrackingOptions, DetectionOptions):
+    """Options of what happens to a frame, whether it comes from a file or from memory."""
+
+
+class RunSettings(OutputOptions, PipelineOptions, InputOptions):
     """All settings that determine the results of a run: options of `track-range run` and keys of settings.yaml."""
 
     @model_validator(mode="after")

@@ -16,7 +16,7 @@ from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.output_files import write_text
 from track_range.foundation.files.structured_text import read_yaml, yaml_text
-from track_range.foundation.options import is_file, option_of, value_type
+from track_range.foundation.options import Options, is_file, option_of, value_type
 from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.foundation.validation import first_problem
 from track_range.recording.live.address import live_address
@@ -24,7 +24,7 @@ from track_range.recording.names import VideoName, files_of
 from track_range.results.provenance import settings_hash
 from track_range.run.options.detection import DetectionOptions
 from track_range.run.options.input import plain_name
-from track_range.run.settings import RunSettings
+from track_range.run.settings import PipelineOptions, RunSettings
 
 _FILES = RunSettings.fields_where(is_file)
 _INPUT_FILES = _FILES - RunSettings.fields_where(lambda field: option_of(field).is_output)
@@ -52,6 +52,26 @@ def settings_from(options: Mapping[str, Any], file: Path | None = None) -> RunSe
     if base.get("anonymize"):
         _check_anonymized(settings, [key for key in base if key not in given], file)
     return settings
+
+
+def options_and_objects(model: type[Options], options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Keywords of Python as values by field of `model`, and the detector, tracker and rig that are objects."""
+    kinds = {"detector": "detect", "tracker": "update", "rig": "right_from_left"}
+    objects = {name: options[name] for name, method in kinds.items() if hasattr(options.get(name), method)}
+    keywords = model.keywords()
+    return {keywords.get(name, name): value for name, value in options.items() if name not in objects}, objects
+
+
+def pipeline_options(values: Mapping[str, Any]) -> PipelineOptions:
+    """Options of detection, tracking and ranging from values by field; None = not given.
+
+    Raises:
+        ConfigError: an option is unknown or invalid.
+    """
+    try:
+        return PipelineOptions.of(values)
+    except UsageError as error:
+        raise ConfigError(str(error)) from error
 
 
 def _check_anonymized(settings: RunSettings, keys: list[str], file: Path | None) -> None:

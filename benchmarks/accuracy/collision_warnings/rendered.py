@@ -15,7 +15,7 @@ from track_range.evaluation.events.contacts import read_contacts
 from track_range.evaluation.events.scores import contact_scores, is_warning
 from track_range.foundation.arrays import FloatArray
 from track_range.results.events.event import Event
-from track_range.run.option_types import RunOptions
+from track_range.run.option_types import RunKeywords
 from track_range.run.run import Run
 from track_range.simulation.boxes.true_boxes import TrueBoxes, true_boxes
 from track_range.simulation.world.scenarios import make_scenario
@@ -82,7 +82,7 @@ def real_warnings(**source: Any) -> list[Event]:
 def run_of(drive: ConflictDrive, *, is_stereo: bool) -> Run:
     """A run on a rendered drive with its stored boxes."""
     files = drive.files
-    options: RunOptions = {
+    options: RunKeywords = {
         "detector": drive.detector(),
         "ego_speed": files.ego_speed,
         "rig": files.rig,

@@ -177,15 +177,18 @@ class RecordingCalibration:
         """
         images = (left.image,) if right is None else (left.image, right.image)
         cut = [image[:height_px, :width_px] for image, (width_px, height_px) in zip(images, self.sizes_px, strict=True)]
+        time_s = left.time_s - first_s
+        return self.frame_of(cut, left.index, time_s, math.nan if start is None else start.start_s + time_s)
+
+    def frame_of(self, images: Sequence[Image], index: int, time_s: float, utc_s: float = math.nan) -> Frame:
+        """The images of one or two cameras, of `sizes_px`, rectified (one camera: undistorted)."""
         left_image: Image
         right_image: ImageView | None
         if isinstance(self.rectifier, Undistorter):
-            left_image, right_image = self.rectifier.undistort(cut[0]), None
+            left_image, right_image = self.rectifier.undistort(images[0]), None
         else:
-            left_image, right_image = self.rectifier.rectify(cut[0], cut[1])
-        time_s = left.time_s - first_s
-        utc_s = math.nan if start is None else start.start_s + time_s
-        return Frame(left.index, time_s, left_image, right_image, utc_s, cut[0] if self.has_wide_lens else None)
+            left_image, right_image = self.rectifier.rectify(images[0], images[1])
+        return Frame(index, time_s, left_image, right_image, utc_s, images[0] if self.has_wide_lens else None)
 
     def with_alignment(self, alignment: PairAlignment) -> RecordingCalibration:
         """A copy with the alignment of the pair; its right view and shift, if any, become part of the rectification."""
@@ -220,20 +223,41 @@ class RecordingCalibration:
 
 
 def find_calibration(
-    left: VideoName, videos: Sequence[Video], *, rig: Path | None, focal_px: float | None, view: LensView = WHOLE_VIEW
+    left: VideoName,
+    videos: Sequence[Video],
+    *,
+    rig: Path | StereoRig | None,
+    focal_px: float | None,
+    view: LensView = WHOLE_VIEW,
 ) -> RecordingCalibration:
     """The calibration of one or two opened videos, left first.
 
-    It comes from the file `rig`, the focal length, the bag, or a file next to `left`; the first of these is used.
-    Without any of these, the focal length is estimated, and the distances are uncalibrated. Images of wide lenses are
-    undistorted to `view`.
+    It comes from `rig`, a file or a model of the cameras, the focal length, the bag, or a file next to `left`; the
+    first of these is used. Without any of these, the focal length is estimated, and the distances are uncalibrated.
+    Images of wide lenses are undistorted to `view`.
 
     Raises:
         RigError: the file cannot be used or does not fit the images; or there is a field of view, but no wide lens.
         VideoError: the videos of an uncalibrated pair differ in size.
     """
-    sizes_px = _cropped_sizes_px(videos)
-    calibration = _found_calibration(left, videos, sizes_px, rig, focal_px, view)
+    calibration = _found_calibration(left, videos, _cropped_sizes_px(videos), rig, focal_px, view)
+    return _with_view(calibration, view)
+
+
+def calibration_of(
+    cameras: Path | StereoRig | PinholeCamera, sizes_px: Sizes, view: LensView = WHOLE_VIEW, *, is_grey: bool = False
+) -> RecordingCalibration:
+    """The calibration of one camera or a pair, for images of one or two sizes, from a file or from camera models.
+
+    Raises:
+        RigError: the file cannot be used, the cameras do not fit the images, or as `find_calibration`.
+    """
+    if isinstance(cameras, Path):
+        return _with_view(_loaded(cameras, sizes_px, view, is_grey=is_grey), view)
+    return _with_view(_of_models(cameras, None, sizes_px, view), view)
+
+
+def _with_view(calibration: RecordingCalibration, view: LensView) -> RecordingCalibration:
     if view != WHOLE_VIEW and not calibration.has_wide_lens:
         raise RigError(
             "--fov-deg, --yaw-deg: expected a calibration with a wide lens (kannala-brandt, double-sphere or omni), "
@@ -251,8 +275,15 @@ def _cropped_sizes_px(videos: Sequence[Video]) -> Sizes:
 
 
 def _found_calibration(
-    left: VideoName, videos: Sequence[Video], sizes_px: Sizes, rig: Path | None, focal_px: float | None, view: LensView
+    left: VideoName,
+    videos: Sequence[Video],
+    sizes_px: Sizes,
+    rig: Path | StereoRig | None,
+    focal_px: float | None,
+    view: LensView,
 ) -> RecordingCalibration:
+    if isinstance(rig, StereoRig):
+        return _of_models(rig, None, sizes_px, view)
     if rig is None and focal_px is None and (in_bag := _calibration_in_bag(videos, sizes_px, view)) is not None:
         return in_bag
     first_file = next(iter(files_of(left)), None) if rig is None and focal_px is None else None
@@ -316,21 +347,33 @@ def _calibration_in_bag(videos: Sequence[Video], sizes_px: Sizes, view: LensView
     path = bags[0].path.path
     is_rectified = all(bag.is_rectified or is_undistorted(message) for bag, message in zip(bags, messages, strict=True))
     if len(messages) == 1:
-        camera, notes = fitted_to_size(camera_of(messages[0], path, is_rectified=is_rectified), sizes_px[0], path)
-        check_camera(camera, path)
+        return _of_models(camera_of(messages[0], path, is_rectified=is_rectified), path, sizes_px, view)
+    return _of_models(rig_of(messages[0], messages[1], path, is_rectified=is_rectified), path, sizes_px, view)
+
+
+def _of_models(
+    given: StereoRig | PinholeCamera, path: Path | None, sizes_px: Sizes, view: LensView
+) -> RecordingCalibration:
+    """The calibration of one camera, the left one of a rig, or of a pair; `path` is the file with the models."""
+    source = path or "rig"
+    if len(sizes_px) == 1:
+        one = given.left if isinstance(given, StereoRig) else given
+        camera, notes = fitted_to_size(one, sizes_px[0], source)
+        check_camera(camera, source)
         return _of_camera(camera, path, notes, sizes_px, view)
-    given = rig_of(messages[0], messages[1], path, is_rectified=is_rectified)
-    check_rig(given, path)
-    left, left_notes = fitted_to_size(given.left, sizes_px[0], f"{path} (left)")
-    right, right_notes = fitted_to_size(given.right, sizes_px[1], f"{path} (right)")
+    if isinstance(given, PinholeCamera):
+        raise RigError(f"{source}: expected a rig of two cameras, found one camera.")
+    check_rig(given, source)
+    left, left_notes = fitted_to_size(given.left, sizes_px[0], f"{source} (left)")
+    right, right_notes = fitted_to_size(given.right, sizes_px[1], f"{source} (right)")
     rig = StereoRig(left, right, given.right_from_left)
     return _of_rig(rig, path, (*left_notes, *right_notes), sizes_px, view)
 
 
 def _of_rig(
-    rig: StereoRig, path: Path, notes: tuple[str, ...], sizes_px: Sizes, view: LensView
+    rig: StereoRig, path: Path | None, notes: tuple[str, ...], sizes_px: Sizes, view: LensView
 ) -> RecordingCalibration:
-    rectifier = Rectifier(rig, fov_deg=view.fov_deg, source=path)
+    rectifier = Rectifier(rig, fov_deg=view.fov_deg, source=path or "rig")
     return RecordingCalibration(
         kind="rig",
         camera=rectifier.rig.left,
@@ -345,7 +388,7 @@ def _of_rig(
 
 
 def _of_camera(
-    camera: PinholeCamera, path: Path, notes: tuple[str, ...], sizes_px: Sizes, view: LensView
+    camera: PinholeCamera, path: Path | None, notes: tuple[str, ...], sizes_px: Sizes, view: LensView
 ) -> RecordingCalibration:
     undistorter = Undistorter(camera, fov_deg=view.fov_deg, yaw_deg=view.yaw_deg)
     return RecordingCalibration(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,20 @@ class PairAlignment:
     rig: StereoRig | None = None
     drifting: DriftingAlignment | None = None
     estimation_s: float = 0.0
+
+    @classmethod
+    def of_drive(cls, drive: DriveAlignment, rig: StereoRig) -> PairAlignment:
+        """The alignment estimated from the frames of a drive, applied if it is significant."""
+        start_s = time.perf_counter()
+        measured, windows = drive.estimate(), drive.windows()
+        drifting = DriftingAlignment(measured.if_clear(), measured, windows) if measured.is_measured else None
+        return cls(
+            measured=measured,
+            is_applied=measured.is_clear,
+            rig=rig,
+            drifting=drifting,
+            estimation_s=time.perf_counter() - start_s,
+        )
 
     @property
     def applied(self) -> Alignment:
@@ -91,8 +105,23 @@ class PairAlignment:
         }
 
 
+def given_alignment(align: str | Path | Alignment | PairAlignment, rig: StereoRig) -> PairAlignment | None:
+    """The alignment of a file or an object, or none ("off"); None = to be estimated ("auto").
+
+    Raises:
+        RigError: the file cannot be used.
+    """
+    if isinstance(align, PairAlignment):
+        return align
+    if isinstance(align, Alignment):
+        return PairAlignment(measured=align, is_applied=True, rig=rig)
+    if align == "off":
+        return PairAlignment(measured=Alignment(source="off, as requested"), is_applied=False, rig=rig)
+    return None if align == "auto" else PairAlignment(measured=load_alignment(align), is_applied=True, rig=rig)
+
+
 def find_alignment(
-    align: str | Path | Alignment,
+    align: str | Path | Alignment | PairAlignment,
     rig: StereoRig,
     frames: Generator[Frame, None, None],
     progress: StepProgress = no_progress,
@@ -100,7 +129,8 @@ def find_alignment(
     """The alignment of a calibrated pair.
 
     Args:
-        align: "auto" = estimated from the drive's first frames; "off" = none; an alignment file; or an alignment.
+        align: "auto" = estimated from the drive's first frames; "off" = none; an alignment file; or an
+            alignment, such as that of a run.
         rig: the rectified pair.
         frames: the rectified frames of the first `ESTIMATION_SPAN_S`; as many are read as the estimation needs.
         progress: shows the progress of the estimation.
@@ -109,12 +139,8 @@ def find_alignment(
         RigError: the file cannot be used.
         Errors of `frames`.
     """
-    if isinstance(align, Alignment):
-        return PairAlignment(measured=align, is_applied=True, rig=rig)
-    if align == "off":
-        return PairAlignment(measured=Alignment(source="off, as requested"), is_applied=False, rig=rig)
-    if align != "auto":
-        return PairAlignment(measured=load_alignment(align), is_applied=True, rig=rig)
+    if (given := given_alignment(align, rig)) is not None:
+        return given
     began_s = time.perf_counter()
     drive, first_s = DriveAlignment(rig), math.nan
     with progress("estimating the alignment") as advance:
@@ -124,14 +150,5 @@ def find_alignment(
             drive.add(frame)
             if drive.is_full:
                 break
-        measured = drive.estimate()
-        windows = drive.windows()
-    applied = measured.if_clear()
-    drifting = DriftingAlignment(applied, measured, windows) if measured.is_measured else None
-    return PairAlignment(
-        measured=measured,
-        is_applied=measured.is_clear,
-        rig=rig,
-        drifting=drifting,
-        estimation_s=time.perf_counter() - began_s,
-    )
+        estimated = PairAlignment.of_drive(drive, rig)
+    return replace(estimated, estimation_s=time.perf_counter() - began_s)

@@ -78,6 +78,16 @@ class EventFinder:
         self._close(math.inf)
         return tuple(sorted(self._ended, key=lambda event: event.start_s))
 
+    def so_far(self) -> tuple[Event, ...]:
+        """Events that have ended and those in progress that count, in the order of their starts."""
+        in_progress = (self._event(event) for event in self._open if self._counts(event))
+        return tuple(sorted((*self._ended, *in_progress), key=lambda event: event.start_s))
+
+    def forget(self, before_s: float) -> None:
+        """Drop the events that ended before a time, so that memory is bounded."""
+        self._ended = [event for event in self._ended if event.end_s >= before_s]
+        self._alarms = [alarm for alarm in self._alarms if alarm.last_s >= before_s]
+
     def _close(self, time_s: float) -> tuple[Event, ...]:
         """End the events that have been interrupted for too long."""
         over = [event for event in self._open if time_s - event.last_s > self.settings.max_gap_s]

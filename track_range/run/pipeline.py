@@ -1,0 +1,366 @@
+"""Pipeline: everything that a run does with a frame, for frames in memory: of a driver, a robot or a ROS node.
+
+    check the images -> rectify -> FramePipeline.step -> rows and events -> alignment for the next frame
+
+Nothing is read ahead: the alignment of a pair is estimated while the frames come (`StepwiseAlignment`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import cv2
+import numpy as np
+from rich.console import Console
+
+from track_range.detection.detector import ObjectDetector
+from track_range.foundation.arrays import Image
+from track_range.foundation.errors import ConfigError, UserError
+from track_range.foundation.keywords import KeywordsInErrors
+from track_range.pipeline.frame_pipeline import FramePipeline
+from track_range.pipeline.frame_result import FrameResult
+from track_range.ranging.ego_speed import TABLE_SIGMA_MPS
+from track_range.ranging.size_models.curve import load_curves
+from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
+from track_range.recording.pairs.auto_alignment import PairAlignment, given_alignment
+from track_range.recording.pairs.pair_monitor import PairMonitor
+from track_range.recording.pairs.stepwise_alignment import StepwiseAlignment
+from track_range.results.events.event import Event
+from track_range.results.events.finder import EventFinder
+from track_range.results.recent_rows import RecentRows
+from track_range.run.box_source import boxes_of, network_source
+from track_range.run.build import open_pipeline
+from track_range.run.options.detector_options import open_detector
+from track_range.run.ready_model import ready_model
+from track_range.run.settings import PipelineOptions
+from track_range.run.settings_files import options_and_objects, pipeline_options
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.tracking.tracker import ObjectTracker
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    import pyarrow as pa
+
+    from track_range.run.option_types import PipelineKeywords
+
+Cameras = str | Path | StereoRig | PinholeCamera
+"""A calibration file, or the models of the cameras."""
+
+
+class FrameError(UserError, ValueError):
+    """Images or a time that a pipeline cannot use; the pipeline is as before."""
+
+
+class Pipeline:
+    """Detection, tracking, ranging, fusion, filters and warnings of one drive, frame by frame.
+
+    `Pipeline.stereo` and `Pipeline.mono` make one; it is a context manager. Results are those of `Run` with the same
+    options and alignment.
+
+    Example:
+        >>> import track_range as tr
+        >>> recording = tr.open_recording("left.mp4", "right.mp4", rig="rig.yaml", align="off")
+        >>> with tr.Pipeline.stereo(recording.rig, sgbm=False, align="off") as pipeline:
+        ...     for frame in recording.frames:
+        ...         result = pipeline.step(frame.left, frame.right[:, :], frame.time_s)
+        ...         nearest = min((t.distance_m for t in result.objects), default=None)
+        >>> pipeline.to_arrow().num_rows > 0
+        True
+        >>> recording.close()
+
+    Attributes:
+        options: options of detection, tracking and ranging.
+    """
+
+    def __init__(
+        self,
+        cameras: Cameras | float,
+        options: PipelineOptions,
+        *,
+        detector: ObjectDetector | None = None,
+        tracker: ObjectTracker | None = None,
+        align: str | Path | Alignment | PairAlignment = "auto",
+        view: LensView,
+        keep_s: float = 60.0,
+    ) -> None:
+        if not keep_s > 0:
+            raise ConfigError(f"keep_s: expected a positive number of seconds, found {keep_s}.")
+        if options.detections is not None:
+            raise ConfigError("detections: expected a detector, found recorded boxes; pass an object with detect().")
+        self.options = options
+        self._cameras, self._view, self._align = cameras, view, align
+        self._tracker = tracker
+        self._size_model = load_curves(options.curves)
+        if detector is not None:
+            self._boxes = boxes_of(detector)
+        else:
+            self._boxes = network_source(options, lambda name: ready_model(name, Console(quiet=True)), open_detector)
+        self._rows = RecentRows(keep_s, EventFinder(options.event_settings))
+        self._opened: _Opened | None = None
+        self._index, self._first_s, self._last_s = 0, math.nan, -math.inf
+
+    @classmethod
+    @KeywordsInErrors(PipelineOptions)
+    def stereo(
+        cls,
+        rig: str | Path | StereoRig,
+        *,
+        align: str | Path | Alignment | PairAlignment = "auto",
+        keep_s: float = 60.0,
+        fov_deg: float | None = None,
+        **options: Unpack[PipelineKeywords],
+    ) -> StereoPipeline:
+        """A pipeline for the images of two cameras.
+
+        Args:
+            rig: calibration file, or the models of the cameras.
+            align: correction of disparities: "auto" = estimated from the first frames in motion, "off", a file of
+                `track-range align`, or an alignment, such as `run.alignment`.
+            keep_s: time for which rows and events are kept.
+            fov_deg: horizontal field of view to which images of wide lenses are undistorted; None = that of the lens.
+            options: options of `track-range run` for detection, tracking and ranging, with underscores. `detector` and
+                `tracker` may also be objects with `detect` and `update`.
+
+        Raises:
+            ConfigError: an option is unknown or invalid.
+            RigError, ModelError, DownloadError, TrackerError: a file or network cannot be used.
+        """
+        values, objects = options_and_objects(PipelineOptions, {**options})
+        chosen, view = pipeline_options(values), LensView(fov_deg)
+        return StereoPipeline(rig, chosen, **objects, align=align, view=view, keep_s=keep_s)
+
+    @classmethod
+    @KeywordsInErrors(PipelineOptions)
+    def mono(
+        cls,
+        *,
+        focal_px: float | None = None,
+        rig: Cameras | None = None,
+        keep_s: float = 60.0,
+        fov_deg: float | None = None,
+        yaw_deg: float = 0.0,
+        **options: Unpack[PipelineKeywords],
+    ) -> MonoPipeline:
+        """A pipeline for the images of one camera; see `stereo` for the options.
+
+        Args:
+            focal_px: focal length of a camera without a calibration file; the principal point is the image centre.
+            rig: calibration file, or the model of the camera (of a pair, the left one).
+            keep_s: time for which rows and events are kept.
+            fov_deg: horizontal field of view to which images of wide lenses are undistorted; None = that of the lens.
+            yaw_deg: direction of the axis of the undistorted images of a wide lens, to the right of its own.
+            options: as `stereo`.
+
+        Raises:
+            ConfigError: an option is unknown or invalid; or not exactly one of `focal_px` and `rig` is given.
+            RigError, ModelError, DownloadError, TrackerError: a file or network cannot be used.
+        """
+        cameras = rig if focal_px is None else focal_px
+        if cameras is None or None not in (rig, focal_px):
+            raise ConfigError("expected either focal_px or rig, the calibration of the camera.")
+        if isinstance(cameras, int | float) and not 0 < cameras < math.inf:
+            raise ConfigError(f"focal_px: expected a positive number, found {cameras}.")
+        values, objects = options_and_objects(PipelineOptions, {**options})
+        chosen, view = pipeline_options(values), LensView(fov_deg, yaw_deg)
+        return MonoPipeline(cameras, chosen, **objects, align="off", view=view, keep_s=keep_s)
+
+    @property
+    def alignment(self) -> PairAlignment | None:
+        """The alignment of the next frame; None = one camera, or not estimated yet."""
+        return None if self._opened is None else self._opened.alignment
+
+    @property
+    def calibration(self) -> RecordingCalibration | None:
+        """The camera models of the rectified frames; None before the first frame, which tells the image size."""
+        return None if self._opened is None else self._opened.calibration
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user about the detector, the calibration, the pair and the methods so far."""
+        boxes = self._boxes.notes()
+        return boxes if self._opened is None else (*boxes, *self._opened.notes)
+
+    def events(self) -> tuple[Event, ...]:
+        """Events of the last `keep_s` seconds, those in progress included; times count from the first frame."""
+        return self._rows.events()
+
+    def to_arrow(self) -> pa.Table:
+        """Rows of the last `keep_s` seconds as in tracks.csv; times count from the first frame."""
+        return self._rows.to_arrow()
+
+    def close(self) -> None:
+        """End the threads; rows and events remain, but no frame may follow."""
+        if self._opened is not None:
+            self._opened.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def _step(self, images: Sequence[Any], time_s: float, ego_speed_mps: float | None) -> FrameResult:
+        checked = [_checked(image, name) for image, name in zip(images, ("left", "right"), strict=False)]
+        time_s, opened = float(time_s), self._opened
+        if not math.isfinite(time_s) or time_s <= self._last_s:
+            raise FrameError(
+                f"time_s: expected a time after {self._last_s} s, that of the last frame, found {time_s} s."
+            )
+        if opened is None:
+            opened = self._opened = self._open(tuple((image.shape[1], image.shape[0]) for image in checked))
+        opened.check_sizes(checked)
+        first_s = time_s if math.isnan(self._first_s) else self._first_s
+        known = None
+        if ego_speed_mps is not None and math.isfinite(ego_speed_mps):
+            known = EgoMotion(float(ego_speed_mps), TABLE_SIGMA_MPS)
+        result = opened.step(checked, self._index, time_s - first_s, known)
+        self._first_s, self._last_s = first_s, time_s
+        self._index += 1
+        self._rows.add(result)
+        return result
+
+    def _open(self, sizes_px: tuple[tuple[int, int], ...]) -> _Opened:
+        """The calibration for images of these sizes, and the stages."""
+        cameras = self._cameras
+        if isinstance(cameras, int | float):
+            cameras = PinholeCamera.of_focal_length(cameras, sizes_px[0])
+        elif isinstance(cameras, str):
+            cameras = Path(cameras)
+        calibration = calibration_of(cameras, sizes_px, self._view)
+        given = None if calibration.rig is None else given_alignment(self._align, calibration.rig)
+        stepwise = None if calibration.rig is None else StepwiseAlignment(calibration.rig, given)
+        aligned = calibration if given is None else calibration.with_alignment(given)
+        stages = open_pipeline(
+            self.options,
+            aligned,
+            self._boxes,
+            self._size_model,
+            tracker=self._tracker,
+            alignment=stepwise if given is None else None,
+        )
+        return _Opened(calibration, aligned, stages, stepwise)
+
+
+class StereoPipeline(Pipeline):
+    """The pipeline of two cameras."""
+
+    def step(self, left: Image, right: Image, time_s: float, *, ego_speed_mps: float | None = None) -> FrameResult:
+        """Result of the next frame.
+
+        Args:
+            left: (H, W, 3) uint8 BGR or (H, W) uint8, as recorded (not rectified, unless the rig is). The images are
+                not copied: do not change them afterwards.
+            right: image of the right camera at the same time.
+            time_s: time of the images in seconds on any clock; must increase. Times in results count from the first
+                frame.
+            ego_speed_mps: speed of the camera, negative = backwards; None = measured from the images.
+
+        Raises:
+            FrameError: an image has another size or type than the first one, or the time does not increase.
+            RigError: the first images do not fit the rig, or left and right are swapped.
+            DetectorError, TrackerError, MethodError: an object of another package returned something else.
+        """
+        return self._step((left, right), time_s, ego_speed_mps)
+
+
+class MonoPipeline(Pipeline):
+    """The pipeline of one camera."""
+
+    def step(self, image: Image, time_s: float, *, ego_speed_mps: float | None = None) -> FrameResult:
+        """Result of the next frame; see `StereoPipeline.step`."""
+        return self._step((image,), time_s, ego_speed_mps)
+
+
+def _checked(image: Any, name: str) -> Image:
+    """An image as (H, W, 3) uint8 BGR; the right one may be grey."""
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim not in (2, 3) or 0 in image.shape:
+        found = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+        raise FrameError(f"{name}: expected an image, uint8 (H, W, 3) in BGR or (H, W), found {found}.")
+    if image.ndim == 3 and image.shape[2] != 3:
+        raise FrameError(f"{name}: expected 3 channels in BGR, found {image.shape[2]}.")
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)) if image.ndim == 2 and name == "left" else image
+
+
+class _Opened:
+    """A pipeline after its first frame.
+
+    Args:
+        unaligned: calibration without an alignment.
+        aligned: calibration of the next frame.
+        stages: of the pipeline.
+        stepwise: alignment of a pair; None = one camera.
+    """
+
+    def __init__(
+        self,
+        unaligned: RecordingCalibration,
+        aligned: RecordingCalibration,
+        stages: FramePipeline,
+        stepwise: StepwiseAlignment | None,
+    ) -> None:
+        self._unaligned, self.calibration, self._stages, self._stepwise = unaligned, aligned, stages, stepwise
+        self._monitor = None if stepwise is None else PairMonitor()
+        # The alignment for the next frame is estimated while the caller waits for that frame.
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="alignment")
+        self._pending: Future[PairAlignment | None] | None = None
+
+    @property
+    def alignment(self) -> PairAlignment | None:
+        """The alignment of the next frame; None = unknown."""
+        self._apply()
+        return None if self._stepwise is None else self._stepwise.current
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user."""
+        pair = () if self._monitor is None else self._monitor.notes
+        return (*self.calibration.notes, *pair, *self._stages.notes, *self._stages.ranging.notes())
+
+    def check_sizes(self, images: Sequence[Image]) -> None:
+        """Check that images have the sizes of the first ones.
+
+        Raises:
+            FrameError: they have not.
+        """
+        for image, size_px, name in zip(images, self._unaligned.sizes_px, ("left", "right"), strict=False):
+            if (image.shape[1], image.shape[0]) != size_px:
+                found = f"{image.shape[1]}x{image.shape[0]}"
+                raise FrameError(f"{name}: expected {size_px[0]}x{size_px[1]} px as before, found {found} px.")
+
+    def step(self, images: Sequence[Image], index: int, time_s: float, known: EgoMotion | None) -> FrameResult:
+        """Result of one frame."""
+        self._apply()
+        frame = self.calibration.frame_of(images, index, time_s)
+        if self._monitor is not None:
+            self._monitor.add(frame)
+        result = self._stages.step(self._stages.detected(frame), known)
+        if self._stepwise is not None and self._stepwise.is_active:
+            self._pending = self._thread.submit(self._stepwise.add, self._without_alignment(images, frame), frame)
+        return result
+
+    def _without_alignment(self, images: Sequence[Image], frame: Frame) -> Frame:
+        """The frame without the correction of rows and shifts, from which the alignment is estimated."""
+        if self.calibration.rectifier is self._unaligned.rectifier:
+            return frame
+        return self._unaligned.frame_of(images, frame.index, frame.time_s)
+
+    def _apply(self) -> None:
+        """Use the alignment that was estimated since the last frame."""
+        pending, self._pending = self._pending, None
+        if pending is not None and (alignment := pending.result()) is not None:
+            self.calibration = self._unaligned.with_alignment(alignment)
+
+    def close(self) -> None:
+        """End the threads."""
+        self._thread.shutdown(wait=True)
+        self._stages.close()
