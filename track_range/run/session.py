@@ -149,9 +149,8 @@ class RunSession:
     def results(self) -> Generator[Generator[FrameResult, None, None], None, None]:
         """Context with the results of all frames, anonymized if requested; its end stops the threads."""
         is_live = self.recording.live is not None
-        with (
-            closing(run_in_threads(self.pipeline, self.recording.frames, LIVE_DEPTHS if is_live else None)) as results,
-        ):
+        depths = LIVE_DEPTHS if is_live else None
+        with closing(run_in_threads(self.pipeline, self.recording.frames, depths)) as results:
             if not self.settings.anonymize:
                 yield results
                 return
