@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
@@ -47,7 +47,7 @@ class Declaration:
     flag: str | None = None
     metavar: str | None = None
     words: tuple[str, ...] = ()
-    choices: Callable[[], Sequence[str]] | None = None
+    choices: Callable[[], Iterable[str]] | None = None
     panel: str | None = None
     is_repeated: bool = False
     is_argument: bool = False
@@ -107,7 +107,7 @@ def is_file(field: FieldInfo) -> bool:
 def choices_of(field: FieldInfo) -> Sequence[str]:
     """The values of a field that has no others; () for other fields."""
     kind, listed = value_type(field), option_of(field).choices
-    return get_args(kind) if get_origin(kind) is Literal else () if listed is None else listed()
+    return get_args(kind) if get_origin(kind) is Literal else () if listed is None else tuple(listed())
 
 
 class Options(BaseModel):

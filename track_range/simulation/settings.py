@@ -5,22 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from track_range.foundation.options import Options, option
+from track_range.foundation.options import Options, option, option_of
 from track_range.simulation.world.scenario_names import SCENARIO_NAMES
 
 _DRIVE, _OUTPUT, _FAULTS = "Drive", "Output", "Camera faults (default: none)"
 
-FAULT_FIELDS = (
-    "gain",
-    "blur_px",
-    "rain",
-    "row_offset_px",
-    "disparity_offset_px",
-    "drop_share",
-    "late_s",
-    "wrong_rig",
-)
-"""Options that are fields of `track_range.simulation.camera.faults.Faults`."""
+_OF_ALL = frozenset(("out", "scenario", "seed", "images", "frames"))
+"""Options that are not only those of drives."""
 
 
 class SimulationSettings(Options):
@@ -194,19 +185,11 @@ class SimulationSettings(Options):
     @property
     def has_drive_options(self) -> bool:
         """Whether an option is given that applies only to drives."""
-        given = (
-            *(self.seconds, self.fps, self.rig),
-            *(self.car_size, self.camera_pitch_deg, self.noise_grey),
-        )
-        return (
-            any(value is not None for value in given)
-            or self.lossless
-            or self.disparity
-            or self.masks
-            or bool(self.faults)
-        )
+        fields = type(self).model_fields.items()
+        return any(getattr(self, name) != field.default for name, field in fields if name not in _OF_ALL)
 
     @property
     def faults(self) -> dict[str, float | str]:
-        """The given faults, by field of `Faults`."""
-        return {name: value for name in FAULT_FIELDS if (value := getattr(self, name)) is not None}
+        """The given faults, by field of `Faults`; noise is none, since all drives have it."""
+        names = self.fields_where(lambda field: option_of(field).panel == _FAULTS) - {"noise_grey"}
+        return {name: value for name in names if (value := getattr(self, name)) is not None}

@@ -26,7 +26,7 @@ from track_range.evaluation.sequences.find import (
     no_truth_note,
     paired,
 )
-from track_range.evaluation.sequences.settings import TrackEvaluationSettings, truth_formats
+from track_range.evaluation.sequences.settings import TRUTH_FORMATS, TrackEvaluationSettings
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import counted
@@ -104,7 +104,7 @@ def _form_of(path: Path) -> str:
     if is_blank(path, "ground truth"):
         return "kitti"
     name = label_format_of(path, "ground truth").name
-    if name not in truth_formats():
+    if name not in TRUTH_FORMATS:
         raise LabelFileError(f"{path}: expected ground truth, found the rows of a run.")
     return name
 

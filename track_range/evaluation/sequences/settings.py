@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from track_range.detection.evaluation.matching import SizeMeasure
+from track_range.detection.formats.image_labels.labelled_images import IMAGE_LABELS
+from track_range.detection.formats.label_formats import LABEL_FORMATS
 from track_range.foundation.options import Options, option
 from track_range.run.options.detector_fields import (
     AnchorsField,
@@ -17,26 +19,14 @@ from track_range.run.options.detector_fields import (
 )
 from track_range.run.options.tracker_fields import ReidField, TrackerField
 
-
-def truth_formats() -> tuple[str, ...]:
-    """Names of the label formats that can be ground truth."""
-    from track_range.detection.formats.label_formats import LABEL_FORMATS
-
-    return tuple(name for name, label_format in LABEL_FORMATS.items() if not label_format.is_of_run)
-
-
-def _image_label_formats() -> tuple[str, ...]:
-    from track_range.detection.formats.image_labels.labelled_images import IMAGE_LABELS
-
-    return tuple(IMAGE_LABELS)
-
+TRUTH_FORMATS = {name: form for name, form in LABEL_FORMATS.items() if not form.is_of_run}
 
 LabelFormatField = Annotated[
     str | None,
     option(
         "Format of the labels (default: KITTI for a video, COCO for a .json file, else YOLO).",
         flag="--format",
-        choices=_image_label_formats,
+        choices=IMAGE_LABELS.keys,
     ),
 ]
 LabelNamesField = Annotated[
@@ -124,7 +114,9 @@ class TrackEvaluationSettings(Options):
     truth_format: Annotated[
         str | None,
         option(
-            "Format of the ground truth (default: detected from its content).", flag="--format", choices=truth_formats
+            "Format of the ground truth (default: detected from its content).",
+            flag="--format",
+            choices=TRUTH_FORMATS.keys,
         ),
     ] = None
     road_class: Annotated[
