@@ -61,17 +61,16 @@ class Detections:
 
     def _check_values(self) -> None:
         boxes, score, class_id = self.xyxy_px, self.score, self.class_id
-        left, top, right, bottom = boxes.T
         is_valid = (
             class_id >= _CLASS_LIMITS[0],
             class_id < _CLASS_LIMITS[1],
             score >= _SCORE_LIMITS[0],
             score <= _SCORE_LIMITS[1],
-            left <= right,
-            top <= bottom,
+            boxes[:, 0] <= boxes[:, 2],
+            boxes[:, 1] <= boxes[:, 3],
         )
-        # The search in bytes and the sum of squares take a third of the time of all() and isfinite().
-        if 0 not in b"".join([rows.data for rows in is_valid]) and np.vdot(boxes, boxes) < np.inf:
+        # The search in bytes and the sum of squares take less than half the time of all() and isfinite().
+        if 0 not in b"".join([rows.tobytes() for rows in is_valid]) and np.vdot(boxes, boxes) < np.inf:
             return
         is_finite = np.isfinite(boxes).all(axis=1)
         for expected, values, rows in (

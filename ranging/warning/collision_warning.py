@@ -162,7 +162,8 @@ class CollisionWarning:
 
         # Probability of contact, only of objects that are near enough.
         probability, may_start = np.where(is_usable, 0.0, np.nan), np.zeros(len(tracks), np.bool_)
-        rows = np.flatnonzero(is_usable & (self._may_touch(gap, own) | self._is_near(gap)))
+        is_near = gap.x - settings.front_m < settings.cut_in_headway_s * self._ego.speed_mps
+        rows = np.flatnonzero(is_usable & (self._may_touch(gap, own) | is_near))
         if len(rows):
             encounter = self._encounter(rows, is_person, gap, own, offset, half_width_m)
             probability[rows] = self._probability(encounter)
@@ -226,11 +227,6 @@ class CollisionWarning:
         least_m += h * np.minimum(own.v - self._ego.acceleration_mps2, 0.0)
         variance = gap.P_xx + H * (2 * gap.P_xv + H * gap.P_vv) + h * h * (own.P_vv + settings.acceleration_mps2**2)
         return np.asarray(least_m <= _REACH_SIGMA * np.sqrt(variance))
-
-    def _is_near(self, gap: ConstantVelocity) -> BoolArray:
-        """(N,) whether the headway is that of a cut-in."""
-        settings = self.settings
-        return np.asarray(gap.x - settings.front_m < settings.cut_in_headway_s * self._ego.speed_mps)
 
     def _with_walking_speed(self, state: ConstantVelocity, is_person: BoolArray) -> ConstantVelocity:
         """Distances and rates, with the prior speed of people along the road, if the ego speed is known."""
@@ -306,16 +302,15 @@ class CollisionWarning:
         return np.where(tracks.class_id == _PERSON, settings.person_lateral_mps, sigma)
 
     def _probability(self, encounter: Encounter) -> FloatArray:
-        """(K,) calibrated probability of contact."""
-        settings = self.settings
-        return _calibrated(
-            contact_probability(
-                encounter,
-                horizon_s=settings.horizon_s,
-                manoeuvre_s=settings.manoeuvre_s,
-                ego_length_m=settings.ego_length_m,
-            )
+        """(K,) probability of contact, on a scale on which it agrees with the fraction of contacts."""
+        settings, (offset, slope) = self.settings, _CALIBRATION
+        predicted = contact_probability(
+            encounter,
+            horizon_s=settings.horizon_s,
+            manoeuvre_s=settings.manoeuvre_s,
+            ego_length_m=settings.ego_length_m,
         )
+        return np.asarray(expit(offset + slope * logit(np.clip(predicted, 0.0, 1.0))))
 
     def _may_start(self, encounter: Encounter, probability: FloatArray, is_person: BoolArray) -> BoolArray:
         """(K,) whether a contact is probable, and the driver has to brake hard after the reaction time."""
@@ -339,12 +334,6 @@ class CollisionWarning:
         enters = (share >= settings.cut_in_probability) & (since_beside_s <= _BESIDE_S) & (offset.x * offset.v < 0)
         is_along = encounter.object_mps > _STATIC_MPS
         return np.asarray(is_near & is_along & enters & (gap.v <= settings.max_cut_in_mps))
-
-
-def _calibrated(probability: FloatArray) -> FloatArray:
-    """Probabilities on a scale on which they agree with the share of contacts."""
-    offset, slope = _CALIBRATION
-    return np.asarray(expit(offset + slope * logit(np.clip(probability, 0.0, 1.0))))
 
 
 def _columns(state: ConstantVelocity) -> tuple[FloatArray, ...]:
