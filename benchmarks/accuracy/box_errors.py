@@ -1,6 +1,6 @@
 """Errors of the packaged detector, of stereo and of tracks on rendered drives, and on drives without images.
 
-Protocol: rendered drives of the seeds on which the error model of `simulation/boxes` was fitted (`--fit-seeds`) and of
+Protocol: rendered drives of the seeds on which the error model of `benchmarks/boxes` was fitted (`--fit-seeds`) and of
 others (`--seeds`), one scenario each; the same scenes without rendering, with the model's errors (`--errors` drives
 each). Boxes are matched to the truth one to one, IoU at least 0.4, at least 0.15 for objects lower than 10 px, which
 detectors enlarge.
@@ -19,14 +19,14 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.accuracy.collision_warnings.track_errors import TrackErrors, rendered_errors, simulated_errors
+from benchmarks.boxes.box_drive import BoxDrive
+from benchmarks.boxes.true_boxes import TrueBoxes
 from benchmarks.inputs.conflict_drives import FPS, conflict_drive, default_cache, stored_boxes
 from benchmarks.plain_tables import figure_text, plain_table
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES, SAME_OBJECT_GROUP
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.simulation.boxes.box_drive import BoxDrive
-from track_range.simulation.boxes.true_boxes import TrueBoxes
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.scene import Scene

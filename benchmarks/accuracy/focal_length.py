@@ -1,6 +1,6 @@
 """Focal lengths and distances of cameras without a calibration, with no, one and three known distances.
 
-Simulated drives: boxes as the packaged detector finds them (`simulation/boxes`), 20 s at 5 Hz, every other frame used,
+Simulated drives: boxes as the packaged detector finds them (`benchmarks/boxes`), 20 s at 5 Hz, every other frame used,
 1280 x 720 px; per drive a random field of view of 50 to 100 degrees, camera height of 1.2 to 1.8 m and pitch (standard
 deviation 2 degrees). KITTI: tracking labels, or the boxes of a detector, every fifth frame of a sequence; five random
 choices of known objects per sequence. A known distance is that of a visible car at 5 to 30 m, within half of the image
@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from benchmarks.boxes.box_drive import BoxDrive
 from benchmarks.plain_tables import figure_text, plain_table
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.fitting.camera.camera_fit import fit_camera
@@ -32,7 +33,6 @@ from track_range.ranging.fitting.labelled_boxes import box_set
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
-from track_range.simulation.boxes.box_drive import BoxDrive
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig

@@ -2,7 +2,7 @@
 
 Parts (`--only`):
     rendered   drives of Euro NCAP's shapes and their twins with the packaged detector, stereo and one camera
-    hours      hours of harmless driving without images, with the errors of `simulation/boxes`
+    hours      hours of harmless driving without images, with the errors of `benchmarks/boxes`
     curve      false alarms per hour against the lead time for mono, stereo and fused; a threshold for each point
     real       warnings on recordings (`TRACK_RANGE_DATA`), where there is no collision
 """

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.inputs.covered_objects import CoveredObjects, covered_objects
 from track_range.detection.classes import ROAD_CLASS_OF
 from track_range.foundation.arrays import BoolArray
-from track_range.simulation.camera.covered_objects import CoveredObjects, covered_objects
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.scenarios.occlusion import reference_times_s

@@ -29,7 +29,7 @@ class Declaration:
     Attributes:
         flag: such as "--start" or "--overlay/--no-overlay"; None = the field's name with hyphens.
         metavar: placeholder of the value in the help, without the words.
-        words: values with a meaning of their own, such as "auto" and "off".
+        words: values with a special meaning, such as "auto" and "off".
         choices: returns the values of an option of type `str` that has no others; called when they are needed, since
             tables of formats import libraries.
         panel: heading of the option's section in the help; None = that of the model in which the option is declared.
@@ -116,7 +116,7 @@ class Options(BaseModel):
     Numbers, paths and lists of names are accepted for texts, and texts such as "car,bus" for lists.
 
     Attributes:
-        panel: heading of the section of the options in the help; None = they have no section of their own.
+        panel: heading of the section of the options in the help; None = that of the other options.
     """
 
     panel: ClassVar[str | None] = None

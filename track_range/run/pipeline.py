@@ -158,7 +158,7 @@ class Pipeline:
             rig: calibration file, or the model of the camera (of a pair, the left one).
             keep_s: time for which rows and events are kept.
             fov_deg: horizontal field of view to which images of wide lenses are undistorted; None = that of the lens.
-            yaw_deg: direction of the axis of the undistorted images of a wide lens, to the right of its own.
+            yaw_deg: direction of the axis of the undistorted images of a wide lens, to the right of the lens axis.
             options: as `stereo`.
 
         Raises:
@@ -181,7 +181,7 @@ class Pipeline:
 
     @property
     def calibration(self) -> RecordingCalibration | None:
-        """The camera models of the rectified frames; None before the first frame, which tells the image size."""
+        """The camera models of the rectified frames; None before the first frame, which has the image size."""
         return None if self._opened is None else self._opened.calibration
 
     @property
@@ -284,8 +284,8 @@ class MonoPipeline(Pipeline):
 def _checked(image: Any, name: str) -> Image:
     """An image as (H, W, 3) uint8 BGR; the right one may be grey."""
     if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim not in (2, 3) or 0 in image.shape:
-        found = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
-        raise FrameError(f"{name}: expected an image, uint8 (H, W, 3) in BGR or (H, W), found {found}.")
+        got = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+        raise FrameError(f"{name}: expected an image, uint8 (H, W, 3) in BGR or (H, W), found {got}.")
     if image.ndim == 3 and image.shape[2] != 3:
         raise FrameError(f"{name}: expected 3 channels in BGR, found {image.shape[2]}.")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)) if image.ndim == 2 and name == "left" else image
@@ -334,8 +334,8 @@ class _Opened:
         """
         for image, size_px, name in zip(images, self._unaligned.sizes_px, ("left", "right"), strict=False):
             if (image.shape[1], image.shape[0]) != size_px:
-                found = f"{image.shape[1]}x{image.shape[0]}"
-                raise FrameError(f"{name}: expected {size_px[0]}x{size_px[1]} px as before, found {found} px.")
+                got = f"{image.shape[1]}x{image.shape[0]}"
+                raise FrameError(f"{name}: expected {size_px[0]}x{size_px[1]} px as before, found {got} px.")
 
     def step(self, images: Sequence[Image], index: int, time_s: float, known: EgoMotion | None) -> FrameResult:
         """Result of one frame."""

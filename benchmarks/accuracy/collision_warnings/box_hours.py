@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.collision_warnings.scene_drives import SceneDrives, scene_drives
+from benchmarks.boxes.box_run import IDS_PER_DRIVE, run_boxes
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.warning.warnings import Warnings
-from track_range.simulation.boxes.box_run import IDS_PER_DRIVE, run_boxes
 
 METHODS = {"mono": ("mono",), "stereo": ("stereo",), "fused": ("mono", "stereo")}
 """Ranging methods of each configuration."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.boxes.true_boxes import TrueBoxes, true_boxes
 from benchmarks.inputs.conflict_drives import COLLISIONS, FPS, ConflictDrive, conflict_drive
 from track_range.detection.boxes import iou
 from track_range.evaluation.events.contacts import read_contacts
@@ -17,7 +18,6 @@ from track_range.foundation.arrays import FloatArray
 from track_range.results.events.event import Event
 from track_range.run.option_types import RunKeywords
 from track_range.run.run import Run
-from track_range.simulation.boxes.true_boxes import TrueBoxes, true_boxes
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.stereo.rig_formats.reading import load_calibration
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.boxes.box_drive import BoxDrive
+from benchmarks.boxes.box_run import Step, tracked
+from benchmarks.boxes.true_boxes import closing_rates_mps
 from benchmarks.inputs.conflict_drives import COLLISIONS, FPS
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.simulation.boxes.box_drive import BoxDrive
-from track_range.simulation.boxes.box_run import Step, tracked
-from track_range.simulation.boxes.true_boxes import closing_rates_mps
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.simulation.world.contacts import find_contacts
 from track_range.simulation.world.scenarios import make_scenario

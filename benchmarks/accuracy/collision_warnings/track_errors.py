@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.accuracy.collision_warnings.rendered import run_of
+from benchmarks.boxes.box_drive import BoxDrive
+from benchmarks.boxes.box_run import run_boxes, tracked
+from benchmarks.boxes.true_boxes import TrueBoxes, true_boxes
 from benchmarks.inputs.conflict_drives import FPS, conflict_drive, stored_boxes
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.frame_result import FrameResult
-from track_range.simulation.boxes.box_drive import BoxDrive
-from track_range.simulation.boxes.box_run import run_boxes, tracked
-from track_range.simulation.boxes.true_boxes import TrueBoxes, true_boxes
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.scene import Scene

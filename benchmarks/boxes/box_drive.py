@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from track_range.detection.detections import Detections
-from track_range.foundation.arrays import FloatArray, FloatArray32, IntArray
-from track_range.simulation.boxes.error_model import (
+from benchmarks.boxes.error_model import (
     CAMERA_MOTION_SIGMA_PX,
     CLASS_MEMORY,
     DETECTED_CLASS,
@@ -35,8 +33,10 @@ from track_range.simulation.boxes.error_model import (
     SecondBoxes,
     StereoErrors,
 )
-from track_range.simulation.boxes.false_boxes import BoxRows, joined_rows, scenery_boxes, second_boxes
-from track_range.simulation.boxes.true_boxes import CameraPoses, TrueBoxes, true_boxes
+from benchmarks.boxes.false_boxes import BoxRows, joined_rows, scenery_boxes, second_boxes
+from benchmarks.boxes.true_boxes import CameraPoses, TrueBoxes, true_boxes
+from track_range.detection.detections import Detections
+from track_range.foundation.arrays import FloatArray, FloatArray32, IntArray
 from track_range.simulation.world.scene import Scene
 from track_range.stereo.geometry.rig import StereoRig
 

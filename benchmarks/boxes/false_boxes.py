@@ -7,16 +7,16 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.special import ndtr
 
-from track_range.detection.boxes import area_px2
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.simulation.boxes.error_model import (
+from benchmarks.boxes.error_model import (
     MAX_SCORE,
     MIN_SCORE,
     NETWORK_WIDTH_PX,
     FalseBoxes,
     SecondBoxes,
 )
-from track_range.simulation.boxes.true_boxes import CameraPoses, TrueBoxes
+from benchmarks.boxes.true_boxes import CameraPoses, TrueBoxes
+from track_range.detection.boxes import area_px2
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.stereo.geometry.camera import PinholeCamera
 
 _HEIGHT_M = {0: 1.7, 2: 1.5, 5: 3.0, 6: 0.9}

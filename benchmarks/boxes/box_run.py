@@ -15,6 +15,7 @@ from functools import cache
 
 import numpy as np
 
+from benchmarks.boxes.box_drive import BoxDrive, BoxFrame
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, Image, IntArray
@@ -33,7 +34,6 @@ from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.ranging.warning.collision_warning import CollisionWarning
-from track_range.simulation.boxes.box_drive import BoxDrive, BoxFrame
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEstimator

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from track_range.simulation.boxes.box_drive import BoxDrive
-from track_range.simulation.boxes.box_run import IDS_PER_DRIVE, run_boxes, tracked
-from track_range.simulation.boxes.error_model import Memory
-from track_range.simulation.boxes.true_boxes import true_boxes
+from benchmarks.boxes.box_drive import BoxDrive
+from benchmarks.boxes.box_run import IDS_PER_DRIVE, run_boxes, tracked
+from benchmarks.boxes.error_model import Memory
+from benchmarks.boxes.true_boxes import true_boxes
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.truth import label_scene
