@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,14 @@ def test_run_with_files_and_an_early_end(small_drive: Drive, tmp_path: Path) -> 
         assert process_state() == before
         break
     assert (tmp_path / "out/summary.json").exists()
+    assert process_state() == before
+
+
+def test_pipeline(small_drive: Drive) -> None:
+    before = process_state()
+    recording = tr.open_recording(small_drive.left, small_drive.right, rig=small_drive.rig, align="off")
+    with closing(recording), tr.Pipeline.stereo(recording.rig, sgbm=False) as pipeline:
+        assert_unchanged_by(pipeline.step(frame.left, frame.right[:, :], frame.time_s) for frame in recording.frames)
     assert process_state() == before
 
 
