@@ -14,8 +14,6 @@ from tests.documentation.documented_commands import PROJECT
 EXAMPLES = PROJECT / "docs/examples"
 HEADER = SimpleNamespace(stamp=SimpleNamespace(sec=100, nanosec=0), frame_id="left")
 
-needs_pipeline = pytest.mark.skipif("Pipeline" not in tr.__all__, reason="there is no tr.Pipeline")
-
 
 def loaded(name):
     """An example as a module."""
@@ -25,7 +23,6 @@ def loaded(name):
     return module
 
 
-@needs_pipeline
 @pytest.mark.slow
 def test_webcam_on_a_video(small_drive, tmp_path, monkeypatch, capsys):
     image = tmp_path / "latest.jpg"
@@ -139,7 +136,6 @@ def test_detection_of_an_object(node_module):
     assert result.pose.covariance.reshape(6, 6)[2, 2] == 0.25
 
 
-@needs_pipeline
 @pytest.mark.slow
 def test_node_on_a_drive(node_module, small_drive):
     rig = tr.load_rig(small_drive.rig)

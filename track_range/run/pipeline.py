@@ -39,11 +39,13 @@ from track_range.run.options.detector_options import open_detector
 from track_range.run.ready_model import ready_model
 from track_range.run.settings import PipelineOptions
 from track_range.run.settings_files import options_and_objects, pipeline_options
+from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.stereo.rig_formats.reading import load_calibration
 from track_range.tracking.tracker import ObjectTracker
 
 if TYPE_CHECKING:
@@ -98,7 +100,12 @@ class Pipeline:
         if options.detections is not None:
             raise ConfigError("detections: expected a detector, found recorded boxes; pass an object with detect().")
         self.options = options
-        self._cameras, self._view, self._align = cameras, view, align
+        self._cameras = Path(cameras) if isinstance(cameras, str) else cameras
+        if isinstance(self._cameras, Path):
+            load_calibration(self._cameras)  # an unusable file is reported before the first frame
+        if isinstance(align, str | Path) and align not in ("auto", "off"):
+            align = load_alignment(align)
+        self._align, self._view = align, view
         self._tracker = tracker
         self._size_model = load_curves(options.curves)
         if detector is not None:
@@ -234,8 +241,6 @@ class Pipeline:
         cameras = self._cameras
         if isinstance(cameras, int | float):
             cameras = PinholeCamera.of_focal_length(cameras, sizes_px[0])
-        elif isinstance(cameras, str):
-            cameras = Path(cameras)
         calibration = calibration_of(cameras, sizes_px, self._view)
         given = None if calibration.rig is None else given_alignment(self._align, calibration.rig)
         stepwise = None if calibration.rig is None else StepwiseAlignment(calibration.rig, given)

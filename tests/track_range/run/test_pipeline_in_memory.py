@@ -1,0 +1,270 @@
+"""`tr.Pipeline`: frames in memory give what a run of the same videos gives; bad frames change nothing."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import track_range as tr
+from tests.track_range.run.test_process_state import assert_unchanged_by, process_state
+from track_range.recording.frame import VideoFrame
+from track_range.recording.open_video import open_video
+from track_range.simulation.drive import Drive
+
+OPTIONS: dict[str, Any] = {"sgbm": False}
+
+
+def images(drive: Drive) -> list[tuple[VideoFrame, VideoFrame]]:
+    """The frames of both videos, as recorded."""
+    return list(zip(open_video(drive.left), open_video(drive.right), strict=True))
+
+
+def stepped(pipeline: Any, drive: Drive, **arguments: Any) -> Iterator[tr.FrameResult]:
+    for left, right in images(drive):
+        yield pipeline.step(left.image, right.image, left.time_s, **arguments)
+
+
+def _without_telemetry(drive: Drive, folder: Path) -> Drive:
+    """A copy of the videos and the rig of a drive; its file of speeds, which a run finds, is left out."""
+    copies = {name: folder / getattr(drive, name).name for name in ("left", "right", "rig")}
+    for name, path in copies.items():
+        shutil.copy(getattr(drive, name), path)
+    return replace(drive, **copies)
+
+
+@pytest.fixture(scope="module")
+def drive(render_drive: Any, tmp_path_factory: pytest.TempPathFactory) -> Drive:
+    """A drive of 1.2 s whose speed is not known."""
+    return _without_telemetry(render_drive(), tmp_path_factory.mktemp("drive"))
+
+
+@pytest.fixture(scope="module")
+def long_drive(render_drive: Any, tmp_path_factory: pytest.TempPathFactory) -> Drive:
+    """A drive of 4 s, long enough for an alignment."""
+    return _without_telemetry(render_drive(seed=5, seconds=4.0), tmp_path_factory.mktemp("drive"))
+
+
+def test_rows_are_those_of_a_run_with_the_same_alignment(long_drive: Drive) -> None:
+    with tr.Run.stereo(long_drive.left, long_drive.right, rig=long_drive.rig, **OPTIONS) as run:
+        expected = [result.ranges["fused"].distance_m for result in run]
+        table, events = run.to_arrow(), run.events
+    with tr.Pipeline.stereo(long_drive.rig, align=run.alignment, **OPTIONS) as pipeline:
+        results = list(stepped(pipeline, long_drive))
+    assert table.num_rows > 20
+    assert pipeline.to_arrow().equals(table)  # to the last digit of tracks.csv
+    for result, distance_m in zip(results, expected, strict=True):
+        np.testing.assert_array_equal(result.ranges["fused"].distance_m, distance_m)
+    assert pipeline.events() == events
+
+
+def test_mono_rows_are_those_of_a_run(drive: Drive) -> None:
+    options = {**OPTIONS, "camera_height_m": 1.65}
+    run = tr.Run.mono(drive.left, focal_px=360, **options)
+    n_frames = len(list(run))
+    with tr.Pipeline.mono(focal_px=360, **options) as pipeline:
+        results = [pipeline.step(left.image, left.time_s) for left, _ in images(drive)]
+    assert len(results) == n_frames
+    assert pipeline.to_arrow().equals(run.to_arrow())
+    assert pipeline.alignment is None
+
+
+@pytest.mark.slow
+def test_automatic_alignment_is_unknown_first_and_then_that_of_a_run(long_drive: Drive) -> None:
+    with tr.Run.stereo(long_drive.left, long_drive.right, rig=long_drive.rig, **OPTIONS) as run:
+        expected = list(run)
+    known = []
+    sigma_before_m, sigma_after_m, errors = [], [], []
+    with tr.Pipeline.stereo(long_drive.rig, **OPTIONS) as pipeline:
+        for result, of_run in zip(stepped(pipeline, long_drive), expected, strict=True):
+            known.append(pipeline.alignment is not None)
+            stereo, reference = result.ranges["stereo"], of_run.ranges["stereo"]
+            is_measured = np.isfinite(stereo.distance_m) & np.isfinite(reference.distance_m)
+            relative = (stereo.sigma_m / stereo.distance_m**2)[is_measured]
+            (sigma_after_m if len(known) > 1 and known[-2] else sigma_before_m).extend(relative)
+            if len(known) > 1 and known[-2]:
+                errors.extend(np.abs(stereo.distance_m / reference.distance_m - 1)[is_measured])
+    assert known.index(True) >= 9  # ten frames in motion
+    assert known[12:] == [True] * len(known[12:])
+    assert max(errors) < 0.03
+    assert np.median(sigma_before_m) > 1.5 * np.median(sigma_after_m)
+    assert pipeline.alignment is not None
+    assert pipeline.alignment.measured.is_measured
+
+
+def test_rigs_in_memory(drive: Drive) -> None:
+    rig = tr.load_rig(drive.rig)
+    run = tr.Run.stereo(drive.left, drive.right, rig=rig, align="off", **OPTIONS)
+    n_frames = len(list(run))
+    by_file = tr.Run.stereo(drive.left, drive.right, rig=drive.rig, align="off", **OPTIONS)
+    assert len(list(by_file)) == n_frames
+    assert run.to_arrow().equals(by_file.to_arrow())
+    with tr.Pipeline.stereo(rig, align="off", **OPTIONS) as pipeline:
+        assert len(list(stepped(pipeline, drive))) == n_frames
+    assert pipeline.to_arrow().equals(run.to_arrow())
+    with tr.Pipeline.mono(rig=rig.left, **OPTIONS) as mono:
+        left, _ = images(drive)[0]
+        assert mono.step(left.image, 0.0).index == 0
+
+
+BAD_FRAMES = {
+    "size": lambda left, right: (left[:100], right, 5.0),
+    "right size": lambda left, right: (left, right[:, :100], 5.0),
+    "type": lambda left, right: (left.astype(np.float32), right, 5.0),
+    "channels": lambda left, right: (np.dstack([left, left])[:, :, :4], right, 5.0),
+    "no image": lambda left, right: (None, right, 5.0),
+    "same time": lambda left, right: (left, right, None),
+    "time before": lambda left, right: (left, right, 0.05),
+    "no time": lambda left, right: (left, right, math.nan),
+}
+
+
+def test_bad_frames_change_nothing(drive: Drive) -> None:
+    tables = []
+    for bad in ((), BAD_FRAMES):
+        with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
+            for left, right in images(drive):
+                pipeline.step(left.image, right.image, left.time_s)
+                for name in bad if left.time_s > 0.05 else ():
+                    one, other, time_s = BAD_FRAMES[name](left.image, right.image)
+                    with pytest.raises(tr.FrameError, match=r"^(left|right|time_s): expected .*found"):
+                        pipeline.step(one, other, left.time_s if time_s is None else time_s)
+            tables.append(pipeline.to_arrow())
+    assert tables[0].equals(tables[1])
+
+
+def test_a_first_frame_that_does_not_fit_the_rig_is_refused(drive: Drive) -> None:
+    left, right = images(drive)[0]
+    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
+        with pytest.raises(tr.RigError):
+            pipeline.step(left.image[:, :300].copy(), right.image[:, :300].copy(), 0.0)
+        assert pipeline.step(left.image, right.image, 0.0).index == 0
+
+
+def test_swapped_images_are_refused(drive: Drive) -> None:
+    swapped = replace(drive, left=drive.right, right=drive.left)
+    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline, pytest.raises(tr.RigError, match="swap"):
+        list(stepped(pipeline, swapped))
+
+
+def test_options_are_checked(drive: Drive) -> None:
+    with pytest.raises(tr.ConfigError, match=r"lane_width_m: .*1\.5"):
+        tr.Pipeline.stereo(drive.rig, lane_width_m=0.1)
+    with pytest.raises(tr.ConfigError, match="unknown option"):
+        tr.Pipeline.stereo(drive.rig, out="here")  # type: ignore[call-arg]
+    with pytest.raises(tr.ConfigError, match="either focal_px or rig"):
+        tr.Pipeline.mono()
+    with pytest.raises(tr.ConfigError, match=r"focal_px: .*positive"):
+        tr.Pipeline.mono(focal_px=-1)
+    with pytest.raises(tr.ConfigError, match=r"keep_s: .*positive"):
+        tr.Pipeline.mono(focal_px=360, keep_s=0)
+    with pytest.raises(tr.RigError, match=r"missing\.yaml"):
+        tr.Pipeline.stereo("missing.yaml")
+    with pytest.raises(tr.RigError, match=r"missing\.yaml"):
+        tr.Pipeline.stereo(drive.rig, align="missing.yaml")
+
+
+def test_times_on_any_clock_and_grey_images(drive: Drive) -> None:
+    pairs = images(drive)
+    epoch_s = 1.8e9
+    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
+        grey = [np.asarray(left.image[:, :, 1]) for left, _ in pairs]
+        results = [
+            pipeline.step(image, right.image, epoch_s + left.time_s)
+            for image, (left, right) in zip(grey, pairs, strict=True)
+        ]
+    assert [result.time_s for result in results] == pytest.approx([left.time_s for left, _ in pairs], abs=1e-5)
+    assert results[0].left.shape == pairs[0][0].image.shape
+
+
+def test_speed_of_each_step(drive: Drive) -> None:
+    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
+        results = list(stepped(pipeline, drive, ego_speed_mps=13.0))
+    assert [result.ego_mps for result in results] == [13.0] * len(results)
+    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
+        measured = [result.ego_mps for result in stepped(pipeline, drive)]
+    assert np.isfinite(measured[2:]).all()
+    assert 13.0 not in measured
+
+
+class Nothing:
+    """A tracker that makes every detection a track."""
+
+    def update(self, detections: Any, time_s: float, image: Any) -> tr.Tracks:
+        n = len(detections)
+        observed = np.ones(n, np.bool_)
+        return tr.Tracks(np.arange(1, n + 1), detections.xyxy_px, detections.class_id, detections.score, observed)
+
+
+class OneCar:
+    """A detector that finds the same car in every image."""
+
+    def detect(self, image: Any) -> tr.Detections:
+        return tr.Detections.of([[280.0, 95.0, 340.0, 140.0]], [0.9], [2])
+
+
+def test_rows_and_events_are_kept_for_a_time() -> None:
+    image = np.zeros((188, 620, 3), np.uint8)
+    options: dict[str, Any] = {"detector": OneCar(), "tracker": Nothing(), "lanes": "off"}
+    with tr.Pipeline.mono(focal_px=360, keep_s=2.0, **options) as pipeline:
+        for index in range(100):
+            pipeline.step(image, index / 10)
+        table = pipeline.to_arrow()
+    assert table["time_s"].to_pylist() == pytest.approx(np.arange(79, 100) / 10)
+    assert pipeline.events() == ()
+
+
+def test_a_detector_that_fails_leaves_the_tracks_as_they_were(drive: Drive) -> None:
+    class Failing(OneCar):
+        fails = False
+
+        def detect(self, image: Any) -> Any:
+            return None if self.fails else super().detect(image)
+
+    detector = Failing()
+    left, right = images(drive)[0]
+    with tr.Pipeline.stereo(drive.rig, align="off", detector=detector, tracker=Nothing(), **OPTIONS) as pipeline:
+        pipeline.step(left.image, right.image, 0.0)
+        detector.fails = True
+        with pytest.raises(tr.UserError, match=r"Failing.*Detections"):
+            pipeline.step(left.image, right.image, 0.1)
+        detector.fails = False
+        assert pipeline.step(left.image, right.image, 0.1).index == 1
+
+
+def test_nothing_in_the_process_changes(drive: Drive) -> None:
+    before = process_state()
+    with tr.Pipeline.stereo(drive.rig) as pipeline:
+        assert process_state() == before
+        assert_unchanged_by(stepped(pipeline, drive))
+    assert process_state() == before
+
+
+def test_alignment_files_and_objects(drive: Drive, tmp_path: Path) -> None:
+    file = tmp_path / "align.yaml"
+    alignment = tr.load_alignment(_saved(file))
+    sources: tuple[Any, ...] = (file, str(file), alignment)
+    tables = []
+    for align in sources:
+        with tr.Pipeline.stereo(drive.rig, align=align, **OPTIONS) as pipeline:
+            list(stepped(pipeline, drive))
+        tables.append(pipeline.to_arrow())
+        assert pipeline.alignment is not None
+        assert pipeline.alignment.applied.offset_px == pytest.approx(0.4)
+    run = tr.Run.stereo(drive.left, drive.right, rig=drive.rig, align=file, **OPTIONS)
+    list(run)
+    assert all(table.equals(run.to_arrow()) for table in tables)
+
+
+def _saved(file: Path) -> Path:
+    from track_range.stereo.alignment.file import save_alignment
+    from track_range.stereo.alignment.model import Alignment
+
+    save_alignment(Alignment(offset_px=0.4, residual_px=0.1, offset_sigma_px=0.05, source="a test"), file)
+    return file
