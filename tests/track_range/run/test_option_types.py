@@ -10,10 +10,10 @@ PROJECT = Path(__file__).resolve().parents[3]
 
 PROGRAM = """\
 import track_range as tr
-from track_range.detection.detector import Detector
+from track_range.detection.detector import ObjectDetector
 
 
-def runs(detector: Detector) -> None:
+def runs(detector: ObjectDetector) -> None:
     tr.Run.mono("a.mp4", focal_px=1150, duration=0.3, rig=None, min_score=0.2, progress=True)
     tr.Run.stereo("a.mp4", "b.mp4", detector=detector, classes=["car"], sgbm_options={"block_size": 5})
     tr.Run.mono("a.mp4", focal_length=1150)

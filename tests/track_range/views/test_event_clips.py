@@ -140,7 +140,7 @@ def test_folder_of_clips_is_a_file(overlay, tmp_path):
 
 
 def test_clips_need_the_overlay():
-    with pytest.raises(UsageError, match="--clips"):
+    with pytest.raises(UsageError, match=r"^clips=True"):
         tr.Run.mono("a.mp4", focal_px=700, clips=True, overlay=False)
 
 

@@ -128,6 +128,7 @@ def _first(candidates: Iterable[Location], stat: Callable[[Location], FileStat |
 
 def is_file_setting(name: str, value: str) -> bool:
     """Whether the value of a clip's setting is the path of a file or folder."""
-    field = RunSettings.model_fields[name]
-    is_path = value_type(field) is Path
-    return is_path or (is_file(field) and value not in option_of(field).words and math.isnan(number(value)))
+    field = RunSettings.model_fields.get(name)
+    if field is None or value_type(field) is Path:
+        return field is not None
+    return is_file(field) and value not in option_of(field).words and math.isnan(number(value))
