@@ -37,7 +37,7 @@ from track_range.run.box_source import boxes_of, network_source
 from track_range.run.build import open_pipeline
 from track_range.run.options.detector_options import open_detector
 from track_range.run.ready_model import ready_model
-from track_range.run.settings import PipelineOptions
+from track_range.run.settings import PipelineOptions, RunSettings
 from track_range.run.settings_files import options_and_objects, pipeline_options
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.model import Alignment
@@ -117,7 +117,7 @@ class Pipeline:
         self._index, self._first_s, self._last_s = 0, math.nan, -math.inf
 
     @classmethod
-    @KeywordsInErrors(PipelineOptions)
+    @KeywordsInErrors(RunSettings)
     def stereo(
         cls,
         rig: str | Path | StereoRig,
@@ -147,7 +147,7 @@ class Pipeline:
         return StereoPipeline(rig, chosen, **objects, align=align, view=view, keep_s=keep_s)
 
     @classmethod
-    @KeywordsInErrors(PipelineOptions)
+    @KeywordsInErrors(RunSettings)
     def mono(
         cls,
         *,
@@ -216,6 +216,7 @@ class Pipeline:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
 
+    @KeywordsInErrors(RunSettings)
     def _step(self, images: Sequence[Any], time_s: float, ego_speed_mps: float | None) -> FrameResult:
         checked = [_checked(image, name) for image, name in zip(images, ("left", "right"), strict=False)]
         time_s, opened = float(time_s), self._opened
