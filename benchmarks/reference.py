@@ -40,7 +40,17 @@ _TIMES = {
 }
 """Keys of JSON files that differ from run to run."""
 
-_MACHINE = {"processed_s", "wall_s", "peak_memory_mb", "node", "started_utc", "frames_per_s", "worker", "memory_mb"}
+_MACHINE = {
+    *("overhead_s", "finished_utc", "alignment_look_s", "left", "right", "inputs"),
+    *"processed_s",
+    "wall_s",
+    "peak_memory_mb",
+    "node",
+    "started_utc",
+    "frames_per_s",
+    "worker",
+    "memory_mb",
+}
 """Columns of the table of clips that differ from run to run."""
 
 _EXPORTS = {

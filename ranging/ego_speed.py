@@ -173,8 +173,8 @@ def _from_oxts(folder: Path) -> EgoSpeed:
             f"{folder}: expected a line in timestamps.txt for each oxts file, got {len(times_s)} lines "
             f"but a file {files[-1].name}."
         )
-    speed_mps = np.array([_oxts_forward_mps(file) for file in files])
-    return EgoSpeed(times_s[np.array(frames)], _plausible(speed_mps, str(folder)), folder.name)
+    speed_mps = np.concatenate([_plausible(np.array([_oxts_forward_mps(file)]), str(file)) for file in files])
+    return EgoSpeed(times_s[np.array(frames)], speed_mps, folder.name)
 
 
 def _oxts_times_s(folder: Path) -> FloatArray:

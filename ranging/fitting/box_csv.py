@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.boxes import are_valid_boxes
-from track_range.detection.classes import ROAD_CLASS_OF
+from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M
 from track_range.foundation.arrays import FloatArray
@@ -115,5 +115,5 @@ def _box_set(
 def _class_name(table: CsvTable, row: int, text: str) -> str:
     name = "van" if text.lower() == "van" else ROAD_CLASS_OF.get(text.lower())
     if name is None:
-        raise table.fault(row, f"expected a class among {', '.join(sorted(ROAD_CLASS_OF))}, got {quoted(text)}.")
+        raise table.fault(row, f"expected a class such as {', '.join(ROAD_CLASSES)}, van, got {quoted(text)}.")
     return name
