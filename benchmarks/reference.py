@@ -26,32 +26,16 @@ _DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 """Folder of real data beside the project."""
 
 _TIMES = {
-    "wall_s",
-    "frames_per_s",
-    "stages_ms",
-    "versions",
-    "model_s",
-    "latency_ms",
-    "seconds",
-    "ms",
-    "memory_mb",
-    "look_s",
-    "settings_hash",
+    *("wall_s", "frames_per_s", "stages_ms", "latency_ms", "seconds", "ms", "look_s", "started_s", "heartbeat_s"),
+    *("versions", "memory_mb", "settings_hash", "pid"),
 }
 """Keys of JSON files that differ from run to run."""
 
 _MACHINE = {
-    *("overhead_s", "finished_utc", "alignment_look_s", "left", "right", "inputs"),
-    *"processed_s",
-    "wall_s",
-    "peak_memory_mb",
-    "node",
-    "started_utc",
-    "frames_per_s",
-    "worker",
-    "memory_mb",
+    *("processed_s", "wall_s", "overhead_s", "alignment_look_s", "started_utc", "finished_utc", "frames_per_s"),
+    *("peak_memory_mb", "memory_mb", "node", "worker", "left", "right", "inputs"),
 }
-"""Columns of the table of clips that differ from run to run."""
+"""Columns of the table of clips that differ from run to run, or have the path of the results."""
 
 _EXPORTS = {
     "coco": "0003.json", "cvat": "0003.xml", "kitti": "0003.txt", "mot": "mot.txt", "yolo": "yolo", "mcap": "run.mcap",
@@ -222,7 +206,7 @@ def _parquet_columns(path: Path) -> dict[str, list[Any]]:
 def _of_tables(a: dict[str, list[Any]], b: dict[str, list[Any]]) -> str:
     """Columns that differ, with the largest difference of numbers."""
     parts = [f"column {name} only in one" for name in sorted(a.keys() ^ b.keys())]
-    for name in (name for name in a if name in b and name not in _MACHINE and a[name] != b[name]):
+    for name in (name for name in a if name in b and _is_compared(name) and a[name] != b[name]):
         if len(a[name]) != len(b[name]):
             return "; ".join([*parts, f"{len(a[name])} -> {len(b[name])} rows"])
         unequal = [(x, y) for x, y in zip(a[name], b[name], strict=True) if x != y]
@@ -230,6 +214,11 @@ def _of_tables(a: dict[str, list[Any]], b: dict[str, list[Any]]) -> str:
         largest = np.nanmax(np.abs(numbers[:, 1] - numbers[:, 0]), initial=0.0)
         parts.append(f"{name}: {len(unequal)} of {len(a[name])} rows, at most {largest:.4g}")
     return "; ".join(parts)
+
+
+def _is_compared(name: str) -> bool:
+    """Whether a column has results, not times of the machine."""
+    return name not in _MACHINE and not name.endswith("_ms")
 
 
 def _number(text: str) -> float:
