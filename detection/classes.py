@@ -93,11 +93,11 @@ def road_class_id(name: str) -> int:
     Raises:
         ClassNameError: the name is unknown.
     """
-    key = name.strip().lower()
+    key = str(name).strip().lower()
     if key not in ROAD_CLASS_OF:
         near = difflib.get_close_matches(key, ROAD_CLASS_OF, n=1, cutoff=0.0)[0]
         raise ClassNameError(
-            f"unknown class '{name.strip()}': did you mean '{ROAD_CLASS_OF[near]}'? The classes are {ROAD_CLASS_TABLE}."
+            f"unknown class '{name}': did you mean '{ROAD_CLASS_OF[near]}'? The classes are {ROAD_CLASS_TABLE}."
         )
     return ROAD_CLASSES.index(ROAD_CLASS_OF[key])
 

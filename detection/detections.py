@@ -61,6 +61,8 @@ class Detections:
 
     def _check_values(self) -> None:
         boxes, score, class_id = self.xyxy_px, self.score, self.class_id
+        if class_id.dtype.kind not in "iu":
+            raise ValueError(f"class_id: expected whole numbers, {ROAD_CLASS_TABLE}, got {class_id.dtype}")
         is_valid = (
             class_id >= _CLASS_LIMITS[0],
             class_id < _CLASS_LIMITS[1],
@@ -94,7 +96,7 @@ class Detections:
         return cls(
             boxes,
             np.asarray(score, np.float64).reshape(-1),
-            np.asarray(class_id, np.int64).reshape(-1),
+            _whole_numbers("class_id", class_id),
             np.zeros((len(boxes), 0), np.float32),
         )
 
@@ -124,7 +126,9 @@ class Detections:
         Raises:
             ValueError: a class number does not exist, or see `Detections`.
         """
-        numbers, road = np.asarray(coco_class_id, np.int64).reshape(-1), ROAD_OF_COCO[n_ids]
+        if n_ids not in ROAD_OF_COCO:
+            raise ValueError(f"n_ids: expected {' or '.join(map(str, ROAD_OF_COCO))}, got {n_ids}")
+        numbers, road = _whole_numbers("coco_class_id", coco_class_id), ROAD_OF_COCO[n_ids]
         if len(unknown := numbers[(numbers < 0) | (numbers >= n_ids)]):
             raise ValueError(f"coco_class_id: expected COCO's numbers from 0 to {n_ids - 1}, got {unknown[0]}")
         class_id = road[numbers]
@@ -155,3 +159,12 @@ class Detections:
             self.class_id.take(rows),
             self.descriptor.take(rows, axis=0),
         )
+
+
+def _whole_numbers(name: str, values: npt.ArrayLike) -> IntArray:
+    """(N,) numbers, if they are whole; networks give class numbers as floats."""
+    numbers = np.asarray(values).reshape(-1)
+    whole = numbers.astype(np.int64)
+    if len(wrong := numbers[whole != numbers]):
+        raise ValueError(f"{name}: expected whole numbers, got {wrong[0]}")
+    return whole

@@ -25,7 +25,7 @@ from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, re
 from track_range.foundation.files.numeric_text import number, numbers
 
 _MPS_PER_KMH = 1 / 3.6
-_MAX_SPEED_MPS = 120.0
+MAX_SPEED_MPS = 120.0
 """Largest plausible speed (432 km/h); a faster one is most likely in another unit."""
 
 _MAX_GAP_S = 3.0
@@ -217,10 +217,10 @@ def _oxts_forward_mps(file: Path) -> float:
 
 def _plausible(speed_mps: FloatArray, where: str) -> FloatArray:
     """`speed_mps`, if all values are plausible; raises an EgoSpeedError that begins with `where` otherwise."""
-    implausible = speed_mps[~(np.abs(speed_mps) <= _MAX_SPEED_MPS)]
+    implausible = speed_mps[~(np.abs(speed_mps) <= MAX_SPEED_MPS)]
     if len(implausible):
         raise EgoSpeedError(
-            f"{where}: expected a speed of at most {_MAX_SPEED_MPS * 3.6:.0f} km/h, got "
+            f"{where}: expected a speed of at most {MAX_SPEED_MPS * 3.6:.0f} km/h, got "
             f"{float(implausible[0]) * 3.6:.6g} km/h; check the unit."
         )
     return speed_mps

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from track_range.detection.classes import ROAD_CLASS_TABLE, ROAD_CLASSES
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.processes import search_current_folder
@@ -111,11 +112,15 @@ def checked_tracks(tracker: ObjectTracker, result: Any) -> Tracks:
     """The result of a tracker's `update`, checked to be `Tracks`.
 
     Raises:
-        TrackerError: the result has another type.
+        TrackerError: the result has another type, or class ids that do not exist.
     """
     if not isinstance(result, Tracks):
         name = f"{type(tracker).__module__}:{type(tracker).__qualname__}"
         raise TrackerError(f"{name}: expected Tracks from the tracker's update, got {type(result).__name__}.")
+    class_id = result.class_id
+    if class_id.dtype.kind not in "iu" or not ((class_id >= 0) & (class_id < len(ROAD_CLASSES))).all():
+        name = f"{type(tracker).__module__}:{type(tracker).__qualname__}"
+        raise TrackerError(f"{name}: expected class_id among {ROAD_CLASS_TABLE}, got {class_id.tolist()}.")
     return result
 
 

@@ -36,6 +36,8 @@ from track_range.run.pictures import pictures
 from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings
 from track_range.run.settings_files import absolute_settings, input_files, save_settings
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.rig_formats.rig_yaml import save_rig
 from track_range.views.event_clips import remove_clips, write_clips
 from track_range.views.overlay.result_video import ResultVideo
 from track_range.views.report.page import write_report
@@ -56,6 +58,7 @@ class RunOutput:
     Args:
         settings: settings of the run.
         folder: the output folder; None = nothing is written.
+        rig: models of the cameras that were not read from a file: written to rig.yaml, which settings.yaml then names.
 
     Attributes:
         folder: the output folder.
@@ -68,8 +71,8 @@ class RunOutput:
         WriterError: one of the result writers cannot be used.
     """
 
-    def __init__(self, settings: RunSettings, folder: Path | None) -> None:
-        self.folder, self._settings = folder, settings
+    def __init__(self, settings: RunSettings, folder: Path | None, rig: StereoRig | None = None) -> None:
+        self.folder, self._settings, self._rig = folder, settings, rig
         self.videos: Mapping[str, str] = {}
         self.files: tuple[Path, ...] = ()
         self._open, self._videos_open = ExitStack(), ExitStack()
@@ -131,6 +134,9 @@ class RunOutput:
         self._clear(folder)
         self.report(PROCESSING)
         self._noted_s = time.monotonic()
+        if self._rig is not None:
+            save_rig(self._rig, folder / "rig.yaml")
+            settings = settings.model_copy(update={"rig": folder / "rig.yaml"})
         save_settings(settings, folder / "settings.yaml", detected=session.detected())
         recording = session.recording
         drawn = pictures(settings, recording, session.meter.captions) if has_videos else {}
@@ -147,7 +153,8 @@ class RunOutput:
         ]
         rows = (*self._events.files, *self._writers.files)
         positions = () if not settings.keep_gps or session.speed.track is None else (TELEMETRY_FILE,)
-        names = (*self.videos.values(), "report.html", *rows, *positions, "summary.json", "settings.yaml")
+        rigs = () if self._rig is None else ("rig.yaml",)
+        names = (*self.videos.values(), "report.html", *rows, *positions, *rigs, "summary.json", "settings.yaml")
         self.files = tuple(folder / name for name in names)
 
     def _clear(self, folder: Path) -> None:

@@ -8,8 +8,9 @@ Nothing is read ahead: the alignment of a pair is estimated while the frames com
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from numbers import Real
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -20,11 +21,11 @@ from rich.console import Console
 
 from track_range.detection.detector import ObjectDetector
 from track_range.foundation.arrays import Image
-from track_range.foundation.errors import ConfigError, UserError
+from track_range.foundation.errors import ConfigError, UsageError, UserError
 from track_range.foundation.keywords import KeywordsInErrors
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
-from track_range.ranging.ego_speed import TABLE_SIGMA_MPS
+from track_range.ranging.ego_speed import MAX_SPEED_MPS, TABLE_SIGMA_MPS
 from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
 from track_range.recording.pairs.auto_alignment import PairAlignment, given_alignment
@@ -44,6 +45,7 @@ from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.geometry.rig_checks import check_camera
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.stereo.rig_formats.reading import load_calibration
 from track_range.tracking.tracker import ObjectTracker
@@ -66,8 +68,8 @@ class FrameError(UserError, ValueError):
 class Pipeline:
     """Detection, tracking, ranging, fusion, filters and warnings of one drive, frame by frame.
 
-    `Pipeline.stereo` and `Pipeline.mono` make one; it is a context manager. Results are those of `Run` with the same
-    options and alignment.
+    `Pipeline.stereo` and `Pipeline.mono` make one; it is a context manager, for use in one thread. Results are those of
+    `Run` with the same options and alignment.
 
     Example:
         >>> import track_range as tr
@@ -91,12 +93,12 @@ class Pipeline:
         *,
         detector: ObjectDetector | None = None,
         tracker: ObjectTracker | None = None,
-        align: str | Path | Alignment | PairAlignment = "auto",
+        align: str | Path | Alignment | PairAlignment | None = "auto",
         view: LensView,
         keep_s: float = 60.0,
     ) -> None:
-        if not keep_s > 0:
-            raise ConfigError(f"keep_s: expected a positive number of seconds, found {keep_s}.")
+        if not _is_number(keep_s) or not keep_s > 0:
+            raise ConfigError(f"keep_s: expected a positive number of seconds, found {keep_s!r}.")
         if options.detections is not None:
             raise ConfigError("detections: expected a detector, found recorded boxes; pass an object with detect().")
         self.options = options
@@ -105,7 +107,10 @@ class Pipeline:
             load_calibration(self._cameras)  # an unusable file is reported before the first frame
         if isinstance(align, str | Path) and align not in ("auto", "off"):
             align = load_alignment(align)
-        self._align, self._view = align, view
+        elif align is not None and not isinstance(align, str | Alignment | PairAlignment):
+            raise ConfigError(f"align: expected auto, off, a file or an alignment, found {type(align).__name__}.")
+        self._align, self._view = "auto" if align is None else align, view
+        self._is_closed = False
         self._tracker = tracker
         self._size_model = load_curves(options.curves)
         if detector is not None:
@@ -122,7 +127,7 @@ class Pipeline:
         cls,
         rig: str | Path | StereoRig,
         *,
-        align: str | Path | Alignment | PairAlignment = "auto",
+        align: str | Path | Alignment | PairAlignment | None = "auto",
         keep_s: float = 60.0,
         fov_deg: float | None = None,
         **options: Unpack[PipelineKeywords],
@@ -131,8 +136,8 @@ class Pipeline:
 
         Args:
             rig: calibration file, or the models of the cameras.
-            align: correction of disparities: "auto" = estimated from the first frames in motion, "off", a file of
-                `track-range align`, or an alignment, such as `run.alignment`.
+            align: correction of disparities: "auto" or None = estimated from the first frames in motion, "off", a file
+                of `track-range align`, or an alignment, such as `run.alignment`.
             keep_s: time for which rows and events are kept.
             fov_deg: horizontal field of view to which images of wide lenses are undistorted; None = that of the lens.
             options: options of `track-range run` for detection, tracking and ranging, with underscores. `detector` and
@@ -142,6 +147,8 @@ class Pipeline:
             ConfigError: an option is unknown or invalid.
             RigError, ModelError, DownloadError, TrackerError: a file or network cannot be used.
         """
+        if not isinstance(rig, str | Path | StereoRig):
+            raise ConfigError(f"rig: expected a calibration file or a StereoRig, found {type(rig).__name__}.")
         values, objects = options_and_objects(PipelineOptions, {**options})
         chosen, view = pipeline_options(values), LensView(fov_deg)
         return StereoPipeline(rig, chosen, **objects, align=align, view=view, keep_s=keep_s)
@@ -175,8 +182,10 @@ class Pipeline:
         cameras = rig if focal_px is None else focal_px
         if cameras is None or None not in (rig, focal_px):
             raise ConfigError("expected either focal_px or rig, the calibration of the camera.")
-        if isinstance(cameras, int | float) and not 0 < cameras < math.inf:
-            raise ConfigError(f"focal_px: expected a positive number, found {cameras}.")
+        if focal_px is not None and not (_is_number(focal_px) and 0 < focal_px < math.inf):
+            raise ConfigError(f"focal_px: expected a positive number, found {focal_px!r}.")
+        if focal_px is None and not isinstance(cameras, str | Path | StereoRig | PinholeCamera):
+            raise ConfigError(f"rig: expected a calibration file or a PinholeCamera, found {type(rig).__name__}.")
         values, objects = options_and_objects(PipelineOptions, {**options})
         chosen, view = pipeline_options(values), LensView(fov_deg, yaw_deg)
         return MonoPipeline(cameras, chosen, **objects, align="off", view=view, keep_s=keep_s)
@@ -188,8 +197,8 @@ class Pipeline:
 
     @property
     def calibration(self) -> RecordingCalibration | None:
-        """The camera models of the rectified frames; None before the first frame, which has the image size."""
-        return None if self._opened is None else self._opened.calibration
+        """The camera models of the next rectified frame; None before the first frame, which has the image size."""
+        return None if self._opened is None else self._opened.next_calibration
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -207,6 +216,7 @@ class Pipeline:
 
     def close(self) -> None:
         """End the threads; rows and events remain, but no frame may follow."""
+        self._is_closed = True
         if self._opened is not None:
             self._opened.close()
 
@@ -217,22 +227,26 @@ class Pipeline:
         self.close()
 
     @KeywordsInErrors(RunSettings)
-    def _step(self, images: Sequence[Any], time_s: float, ego_speed_mps: float | None) -> FrameResult:
-        checked = [_checked(image, name) for image, name in zip(images, ("left", "right"), strict=False)]
-        time_s, opened = float(time_s), self._opened
-        if not math.isfinite(time_s) or time_s <= self._last_s:
-            raise FrameError(
-                f"time_s: expected a time after {self._last_s} s, that of the last frame, found {time_s} s."
-            )
+    def _step(self, images: Mapping[str, Any], time_s: float, ego_speed_mps: float | None) -> FrameResult:
+        if self._is_closed:
+            raise UsageError("this pipeline is closed; make another one for further frames.")
+        checked = {name: _checked(image, name, is_left=name != "right") for name, image in images.items()}
+        known, opened = _known_motion(ego_speed_mps), self._opened
+        if not _is_number(time_s) or not self._last_s < time_s < math.inf:
+            after = f" after {self._last_s} s, that of the last frame" if self._index else ""
+            raise FrameError(f"time_s: expected a time in seconds{after}, found {time_s!r}.")
+        time_s = float(time_s)
         if opened is None:
-            opened = self._opened = self._open(tuple((image.shape[1], image.shape[0]) for image in checked))
+            opened = self._open(tuple((image.shape[1], image.shape[0]) for image in checked.values()))
         opened.check_sizes(checked)
         first_s = time_s if math.isnan(self._first_s) else self._first_s
-        known = None
-        if ego_speed_mps is not None and math.isfinite(ego_speed_mps):
-            known = EgoMotion(float(ego_speed_mps), TABLE_SIGMA_MPS)
-        result = opened.step(checked, self._index, time_s - first_s, known)
-        self._first_s, self._last_s = first_s, time_s
+        try:
+            result = opened.step(list(checked.values()), self._index, time_s - first_s, known)
+        except BaseException:
+            if self._opened is None:  # a first frame that is refused does not fix the size of the images
+                opened.close()
+            raise
+        self._opened, self._first_s, self._last_s = opened, first_s, time_s
         self._index += 1
         self._rows.add(result)
         return result
@@ -240,8 +254,9 @@ class Pipeline:
     def _open(self, sizes_px: tuple[tuple[int, int], ...]) -> _Opened:
         """The calibration for images of these sizes, and the stages."""
         cameras = self._cameras
-        if isinstance(cameras, int | float):
-            cameras = PinholeCamera.of_focal_length(cameras, sizes_px[0])
+        if not isinstance(cameras, Path | StereoRig | PinholeCamera):
+            cameras = PinholeCamera.of_focal_length(float(cameras), sizes_px[0])
+            check_camera(cameras, "focal_px")
         calibration = calibration_of(cameras, sizes_px, self._view)
         given = None if calibration.rig is None else given_alignment(self._align, calibration.rig)
         stepwise = None if calibration.rig is None else StepwiseAlignment(calibration.rig, given)
@@ -269,14 +284,14 @@ class StereoPipeline(Pipeline):
             right: image of the right camera at the same time.
             time_s: time of the images in seconds on any clock; must increase. Times in results count from the first
                 frame.
-            ego_speed_mps: speed of the camera, negative = backwards; None = measured from the images.
+            ego_speed_mps: speed of the camera, negative = backwards; None or NaN = measured from the images.
 
         Raises:
             FrameError: an image has another size or type than the first one, or the time does not increase.
             RigError: the first images do not fit the rig, or left and right are swapped.
             DetectorError, TrackerError, MethodError: an object of another package returned something else.
         """
-        return self._step((left, right), time_s, ego_speed_mps)
+        return self._step({"left": left, "right": right}, time_s, ego_speed_mps)
 
 
 class MonoPipeline(Pipeline):
@@ -284,17 +299,31 @@ class MonoPipeline(Pipeline):
 
     def step(self, image: Image, time_s: float, *, ego_speed_mps: float | None = None) -> FrameResult:
         """Result of the next frame; see `StereoPipeline.step`."""
-        return self._step((image,), time_s, ego_speed_mps)
+        return self._step({"image": image}, time_s, ego_speed_mps)
 
 
-def _checked(image: Any, name: str) -> Image:
+def _is_number(value: object) -> bool:
+    """Whether a value is a number of Python or NumPy."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _known_motion(ego_speed_mps: float | None) -> EgoMotion | None:
+    """The motion of a camera at a given speed; None = unknown."""
+    if ego_speed_mps is None or (_is_number(ego_speed_mps) and math.isnan(ego_speed_mps)):
+        return None
+    if not _is_number(ego_speed_mps) or not abs(ego_speed_mps) <= MAX_SPEED_MPS:
+        raise FrameError(f"ego_speed_mps: expected up to {MAX_SPEED_MPS:.0f} m/s, found {ego_speed_mps!r}.")
+    return EgoMotion(float(ego_speed_mps), TABLE_SIGMA_MPS)
+
+
+def _checked(image: Any, name: str, *, is_left: bool) -> Image:
     """An image as (H, W, 3) uint8 BGR; the right one may be grey."""
     if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim not in (2, 3) or 0 in image.shape:
         got = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
         raise FrameError(f"{name}: expected an image, uint8 (H, W, 3) in BGR or (H, W), found {got}.")
     if image.ndim == 3 and image.shape[2] != 3:
         raise FrameError(f"{name}: expected 3 channels in BGR, found {image.shape[2]}.")
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)) if image.ndim == 2 and name == "left" else image
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)) if image.ndim == 2 and is_left else image
 
 
 class _Opened:
@@ -327,18 +356,25 @@ class _Opened:
         return None if self._stepwise is None else self._stepwise.current
 
     @property
+    def next_calibration(self) -> RecordingCalibration:
+        """The calibration of the next frame."""
+        self._apply()
+        return self.calibration
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user."""
+        self._apply()
         pair = () if self._monitor is None else self._monitor.notes
         return (*self.calibration.notes, *pair, *self._stages.notes, *self._stages.ranging.notes())
 
-    def check_sizes(self, images: Sequence[Image]) -> None:
+    def check_sizes(self, images: Mapping[str, Image]) -> None:
         """Check that images have the sizes of the first ones.
 
         Raises:
             FrameError: they have not.
         """
-        for image, size_px, name in zip(images, self._unaligned.sizes_px, ("left", "right"), strict=False):
+        for (name, image), size_px in zip(images.items(), self._unaligned.sizes_px, strict=True):
             if (image.shape[1], image.shape[0]) != size_px:
                 got = f"{image.shape[1]}x{image.shape[0]}"
                 raise FrameError(f"{name}: expected {size_px[0]}x{size_px[1]} px as before, found {got} px.")

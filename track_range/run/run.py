@@ -181,7 +181,7 @@ class Run:
         """The output, with its folder locked; `write` may give another folder after the opening."""
         if self._output.folder != self._folder or self._session is None:
             self._output.close()
-            self._output = RunOutput(self.settings, self._folder)
+            self._output = RunOutput(self.settings, self._folder, self._rig)
         return self._output
 
     def close(self) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 import track_range as tr
 from tests.track_range.run.test_process_state import assert_unchanged_by, process_state
@@ -147,10 +148,26 @@ def test_a_first_frame_that_does_not_fit_the_rig_is_refused(drive: Drive) -> Non
         assert pipeline.step(left.image, right.image, 0.0).index == 0
 
 
-def test_swapped_images_are_refused(drive: Drive) -> None:
-    swapped = replace(drive, left=drive.right, right=drive.left)
-    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline, pytest.raises(tr.RigError, match="swap"):
-        list(stepped(pipeline, swapped))
+def test_swapped_images_are_refused_every_time(drive: Drive) -> None:
+    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
+        for left, right in images(drive)[:4]:
+            with pytest.raises(tr.RigError, match="swap"):
+                pipeline.step(right.image, left.image, left.time_s)
+        assert pipeline.to_arrow().num_rows == 0
+
+
+def test_a_closed_pipeline_takes_no_frame(drive: Drive) -> None:
+    left, right = images(drive)[0]
+    for n_before in (0, 1):
+        pipeline = tr.Pipeline.stereo(drive.rig, **OPTIONS)
+        for index in range(n_before):
+            pipeline.step(left.image, right.image, float(index))
+        rows = pipeline.to_arrow()
+        pipeline.close()
+        pipeline.close()
+        with pytest.raises(tr.UsageError, match="closed"):
+            pipeline.step(left.image, right.image, 9.0)
+        assert pipeline.to_arrow().equals(rows)
 
 
 def test_options_are_checked(drive: Drive) -> None:
@@ -164,6 +181,16 @@ def test_options_are_checked(drive: Drive) -> None:
         tr.Pipeline.mono(focal_px=-1)
     with pytest.raises(tr.ConfigError, match=r"keep_s: .*positive"):
         tr.Pipeline.mono(focal_px=360, keep_s=0)
+    for bad in ("360", True, np.inf):
+        with pytest.raises(tr.ConfigError, match=r"focal_px: .*positive"):
+            tr.Pipeline.mono(focal_px=bad)
+    for bad_rig in (5, [1]):
+        with pytest.raises(tr.ConfigError, match=r"rig: expected"):
+            tr.Pipeline.mono(rig=bad_rig)
+        with pytest.raises(tr.ConfigError, match=r"rig: expected"):
+            tr.Pipeline.stereo(bad_rig)
+    with pytest.raises(tr.ConfigError, match=r"align: expected"):
+        tr.Pipeline.stereo(drive.rig, align=5)
     with pytest.raises(tr.RigError, match=r"missing\.yaml"):
         tr.Pipeline.stereo("missing.yaml")
     with pytest.raises(tr.RigError, match=r"missing\.yaml"):
@@ -183,6 +210,24 @@ def test_times_on_any_clock_and_grey_images(drive: Drive) -> None:
     assert results[0].left.shape == pairs[0][0].image.shape
 
 
+def test_numbers_of_numpy_and_names_of_arguments(drive: Drive) -> None:
+    left, _ = images(drive)[0]
+    with tr.Pipeline.mono(focal_px=np.float32(360), **OPTIONS) as pipeline:
+        assert pipeline.step(left.image, np.float64(0.0), ego_speed_mps=np.float32(10)).ego_mps == 10.0
+        assert math.isnan(pipeline.step(left.image, 0.1, ego_speed_mps=math.nan).ego_mps)
+        for arguments, name in (
+            ((None, 0.2), "image"),
+            ((left.image, "0.2"), "time_s"),
+            ((left.image, None), "time_s"),
+        ):
+            with pytest.raises(tr.FrameError, match=f"^{name}: expected"):
+                pipeline.step(*arguments)
+        for speed in ("fast", math.inf, 1e9):
+            with pytest.raises(tr.FrameError, match=r"^ego_speed_mps: expected"):
+                pipeline.step(left.image, 0.2, ego_speed_mps=speed)
+        assert pipeline.step(left.image, 0.2).index == 2
+
+
 def test_speed_of_each_step(drive: Drive) -> None:
     with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
         results = list(stepped(pipeline, drive, ego_speed_mps=13.0))
@@ -191,6 +236,21 @@ def test_speed_of_each_step(drive: Drive) -> None:
         measured = [result.ego_mps for result in stepped(pipeline, drive)]
     assert np.isfinite(measured[2:]).all()
     assert 13.0 not in measured
+
+
+def test_a_rig_in_memory_is_written_beside_the_results(drive: Drive, tmp_path: Path) -> None:
+    options = {**OPTIONS, "align": "off", "overlay": False, "duration": 0.6}
+    video = tmp_path / "videos/left.mp4"
+    video.parent.mkdir()
+    shutil.copy(drive.left, video)  # no rig.yaml lies beside the copy
+    run = tr.Run.stereo(video, drive.right, rig=tr.load_rig(drive.rig), out=tmp_path / "out", **options)
+    list(run)
+    assert tmp_path / "out/rig.yaml" in run.files
+    settings = yaml.safe_load((tmp_path / "out/settings.yaml").read_text(encoding="utf-8"))["run"]
+    assert settings["rig"] == str(tmp_path / "out/rig.yaml")
+    again = tr.Run.stereo(video, drive.right, rig=settings["rig"], **options)
+    list(again)
+    assert again.to_arrow().equals(run.to_arrow())
 
 
 class Nothing:

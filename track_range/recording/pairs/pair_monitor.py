@@ -77,17 +77,17 @@ class PairMonitor:
         """
         if frame.right is None or frame.index <= self._last_index:
             return
-        self._last_index = frame.index
         if self.is_done:
             self._is_unmatched = not self.row_offsets_px
             return
-        self._n_checked += 1
         check = check_pair(frame.left, whole_image(frame.right))
         if check.is_swapped:
             raise RigError(
                 f"left and right are swapped: {100 * check.negative_share:.0f} % of {check.n_matches} matched points "
                 "have a negative disparity; swap the two videos."
             )
+        self._last_index = frame.index
+        self._n_checked += 1
         if check.is_conclusive:
             self.row_offsets_px.append(check.row_offset_px)
 

@@ -11,6 +11,9 @@ from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 
+_MAX_STATIC_FRAMES = 50
+"""Frames without motion after which the search starts again, so that they do not use up the frames of a drive."""
+
 ESTIMATES_S = (2.0, 4.0, 8.0)
 """Times after the first frame in motion at which the alignment is estimated again; the last estimate stays."""
 
@@ -27,9 +30,15 @@ class StepwiseAlignment:
     def __init__(self, rig: StereoRig, given: PairAlignment | None = None) -> None:
         """Start with frames rectified to `rig`; an alignment that is given stays as it is."""
         self.current = given
-        self._rig, self._is_final = rig, given is not None
-        self._drive, self._moving_s, self._n_estimates = DriveAlignment(rig), math.nan, 0
+        self._rig = rig
         self._drift: DriftMonitor | None = None
+        self._start()
+        self._is_final = given is not None
+
+    def _start(self) -> None:
+        """Look for the first frames in motion."""
+        self._drive, self._moving_s, self._is_final = DriveAlignment(self._rig), math.nan, False
+        self._n_estimates = self._n_static = 0
 
     @property
     def is_active(self) -> bool:
@@ -52,22 +61,29 @@ class StepwiseAlignment:
                 self._drift.add(aligned)
             return None
         self._drive.add(unaligned)
-        if math.isnan(self._moving_s) and self._drive.n_moving > 1:
-            self._moving_s = unaligned.time_s
+        if math.isnan(self._moving_s):
+            self._wait_for_motion(unaligned.time_s)
         if not self._is_due(unaligned.time_s):
             return None
         drive = self._drive if self._is_final else self._drive.copy()
         estimated = PairAlignment.of_drive(drive, self._rig)
         if not estimated.measured.is_measured:
-            if self._is_final:  # the vehicle was stationary, or the view was blocked: look again
-                self._is_final, self._drive, self._moving_s = False, DriveAlignment(self._rig), math.nan
-                self._n_estimates = 0
+            if self._is_final:  # the view was blocked, or without texture: look again
+                self._start()
             return None
         self.current = estimated
         if self._is_final and estimated.drifting is not None:
             shift_px = estimated.applied.shift_px
             self._drift = DriftMonitor(self._rig, estimated.drifting, estimated.measured, shift_px=shift_px)
         return estimated
+
+    def _wait_for_motion(self, time_s: float) -> None:
+        """Note the time of the first frame in motion."""
+        self._n_static += 1
+        if self._drive.n_moving > 1:
+            self._moving_s = time_s
+        elif self._n_static > _MAX_STATIC_FRAMES:
+            self._start()
 
     def _is_due(self, time_s: float) -> bool:
         """Whether to estimate now; the last estimate is final."""
