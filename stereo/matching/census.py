@@ -43,14 +43,13 @@ def census(grey: Grey) -> Census:
     """(H - 4, W - 4, N) census words xi of N images (H, W, N), without their margin."""
     (height, width, n), rows = grey.shape, grey.reshape(len(grey), -1)  # columns of all images in one axis
     hw = height - _SIDE + 1, width - _SIDE + 1
-    shifted = [[rows[row:, column * n :][: hw[0], : hw[1] * n] for column in range(_SIDE)] for row in range(_SIDE)]
-    centre = shifted[_REACH_PX][_REACH_PX]
+    centre = rows[_REACH_PX:, _REACH_PX * n :][: hw[0], : hw[1] * n]
     words = np.zeros(centre.shape, np.uint32)
     brighter = np.empty(centre.shape, np.bool_)
     for first in range(0, len(_NEIGHBOURS), _BITS_PER_BYTE):  # bytes are four times as fast to shift as words
         byte = np.zeros(centre.shape, np.uint8)
         for row, column in _NEIGHBOURS[first : first + _BITS_PER_BYTE]:
-            np.greater(shifted[row][column], centre, out=brighter)
+            np.greater(rows[row:, column * n :][: hw[0], : hw[1] * n], centre, out=brighter)
             np.add(byte, byte, out=byte)
             np.add(byte, brighter.view(np.uint8), out=byte)
         words |= byte.astype(np.uint32) << np.uint32(first)
@@ -60,9 +59,12 @@ def census(grey: Grey) -> Census:
 def window_costs(tiles: BoxTiles) -> FloatArray32:
     """(D, G, N) costs C(w, d) of the windows, bits per pixel; NaN where the window is outside the right image."""
     n_disparities, (cell_height, cell_width) = tiles.n_disparities, tiles.shape.cell_hw
-    (height, width), n = tiles.shape.hw, tiles.left.shape[2]
+    (height, width), n = tiles.shape.hw, tiles.both.shape[2]
     margin = slice(MARGIN_PX - _REACH_PX, -(MARGIN_PX - _REACH_PX))
-    words = _row_pairs(census(tiles.both[margin, margin])).reshape(height // 2, -1)
+    xi = census(tiles.both[margin, margin])
+    words = xi[0::2].astype(np.uint64)  # of two rows in one, because counting 64 bits is as fast as 32
+    words |= xi[1::2].astype(np.uint64) << np.uint64(32)
+    words = words.reshape(height // 2, -1)
     left = words[:, : width * n]
     # Views of the strip at each disparity, the smallest first, which is farthest to the right.
     right = sliding_window_view(words[:, (width + 2 * MARGIN_PX) * n :], width * n, axis=1)[:, ::-n].swapaxes(0, 1)
@@ -89,10 +91,3 @@ def _mark_unseen(cost: FloatArray32, tiles: BoxTiles) -> None:
     start = np.arange(N_SIDE) * cell_width + np.arange(len(cost) - 1, -1, -1)[:, None]
     is_seen = n_seen[start + 2 * cell_width] - n_seen[start] == 2 * cell_width  # (D, columns, N)
     cost[np.broadcast_to(~is_seen[:, None], cost.shape)] = np.nan
-
-
-def _row_pairs(words: Census) -> npt.NDArray[np.uint64]:
-    """(H / 2, W, N) words of two rows in one, because counting 64 bits is as fast as 32."""
-    paired = words[0::2].astype(np.uint64)
-    paired |= words[1::2].astype(np.uint64) << np.uint64(32)
-    return paired

@@ -205,14 +205,14 @@ class PatchMatcher:
         """
         if left.shape[:2] != right.shape[:2]:
             raise ValueError(f"left and right: expected equal sizes, got {left.shape[:2]} and {right.shape[:2]}")
-        boxes, outcome = self._usable(xyxy_px, (left.shape[0], left.shape[1]))
+        boxes, limit_px, outcome = self._usable(xyxy_px, (left.shape[0], left.shape[1]))
         n = len(boxes)
         matches = PatchMatches.of(np.full(n, np.nan), np.full(n, np.nan), outcome)
-        track_px = self._in_range(prior_px, boxes)
+        track_px = self._in_range(prior_px, limit_px)
         expected = by_size or ExpectedDisparity.unknown(n)
-        size_px = self._in_range(expected.disparity_px, boxes)
+        size_px = self._in_range(expected.disparity_px, limit_px)
         others = OtherBoxes(boxes, np.where(np.isfinite(track_px), track_px, size_px))
-        known = KnownBoxes(boxes, track_px, expected, self._limit_px(boxes), others)
+        known = KnownBoxes(boxes, track_px, expected, limit_px, others)
         no_track = known._replace(track_px=np.full(n, np.nan))
         is_usable = outcome == Outcome.MATCHED
         for part, centre_px, search_px in (
@@ -234,30 +234,26 @@ class PatchMatcher:
                 matches.put(rows, near)
         return matches
 
-    def _usable(self, xyxy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArray, IntArray]:
-        """Boxes (N, 4) clipped to the image, and (N,) outcomes: MATCHED for boxes that can be searched."""
-        height, width = image_hw
+    def _usable(self, xyxy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Boxes (N, 4) in the image, (N,) their largest disparities, (N,) outcomes: MATCHED if it can be searched."""
+        settings, (height, width) = self._settings, image_hw
         with np.errstate(invalid="ignore"):
             boxes = np.clip(xyxy_px, -0.5, np.array([width, height, width, height]) - 0.5)
-            side_px = (boxes[:, 2:] - boxes[:, :2]).min(axis=1)
+            size_px = boxes[:, 2:] - boxes[:, :2]
+            side_px = size_px.min(axis=1)
             is_outside = ~np.isfinite(xyxy_px).all(axis=1) | ~(side_px > 0)
         outcome = np.full(len(boxes), int(Outcome.MATCHED), np.int64)
         is_small_image = height < MIN_IMAGE_HW[0] or width < MIN_IMAGE_HW[1]
-        outcome[(side_px < self._settings.min_side_px) | is_small_image] = Outcome.TOO_SMALL
+        outcome[(side_px < settings.min_side_px) | is_small_image] = Outcome.TOO_SMALL
         outcome[is_outside] = Outcome.OUTSIDE
-        return boxes, outcome
+        limit_px = np.full(len(boxes), float(settings.max_disparity_px))
+        if math.isfinite(settings.max_disparity_per_side):
+            limit_px = np.minimum(size_px.max(axis=1) * settings.max_disparity_per_side, limit_px)
+        return boxes, limit_px, outcome
 
-    def _limit_px(self, boxes: FloatArray) -> FloatArray:
-        """(N,) largest disparity of each box."""
-        settings = self._settings
-        if math.isinf(settings.max_disparity_per_side):
-            return np.full(len(boxes), float(settings.max_disparity_px))
-        side_px = (boxes[:, 2:] - boxes[:, :2]).max(axis=1)
-        return np.asarray(np.minimum(side_px * settings.max_disparity_per_side, settings.max_disparity_px))
-
-    def _in_range(self, disparity_px: FloatArray, boxes: FloatArray) -> FloatArray:
+    def _in_range(self, disparity_px: FloatArray, limit_px: FloatArray) -> FloatArray:
         """(N,) disparities inside the range of each box; NaN for others."""
-        is_inside = (disparity_px >= self._settings.min_disparity_px) & (disparity_px <= self._limit_px(boxes))
+        is_inside = (disparity_px >= self._settings.min_disparity_px) & (disparity_px <= limit_px)
         return np.where(is_inside, disparity_px, np.nan)
 
     def search_near(
@@ -351,7 +347,10 @@ class PatchMatcher:
 
         disparity_px = tiles.disparity_px(surface.fit.p[:, 0])
         # A surface at the distance that the object's size lets expect needs less support from the images.
-        is_expected = _is_expected(disparity_px, known.by_size)
+        log_sigma = np.hypot(known.by_size.log_sigma, _MIN_EXPECTED_LOG_SIGMA)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            deviation = np.abs(np.log(disparity_px / known.by_size.disparity_px))
+        is_expected = deviation < _EXPECTED_SIGMAS * log_sigma  # False where the size is unknown
         support_limit = np.where(is_expected, _EXPECTED_SUPPORT, settings.min_support) * seen_share
         cost_limit = settings.max_cost_bits + np.where(is_expected, _EXPECTED_COST_BITS, 0.0)
 
@@ -410,16 +409,9 @@ class PatchMatcher:
         difference = np.where(np.isfinite(surfaces.centre), surfaces.centre - surface.fit.p[:, 0], 0.0)
         is_other = np.arange(len(difference))[:, None] != choice.chosen
         other = np.where(is_other, choice.probability * difference**2, 0.0).sum(axis=0)
-        shape = settings.floor_share * np.maximum(tiles.first + surface.fit.p[:, 0], 0.0)
-        parts = (shape, settings.noise_share * noise, settings.scatter_share * scatter, settings.tilt_share * tilt)
-        return np.asarray(np.sqrt(settings.floor_px**2 + sum((part**2 for part in parts), other)))
-
-
-def _is_expected(disparity_px: FloatArray, by_size: ExpectedDisparity) -> BoolArray:
-    """(N,) whether disparities agree with those by size; False where these are unknown."""
-    sigma = np.hypot(by_size.log_sigma, _MIN_EXPECTED_LOG_SIGMA)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.abs(np.log(disparity_px / by_size.disparity_px)) < _EXPECTED_SIGMAS * sigma)
+        variance = other + (settings.floor_share * np.maximum(tiles.first + surface.fit.p[:, 0], 0.0)) ** 2
+        variance = variance + (settings.noise_share * noise) ** 2 + (settings.scatter_share * scatter) ** 2
+        return np.asarray(np.sqrt(settings.floor_px**2 + (variance + (settings.tilt_share * tilt) ** 2)))
 
 
 def _chosen(search: SurfaceSearch) -> tuple[BoolArray, SurfaceFit]:

@@ -7,7 +7,7 @@ image. Here both images are padded on the left first, and only pixels with a mat
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
@@ -198,9 +198,9 @@ def inner_half_median(
     """
     settings = settings or SgbmSettings()
     median_px, sigma_px = np.full(len(xyxy_px), np.nan), np.full(len(xyxy_px), np.nan)
-    for i, patch in enumerate(_patches(disparity, xyxy_px)):
+    for i, patch in enumerate(inner_halves(xyxy_px, disparity.shape, margin_px=0, min_side_px=1)):
         if patch is not None:
-            median_px[i], sigma_px[i] = _median_and_sigma(_inside(disparity, patch), settings)
+            median_px[i], sigma_px[i] = _median_and_sigma(disparity, patch, settings)
     return median_px, sigma_px
 
 
@@ -217,11 +217,11 @@ def centre_disparity(
     with np.errstate(invalid="ignore", over="ignore"):  # the centres of infinite boxes are outside the image
         centres_px = np.nan_to_num((xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2, nan=-1.0)
     centres = np.rint(np.clip(centres_px, -1.0, max(disparity.shape))).astype(np.int64).tolist()
-    for i, patch in enumerate(_patches(disparity, xyxy_px)):
+    for i, patch in enumerate(inner_halves(xyxy_px, disparity.shape, margin_px=0, min_side_px=1)):
         x, y = centres[i]
         is_inside = 0 <= y < disparity.shape[0] and 0 <= x < disparity.shape[1]
         if patch is not None and is_inside and np.isfinite(disparity[y, x]):
-            sigma = _median_and_sigma(_inside(disparity, patch), settings)[1]
+            sigma = _median_and_sigma(disparity, patch, settings)[1]
             centre_px[i], sigma_px[i] = disparity[y, x], _MEDIAN_SIGMA_PX if math.isnan(sigma) else sigma
     return centre_px, sigma_px
 
@@ -241,15 +241,10 @@ def disparity_picture(disparity: DisparityMap | FloatArray, *, largest_px: float
     return np.where(known[:, :, None], picture, np.uint8(0))
 
 
-def _patches(disparity: DisparityMap | FloatArray, xyxy_px: FloatArray) -> Iterator[Patch | None]:
-    return inner_halves(xyxy_px, (disparity.shape[0], disparity.shape[1]), margin_px=0, min_side_px=1)
-
-
-def _inside(disparity: DisparityMap | FloatArray, patch: Patch) -> DisparityMap | FloatArray:
-    return disparity[patch.top : patch.bottom + 1, patch.left : patch.right + 1]
-
-
-def _median_and_sigma(inside: DisparityMap | FloatArray, settings: SgbmSettings) -> tuple[float, float]:
+def _median_and_sigma(
+    disparity: DisparityMap | FloatArray, patch: Patch, settings: SgbmSettings
+) -> tuple[float, float]:
+    inside = disparity[patch.top : patch.bottom + 1, patch.left : patch.right + 1]
     known = inside[np.isfinite(inside)].astype(np.float64)
     if len(known) < max(settings.min_valid_share * inside.size, 1):
         return math.nan, math.nan

@@ -233,13 +233,13 @@ class _Equations(NamedTuple):
         first += np.arange(n, dtype=np.int32)
         first += np.arange(height, dtype=np.int32)[:, None, None] * np.int32(self.grey.shape[1] * n)
         pixels = self.grey.reshape(-1)
+        at, after = pixels[n:].take(first, mode="wrap"), pixels[2 * n :].take(first, mode="wrap")
         if is_linear:
-            at, after = (pixels[k * n :].take(first, mode="wrap") for k in (1, 2))
             after -= at
             np.multiply(after, t, out=out)
             out += at
             return out
-        before, at, after, next_after = (pixels[k * n :].take(first, mode="wrap") for k in range(4))
+        before, next_after = pixels.take(first, mode="wrap"), pixels[3 * n :].take(first, mode="wrap")
         # at + t (c1 + t (c2 + t c3))
         c3 = at - after
         c3 *= np.float32(3)

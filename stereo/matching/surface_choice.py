@@ -190,14 +190,15 @@ def features(
 
 def choose_surface(phi: dict[str, FloatArray], surfaces: Surfaces) -> SurfaceChoice:
     """The most probable surface of each box, from the features of `features`."""
-    score = sum((theta * phi[name] for name, theta in THETA.items()), np.zeros_like(surfaces.centre))
-    n_windows = surfaces.n_windows
+    score = np.zeros_like(surfaces.centre)
+    for name, theta in THETA.items():
+        score += theta * phi[name]
     score = np.where(np.isfinite(surfaces.centre) & (surfaces.disparity > 0), score, -np.inf)
     best = score.max(axis=0)
     with np.errstate(invalid="ignore"):
         likelihood = np.where(np.isfinite(score), np.exp(score - best), 0.0)
     probability = likelihood / np.maximum(likelihood.sum(axis=0), 1e-12)
-    return SurfaceChoice(score.argmax(axis=0), probability, (n_windows >= 2).sum(axis=0))
+    return SurfaceChoice(score.argmax(axis=0), probability, (surfaces.is_member.sum(axis=2) >= 2).sum(axis=0))
 
 
 def _deviation(disparity_px: FloatArray, expected_px: FloatArray, log_sigma: FloatArray) -> FloatArray:

@@ -48,8 +48,8 @@ class SurfaceFit:
 
     def at(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """(..., N, G) disparities at positions (N, G), or broadcastable to that."""
-        p0, p1, p2, p3, p4 = (self.p[..., i, None] for i in range(5))
-        return np.asarray(p0 + u * (p1 + p3 * u) + v * (p2 + p4 * v))
+        p = self.p[..., None, :]
+        return np.asarray(p[..., 0] + u * (p[..., 1] + p[..., 3] * u) + v * (p[..., 2] + p[..., 4] * v))
 
 
 def surface_terms(u: FloatArray, v: FloatArray) -> FloatArray:

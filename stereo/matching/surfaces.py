@@ -65,11 +65,6 @@ class Surfaces:
     disparity: FloatArray
     planes: SurfaceFit
 
-    @property
-    def n_windows(self) -> FloatArray:
-        """(S, N) number of windows of each surface."""
-        return np.asarray(self.is_member.sum(axis=2, dtype=np.float64))
-
 
 def window_weights(matches: WindowMatches, tiles: BoxTiles) -> FloatArray:
     """(N, G) weights of windows: the slope of the minimum, reduced for costs like those of chance matches."""

@@ -184,8 +184,8 @@ def box_tiles(
     ends = np.rint(start_px[0] + tile_wh[0] * scale[0]).astype(np.int64).tolist()
     strip_ends = np.rint(strip_px + strip_width * scale[0]).astype(np.int64).tolist()
     for i, strip_start in enumerate(strip_px.tolist()):
-        _resample(_crop(left, tops[i], bottoms[i], starts[i], ends[i]), left_tiles[i])
-        _resample(_crop(right, tops[i], bottoms[i], strip_start, strip_ends[i]), strips[i])
+        _resample(left, tops[i], bottoms[i], starts[i], ends[i], left_tiles[i])
+        _resample(right, tops[i], bottoms[i], strip_start, strip_ends[i], strips[i])
 
     column_px = strip_px + (np.arange(strip_width)[:, None] + 0.5) * scale[0]
     u, v, is_used = _window_positions(xyxy_px, (centre_px - start_px) / scale - MARGIN_PX, scale, shape)
@@ -213,11 +213,9 @@ def _window_positions(
     v = (steps * shape.cell_hw[0] - centre[1][:, None]) / size[1][:, None]
     u, v = np.tile(u, (1, N_SIDE)), np.repeat(v, N_SIDE, axis=1)
     # In a small box, even the windows nearest to its centre may reach beyond it.
-    inside_u, inside_v = (
-        0.5 - _OVERHANG * 2 * cell / side[:, None] for cell, side in zip(shape.cell_hw[::-1], size, strict=True)
-    )
-    limit_u = np.maximum(inside_u, np.abs(u).min(axis=1, keepdims=True) + 1e-6)
-    limit_v = np.maximum(inside_v, np.abs(v).min(axis=1, keepdims=True) + 1e-6)
+    inside = 0.5 - _OVERHANG * 2 * np.array(shape.cell_hw[::-1])[:, None] / size
+    limit_u = np.maximum(inside[0][:, None], np.abs(u).min(axis=1, keepdims=True) + 1e-6)
+    limit_v = np.maximum(inside[1][:, None], np.abs(v).min(axis=1, keepdims=True) + 1e-6)
     return u, v, (np.abs(u) <= limit_u) & (np.abs(v) <= limit_v)
 
 
@@ -232,23 +230,19 @@ def _is_inside(start_px: IntArray, scale: FloatArray, shape: TileShape, image_hw
     return np.asarray((inside[1][:, :, None] & inside[0][:, None, :]).reshape(len(scale[0]), -1))
 
 
-def _crop(image: ImageView, top: int, bottom: int, start: int, end: int) -> Grey:
-    """Grey pixels [top:bottom, start:end]; outside the image, its border is repeated."""
+def _resample(image: ImageView, top: int, bottom: int, start: int, end: int, tile: Grey) -> None:
+    """Fill a tile with means of the grey pixels [top:bottom, start:end]; outside the image, its border is repeated."""
     height, width = image.shape[:2]
     inside = max(top, 0), min(bottom, height), max(start, 0), min(end, width)
     if inside[0] >= inside[1] or inside[2] >= inside[3]:
-        return np.zeros((bottom - top, end - start), np.uint8)
+        tile[:] = 0
+        return
     crop = image[inside[0] : inside[1], inside[2] : inside[3]]
     grey = cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY) if crop.ndim == 3 else crop
     if inside != (top, bottom, start, end):
         border = (inside[0] - top, bottom - inside[1], inside[2] - start, end - inside[3])
         grey = cv2.copyMakeBorder(grey, *border, cv2.BORDER_REPLICATE)
-    return np.asarray(grey, np.uint8)
-
-
-def _resample(crop: Grey, tile: Grey) -> None:
-    """Fill a tile with the means of a crop's pixels."""
-    tile[:] = crop if crop.shape == tile.shape else cv2.resize(crop, tile.shape[::-1], interpolation=cv2.INTER_AREA)
+    tile[:] = grey if grey.shape == tile.shape else cv2.resize(grey, tile.shape[::-1], interpolation=cv2.INTER_AREA)
 
 
 def window_sums(values: FloatArray32, cell_hw: tuple[int, int]) -> FloatArray32:

@@ -50,10 +50,10 @@ def match_windows(cost: FloatArray32) -> WindowMatches:
     """The disparity of each window from costs (D, G, N), bits per pixel, with D >= 3; NaN = outside the right image."""
     c = np.where(np.isfinite(cost), cost, _UNSEEN_BITS)
     last = len(cost) - 2
-    d = _inside(_path_costs(c).argmin(axis=0), last)
+    d = np.minimum(np.maximum(_path_costs(c).argmin(axis=0), 1), last)  # it has a neighbour on both sides
     before, at, after = _at(c, d - 1), _at(c, d), _at(c, d + 1)
     is_before = (before <= at) & (before <= after)
-    d = _inside(d - is_before + ((after < at) & ~is_before), last)
+    d = np.minimum(np.maximum(d - is_before + ((after < at) & ~is_before), 1), last)
     c_minus, c_0, c_plus = _at(cost, d - 1), _at(cost, d), _at(cost, d + 1)
     slope = np.maximum(c_minus, c_plus) - c_0
     is_minimum = (c_0 <= np.minimum(c_minus, c_plus)) & (slope > 0)  # False where one of the three is NaN
@@ -63,11 +63,6 @@ def match_windows(cost: FloatArray32) -> WindowMatches:
         slope=np.where(is_minimum, slope, 0.0).T.astype(np.float64),
         cost=_at(c, d).T.astype(np.float64),
     )
-
-
-def _inside(d: IntArray, last: int) -> IntArray:
-    """Disparities that have a neighbour on both sides."""
-    return np.minimum(np.maximum(d, 1), last)
 
 
 def _at(values: FloatArray32, index: IntArray) -> FloatArray32:
@@ -95,7 +90,7 @@ def _path_costs(c: FloatArray32) -> FloatArray32:
         np.minimum(step, least + _P2_BITS, out=step)
         step -= least
         l_w[1:-1] += step
-    right, left, down, up = (path[:, 1:-1, direction].transpose(1, 2, 0, 3) for direction in range(4))
+    right, left, down, up = path[:, 1:-1].transpose(2, 1, 3, 0, 4)
     total = np.empty(rows.shape, np.float32)
     np.add(right, left[:, :, ::-1], out=total)
     by_column = total.swapaxes(1, 2)
