@@ -86,17 +86,15 @@ def check_pair(left: Image, right: Image) -> PairCheck:
 
 
 def is_in_row(left_px: FloatArray, right_px: FloatArray, *, tolerance_px: float) -> BoolArray:
-    """(N,) whether matched points (N, 2) have the most frequent row offset, within `tolerance_px`."""
+    """(N,) whether matched points (N, 2) have the most frequent row offset, within `tolerance_px`.
+
+    It is the median in the band with the most values, which is not affected by wrong matches in random rows.
+    """
     row_offset = right_px[:, 1] - left_px[:, 1]
-    return np.asarray(np.abs(row_offset - _mode_px(row_offset, tolerance_px)) <= tolerance_px)
-
-
-def _mode_px(offset_px: FloatArray, tolerance_px: float) -> float:
-    """Median offset in the band with the most values, which is not affected by wrong matches in random rows."""
-    offsets = np.sort(offset_px)
+    offsets = np.sort(row_offset)
     until = np.searchsorted(offsets, offsets + 2 * tolerance_px, side="right")
     start = int((until - np.arange(len(offsets))).argmax())
-    return float(np.median(offsets[start : until[start]]))
+    return np.asarray(np.abs(row_offset - np.median(offsets[start : until[start]])) <= tolerance_px)
 
 
 def _view_order(disparity_px: FloatArray, share_agreeing: float) -> ViewOrder:
@@ -121,7 +119,7 @@ class Features:
         """The features of an image (H, W) or (H, W, 3) uint8."""
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
         points, descriptors = cv2.ORB.create(nfeatures=_N_FEATURES).detectAndCompute(grey, None)
-        xy_px = np.array([point.pt for point in points], np.float64).reshape(-1, 2)
+        xy_px = np.asarray(cv2.KeyPoint.convert(points), np.float64).reshape(-1, 2)
         return cls(xy_px, np.zeros((0, 32), np.uint8) if len(points) == 0 else np.asarray(descriptors, np.uint8))
 
 

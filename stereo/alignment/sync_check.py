@@ -41,19 +41,16 @@ def check_sync(left: Image, rights: Sequence[Image]) -> Sync:
         "synchronised": the second; "right lags": the third, so that right images are one frame late; "left lags": the
         first; "unknown".
     """
-    features = Features.of(left)
-    shares = [_share_in_row(features, Features.of(right)) for right in rights]
+    features, shares = Features.of(left), []
+    for right in rights:
+        left_px, right_px = matched_points(features, Features.of(right))
+        if len(left_px) < _MIN_MATCHES:
+            shares.append(0.0)
+        else:
+            shares.append(float(is_in_row(left_px, right_px, tolerance_px=_ROW_TOLERANCE_PX).mean()))
     best = max(range(3), key=shares.__getitem__)
     lead = shares[best] - sorted(shares)[1]
     if shares[best] < _MIN_SHARE or lead < _MIN_LEAD:
         return "unknown"
     results: tuple[Sync, ...] = ("left lags", "synchronised", "right lags")
     return results[best]
-
-
-def _share_in_row(left: Features, right: Features) -> float:
-    """Fraction of the matches in the same row; 0 with too few matches."""
-    left_px, right_px = matched_points(left, right)
-    if len(left_px) < _MIN_MATCHES:
-        return 0.0
-    return float(is_in_row(left_px, right_px, tolerance_px=_ROW_TOLERANCE_PX).mean())
