@@ -108,13 +108,6 @@ class GroundOdometrySettings:
     travel_time_s: float = 1.0
 
 
-class _Strip(NamedTuple):
-    """Distance of the centre of a strip, and its correlations with all shifts; NaN = outside the picture."""
-
-    distance_m: float
-    score: FloatArray
-
-
 class GroundOdometry:
     """Measures the speed of one camera and the horizon; the state belongs to the instance.
 
@@ -177,9 +170,18 @@ class GroundOdometry:
             ValueError: an argument has another shape.
         """
         check_shape("xyxy_px", xyxy_px, (None, 4))
-        if frame.time_s != self._last[0]:
-            self._last = frame.time_s, self._updated(frame, xyxy_px)
-        return self._last[1]
+        if frame.time_s == self._last[0]:
+            return self._last[1]
+        self.motion = motion = self._image_motion.update(frame.left, frame.time_s, xyxy_px)
+        now = self._flow.now
+        before, self._before = self._before, small_grey(frame.left, 0) if now is None else now.grey
+        boxes_before, self._boxes_before = self._boxes_before, xyxy_px
+        if math.isnan(motion.dt_s) or before is None:
+            self._side, ego = math.nan, EgoMotion()
+        else:
+            ego = self._moved(motion, before, self._before, (boxes_before, xyxy_px))
+        self._last = frame.time_s, ego
+        return ego
 
     def step(self, ego: EgoMotion) -> CameraStep | None:
         """Motion of the camera to the last frame, with the speed of `ego`; None = unknown, or at rest."""
@@ -199,51 +201,28 @@ class GroundOdometry:
             now=now,
         )
 
-    def _updated(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
-        self.motion = motion = self._image_motion.update(frame.left, frame.time_s, xyxy_px)
-        now = self._flow.now
-        before, self._before = self._before, small_grey(frame.left, 0) if now is None else now.grey
-        boxes_before, self._boxes_before = self._boxes_before, xyxy_px
-        if math.isnan(motion.dt_s) or before is None:
-            self._side = math.nan
-            return self._filtered(motion, math.nan)
-        if not motion.is_known or motion.is_still:
-            ego = self._filtered(motion, 0.0 if motion.is_still else math.nan)
-            self._predict(motion, ego.speed_mps)
-            return ego
-        self._follow_side(motion)
-        shift_m = math.nan
-        if math.isfinite(self._side):
-            shift_m = self._shift_m(motion, before, self._before, (boxes_before, xyxy_px))
-        ego = self._filtered(motion, shift_m / motion.dt_s)
-        self._predict(motion, ego.speed_mps)
-        self._measure_epipole(motion)
-        return ego
-
-    def _filtered(self, motion: ImageMotion, speed_mps: float) -> EgoMotion:
-        if math.isnan(motion.dt_s):
-            return EgoMotion()
-        settings = self._settings
-        speed_mps, sigma_mps = self._filter.update(
-            motion.time_s,
-            motion.dt_s,
-            speed_mps,
-            settings.shift_sigma_m / motion.dt_s,
-            settings.scale_sigma * abs(speed_mps),
-        )
-        return EgoMotion(speed_mps, sigma_mps, motion.yaw_rad_s, motion.is_still)
-
-    def _predict(self, motion: ImageMotion, speed_mps: float) -> None:
-        """Move the horizon on to this frame."""
-        if math.isfinite(speed_mps):
-            self._speed_mps = speed_mps
-        dt_s = motion.dt_s
+    def _moved(self, motion: ImageMotion, before: Image, now: Image, boxes: tuple[FloatArray, FloatArray]) -> EgoMotion:
+        """The filtered speed; moves the horizon on to this frame."""
+        settings, dt_s = self._settings, motion.dt_s
+        is_moving = motion.is_known and not motion.is_still
+        shift_m = 0.0 if motion.is_still else math.nan
+        if is_moving:
+            self._follow_side(motion)
+        if is_moving and math.isfinite(self._side):
+            shift_m = self._shift_m(motion, before, now, boxes)
+        independent_mps, common_mps = settings.shift_sigma_m / dt_s, settings.scale_sigma * abs(shift_m / dt_s)
+        speed = self._filter.update(motion.time_s, dt_s, shift_m / dt_s, independent_mps, common_mps)
+        if math.isfinite(speed[0]):
+            self._speed_mps = speed[0]
         self._horizon.predict(
             dt_s,
             pitch_rad=motion.pitch_rad_s * dt_s,
             roll_rad=motion.roll_rad_s * dt_s,
             way_m=self._speed_mps * dt_s,
         )
+        if is_moving:
+            self._measure_epipole(motion)
+        return EgoMotion(*speed, motion.yaw_rad_s, motion.is_still)
 
     def _measure_epipole(self, motion: ImageMotion) -> None:
         """Add the row of the epipole to the horizon, and expect the next one there."""
@@ -280,18 +259,16 @@ class GroundOdometry:
         road = np.stack([np.tile(X, len(Z)), np.full(len(X) * len(Z), self.height_m), np.repeat(Z, len(X))], axis=1)
         before_px = self._camera.project(road @ level.T)
         now_px = self._camera.project(road @ (cv2.Rodrigues(turn)[0] @ level).T)
-        pictures = [_sampled(image, px, (len(Z), len(X))) for image, px in ((before, before_px), (now, now_px))]
-        masked_share = (
-            np.maximum(_inside(before_px, boxes[0]), _inside(now_px, boxes[1])).reshape(len(Z), len(X)).mean(axis=1)
-        )
-        strips = self._strips(pictures[0], pictures[1], masked_share, motion.dt_s)
-        best = self._best_shift(strips)
-        if best is None or (len(strips) < _MIN_STRIPS and math.isnan(self._last[1].speed_mps)):
+        hw = len(Z), len(X)
+        masked_share = np.maximum(_inside(before_px, boxes[0]), _inside(now_px, boxes[1])).reshape(hw).mean(axis=1)
+        pictures = _sampled(before, before_px, hw), _sampled(now, now_px, hw)
+        distance_m, scores = self._strips(*pictures, masked_share, motion.dt_s)
+        best = self._best_shift(scores)
+        if best is None or (len(scores) < _MIN_STRIPS and math.isnan(self._last[1].speed_mps)):
             return math.nan  # two strips only confirm a speed
         shift_m = settings.step_z_m * best
-        distance_m = np.array([strip.distance_m for strip in strips]) - shift_m / 2
-        shifts_m = settings.step_z_m * np.array([_peak_near(strip.score, round(best)) for strip in strips])
-        slope = horizon_error(shift_m, distance_m, shifts_m, self.height_m)
+        shifts_m = settings.step_z_m * _peaks_near(scores, round(best))
+        slope = horizon_error(shift_m, distance_m - shift_m / 2, shifts_m, self.height_m)
         if slope is None:
             return shift_m
         ahead_m = slope.distance_m + shift_m  # the camera follows the curve, too
@@ -309,12 +286,18 @@ class GroundOdometry:
         error = horizon - view.horizon + view.curvature_per_m * ahead_m / 2
         return shift_m * (1 - 2 * slope.distance_m * error / self.height_m)
 
-    def _strips(self, before: FloatArray32, now: FloatArray32, masked_share: FloatArray, dt_s: float) -> list[_Strip]:
-        """Usable strips of two pictures, whose rows run from far to near."""
+    def _strips(
+        self, before: FloatArray32, now: FloatArray32, masked_share: FloatArray, dt_s: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Usable strips of two pictures, whose rows run from far to near.
+
+        Returns:
+            (K,) distances of their centres, and (K, M) their correlations with all shifts; NaN = outside the picture.
+        """
         settings = self._settings
         n_strip = round(settings.strip_m / settings.step_z_m)
         n_shifts = min(round(settings.max_speed_mps * dt_s / settings.step_z_m), len(before) - n_strip) + 1
-        strips = []
+        distances_m, scores = [], []
         for top in range(0, len(before) - n_strip + 1, n_strip // 2):
             strip = before[top : top + n_strip]
             if masked_share[top : top + n_strip].mean() > _MAX_MASKED_SHARE or strip.std() < _MIN_STRIP_GREY:
@@ -322,15 +305,15 @@ class GroundOdometry:
             score = np.full(n_shifts, np.nan)
             known = cv2.matchTemplate(now[top:], strip, cv2.TM_CCOEFF_NORMED)[:n_shifts, 0]
             score[: len(known)] = known
-            strips.append(_Strip(settings.farthest_m - settings.step_z_m * (top + (n_strip - 1) / 2), score))
-        return strips
+            distances_m.append(settings.farthest_m - settings.step_z_m * (top + (n_strip - 1) / 2))
+            scores.append(score)
+        return np.array(distances_m), np.array(scores)
 
-    def _best_shift(self, strips: list[_Strip]) -> float | None:
-        """Shift of the strips in cells; None = not reliable."""
+    def _best_shift(self, scores: FloatArray) -> float | None:
+        """Shift of strips with correlations (K, M), in cells; None = not reliable."""
         settings = self._settings
-        if len(strips) < 2:
+        if len(scores) < 2:
             return None
-        scores = np.array([strip.score for strip in strips])
         count = np.isfinite(scores).sum(axis=0)
         score = np.where(count >= 2, np.nansum(scores, axis=0) / np.maximum(count, 1), -1.0)
         best = int(score.argmax())
@@ -371,16 +354,17 @@ def horizon_error(shift_m: float, distance_m: FloatArray, shifts_m: FloatArray, 
     return HorizonError(slope * to_rad, (to_rad * _STRIP_SIGMA_M) ** 2 / spread + _STRIPS_SIGMA_RAD**2, mean_m)
 
 
-def _peak_near(score: FloatArray, cell: int) -> float:
-    """Maximum of a strip's correlation near the common one, in cells; NaN = none."""
+def _peaks_near(scores: FloatArray, cell: int) -> FloatArray:
+    """(K,) maxima of the strips' correlations (K, M) near the common one, in cells; NaN = none."""
     start = max(cell - _MAX_STRIP_CELLS, 1)
-    near = score[start : cell + _MAX_STRIP_CELLS + 1]
-    if not np.isfinite(near).all() or len(near) < 3:
-        return math.nan
-    best = start + int(near.argmax())
-    if best in (start, start + len(near) - 1) or score[best] < _MIN_STRIP_CORRELATION:
-        return math.nan
-    return _vertex(score, best)
+    peaks = np.full(len(scores), np.nan)
+    for i, score in enumerate(scores):
+        near = score[start : cell + _MAX_STRIP_CELLS + 1]
+        best = start + int(near.argmax())
+        is_inside = start < best < start + len(near) - 1
+        if is_inside and np.isfinite(near).all() and score[best] >= _MIN_STRIP_CORRELATION:
+            peaks[i] = _vertex(score, best)
+    return peaks
 
 
 def _vertex(score: FloatArray, best: int) -> float:

@@ -189,11 +189,11 @@ class ImageMotionEstimator:
         self, pair_px: tuple[FloatArray32, FloatArray32], time_s: float, dt_s: float, n_halved: int
     ) -> ImageMotion:
         """Motion from corners (N, 2) of the small image before and now."""
-        settings, (corners, points) = self._settings, pair_px
+        settings, camera, (corners, points) = self._settings, self._camera, pair_px
         n_features = len(points)
         if n_features < settings.min_features:
             return ImageMotion(time_s=time_s, dt_s=dt_s, n_features=n_features)
-        focal_px = self._camera.fx_px / (1 << n_halved)
+        focal_px = camera.fx_px / (1 << n_halved)
         pair = self._rays(corners, n_halved), self._rays(points, n_halved)
         self._direction_variance = np.minimum(
             self._direction_variance + _DIRECTION_DRIFT_RAD**2 * dt_s, _DIRECTION_SIGMA_RAD**2
@@ -208,13 +208,17 @@ class ImageMotionEstimator:
         static_share = float(fit.is_static.mean())
         if fit.is_static.sum() < settings.min_features or static_share < settings.min_static_share:
             return ImageMotion(time_s=time_s, dt_s=dt_s, n_features=n_features, static_share=static_share)
-        turned = _turned(pair[0], _rotation(fit.rotation))
+        turned = _turned(pair[0], np.asarray(cv2.Rodrigues(fit.rotation)[0], np.float64))
         motion_px = focal_px * np.linalg.norm((pair[1] - turned)[fit.is_static], axis=1)
         is_still = bool(median_of(motion_px) <= settings.max_still_px)
+        epipole_px = math.nan, math.nan
         if not is_still:
             self._direction, self._direction_variance = fit.direction, fit.direction_variance
+            if abs(fit.direction[2]) >= _MIN_FORWARD:
+                x, y = (fit.direction[:2] / fit.direction[2]).tolist()
+                epipole_px = camera.fx_px * x + camera.cx_px, camera.fy_px * y + camera.cy_px
         growth, growth_sigma = _growth(turned[fit.is_static], pair[1][fit.is_static], fit.direction)
-        pitch, yaw, roll = (-rate / dt_s for rate in fit.rotation.tolist())  # the camera turns against the scene
+        pitch, yaw, roll = (-fit.rotation / dt_s).tolist()  # the camera turns against the scene
         return ImageMotion(
             time_s=time_s,
             dt_s=dt_s,
@@ -224,7 +228,7 @@ class ImageMotionEstimator:
             roll_rad_s=roll,
             expansion_hz=0.0 if is_still else growth / dt_s,
             expansion_sigma_hz=growth_sigma / dt_s,
-            epipole_px=(math.nan, math.nan) if is_still else self._epipole_px(fit.direction),
+            epipole_px=epipole_px,
             static_share=static_share,
             n_features=n_features,
             is_still=is_still,
@@ -234,12 +238,6 @@ class ImageMotionEstimator:
         """(N, 3) rays of points (N, 2) of the image halved `n_halved` times."""
         factor = 1 << n_halved
         return self._camera.rays(factor * points.astype(np.float64) + (factor - 1) / 2)
-
-    def _epipole_px(self, direction: FloatArray) -> tuple[float, float]:
-        if abs(direction[2]) < _MIN_FORWARD:
-            return math.nan, math.nan
-        x, y = (direction[:2] / direction[2]).tolist()
-        return self._camera.fx_px * x + self._camera.cx_px, self._camera.fy_px * y + self._camera.cy_px
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,7 +278,8 @@ def fit_epipolar(
         noise: standard deviation of the ray of a distant point, rad.
         max_residual: largest Sampson distance of a static point, rad.
     """
-    rotation, t = _first_rotation(before, now), direction
+    x, y = median_of((now[:, :2] - before[:, :2]).T).tolist()
+    rotation, t = np.asarray(cv2.Rodrigues(np.array([-y, x, 0.0]))[0], np.float64), direction
     pair = np.ascontiguousarray(before.T), np.ascontiguousarray(now.T)
     prior, sigma = np.zeros((5, 5)), np.full(len(now), noise)
     for k in range(_N_ROUNDS):
@@ -288,7 +287,8 @@ def fit_epipolar(
             sigma = np.hypot(noise, _FLOW_NOISE * np.linalg.norm(now - _turned(before, rotation), axis=1))
         residual, jacobian, tangents = _sampson(*pair, rotation, t)
         size = np.abs(residual) / sigma
-        spread = max(MAD_TO_SIGMA * _median(size), 1.0)
+        median = np.sort(size)[len(size) // 2]  # a tenth of the time of numpy's median for so few values
+        spread = max(MAD_TO_SIGMA * float(median), 1.0)
         weight = (1.0 - np.minimum(size / (_TUKEY * spread), 1.0) ** 2) ** 2
         weighted = jacobian * (weight / (spread * sigma) ** 2)
         across = tangents[:, :2]
@@ -296,11 +296,12 @@ def fit_epipolar(
         information = np.asarray(weighted @ jacobian.T + prior, np.float64)
         gradient = weighted @ residual
         gradient[3:] += across @ ((t - direction)[:2] / direction_variance)
-        if k < _N_ROTATION_ROUNDS:
-            rotation = _rotation(-_solution(information[:3, :3], gradient[:3])) @ rotation
-        else:
-            step = -_solution(information, gradient)
-            rotation = _rotation(step[:3]) @ rotation
+        n = 3 if k < _N_ROTATION_ROUNDS else 5
+        regular = information[:n, :n].copy()  # it is singular if too few points have weight
+        regular.flat[:: n + 1] += 1e-9 * regular.trace()
+        step = -np.linalg.solve(regular, gradient[:n])
+        rotation = np.asarray(cv2.Rodrigues(step[:3])[0] @ rotation, np.float64)
+        if n == 5:
             t = t + tangents.T @ step[3:]
             t = t / np.linalg.norm(t)
     residual = _sampson(*pair, rotation, t)[0]
@@ -312,29 +313,6 @@ def fit_epipolar(
         direction_variance=np.asarray(np.diag(across.T @ covariance[3:, 3:] @ across), np.float64),
         is_static=np.asarray(np.abs(residual) <= max_residual),
     )
-
-
-def _median(values: FloatArray) -> float:
-    """The upper median; numpy's median takes ten times as long for so few values."""
-    return float(np.sort(values)[len(values) // 2])
-
-
-def _solution(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """Solution of linear equations with a symmetric matrix that is singular if too few points have weight."""
-    regular = matrix.copy()
-    regular.flat[:: len(matrix) + 1] += 1e-9 * matrix.trace()
-    return np.asarray(np.linalg.solve(regular, vector), np.float64)
-
-
-def _first_rotation(before: FloatArray, now: FloatArray) -> FloatArray:
-    """(3, 3) yaw and pitch of the median motion of the rays."""
-    x, y = median_of((now[:, :2] - before[:, :2]).T).tolist()
-    return _rotation(np.array([-y, x, 0.0]))
-
-
-def _rotation(vector: FloatArray) -> FloatArray:
-    """(3, 3) matrix of a rotation vector."""
-    return np.asarray(cv2.Rodrigues(vector)[0], np.float64)
 
 
 def _turned(rays: FloatArray, rotation: FloatArray) -> FloatArray:
@@ -351,7 +329,8 @@ def _sampson(
     Rays are (3, N). For q + dw x q, d(q . back) = dw . (q x back); by direction, d(p' . (t x q)) = dt . (q x p').
     """
     q = rotation @ before
-    across = _cross_matrix(t)
+    x, y, z = t.tolist()
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # [t]x
     line, back = across @ q, -across @ now  # p'^T [t]x q = p' . line = q . back
     scale = np.sqrt(line[0] ** 2 + line[1] ** 2 + back[0] ** 2 + back[1] ** 2) + 1e-9
     first = across @ np.array([0.0, 1.0, 0.0] if abs(t[1]) < 0.9 else [1.0, 0.0, 0.0])
@@ -361,12 +340,6 @@ def _sampson(
     return np.asarray((now * line).sum(axis=0) / scale, np.float64), jacobian, tangents
 
 
-def _cross_matrix(t: FloatArray) -> FloatArray:
-    """(3, 3) [t]x: its product with a vector is the cross product of t and the vector."""
-    x, y, z = t.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """(3, N) cross products of columns; `np.cross` takes five times as long for so few."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
@@ -374,11 +347,8 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _sign(before: FloatArray, now: FloatArray, rotation: FloatArray, t: FloatArray) -> float:
     """1 if the points move as by the translation t, -1 if as by -t: the epipolar lines of both are the same."""
-    flow, expected = (
-        now - _turned(before, rotation),
-        t - now * t[2],
-    )  # the flow is (t - p' t_z) / z for a point at depth z
-    return -1.0 if median_of((flow * expected).sum(axis=1)) < 0 else 1.0
+    flow = now - _turned(before, rotation)  # (t - p' t_z) / z for a point at depth z
+    return -1.0 if median_of((flow * (t - now * t[2])).sum(axis=1)) < 0 else 1.0
 
 
 def _growth(turned: FloatArray, now: FloatArray, direction: FloatArray) -> tuple[float, float]:
