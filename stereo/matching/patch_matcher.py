@@ -143,11 +143,6 @@ class KnownBoxes(NamedTuple):
             self.xyxy_px[rows], self.track_px[rows], self.by_size.select(rows), self.limit_px[rows], self.others
         )
 
-    @property
-    def expected_px(self) -> FloatArray:
-        """(N,) the disparity of the track, else by size; NaN = unknown."""
-        return np.where(np.isfinite(self.track_px), self.track_px, self.by_size.disparity_px)
-
 
 class SurfaceSearch(NamedTuple):
     """The surfaces of N boxes in a range of disparities.
@@ -321,7 +316,8 @@ class PatchMatcher:
         matches = match_windows(cost)
         weight = window_weights(matches, tiles)
         surfaces = find_surfaces(matches.index, weight, tiles)
-        others = known.others.windows(known.xyxy_px, known.expected_px, tiles, tiles.disparity_px(matches.index))
+        expected_px = np.where(np.isfinite(known.track_px), known.track_px, known.by_size.disparity_px)
+        others = known.others.windows(known.xyxy_px, expected_px, tiles, tiles.disparity_px(matches.index))
         phi = features(
             surfaces,
             tiles,

@@ -208,8 +208,8 @@ class GroundOdometry:
         shift_m = 0.0 if motion.is_still else math.nan
         if is_moving:
             self._follow_side(motion)
-        if is_moving and math.isfinite(self._side):
-            shift_m = self._shift_m(motion, before, now, boxes)
+            if math.isfinite(self._side):
+                shift_m = self._shift_m(motion, before, now, boxes)
         independent_mps, common_mps = settings.shift_sigma_m / dt_s, settings.scale_sigma * abs(shift_m / dt_s)
         speed = self._filter.update(motion.time_s, dt_s, shift_m / dt_s, independent_mps, common_mps)
         if math.isfinite(speed[0]):
