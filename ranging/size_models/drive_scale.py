@@ -144,7 +144,8 @@ class DriveScale:
         with np.errstate(invalid="ignore", divide="ignore"):
             variance = (by_size.sigma_m / by_size.distance_m) ** 2
             systematic = _systematic_variance(by_size)
-        explained = _shared_variance(systematic) * (1.0 - self.variance[class_id] / _PRIOR_VARIANCE)
+        shared = np.minimum(_PRIOR_VARIANCE, _MAX_SHARED * systematic)
+        explained = shared * (1.0 - self.variance[class_id] / _PRIOR_VARIANCE)
         remaining = systematic - explained
         information, weighted_ratio = self._corrections.of(by_size.track_id)
         gain = remaining * information / (1.0 + remaining * information)
@@ -196,7 +197,7 @@ class DriveScale:
         if step_s == 0.0 or not len(rows):
             return replace(self, _last_s=last_s)
         ids, added = by_size.track_id[rows], step_s / _CORRELATED_S / noise[rows]
-        own = systematic[rows] - _shared_variance(systematic[rows])
+        own = systematic[rows] - np.minimum(_PRIOR_VARIANCE, _MAX_SHARED * systematic[rows])
         frame = _Tracks(ids, item.class_id[rows], added, added * ratio[rows], own, np.full(len(rows), time_s))
         scale = replace(self, _tracks=_averaged(self._tracks, frame), _last_s=last_s)._solved(
             time_s, item.reference_sigma
@@ -266,11 +267,6 @@ def _rows(track_id: IntArray, known: IntArray) -> tuple[IntArray, BoolArray]:
         return np.zeros(len(track_id), np.int64), np.zeros(len(track_id), np.bool_)
     is_same = track_id[:, None] == known
     return np.asarray(is_same.argmax(axis=1)), np.asarray(is_same.any(axis=1))
-
-
-def _shared_variance(systematic: FloatArray) -> FloatArray:
-    """(N,) part of the systematic variance of distances by size that a drive shares."""
-    return np.minimum(_PRIOR_VARIANCE, _MAX_SHARED * systematic)
 
 
 def _systematic_variance(by_size: Ranges) -> FloatArray:

@@ -119,16 +119,14 @@ class DriveState:
         if ground is not None:
             state[_N_GROUND] += ground.is_on_ground
             share = ground.is_on_ground / np.maximum(state[_N_GROUND], 1.0)
-            state[:_N_MEANS] += share * (self._means(ground) - state[:_N_MEANS])
+            # Terms of the normal equations and moments of the residuals of this frame.
+            expected = ground.other + self.roughness * ground.rough
+            gain = ground.rough / expected**2
+            excess = np.minimum(ground.residual2, _MAX_CHI2 * expected) - ground.other
+            means = np.concatenate([ground.normal, [gain * excess, gain * ground.rough]])
+            state[:_N_MEANS] += share * (means - state[:_N_MEANS])
         state[_N_VIEWS] += 1.0
         state[_BODIES:] += (np.maximum(log_likelihood, -_MAX_LOG_RATIO) - state[_BODIES:]) / state[_N_VIEWS]
         state[_TIME] = self._time_s
         age_s = self._time_s - self._tracks.known[_TIME]
         self._tracks.put(track_id, state, keep_known=age_s < -_MEMORY_S * math.log(_MIN_WEIGHT))
-
-    def _means(self, ground: GroundTerms) -> FloatArray:
-        """(7, N) terms of the normal equations and moments of the residuals of one frame."""
-        expected = ground.other + self.roughness * ground.rough
-        gain = ground.rough / expected**2
-        excess = np.minimum(ground.residual2, _MAX_CHI2 * expected) - ground.other
-        return np.concatenate([ground.normal, [gain * excess, gain * ground.rough]])

@@ -81,13 +81,6 @@ class SizeMixture:
     body: IntArray
     chi2: FloatArray
 
-    @property
-    def moments(self) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of log d, (N,) each."""
-        mean = np.vecdot(self.weight, self.mean)
-        variance = np.vecdot(self.weight, self.variance + (self.mean - mean[:, None]) ** 2)
-        return mean, np.sqrt(variance)
-
 
 def mixture_by_size(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_share: FloatArray) -> SizeMixture:
     """Log distance of N boxes from their size, without the bottom edge.
@@ -125,49 +118,6 @@ def log_evidence(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_sha
     return np.asarray(largest + np.log(np.exp(log_weight - largest).sum(axis=0)))
 
 
-@dataclass(frozen=True, slots=True)
-class _AtNodes:
-    """N boxes relative to their nearest nodes, in single precision.
-
-    Arrays are (K, M, N), for K yaw bins and M body types, or broadcastable to that.
-
-    Attributes:
-        nodes: (11, K, M, N) node values (`ShapeTables.at`).
-        log_m: log distance of the node.
-        x0: prior mean of x = log d - log_m.
-        p0: prior precision (1 / variance) of x.
-        e: (2, K, M, N) log height and log width minus those of the node.
-        R: (2, 1, 1, N) noise variances of log height and log width.
-    """
-
-    nodes: _Float32
-    log_m: _Float32
-    x0: _Float32
-    p0: _Float32
-    e: _Float32
-    R: _Float32
-
-
-def _at_nodes(tables: ShapeTables, boxes: BoxExtents, body: IntArray) -> _AtNodes:
-    log_hw = np.log(boxes.wh_over_f.T[::-1])
-    log_height, mean_log_m, p0 = tables.typical.take(body, axis=1)
-    guess = log_height - log_hw[0]
-    inside = np.minimum(np.maximum(guess, NODE_RANGE[0]), NODE_RANGE[1])
-    bearing_step, log_step, nodes = tables.at(body, np.abs(boxes.bearing), inside)
-    scaled = log_hw[:, None] + (guess - inside)  # outside the nodes, size is inversely proportional to distance
-    R = boxes.log_variance.T[::-1]
-    R[1] += np.where(boxes.uses_width, 0.0, _UNSEEN_VARIANCE)
-    log_m = guess - log_step
-    return _AtNodes(
-        nodes=nodes,
-        log_m=_float32(log_m),
-        x0=_float32(mean_log_m - log_m),
-        p0=_float32(p0),
-        e=_float32(scaled)[:, None] - nodes[:2] - _float32(bearing_step) * nodes[4:6],
-        R=_float32(R)[:, None, None],
-    )
-
-
 def _terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_share: FloatArray) -> _Float32:
     """(6, K M, N) log weight, mean, variance, variance due to box noise, log contact ratio, chi^2 of the Gaussians.
 
@@ -179,37 +129,46 @@ def _terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_share: Fl
         weight      log w - (e'V^-1 e + p0 x0^2 - p x^2 + log(p |V| / p0)) / 2
 
     For V = [v_h b; b v_w], in the code (a, c) = (v_h, v_w) / |V| and b / |V| are the entries of V^-1 = [c -b; -b a].
+    Arrays are (K, M, N), for K yaw bins, or broadcastable to that; those from the nodes on are in single precision.
     """
-    at = _at_nodes(tables, boxes, body)
-    s, (b, log_contact_ratio, log_weight), (e_h, e_w) = at.nodes[2:4], at.nodes[8:], at.e
-    V = at.nodes[6:8] + at.R
+    log_hw = np.log(boxes.wh_over_f.T[::-1])
+    log_height, mean_log_m, precision = tables.typical.take(body, axis=1)
+    guess = log_height - log_hw[0]
+    inside = np.minimum(np.maximum(guess, NODE_RANGE[0]), NODE_RANGE[1])
+    bearing_step, log_step, nodes = tables.at(body, np.abs(boxes.bearing), inside)
+    scaled = log_hw[:, None] + (guess - inside)  # outside the nodes, size is inversely proportional to distance
+    noise = boxes.log_variance.T[::-1]
+    noise[1] += np.where(boxes.uses_width, 0.0, _UNSEEN_VARIANCE)
+    log_m = guess - log_step
+
+    x0, p0 = (mean_log_m - log_m).astype(np.float32), precision.astype(np.float32)
+    R = noise.astype(np.float32)[:, None, None]
+    e = scaled.astype(np.float32)[:, None] - nodes[:2] - bearing_step.astype(np.float32) * nodes[4:6]
+    s, (b, log_contact_ratio, log_weight), (e_h, e_w) = nodes[2:4], nodes[8:], e
+    V = nodes[6:8] + R
     det = V[0] * V[1] - b * b  # |V|
     scale = 1.0 / det
     V *= scale
     (a, c), b = V, b * scale
     g = V[::-1] * s
     g -= b * s[::-1]
-    gs, ge = g * s, g * at.e
-    p = gs[0] + gs[1] + at.p0
+    gs, ge = g * s, g * e
+    p = gs[0] + gs[1] + p0
     inverse = 1.0 / p
-    h = ge[0] + ge[1] + at.x0 * at.p0
+    h = ge[0] + ge[1] + x0 * p0
     x = h * inverse
-    chi2 = (c * e_h - 2 * b * e_w) * e_h + a * e_w * e_w + at.x0 * at.x0 * at.p0 - h * x
-    log_weight = log_weight + _float32(log_share)
+    chi2 = (c * e_h - 2 * b * e_w) * e_h + a * e_w * e_w + x0 * x0 * p0 - h * x
+    log_weight = log_weight + log_share.astype(np.float32)
     g *= g
-    g *= np.minimum(at.R, _MAX_NOISE)  # box noise
+    g *= np.minimum(R, _MAX_NOISE)  # box noise
     terms = np.empty((6, *b.shape), np.float32)
-    np.subtract(log_weight, 0.5 * (chi2 + np.log(p * det / at.p0)), out=terms[0])
-    np.add(at.log_m, x, out=terms[1])
+    np.subtract(log_weight, 0.5 * (chi2 + np.log(p * det / p0)), out=terms[0])
+    np.add(log_m.astype(np.float32), x, out=terms[1])
     terms[2] = inverse
     np.multiply(g[0] + g[1], inverse * inverse, out=terms[3])
     terms[4] = log_contact_ratio
     np.add(chi2, 2.0 * (log_weight.max(axis=(0, 1)) - log_weight), out=terms[5])
     return terms.reshape(len(terms), -1, len(boxes))
-
-
-def _float32(values: FloatArray) -> _Float32:
-    return values.astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,15 +207,16 @@ class LogGrid:
 
 def on_grid(mixture: SizeMixture) -> LogGrid:
     """Density of the mixture on a grid around its mean."""
-    mean, sigma = mixture.moments
-    log_m = mean[:, None] + sigma[:, None] * _STEPS
+    mean = np.vecdot(mixture.weight, mixture.mean)
+    variance = np.vecdot(mixture.weight, mixture.variance + (mixture.mean - mean[:, None]) ** 2)
+    log_m = mean[:, None] + np.sqrt(variance)[:, None] * _STEPS
     peak = mixture.weight / np.sqrt(mixture.variance)
     # Single precision: the exponentials dominate the run time, and take half as long.
-    terms = _float32(log_m) - _float32(mixture.mean.T)[:, :, None]
+    terms = log_m.astype(np.float32) - mixture.mean.T.astype(np.float32)[:, :, None]
     terms *= terms
-    terms *= _float32(-0.5 / mixture.variance.T)[:, :, None]
+    terms *= (-0.5 / mixture.variance.T).astype(np.float32)[:, :, None]
     np.exp(terms, out=terms)
-    terms *= _float32(peak.T)[:, :, None]
+    terms *= peak.T.astype(np.float32)[:, :, None]
     density = terms.sum(axis=0).astype(np.float64)
     density /= density.max(axis=1, keepdims=True)
     return LogGrid(log_m, density, terms)
@@ -284,36 +244,29 @@ def ground_likelihood(
     nearness = np.exp(log_contact_ratio[:, None] - log_m)
     residual2 = ((contacts.bottom - ground.horizon)[:, None] - ground.height_m[:, None] * nearness) ** 2
     edge_variance = contacts.edge_sigma**2 + roughness * (prior.roll_sigma * contacts.bearing) ** 2
-    kerbs = _Kerbs(prior.kerb_m, prior.rough_share, roughness)
-    likelihood = kerbs.likelihood(residual2, (ground.variance + edge_variance)[:, None], nearness)
+    variance = (ground.variance + edge_variance)[:, None]
+    likelihood = _contact_likelihood(residual2, variance, prior, roughness * nearness * nearness)
     alone = ground.is_prior_only  # a Student's t prior of the horizon, instead of a Gaussian estimate
     if alone.any():
-        variance = edge_variance[alone, None] + (prior.camera_height_sigma_m * nearness[alone]) ** 2
-        likelihood[alone] = sum(
-            weight * kerbs.likelihood(residual2[alone], variance + (scale * prior.horizon_sigma) ** 2, nearness[alone])
-            for weight, scale in _T_COMPONENTS
-        )
+        near, residual2 = nearness[alone], residual2[alone]
+        variance = edge_variance[alone, None] + (prior.camera_height_sigma_m * near) ** 2
+        likelihood[alone] = 0.0
+        for weight, scale in _T_COMPONENTS:
+            total = variance + (scale * prior.horizon_sigma) ** 2
+            likelihood[alone] += weight * _contact_likelihood(residual2, total, prior, roughness * near * near)
     likelihood += _NOT_ON_THE_ROAD
     likelihood[~contacts.is_on_ground] = 1.0
     return likelihood
 
 
-@dataclass(frozen=True, slots=True)
-class _Kerbs:
-    """Mixture of contact points at the height of the road and off it (kerbs): see `GroundPrior`."""
+def _contact_likelihood(
+    residual2: FloatArray, variance: FloatArray, prior: GroundPrior, per_height2: FloatArray
+) -> FloatArray:
+    """Likelihood of squared residuals of contact points at the height of the road and off it (kerbs).
 
-    kerb_m: tuple[float, float]
-    rough_share: float
-    roughness: float
-
-    def likelihood(self, residual2: FloatArray, variance: FloatArray, nearness: FloatArray) -> FloatArray:
-        """Likelihood of squared residuals with the rest `variance` of their variance."""
-        half, squared = -0.5 * residual2, self.roughness * nearness * nearness
-        smooth, rough = (
-            share * np.exp(half / total) / np.sqrt(total)
-            for share, total in (
-                (1 - self.rough_share, variance + self.kerb_m[0] ** 2 * squared),
-                (self.rough_share, variance + self.kerb_m[1] ** 2 * squared),
-            )
-        )
-        return np.asarray(smooth + rough)
+    `variance` is that without the height of the contact points, which is multiplied by `per_height2`.
+    """
+    half = -0.5 * residual2
+    smooth, rough = variance + prior.kerb_m[0] ** 2 * per_height2, variance + prior.kerb_m[1] ** 2 * per_height2
+    on_the_road = (1 - prior.rough_share) * np.exp(half / smooth) / np.sqrt(smooth)
+    return np.asarray(on_the_road + prior.rough_share * np.exp(half / rough) / np.sqrt(rough))

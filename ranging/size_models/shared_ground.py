@@ -123,11 +123,10 @@ def ground_from_others(
         residual2 = (y - y0 - H * x) ** 2
         robust = 1.0 / (1.0 + residual2 / (_CAUCHY_SIGMA**2 * (R + plane_variance)))
         weight = information * robust
-        terms = [a + b for a, b in zip(_prior_information(prior, y0, drive), (basis @ weight).tolist(), strict=True)]
-        y0, H, y0_variance, covariance, H_variance = solve_ground(*terms)
+        terms = _prior_information(prior, y0, drive) + basis @ weight
+        y0, H, y0_variance, covariance, H_variance = solve_ground(*terms.tolist())
         plane_variance = y0_variance + x * (2 * covariance + x * H_variance)
-    terms_of_others: FloatArray = np.array(terms)[:, None] - basis * weight
-    horizon, height_m, *P = solve_ground(*terms_of_others)
+    horizon, height_m, *P = solve_ground(*(terms[:, None] - basis * weight))
     variance = P[0] + x * (2 * P[1] + x * P[2])
     # True for the only object on the ground; for all objects if there is none.
     is_prior_only = contacts.is_on_ground == np.count_nonzero(contacts.is_on_ground)
@@ -143,22 +142,21 @@ def ground_from_others(
     return GroundFromOthers(horizon, height_m, variance, is_prior_only, measured)
 
 
-def _prior_information(prior: GroundPrior, y0: float, drive: DriveState) -> tuple[float, ...]:
-    """Terms (a, b, c, u, v) of `solve_ground` before the frame: of the prior, and of the earlier objects of the drive.
+def _prior_information(prior: GroundPrior, y0: float, drive: DriveState) -> FloatArray:
+    """(5,) terms (a, b, c, u, v) of `solve_ground` before the frame: of the prior and the earlier objects of the drive.
 
     The prior's variance of y0 is that of Student's t at `y0`. Since the earlier objects the pitch has changed.
     """
     scale = (2.0 + ((y0 - prior.horizon) / prior.horizon_sigma) ** 2) / 3.0
     of_y0, of_H = 1.0 / (prior.horizon_sigma**2 * scale), prior.camera_height_sigma_m**-2
-    terms = (of_y0, 0.0, of_H, of_y0 * prior.horizon, of_H * prior.camera_height_m)
+    terms = np.array([of_y0, 0.0, of_H, of_y0 * prior.horizon, of_H * prior.camera_height_m])
     if drive.information[0] <= 0.0:
         return terms
-    sums = (a + b for a, b in zip(terms, drive.information.tolist(), strict=True))
-    mean_y0, mean_H, y0_variance, covariance, H_variance = solve_ground(*sums)
+    mean_y0, mean_H, y0_variance, covariance, H_variance = solve_ground(*(terms + drive.information).tolist())
     y0_variance += drive.roughness * prior.pitch_sigma**2
     scale = 1.0 / (y0_variance * H_variance - covariance**2)
     a, b, c = H_variance * scale, -covariance * scale, y0_variance * scale
-    return a, b, c, a * mean_y0 + b * mean_H, b * mean_y0 + c * mean_H
+    return np.array([a, b, c, a * mean_y0 + b * mean_H, b * mean_y0 + c * mean_H])
 
 
 def solve_ground(a: _Real, b: _Real, c: _Real, u: _Real, v: _Real) -> tuple[_Real, _Real, _Real, _Real, _Real]:
