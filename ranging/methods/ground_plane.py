@@ -29,7 +29,7 @@ drive's scale is measured.
 
 The bottom edge belongs to the nearest point on the ground, while `distance_m` is where the ray through the box centre
 meets the object, for a car seen from the side up to half a metre farther (`surface_offset_m`). The box of a detector
-ends at the tyres, which in a rear view are behind the bumper (`overhang_m`).
+ends at the tyres, which in a rear view are behind the bumper.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from track_range.ranging.ranger import Measured, Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES
-from track_range.ranging.size_models.surface_offset import overhang_m, surface_offset_m
+from track_range.ranging.size_models.surface_offset import surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.road_horizon import RoadView, curvature_share, unknown_curvature_variance
@@ -319,9 +319,8 @@ class GroundPlane:
         x = (tracks.xyxy_px[:, 0] + tracks.xyxy_px[:, 2]) / 2
         last_px = frame.left.shape[0] - 0.5 - BORDER_PX
         on_ground = tracks.observed & _ON_GROUND[tracks.class_id] & (y <= last_px)
-        offset_m = surface_offset_m(tracks.xyxy_px, tracks.class_id)
-        if self._settings.has_visible_boxes:
-            offset_m = offset_m - overhang_m(tracks.xyxy_px, tracks.class_id)
+        has_visible_boxes = self._settings.has_visible_boxes
+        offset_m = surface_offset_m(tracks.xyxy_px, tracks.class_id, has_visible_boxes=has_visible_boxes)
         is_informative = on_ground & (by_size.distance_m > 2 * offset_m)  # False for NaN
         s = self._camera.fy_px / np.where(is_informative, by_size.distance_m - offset_m, self._camera.fy_px)
         s_sigma = s * np.where(is_informative, by_size.sigma_m / by_size.distance_m, 1.0)
@@ -370,7 +369,9 @@ class GroundPlane:
         gain = contacts.is_informative * np.where(
             previous[0] == 0, 1.0, 1.0 - math.exp(-step_s / self._settings.average_s)
         )
-        average = gain * _normal_terms(a, contacts.y, weight) + (1.0 - gain) * previous
+        products = a.take(_UPPER[0], axis=0) * a.take(_UPPER[1], axis=0)
+        terms = np.concatenate([products, a * contacts.y]) * weight  # of the normal equations
+        average = gain * terms + (1.0 - gain) * previous
         self._terms[:, slots] = average
         return np.asarray(average)
 
@@ -392,8 +393,8 @@ class GroundPlane:
         fy, (y0, H, fy_k, _) = self._camera.fy_px, plane.x.T
         below_px = contacts.y - y0
         is_below = contacts.on_ground & (below_px > 1.0) & (H > 0.1)
-        below_px, H, fy_k = (np.where(is_below, values, 1.0) for values in (below_px, H, fy_k))
-        contact_m = _distance_on_curve_m(below_px / fy, H, fy_k / fy)
+        H, fy_k = np.where(is_below, H, 1.0), np.where(is_below, fy_k, 1.0)
+        contact_m = _distance_on_curve_m(np.where(is_below, below_px, 1.0) / fy, H, fy_k / fy)
         s = fy / contact_m
         basis = self._basis(s)
         per_log_m = np.maximum(H * s - basis[2] * fy_k, _MIN_SLOPE * H * s)  # -d row / d log d
@@ -478,11 +479,6 @@ class GroundRanger(Ranger):
         """Add the row at which the lane lines meet as a measurement of the horizon."""
         if (horizon := lines.horizon_px()) is not None:
             self.plane.add_horizon(*horizon)
-
-
-def _normal_terms(a: FloatArray, y: FloatArray, weight: FloatArray) -> FloatArray:
-    """(14, N) terms of the normal equations of single measurements y = a' x with a (4, N) and weights (N,)."""
-    return np.concatenate([a.take(_UPPER[0], axis=0) * a.take(_UPPER[1], axis=0), a * y]) * weight
 
 
 def _solved(terms: FloatArray) -> _Plane:

@@ -142,7 +142,7 @@ class LaneWidthRanger(Ranger):
         self.lane = LaneWidth(width_m, width_sigma)
         self._width_from = width_from
         self._lines = LaneLines()
-        self._last: tuple[Tracks, _Widths | None] | None = None  # cache: `update_width` needs the widths of `measure`
+        self._last: tuple[Tracks, _Widths] | None = None  # cache: `update_width` needs the widths of `measure`
         self._learnt_s = np.nan
 
     def update_lanes(self, lines: LaneLines) -> None:
@@ -195,12 +195,9 @@ class LaneWidthRanger(Ranger):
         )
 
     def _widths_of(self, tracks: Tracks, frame: Frame) -> _Widths | None:
-        """`_widths` of the tracks, computed once per frame."""
-        if self._last is None or self._last[0] is not tracks:
-            self._last = tracks, self._widths(tracks, frame.left.shape[0])
-        return self._last[1]
-
-    def _widths(self, tracks: Tracks, height_px: int) -> _Widths | None:
+        """Lane widths at the tracks, computed once per frame; None = the lines are unknown."""
+        if self._last is not None and self._last[0] is tracks:
+            return self._last[1]
         left, right = self._lines.left, self._lines.right
         if left is None or right is None or not len(tracks):
             return None
@@ -214,7 +211,7 @@ class LaneWidthRanger(Ranger):
         is_valid = (
             tracks.observed
             & _ON_THE_ROAD[tracks.class_id]
-            & (y_px < height_px - 0.5 - BORDER_PX)
+            & (y_px < frame.left.shape[0] - 0.5 - BORDER_PX)
             & (w >= max(_MIN_WIDTH_PX, min_px))
             & (w <= max_px)
             & (lateral > _LATERAL_RANGE[0])
@@ -223,7 +220,9 @@ class LaneWidthRanger(Ranger):
         w_slope = width[1] + 2.0 * width[2] * y_px  # w'
         line_variance = ((left.covariance + right.covariance) @ powers * powers).sum(axis=0)
         sigma_px = np.sqrt(np.maximum(line_variance, 0.0) + (self._box_sigma_px * w_slope) ** 2)
-        return w, np.hypot(sigma_px / divisor, _ROAD_SIGMA), is_valid
+        widths = w, np.hypot(sigma_px / divisor, _ROAD_SIGMA), is_valid
+        self._last = tracks, widths
+        return widths
 
 
 def inflated_by_disagreement(ranges: Ranges, others: Sequence[Ranges]) -> Ranges:
@@ -265,7 +264,8 @@ def _width_limits_px(left: LaneLine, right: LaneLine, width: FloatArray) -> tupl
     if top >= bottom:
         return -math.inf, math.inf  # there is no row with both lines
     constant, slope, curvature = width.tolist()
-    top_px, bottom_px = (constant + y_px * (slope + y_px * curvature) for y_px in (top, bottom))
+    top_px = constant + top * (slope + top * curvature)
+    bottom_px = constant + bottom * (slope + bottom * curvature)
     return bottom_px / _MIN_EXTRAPOLATION, top_px / _MAX_EXTRAPOLATION
 
 

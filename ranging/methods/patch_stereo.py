@@ -100,14 +100,13 @@ class StereoRanger(Ranger):
 
     def _surfaces(self, tracks: Tracks) -> dict[str, FloatArray]:
         """Number of surfaces, and probability of the measured one, of the tracks that were matched in this frame."""
-        details = {name: np.full(len(tracks), np.nan) for name in _DETAILS}
+        details = np.full((len(_DETAILS), len(tracks)), np.nan)
         if (matches := self._matcher.matches) is not None:
-            rows = np.flatnonzero(tracks.observed)
-            is_known = np.isfinite(matches.disparity_px) & (matches.n_surfaces > 0)
-            for name, values in zip(_DETAILS, (matches.n_surfaces, matches.probability), strict=True):
-                details[name][rows] = np.where(is_known, values, np.nan)
-            self._n_surfaces.update(matches.n_surfaces[np.isfinite(matches.disparity_px)].tolist())
-        return details
+            is_matched = np.isfinite(matches.disparity_px)
+            surfaces = np.array([matches.n_surfaces, matches.probability])
+            details[:, tracks.observed] = np.where(is_matched & (matches.n_surfaces > 0), surfaces, np.nan)
+            self._n_surfaces.update(matches.n_surfaces[is_matched].tolist())
+        return dict(zip(_DETAILS, details, strict=True))
 
     def summary(self) -> dict[str, Any]:
         """Number of boxes that were not matched, by reason, and of matched boxes by the number of their surfaces."""

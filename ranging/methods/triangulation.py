@@ -126,7 +126,7 @@ class TrackMatcher:
         boxes, expected = tracks.xyxy_px[rows], None if by_size is None else by_size.select(rows)
         self.matches = matches = self._matcher.match(frame.left, frame.right, boxes, prior_px, expected)
         disparity_px[rows], sigma_px[rows] = matches.disparity_px, matches.sigma_px
-        self.outcomes.update(Outcome(code) for code in matches.outcome.tolist())
+        self.outcomes.update(map(Outcome, matches.outcome.tolist()))
         searched_s = np.where(is_recent, searched_s, time_s)
         updated = np.stack([matches.disparity_px, np.full(len(rows), time_s), searched_s])
         self._state.put(

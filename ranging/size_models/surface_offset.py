@@ -36,25 +36,14 @@ _OVERHANG_M = _by_class({"car": 0.6, "van": 0.6})
 little before the axle."""
 
 
-def surface_offset_m(xyxy_px: FloatArray, class_id: IntArray) -> FloatArray:
+def surface_offset_m(xyxy_px: FloatArray, class_id: IntArray, *, has_visible_boxes: bool = False) -> FloatArray:
     """(N,) depth in m of the visible surface behind the contact point, for boxes (N, 4) of size classes (N,).
 
-    Linear in the aspect ratio between rear and side views.
+    Linear in the aspect ratio between rear and side views. The visible boxes of a detector end at the tyres of a car,
+    in a rear view behind its bumper; labels that are projections of 3-D boxes end where the bumper is above the road.
     """
-    return np.asarray(_NARROW_M[class_id] + _wide_share(xyxy_px) * _DIFFERENCE_M[class_id])
-
-
-def overhang_m(xyxy_px: FloatArray, class_id: IntArray) -> FloatArray:
-    """(N,) depth in m of the tyres behind the visible surface, for boxes (N, 4) of size classes (N,); 0 in side views.
-
-    The boxes of a detector end at the tyres of a car, behind its bumper; labels that are projections of 3-D boxes end
-    where the bumper is above the road.
-    """
-    return np.asarray((1.0 - _wide_share(xyxy_px)) * _OVERHANG_M[class_id])
-
-
-def _wide_share(xyxy_px: FloatArray) -> FloatArray:
-    """(N,) 0 for rear views to 1 for side views, from the aspect ratio."""
     size_px = xyxy_px[:, 2:] - xyxy_px[:, :2]
     aspect = size_px[:, 0] / np.maximum(size_px[:, 1], 1.0)
-    return np.asarray(np.minimum(np.maximum((aspect - 1.5) / 0.7, 0.0), 1.0))
+    wide = np.minimum(np.maximum((aspect - 1.5) / 0.7, 0.0), 1.0)  # 0 for rear views to 1 for side views
+    offset_m = _NARROW_M[class_id] + wide * _DIFFERENCE_M[class_id]
+    return np.asarray(offset_m - (1.0 - wide) * _OVERHANG_M[class_id] if has_visible_boxes else offset_m)

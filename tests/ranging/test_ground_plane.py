@@ -9,7 +9,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.ranging.methods.ground_plane import GroundPlane, GroundRanger, GroundSettings
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
-from track_range.ranging.size_models.surface_offset import overhang_m, surface_offset_m
+from track_range.ranging.size_models.surface_offset import surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.road_horizon import RoadView, curvature_share
@@ -290,5 +290,6 @@ def test_tyres_of_a_detected_car_are_behind_its_bumper():
     plane.update_road(road_view(), bias_sigma=0.06)
     assert plane.measure_alone(tracks, at(0.0)).distance_m == pytest.approx([20.03], abs=0.05)
     side = np.array([[0.0, 0.0, 220.0, 100.0], [0.0, 0.0, 100.0, 100.0]])
-    assert overhang_m(side, np.array([CAR, CAR])) == pytest.approx([0.0, 0.6])
-    assert overhang_m(side[1:], np.array([PERSON])) == pytest.approx([0.0])
+    offset_m = surface_offset_m(side, np.array([CAR, CAR]), has_visible_boxes=True)
+    assert offset_m == pytest.approx([0.45, 0.03 - 0.6])
+    assert surface_offset_m(side[1:], np.array([PERSON]), has_visible_boxes=True) == pytest.approx([0.05])
