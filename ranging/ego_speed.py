@@ -104,8 +104,11 @@ class EgoSpeed:
         if len(self.time_s) == 1 or not self.time_sigma_s:
             return self.speed_sigma_mps
         after = int(np.clip(np.searchsorted(self.time_s, time_s), 1, len(self.time_s) - 1))
-        step_mps, step_s = (float(values[after] - values[after - 1]) for values in (self.speed_mps, self.time_s))
-        return math.hypot(self.speed_sigma_mps, step_mps / step_s * self.time_sigma_s)
+        step_mps, step_s = (
+            self.speed_mps[after] - self.speed_mps[after - 1],
+            self.time_s[after] - self.time_s[after - 1],
+        )
+        return math.hypot(self.speed_sigma_mps, float(step_mps) / float(step_s) * self.time_sigma_s)
 
     def note(self, last_s: float) -> str | None:
         """Note for the user on a video with its last frame at `last_s`; None if the samples cover all of it."""

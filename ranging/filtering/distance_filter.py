@@ -74,23 +74,6 @@ class FilterSettings:
     min_steady_s: float = 0.35
 
 
-@dataclass(frozen=True, slots=True)
-class _Measured:
-    """Measurements of N tracks in one frame by M methods, (M, N) each.
-
-    Attributes:
-        distance_m: measured distance, NaN = not measured.
-        independent: R, variance of log distance that is independent from frame to frame, with lambda; NaN likewise.
-        systematic: variance of log distance that is constant over a track; NaN likewise.
-        valid: whether the track is measured.
-    """
-
-    distance_m: FloatArray
-    independent: FloatArray
-    systematic: FloatArray
-    valid: BoolArray
-
-
 _INITIAL = (np.nan, np.nan, 0.0, 0.0, 0.0, np.nan, np.nan, np.nan, np.nan, 0.0, 0.0, np.nan)
 """State of a new track: d, v, P_xx, P_xv, P_vv, systematic variance, time of the state, time of the last measurement,
 ego speed, consecutive outliers, condition of the last measurement, time of the start or last change of condition."""
@@ -152,11 +135,10 @@ class DistanceFilters:
             ego_speed_mps: current speed of the camera along its axis; NaN = unknown.
             ego_sigma_mps: its standard deviation; NaN = 0.
         """
-        names = [name for name in self._methods if name in by_method]
-        if not names:
+        if by_method.keys().isdisjoint(self._methods):
             return {}
-        settings, track_id = self._settings, by_method[names[0]].track_id
-        measured = self._measured(by_method, len(track_id))
+        settings, track_id = self._settings, next(iter(by_method.values())).track_id
+        z, independent, new_systematic, valid = self._measured(by_method, len(track_id))
         columns = self._tracks.get(track_id)
         state = ConstantVelocity(*columns[:5])
         systematic, state_s, measured_s, state_ego_mps, n_outliers, condition, steady_since_s = columns[5:]
@@ -175,21 +157,21 @@ class DistanceFilters:
         d[is_expired] = v[is_expired] = np.nan
 
         # A change of condition: the step may be as large as the old and the new systematic error together.
-        is_changed = np.zeros_like(measured.valid)
+        is_changed = np.zeros_like(valid)
         for name, code in (conditions or {}).items():
             i = self._methods.index(name)
-            is_changed[i] = measured.valid[i] & (code != condition[i]) & np.isfinite(d[i])
-            np.copyto(condition[i], code, where=measured.valid[i])
-        P_xx = state.P_xx + np.where(is_changed, d * d * (systematic + measured.systematic), 0.0)
+            is_changed[i] = valid[i] & (code != condition[i]) & np.isfinite(d[i])
+            np.copyto(condition[i], code, where=valid[i])
+        P_xx = state.P_xx + np.where(is_changed, d * d * (systematic + new_systematic), 0.0)
         steady_since_s[is_changed] = time_s
 
         # Gate.
-        nu = d * np.log(measured.distance_m / d)
-        R = d * d * measured.independent
+        nu = d * np.log(z / d)
+        R = d * d * independent
         excess = np.abs(nu) / (settings.outlier_sigma * np.sqrt(P_xx + R))
-        np.copyto(n_outliers, (excess > 1) * (n_outliers + 1), where=measured.valid)
+        np.copyto(n_outliers, (excess > 1) * (n_outliers + 1), where=valid)
         is_lost = np.isnan(d) | (n_outliers >= settings.max_outliers)
-        known, starts = measured.valid & ~is_lost, measured.valid & is_lost
+        known, starts = valid & ~is_lost, valid & is_lost
         if settings.learns_noise:
             is_steady = time_s - steady_since_s >= settings.min_steady_s
             self._noise_scale.learn(nu * nu, P_xx, noise=R, use=known & is_steady)
@@ -201,26 +183,31 @@ class DistanceFilters:
 
         # Restart.
         if starts.any():
-            z = measured.distance_m
             is_ego_known = math.isfinite(ego_speed_mps)
             rate_mps = -ego_speed_mps if is_ego_known else 0.0
             rate_sigma_mps = settings.target_speed_sigma_mps if is_ego_known else settings.initial_rate_sigma_mps
-            initial = np.broadcast_arrays(z, rate_mps, z * z * measured.independent, 0.0, rate_sigma_mps**2)
+            initial = np.broadcast_arrays(z, rate_mps, z * z * independent, 0.0, rate_sigma_mps**2)
             np.copyto(columns[:5], initial, where=starts)
             n_outliers[starts] = 0.0
             steady_since_s[starts] = time_s
 
         state_s[:], state_ego_mps[:] = time_s, ego_speed_mps
-        np.copyto(measured_s, time_s, where=measured.valid)
-        np.copyto(systematic, measured.systematic, where=measured.valid)
+        np.copyto(measured_s, time_s, where=valid)
+        np.copyto(systematic, new_systematic, where=valid)
         is_recent = (time_s - self._tracks.known[_MEASURED_S] <= settings.max_gap_s).any(axis=0)
         self._tracks.put(track_id, columns, keep_known=is_recent)
         is_steady = time_s - steady_since_s >= settings.min_steady_s
-        filtered = self._filtered(ConstantVelocity(*columns[:5]), systematic, is_steady, track_id)
-        return {name: filtered[name] for name in names}
+        return self._filtered(ConstantVelocity(*columns[:5]), systematic, is_steady, by_method)
 
-    def _measured(self, by_method: Mapping[str, Ranges], n: int) -> _Measured:
-        """Measurements of N tracks; NaN for a method that is missing."""
+    def _measured(
+        self, by_method: Mapping[str, Ranges], n: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+        """Measurements of N tracks in one frame by M methods, (M, N) each; NaN = not measured.
+
+        Returns:
+            Distance, the variance R of log distance that is independent from frame to frame, with lambda, the variance
+            that is constant over a track, and whether the track is measured.
+        """
         distance_m, sigma_m = np.full((2, len(self._methods), n), np.nan)
         share = np.repeat(self._independent_share, n, axis=1)
         for i, name in enumerate(self._methods):
@@ -235,10 +222,10 @@ class DistanceFilters:
         variance, factor = (sigma_m / distance_m) ** 2, self._noise_scale.factor
         # If the noise is smaller than declared, the remainder of sigma counts as systematic.
         systematic = (1 - share * np.minimum(factor, 1.0)) * variance
-        return _Measured(distance_m, share * factor * variance, systematic, valid)
+        return distance_m, share * factor * variance, systematic, valid
 
     def _filtered(
-        self, state: ConstantVelocity, systematic: FloatArray, is_steady: BoolArray, track_id: IntArray
+        self, state: ConstantVelocity, systematic: FloatArray, is_steady: BoolArray, by_method: Mapping[str, Ranges]
     ) -> dict[str, FilteredRanges]:
         """Filtered ranges by method, from the states and the systematic variance of log distance, (M, N) each."""
         sigma_m = np.sqrt(state.P_xx + systematic * state.x**2)
@@ -248,7 +235,7 @@ class DistanceFilters:
         ttc_s, ttc_sigma_s = time_to_collision(state.x, rate_mps, variances=(state.P_xx, state.P_xv, state.P_vv))
         return {
             name: FilteredRanges(
-                Ranges(track_id, state.x[i], sigma_m[i]),
+                Ranges(by_method[name].track_id, state.x[i], sigma_m[i]),
                 rate_mps[i],
                 rate_sigma_mps[i],
                 ttc_s[i],
@@ -256,4 +243,5 @@ class DistanceFilters:
                 ConstantVelocity(state.x[i], state.v[i], state.P_xx[i], state.P_xv[i], state.P_vv[i]),
             )
             for i, name in enumerate(self._methods)
+            if name in by_method
         }

@@ -156,8 +156,8 @@ class LateralFilters:
 
     def _measured(self, tracks: Tracks, distance_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         """Lateral position of the centre, its standard deviation, half the width in m, and whether a box is whole."""
-        left_px, right_px = tracks.xyxy_px[:, 0], tracks.xyxy_px[:, 2]
-        left, right = ((edge - self._camera.cx_px) / self._camera.fx_px for edge in (left_px, right_px))
+        left_px, right_px = edges_px = tracks.xyxy_px[:, ::2].T
+        left, right = (edges_px - self._camera.cx_px) / self._camera.fx_px
         d, L = distance_m, _LENGTH_M[tracks.class_id]
         slack_m = np.maximum((right - left) * d - _MIN_WIDTH_M[tracks.class_id], 0.0)
         left_m = left * d + np.minimum(np.maximum(left, 0.0) * L, slack_m)

@@ -35,7 +35,8 @@ class ErrorModel:
         systematic_correlation: (M, M) correlation C0 of the systematic errors.
         systematic_covariance: (M, M, 1) products of the systematic fractions of sigma.
         independent_covariance: (M, M, 1) covariance of the independent errors for sigmas of 1.
-        similar: pairs of methods with an error correlation above 0.5 that may both be used for a track.
+        similar: (2, K) indices of the pairs of methods with an error correlation above 0.5 that may both be used for a
+            track.
         reference: indices of scale references: methods declared as such, and methods with all systematic errors in
             common with one of them.
         is_learnt: (M, 1) whether the bias of a method is estimated: all but scale references.
@@ -53,7 +54,7 @@ class ErrorModel:
     systematic_correlation: FloatArray
     systematic_covariance: FloatArray
     independent_covariance: FloatArray
-    similar: tuple[tuple[int, int], ...]
+    similar: IntArray
     reference: IntArray
     is_learnt: BoolArray
     superseded_by: BoolArray
@@ -82,12 +83,7 @@ class ErrorModel:
             systematic_correlation=systematic_correlation,
             systematic_covariance=(systematic * systematic.T)[:, :, None],
             independent_covariance=independent_covariance[:, :, None],
-            similar=tuple(
-                (i, j)
-                for j in range(len(methods))
-                for i in range(j)
-                if correlation[i, j] > _SIMILAR and not (superseded_by[i, j] or superseded_by[j, i])
-            ),
+            similar=np.array(np.nonzero(np.triu(correlation > _SIMILAR, k=1) & ~superseded_by & ~superseded_by.T)),
             reference=np.flatnonzero(is_reference),
             is_learnt=~is_reference[:, None],
             superseded_by=superseded_by,

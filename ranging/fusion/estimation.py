@@ -5,7 +5,7 @@ Arrays are over M methods and N tracks, tracks last. Symbols are those of the do
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -81,11 +81,6 @@ class TrackBiases:
         """Biases of `m` methods from `columns` (m + m m + 6, N), the inverse of `to_columns`."""
         return cls(columns[:m], columns[m : m + m * m].reshape(m, m, -1), *columns[m + m * m :])
 
-    @staticmethod
-    def times_s(columns: FloatArray) -> FloatArray:
-        """(N,) times of the last measurement in `columns` of `to_columns`."""
-        return np.asarray(columns[-4])
-
     def to_columns(self) -> FloatArray:
         """(M + M M + 6, N) all attributes, one column per track."""
         others = [self.log_m, self.variance, self.time_s, self.n_agreements, self.n_conflicts, self.reference_s]
@@ -153,7 +148,8 @@ def least_squares(used: Measurements, track: TrackBiases, model: ErrorModel) -> 
     information = np.maximum(A_inv_1.sum(axis=0), _TINY)  # 1' A^-1 1
     w, variance = A_inv_1 / information, 1.0 / information
     P = A_inv - A_inv_1[:, None] * w
-    if any((used.valid[i] & used.valid[j]).any() for i, j in model.similar):
+    one, other = used.valid[model.similar]
+    if (one & other).any():
         w = _without_extrapolation(w, A, used.valid, model.similar)
         variance = np.einsum("in,ijn,jn->n", w, A, w)
     log_m = (w * y).sum(axis=0)
@@ -165,21 +161,19 @@ def least_squares(used: Measurements, track: TrackBiases, model: ErrorModel) -> 
     return Estimate(log_m, variance, k, y, A, P, residual, t2, chi2_per_dof, n_valid)
 
 
-def _without_extrapolation(
-    w: FloatArray, A: FloatArray, valid: BoolArray, similar: Sequence[tuple[int, int]]
-) -> FloatArray:
+def _without_extrapolation(w: FloatArray, A: FloatArray, valid: BoolArray, similar: IntArray) -> FloatArray:
     """(M, N) least-squares weights after similar methods with negative weights were removed one by one.
 
     Args:
         w: (M, N) weights of the valid methods.
         A: (M, M, N) covariance of the measurements.
         valid: (M, N) whether the track is measured.
-        similar: pairs of methods that share most of their errors.
+        similar: (2, K) pairs of methods that share most of their errors.
     """
     w, valid = w.copy(), valid.copy()
     while True:
         similar_w = np.zeros_like(w)
-        for i, j in similar:
+        for i, j in similar.T.tolist():
             both = valid[i] & valid[j]
             similar_w[i], similar_w[j] = np.where(both, w[i], similar_w[i]), np.where(both, w[j], similar_w[j])
         worst = similar_w.min(axis=0, initial=0.0)

@@ -173,7 +173,7 @@ class Fusion:
             n_conflicts=track.n_conflicts + is_unresolved,
             reference_s=np.where(used.valid[model.reference].any(axis=0), time_s, track.reference_s),
         )
-        is_recent = time_s - TrackBiases.times_s(self._tracks.known) <= _MAX_GAP_S
+        is_recent = time_s - TrackBiases.from_columns(self._tracks.known, m).time_s <= _MAX_GAP_S
         self._tracks.put(track_id, track.to_columns(), keep_known=is_recent)
 
         distance_m = np.where(has_any, np.exp(estimate.log_m), np.nan)
