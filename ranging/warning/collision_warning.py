@@ -144,7 +144,10 @@ class CollisionWarning:
         self._ego.update(time_s, ego_mps, yaw_rad_s)
         *trend, state_s, certain_s, last_s, beside_s, since_s, is_on = self._tracks.get(tracks.track_id)
         is_person = tracks.class_id == _PERSON
-        measured = self._with_walking_speed(motion.state, is_person)
+        measured = motion.state
+        if self._ego.has_speed and is_person.any():  # the prior speed of people along the road
+            along_mps = np.where(is_person, settings.person_along_mps, np.inf)
+            measured = _with_rate(measured, -self._ego.speed_mps, along_mps)
         is_known = np.isfinite(measured.x) & np.isfinite(lateral.state.x)
         is_stale = ~(time_s - last_s <= MAX_GAP_S)
         certain_speed = measured.P_vv <= settings.max_closing_sigma_mps**2
@@ -215,8 +218,7 @@ class CollisionWarning:
         if starts.any():
             zero = np.zeros_like(u)
             initial = (u, zero, R, zero, zero + INITIAL_ACCELERATION_MPS2**2)
-            columns = (np.where(starts, new, old) for new, old in zip(initial, _columns(state), strict=True))
-            state = ConstantVelocity(*columns)
+            state = ConstantVelocity(*np.where(starts, initial, _columns(state)))
         return state, starts
 
     def _may_touch(self, gap: ConstantVelocity, own: ConstantVelocity) -> BoolArray:
@@ -227,13 +229,6 @@ class CollisionWarning:
         least_m += h * np.minimum(own.v - self._ego.acceleration_mps2, 0.0)
         variance = gap.P_xx + H * (2 * gap.P_xv + H * gap.P_vv) + h * h * (own.P_vv + settings.acceleration_mps2**2)
         return np.asarray(least_m <= _REACH_SIGMA * np.sqrt(variance))
-
-    def _with_walking_speed(self, state: ConstantVelocity, is_person: BoolArray) -> ConstantVelocity:
-        """Distances and rates, with the prior speed of people along the road, if the ego speed is known."""
-        if not (self._ego.has_speed and is_person.any()):
-            return state
-        sigma = np.where(is_person, self.settings.person_along_mps, np.inf)
-        return _with_rate(state, -self._ego.speed_mps, sigma)
 
     def _encounter(
         self,
@@ -246,11 +241,15 @@ class CollisionWarning:
     ) -> Encounter:
         """Motion of the objects in these rows relative to the ego vehicle and its path."""
         settings, ego = self.settings, self._ego
-        gap, offset = (ConstantVelocity(*np.array(_columns(state)).take(rows, axis=1)) for state in (gap, offset))
+        gap = ConstantVelocity(*np.array(_columns(gap)).take(rows, axis=1))
+        offset = ConstantVelocity(*np.array(_columns(offset)).take(rows, axis=1))
         u, u_change, change_variance = gap.v + ego.speed_mps, own.v[rows], own.P_vv[rows]
         stops_s = np.full(len(rows) + 1, np.inf)
         if ego.has_speed:
-            moves = 1.0 - _static_share(u, gap.P_vv)
+            # Probability that an object moves: half of all are static, a priori.
+            moving = gap.P_vv + _MOVING_MPS**2
+            log_odds = (u * u * (1 / moving - 1 / gap.P_vv) + np.log(moving / gap.P_vv)) / 2
+            moves = 1.0 - expit(log_odds)
             variance = moves * (gap.P_vv + (1.0 - moves) * u * u)
             u, u_change, change_variance = moves * u, moves * u_change, moves * change_variance
             gap = ConstantVelocity(gap.x, u - ego.speed_mps, gap.P_xx, moves * gap.P_xv, variance)
@@ -276,12 +275,12 @@ class CollisionWarning:
         self, tracks: Tracks, gap: ConstantVelocity, x: ConstantVelocity, sigma_m: FloatArray
     ) -> ConstantVelocity:
         """Lateral offset of the objects from the ego path and its rate, with the errors of path and distance."""
-        ego, w, V = self._ego, self._ego.yaw, self._ego.path_mps
+        settings, ego, w, V = self.settings, self._ego, self._ego.yaw, self._ego.path_mps
         T = np.maximum(gap.x, 0.0) / V
         u = gap.v + ego.speed_mps if ego.has_speed else np.zeros_like(gap.v)
         turning = u if ego.has_yaw else gap.v
         scaled_m = x.x * sigma_m / gap.x  # an error of the distance moves objects along their bearing
-        scaled_mps = scaled_m / self.settings.drift_s
+        scaled_mps = scaled_m / settings.drift_s
         P_ww, P_wa, P_aa, q = w.P_xx, w.P_xv, w.P_vv, ego.yaw_noise
         offset = ConstantVelocity(
             x.x - V * T * T * (w.x / 2 + T * w.v / 6),
@@ -290,16 +289,13 @@ class CollisionWarning:
             x.P_xv + V * T**3 * (P_ww / 2 + T * (5 * P_wa / 12 + T * (P_aa / 12 + T * (q / 72)))) * turning,
             x.P_vv + scaled_mps**2 + T * T * (P_ww + T * (P_wa + T * (P_aa / 4 + T * (q / 20)))) * turning**2,
         )
-        return _with_rate(offset, 0.0, self._rate_sigma_mps(tracks, u))
-
-    def _rate_sigma_mps(self, tracks: Tracks, own_mps: FloatArray) -> FloatArray:
-        """(N,) prior standard deviation of the rate of the offset from the ego path."""
-        settings = self.settings
-        sigma = np.full(len(tracks), settings.lateral_speed_mps)
-        if self._ego.has_speed:
-            sigma = np.where(np.abs(own_mps) < _STATIC_MPS, settings.static_lateral_mps, sigma)
-            sigma = np.where(own_mps < -_STATIC_MPS, settings.oncoming_lateral_mps, sigma)
-        return np.where(tracks.class_id == _PERSON, settings.person_lateral_mps, sigma)
+        # Prior of the rate.
+        sigma_mps = np.full(len(tracks), settings.lateral_speed_mps)
+        if ego.has_speed:
+            sigma_mps = np.where(np.abs(u) < _STATIC_MPS, settings.static_lateral_mps, sigma_mps)
+            sigma_mps = np.where(u < -_STATIC_MPS, settings.oncoming_lateral_mps, sigma_mps)
+        sigma_mps = np.where(tracks.class_id == _PERSON, settings.person_lateral_mps, sigma_mps)
+        return _with_rate(offset, 0.0, sigma_mps)
 
     def _probability(self, encounter: Encounter) -> FloatArray:
         """(K,) probability of contact, on a scale on which it agrees with the fraction of contacts."""
@@ -356,13 +352,6 @@ def _alarm(
     since_s = np.where(holds, np.fmin(since_s, time_s), np.nan)
     changes = time_s - since_s >= needed_s - 1e-9
     return is_on ^ changes, np.where(changes, np.nan, since_s)
-
-
-def _static_share(u: FloatArray, variance: FloatArray) -> FloatArray:
-    """Probability that objects with the measured speeds u along the road are static: half of all are, a priori."""
-    moving = variance + _MOVING_MPS**2
-    log_odds = (u * u * (1 / moving - 1 / variance) + np.log(moving / variance)) / 2
-    return np.asarray(expit(log_odds))
 
 
 def _with_rate(state: ConstantVelocity, rate_mps: float, sigma_mps: FloatArray) -> ConstantVelocity:

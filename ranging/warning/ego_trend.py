@@ -63,11 +63,8 @@ class EgoTrend:
         """Update with the values of a frame; NaN = unknown."""
         dt = time_s - self._time_s
         self._time_s = time_s
-        self._update_speed(dt, speed_mps)
-        self.path_mps = max(speed_mps, _MIN_SPEED_MPS) if self.has_speed else _TYPICAL_SPEED_MPS
-        self._update_yaw(dt, yaw_rad_s)
 
-    def _update_speed(self, dt: float, speed_mps: float) -> None:
+        # Speed.
         was_known, self.has_speed = self.has_speed, math.isfinite(speed_mps)
         R = _EGO_SPEED_SIGMA_MPS**2
         if not self.has_speed:
@@ -79,9 +76,10 @@ class EgoTrend:
             self._speed = predicted.update(speed_mps - predicted.x, R)
         self.acceleration_mps2 = 0.0 if self._speed is None else float(self._speed.v)
         self.speed_mps = speed_mps if self.has_speed else 0.0
+        self.path_mps = V = max(speed_mps, _MIN_SPEED_MPS) if self.has_speed else _TYPICAL_SPEED_MPS
 
-    def _update_yaw(self, dt: float, yaw_rad_s: float) -> None:
-        settings, V = self._settings, self.path_mps
+        # Yaw rate.
+        settings = self._settings
         was_known, self.has_yaw = self.has_yaw, math.isfinite(yaw_rad_s)
         self.yaw_noise = ((settings.lateral_jerk_noise + settings.winding_noise * self._lateral_mps2) / V) ** 2
         R = settings.yaw_sigma_rad_s**2
