@@ -13,7 +13,7 @@ state; 0 while V does not change, as its error does not change either. A new tra
 
 The sigma of a method has an independent part, new in every frame (box jitter, matching noise), and a systematic part,
 constant over a track (the car is larger than average). Only the independent part averages out: it alone is R, scaled by
-lambda, which is estimated from the innovations of the method (`noise_scale`). The systematic part is added to the
+lambda, which is estimated from the innovations of the method (`NoiseScale`). The systematic part is added to the
 filter's variance at the output. It is common to distance and speed, so the time to collision d / -v does not contain
 it. When the condition of a measurement changes (a method joins or leaves the fusion), so does its systematic error:
 the variances of the old and the new one are added to that of d, so that the step does not appear as speed. A
@@ -32,7 +32,6 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges, time_to_collision
-from track_range.ranging.filtering.noise_scale import NoiseScale
 from track_range.ranging.ranges import Ranges
 
 _MIN_INDEPENDENT_SHARE = 0.1
@@ -44,6 +43,18 @@ second. Odometry's are shorter, but its sigma is a tenth of a receiver's."""
 
 _MIN_DISTANCE_M = 0.3
 """Smallest distance in m; a track that is predicted to be nearer has passed the camera, and its filter restarts."""
+
+_PRIOR_SAMPLES = 30.0
+"""Weight of the declared noise, as a number of measurements."""
+
+_MEMORY_SAMPLES = 300.0
+"""Half-life of the estimate, as a number of measurements."""
+
+_LIMITS = (0.2**2, 4.0**2)
+"""Smallest and largest lambda: between a fifth and four times the declared standard deviation."""
+
+_MAX_RATIO = 9.0
+"""Largest nu^2 / S; innovations beyond 3 sigma are outliers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,6 +91,45 @@ ego speed, consecutive outliers, condition of the last measurement, time of the 
 
 _MEASURED_S = 7
 """Index of the time of the last measurement in the state."""
+
+
+class NoiseScale:
+    """Factors lambda on the noise variances of M methods, estimated separately from the innovations of their filters.
+
+        nu = z - z_predicted,   E nu^2 = S = P + lambda R   ->   lambda' = lambda * (mean of nu^2 / S with weights w)
+        w = lambda R / S
+
+    P is the variance of the prediction, R the variance of the noise that the method declares. The ratio nu^2 / S
+    depends on R where R is a large part of S, and on the motion elsewhere, hence the weights w. The jitter of boxes
+    differs between detectors, from half a pixel to two, and detectors do not report it; a single number for all tracks
+    of a method converges fast. (Covariance matching, Mehra 1972.)
+
+    Attributes:
+        factor: (M, 1) lambda, initially 1.
+    """
+
+    def __init__(self, n_methods: int = 1) -> None:
+        """Start with factors of 1."""
+        self.factor = np.ones((n_methods, 1))
+        self._ratios, self._weights = np.full((2, n_methods, 1), _PRIOR_SAMPLES)
+
+    def learn(self, squared: FloatArray, predicted: FloatArray, *, noise: FloatArray, use: BoolArray) -> None:
+        """Update the factors with the innovations of one frame.
+
+        Args:
+            squared: (M, N) squared innovations nu^2.
+            predicted: (M, N) variance P of the predictions.
+            noise: (M, N) variance lambda R of the noise.
+            use: (M, N) whether to use the innovation.
+        """
+        S = predicted + noise
+        w = np.where(use, noise / S, 0.0)
+        ratio = np.where(use, squared / S, 0.0)
+        decay = 0.5 ** (use.sum(axis=1, keepdims=True) / _MEMORY_SAMPLES)
+        ratios = (w * np.minimum(ratio, _MAX_RATIO)).sum(axis=1, keepdims=True)
+        self._ratios = self._ratios * decay + self.factor * ratios
+        self._weights = self._weights * decay + w.sum(axis=1, keepdims=True)
+        self.factor = (self._ratios / self._weights).clip(*_LIMITS)
 
 
 class DistanceFilters:

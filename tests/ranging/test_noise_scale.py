@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.ranging.filtering.noise_scale import NoiseScale
+from track_range.ranging.filtering.distance_filter import NoiseScale
 
 ALL = np.ones((1, 20), bool)
 
