@@ -97,7 +97,10 @@ def nms(
         max_boxes: largest number of indices returned; None = no limit.
     """
     order = np.argsort(-score, kind="stable")
-    columns = _separated_by_class(xyxy_px, class_id)[:, order]
+    left, top, right, bottom = xyxy_px.T
+    # Shifted in x by class, so that boxes of two classes cannot overlap.
+    shift_px = class_id * (float(np.ptp(xyxy_px)) + 1.0 if len(xyxy_px) else 0.0)
+    columns = np.stack([left + shift_px, top, right + shift_px, bottom, area_px2(xyxy_px)])[:, order]
     limit = len(order) if max_boxes is None else max_boxes
     kept = np.zeros(0, np.int64)
     for start in range(0, len(order), _NMS_BLOCK):
@@ -108,14 +111,6 @@ def nms(
         block = block[:, rest]
         kept = np.concatenate([kept, start + rest[_survivors(_overlap(block, block, max_iou=max_iou))]])
     return np.asarray(order[kept[:limit]])
-
-
-def _separated_by_class(xyxy_px: FloatArray, class_id: IntArray) -> FloatArray:
-    """(5, N) left, top, right, bottom and area, shifted in x by class so that boxes of two classes cannot overlap."""
-    span_px = float(np.ptp(xyxy_px)) + 1.0 if len(xyxy_px) else 0.0
-    left, top, right, bottom = xyxy_px.T
-    shift_px = class_id * span_px
-    return np.stack([left + shift_px, top, right + shift_px, bottom, area_px2(xyxy_px)])
 
 
 def _overlap(a: FloatArray, b: FloatArray, *, max_iou: float) -> BoolArray:

@@ -11,6 +11,8 @@ lines are found; use a network in such scenes.
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -75,7 +77,12 @@ class EdgeLaneFinder:
         shrink = max(min(round(image_hw[1] / _WIDTH_PX), image_hw[0]), 1)
         horizon_px = HORIZON * image_hw[0] if self._lane.state is None else self._lane.state.horizon_px
         top = shrink * _first_row(horizon_px / shrink, image_hw[0] // shrink)
-        xy_px = paint_points(_shrunk(image[top:], shrink), (horizon_px - top + 0.5) / shrink - 0.5)
+        searched = image[top:]
+        if shrink > 1:  # a remainder at the right and bottom is cropped
+            height, width = len(searched) // shrink, image_hw[1] // shrink
+            cropped = searched[: height * shrink, : width * shrink]
+            searched = np.asarray(cv2.resize(cropped, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+        xy_px = paint_points(searched, (horizon_px - top + 0.5) / shrink - 0.5)
         xy_px = (xy_px + 0.5) * shrink - 0.5 + np.array([0.0, top])
         return self._lane.update(Markings.unnumbered(xy_px, _SIGMA_PX * shrink), time_s, image_hw)
 
@@ -88,15 +95,15 @@ def paint_points(image: Image, horizon_px: float) -> FloatArray:
         horizon_px: row of the horizon; it may be above the image.
     """
     first = _first_row(horizon_px, len(image))
-    channels = _channels(image[first::_ROW_STEP])
+    both = cv2.transform(np.asarray(image[first::_ROW_STEP], np.float32), _GREY_AND_YELLOW)
+    grey, yellow = cv2.split(cv2.blur(both, (3, 1)))  # smoothed along the rows
     points = []
-    for rows in np.array_split(np.arange(len(channels[0])), _N_BANDS):
+    for rows in np.array_split(np.arange(len(grey)), _N_BANDS):
         if not len(rows):
             continue
         band = slice(rows[0], rows[-1] + 1)
         reach = max(round(_PAINT_SLOPE * (first + _ROW_STEP * float(rows.mean()) - horizon_px)), 3)
-        bars = [_bars(channel[band], reach) for channel in channels]
-        row, x = run_middles(_peaks(np.maximum(*bars), reach))
+        row, x = run_middles(_peaks(np.maximum(_bars(grey[band], reach), _bars(yellow[band], reach)), reach))
         points.append(np.stack([x, first + _ROW_STEP * rows[row]], axis=1))
     return np.concatenate(points) if points else np.zeros((0, 2))
 
@@ -106,23 +113,7 @@ def _first_row(horizon_px: float, height_px: int) -> int:
     return int(np.clip(horizon_px + _MIN_DEPTH * height_px, 0, max(height_px - _N_BANDS, 0)))
 
 
-def _shrunk(image: Image, shrink: int) -> Image:
-    """The image downscaled by an integer factor; a remainder at the right and bottom is cropped."""
-    if shrink == 1:
-        return image
-    height, width = (side // shrink for side in image.shape[:2])
-    cropped = image[: height * shrink, : width * shrink]
-    return np.asarray(cv2.resize(cropped, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _channels(bgr: Image) -> tuple[Float32Array, Float32Array]:
-    """Grey and yellow channel (H, W), smoothed over 3 pixels along the rows."""
-    both = cv2.transform(np.asarray(bgr, np.float32), _GREY_AND_YELLOW)
-    grey, yellow = cv2.split(cv2.blur(both, (3, 1)))
-    return np.asarray(grey, np.float32), np.asarray(yellow, np.float32)
-
-
-def _bars(channel: Float32Array, reach: int) -> Float32Array:
+def _bars(channel: npt.NDArray[Any], reach: int) -> Float32Array:
     """(H, W) difference of each pixel to the brighter of its neighbours at `reach` pixels; 0 below a threshold."""
     response = np.zeros_like(channel)
     if channel.shape[1] <= 2 * reach:

@@ -69,13 +69,13 @@ def fit_lane(markings: Markings, expected: LaneState, lines: tuple[int, int] = (
         lines: numbers of the left and the right line among the markings; -1 = all markings near the line.
     """
     state = expected
-    seen: list[BoolArray] = []
     prior = np.asarray(np.linalg.inv(expected.covariance), np.float64)
     for gate in np.geomspace(_FIRST_GATE, _LAST_GATE, _N_ROUNDS).tolist():
-        seen = [_pixels(markings, state, side, number, gate) for side, number in zip(SIDES, lines, strict=True)]
-        state = _updated(markings, expected, prior, about=state, seen=seen)
-    left, right = (_span(markings.xy_px[is_on_line, 1]) for is_on_line in seen)
-    return LaneFit(state, (left, right), _clutter(markings, state, seen))
+        left = _pixels(markings, state, SIDES[0], lines[0], gate)
+        right = _pixels(markings, state, SIDES[1], lines[1], gate)
+        state = _updated(markings, expected, prior, about=state, seen=(left, right))
+    y_px = markings.xy_px[:, 1]
+    return LaneFit(state, (_span(y_px[left]), _span(y_px[right])), _clutter(markings, state, left | right))
 
 
 def _pixels(markings: Markings, state: LaneState, side: float, number: int, gate: float) -> BoolArray:
@@ -91,7 +91,7 @@ def _pixels(markings: Markings, state: LaneState, side: float, number: int, gate
 
 
 def _updated(
-    markings: Markings, expected: LaneState, prior: FloatArray, *, about: LaneState, seen: list[BoolArray]
+    markings: Markings, expected: LaneState, prior: FloatArray, *, about: LaneState, seen: tuple[BoolArray, BoolArray]
 ) -> LaneState:
     """One iteration: the state from the prior, with information matrix `prior`, and pixels weighted about `about`."""
     information = prior
@@ -111,9 +111,8 @@ def _updated(
     return LaneState(covariance @ pull, covariance, expected.image_hw)
 
 
-def _clutter(markings: Markings, state: LaneState, seen: list[BoolArray]) -> float:
+def _clutter(markings: Markings, state: LaneState, on_lines: BoolArray) -> float:
     """Number of markings between the lines divided by the number on them, in the rows of the lines."""
-    on_lines = seen[0] | seen[1]
     if not on_lines.any():
         return 0.0
     x, y = markings.xy_px.T

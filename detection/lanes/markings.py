@@ -81,13 +81,17 @@ class Proposals:
 
 def proposals(markings: Markings, image_hw: tuple[int, int]) -> Proposals:
     """Straight lines through the markings of an image, (height, width) `image_hw`; K may be 0."""
-    numbered = markings.line >= 0
-    lines = _numbered_lines(markings) if numbered.any() else _hough_lines(markings.xy_px, image_hw)
+    is_numbered = bool((markings.line >= 0).any())
+    lines = _numbered_lines(markings) if is_numbered else _hough_lines(markings.xy_px, image_hw)
     constant, slope, line = lines
     if not len(line):
         return Proposals(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.int64))
-    support = _support(markings, lines, tolerance_px=_TOLERANCE * image_hw[1])
-    return Proposals(constant, slope, np.sqrt(support / max(float(support.max()), 1.0)), line)
+    x, y = markings.xy_px.T
+    # The distance is perpendicular to the line, so that flat lines at the side are not at a disadvantage.
+    distance_px = np.abs(x - constant[:, None] - slope[:, None] * y) / np.hypot(1.0, slope)[:, None]
+    is_candidate = (line[:, None] < 0) | (line[:, None] == markings.line)  # numbered lines: pixels with their number
+    n_pixels = (is_candidate & (distance_px < _TOLERANCE * image_hw[1])).sum(axis=1)
+    return Proposals(constant, slope, np.sqrt(n_pixels / max(float(n_pixels.max()), 1.0)), line)
 
 
 def run_middles(is_marked: BoolArray, *, widest_px: float = np.inf) -> tuple[IntArray, FloatArray]:
@@ -142,13 +146,3 @@ def _strongest(x_px: FloatArray, min_distance_px: float) -> IntArray:
         kept.append(best)
         is_left &= np.abs(x_px - x_px[best]).max(axis=1) > min_distance_px
     return np.array(kept, np.int64)
-
-
-def _support(markings: Markings, lines: tuple[FloatArray, FloatArray, IntArray], *, tolerance_px: float) -> FloatArray:
-    """(K,) number of pixels on each line; of numbered lines, only pixels with their number."""
-    constant, slope, line = lines
-    x, y = markings.xy_px.T
-    # The distance is perpendicular to the line, so that flat lines at the side are not at a disadvantage.
-    distance_px = np.abs(x - constant[:, None] - slope[:, None] * y) / np.hypot(1.0, slope)[:, None]
-    is_candidate = (line[:, None] < 0) | (line[:, None] == markings.line)
-    return np.asarray((is_candidate & (distance_px < tolerance_px)).sum(axis=1), np.float64)

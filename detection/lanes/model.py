@@ -53,7 +53,8 @@ class LaneState:
     ) -> LaneState:
         """A wide prior centred on two lines, given as (constant, slope) of x = constant + slope y."""
         height = image_hw[0]
-        (x_left, x_right) = (constant + slope * _REFERENCE_ROW * height for constant, slope in (left, right))
+        x_left = left[0] + left[1] * _REFERENCE_ROW * height
+        x_right = right[0] + right[1] * _REFERENCE_ROW * height
         slopes = np.array([left[1], right[1]]) * height
         mean = np.array([(x_left + x_right) / 2, slopes.mean(), x_right - x_left, slopes[1] - slopes[0], 0.0])
         sigma = _PRIOR_SIGMA * height
@@ -78,11 +79,11 @@ class LaneState:
 
     def width_px(self, y_px: FloatArray) -> FloatArray:
         """Distance w between the lines in the given rows; negative above the horizon."""
-        return np.asarray(self.mean[2] + self.mean[3] * self._t(y_px))
+        return np.asarray(self.mean[2] + self.mean[3] * (y_px / self.image_hw[0] - _REFERENCE_ROW))
 
     def rows(self, y_px: FloatArray, side: float) -> FloatArray:
         """(N, 5) derivatives of x with respect to the state in the given rows (N,); side -1 = left, +1 = right."""
-        t = self._t(y_px)
+        t = y_px / self.image_hw[0] - _REFERENCE_ROW
         rows = np.empty((len(t), 5))
         rows[:, 0], rows[:, 1], rows[:, 4] = 1.0, t, t * t
         rows[:, 2:4] = side / 2 * rows[:, :2]
@@ -92,7 +93,7 @@ class LaneState:
         """(N,) x of a line in the given rows (N,); side -1 = left, +1 = right."""
         a, b, d, s, c = self.mean.tolist()
         half = side / 2
-        t = self._t(y_px)
+        t = y_px / self.image_hw[0] - _REFERENCE_ROW
         return np.asarray((a + half * d) + t * ((b + half * s) + c * t))
 
     def line(self, side: float, *, y_top_px: float, y_bottom_px: float) -> LaneLine:
@@ -103,6 +104,3 @@ class LaneState:
         of_state = np.array([[1.0, 0, side / 2, 0, 0], [0, 1.0, 0, side / 2, 0], [0, 0, 0, 0, 1.0]])
         transform = of_t @ of_state
         return LaneLine(transform @ self.mean, transform @ self.covariance @ transform.T, y_top_px, y_bottom_px)
-
-    def _t(self, y_px: FloatArray) -> FloatArray:
-        return y_px / self.image_hw[0] - _REFERENCE_ROW

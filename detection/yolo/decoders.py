@@ -218,8 +218,8 @@ class HeadDecoder:
     def decode(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
         """See `Decoder`."""
         parts = [_boxes_of_head(head, outputs[head.output][0], float(min_score.min())) for head in self.heads]
-        boxes, scores = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return Candidates.of(boxes, scores, min_score)
+        boxes, scores = zip(*parts, strict=True)
+        return Candidates.of(np.concatenate(boxes), np.concatenate(scores), min_score)
 
 
 def _boxes_of_head(head: Head, raw: FloatArray32, min_objectness: float) -> tuple[FloatArray, FloatArray32]:

@@ -111,21 +111,10 @@ class _Input:
     letterbox: Letterbox
     free: deque[_Buffers] = field(default_factory=deque)
 
-    def write(self, image: Image, buffers: _Buffers) -> None:
-        """Write an image into an input of the network."""
-        self.model.input_format.write(image, self.letterbox, buffers.blob, scaled=buffers.scaled)
-
     def buffers_for(self, blob: npt.NDArray[Any]) -> _Buffers:
         """Buffers with this input of the network, which is filled with the padding."""
         self.model.input_format.fill_padding(blob)
         return _Buffers(blob, np.empty((*self.letterbox.resized_hw, 3), np.uint8))
-
-    def free_buffers(self) -> _Buffers:
-        """Buffers that are not in use."""
-        try:
-            return self.free.pop()
-        except IndexError:
-            return self.buffers_for(np.zeros_like(self.network.blob))
 
 
 class YoloDetector:
@@ -229,8 +218,9 @@ class YoloDetector:
             ValueError: `image` is not (H, W, 3) uint8, or empty.
         """
         prepared = self._input_for(image)
-        buffers = prepared.free_buffers()
-        prepared.write(image, buffers)
+        free = prepared.free  # only this method takes buffers out
+        buffers = free.pop() if free else prepared.buffers_for(np.zeros_like(prepared.network.blob))
+        prepared.model.input_format.write(image, prepared.letterbox, buffers.blob, scaled=buffers.scaled)
         return partial(self._detect_prepared, prepared, buffers)
 
     def _detect_prepared(self, prepared: _Input, buffers: _Buffers) -> Detections:
@@ -270,7 +260,8 @@ class YoloDetector:
         filled = self._input_for(image)
         if filled is not self._filled:
             self._filled, self._fill_buffers = filled, filled.buffers_for(filled.network.blob)
-        filled.write(image, self._fill_buffers)
+        buffers = self._fill_buffers
+        filled.model.input_format.write(image, filled.letterbox, buffers.blob, scaled=buffers.scaled)
 
     def infer(self) -> list[FloatArray32]:
         """The network's outputs for the latest image passed to `fill`; the next run overwrites them."""

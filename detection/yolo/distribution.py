@@ -84,24 +84,20 @@ class DistributionDecoder:
 
     def decode(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
         """See `Decoder`."""
-        parts = [self._boxes_of_level(level, outputs, float(min_score.min())) for level in self.levels]
-        boxes, scores = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return Candidates.of(boxes, scores, min_score)
-
-    def _boxes_of_level(
-        self, level: Level, outputs: Sequence[FloatArray32], min_score: float
-    ) -> tuple[FloatArray, FloatArray32]:
-        """Boxes (K, 4) and class scores (K, C) of the cells with a score of at least `min_score`."""
-        scores = outputs[level.scores_output][0, level.rows, level.score_columns]
-        kept = np.flatnonzero(~(scores.max(axis=1) < min_score))
-        t = outputs[level.bins_output][0, level.rows, level.bin_columns][kept].astype(np.float64)
-        t = t.reshape(-1, 4, _N_BINS)
-        powers = np.exp(t - t.max(axis=2, keepdims=True))
-        distance = level.stride_px * (powers @ np.arange(_N_BINS)) / powers.sum(axis=2)
-        centre = level.centre_px[kept]
-        boxes = np.concatenate([centre - distance[:, :2], centre + distance[:, 2:]], axis=1)
+        boxes, scores = [], []
+        for level in self.levels:
+            level_scores = outputs[level.scores_output][0, level.rows, level.score_columns]
+            kept = np.flatnonzero(~(level_scores.max(axis=1) < float(min_score.min())))
+            t = outputs[level.bins_output][0, level.rows, level.bin_columns][kept].astype(np.float64)
+            t = t.reshape(-1, 4, _N_BINS)
+            powers = np.exp(t - t.max(axis=2, keepdims=True))
+            distance = level.stride_px * (powers @ np.arange(_N_BINS)) / powers.sum(axis=2)
+            centre = level.centre_px[kept]
+            boxes.append(np.concatenate([centre - distance[:, :2], centre + distance[:, 2:]], axis=1))
+            scores.append(level_scores[kept])
         height, width = self.input_hw
-        return np.clip(boxes, 0, np.array([width, height, width, height], np.float64)), scores[kept]
+        clipped = np.clip(np.concatenate(boxes), 0, np.array([width, height, width, height], np.float64))
+        return Candidates.of(clipped, np.concatenate(scores), min_score)
 
 
 def scores_and_bins(network: NetworkOutputs) -> MatchedLayout | None:

@@ -66,16 +66,6 @@ class Letterbox:
         """The image resized to the whole input regardless of its aspect ratio, as Darknet does without letter_box=1."""
         return cls(image_hw, input_hw, input_hw, (0, 0))
 
-    @property
-    def _scale_xyxy(self) -> FloatArray:
-        y, x = (r / i for r, i in zip(self.resized_hw, self.image_hw, strict=True))
-        return np.array([x, y, x, y])
-
-    @property
-    def _pad_xyxy(self) -> FloatArray:
-        y, x = self.pad_yx
-        return np.array([x, y, x, y], np.float64)
-
     def scaled(self, image: Image, *, buffer: Image | None = None) -> Image:
         """The image resized to `resized_hw`, in `buffer` if given; `image` itself if it already has that size."""
         if self.resized_hw == self.image_hw:
@@ -91,7 +81,11 @@ class Letterbox:
 
     def to_image(self, xyxy_net: FloatArray) -> FloatArray:
         """(N, 4) boxes in image pixels, not clipped, from boxes in the network's corner coordinates."""
-        return (xyxy_net - self._pad_xyxy) / self._scale_xyxy - 0.5
+        pad_y, pad_x = self.pad_yx
+        scale_y, scale_x = self.resized_hw[0] / self.image_hw[0], self.resized_hw[1] / self.image_hw[1]
+        pad = np.array([pad_x, pad_y, pad_x, pad_y], np.float64)
+        scale: FloatArray = np.array([scale_x, scale_y, scale_x, scale_y])
+        return (xyxy_net - pad) / scale - 0.5
 
     def to_image_clipped(self, xyxy_net: FloatArray) -> FloatArray:
         """(N, 4) boxes in image pixels, clipped to the image's outer borders (-0.5 .. size - 0.5)."""
