@@ -1,18 +1,23 @@
 """EgoLane: tracking of the two lines of the ego lane from image to image, with real time steps.
 
-In each image, two lines are chosen and fitted with the prediction as the prior. The fit updates the state; if several
-images in a row contradict the state, it is reset. Lines that have not been seen for a while are not reported.
+In each image, two of the proposed straight lines are chosen, by the score
+
+    score(l, r) = support(l) + support(r) - cost * (sum of squared deviations in sigmas from a typical lane)
+                                          - cost * (squared distance in sigmas from the tracked lane)
+
+with the deviations of lane width / camera height, horizon, vanishing point and lateral camera position, and fitted with
+the prediction as the prior. The fit updates the state; if several images in a row contradict the state, it is reset.
+Lines that have not been seen for a while are not reported.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from track_range.detection.lanes.choice import own_pair
 from track_range.detection.lanes.fit import SIDES, LaneFit, fit_lane
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.detection.lanes.markings import Markings, Proposals, proposals
-from track_range.detection.lanes.model import LaneState
+from track_range.detection.lanes.model import HORIZON, HORIZON_SIGMA, WIDTH_SLOPE, WIDTH_SLOPE_LOG_SIGMA, LaneState
 from track_range.foundation.arrays import FloatArray
 
 _MAX_UNSEEN_S = 0.5
@@ -29,6 +34,30 @@ _WIDTH_SLOPE_LIMITS = (0.8, 6.0)
 
 _MAX_CLUTTER = 1.2
 """Largest `LaneFit.clutter` of a lane: it is 0 to 0.7 on roads, and 2 to 3 in tree shade, which has edges all over."""
+
+_MIN_SUPPORT = 0.3
+"""Smallest support of a line, relative to the line with the largest support in the image."""
+
+_MAX_SIGMAS = 3.0
+"""Largest deviation of a pair in each of the quantities of a typical lane, in sigmas."""
+
+_OFFSET_SIGMA = 0.25
+"""Standard deviation of the camera's lateral offset from the lane centre, in lane widths."""
+
+_CENTRE_SIGMA = 0.15
+"""Standard deviation of the vanishing point's x from the image centre, in image widths."""
+
+_COST = 0.2
+"""Cost of a deviation of one sigma, in units of support."""
+
+_MIN_SCORE = 0.3
+"""Smallest score of a pair: two lines of full support (2) may deviate by a total of 3 sigmas."""
+
+_TRACKED_SIGMA = 0.12
+"""Standard deviation of a line's x from the tracked lane, in lane widths."""
+
+_MAX_DEPARTURE = 1.5
+"""Largest squared distance from the tracked lane, in sigmas squared; the limit allows recovery from a wrong lane."""
 
 
 class EgoLane:
@@ -60,17 +89,27 @@ class EgoLane:
         self._time_s = time_s
         fit = self._fit(markings, expected, image_hw)
         self.state = expected if fit is None else fit.state
-        if fit is not None:
-            self._update_seen(fit, time_s)
-        if self.state is not None and max(self._seen_s) < time_s - _MAX_UNSEEN_S:
+        lines: list[LaneLine | None] = [None, None]
+        for side, sign in enumerate(SIDES):
+            if fit is not None and (rows_px := fit.seen_px[side]) is not None:
+                self._seen_s[side], self._rows_px[side] = time_s, rows_px
+            if self.state is not None and self._seen_s[side] >= time_s - _MAX_UNSEEN_S:
+                y_top_px, y_bottom_px = self._rows_px[side]
+                lines[side] = self.state.line(sign, y_top_px=y_top_px, y_bottom_px=y_bottom_px)
+        if lines == [None, None]:
             self.reset()
-        return self._lines(time_s)
+        return LaneLines(*lines)
 
     def _fit(self, markings: Markings, expected: LaneState | None, image_hw: tuple[int, int]) -> LaneFit | None:
         """The lane in this image: the tracked one or a new one; None = no plausible lane."""
         proposed = proposals(markings, image_hw)
         pair = own_pair(proposed, image_hw, expected)
-        observed = None if pair is None else _fit_pair(markings, proposed, pair, image_hw)
+        observed, numbers = None, (-1, -1)
+        if pair is not None:
+            numbers = int(proposed.line[pair[0]]), int(proposed.line[pair[1]])
+            left, right = np.column_stack([proposed.constant, proposed.slope])[list(pair)].tolist()
+            fit = fit_lane(markings, LaneState.from_straight_lines(left, right, image_hw), numbers)
+            observed = fit if all(fit.seen_px) and _is_lane(fit) else None
         if expected is None:
             self._agreed_s = self._time_s
             return observed
@@ -79,37 +118,9 @@ class EgoLane:
         elif self._time_s - self._agreed_s >= _MAX_CONTRADICTED_S:
             self.reset()
             return observed
-        numbers = _numbers(proposed, pair) if observed is not None and self._agreed_s == self._time_s else (-1, -1)
-        fit = fit_lane(markings, expected, numbers)
+        is_same_lane = observed is not None and self._agreed_s == self._time_s
+        fit = fit_lane(markings, expected, numbers if is_same_lane else (-1, -1))
         return fit if any(fit.seen_px) and _is_lane(fit) else None
-
-    def _update_seen(self, fit: LaneFit, time_s: float) -> None:
-        for side, rows_px in enumerate(fit.seen_px):
-            if rows_px is not None:
-                self._seen_s[side], self._rows_px[side] = time_s, rows_px
-
-    def _lines(self, time_s: float) -> LaneLines:
-        lines: list[LaneLine | None] = [None, None]
-        for side, sign in enumerate(SIDES):
-            if self.state is not None and self._seen_s[side] >= time_s - _MAX_UNSEEN_S:
-                y_top_px, y_bottom_px = self._rows_px[side]
-                lines[side] = self.state.line(sign, y_top_px=y_top_px, y_bottom_px=y_bottom_px)
-        return LaneLines(*lines)
-
-
-def _fit_pair(
-    markings: Markings, proposed: Proposals, pair: tuple[int, int], image_hw: tuple[int, int]
-) -> LaneFit | None:
-    """The lane of a pair of proposals in this image, without a prediction; None if it is not plausible."""
-    left, right = ((float(proposed.constant[i]), float(proposed.slope[i])) for i in pair)
-    start = LaneState.from_straight_lines(left, right, image_hw)
-    fit = fit_lane(markings, start, _numbers(proposed, pair))
-    return fit if all(fit.seen_px) and _is_lane(fit) else None
-
-
-def _numbers(proposed: Proposals, pair: tuple[int, int] | None) -> tuple[int, int]:
-    """Line numbers of a pair of proposals; -1 = no number."""
-    return (-1, -1) if pair is None else (int(proposed.line[pair[0]]), int(proposed.line[pair[1]]))
 
 
 def _is_lane(fit: LaneFit) -> bool:
@@ -117,12 +128,69 @@ def _is_lane(fit: LaneFit) -> bool:
     opening = fit.state.mean[3] / fit.state.image_hw[0]
     if not _WIDTH_SLOPE_LIMITS[0] < opening < _WIDTH_SLOPE_LIMITS[1]:
         return False
-    top_px = min(rows_px[0] for rows_px in fit.seen_px if rows_px is not None)
-    return bool(fit.state.horizon_px < top_px) and fit.clutter < _MAX_CLUTTER
+    horizon_px, (left, right) = fit.state.horizon_px, fit.seen_px
+    is_below_horizon = (left is None or horizon_px < left[0]) and (right is None or horizon_px < right[0])
+    return is_below_horizon and fit.clutter < _MAX_CLUTTER
 
 
 def _jump(state: LaneState, expected: LaneState) -> float:
     """Distance of two lanes in a near row, in lane widths."""
     y_px: FloatArray = np.array([0.9 * state.image_hw[0]])
     width_px = max(float(expected.width_px(y_px)[0]), 1.0)
-    return max(abs(float((state.x_px(y_px, side) - expected.x_px(y_px, side))[0])) for side in SIDES) / width_px
+    left_px = state.x_px(y_px, SIDES[0]) - expected.x_px(y_px, SIDES[0])
+    right_px = state.x_px(y_px, SIDES[1]) - expected.x_px(y_px, SIDES[1])
+    return max(abs(float(left_px[0])), abs(float(right_px[0]))) / width_px
+
+
+def own_pair(proposed: Proposals, image_hw: tuple[int, int], tracked: LaneState | None) -> tuple[int, int] | None:
+    """Indices of the proposals that are the left and the right line of the ego lane; None = there is no such pair.
+
+    Args:
+        proposed: straight lines in the image.
+        image_hw: (height, width) of the image.
+        tracked: predicted lane; None = no lane is tracked.
+    """
+    if len(proposed) < 2:
+        return None
+    sigmas = _deviations(proposed, image_hw)
+    is_strong = proposed.support >= _MIN_SUPPORT
+    is_possible = (sigmas < _MAX_SIGMAS).all(axis=0) & is_strong[:, None] & is_strong
+    score = proposed.support[:, None] + proposed.support[None, :] - _COST * (sigmas**2).sum(axis=0)
+    is_possible &= score >= _MIN_SCORE
+    if tracked is not None:
+        score = score - _COST * _departure(proposed, tracked)
+    score = np.where(is_possible, score, -np.inf)
+    left, right = np.unravel_index(int(score.argmax()), score.shape)
+    return (int(left), int(right)) if np.isfinite(score[left, right]) else None
+
+
+def _deviations(proposed: Proposals, image_hw: tuple[int, int]) -> FloatArray:
+    """(4, K, K) deviations of each pair (left, right) from a typical lane, in sigmas; inf if it cannot be a lane."""
+    height, width = image_hw
+    slope_left, slope_right = proposed.slope[:, None], proposed.slope[None, :]
+    opening = slope_right - slope_left
+    is_lane = opening > 0.2
+    opening = np.where(is_lane, opening, 1.0)
+    horizon_px = (proposed.constant[:, None] - proposed.constant[None, :]) / opening
+    vanishing_x_px = proposed.constant[:, None] + slope_left * horizon_px
+    offset = (slope_left + slope_right) / 2 / opening
+    sigmas = np.stack(
+        [
+            np.log(opening / WIDTH_SLOPE) / WIDTH_SLOPE_LOG_SIGMA,
+            (horizon_px / height - HORIZON) / HORIZON_SIGMA,
+            (vanishing_x_px / width - 0.5) / _CENTRE_SIGMA,
+            offset / _OFFSET_SIGMA,
+        ]
+    )
+    return np.where(is_lane, np.abs(sigmas), np.inf)
+
+
+def _departure(proposed: Proposals, tracked: LaneState) -> FloatArray:
+    """(K, K) squared distance in sigmas of each pair from the tracked lane, mean of a near and a middle row."""
+    y_px = tracked.image_hw[0] * np.array([0.95, 0.75])
+    x_px = proposed.constant[:, None] + proposed.slope[:, None] * y_px
+    width_px = np.maximum(tracked.width_px(y_px), 1.0)
+    left = ((x_px - tracked.x_px(y_px, -1.0)) / width_px / _TRACKED_SIGMA) ** 2
+    right = ((x_px - tracked.x_px(y_px, 1.0)) / width_px / _TRACKED_SIGMA) ** 2
+    both = (left.mean(axis=1)[:, None] + right.mean(axis=1)[None, :]) / 2
+    return np.asarray(np.minimum(both, _MAX_DEPARTURE), np.float64)

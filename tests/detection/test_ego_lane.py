@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.detection.lane_roads import HORIZON_PX, HW, line_pixels, road_x_px, width_px
-from track_range.detection.lanes.choice import own_pair
-from track_range.detection.lanes.ego_lane import EgoLane
+from track_range.detection.lanes.ego_lane import EgoLane, own_pair
 from track_range.detection.lanes.markings import Markings, Proposals, proposals, run_middles
 from track_range.detection.lanes.model import LaneState
 
