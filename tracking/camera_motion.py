@@ -105,8 +105,11 @@ class CameraMotion:
         if frame is None or self._flow.before is None:
             return np.eye(2, 3)
         pair = self._flow.tracked(self._settings.n_features, self._settings.min_quality)
-        before_px, now_px = (points.astype(np.float64) for points in pair)
-        return _in_full_pixels(_motion(before_px, now_px, frame.small.shape, self._settings), 1 << frame.n_halved)
+        before_px, now_px = np.asarray(pair, np.float64)
+        small = _motion(before_px, now_px, frame.small.shape, self._settings)
+        factor = 1 << frame.n_halved
+        offset = np.full(2, (factor - 1) / 2)  # full pixels = factor * small pixels + offset
+        return np.column_stack([small[:, :2], factor * small[:, 2] + offset - small[:, :2] @ offset])
 
 
 def _motion(
@@ -199,9 +202,3 @@ def _is_plausible(c: complex, t: complex, grey_hw: tuple[int, ...], settings: Ca
     return bool(
         is_near and 1 / settings.max_scale <= abs(c) <= settings.max_scale and roll_rad <= settings.max_roll_rad
     )
-
-
-def _in_full_pixels(small: FloatArray, factor: int) -> FloatArray:
-    """A motion in small pixels converted to full ones: full = factor * small + (factor - 1) / 2."""
-    offset = np.full(2, (factor - 1) / 2)
-    return np.column_stack([small[:, :2], factor * small[:, 2] + offset - small[:, :2] @ offset])

@@ -77,9 +77,9 @@ class ConfidenceThresholdSettings:
 
 
 class _Boxes(NamedTuple):
-    """The boxes of a frame, copied, since the caller may reuse the arrays: edges (4, N), scores and classes (N,)."""
+    """The boxes of a frame (N, 4), copied, since the caller may reuse the arrays, their scores and classes (N,)."""
 
-    edges_px: FloatArray
+    xyxy_px: FloatArray
     score: FloatArray
     class_id: IntArray
 
@@ -115,13 +115,13 @@ class ConfidenceThreshold:
         is_compared = _is_compared(self._n_frames)
         if not is_compared and not _is_compared(self._n_frames + 1):
             return
-        now = _Boxes(detections.xyxy_px.T.copy(), detections.score.copy(), detections.class_id.copy())
+        now = _Boxes(detections.xyxy_px.copy(), detections.score.copy(), detections.class_id.copy())
         self._before = now
         if before is None or not is_compared:
             return
         step = -(-len(before.score) // _MAX_COMPARED)
         if step > 1:
-            before = _Boxes(before.edges_px[:, ::step], before.score[::step], before.class_id[::step])
+            before = _Boxes(before.xyxy_px[::step], before.score[::step], before.class_id[::step])
         self._waiting.append((before, now))
         self._n_boxes += len(before.score)
         self._n_waiting_pairs += len(before.score) * len(now.score)
@@ -136,20 +136,19 @@ class ConfidenceThreshold:
         """Count the boxes of the waiting frames, and those that persist: that overlap a box of the next frame."""
         before, now = zip(*self._waiting, strict=True)
         self._waiting, self._n_waiting_pairs = [], 0
-        before_px, now_px = _padded([boxes.edges_px for boxes in before]), _padded([boxes.edges_px for boxes in now])
+        boxes, score, class_id = zip(*before, strict=True)
+        next_boxes, _, _ = zip(*now, strict=True)
+        before_px, now_px = _padded(boxes), _padded(next_boxes)
         overlap = iou_of_edges(before_px[:, :, :, None], now_px[:, :, None])
         persists = (overlap.max(axis=2) >= self._settings.min_iou)[np.isfinite(before_px[0])]
-        score = np.concatenate([boxes.score for boxes in before])
-        class_id = np.concatenate([boxes.class_id for boxes in before])
-        score_bin = np.minimum((score * _N_BINS).astype(np.int64), _N_BINS - 1)
-        key = SAME_OBJECT_GROUP[class_id] * _N_BINS + score_bin
+        score_bin = np.minimum((np.concatenate(score) * _N_BINS).astype(np.int64), _N_BINS - 1)
+        key = SAME_OBJECT_GROUP[np.concatenate(class_id)] * _N_BINS + score_bin
         self._n_compared += np.bincount(key, minlength=len(self._n_compared))
         self._n_persisted += np.bincount(key[persists], minlength=len(self._n_compared))
 
     def _estimate(self) -> None:
-        n_compared, n_persisted = (
-            counts.reshape(_N_GROUPS, _N_BINS) for counts in (self._n_compared, self._n_persisted)
-        )
+        n_compared = self._n_compared.reshape(_N_GROUPS, _N_BINS)
+        n_persisted = self._n_persisted.reshape(_N_GROUPS, _N_BINS)
         for group in np.flatnonzero(n_compared.any(axis=1)):
             self._by_group[group] = self._threshold(n_compared[group].tolist(), n_persisted[group].tolist())
 
@@ -186,9 +185,9 @@ def _is_compared(frame: int) -> bool:
     return frame <= _N_EVERY_FRAME or frame % _SAMPLING_STEP == 0
 
 
-def _padded(edges_px: Sequence[FloatArray]) -> FloatArray:
-    """(4, K, N) edges of the boxes of K frames, with NaN after those of a frame with fewer than N."""
-    padded = np.full((4, len(edges_px), max(edges.shape[1] for edges in edges_px)), np.nan)
-    for k, edges in enumerate(edges_px):
-        padded[:, k, : edges.shape[1]] = edges
+def _padded(boxes_px: Sequence[FloatArray]) -> FloatArray:
+    """(4, K, N) edges of the boxes (n, 4) of K frames, with NaN after those of a frame with fewer than N."""
+    padded = np.full((4, len(boxes_px), max(map(len, boxes_px))), np.nan)
+    for k, boxes in enumerate(boxes_px):
+        padded[:, k, : len(boxes)] = boxes.T
     return padded

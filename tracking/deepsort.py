@@ -10,7 +10,7 @@
 
 After SORT (Bewley et al., 2016), DeepSORT (Wojke et al., 2017), ByteTrack (Zhang et al., 2022) and C-BIoU (Yang et al.,
 2023). The track-activation threshold, which separates high from low confidence, is estimated from the persistence of
-detections (`confidence_threshold`), the process-noise scale from the innovations (`process_noise`), so that one set of
+detections (`confidence_threshold`), the process-noise scale from the innovations (`motion`), so that one set of
 parameters suits well-calibrated and over-confident detectors, static and driving cameras. The output is the detected
 box instead of the filter's estimate, because the estimate's edges lag. The chi-square gate applies to appearance only:
 boxes cut off by the image border or by an occluder do not follow the motion model, and IoU is a gate by itself.
@@ -33,8 +33,7 @@ from track_range.tracking.association import Assignment, Classes, are_compatible
 from track_range.tracking.camera_motion import CameraMotion
 from track_range.tracking.confidence_threshold import ConfidenceThreshold, ConfidenceThresholdSettings
 from track_range.tracking.history import PredictionGates
-from track_range.tracking.motion import MotionNoise
-from track_range.tracking.process_noise import ProcessNoiseScale, ProcessNoiseSettings
+from track_range.tracking.motion import MotionNoise, ProcessNoiseScale, ProcessNoiseSettings
 from track_range.tracking.track_table import TrackTable
 from track_range.tracking.tracker import AppearanceModel, TrackerOptions
 from track_range.tracking.tracks import Tracks
@@ -168,7 +167,9 @@ class DeepSortTracker:
         """
         if not self._last_s < time_s < np.inf:
             raise ValueError(f"time_s: expected more than {self._last_s} s, the time of the last frame, got {time_s} s")
-        detections = self._valid_detections(detections)
+        is_valid = are_valid_boxes(detections.xyxy_px) & (detections.score >= self._settings.min_score)
+        if not is_valid.all():
+            detections = detections.select(is_valid)
         self._activation_threshold.update(detections)
         is_high = detections.score >= self.track_activation_threshold(detections.class_id)
         detections, max_cosine_distance = self._with_embeddings(detections, is_high, image)
@@ -188,17 +189,12 @@ class DeepSortTracker:
     def tentative(self) -> Tracks:
         """The tracks detected in the last frame that are not confirmed yet."""
         table = self._table
-        is_detected = table.last_s == self._last_s
+        is_detected = table.history.last_s == self._last_s
         return self._as_tracks((is_detected & ~table.is_confirmed).nonzero()[0], is_detected)
 
     def track_activation_threshold(self, class_id: IntArray) -> FloatArray:
         """(N,) minimum score at which a detection of a class (N,) starts a track, as estimated so far."""
         return self._activation_threshold.of(class_id)
-
-    def _valid_detections(self, detections: Detections) -> Detections:
-        is_valid = are_valid_boxes(detections.xyxy_px) & (detections.score >= self._settings.min_score)
-        rows = is_valid.nonzero()[0]
-        return detections if len(rows) == len(detections) else detections.select(rows)
 
     def _with_embeddings(
         self, detections: Detections, is_high: BoolArray, image: Image | None
@@ -234,7 +230,7 @@ class DeepSortTracker:
         settings, table = self._settings, self._table
         if self._camera_motion is not None and image is not None:
             table.compensate_camera_motion(self._camera_motion.update(image, detections.xyxy_px, time_s))
-        is_alive = time_s - table.last_s <= settings.max_age_s
+        is_alive = time_s - table.history.last_s <= settings.max_age_s
         is_alive &= table.filters.position_sigma <= settings.max_position_sigma
         is_alive &= table.is_confirmed | self._is_streak(time_s)
         table.retain(is_alive)
@@ -246,7 +242,7 @@ class DeepSortTracker:
         """(N,) whether a track was detected in the last frame with any detection, at most `max_skipped_s` ago."""
         if time_s - self._last_detected_s > self._settings.max_skipped_s:
             return np.zeros(len(self._table), np.bool_)
-        return np.asarray(self._table.last_s == self._last_detected_s)
+        return np.asarray(self._table.history.last_s == self._last_detected_s)
 
     def _associate(self, detections: Detections, is_high: BoolArray, max_cosine_distance: float) -> Assignment:
         """Stage 2: match detections and tracks; `max_cosine_distance` = 0: there are no embeddings."""
@@ -261,8 +257,10 @@ class DeepSortTracker:
 
         # First association: confirmed tracks and high-confidence detections, by appearance, then by IoU.
         if max_cosine_distance > 0:
-            distance = self._gated_cosine_distance(detections, allowed)
-            is_recent = table.last_s == self._last_detected_s
+            gating_distance = motion.gating_distance(table.filters, detections.xyxy_px, settings.noise)
+            is_gated_in = gating_distance <= settings.appearance.gating_threshold
+            distance = table.gallery.cosine_distance(detections.descriptor, allowed & is_gated_in)
+            is_recent = table.history.last_s == self._last_detected_s
             for is_in_level in (is_recent, ~is_recent):  # matching cascade: the most recently detected tracks first
                 assignment.match(distance, confirmed & is_in_level, is_high, max_cost=max_cosine_distance)
         else:
@@ -281,13 +279,6 @@ class DeepSortTracker:
             cost[~allowed[i[:, None], j]] = np.inf
             assignment.match_subset(cost, i, j, max_cost=1 - settings.min_iou_tentative)
         return assignment
-
-    def _gated_cosine_distance(self, detections: Detections, allowed: BoolArray) -> FloatArray:
-        """(N, M) cosine distances of tracks and detections, inf outside the chi-square gate."""
-        settings, table = self._settings, self._table
-        gating_distance = motion.gating_distance(table.filters, detections.xyxy_px, settings.noise)
-        is_gated_in = gating_distance <= settings.appearance.gating_threshold
-        return table.gallery.cosine_distance(detections.descriptor, allowed & is_gated_in)
 
     def _update_matched(self, rows: IntArray, detections: Detections, matched: IntArray, time_s: float) -> None:
         """Stage 3: update the matched tracks, confirm tentative ones, and update the process-noise scale.
@@ -321,26 +312,29 @@ class DeepSortTracker:
     def _output(self, time_s: float, image: Image | None) -> Tracks:
         """Stage 5: confirmed tracks by id, with the detected box, or the predicted one where it is reliable."""
         settings, table = self._settings, self._table
-        is_detected = table.last_s == time_s
+        is_detected = table.history.last_s == time_s
         detected = (table.is_confirmed & is_detected).nonzero()[0]
         tracks = self._as_tracks(detected, is_detected)
-        if image is None:
-            self._extend_border(tracks.xyxy_px)
+        if image is None and len(tracks):
+            np.maximum(self._outermost_px, (tracks.xyxy_px * _OUTWARDS).max(axis=0), out=self._outermost_px)
         missing = (table.is_confirmed & ~is_detected).nonzero()[0]
         if not len(missing) or settings.prediction.max_missing_s <= 0:
             return tracks
+        border_px = self._outermost_px * _OUTWARDS
+        if image is not None:
+            border_px = np.array([-0.5, -0.5, image.shape[1] - 0.5, image.shape[0] - 0.5])
         predicted, boxes_px = history.predict_missing(
             table.history.select(missing),
             time_s,
             gates=settings.prediction,
-            border_xyxy_px=self._border(image),
+            border_xyxy_px=border_px,
             others_xyxy_px=tracks.xyxy_px,
         )
         if not len(predicted):
             return tracks
         missing = missing[predicted]
-        missing_s = time_s - table.last_s[missing]
-        xyxy_px, score = table.last_xyxy_px.copy(), table.score.copy()
+        missing_s = time_s - table.history.last_s[missing]
+        xyxy_px, score = table.history.last_xyxy_px.copy(), table.score.copy()
         xyxy_px[missing] = boxes_px
         score[missing] *= 0.5 ** (missing_s / settings.score_half_life_s)
         rows = np.sort(np.concatenate([detected, missing]))
@@ -350,19 +344,8 @@ class DeepSortTracker:
     def _as_tracks(self, rows: IntArray, is_detected: BoolArray) -> Tracks:
         """The tracks in these rows, of those detected in this frame (N,), with the detected boxes."""
         table = self._table
-        boxes_px = table.last_xyxy_px.take(rows, axis=0)
+        boxes_px = table.history.last_xyxy_px.take(rows, axis=0)
         return Tracks(table.track_id[rows], boxes_px, table.class_id[rows], table.score[rows], is_detected[rows])
-
-    def _border(self, image: Image | None) -> FloatArray:
-        """(4,) edges of the image; without an image, the extent of the boxes in the output so far."""
-        if image is not None:
-            return np.array([-0.5, -0.5, image.shape[1] - 0.5, image.shape[0] - 0.5])
-        return np.asarray(self._outermost_px * _OUTWARDS)
-
-    def _extend_border(self, xyxy_px: FloatArray) -> None:
-        """Extend the border of a stream without images to the boxes (N, 4)."""
-        if len(xyxy_px):
-            np.maximum(self._outermost_px, (xyxy_px * _OUTWARDS).max(axis=0), out=self._outermost_px)
 
 
 def _without_embeddings(detections: Detections) -> Detections:

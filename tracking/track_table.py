@@ -52,16 +52,6 @@ class TrackTable:
     def __len__(self) -> int:
         return len(self.track_id)
 
-    @property
-    def last_s(self) -> FloatArray:
-        """(N,) time of the last detection of each track."""
-        return self.history.last_s
-
-    @property
-    def last_xyxy_px(self) -> FloatArray:
-        """(N, 4) last detected box of each track."""
-        return self.history.last_xyxy_px
-
     def retain(self, alive: BoolArray) -> None:
         """Delete the tracks outside the mask (N,)."""
         rows = alive.nonzero()[0]

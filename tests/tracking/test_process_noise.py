@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from track_range.tracking.process_noise import ProcessNoiseScale, ProcessNoiseSettings
+from track_range.tracking.motion import ProcessNoiseScale, ProcessNoiseSettings
 
 HALF_PX = np.array([20.0, 40.0])
 

@@ -151,7 +151,7 @@ class ColourLayout:
     def _sampled(self, image: Image, xyxy_px: FloatArray) -> tuple[Image, FloatArray]:
         """(N, rows, columns, 3) colours at the points of the grid, and their weights, 0 outside the image."""
         height, width = image.shape[:2]
-        left, top, right, bottom = (edge[:, None] for edge in xyxy_px.T)
+        left, top, right, bottom = xyxy_px.T[:, :, None]
         x = np.rint(left + (right - left) * self._u).astype(np.int64)
         y = np.rint(top + (bottom - top) * self._v).astype(np.int64)
         inside = ((y >= 0) & (y < height))[:, :, None] & ((x >= 0) & (x < width))[:, None, :]

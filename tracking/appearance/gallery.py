@@ -126,21 +126,16 @@ class Gallery:
             compared &= among
         if np.count_nonzero(compared) < _SPARSE * compared.size:
             rows, columns = np.nonzero(compared)
-            distance[rows, columns] = self._distance_of_pairs(rows, columns, embedding)
+            for start in range(0, len(rows), _PAIR_BLOCK):
+                i, j = rows[start : start + _PAIR_BLOCK], columns[start : start + _PAIR_BLOCK]
+                cosine = (self.embedding[i] @ embedding[j, :, None])[..., 0].max(axis=1)
+                distance[i, j] = 1.0 - cosine.astype(np.float64)
         else:
             best = self.embedding[:, 0] @ embedding.T
             for slot in range(1, self.embedding.shape[1]):
                 np.maximum(best, self.embedding[:, slot] @ embedding.T, out=best)
             np.subtract(1.0, best, out=distance, where=compared)
         return np.asarray(np.maximum(distance, 0.0))  # rounding
-
-    def _distance_of_pairs(self, rows: IntArray, columns: IntArray, embedding: Descriptors) -> FloatArray:
-        """(P,) minimum distance of each pair of a track (row) and a box (column)."""
-        best = np.empty(len(rows))
-        for start in range(0, len(rows), _PAIR_BLOCK):
-            part = slice(start, start + _PAIR_BLOCK)
-            best[part] = (self.embedding[rows[part]] @ embedding[columns[part], :, None])[..., 0].max(axis=1)
-        return 1.0 - best
 
 
 def _common_length(a: Descriptors, b: Descriptors) -> int:
