@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, Literal
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy.typing as npt
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.frame_result import FrameResult
+from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.warning.warnings import Warnings
 
@@ -62,45 +64,45 @@ class ResultColumn:
         """Values of a frame as text for tracks.csv; empty = not measured."""
         values = np.asarray(self.read(result)).tolist()
         if self.kind == "class":
-            return [ROAD_CLASSES[class_id] for class_id in values]
+            return list(map(ROAD_CLASSES.__getitem__, values))
         if self.kind == "number":
             return ["" if math.isnan(value) else f"{value:.{self.decimals}f}" for value in values]
-        return [str(int(value)) for value in values]
+        return list(map(str, map(int, values)))
 
 
 def result_columns() -> tuple[ResultColumn, ...]:
     """All columns of this installation, in the order of tracks.csv."""
     columns = (
-        ResultColumn("frame", "", lambda result: np.full(len(result.tracks), result.index), "whole"),
-        ResultColumn("time_s", "s", lambda result: np.full(len(result.tracks), result.time_s), decimals=6),
-        ResultColumn("track_id", "", lambda result: result.tracks.track_id, "whole"),
-        ResultColumn("class", "", lambda result: result.tracks.class_id, "class"),
-        ResultColumn("score", "", lambda result: result.tracks.score, decimals=4),
-        ResultColumn("observed", "", lambda result: result.tracks.observed, "flag"),
-        ResultColumn("x1_px", "px", lambda result: result.tracks.xyxy_px[:, 0]),
-        ResultColumn("y1_px", "px", lambda result: result.tracks.xyxy_px[:, 1]),
-        ResultColumn("x2_px", "px", lambda result: result.tracks.xyxy_px[:, 2]),
-        ResultColumn("y2_px", "px", lambda result: result.tracks.xyxy_px[:, 3]),
+        ResultColumn("frame", "", _of_frame("index"), "whole"),
+        ResultColumn("time_s", "s", _of_frame("time_s"), decimals=6),
+        ResultColumn("track_id", "", attrgetter("tracks.track_id"), "whole"),
+        ResultColumn("class", "", attrgetter("tracks.class_id"), "class"),
+        ResultColumn("score", "", attrgetter("tracks.score"), decimals=4),
+        ResultColumn("observed", "", attrgetter("tracks.observed"), "flag"),
+        ResultColumn("x1_px", "px", _axis("tracks.xyxy_px", 0)),
+        ResultColumn("y1_px", "px", _axis("tracks.xyxy_px", 1)),
+        ResultColumn("x2_px", "px", _axis("tracks.xyxy_px", 2)),
+        ResultColumn("y2_px", "px", _axis("tracks.xyxy_px", 3)),
         *(_distance("mono"), _sigma("mono")),
         *(_distance("lane"), _sigma("lane")),
         *(_distance("stereo"), _sigma("stereo")),
         *(_distance("sgbm"), _sigma("sgbm")),
         *(_distance("fused"), _sigma("fused")),
-        ResultColumn("closing_mps", "m/s", lambda result: result.closing_mps),
-        ResultColumn("ttc_s", "s", lambda result: result.ttc_s),
+        ResultColumn("closing_mps", "m/s", attrgetter("closing_mps")),
+        ResultColumn("ttc_s", "s", attrgetter("ttc_s")),
         *(_distance("mono_kf"), _distance("stereo_kf"), _distance("fused_kf")),
         _distance("ground"),
-        ResultColumn("x_m", "m", lambda result: result.xyz_m[:, 0]),
-        ResultColumn("y_m", "m", lambda result: result.xyz_m[:, 1]),
+        ResultColumn("x_m", "m", _axis("xyz_m", 0)),
+        ResultColumn("y_m", "m", _axis("xyz_m", 1)),
         *(_sigma("mono_kf"), _sigma("stereo_kf"), _sigma("fused_kf")),
         _sigma("ground"),
-        ResultColumn("closing_sigma_mps", "m/s", lambda result: result.closing_sigma_mps),
-        ResultColumn("ttc_sigma_s", "s", lambda result: result.ttc_sigma_s),
-        ResultColumn("utc", "s", lambda result: np.full(len(result.tracks), result.utc_s), decimals=6),
-        ResultColumn("ego_mps", "m/s", lambda result: np.full(len(result.tracks), result.ego_mps)),
-        ResultColumn("contact_probability", "", lambda result: _warnings(result).probability),
-        ResultColumn("warning", "", lambda result: _warnings(result).active, "flag"),
-        ResultColumn("path_offset_m", "m", lambda result: _warnings(result).path_offset_m),
+        ResultColumn("closing_sigma_mps", "m/s", attrgetter("closing_sigma_mps")),
+        ResultColumn("ttc_sigma_s", "s", attrgetter("ttc_sigma_s")),
+        ResultColumn("utc", "s", _of_frame("utc_s"), decimals=6),
+        ResultColumn("ego_mps", "m/s", _of_frame("ego_mps")),
+        ResultColumn("contact_probability", "", _of_warnings("probability")),
+        ResultColumn("warning", "", _of_warnings("active"), "flag"),
+        ResultColumn("path_offset_m", "m", _of_warnings("path_offset_m")),
     )
     names = {column.name for column in columns}
     return (*columns, *(column for column in _method_columns() if column.name not in names))
@@ -144,27 +146,40 @@ def _method_columns() -> Iterator[ResultColumn]:
             yield _detail(method.name, detail)
 
 
-def _warnings(result: FrameResult) -> Warnings:
-    return Warnings.unknown(len(result.tracks)) if result.warnings is None else result.warnings
+def _of_frame(name: str) -> Callable[[FrameResult], Any]:
+    """Reads an attribute of the frame, the same for all tracks."""
+    return lambda result: np.full(len(result.tracks), getattr(result, name))
+
+
+def _axis(name: str, axis: int) -> Callable[[FrameResult], Any]:
+    """Reads one column of an (N, ...) attribute."""
+    values = attrgetter(name)
+    return lambda result: values(result)[:, axis]
+
+
+def _of_warnings(name: str) -> Callable[[FrameResult], Any]:
+    """Reads an attribute of the warnings."""
+    values = attrgetter(name)
+    return lambda result: values(result.warnings or Warnings.unknown(len(result.tracks)))
 
 
 def _distance(method: str) -> ResultColumn:
-    def read(result: FrameResult) -> FloatArray:
-        return result.ranges[method].distance_m if method in result.ranges else np.full(len(result.tracks), np.nan)
-
-    return ResultColumn(f"{method}_m", "m", read)
+    return ResultColumn(f"{method}_m", "m", _of_method(method, attrgetter("distance_m")))
 
 
 def _sigma(method: str) -> ResultColumn:
-    def read(result: FrameResult) -> FloatArray:
-        return result.ranges[method].sigma_m if method in result.ranges else np.full(len(result.tracks), np.nan)
-
-    return ResultColumn(f"{method}_sigma_m", "m", read)
+    return ResultColumn(f"{method}_sigma_m", "m", _of_method(method, attrgetter("sigma_m")))
 
 
 def _detail(method: str, detail: str) -> ResultColumn:
-    def read(result: FrameResult) -> FloatArray:
-        nothing = np.full(len(result.tracks), np.nan)
-        return result.ranges[method].details.get(detail, nothing) if method in result.ranges else nothing
+    return ResultColumn(f"{method}_{detail}", "", _of_method(method, lambda ranges: ranges.details.get(detail)))
 
-    return ResultColumn(f"{method}_{detail}", "", read)
+
+def _of_method(method: str, values: Callable[[Ranges], FloatArray | None]) -> Callable[[FrameResult], FloatArray]:
+    """Reads values of the ranges of a method; NaN without these."""
+
+    def read(result: FrameResult) -> FloatArray:
+        found = values(result.ranges[method]) if method in result.ranges else None
+        return np.full(len(result.tracks), np.nan) if found is None else found
+
+    return read
