@@ -58,8 +58,7 @@ def record_batch(frames: Sequence[FrameValues], columns: Sequence[ResultColumn],
     import pyarrow as pa
 
     by_column = zip(*frames, strict=True) if frames else [()] * len(columns)
-    arrays = [_array(parts, column) for parts, column in zip(by_column, columns, strict=True)]
-    return pa.record_batch(arrays, schema=schema)
+    return pa.record_batch(list(map(_array, by_column, columns)), schema=schema)
 
 
 def rounded_batch(batch: pa.RecordBatch, columns: Sequence[ResultColumn]) -> pa.RecordBatch:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.arrow_rows import FrameValues, frame_values, record_batch, rounded_batch, rows_schema
 from track_range.results.columns import result_columns
@@ -28,7 +30,7 @@ class RecentRows:
         self._finder.update(result)
         if len(result.tracks):
             # copies, since the caller may change the arrays of the result
-            self._rows.append((result.time_s, [values.copy() for values in frame_values(result, self._columns)]))
+            self._rows.append((result.time_s, list(map(np.array, frame_values(result, self._columns)))))
         first_s = result.time_s - self._keep_s
         self._finder.forget(first_s)
         while self._rows and self._rows[0][0] < first_s:

@@ -66,7 +66,7 @@ class RunTable:
         if not len(result.tracks):
             return
         # copies, since the caller may change the arrays of the result
-        self._buffer.append([values.copy() for values in frame_values(result, self.columns)])
+        self._buffer.append(list(map(np.array, frame_values(result, self.columns))))
         self._n_buffered += len(result.tracks)
         if self._n_buffered >= self._rows_per_batch or len(self._buffer) >= FRAMES_PER_BATCH:
             try:

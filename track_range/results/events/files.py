@@ -7,8 +7,6 @@ Parquet null, = unknown or none.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +21,7 @@ from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.output_files import OutputError, write_text
 from track_range.foundation.schema_version import check_schema_version
 from track_range.results.events.event import EVENT_COLUMNS, EVENT_KINDS, Event, EventKind
-from track_range.results.formats.row_file import RowFile
+from track_range.results.formats.row_file import RowFile, csv_text
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -162,7 +160,7 @@ def write_events_parquet(path: Path, events: Sequence[Event], metadata: Mapping[
 
 def events_text(events: Iterable[Event]) -> str:
     """Content of an events.csv."""
-    return _csv_text([EVENT_COLUMNS]) + _rows_text(events)
+    return csv_text([EVENT_COLUMNS]) + _rows_text(events)
 
 
 def events_table(events: Sequence[Event], metadata: Mapping[str, str] | None = None) -> pa.Table:
@@ -194,7 +192,7 @@ def rounded_values(event: Event) -> dict[str, Any]:
 
 
 def _rows_text(events: Iterable[Event]) -> str:
-    return _csv_text([_text(name, value) for name, value in event_values(event).items()] for event in events)
+    return csv_text([_text(name, value) for name, value in event_values(event).items()] for event in events)
 
 
 def _text(name: str, value: Any) -> str:
@@ -204,12 +202,6 @@ def _text(name: str, value: Any) -> str:
     if column is None:
         return " ".join(str(value).split())  # one line per event
     return str(value) if column.is_integer else f"{value:.{column.decimals}f}"
-
-
-def _csv_text(rows: Iterable[Sequence[str]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()
 
 
 # -- reading ----------------------------------------------------------------------------------------------------------

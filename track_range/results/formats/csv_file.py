@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import csv
-import io
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from operator import methodcaller
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, re
 from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.columns import MAX_CLASS, MAX_COLUMNS, Columns, result_columns
-from track_range.results.formats.row_file import RowFile
+from track_range.results.formats.row_file import RowFile, csv_text
 from track_range.results.writers import RunInfo
 
 TABLE_FILE = "tracks.csv"
@@ -35,11 +35,11 @@ class CsvWriter:
     def open(self, info: RunInfo, folder: Path) -> None:
         """Create the file with its header."""
         self._columns = result_columns()
-        self._file = RowFile(folder / TABLE_FILE, _csv_text([[column.name for column in self._columns]]))
+        self._file = RowFile(folder / TABLE_FILE, csv_text([[column.name for column in self._columns]]))
 
     def write(self, result: FrameResult) -> None:
         """Add the rows of a frame."""
-        self._file.write(_csv_text(zip(*(column.text(result) for column in self._columns), strict=True)))
+        self._file.write(csv_text(zip(*map(methodcaller("text", result), self._columns), strict=True)))
 
     def discard_last(self) -> None:
         """Remove the rows of the last frame."""
@@ -48,12 +48,6 @@ class CsvWriter:
     def close(self, summary: Mapping[str, Any] | None) -> None:
         """Close the file."""
         self._file.close()
-
-
-def _csv_text(rows: Iterable[Iterable[str]]) -> str:
-    text = io.StringIO(newline="")
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()
 
 
 def read_tracks_csv(path: Path) -> Columns:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import os
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -86,3 +89,10 @@ class RowFile(FrameFile):
             OSError: they cannot be written; the file is as before.
         """
         self.add(rows.encode("utf-8"))
+
+
+def csv_text(rows: Iterable[Iterable[str]]) -> str:
+    """Rows as lines of a CSV file."""
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
