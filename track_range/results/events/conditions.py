@@ -104,7 +104,9 @@ class Conditions:
         came = is_along & (time_s - beside_s <= settings.cut_in_s) & (now.distance_m < _MAX_CUT_IN_M)
         enters = came & is_in_path & ~(beside_s <= entered_s)
         entered_s = np.where(enters, time_s, entered_s)
-        self._remember(result, np.stack([beside_s, entered_s, np.full(len(beside_s), time_s)]))
+        is_recent = time_s - self._tracks.known[2] <= settings.cut_in_s
+        state = np.stack([beside_s, entered_s, np.full(len(beside_s), time_s)])
+        self._tracks.put(result.tracks.track_id, state, keep_known=is_recent)
 
         active = np.zeros(len(classes), np.bool_) if result.warnings is None else result.warnings.active
         has_cut_in = came & (time_s - entered_s <= settings.cut_in_s)
@@ -129,17 +131,13 @@ class Conditions:
             "near_miss": is_critical & (now.ttc_s < settings.near_miss_ttc_s) & (is_vehicle | (classes == _PERSON)),
         }
 
-    def _remember(self, result: FrameResult, state: FloatArray) -> None:
-        is_recent = result.time_s - self._tracks.known[2] <= self._settings.cut_in_s
-        self._tracks.put(result.tracks.track_id, state, keep_known=is_recent)
-
 
 def _distances(result: FrameResult) -> tuple[FloatArray, FloatArray]:
     """(N,) filtered distances and their sigmas, else the measured ones."""
-    known = [result.ranges[name] for name in ("fused_kf", "fused") if name in result.ranges]
-    if not known:
+    first = result.ranges.get("fused_kf", result.ranges.get("fused"))
+    if first is None:
         unknown = np.full(len(result.tracks), math.nan)
         return unknown, unknown
-    first, last = known[0], known[-1]
+    last = result.ranges.get("fused", first)
     is_known = np.isfinite(first.distance_m)
     return np.where(is_known, first.distance_m, last.distance_m), np.where(is_known, first.sigma_m, last.sigma_m)
