@@ -320,7 +320,8 @@ def _frames(
     with closing(source), closing(iter(source)) as images:
         for image in images:
             left, right = image if isinstance(image, tuple) else (image, None)
-            frame = calibration.frame(left, right, video.first_time_s, utc or video.utc)
+            utc = utc or video.utc
+            frame = calibration.frame(left, right, video.first_time_s, utc)
             for monitor in monitors:
                 monitor.add(frame)
             yield frame
