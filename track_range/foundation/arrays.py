@@ -23,8 +23,10 @@ def check_shape(name: str, array: npt.NDArray[Any], expected: tuple[int | None, 
     shape = array.shape
     if shape == expected:
         return
-    is_match = [length is None or length == actual for length, actual in zip(expected, shape, strict=False)]
-    if len(shape) != len(expected) or not all(is_match):
+    is_match = len(shape) == len(expected)
+    for length, actual in zip(expected, shape, strict=False):
+        is_match &= length is None or length == actual
+    if not is_match:
         text = ", ".join("*" if length is None else str(length) for length in expected)
         raise ValueError(f"{name}: expected shape ({text}), got {shape}")
 

@@ -112,7 +112,8 @@ class ClosableQueue(Generic[T]):
     def wait_for_room(self) -> bool:
         """Producer: wait until there is room for an item; False = the queue was closed."""
         with self._changed:
-            self._changed.wait_for(lambda: self._is_closed or len(self._items) < self._depth)
+            while not self._is_closed and len(self._items) >= self._depth:
+                self._changed.wait()
             return not self._is_closed
 
     def put(self, item: T) -> None:
@@ -131,7 +132,8 @@ class ClosableQueue(Generic[T]):
     def wait_for_item(self) -> bool:
         """Consumer: wait for an item; False = there are no more items."""
         with self._changed:
-            self._changed.wait_for(lambda: self._is_finished or bool(self._items))
+            while not self._is_finished and not self._items:
+                self._changed.wait()
             return bool(self._items)
 
     def get(self) -> T:

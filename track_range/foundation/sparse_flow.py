@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import starmap
 from typing import NamedTuple
 
 import cv2
@@ -31,11 +32,6 @@ _TENSOR_PX, _MIN_TENSOR = 5, 1e-6
 
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 """Stop criteria of Lucas-Kanade: number of iterations and step in px."""
-
-
-def n_halvings_to(long_side_px: int, image_hw: tuple[int, int]) -> int:
-    """Number of halvings after which neither side of an image is longer than `long_side_px`."""
-    return (max(image_hw) // (long_side_px + 1)).bit_length()
 
 
 def small_grey(image: Image, n_halved: int) -> Image:
@@ -66,7 +62,7 @@ def masked_cells(xyxy_px: FloatArray, grey_hw: Sequence[int], n_halved: int) -> 
         grey_hw: height and width of the small image.
         n_halved: number of halvings between the two.
     """
-    n_rows, n_columns = (-(-side // _CELL_PX) for side in grey_hw)
+    n_rows, n_columns = -(-grey_hw[0] // _CELL_PX), -(-grey_hw[1] // _CELL_PX)
     is_valid = np.isfinite(xyxy_px).all(axis=1) & (xyxy_px[:, 2:] > xyxy_px[:, :2]).all(axis=1)
     cells = (xyxy_px[is_valid] + 0.5) / (_CELL_PX << n_halved)
     cells = np.clip(cells, 0, [n_columns, n_rows, n_columns, n_rows])
@@ -111,7 +107,7 @@ def ranked_corners(grey: Image, is_masked: BoolArray) -> RankedCorners:
         is_masked: mask of `masked_cells`.
     """
     quality = cv2.cornerMinEigenVal(halved(grey), 3)
-    n_rows, n_columns = (side // _GRID_PX for side in quality.shape)
+    n_rows, n_columns = quality.shape[0] // _GRID_PX, quality.shape[1] // _GRID_PX
     whole = quality[: n_rows * _GRID_PX, : n_columns * _GRID_PX].reshape(n_rows, _GRID_PX, n_columns, _GRID_PX)
     squares = whole.swapaxes(1, 2).reshape(-1, _GRID_PX**2)
     index = squares.argmax(axis=1)
@@ -263,7 +259,7 @@ class BackgroundFlow:
 
     def n_halvings(self, image_hw: tuple[int, int]) -> int:
         """Number of halvings of the small image of an image of this size."""
-        return n_halvings_to(self._settings.long_side_px, image_hw)
+        return (max(image_hw) // (self._settings.long_side_px + 1)).bit_length()
 
     def tracked(self, n_corners: int, min_quality: float) -> tuple[FloatArray32, FloatArray32]:
         """Corners tracked from the frame before into an unmasked part of this one: (N, 2) in both frames.
@@ -278,7 +274,7 @@ class BackgroundFlow:
         n_good = corners.n_good(n_corners, min_quality)
         self._needs.add((n_corners, min_quality))
         if n_good > len(self._points):
-            n_needed = max(corners.n_good(*need) for need in self._needs)
+            n_needed = max(starmap(corners.n_good, self._needs))
             points, is_tracked = tracked_corners(
                 self.before.small,
                 self.now.small,

@@ -41,12 +41,15 @@ class TrackState:
             state: (..., N) their new states.
             keep_known: (K,) tracks of `known` that stay known even if they are not in `track_id`.
         """
-        present = track_id.tolist()
-        n = len(present)
-        if present == self._ids[:n] and keep_known[n:].all():
+        ids = track_id.tolist()
+        n = len(ids)
+        if ids == self._ids[:n] and keep_known[n:].all():
             self._columns[..., :n] = state
             return
-        is_present = set(present)
-        absent = [column for column in keep_known.nonzero()[0].tolist() if self._ids[column] not in is_present]
-        self._columns = np.concatenate([state, self._columns[..., [*absent, -1]]], axis=-1)
-        self._ids = present + [self._ids[column] for column in absent]
+        present, columns = set(ids), []
+        for column in keep_known.nonzero()[0].tolist():
+            if self._ids[column] not in present:
+                columns.append(column)
+                ids.append(self._ids[column])
+        self._columns = np.concatenate([state, self._columns[..., [*columns, -1]]], axis=-1)
+        self._ids = ids
