@@ -14,7 +14,7 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.pipeline.colours import track_colour
+from track_range.pipeline.colours import Bgr, track_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.registry import methods
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -69,6 +69,7 @@ class Overlay:
         line_px = text_sizes_px((canvas.shape[1], canvas.shape[0]))[2]
         boxes = result.tracks.xyxy_px if view is None else view.boxes(result.tracks.xyxy_px)
         valid = np.flatnonzero(np.isfinite(boxes).all(axis=1))
+        colours = [track_colour(track_id) for track_id in result.tracks.track_id.tolist()]
         nearest_first = valid[np.argsort(-boxes[valid, 3])].tolist()
         # Edges far outside the image are clipped: drawing takes 32-bit pixels, and time for each dash.
         size_px = np.array(canvas.shape[1::-1], np.float64)
@@ -76,17 +77,17 @@ class Overlay:
         if result.lanes is not None:
             moved = None if view is None else view.points
             draw_lanes(canvas, result.lanes, line_px=line_px, moved=moved)
-        self._draw_boxes(canvas, result, boxes, nearest_first[::-1])
+        self._draw_boxes(canvas, result, boxes, nearest_first[::-1], colours)
         self._inset.draw(canvas, result)
-        self._draw_labels(canvas, result, boxes, nearest_first)
+        self._draw_labels(canvas, result, boxes, nearest_first[:MOST_LABELS], colours)
         return canvas
 
-    def _draw_boxes(self, canvas: Image, result: FrameResult, boxes: FloatArray, rows: Sequence[int]) -> None:
+    def _draw_boxes(
+        self, canvas: Image, result: FrameResult, boxes: FloatArray, rows: Sequence[int], colours: Sequence[Bgr]
+    ) -> None:
         """Draw boxes in the order of `rows`, then the inner windows of the detected ones."""
         line_px = text_sizes_px((canvas.shape[1], canvas.shape[0]))[2]
-        uses_right = any("right_image" in method.needs and method.name in result.ranges for method in methods())
         observed = result.tracks.observed.tolist()
-        colours = {row: track_colour(int(result.tracks.track_id[row])) for row in rows}
         if self._recorded is not None:
             outlines = self._recorded.outlines(result.tracks.xyxy_px)
             for row in rows:
@@ -94,38 +95,39 @@ class Overlay:
             return
         for row in rows:
             draw_box(canvas, boxes[row], bgr=colours[row], line_px=line_px, dashed=not observed[row])
-        matched = [row for row in rows if observed[row] and uses_right]
-        draw_inner_windows(canvas, boxes[matched], [colours[row] for row in matched])
+        if any("right_image" in method.needs and method.name in result.ranges for method in methods()):
+            matched = [row for row in rows if observed[row]]
+            draw_inner_windows(canvas, boxes[matched], [colours[row] for row in matched])
 
-    def _draw_labels(self, canvas: Image, result: FrameResult, boxes: FloatArray, rows: Sequence[int]) -> None:
+    def _draw_labels(
+        self, canvas: Image, result: FrameResult, boxes: FloatArray, rows: Sequence[int], colours: Sequence[Bgr]
+    ) -> None:
         """Draw the texts in the corners, then the label of each track in the order of `rows`."""
         image_px = (canvas.shape[1], canvas.shape[0])
         *sizes_px, line_px = text_sizes_px(image_px)
         corners = corner_lines(result, sizes_px[1], status=self._status(), warning=self._warning)
         occupied = self._draw_corners(canvas, corners)
-        rows = rows[:MOST_LABELS]
-        full = [
-            label_lines(result, row, class_names=self.class_names, sizes_px=(sizes_px[0], sizes_px[1])) for row in rows
-        ]
-        lines_of = (full, [lines[:1] for lines in full])
+        full, short, urgent = [], [], []
+        for row in rows:
+            lines = label_lines(result, row, class_names=self.class_names, sizes_px=(sizes_px[0], sizes_px[1]))
+            full.append(lines)
+            short.append(lines[:1])
+            urgent.append(lines[-1][0].weight == BOLD and lines[-1][0].fill is not None)
         placements = self._placer.place(
-            [int(result.tracks.track_id[row]) for row in rows],
+            result.tracks.track_id[rows].tolist(),
             boxes[rows],
-            np.stack([self._text.sizes_px(lines) for lines in lines_of]),
+            np.stack([self._text.sizes_px(full), self._text.sizes_px(short)]),
             occupied=occupied,
             image_px=image_px,
-            urgent=[lines[-1][0].weight == BOLD and lines[-1][0].fill is not None for lines in full],
+            urgent=urgent,
         )
-        placed = [
-            (row, lines_of[placement[0]][i], placement[1])
-            for i, (row, placement) in enumerate(zip(rows, placements, strict=True))
-            if placement
-        ]
-        colours = {row: track_colour(int(result.tracks.track_id[row])) for row, _, _ in placed}
-        for row, _, place in placed:
-            draw_leader(canvas, place, boxes[row], bgr=colours[row], line_px=line_px)
-        for row, lines, place in placed:
-            self._text.write(canvas, lines, place, stripe=colours[row])
+        for row, placement in zip(rows, placements, strict=True):
+            if placement:
+                draw_leader(canvas, placement[1], boxes[row], bgr=colours[row], line_px=line_px)
+        for i, placement in enumerate(placements):
+            if placement:
+                lines = short[i] if placement[0] else full[i]
+                self._text.write(canvas, lines, placement[1], stripe=colours[rows[i]])
 
     def _draw_corners(self, canvas: Image, corners: Sequence[Lines]) -> FloatArray:
         """Draw frame number and time at the upper left and the legend at the upper right, if there is room.

@@ -10,19 +10,19 @@ r"""BirdsEye: inset with a bird's-eye view of the road, to scale: positions of t
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.pipeline.colours import BLACK, GREY, WHITE, track_colour, warning_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
 
-Point = tuple[int, int]
+Point = Sequence[int]
 
 RANGES_M = (30.0, 60.0, 90.0, 120.0)
 """Possible ranges of the inset in metres."""
@@ -55,7 +55,7 @@ class Scale:
 
     def update(self, farthest_m: float, time_s: float) -> None:
         """Update with the farthest track of a frame in metres (0 = no track); times must increase."""
-        needed_m = next((far_m for far_m in RANGES_M if farthest_m <= far_m), RANGES_M[-1])
+        needed_m = RANGES_M[min(bisect_left(RANGES_M, farthest_m), len(RANGES_M) - 1)]
         if needed_m >= self.range_m:
             self._needed_s = time_s
             self.range_m = needed_m
@@ -96,8 +96,11 @@ class BirdsEye:
         np.right_shift(inset, 2, out=inset)
         cv2.max(inset, self._grid((bottom - top, right - left)), dst=inset)
         far_first = np.flatnonzero(known)[np.argsort(-ground_m[known, 1])]
-        for row, (centre, *bar) in zip(far_first.tolist(), self._marks(ground_m[far_first], inset), strict=True):
-            self._draw_track(inset, result, row, centre=centre, bar=bar)
+        x_m, z_m, sigma_m = ground_m[far_first].T
+        bar = np.stack([np.ones_like(z_m), 1 - sigma_m / z_m, 1 + sigma_m / z_m], axis=1)
+        marks = self._points(x_m[:, None] * bar, z_m[:, None] * bar, (bottom - top, right - left))
+        for row, (centre, *ends) in zip(far_first.tolist(), marks.tolist(), strict=True):
+            self._draw_track(inset, result, row, centre=centre, bar=ends)
 
     def ground_m(self, result: FrameResult) -> FloatArray:
         """(N, 3) x, z and sigma of z of each track in metres, from the fused or filtered distance; NaN = unknown."""
@@ -114,12 +117,6 @@ class BirdsEye:
             ground_m = np.where(np.isfinite(ground_m).all(axis=1, keepdims=True), ground_m, fallback_m)
         return ground_m
 
-    def pixels(self, x_m: FloatArray, z_m: FloatArray, inset_hw: tuple[int, int]) -> FloatArray:
-        """(..., 2) pixels in an inset of the given height and width."""
-        height, width = inset_hw
-        px_per_m = (1 - _EGO_MARGIN) * height / self._scale.range_m
-        return np.stack([width / 2 + x_m * px_per_m, (1 - _EGO_MARGIN) * height - z_m * px_per_m], axis=-1)
-
     def _grid(self, hw: tuple[int, int]) -> Image:
         """Background of the tracks on black, cached by size and range."""
         key = (*hw, self._scale.range_m)
@@ -130,14 +127,14 @@ class BirdsEye:
     def _new_grid(self, hw: tuple[int, int]) -> Image:
         grid = np.zeros((*hw, 3), np.uint8)
         range_m, size_px = self._scale.range_m, max(9, hw[0] // 18)
-        ego, *far_ends = self._points(
-            [(0.0, 0.0)] + [(2 * range_m * slope, 2 * range_m) for slope in self._slopes()], hw
-        )
+        slopes = self._slopes()
+        far_m = np.array([0.0] + [2 * range_m] * len(slopes))
+        ego, *far_ends = self._points(far_m * np.array([0.0, *slopes]), far_m, hw).tolist()
         for end in far_ends:
             cv2.line(grid, ego, end, _FAINT, 1, cv2.LINE_AA)
         for number in range(1, _N_LINES + 1):
             z_m = range_m * number / _N_LINES
-            y = self._points([(0.0, z_m)], hw)[0][1]
+            y = int(self._points(np.zeros(1), np.array([z_m]), hw)[0, 1])
             cv2.line(grid, (0, y), (hw[1], y), _FAINT, 1)
             text = f"{z_m:.0f} m" if number == _N_LINES else f"{z_m:.0f}"
             cv2.putText(grid, text, (3, y + size_px), GREY, self._font, size_px, 450)
@@ -153,14 +150,6 @@ class BirdsEye:
             return []
         return [(u_px - self.camera.cx_px) / self.camera.fx_px for u_px in (0.0, self.camera.width_px - 1.0)]
 
-    def _marks(self, ground_m: FloatArray, inset: Image) -> list[list[Point]]:
-        """Pixels of the centre of each track and of the two ends of its bar."""
-        z_m, sigma_m = ground_m[:, 1], ground_m[:, 2]
-        scale = np.stack([np.ones_like(z_m), 1 - sigma_m / z_m, 1 + sigma_m / z_m], axis=1)
-        points_m = (ground_m[:, None, :2] * scale[:, :, None]).reshape(-1, 2)
-        points = self._points(points_m, (inset.shape[0], inset.shape[1]))
-        return [points[first : first + 3] for first in range(0, len(points), 3)]
-
     def _draw_track(self, inset: Image, result: FrameResult, row: int, *, centre: Point, bar: Sequence[Point]) -> None:
         colour, radius = track_colour(int(result.tracks.track_id[row])), max(2, round(inset.shape[0] / 60))
         alarm = warning_colour(result, row)
@@ -171,9 +160,9 @@ class BirdsEye:
         cv2.circle(inset, centre, radius, colour, -1 if is_observed else 1, cv2.LINE_AA)
         cv2.line(inset, bar[0], bar[1], colour, 1, cv2.LINE_AA)
 
-    def _points(self, points_m: npt.ArrayLike, hw: tuple[int, int]) -> list[Point]:
-        """Pixels in the inset of (N, 2) points x, z in metres; clipped far outside, as drawing takes 16-bit pixels."""
-        x_m, z_m = np.asarray(points_m, np.float64).T
-        limit = 5.0 * max(hw)
-        pixels = np.rint(np.clip(self.pixels(x_m, z_m, hw), -limit, limit)).astype(int)
-        return [(x, y) for x, y in pixels.tolist()]
+    def _points(self, x_m: FloatArray, z_m: FloatArray, inset_hw: tuple[int, int]) -> IntArray:
+        """(..., 2) pixels in an inset (H, W) of points; clipped far outside, as drawing takes 16-bit pixels."""
+        height, width = inset_hw
+        px_per_m, limit = (1 - _EGO_MARGIN) * height / self._scale.range_m, 5.0 * max(inset_hw)
+        pixels = np.stack([width / 2 + x_m * px_per_m, (1 - _EGO_MARGIN) * height - z_m * px_per_m], axis=-1)
+        return np.rint(np.clip(pixels, -limit, limit)).astype(np.int64)

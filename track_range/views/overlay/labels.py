@@ -84,15 +84,16 @@ def sigma_text(sigma_m: float) -> str:
 
 def shown_name(name: str) -> str:
     """Class name on one line, shortened to `LONGEST_NAME` characters."""
-    line = "".join(character if character.isprintable() else " " for character in name)
+    line = name if name.isprintable() else "".join(character if character.isprintable() else " " for character in name)
     return line if len(line) <= LONGEST_NAME else line[: LONGEST_NAME - 1] + "…"
 
 
 def shown_distance(result: FrameResult, row: int) -> tuple[float, float]:
     """Fused, else filtered distance with its sigma in metres (predicted boxes have no fused one); NaN = unknown."""
-    known = (result.ranges[name] for name in ("fused", "fused_kf") if name in result.ranges)
-    pairs = ((float(ranges.distance_m[row]), float(ranges.sigma_m[row])) for ranges in known)
-    return next((pair for pair in pairs if math.isfinite(pair[0])), (math.nan, math.nan))
+    for name in ("fused", "fused_kf"):
+        if name in result.ranges and math.isfinite(result.ranges[name].distance_m[row]):
+            return float(result.ranges[name].distance_m[row]), float(result.ranges[name].sigma_m[row])
+    return math.nan, math.nan
 
 
 def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], sizes_px: tuple[int, int]) -> Lines:
@@ -105,10 +106,10 @@ def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], si
     metres = Span(f"{distance_text(distance_m)} m", large_px, BOLD, WHITE)
     sigma = [Span(f"±{sigma_text(sigma_m)}", small_px, REGULAR, WHITE)] if math.isfinite(distance_m) else []
     lines = [[metres, *sigma, named]]
-    measured = (
-        (method.letter, float(ranges[method.name].distance_m[row])) for method in methods() if method.name in ranges
-    )
-    figures = [f"{letter} {distance_text(metres)}" for letter, metres in measured if math.isfinite(metres)]
+    figures = []
+    for method in methods():
+        if method.name in ranges and math.isfinite(ranges[method.name].distance_m[row]):
+            figures.append(f"{method.letter} {distance_text(float(ranges[method.name].distance_m[row]))}")
     if figures:
         lines.append([Span("  ".join(figures), small_px, REGULAR, GREY)])
     closing = closing_span(

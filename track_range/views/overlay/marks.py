@@ -60,9 +60,7 @@ def draw_inner_windows(canvas: Image, boxes: FloatArray, colours: Sequence[Bgr])
     """Draw the corners of the inner half of each box, which the patch matcher uses; small boxes are skipped."""
     halves = inner_halves(boxes, canvas.shape[:2], margin_px=0, min_side_px=_MIN_WINDOW_PX)
     patches = [(patch, bgr) for patch, bgr in zip(halves, colours, strict=True) if patch is not None]
-    edges = np.array([(patch.left, patch.top, patch.right, patch.bottom) for patch, _ in patches], np.int32).reshape(
-        -1, 4
-    )
+    edges = np.array([patch for patch, _ in patches], np.int32).reshape(-1, 4)
     spans = edges[:, 2:] - edges[:, :2] + 1
     arm = np.maximum(2, np.rint(_CORNER_SHARE * spans.min(axis=1))).astype(np.int32) if len(edges) else spans[:, 0]
     corners = edges[:, _CORNERS]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from operator import attrgetter
 
 import cv2
 import numpy as np
@@ -37,9 +38,9 @@ class TextRenderer:
 
     def sizes_px(self, labels: Sequence[Lines]) -> FloatArray:
         """(N, 2) width and height of each label in pixels, including margins."""
-        sizes = [
-            (max(map(self._line_width_px, lines)) + 6.0, sum(map(line_height_px, lines)) + 2.0) for lines in labels
-        ]
+        sizes = []
+        for lines in labels:
+            sizes.append((max(map(self._line_width_px, lines)) + 6.0, sum(map(line_height_px, lines)) + 2.0))
         return np.array(sizes, np.float64).reshape(-1, 2)
 
     def write(self, canvas: Image, lines: Lines, place: FloatArray, *, stripe: Bgr | None = None) -> None:
@@ -79,4 +80,4 @@ class TextRenderer:
 
 def line_height_px(line: Line) -> int:
     """Height of a line of text in pixels: 1.25 times its largest font size."""
-    return max([span.size_px for span in line]) * 5 // 4
+    return max(line, key=attrgetter("size_px")).size_px * 5 // 4
