@@ -41,7 +41,9 @@ class FragmentFile:
         """Append data; errors are stored as `failure` instead of raised, so that FFmpeg frees its memory as usual."""
         if self.failure is None:
             try:
-                self._write_all(data)
+                rest = memoryview(data)
+                while rest:
+                    rest = rest[self._file.write(rest) :]  # less than all is written shortly before the disk is full
             except OSError as error:
                 self.failure = error
                 with suppress(OSError):  # pipes and devices cannot be cut
@@ -57,11 +59,6 @@ class FragmentFile:
             OSError: the file system reports an error only now.
         """
         self._file.close()
-
-    def _write_all(self, data: bytes) -> None:
-        rest = memoryview(data)
-        while rest:
-            rest = rest[self._file.write(rest) :]  # less than all is written shortly before the disk is full
 
     def _count(self, data: bytes) -> None:
         """Follow the boxes of the file (ISO/IEC 14496-12, 4.2) to the end of the last complete fragment."""

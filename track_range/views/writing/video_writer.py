@@ -122,7 +122,13 @@ class VideoWriter:
         check_shape("image", image, self._shape)
         if not self._is_open:
             raise ValueError(f"{self.path}: the writer is closed")
-        tick = self._tick(time_s)
+        if self._last_tick < 0:
+            self._first_s = time_s
+        elif time_s <= self._last_s:
+            raise ValueError(f"time_s: expected later than {self._last_s}, got {time_s}")
+        self._last_s = time_s
+        # Times less than a tick apart still get different ticks.
+        self._last_tick = tick = max(self._last_tick + 1, round((time_s - self._first_s) * _TICKS_HZ))
         frame = av.VideoFrame.from_ndarray(_i420(image), format="yuv420p")
         frame.pts, frame.time_base, frame.duration = tick, Fraction(1, _TICKS_HZ), self._frame_ticks
         if self._keyframe_tick < 0 or tick - self._keyframe_tick >= _KEYFRAME_INTERVAL_S * _TICKS_HZ:
@@ -156,16 +162,6 @@ class VideoWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-    def _tick(self, time_s: float) -> int:
-        if self._last_tick < 0:
-            self._first_s = time_s
-        elif time_s <= self._last_s:
-            raise ValueError(f"time_s: expected later than {self._last_s}, got {time_s}")
-        self._last_s = time_s
-        # Times less than a tick apart still get different ticks.
-        self._last_tick = max(self._last_tick + 1, round((time_s - self._first_s) * _TICKS_HZ))
-        return self._last_tick
 
     @contextmanager
     def _video_errors(self) -> Iterator[None]:
