@@ -6,6 +6,7 @@ and removed at the end. After a kill, tracks.arrows contains all finished frames
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,7 +20,7 @@ from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regu
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.schema_version import check_schema_version
 from track_range.pipeline.frame_result import FrameResult
-from track_range.results.arrow_rows import frame_values, record_batch, rows_schema
+from track_range.results.arrow_rows import FrameValues, frame_values, record_batch, rows_schema
 from track_range.results.columns import MAX_CLASS, MAX_COLUMNS, Columns, result_columns
 from track_range.results.formats.row_file import FrameFile
 from track_range.results.writers import RunInfo
@@ -41,21 +42,27 @@ class ParquetWriter:
 
     def open(self, info: RunInfo, folder: Path) -> None:
         """Create tracks.arrows with its schema."""
+        import pyarrow as pa
+
         self._path, self._stream_path = folder / PARQUET_FILE, folder / STREAM_FILE
         self._columns = result_columns()
         self._schema = rows_schema(self._columns, info.provenance.metadata())
-        self._messages = _Messages(self._schema)
+        self._messages = io.BytesIO()
+        self._stream = pa.ipc.new_stream(self._messages, self._schema)
         # the batch without rows contains the class names, which later batches refer to
-        header = self._messages.of(record_batch([], self._columns, self._schema))
-        self._file = FrameFile(self._stream_path, header)
+        self._file = FrameFile(self._stream_path, self._message([]))
 
     def write(self, result: FrameResult) -> None:
         """Add the rows of a frame to tracks.arrows."""
-        if not len(result.tracks):
-            self._file.add(b"")
-            return
-        batch = record_batch([frame_values(result, self._columns)], self._columns, self._schema)
-        self._file.add(self._messages.of(batch))
+        self._file.add(self._message([frame_values(result, self._columns)]) if len(result.tracks) else b"")
+
+    def _message(self, frames: list[FrameValues]) -> bytes:
+        """Rows of frames as a message of an Arrow IPC stream; before the first one, the schema."""
+        self._stream.write_batch(record_batch(frames, self._columns, self._schema))
+        content = self._messages.getvalue()
+        self._messages.seek(0)  # alignment is relative to the start of a message
+        self._messages.truncate()
+        return content
 
     def discard_last(self) -> None:
         """Remove the rows of the last frame."""
@@ -66,46 +73,6 @@ class ParquetWriter:
         self._file.close()
         _convert(self._stream_path, self._path)
         self._stream_path.unlink()
-
-
-class _Messages:
-    """Record batches as messages of an Arrow IPC stream.
-
-    Args:
-        schema: schema of the batches; it comes before the first batch.
-    """
-
-    def __init__(self, schema: pa.Schema) -> None:
-        import pyarrow as pa
-
-        self._parts: list[bytes] = []
-        self._writer = pa.ipc.new_stream(pa.PythonFile(self, "w"), schema)
-
-    def of(self, batch: pa.RecordBatch) -> bytes:
-        """Messages of a batch, after those that have to precede it."""
-        self._writer.write_batch(batch)
-        content = b"".join(self._parts)
-        self._parts.clear()
-        return content
-
-    # the methods that pyarrow calls on a file
-
-    closed = False
-
-    def write(self, content: Any) -> int:
-        """Collect a part of a message."""
-        self._parts.append(bytes(content))
-        return len(content)
-
-    def tell(self) -> int:
-        """Position for alignment, which is relative to the start of a message."""
-        return 0
-
-    def flush(self) -> None:
-        """Do nothing."""
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 def _convert(stream_path: Path, path: Path) -> None:
