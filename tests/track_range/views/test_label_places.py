@@ -11,7 +11,6 @@ from track_range.foundation.arrays import FloatArray
 from track_range.views.overlay.label_layout import (
     PLACES,
     LabelPlacer,
-    covered,
     free_place,
     label_places,
     place_costs,
@@ -101,7 +100,9 @@ def test_label_larger_than_the_image() -> None:
 
 def test_touching_places_are_free() -> None:
     places = np.array([[0.0, 0, 10, 10], [20, 20, 30, 30]])
-    assert covered(places, np.array([[10.0, 0, 20, 10]])).tolist() == [False, False]
-    assert covered(places, np.array([[9.0, 9, 20, 21]])).tolist() == [True, False]
-    assert covered(places, np.array([[0.0, 0, 40, 40]])).tolist() == [True, True]
-    assert covered(places, np.zeros((0, 4))).tolist() == [False, False]
+    costs = np.array([0.0, 1.0])
+    assert free_place(places, costs, np.array([[10.0, 0, 20, 10]])) == 0
+    assert free_place(places, costs[::-1], np.array([[10.0, 0, 20, 10]])) == 1
+    assert free_place(places, costs, np.array([[9.0, 9, 20, 21]])) == 1
+    assert free_place(places, costs, np.array([[0.0, 0, 40, 40]])) is None
+    assert free_place(places, costs, np.zeros((0, 4))) == 0

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.arrays import FloatArray
 
 BESIDE = ((0, 0, 0, -1), (1, 0, -1, -1), (0, 1, 0, 0), (1, 1, -1, 0), (1, 0, 0, 0), (0, 0, -1, 0), (0, 0, 0, 0))
 AWAY = tuple((0, 0, across, -1 - up) for up in (0, 1, 2, 3, 4, -1, -2) for across in (0, 0.5, -0.5, 1, -1, 1.5, -1.5))
@@ -119,12 +119,7 @@ def place_costs(places: FloatArray, boxes: FloatArray, previous: list[int | None
 
 def free_place(places: FloatArray, costs: FloatArray, occupied: FloatArray) -> int | None:
     """Index of the cheapest of (K, 4) candidates that is free and has a finite cost; None if there is none."""
-    costs = np.where(covered(places, occupied), np.inf, costs)
+    shares = (places[:, None, :2] < occupied[:, 2:]) & (places[:, None, 2:] > occupied[:, :2])
+    costs = np.where((shares[..., 0] & shares[..., 1]).any(axis=1), np.inf, costs)
     number = int(np.argmin(costs))
     return number if np.isfinite(costs[number]) else None
-
-
-def covered(places: FloatArray, occupied: FloatArray) -> BoolArray:
-    """(K,) whether each of (K, 4) rectangles overlaps one of (M, 4) others."""
-    shares = (places[:, None, :2] < occupied[:, 2:]) & (places[:, None, 2:] > occupied[:, :2])
-    return np.asarray((shares[..., 0] & shares[..., 1]).any(axis=1))
