@@ -179,7 +179,7 @@ def _of_method(method: str, values: Callable[[Ranges], FloatArray | None]) -> Ca
     """Reads values of the ranges of a method; NaN without these."""
 
     def read(result: FrameResult) -> FloatArray:
-        found = values(result.ranges[method]) if method in result.ranges else None
-        return np.full(len(result.tracks), np.nan) if found is None else found
+        known = values(result.ranges[method]) if method in result.ranges else None
+        return np.full(len(result.tracks), np.nan) if known is None else known
 
     return read
