@@ -91,25 +91,31 @@ def sources(project: Path = PROJECT) -> Mapping[str, Path]:
     return found
 
 
-def imported(text: str, modules: Mapping[str, object]) -> set[str]:
-    """Those of `modules` that a file imports anywhere: also inside functions and under `if TYPE_CHECKING`."""
+def imported(text: str, modules: Mapping[str, object], *, has_strings: bool = True) -> set[str]:
+    """Those of `modules` that a file imports anywhere: also inside functions and under `if TYPE_CHECKING`.
+
+    With `has_strings`, also those named by a string with a dot, with or without "track_range." and ":ATTRIBUTE".
+    """
     found = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names if alias.name in modules}
-        elif isinstance(node, ast.ImportFrom) and node.module:
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"relative import of {node.module}"
             names = [f"{node.module}.{alias.name}" for alias in node.names]
-            found |= {name if name in modules else node.module for name in names}
+            found |= {name if name in modules else str(node.module) for name in names}
+        elif has_strings and isinstance(node, ast.Constant) and isinstance(node.value, str) and "." in node.value:
+            name = node.value.partition(":")[0]
+            found |= {name, f"track_range.{name}"}
     return found & modules.keys()
 
 
 @cache
-def imports(project: Path = PROJECT) -> Mapping[str, frozenset[str]]:
-    """Modules that each module imports."""
+def imports(project: Path = PROJECT, *, has_strings: bool = True) -> Mapping[str, frozenset[str]]:
+    """Modules that each module imports; with `has_strings` also those of its tables of names."""
     modules = sources(project)
-    return {
-        name: frozenset(imported(path.read_text(encoding="utf-8"), modules) - {name}) for name, path in modules.items()
-    }
+    texts = {name: path.read_text(encoding="utf-8") for name, path in modules.items()}
+    return {name: frozenset(imported(text, modules, has_strings=has_strings) - {name}) for name, text in texts.items()}
 
 
 def room_of(module: str) -> str:

@@ -66,17 +66,20 @@ def test_the_table_orders_the_rooms():
 
 
 def test_no_cycle_between_modules_of_different_folders():
-    assert rooms.cycles(rooms.imports()) == []
+    # a registry names the modules of its entries, which import the protocol beside it, by strings for this reason
+    assert rooms.cycles(rooms.imports(has_strings=False)) == []
 
 
-def test_lazy_and_typing_imports_are_seen():
-    modules = {"track_range.cli.app": None, "track_range.ranging.ranges": None, "track_range.results": None}
+def test_lazy_and_typing_imports_and_names_of_modules_are_seen():
+    names = ("cli.app", "ranging.ranges", "results", "views.writing", "run.run")
+    modules = {f"track_range.{name}": None for name in names}
     text = """
 if TYPE_CHECKING:
     from track_range.ranging.ranges import Ranges
 def f():
     from track_range.cli import app
     import track_range.results
+TABLE = {"a": "track_range.views.writing:Writer", "b": "run.run"}
 """
     assert rooms.imported(text, modules) == set(modules)
 
