@@ -1,4 +1,4 @@
-"""Mutation testing: the share of small changes to the central algorithms that their tests detect.
+"""Mutation testing: the fraction of small changes to the central algorithms that their tests detect.
 
 A sample of mutants (a comparison, number, arithmetic or logical operator changed; operators of cosmic-ray) is drawn
 evenly over the places of the source that can be changed. Each mutant is imported instead of its module in a separate

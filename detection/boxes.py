@@ -66,7 +66,7 @@ def _intersection_px2(a: Iterable[FloatArray], b: Iterable[FloatArray]) -> Float
     return np.asarray(width)
 
 
-def share_inside(a_xyxy_px: FloatArray, b_xyxy_px: FloatArray) -> FloatArray:
+def fraction_inside(a_xyxy_px: FloatArray, b_xyxy_px: FloatArray) -> FloatArray:
     """(N, M) intersection over the area of the first box, |A n B| / |A|, in [0, 1]; 0 if A is empty."""
     intersection = intersection_px2(a_xyxy_px, b_xyxy_px)
     area = area_px2(a_xyxy_px)[:, None]

@@ -78,9 +78,9 @@ class EgoSpeed:
 
     def along(self, yaw_deg: float) -> EgoSpeed:
         """The speed along an axis that is `yaw_deg` to the side of the camera's."""
-        share = math.cos(math.radians(yaw_deg))
-        sigma_mps = abs(share) * self.speed_sigma_mps
-        return replace(self, speed_mps=share * self.speed_mps, speed_sigma_mps=sigma_mps)
+        fraction = math.cos(math.radians(yaw_deg))
+        sigma_mps = abs(fraction) * self.speed_sigma_mps
+        return replace(self, speed_mps=fraction * self.speed_mps, speed_sigma_mps=sigma_mps)
 
     def at(self, time_s: float) -> float:
         """Speed at `time_s` in m/s, NaN = unknown."""

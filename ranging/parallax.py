@@ -110,12 +110,12 @@ class Parallax:
             return Ranges.unmeasured(tracks.track_id)
         n_halved = max(step.now.n_halved - 1, 0)
         self._before = now = _Picture(tracks, small_grey(step.now.grey, n_halved), n_halved)
-        if before is None or before.image.shape != now.image.shape or step.way_m < _MIN_WAY_M:
+        if before is None or before.image.shape != now.image.shape or step.travelled_m < _MIN_WAY_M:
             return Ranges.unmeasured(tracks.track_id)
         with np.errstate(invalid="ignore", divide="ignore"):  # NaN = unknown
             rho, P, measured_s, agreed_s = self._filtered(before, now, step, other)
             distance_m = np.where(rho > 0, 1.0 / rho, np.nan)
-            relative = np.sqrt(P * distance_m**2 + step.way_sigma**2 + (_SURFACE_M / distance_m) ** 2)
+            relative = np.sqrt(P * distance_m**2 + step.travelled_sigma**2 + (_SURFACE_M / distance_m) ** 2)
             difference = np.abs(np.log(distance_m / other.distance_m))
             agrees = difference < _MAX_SIGMA * np.hypot(relative, other.sigma_m / other.distance_m)
             agreed_s = np.where(agrees, agreed_s + step.dt_s, 0.0)
@@ -132,10 +132,10 @@ class Parallax:
         """(4, N) states of the present tracks, with the growth of this frame."""
         rho, P, measured_s, agreed_s = self._state.get(now.tracks.track_id)
         is_followed = np.isfinite(rho) & (step.time_s - measured_s < _MAX_GAP_S)
-        approach = np.maximum(1.0 - rho * step.way_m, _MIN_APPROACH)
+        approach = np.maximum(1.0 - rho * step.travelled_m, _MIN_APPROACH)
         rho, P = np.where(is_followed, [rho / approach, P / approach**4], np.nan)
         growth, variance = self._growths(before, now, step, np.where(is_followed, 1.0 / rho, other.distance_m))
-        z, R = growth / step.way_m, variance / step.way_m**2
+        z, R = growth / step.travelled_m, variance / step.travelled_m**2
         gain = np.where(is_followed, P / (P + R), 1.0)
         is_measured = np.isfinite(z)
         rho = np.where(is_measured, np.where(is_followed, rho + gain * (z - rho), z), rho)
@@ -161,7 +161,7 @@ class Parallax:
         corners = np.concatenate([corners for _, corners in parts])
         turned = self._rays(corners, now.n_halved) @ step.rotation.T
         from_epipole = turned[:, :2] / turned[:, 2:] - step.travel
-        expected = 1.0 + np.nan_to_num(step.way_m / expected_m[owner])
+        expected = 1.0 + np.nan_to_num(step.travelled_m / expected_m[owner])
         start = self._pixels(step.travel + from_epipole * expected[:, None], now.n_halved)
         points, is_tracked = tracked_corners(
             before.image, now.image, corners, window_px=_WINDOW_PX, n_levels=_N_LEVELS, start=start

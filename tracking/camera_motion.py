@@ -51,8 +51,8 @@ class CameraMotionSettings:
         noise_px: standard deviation of a tracked feature, small pixels.
         max_residual_px: largest residual of an inlier, small pixels.
         min_inliers: minimum number of inliers of a motion.
-        min_inlier_share: minimum fraction of inliers among the tracked features.
-        similarity_share: minimum fraction of inliers for using the similarity, with its zoom, as the motion.
+        min_inlier_fraction: minimum fraction of inliers among the tracked features.
+        similarity_fraction: minimum fraction of inliers for using the similarity, with its zoom, as the motion.
         min_spread: minimum rms distance of the features from their mean, as a fraction of the long side; below it, only
             t is fitted.
         max_scale: largest plausible scale; its inverse is the smallest.
@@ -65,8 +65,8 @@ class CameraMotionSettings:
     noise_px: float = 0.1
     max_residual_px: float = 0.5
     min_inliers: int = 12
-    min_inlier_share: float = 0.4
-    similarity_share: float = 0.8
+    min_inlier_fraction: float = 0.4
+    similarity_fraction: float = 0.8
     min_spread: float = 0.1
     max_scale: float = 1.25
     max_roll_rad: float = 0.2
@@ -121,9 +121,9 @@ def _motion(
     long_side_px, centre = max(grey_hw), complex(grey_hw[1] - 1, grey_hw[0] - 1) / 2
     points, flow = _complex(before_px) - centre, _complex(now_px - before_px)
     c, t, inliers = _similarity(points, flow, settings, min_spread_px=settings.min_spread * long_side_px)
-    if inliers.mean() < settings.similarity_share:
+    if inliers.mean() < settings.similarity_fraction:
         c, t, inliers = _rotation(points, flow, settings, min_radius_px=_NEAR_CENTRE * long_side_px)
-    has_enough = inliers.sum() >= settings.min_inliers and inliers.mean() >= settings.min_inlier_share
+    has_enough = inliers.sum() >= settings.min_inliers and inliers.mean() >= settings.min_inlier_fraction
     if not (has_enough and _is_plausible(c, t, grey_hw, settings)):
         return np.eye(2, 3)
     origin = t + centre - c * centre

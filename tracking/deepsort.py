@@ -222,7 +222,7 @@ class DeepSortTracker:
 
     def _is_visible(self, detections: Detections, is_high: BoolArray) -> BoolArray:
         """(N,) whether a detection has high confidence and no nearer one occludes more than `max_occlusion` of it."""
-        occlusion = history.occluded_share(detections.xyxy_px, detections.xyxy_px)
+        occlusion = history.occluded_fraction(detections.xyxy_px, detections.xyxy_px)
         return np.asarray(is_high & (occlusion <= self._settings.appearance.max_occlusion))
 
     def _predict(self, detections: Detections, time_s: float, image: Image | None) -> None:

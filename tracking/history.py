@@ -189,12 +189,12 @@ def predict_missing(
     is_new = history.hit_streak[rows] < gates.min_hit_streak_visible
     new = (is_likely & is_new).nonzero()[0]
     if len(new):
-        occlusion = np.zeros(len(new)) if others_xyxy_px is None else occluded_share(boxes[new], others_xyxy_px)
+        occlusion = np.zeros(len(new)) if others_xyxy_px is None else occluded_fraction(boxes[new], others_xyxy_px)
         is_likely[new] = occlusion >= gates.min_occlusion
     return rows[is_likely], boxes[is_likely]
 
 
-def occluded_share(xyxy_px: FloatArray, others_xyxy_px: FloatArray) -> FloatArray:
+def occluded_fraction(xyxy_px: FloatArray, others_xyxy_px: FloatArray) -> FloatArray:
     """(N,) largest fraction of the area of each valid box (N, 4) inside one nearer box of (M, 4)."""
     left, top, right, bottom = np.ascontiguousarray(xyxy_px.T)[:, :, None]  # contiguous columns: a fifth of the time
     other_left, other_top, other_right, other_bottom = np.ascontiguousarray(others_xyxy_px.T)

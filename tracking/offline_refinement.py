@@ -26,12 +26,12 @@ class RefinementSettings:
     Attributes:
         max_gap_s: longest gap that is interpolated.
         min_boxes: minimum number of boxes of a track; fewer are enough in a recording with fewer frames.
-        min_score_share: minimum mean score of a track, as a fraction of its class's track-activation threshold.
+        min_score_fraction: minimum mean score of a track, as a fraction of its class's track-activation threshold.
     """
 
     max_gap_s: float = 1.0
     min_boxes: int = 3
-    min_score_share: float = 1.0
+    min_score_fraction: float = 1.0
 
 
 ActivationThreshold = Callable[[IntArray], FloatArray]
@@ -107,7 +107,7 @@ class _Rows:
         is_reliable = np.asarray(n_boxes[track] >= min(settings.min_boxes, n_frames))
         if threshold is not None:
             mean_score = np.bincount(track, self.tracks.score, len(n_boxes)) / np.maximum(n_boxes, 1)
-            is_reliable &= mean_score[track] >= settings.min_score_share * threshold(self.tracks.class_id)
+            is_reliable &= mean_score[track] >= settings.min_score_fraction * threshold(self.tracks.class_id)
         return is_reliable
 
     def with_gaps_interpolated(self, time_s: FloatArray, max_gap_s: float) -> _Rows:
@@ -122,9 +122,9 @@ class _Rows:
         nth = np.arange(len(start)) - np.repeat(np.cumsum(n_missing) - n_missing, n_missing) + 1
         frame = self.frame[start] + nth
         start_s, end_s = time_s[self.frame[start]], time_s[self.frame[start + 1]]
-        share = (time_s[frame] - start_s) / (end_s - start_s)
-        boxes = tracks.xyxy_px[start] + share[:, None] * (tracks.xyxy_px[start + 1] - tracks.xyxy_px[start])
-        score = tracks.score[start] + share * (tracks.score[start + 1] - tracks.score[start])
+        fraction = (time_s[frame] - start_s) / (end_s - start_s)
+        boxes = tracks.xyxy_px[start] + fraction[:, None] * (tracks.xyxy_px[start + 1] - tracks.xyxy_px[start])
+        score = tracks.score[start] + fraction * (tracks.score[start + 1] - tracks.score[start])
         observed = np.zeros(len(start), np.bool_)
         interpolated = Tracks(tracks.track_id[start], boxes, tracks.class_id[start], score, observed)
         return _Rows(np.concatenate([self.frame, frame]), _concatenated([tracks, interpolated]))

@@ -1,14 +1,14 @@
-"""Anonymization: share of the head and number plate pixels that `--anonymize` covers in simulated drives.
+"""Anonymization: fraction of the head and number plate pixels that `--anonymize` covers in simulated drives.
 
 Protocol: drives of the simulation with KITTI's field of view, 10 frames per second, where heads and plates are known
 exactly (`simulate --masks`). The parameters were chosen on seed 1; the default seeds here are 101 and 102. Boxes come
-from the packaged detector, or from the truth (exact boxes of all objects with a visible share of at least 0.1); tracks
+from the packaged detector, or from the truth (exact boxes of all objects with at least 0.1 visible); tracks
 from the default tracker. Heads at least 8 px wide and plates at least 12 px wide, which may be recognised, count
 separately. An object is tracked in a frame if the box of a track has an IoU of at least 0.3 with its box, and a class
 with such a part (heads: person, bicycle, motorcycle; plates: car, motorcycle, bus, truck). `live` uses no later frames.
 
 A road user is exposed if less than 0.9 of its head (8 px) or plate (12 px) is covered in at least one frame. Needless
-is the share of the image that is covered and is neither head nor plate.
+is the fraction of the image that is covered and is neither head nor plate.
 """
 
 from __future__ import annotations
@@ -54,11 +54,11 @@ CLASSES = {
 }
 """Classes of road users with each part."""
 
-COVERED_SHARE = 0.9
+COVERED_FRACTION = 0.9
 """Minimum covered fraction of a readable part; with less in one of its frames, its road user counts as exposed."""
 
 TRACKED_IOU = 0.3
-MIN_VISIBLE_SHARE = 0.1
+MIN_VISIBLE_FRACTION = 0.1
 
 BoxSource = Literal["detector", "truth"]
 Key = tuple[IdentifyingPart, bool, bool]
@@ -129,7 +129,7 @@ def seen_frames(scenario: str, seed: int, seconds: float) -> Iterator[SeenFrame]
         visible = visible_objects(
             renderer.scene, time_s, frame=index, camera=renderer.rig.left, inverse_depth=inverse_depth
         )
-        is_visible = visible.visible_share >= MIN_VISIBLE_SHARE
+        is_visible = visible.visible_share >= MIN_VISIBLE_FRACTION
         class_id = map_to_road_classes([user.kitti_type for user in renderer.scene.road_users])[visible.row]
         rows = np.flatnonzero(is_visible & (class_id >= 0))
         boxes_px = visible.labels.xyxy_px
@@ -217,7 +217,7 @@ def scores(drives: Sequence[Sequence[SeenFrame]], source: BoxSource, look_ahead:
                     n_pixels[key] = n_pixels.get(key, 0) + len(seen.row)
                     if key[1]:
                         objects = exposed.setdefault((key[0], key[2]), {})
-                        is_exposed = n_in_mask < COVERED_SHARE * len(seen.row)
+                        is_exposed = n_in_mask < COVERED_FRACTION * len(seen.row)
                         objects[drive, seen.user] = objects.get((drive, seen.user), False) or is_exposed
     return {
         **{_name(key): n_covered[key] / n_pixels[key] for key in sorted(n_pixels)},
@@ -245,7 +245,9 @@ def _name(key: Key) -> str:
 
 def print_table(figures: dict[str, dict[str, float]]) -> None:
     """Print the shares in per cent, a column for each source of boxes and look-ahead."""
-    table = Table("%", *figures, title="Anonymization: share of covered pixels", box=box.SIMPLE_HEAD)
-    for row in dict.fromkeys(name for shares in figures.values() for name in shares):
-        table.add_row(row, *(f"{100 * shares[row]:.2f}" if row in shares else "-" for shares in figures.values()))
+    table = Table("%", *figures, title="Anonymization: fraction of covered pixels", box=box.SIMPLE_HEAD)
+    for row in dict.fromkeys(name for fractions in figures.values() for name in fractions):
+        table.add_row(
+            row, *(f"{100 * fractions[row]:.2f}" if row in fractions else "-" for fractions in figures.values())
+        )
     Console().print(table)

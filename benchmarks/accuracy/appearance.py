@@ -5,7 +5,7 @@ pitches (bumps, 0.45 deg rms at 0.8-3.5 Hz) and yaws back and forth (up to 9-15 
 `benchmarks.inputs.appearance_drives`); seeds 1 to `--drives`, even ones at 10 m/s in traffic, odd ones at 3 m/s past 30
 people who cross each other. Boxes are those of the playback detector (true boxes with jitter, misses and false alarms).
 Road users are repeatedly missed for 0.5-2 s, without an occluder in the image. All classes are tracked and scored, all
-drives together; objects that are missed on purpose or largely outside the image are ignored. `kept` is the share of
+drives together; objects that are missed on purpose or largely outside the image are ignored. `kept` is the fraction of
 these gaps with the same identity in the last match within 1 s before and in the first match within 1 s after.
 
 Protocol, real data: MOT17-05-FRCNN with its stored embeddings, by MOTChallenge's rules, without images; the two drives

@@ -63,7 +63,7 @@ class Matched:
         user: (M,) number of the object, unique among the drives.
         frame: (M,) frame.
         class_id: (M,) true class.
-        height_px, hidden_share, outside_share: (M,) of the true box.
+        height_px, hidden_fraction, outside_fraction: (M,) of the true box.
         score: (M,) of the detection; NaN = missed.
         detected_class_id: (M,) class of the detection; -1 = missed.
         errors: (M, 4) errors of centre x, centre y, log width, log height: centres relative to the height.
@@ -76,8 +76,8 @@ class Matched:
     frame: IntArray
     class_id: IntArray
     height_px: FloatArray
-    hidden_share: FloatArray
-    outside_share: FloatArray
+    hidden_fraction: FloatArray
+    outside_fraction: FloatArray
     score: FloatArray
     detected_class_id: IntArray
     errors: FloatArray
@@ -121,8 +121,8 @@ def matched_boxes(scene: Scene, true: TrueBoxes, frames: Sequence[Detections], *
         true.frame,
         classes[true.user],
         true.height_px,
-        true.hidden_share,
-        true.outside_share,
+        true.hidden_fraction,
+        true.outside_fraction,
         score,
         detected_class,
         errors,
@@ -202,11 +202,11 @@ def _statistics(matched: Matched) -> dict[str, float | None]:
     for number, name in ((0, "person"), (2, "vehicle")):
         for low, high in pairwise(HEIGHTS_PX):
             rows = (group == number) & (matched.height_px >= low) & (matched.height_px < high)
-            for label, is_hidden in (("", matched.hidden_share <= 0.1), (" hidden", matched.hidden_share > 0.1)):
-                part = rows & is_hidden & (matched.outside_share < 0.3)
+            for label, is_hidden in (("", matched.hidden_fraction <= 0.1), (" hidden", matched.hidden_fraction > 0.1)):
+                part = rows & is_hidden & (matched.outside_fraction < 0.3)
                 if part.sum() >= 30:
                     figures[f"{name} {low}-{high} px{label}: rate"] = float(matched.is_detected[part].mean())
-            part = rows & matched.is_detected & (matched.hidden_share < 0.3) & (matched.outside_share < 0.05)
+            part = rows & matched.is_detected & (matched.hidden_fraction < 0.3) & (matched.outside_fraction < 0.05)
             if part.sum() >= 30:
                 figures[f"{name} {low}-{high} px: median score"] = float(np.median(matched.score[part]))
                 spread = 1.4826 * np.median(
@@ -222,7 +222,7 @@ def _statistics(matched: Matched) -> dict[str, float | None]:
 
 def _missed_runs(matched: Matched) -> list[int]:
     """Lengths of the runs of missed frames of clearly visible objects."""
-    is_clear = (matched.hidden_share < 0.3) & (matched.height_px > 12) & (matched.outside_share < 0.3)
+    is_clear = (matched.hidden_fraction < 0.3) & (matched.height_px > 12) & (matched.outside_fraction < 0.3)
     order = np.lexsort((matched.frame, matched.user))
     runs, length, last = [], 0, -1
     for row in order[is_clear[order]].tolist():

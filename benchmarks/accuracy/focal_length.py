@@ -125,7 +125,7 @@ def simulated_drive(scenario: str, seed: int) -> RoadDrive:
         distances.append(frame.true_m[rows])
     true = drive.true
     is_car = np.array([scene.road_users[user].kitti_type == "Car" for user in true.user])
-    rows = np.flatnonzero(is_car & (true.hidden_share < 0.05) & (true.outside_share <= 0))
+    rows = np.flatnonzero(is_car & (true.hidden_fraction < 0.05) & (true.outside_fraction <= 0))
     known = _chosen(true.xyxy_px[rows], true.distance_m[rows], true.user[rows], SIZE_PX, rng)
     return RoadDrive(scenario, SIZE_PX, focal_px, SceneBoxes.joined(parts), np.concatenate(distances), (known,))
 

@@ -3,7 +3,7 @@
 Boxes in 2,000 frames, of 10 tracks, with distances for 80 % of them, are written and read again:
 
     edges, distance, score   largest difference; "-" = not in the format
-    ids, classes, predicted  share of the boxes for which the value is the same; "-" = not in the format
+    ids, classes, predicted  fraction of the boxes for which the value is the same; "-" = not in the format
 """
 
 from __future__ import annotations
@@ -88,9 +88,9 @@ def _figures(table: BoxTable, label_format: LabelFormat, path: Path) -> dict[str
         "edges_px": float(np.abs(back.xyxy_px - table.xyxy_px).max()),
         "distance_m": _error(back.distance_m, table.distance_m),
         "score": _error(back.score, table.score),
-        "ids_pct": _share(back.track_id == table.track_id, is_there=bool((back.track_id >= 0).any())),
-        "classes_pct": _share(back.class_id == table.class_id, is_there=bool((back.class_id >= 0).any())),
-        "predicted_pct": _share(back.observed == table.observed, is_there=not back.observed.all()),
+        "ids_pct": _fraction(back.track_id == table.track_id, is_there=bool((back.track_id >= 0).any())),
+        "classes_pct": _fraction(back.class_id == table.class_id, is_there=bool((back.class_id >= 0).any())),
+        "predicted_pct": _fraction(back.observed == table.observed, is_there=not back.observed.all()),
         "size_mb": sum(file.stat().st_size for file in files) / 1e6,
         "write_s": written_s - start_s,
         "read_s": read_s - written_s,
@@ -108,5 +108,5 @@ def _error(values: np.ndarray[Any, Any], expected: np.ndarray[Any, Any]) -> floa
     return float(np.abs(values - expected)[both].max()) if both.any() else None
 
 
-def _share(is_same: np.ndarray[Any, Any], *, is_there: bool) -> float | None:
+def _fraction(is_same: np.ndarray[Any, Any], *, is_there: bool) -> float | None:
     return 100 * float(is_same.mean()) if is_there else None

@@ -2,7 +2,7 @@
 
 Protocol: the `run` command with its defaults on the files of the drive (lossless images, recorded boxes, alignment from
 the drive, no dense stereo). Errors against truth.csv at 5-100 m as with `--truth`, separately for frames without and
-with a right image, over the boxes that each method measured (`coverage`: their share of the boxes with a true
+with a right image, over the boxes that each method measured (`coverage`: their fraction of the boxes with a true
 distance); then per scenario over the boxes without a right image that mono, fused and their filters all measured.
 """
 
@@ -152,10 +152,10 @@ def _print_table(figures: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> None
         for name, row in methods.items():
             keys = (*(f"{statistic}_relative_error_pct" for statistic in STATISTICS), "bias_pct")
             errors = (figure_text(row[key]) for key in keys)
-            coverage, *shares = (
+            coverage, *fractions = (
                 figure_text(row[key], digits=0, times=100) for key in ("coverage", "within_1_sigma", "within_2_sigma")
             )
-            table.add_row(state, name, str(row["n"]), coverage, *errors, *shares)
+            table.add_row(state, name, str(row["n"]), coverage, *errors, *fractions)
     Console().print(table)
 
 

@@ -3,7 +3,7 @@
 Protocol: the `run` command on the left video with its rig file, lanes as by default. Simulated drives: wobble, hills
 and curves of the scenario, the camera pitched by `--pitch`, all cars `--car-size` times as large, boxes of the playback
 detector. Known are the camera height (height), the ego speed (speed), both, or nothing (none). Errors against truth.csv
-at 10-50 m, over the track-frames that mono, ground and fused all measured; cover: share of the boxes that a method
+at 10-50 m, over the track-frames that mono, ground and fused all measured; cover: fraction of the boxes that a method
 measured; within: share within 1 and 2 sigma. `bias`: median of the signed errors of a drive at 10-50 m from a time on;
 its magnitude is the mean over the drives. Seeds 0-2 are for settings, 300-302 for judgement. KITTI 0003 and 0005:
 YOLOv5n's boxes, truth from the labels, camera height 1.65 m, errors at 5-100 m.
@@ -200,13 +200,13 @@ def _print_errors(figures: Mapping[str, Any], title: str) -> None:
     )
     for drive, methods in {**figures["drives"], "all": figures["all"]}.items():
         for name, row in methods.items():
-            shares = "/".join(
+            fractions = "/".join(
                 figure_text(row[key], digits=0, times=100) for key in ("within_1_sigma", "within_2_sigma")
             )
             errors = (row["median_relative_error_pct"], *row["bands"], row["mean_relative_error_pct"])
             cover = figure_text(row["coverage"], digits=0, times=100)
             table.add_row(
-                drive, name, str(row["n"]), cover, *(figure_text(value, digits=1) for value in errors), shares
+                drive, name, str(row["n"]), cover, *(figure_text(value, digits=1) for value in errors), fractions
             )
     Console().print(table)
 

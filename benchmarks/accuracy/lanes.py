@@ -39,7 +39,7 @@ SEEDS = (201, 202)
 """Default random seeds of the simulated drives."""
 
 ROWS = np.linspace(0.62, 0.92, 6)
-"""(K,) rows in which lines are compared, as shares of the image height."""
+"""(K,) rows in which lines are compared, as fractions of the image height."""
 
 OTHER_LANE = 0.2
 """Error of a line, in lane widths, above which it belongs to another lane."""
@@ -175,12 +175,12 @@ def _differences(detected_px: FloatArray, reference_px: FloatArray) -> dict[str,
     }
 
 
-def _pct(share: np.floating[Any]) -> float:
-    return round(100 * float(share), 2)
+def _pct(fraction: np.floating[Any]) -> float:
+    return round(100 * float(fraction), 2)
 
 
 def _agreement(video: Path, finders: Sequence[str]) -> dict[str, Any]:
-    """Share of images with both lines by detector, and differences of each pair of detectors."""
+    """Fraction of images with both lines by detector, and differences of each pair of detectors."""
     images, times_s = zip(*_ten_per_second(video), strict=True)
     lines_px = {
         _name(finder): np.array([sample.detected_px for sample in _samples(finder, images, times_s, None)])
@@ -217,8 +217,8 @@ def _print_real(figures: Mapping[str, Mapping[str, Any]]) -> None:
     headings = ("video", "detectors", "images", "width %", "90 %", "other lane %")
     pairs = plain_table("real videos: difference of two detectors", *headings, n_words=2)
     for video, row in figures.items():
-        shares = (figure_text(share, digits=0, times=100) for share in row["both_lines"].values())
-        table.add_row(video, str(row["images"]), *shares)
+        fractions = (figure_text(fraction, digits=0, times=100) for fraction in row["both_lines"].values())
+        table.add_row(video, str(row["images"]), *fractions)
         for name, pair in row["pairs"].items():
             errors = (figure_text(pair[key]) for key in ("width_median_pct", "width_90_pct"))
             other = figure_text(pair["other_lane"], digits=0, times=100)

@@ -201,7 +201,7 @@ def _curve(options: Namespace) -> dict[str, Any]:
 
 
 def _point_text(row: dict[str, Any]) -> str:
-    return f"{row['false_alarms_per_hour']} / {row['median_lead_s']} / {100 * row['share_with_2_1_s']:.0f}"
+    return f"{row['false_alarms_per_hour']} / {row['median_lead_s']} / {100 * row['fraction_with_2_1_s']:.0f}"
 
 
 def _point(scenes: Sequence[SceneFigures], number: int) -> dict[str, Any]:
@@ -209,7 +209,7 @@ def _point(scenes: Sequence[SceneFigures], number: int) -> dict[str, Any]:
     hits = alarm_figures([scene for scene in scenes if scene.scenario in BOX_COLLISIONS], number)
     false = alarm_figures([scene for scene in scenes if scene.scenario not in BOX_COLLISIONS], number)
     return {
-        **{name: hits[name] for name in ("contacts", "median_lead_s", "lead_10_pct_s", "share_with_2_1_s")},
+        **{name: hits[name] for name in ("contacts", "median_lead_s", "lead_10_pct_s", "fraction_with_2_1_s")},
         **{name: false[name] for name in ("hours", "false_alarms", "false_alarms_per_hour")},
     }
 

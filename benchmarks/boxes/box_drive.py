@@ -181,15 +181,15 @@ def _detected(
     )
     for number, errors in enumerate((PERSON, VEHICLE, SIGN)):
         rows = np.flatnonzero(group == number)
-        rate[rows] = _rates(errors, height_px[rows], true.hidden_share[rows])
-        rate[rows] *= np.interp(true.outside_share[rows], OUTSIDE, errors.outside_factor)
+        rate[rows] = _rates(errors, height_px[rows], true.hidden_fraction[rows])
+        rate[rows] *= np.interp(true.outside_fraction[rows], OUTSIDE, errors.outside_factor)
         score[rows] = np.interp(np.log(height_px[rows]), np.log(HEIGHTS_PX), errors.score)
         bias[rows] = errors.bias
         sigma[rows] = np.hypot(errors.sigma, np.array(errors.sigma_px) / height_px[rows, None])
-    score += np.interp(true.hidden_share, HIDDEN, HIDDEN_SCORE)
+    score += np.interp(true.hidden_fraction, HIDDEN, HIDDEN_SCORE)
     is_vehicle = group == 1
     for column, extra in zip((0, 2), HIDDEN_SIGMA, strict=True):
-        sigma[:, column] = np.hypot(sigma[:, column], is_vehicle * np.interp(true.hidden_share, HIDDEN, extra))
+        sigma[:, column] = np.hypot(sigma[:, column], is_vehicle * np.interp(true.hidden_fraction, HIDDEN, extra))
     quantile = ndtr(latent)
     rows = np.flatnonzero(quantile > 1 - rate)  # large latent values are detected, with high scores
     within = np.clip((quantile[rows] - 1 + rate[rows]) / rate[rows], 1e-6, 1 - 1e-6)
@@ -214,12 +214,12 @@ def _rates(errors: ClassErrors, height_px: FloatArray, hidden: FloatArray) -> Fl
     x = np.interp(np.log(height_px), np.log(HEIGHTS_PX), np.arange(len(HEIGHTS_PX)))
     y = np.interp(hidden, HIDDEN, np.arange(len(HIDDEN)))
     low_x, low_y = np.minimum(x.astype(int), len(HEIGHTS_PX) - 2), np.minimum(y.astype(int), len(HIDDEN) - 2)
-    share_x, share_y = x - low_x, y - low_y
+    fraction_x, fraction_y = x - low_x, y - low_y
     return np.asarray(
-        (1 - share_x) * (1 - share_y) * table[low_x, low_y]
-        + share_x * (1 - share_y) * table[low_x + 1, low_y]
-        + (1 - share_x) * share_y * table[low_x, low_y + 1]
-        + share_x * share_y * table[low_x + 1, low_y + 1]
+        (1 - fraction_x) * (1 - fraction_y) * table[low_x, low_y]
+        + fraction_x * (1 - fraction_y) * table[low_x + 1, low_y]
+        + (1 - fraction_x) * fraction_y * table[low_x, low_y + 1]
+        + fraction_x * fraction_y * table[low_x + 1, low_y + 1]
     )
 
 
@@ -236,8 +236,8 @@ def _classes(scene: Scene, rng: np.random.Generator, frames: tuple[int, float]) 
     quantile = ndtr(CLASS_MEMORY.sample(rng, len(scene.road_users), *frames))
     classes = np.zeros(quantile.shape, np.int64)
     for row, user in enumerate(scene.road_users):
-        ids, shares = zip(*DETECTED_CLASS[user.kitti_type], strict=True)
-        index = np.searchsorted(np.cumsum(shares)[:-1], quantile[row])
+        ids, fractions = zip(*DETECTED_CLASS[user.kitti_type], strict=True)
+        index = np.searchsorted(np.cumsum(fractions)[:-1], quantile[row])
         classes[row] = np.array(ids)[index]
     return classes
 
@@ -253,7 +253,7 @@ def _seen_m(
     """(K,) distance that stereo measures: the object's, or its occluder's."""
     n_users = int(true.user.max(initial=-1)) + 1
     quantile = ndtr(model.occluder_memory.sample(rng, n_users, *frames)[boxes.user, boxes.frame])
-    is_occluder = quantile < np.interp(true.hidden_share[rows], HIDDEN, model.occluder_rate)
+    is_occluder = quantile < np.interp(true.hidden_fraction[rows], HIDDEN, model.occluder_rate)
     is_occluder &= np.isfinite(true.occluder_m[rows])
     return np.where(is_occluder, true.occluder_m[rows], boxes.true_m)
 

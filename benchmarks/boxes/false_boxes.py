@@ -25,7 +25,7 @@ _HEIGHT_M = {0: 1.7, 2: 1.5, 5: 3.0, 6: 0.9}
 _ASPECT = {0: 0.38, 2: 1.2, 5: 1.2, 6: 0.4}
 """Width of a box relative to its height by class id."""
 
-_VISIBLE_SHARE = 0.5
+_VISIBLE_FRACTION = 0.5
 """Smallest fraction of a false box inside the image."""
 
 
@@ -79,11 +79,11 @@ def scenery_boxes(
     n_frames = len(poses.position_m)
     n = int(rng.poisson(model.starts_hz * step_s * n_frames))
     start = rng.integers(0, n_frames, n)
-    shares, means = np.array(model.mean_frames).T
-    mean = means[rng.choice(len(shares), n, p=shares / shares.sum())]
+    fractions, means = np.array(model.mean_frames).T
+    mean = means[rng.choice(len(fractions), n, p=fractions / fractions.sum())]
     length = np.maximum(np.rint(rng.geometric(1 / mean) * 0.1 / step_s), 1).astype(np.int64)
-    ids, class_shares, height, spread, offset, width = np.array(model.classes).T
-    chosen = rng.choice(len(ids), n, p=class_shares / class_shares.sum())
+    ids, class_fractions, height, spread, offset, width = np.array(model.classes).T
+    chosen = rng.choice(len(ids), n, p=class_fractions / class_fractions.sum())
     class_id = ids[chosen].astype(np.int64)
     height_px = height[chosen] * np.exp(spread[chosen] * rng.normal(size=n)) * camera.width_px / NETWORK_WIDTH_PX
     side = np.where(rng.uniform(size=n) < 0.5, 1.0, -1.0)
@@ -116,7 +116,7 @@ def scenery_boxes(
         at_m[:, 2],
         at_m[:, 2],
     )
-    return rows.select(area_px2(clipped) > _VISIBLE_SHARE * wide * high)
+    return rows.select(area_px2(clipped) > _VISIBLE_FRACTION * wide * high)
 
 
 def _frames_of(start: IntArray, length: IntArray, n_frames: int) -> tuple[IntArray, IntArray]:
@@ -155,7 +155,7 @@ def second_boxes(
     at = (first.user, first.frame)
     quantile = ndtr(model.presence.sample(rng, n_users, *frames)[at])
     errors = np.stack([model.offset.sample(rng, n_users, *frames)[at] for _ in range(4)], axis=1) * model.sigma
-    rate = np.where(true.overlap_share[rows] >= model.min_overlap, model.overlap_rate, model.rate)
+    rate = np.where(true.overlap_fraction[rows] >= model.min_overlap, model.overlap_rate, model.rate)
     rate = np.where(true.height_px[rows] * network > model.near_px, rate * model.near_factor, rate)
     is_second = quantile < rate
     size = first.xyxy_px[:, 2:] - first.xyxy_px[:, :2]

@@ -67,20 +67,20 @@ class TrueBoxes:
         user: (M,) row of the scene's road users.
         xyxy_px: (M, 4) box of the part in the left image.
         distance_m: (M,) z at which the ray through the box centre meets the 3-D box.
-        hidden_share: (M,) fraction of the box that is covered by nearer boxes.
-        overlap_share: (M,) largest fraction of the box inside one other box.
+        hidden_fraction: (M,) fraction of the box that is covered by nearer boxes.
+        overlap_fraction: (M,) largest fraction of the box inside one other box.
         occluder_m: (M,) distance of the nearer box that covers the largest part; NaN = none.
-        outside_share: (M,) fraction outside the image of the bounding box of the whole road user.
+        outside_fraction: (M,) fraction outside the image of the bounding box of the whole road user.
     """
 
     frame: IntArray
     user: IntArray
     xyxy_px: FloatArray
     distance_m: FloatArray
-    hidden_share: FloatArray
-    overlap_share: FloatArray
+    hidden_fraction: FloatArray
+    overlap_fraction: FloatArray
     occluder_m: FloatArray
-    outside_share: FloatArray
+    outside_fraction: FloatArray
 
     @property
     def height_px(self) -> FloatArray:
@@ -116,7 +116,7 @@ def true_boxes(
         rotation_y_rad=yaw_rad[rows] - ego_yaw_rad[frame],
     )
     distance_m = np.where(np.isnan(distance_m), at_m[rows, 2], distance_m)
-    hidden, overlap, occluder = _covered_shares(frame, inside, len(times_s))
+    hidden, overlap, occluder = _covered_fractions(frame, inside, len(times_s))
     return TrueBoxes(
         frame.astype(np.int64),
         user.astype(np.int64),
@@ -148,7 +148,7 @@ def closing_rates_mps(scene: Scene, times_s: FloatArray) -> FloatArray:
     return np.asarray((before - after) / (2 * STEP_S))
 
 
-def _covered_shares(frame: IntArray, boxes: FloatArray, n_frames: int) -> tuple[FloatArray, FloatArray, IntArray]:
+def _covered_fractions(frame: IntArray, boxes: FloatArray, n_frames: int) -> tuple[FloatArray, FloatArray, IntArray]:
     """(M,) fractions of boxes that nearer ones cover, the largest that one other box covers, and the main occluder.
 
     The occluder is the row of the nearer box that covers the largest part; -1 = none.

@@ -48,8 +48,8 @@ PITCH_RMS_RAD, PITCH_HZ = np.radians(0.45), (0.8, 3.5)
 YAW_RATE_RAD, YAW_PERIOD_S = np.radians((9.0, 15.0)), (4.0, 5.0)
 """Ranges of the largest yaw rate in rad/s and of the period in s of the yaw, a sine."""
 
-MIN_SHARE_INSIDE = 0.25
-"""Smallest share of a box inside the image for objects that are scored."""
+MIN_FRACTION_INSIDE = 0.25
+"""Smallest fraction of a box inside the image for objects that are scored."""
 
 STROLL_MPS = 3.0
 """Speed of the camera in drives with walkers."""
@@ -218,5 +218,5 @@ def _rotated(labels: KittiLabels, rotations: FloatArray) -> KittiLabels:
     labels = labels.select(labels.has_3d_box)
     corners_m = box_corners_m(labels.location_m, size_hwl_m=labels.size_hwl_m, rotation_y_rad=labels.rotation_y_rad)
     inside, outside = boxes_in_image(corners_m @ rotations[labels.frame].swapaxes(1, 2), CAMERA)
-    occluded = np.where(1 - outside < MIN_SHARE_INSIDE, HIDDEN, labels.occluded)
+    occluded = np.where(1 - outside < MIN_FRACTION_INSIDE, HIDDEN, labels.occluded)
     return replace(labels, xyxy_px=inside, occluded=occluded).select(np.isfinite(inside).all(axis=1) & (outside < 1))

@@ -33,7 +33,7 @@ HARMLESS = ("curve-parked", "oncoming", "overhead-sign", "following", "queue")
 SECONDS, FPS = 8.0, 10.0
 """Length of a drive in s, after all contacts, and its frame rate."""
 
-WIDTH_PX, HEIGHT_SHARE = 1240, 376 / 1240
+WIDTH_PX, HEIGHT_FRACTION = 1240, 376 / 1240
 """Default width of the images, and their height relative to it: KITTI's."""
 
 
@@ -75,7 +75,7 @@ def conflict_drive(cache_folder: Path, scenario: str, seed: int, *, width_px: in
     boxes = folder / "boxes.npz"
     files = Drive.in_folder(folder)
     if not boxes.exists():
-        rig = kitti_like_rig(width_px=width_px, height_px=2 * round(width_px * HEIGHT_SHARE / 2))
+        rig = kitti_like_rig(width_px=width_px, height_px=2 * round(width_px * HEIGHT_FRACTION / 2))
         options = DriveOptions(scenario=scenario)
         write_drive(folder, seed=seed, seconds=SECONDS, fps=FPS, rig=rig, options=options)
         _store_boxes(files.left, boxes)

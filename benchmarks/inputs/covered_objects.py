@@ -1,4 +1,4 @@
-"""Exact occlusion of the labelled objects of a frame: shares of their drawn bodies that other bodies hide, and by what.
+"""Exact occlusion of the labelled objects in a frame: fractions of drawn bodies that other bodies hide, and by what.
 
 Each body is drawn alone and with everything else. A sample (four per pixel) of the body is covered if it is drawn
 alone, but shows something else in the scene. The true disparity is that of the body itself where the ray through the
@@ -24,11 +24,11 @@ NOT_COVERED = "none"
 SCENERY = "scenery"
 """Kind of occluder for trees, lamps and other objects of the street."""
 
-MIN_COVERED_SHARE = 0.01
-"""Smallest covered share of the body or of its part in the inner half of the box for an object that has an occluder."""
+MIN_COVERED_FRACTION = 0.01
+"""Smallest covered fraction of the body, or of its part in the inner half of the box, of an object with an occluder."""
 
-MODAL_SHARE = 0.5
-"""Share of objects with the bounding box of their visible part."""
+MODAL_FRACTION = 0.5
+"""Fraction of objects with the bounding box of their visible part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class CoveredObjects:
         is_modal: (N,) whether the box is that of the visible part, as KITTI's stereo data set 2015 has it.
         is_cut: (N,) whether the image border cuts the object.
         true_px: (N,) disparity of the body on the ray through the box centre, as without occluders.
-        covered_share: (N,) covered fraction of the body's samples.
+        covered_fraction: (N,) covered fraction of the body's samples.
         covered_inner: (N,) covered fraction of the body's samples in the inner half of the box.
         n_visible_px, n_inner_px: (N,) visible area of the body in px, in total and in the inner half of the box.
         kind: (N,) what covers most of the body: "pole", "fence", "bush", "sign", "road user", `SCENERY`, `NOT_COVERED`.
@@ -56,7 +56,7 @@ class CoveredObjects:
     is_modal: BoolArray
     is_cut: BoolArray
     true_px: FloatArray
-    covered_share: FloatArray
+    covered_fraction: FloatArray
     covered_inner: FloatArray
     n_visible_px: FloatArray
     n_inner_px: FloatArray
@@ -72,13 +72,13 @@ class CoveredObjects:
         return CoveredObjects(*(getattr(self, part.name)[rows] for part in fields(self)))
 
 
-def covered_objects(renderer: Renderer, time_s: float, *, modal_share: float = MODAL_SHARE) -> CoveredObjects:
+def covered_objects(renderer: Renderer, time_s: float, *, modal_fraction: float = MODAL_FRACTION) -> CoveredObjects:
     """The labelled objects of the left image at a time.
 
     Args:
         renderer: renderer of the scene.
         time_s: the time.
-        modal_share: share of the road users, drawn at random but constant over time, with boxes of their visible part.
+        modal_fraction: fraction of the road users, constant over time, with boxes of their visible part.
     """
     scene, camera = renderer.scene, renderer.rig.left
     inverse_depth, owner = renderer.drawn_owners(time_s)
@@ -94,7 +94,7 @@ def covered_objects(renderer: Renderer, time_s: float, *, modal_share: float = M
         shown = (owner[window] == row + 1) & body
         if not shown.any():
             continue
-        is_modal = np.random.default_rng([scene.seed, 32, user.track_id]).uniform() < modal_share
+        is_modal = np.random.default_rng([scene.seed, 32, user.track_id]).uniform() < modal_fraction
         box = _bounding_box(shown, window) if is_modal else label_box
         patch = next(inner_halves(box[None], (camera.height_px, camera.width_px), margin_px=0, min_side_px=1))
         inner = np.zeros_like(body)
@@ -136,7 +136,7 @@ def _occluder(
     renderer: Renderer, owner: npt.NDArray[np.uint16], disparity_px: FloatArray, covered: BoolArray, inner: BoolArray
 ) -> tuple[str, int, float]:
     """Kind, track id and disparity of what covers most of a body; all arrays are windows of samples around it."""
-    if not covered.any() or max(covered.mean(), (covered & inner).sum() / max(inner.sum(), 1)) < MIN_COVERED_SHARE:
+    if not covered.any() or max(covered.mean(), (covered & inner).sum() / max(inner.sum(), 1)) < MIN_COVERED_FRACTION:
         return NOT_COVERED, -1, np.nan
     where = covered & inner if (covered & inner).any() else covered
     number = int(np.bincount(owner[where]).argmax())

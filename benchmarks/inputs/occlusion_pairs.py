@@ -34,8 +34,8 @@ SEQUENCE_FPS, N_SEQUENCE = 10.0, 6
 MIN_VISIBLE_PX = MIN_TRUE_PIXELS
 """Smallest visible area of an object with a box, px."""
 
-MAX_COVERED_SHARE, MAX_COVERED_INNER = 0.5, 0.75
-"""Largest covered shares of scored objects: of the body, as for KITTI's "partly occluded" objects, which the other
+MAX_COVERED_FRACTION, MAX_COVERED_INNER = 0.5, 0.75
+"""Largest covered fractions of scored objects: of the body, as for KITTI's "partly occluded" objects, which the other
 evaluations use too, and of its part in the inner half of the box."""
 
 ID_STEP = 100_000
@@ -76,7 +76,7 @@ def is_scored(objects: CoveredObjects, pair: StereoPair) -> BoolArray:
         & (objects.kitti_type != "TrafficSign")
         & (distance_m >= BANDS_M[0][0])
         & (distance_m <= BANDS_M[-1][1])
-        & (objects.covered_share <= MAX_COVERED_SHARE)
+        & (objects.covered_fraction <= MAX_COVERED_FRACTION)
         & (objects.covered_inner <= MAX_COVERED_INNER)
         & (objects.n_inner_px >= MIN_INNER_PIXELS)
     )

@@ -94,7 +94,7 @@ def tracked(frames: Iterable[Frame]) -> Iterator[TrackedFrame]:
     for frame in frames:
         if frame.right is not None:
             points = tracks.add(grey(frame.left), grey(whole_image(frame.right)))
-            yield TrackedFrame(frame.time_s, points, tracks.flow_px, tracks.share_tracked)
+            yield TrackedFrame(frame.time_s, points, tracks.flow_px, tracks.fraction_tracked)
 
 
 def simulated_drive(scenario: str, *, seed: int, seconds: float, cache: Path | None) -> TrackedDrive:
@@ -142,7 +142,7 @@ def _save(frames: Sequence[TrackedFrame], path: Path) -> None:
     np.savez_compressed(
         path,
         count=np.array(counts),
-        frame=np.array([[frame.time_s, frame.flow_px, frame.share_tracked] for frame in frames]),
+        frame=np.array([[frame.time_s, frame.flow_px, frame.fraction_tracked] for frame in frames]),
         number=np.concatenate([frame.points.number for frame in frames]).astype(np.int32),
         left_px=np.concatenate([frame.points.left_px for frame in frames]).astype(np.float32),
         right_px=np.concatenate([frame.points.right_px for frame in frames]).astype(np.float32),
@@ -156,6 +156,6 @@ def _load(path: Path) -> tuple[TrackedFrame, ...]:
         left_px, right_px = (np.split(file[name].astype(np.float64), ends) for name in ("left_px", "right_px"))
         rows = file["frame"].tolist()
     return tuple(
-        TrackedFrame(time_s, PairPoints(*points), flow_px, share_tracked)
-        for (time_s, flow_px, share_tracked), *points in zip(rows, number, left_px, right_px, strict=True)
+        TrackedFrame(time_s, PairPoints(*points), flow_px, fraction_tracked)
+        for (time_s, flow_px, fraction_tracked), *points in zip(rows, number, left_px, right_px, strict=True)
     )

@@ -123,7 +123,7 @@ def _figures(row: _Row) -> dict[str, Any]:
         "inference_ms": inference,
         "post_ms": post,
         "total_ms": pre + inference + post,
-        "overhead_share": (pre + post) / inference,
+        "overhead_fraction": (pre + post) / inference,
     }
 
 
@@ -135,6 +135,6 @@ def _print(figures: list[dict[str, Any]], image_hw: tuple[int, ...]) -> None:
     for row in figures:
         height, width = row["input_hw"]
         numbers = (f"{row[f'{stage}_ms']:.2f}" for stage in ("pre", "inference", "post", "total"))
-        share = f"{100 * row['overhead_share']:.1f} %"
-        table.add_row(row["model"], str(row["threads"]), f"{width}x{height}", *numbers, share)
+        fraction = f"{100 * row['overhead_fraction']:.1f} %"
+        table.add_row(row["model"], str(row["threads"]), f"{width}x{height}", *numbers, fraction)
     Console().print(table)

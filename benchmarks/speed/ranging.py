@@ -29,7 +29,7 @@ from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import Image
-from track_range.pipeline.frame_pipeline import noise_shares
+from track_range.pipeline.frame_pipeline import noise_fractions
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.method import MethodContext
@@ -48,8 +48,8 @@ CAMERA_HEIGHT_M, LANE_WIDTH_M = 1.65, 3.5
 SIZES_HW_M = {"car": (1.5, 1.8), "person": (1.7, 0.6), "truck": (3.3, 2.5), "bicycle": (1.7, 0.6)}
 """Height and width in m of the objects, by class."""
 
-SHARES = (0.6, 0.2, 0.1, 0.1)
-"""Share of each class of `SIZES_HW_M` among the objects."""
+FRACTIONS = (0.6, 0.2, 0.1, 0.1)
+"""Fraction of each class of `SIZES_HW_M` among the objects."""
 
 STEP_S = 0.1
 """Frame interval in s."""
@@ -57,7 +57,7 @@ STEP_S = 0.1
 FUSE_STAGE = ("fuse", "filters")
 """Timed steps after the methods."""
 
-STEREO_SIGMA_PER_M, STEREO_SHARE = 0.002, 0.8
+STEREO_SIGMA_PER_M, STEREO_FRACTION = 0.002, 0.8
 """Relative sigma of stereo per metre of distance, and its coverage."""
 
 
@@ -87,7 +87,7 @@ def box_only_ms(n_tracks: int, *, n_frames: int) -> dict[str, float]:
     """Median time in ms of each box-only method, of fusion and of the filters, for a number of tracks."""
     rangers = create_rangers(MethodContext(camera=CAMERA, has_lane_lines=True))
     reads = {method.name: method.reads for method in methods()}
-    fusion, filters = Fusion(), DistanceFilters(noise_shares())
+    fusion, filters = Fusion(), DistanceFilters(noise_fractions())
     tracks, lines = _tracks(n_tracks), _lines()
     timer = _Timer()
     for index in range(n_frames):
@@ -133,7 +133,7 @@ _BLANK: Image = np.zeros((CAMERA.height_px, CAMERA.width_px, 3), np.uint8)
 def _tracks(n: int) -> Tracks:
     """N tracks of objects on a flat road."""
     rng = np.random.default_rng(0)
-    index = rng.choice(len(SIZES_HW_M), n, p=SHARES)
+    index = rng.choice(len(SIZES_HW_M), n, p=FRACTIONS)
     class_id = np.array([ROAD_CLASSES.index(name) for name in SIZES_HW_M])[index]
     height, width = (np.array(list(SIZES_HW_M.values())) * CAMERA.fx_px)[index].T
     z, x = rng.uniform(8.0, 80.0, n), rng.uniform(-6.0, 6.0, n)
@@ -153,7 +153,7 @@ def _stereo(tracks: Tracks, index: int) -> Ranges:
     rng = np.random.default_rng(index)
     true_m = CAMERA.fy_px * CAMERA_HEIGHT_M / (tracks.xyxy_px[:, 3] - CAMERA.cy_px)
     sigma = STEREO_SIGMA_PER_M * true_m
-    distance_m = np.where(rng.random(len(tracks)) < STEREO_SHARE, true_m * np.exp(rng.normal(0.0, sigma)), np.nan)
+    distance_m = np.where(rng.random(len(tracks)) < STEREO_FRACTION, true_m * np.exp(rng.normal(0.0, sigma)), np.nan)
     return Ranges(tracks.track_id, distance_m, distance_m * sigma)
 
 

@@ -19,8 +19,8 @@ from benchmarks.torture.seeds import KINDS, Kind, write_seeds
 
 PART = "mutants"
 
-_FILE_KIND_SHARE = 0.08
-"""Share of the cases in which the file becomes a pipe, a device, a folder or the like."""
+_FILE_KIND_FRACTION = 0.08
+"""Fraction of the cases in which the file becomes a pipe, a device, a folder or the like."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ def _damage(path: Path, kind: Kind, random: Random) -> str:
     """Replace a file by a damaged one; returns what was done."""
     content = path.read_bytes()
     path.unlink()
-    if random.random() < _FILE_KIND_SHARE:
+    if random.random() < _FILE_KIND_FRACTION:
         make = random.choice(FILE_KINDS)
         make(path)
         return make.__name__

@@ -248,7 +248,9 @@ def _(operation: Upsample, graph: _Graph, index: int, layer: Layer) -> None:
 def _(operation: Route, graph: _Graph, index: int, layer: Layer) -> None:
     tensors = graph.inputs(layer)
     if operation.groups > 1:
-        tensors = [_channels(graph, operation, source, f"share_{index}_{i}") for i, source in enumerate(layer.sources)]
+        tensors = [
+            _channels(graph, operation, source, f"fraction_{index}_{i}") for i, source in enumerate(layer.sources)
+        ]
     if len(tensors) == 1:
         graph.alias(index, tensors[0])
     else:

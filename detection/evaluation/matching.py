@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from track_range.detection.boxes import area_px2, iou, share_inside
+from track_range.detection.boxes import area_px2, fraction_inside, iou
 from track_range.detection.detections import Detections
 from track_range.detection.formats.image_labels.image_truth import ANY_CLASS, ImageTruth
 from track_range.foundation.arrays import BoolArray, FloatArray
@@ -125,7 +125,7 @@ def _match_image(
     of_class = np.flatnonzero((truth.class_id == class_id) | (truth.class_id == ANY_CLASS))
     boxes, labels = detections.xyxy_px[chosen], truth.xyxy_px[of_class]
     is_region = truth.is_region[of_class]
-    overlap = np.where(is_region, share_inside(boxes, labels), iou(boxes, labels))
+    overlap = np.where(is_region, fraction_inside(boxes, labels), iou(boxes, labels))
     matches = []
     for size_bin in bins:
         is_counted = size_bin.contains(labels) & (height_px(labels) >= min_height_px)

@@ -103,8 +103,8 @@ def _updated(
         rows = about.rows(y, side)
         sigma_px = np.hypot(markings.sigma_px, _PAINT_SIGMA * about.width_px(y))
         residual = (x - rows @ about.mean) / sigma_px
-        share = min(1.0, _MAX_INDEPENDENT / is_on_line.sum())
-        weight = np.maximum(1 - (residual / _TUKEY) ** 2, 0.0) ** 2 / sigma_px**2 * share
+        fraction = min(1.0, _MAX_INDEPENDENT / is_on_line.sum())
+        weight = np.maximum(1 - (residual / _TUKEY) ** 2, 0.0) ** 2 / sigma_px**2 * fraction
         information = information + (rows * weight[:, None]).T @ rows
         pull = pull + rows.T @ (weight * x)
     covariance = np.asarray(np.linalg.inv(information), np.float64)

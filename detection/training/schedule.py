@@ -26,22 +26,22 @@ class ScheduleSettings:
     Attributes:
         optimiser: SGD with Nesterov momentum, or AdamW.
         learning_rate: learning rate after the warm-up.
-        last_share: final learning rate of the cosine schedule, as a fraction of `learning_rate`.
+        last_fraction: final learning rate of the cosine schedule, as a fraction of `learning_rate`.
         momentum: momentum after the warm-up, during which it rises from 0.8.
         weight_decay: weight decay of the convolutions' weights; biases and batch norms have none.
         warmup_epochs: epochs in which the rate rises linearly from 0 (with SGD, that of the biases falls from ten
             times `learning_rate`); at most n_epochs / 5.
-        average_share: time constant of the moving average of the weights, as a fraction of all steps; at most 10,000
+        average_fraction: time constant of the moving average of the weights, as a fraction of all steps; at most 10,000
             steps (as in YOLOv5).
     """
 
     optimiser: Optimiser = "adamw"
     learning_rate: float = 0.002
-    last_share: float = 0.01
+    last_fraction: float = 0.01
     momentum: float = 0.937
     weight_decay: float = 0.02
     warmup_epochs: float = 1.0
-    average_share: float = 0.04
+    average_fraction: float = 0.04
 
 
 SGD = ScheduleSettings(optimiser="sgd", learning_rate=0.01, weight_decay=5e-4, warmup_epochs=3.0)
@@ -58,10 +58,12 @@ class Schedule:
     def rate(self, step: int) -> float:
         """Learning rate of a step without the warm-up.
 
-        rate = learning_rate * (last_share + (1 - last_share) * (1 + cos(pi step / n_steps)) / 2)
+        rate = learning_rate * (last_fraction + (1 - last_fraction) * (1 + cos(pi step / n_steps)) / 2)
         """
         cosine = (1 + math.cos(math.pi * min(step / self._n_steps, 1.0))) / 2
-        return self._settings.learning_rate * (self._settings.last_share + (1 - self._settings.last_share) * cosine)
+        return self._settings.learning_rate * (
+            self._settings.last_fraction + (1 - self._settings.last_fraction) * cosine
+        )
 
     def set(self, optimiser: torch.optim.Optimizer, step: int) -> None:
         """Set the optimiser's learning rates and momentum for a step."""
@@ -77,7 +79,7 @@ class Schedule:
 
     def average_decay(self, step: int) -> float:
         """Weight of the old average in the update after a step; smaller at the start of a run."""
-        horizon = min(max(self._settings.average_share * self._n_steps, 1.0), 10_000.0)
+        horizon = min(max(self._settings.average_fraction * self._n_steps, 1.0), 10_000.0)
         return (1 - 1 / horizon) * (1 - math.exp(-(step + 1) / (horizon / 5)))
 
 

@@ -131,8 +131,8 @@ class Teacher:
         scores = logits.sigmoid()
         best = scores[:, 5:].amax(1)
         student_scores = torch.stack([_best(scores, columns) for columns in self._columns], 1)
-        share = student_scores.amax(1) / best.clamp(min=1e-6)  # 1 if the best class is one of the student's
-        objectness[where] *= share
+        fraction = student_scores.amax(1) / best.clamp(min=1e-6)  # 1 if the best class is one of the student's
+        objectness[where] *= fraction
         is_confident = objectness[where] > MIN_OBJECTNESS
         cells = Cells(image, anchor, row, column, torch.zeros_like(image)).select(is_confident)
         return TeacherOutputs(objectness, cells, boxes[is_confident], student_scores[is_confident])

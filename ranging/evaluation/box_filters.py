@@ -26,12 +26,12 @@ FilterName = Literal["none", "paper", "default"]
 _Filter = Callable[[Ranges, float], FilteredRanges]
 """Function from the measured ranges and the time of a frame to filtered ranges."""
 
-_NOISE_SHARE = 0.6
+_NOISE_FRACTION = 0.6
 """Initial independent fraction of sigma for the default filter, that of mono."""
 
 
 def _default_filter() -> _Filter:
-    filters = DistanceFilters({"": _NOISE_SHARE})
+    filters = DistanceFilters({"": _NOISE_FRACTION})
     return lambda measured, time_s: filters.update({"": measured}, time_s)[""]
 
 

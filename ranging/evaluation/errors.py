@@ -96,7 +96,7 @@ def coverage_only(methods: Mapping[str, MethodColumn]) -> dict[str, Any]:
     return {
         name: {
             **_figures(empty, empty),
-            "coverage": _share(np.isfinite(column.distance_m)),
+            "coverage": _fraction(np.isfinite(column.distance_m)),
             "n": int(np.isfinite(column.distance_m).sum()),
             "median_sigma_pct": _sigma_pct(column, np.isfinite(column.distance_m)),
             "bands": [],
@@ -124,7 +124,7 @@ def score_rows(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dic
     error = column.distance_m[measured] / true_m[measured] - 1
     in_sigmas = np.abs(column.distance_m - true_m)[measured] / column.sigma_m[measured]
     return {
-        "coverage": _share(measured[rows]),
+        "coverage": _fraction(measured[rows]),
         "n": int(measured.sum()),
         **_figures(error, in_sigmas),
         "median_sigma_pct": _sigma_pct(column, measured),
@@ -141,7 +141,7 @@ def score_closing(closing_mps: FloatArray, sigma_mps: FloatArray, true_mps: Floa
     in_sigmas = np.abs(error_mps) / sigma_mps[measured]
     n = len(error_mps)
     return {
-        "coverage": _share(measured[rows]),
+        "coverage": _fraction(measured[rows]),
         "n": n,
         "mean_error_mps": _rounded(np.abs(error_mps).mean()) if n else None,
         "median_error_mps": _rounded(np.median(np.abs(error_mps))) if n else None,
@@ -170,10 +170,10 @@ def _figures(error: FloatArray, in_sigmas: FloatArray) -> dict[str, Any]:
 def _within(in_sigmas: FloatArray) -> dict[str, float | None]:
     """Fractions of errors (N,) in units of sigma within 1 and 2; NaN = sigma unknown."""
     known = in_sigmas[np.isfinite(in_sigmas)]
-    return {"within_1_sigma": _share(known <= 1), "within_2_sigma": _share(known <= 2)}
+    return {"within_1_sigma": _fraction(known <= 1), "within_2_sigma": _fraction(known <= 2)}
 
 
-def _share(mask: BoolArray) -> float | None:
+def _fraction(mask: BoolArray) -> float | None:
     return _rounded(mask.mean()) if len(mask) else None
 
 

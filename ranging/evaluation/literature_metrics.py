@@ -2,7 +2,7 @@
 
 abs rel   mean |d - t| / t              sq rel   mean (d - t)^2 / t            d: measured, t: reference distance
 RMSE      sqrt(mean (d - t)^2)          RMSE log sqrt(mean (log d - log t)^2)
-delta_k   share of max(d / t, t / d) < 1.25^k
+delta_k   fraction of max(d / t, t / d) < 1.25^k
 """
 
 from __future__ import annotations

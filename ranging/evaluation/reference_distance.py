@@ -28,7 +28,7 @@ ReferenceName = Literal["surface", "centre", "lidar"]
 
 REFERENCES: tuple[ReferenceName, ...] = get_args(ReferenceName)
 
-_LIDAR_SHARE = 0.1
+_LIDAR_FRACTION = 0.1
 """Fraction of the lidar points of an object that are nearer than the reference distance."""
 
 _NARROW, _WIDE = 1.5, 2.2
@@ -65,7 +65,7 @@ def lidar_distance_m(labels: KittiLabels, points_m: FloatArray, left_from_refere
         is_inside &= (y <= _MARGIN_M) & (y >= -height - _MARGIN_M)
         depth_m = np.sort(points_m[is_inside, 2])
         if len(depth_m):
-            distance_m[row] = depth_m[int(_LIDAR_SHARE * len(depth_m))] + left_from_reference_m[2]
+            distance_m[row] = depth_m[int(_LIDAR_FRACTION * len(depth_m))] + left_from_reference_m[2]
     return distance_m
 
 

@@ -31,13 +31,13 @@ MAX_OCCLUDED = 1
 """Largest KITTI occlusion level (1 = partly occluded) of labels that are scored for distance: boxes of others are
 guesses."""
 
-MIN_VISIBLE_SHARE = 0.5
+MIN_VISIBLE_FRACTION = 0.5
 """Smallest visible fraction of objects that are scored for distance; corresponds to KITTI's "partly occluded"."""
 
 _CUT_PX = 1.0
 """Distance in px from the image border within which a label counts as cut; labels are clipped to the image."""
 
-_MIN_DETECTABLE_SHARE = 0.2
+_MIN_DETECTABLE_FRACTION = 0.2
 """Smallest visible fraction of objects that are scored for detection; corresponds to KITTI's "largely occluded"."""
 
 _SCORED = "tracks matched to labels one to one at IoU 0.5; coverage: measured track-frames over those with truth"
@@ -48,7 +48,7 @@ KITTI_PROTOCOL = (
 )
 CSV_PROTOCOL = (
     "distance and closing speed in the rows of the CSV file "
-    f"(rows at 5-100 m, not truncated by the image border, visible_share >= {MIN_VISIBLE_SHARE:g}; {_SCORED})"
+    f"(rows at 5-100 m, not truncated by the image border, visible_share >= {MIN_VISIBLE_FRACTION:g}; {_SCORED})"
 )
 """Ground truth that errors are measured against, as printed and stored with them."""
 
@@ -148,12 +148,12 @@ def _of_csv(path: Path, camera: PinholeCamera) -> Truth:
     labels = read_csv_labels(path)
     if len(labels.frame) and not np.isfinite(labels.distance_m).any():
         raise LabelFileError(f"{path}: expected a distance_m in at least one row, found none.")
-    scored = ~_is_cut(labels.xyxy_px, camera) & (labels.visible_share >= MIN_VISIBLE_SHARE)
+    scored = ~_is_cut(labels.xyxy_px, camera) & (labels.visible_share >= MIN_VISIBLE_FRACTION)
     return Truth(
         frame=labels.frame,
         track_id=labels.track_id,
         kitti_type=labels.class_name,
-        class_id=np.where(labels.visible_share < _MIN_DETECTABLE_SHARE, -1, labels.class_id),
+        class_id=np.where(labels.visible_share < _MIN_DETECTABLE_FRACTION, -1, labels.class_id),
         xyxy_px=labels.xyxy_px,
         distance_m=np.where(scored, labels.distance_m, np.nan),
         closing_mps=labels.closing_mps,

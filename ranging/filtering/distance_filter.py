@@ -34,7 +34,7 @@ from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges, time_to_collision
 from track_range.ranging.ranges import Ranges
 
-_MIN_INDEPENDENT_SHARE = 0.1
+_MIN_INDEPENDENT_FRACTION = 0.1
 """Smallest independent fraction of sigma; a method that declares less is filtered with this fraction."""
 
 _EGO_CORRELATION_S = 1.0
@@ -145,25 +145,25 @@ class DistanceFilters:
         -5
     """
 
-    def __init__(self, noise_shares: Mapping[str, float], settings: FilterSettings | None = None) -> None:
+    def __init__(self, noise_fractions: Mapping[str, float], settings: FilterSettings | None = None) -> None:
         """Start without tracks.
 
         Args:
-            noise_shares: initial independent fraction s of sigma by method; not used for `Ranges` with a systematic
+            noise_fractions: initial independent fraction s of sigma by method; not used for `Ranges` with a systematic
                 part per box.
             settings: settings of all filters; None = the defaults.
         """
         self._settings = settings or FilterSettings()
-        self._methods = tuple(noise_shares)
-        self._independent_share = np.array(list(noise_shares.values()))[:, None] ** 2  # of the variance
+        self._methods = tuple(noise_fractions)
+        self._independent_fraction = np.array(list(noise_fractions.values()))[:, None] ** 2  # of the variance
         self._noise_scale = NoiseScale(len(self._methods))
         self._tracks = TrackState(np.repeat(np.array(_INITIAL)[:, None], len(self._methods), axis=1))
 
     @property
-    def noise_shares(self) -> dict[str, float]:
+    def noise_fractions(self) -> dict[str, float]:
         """Current estimate of the independent fraction of sigma, by method."""
-        shares = np.sqrt(self._independent_share * self._noise_scale.factor)[:, 0]
-        return dict(zip(self._methods, shares.tolist(), strict=True))
+        fractions = np.sqrt(self._independent_fraction * self._noise_scale.factor)[:, 0]
+        return dict(zip(self._methods, fractions.tolist(), strict=True))
 
     def update(
         self,
@@ -259,20 +259,20 @@ class DistanceFilters:
             that is constant over a track, and whether the track is measured.
         """
         distance_m, sigma_m = np.full((2, len(self._methods), n), np.nan)
-        share = np.repeat(self._independent_share, n, axis=1)
+        fraction = np.repeat(self._independent_fraction, n, axis=1)
         for i, name in enumerate(self._methods):
             if name in by_method:
                 ranges = by_method[name]
                 distance_m[i], sigma_m[i] = ranges.distance_m, ranges.sigma_m
                 if ranges.sigma_systematic_m is not None:
                     independent = 1.0 - (ranges.sigma_systematic_m / ranges.sigma_m) ** 2
-                    share[i] = np.maximum(independent, _MIN_INDEPENDENT_SHARE**2)
+                    fraction[i] = np.maximum(independent, _MIN_INDEPENDENT_FRACTION**2)
         valid = np.isfinite(distance_m) & (distance_m > 0) & (sigma_m > 0)
         distance_m = np.where(valid, distance_m, np.nan)
         variance, factor = (sigma_m / distance_m) ** 2, self._noise_scale.factor
         # If the noise is smaller than declared, the remainder of sigma counts as systematic.
-        systematic = (1 - share * np.minimum(factor, 1.0)) * variance
-        return distance_m, share * factor * variance, systematic, valid
+        systematic = (1 - fraction * np.minimum(factor, 1.0)) * variance
+        return distance_m, fraction * factor * variance, systematic, valid
 
     def _filtered(
         self, state: ConstantVelocity, systematic: FloatArray, is_steady: BoolArray, by_method: Mapping[str, Ranges]

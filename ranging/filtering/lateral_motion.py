@@ -36,7 +36,7 @@ _INITIAL_RATE_SIGMA_MPS = 5.0
 _ACCELERATION_NOISE = 0.7
 """Process noise: random walk of u in m/s per square root of a second, tuned on simulated drives."""
 
-_CENTRE_SIGMA_PX, _CENTRE_SIGMA_SHARE = 1.0, 0.02
+_CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02
 """Standard deviation of a box centre: a constant in px, plus a fraction of the box width; typical of detectors."""
 
 _GATE_SIGMA = 5.0
@@ -45,11 +45,11 @@ _GATE_SIGMA = 5.0
 _OUTSIDE_S = 0.25
 """Time without a measurement inside the gate after which one outside restarts the track's filter, s."""
 
-_BORDER_PX, _BORDER_SHARE = 2.0, 0.1
+_BORDER_PX, _BORDER_FRACTION = 2.0, 0.1
 """Distance from the left or right image border within which a box counts as cut by it: px, plus a fraction of the
 height of the box, since the edges of detected boxes are uncertain."""
 
-_LEAST_WIDTH_SHARE = 0.8
+_LEAST_WIDTH_FRACTION = 0.8
 """Width of a box, as a fraction of the smallest width of its class, below which a part of the object is hidden."""
 
 _MAX_GAP_S = 1.0
@@ -162,8 +162,8 @@ class LateralFilters:
         slack_m = np.maximum((right - left) * d - _MIN_WIDTH_M[tracks.class_id], 0.0)
         left_m = left * d + np.minimum(np.maximum(left, 0.0) * L, slack_m)
         right_m = right * d - np.minimum(np.maximum(-right, 0.0) * L, slack_m)
-        sigma_m = (_CENTRE_SIGMA_PX + _CENTRE_SIGMA_SHARE * (right_px - left_px)) * d / self._camera.fx_px
-        border_px = _BORDER_PX + _BORDER_SHARE * (tracks.xyxy_px[:, 3] - tracks.xyxy_px[:, 1])
+        sigma_m = (_CENTRE_SIGMA_PX + _CENTRE_SIGMA_FRACTION * (right_px - left_px)) * d / self._camera.fx_px
+        border_px = _BORDER_PX + _BORDER_FRACTION * (tracks.xyxy_px[:, 3] - tracks.xyxy_px[:, 1])
         is_whole = (left_px > border_px) & (right_px < self._camera.width_px - 1 - border_px)
-        is_whole &= (right - left) * d > _LEAST_WIDTH_SHARE * _MIN_WIDTH_M[tracks.class_id]
+        is_whole &= (right - left) * d > _LEAST_WIDTH_FRACTION * _MIN_WIDTH_M[tracks.class_id]
         return (left_m + right_m) / 2, sigma_m, (right_m - left_m) / 2, is_whole

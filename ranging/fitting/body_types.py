@@ -4,8 +4,8 @@ Few objects of a body type are labelled, so that the types are fitted by maximum
 (Dempster, Laird and Rubin 1977), with the sizes of production models as the prior: they count as `_STANDARD_OBJECTS`
 objects of each type. With the weights w_i of the objects and n_0 standard objects:
 
-    r_ib     ~  share_b N(x_i; mean_b, covariance_b)                              sum_b r_ib = 1
-    share_b  =  (n_0 share_b0 + sum_i w_i r_ib) / (n_0 + sum_i w_i)
+    r_ib     ~  fraction_b N(x_i; mean_b, covariance_b)                              sum_b r_ib = 1
+    fraction_b  =  (n_0 fraction_b0 + sum_i w_i r_ib) / (n_0 + sum_i w_i)
     mean_b   =  (n_0 mean_b0 + sum_i w_i r_ib x_i) / (n_0 + sum_i w_i r_ib)
     cov_b    =  weighted scatter about mean_b, of the objects and of the standard objects
 
@@ -41,13 +41,13 @@ class StandardBody:
     """Sizes of production models of one body type.
 
     Attributes:
-        share: probability of the type within its class.
+        fraction: probability of the type within its class.
         hwl_m: height, width (without mirrors) and length in metres.
         log_sigma: relative standard deviations of the sizes.
         source: models that the sizes are those of.
     """
 
-    share: float
+    fraction: float
     hwl_m: tuple[float, float, float]
     log_sigma: tuple[float, float, float]
     source: str
@@ -88,23 +88,23 @@ def fit_body_types(name: str, log_size: FloatArray, weight: FloatArray) -> tuple
     if standard is None:
         return ()
     n_0 = _STANDARD_OBJECTS
-    prior_share = np.array([body.share for body in standard.values()])
+    prior_fraction = np.array([body.fraction for body in standard.values()])
     prior_mean, prior_covariance = (
         np.array(part) for part in zip(*(b.moments for b in standard.values()), strict=True)
     )
-    share, mean, covariance = prior_share, prior_mean, prior_covariance
+    fraction, mean, covariance = prior_fraction, prior_mean, prior_covariance
     for _ in range(_N_ITERATIONS):
-        log_density = [multivariate_normal(mean[b], covariance[b]).logpdf(log_size) for b in range(len(share))]
-        log_r = np.log(share)[:, None] + np.reshape(log_density, (len(share), -1))
+        log_density = [multivariate_normal(mean[b], covariance[b]).logpdf(log_size) for b in range(len(fraction))]
+        log_r = np.log(fraction)[:, None] + np.reshape(log_density, (len(fraction), -1))
         r = np.exp(log_r - log_r.max(axis=0))
         r *= weight / r.sum(axis=0)
         n = r.sum(axis=1)[:, None]
-        share = (n_0 * prior_share + n[:, 0]) / (n_0 + n.sum())
+        fraction = (n_0 * prior_fraction + n[:, 0]) / (n_0 + n.sum())
         mean = (n_0 * prior_mean + r @ log_size) / (n_0 + n)
-        covariance = np.stack([_scatter(r[b], log_size - mean[b]) for b in range(len(share))])
+        covariance = np.stack([_scatter(r[b], log_size - mean[b]) for b in range(len(fraction))])
         covariance += n_0 * (prior_covariance + _outer(prior_mean - mean))
         covariance /= (n_0 + n)[:, :, None]
-    return tuple(_body(*row) for row in zip(standard, share, mean, covariance, strict=True))
+    return tuple(_body(*row) for row in zip(standard, fraction, mean, covariance, strict=True))
 
 
 def _scatter(weight: FloatArray, residual: FloatArray) -> FloatArray:
@@ -115,7 +115,7 @@ def _outer(residual: FloatArray) -> FloatArray:
     return np.asarray(residual[:, :, None] * residual[:, None, :])
 
 
-def _body(name: str, share: float, mean: FloatArray, covariance: FloatArray) -> BodyType:
+def _body(name: str, fraction: float, mean: FloatArray, covariance: FloatArray) -> BodyType:
     sigma = np.sqrt(np.diag(covariance))
     correlation = np.clip(covariance / np.outer(sigma, sigma), -_MAX_CORRELATION, _MAX_CORRELATION)
     height, width, length = np.exp(mean).round(3).tolist()
@@ -123,7 +123,7 @@ def _body(name: str, share: float, mean: FloatArray, covariance: FloatArray) -> 
     hw, hl, wl = correlation[[0, 0, 1], [1, 2, 2]].round(3).tolist()
     return BodyType(
         name=name,
-        share=round(float(share), 4),
+        share=round(float(fraction), 4),
         hwl_m=(height, width, length),
         log_sigma=(of_height, of_width, of_length),
         correlation=(hw, hl, wl),

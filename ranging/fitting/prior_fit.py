@@ -34,7 +34,7 @@ _STANDARD_OBJECTS = 1.0
 _STANDARD_DRIVES, _STANDARD_DRIVE_SIGMA = 6.0, 0.03
 """Weight, as a number of drives, and value of the standard deviation of the mean log height of drives."""
 
-_UNIFORM_YAW_SHARE = 0.1
+_UNIFORM_YAW_FRACTION = 0.1
 """Fraction of objects with a uniformly distributed yaw, so that no yaw is impossible."""
 
 _MIN_SCATTER = (0.01, 0.02)
@@ -214,11 +214,13 @@ def _drive_sigma(log_height: FloatArray, drive: IntArray) -> float:
 def _yaw_weights(yaw_deg: FloatArray, weight: FloatArray) -> FloatArray:
     """Weights of `YAW_DEG` from (N,) yaws with (N,) weights, each divided linearly between its two neighbours."""
     before = np.clip(np.searchsorted(YAW_DEG, yaw_deg, side="right") - 1, 0, len(YAW_DEG) - 2)
-    share = (yaw_deg - YAW_DEG[before]) / np.diff(YAW_DEG)[before]
-    histogram = np.bincount(before, weight * (1 - share), len(YAW_DEG))
-    histogram += np.bincount(before + 1, weight * share, len(YAW_DEG))
+    fraction = (yaw_deg - YAW_DEG[before]) / np.diff(YAW_DEG)[before]
+    histogram = np.bincount(before, weight * (1 - fraction), len(YAW_DEG))
+    histogram += np.bincount(before + 1, weight * fraction, len(YAW_DEG))
     width = np.gradient(YAW_DEG)
-    return np.asarray((1 - _UNIFORM_YAW_SHARE) * histogram / histogram.sum() + _UNIFORM_YAW_SHARE * width / width.sum())
+    return np.asarray(
+        (1 - _UNIFORM_YAW_FRACTION) * histogram / histogram.sum() + _UNIFORM_YAW_FRACTION * width / width.sum()
+    )
 
 
 def _offset_and_scatter(labels: LabelledSizes, weight: FloatArray) -> tuple[tuple[float, float], tuple[float, float]]:

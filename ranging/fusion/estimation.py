@@ -101,10 +101,10 @@ class TrackBiases:
         """(M, N) variance of u, the diagonal of C."""
         return self.C.reshape(len(self.u) ** 2, self.u.shape[1])[:: len(self.u) + 1]
 
-    def decayed(self, share: FloatArray, model: ErrorModel) -> TrackBiases:
-        """Biases decayed towards the prior: u multiplied by `share` (N,), C moved towards C0."""
+    def decayed(self, fraction: FloatArray, model: ErrorModel) -> TrackBiases:
+        """Biases decayed towards the prior: u multiplied by `fraction` (N,), C moved towards C0."""
         C0 = model.systematic_correlation[:, :, None]
-        return replace(self, u=self.u * share, C=C0 + (self.C - C0) * (share * share))
+        return replace(self, u=self.u * fraction, C=C0 + (self.C - C0) * (fraction * fraction))
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,7 +51,7 @@ from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES
 from track_range.ranging.size_models.surface_offset import surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.odometry.road_horizon import RoadView, curvature_share, unknown_curvature_variance
+from track_range.stereo.odometry.road_horizon import RoadView, curvature_fraction, unknown_curvature_variance
 from track_range.tracking.tracks import Tracks
 
 GROUND_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van")
@@ -141,13 +141,13 @@ _FIXED = 1e-3
 """Standard deviation of unknowns that are taken to be 0, in px/m and as a fraction."""
 
 _N_CURVE_ROUNDS = 3
-"""Rounds of fixed-point iteration for the distance on a curved road; the share of the curvature changes slowly."""
+"""Rounds of fixed-point iteration for the distance on a curved road; the fraction of the curvature changes slowly."""
 
 _MIN_SLOPE = 0.3
 """Smallest change of the row with distance, relative to that on a plane road: near a crest."""
 
 _MIN_OWN = 0.4
-"""Smallest share of the variance of a distance by size that belongs to the object and the box."""
+"""Smallest fraction of the variance of a distance by size that belongs to the object and the box."""
 
 _MOVING_PITCH_RAD = 0.001
 """Error of the horizon from image motion that is new in every frame."""
@@ -311,7 +311,7 @@ class GroundPlane:
         """(4, N) derivatives of the row of the ground at s = fy / d (N,) by the unknowns, without b."""
         distance_m = self._camera.fy_px / s
         basis = np.zeros((_N, len(s)))
-        basis[0], basis[1], basis[2] = 1.0, s, curvature_share(distance_m) * distance_m / -2
+        basis[0], basis[1], basis[2] = 1.0, s, curvature_fraction(distance_m) * distance_m / -2
         return basis
 
     def _contacts(self, tracks: Tracks, by_size: Ranges, frame: Frame) -> _Contacts:
@@ -499,7 +499,7 @@ def _distance_on_curve_m(below: FloatArray, H: FloatArray, k: FloatArray) -> Flo
     """
     distance_m = H / below
     for _ in range(_N_CURVE_ROUNDS):
-        root = np.sqrt(np.maximum(below**2 + 2 * curvature_share(distance_m) * k * H, 0.0))
+        root = np.sqrt(np.maximum(below**2 + 2 * curvature_fraction(distance_m) * k * H, 0.0))
         distance_m = 2 * H / (below + root)
     return np.asarray(distance_m)
 

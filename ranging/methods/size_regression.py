@@ -110,7 +110,9 @@ class SizeRanger(Ranger):
         if self._parallax is not None:
             static = self._parallax.measure(tracks, step, scale.expected(by_size, tracks.class_id))
             if step is not None:
-                evidence = replace(evidence, reference=static, reference_sigma=step.way_sigma, corrects_tracks=True)
+                evidence = replace(
+                    evidence, reference=static, reference_sigma=step.travelled_sigma, corrects_tracks=True
+                )
         return Measured(scale.after([evidence], frame.time_s).corrected(by_size, tracks.class_id), evidence)
 
     def _by_size(self, tracks: Tracks, frame: Frame) -> Ranges:

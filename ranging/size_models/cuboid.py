@@ -44,13 +44,13 @@ class CuboidBox:
     Attributes:
         log_height: log of the box height divided by the focal length.
         log_width: log of the box width divided by the focal length.
-        log_nearness: log of 1 / z of the nearest point on the ground, z in metres; determines the bottom edge.
+        log_inverse_depth: log of 1 / z of the nearest point on the ground, z in metres; determines the bottom edge.
         xz_m: position of the cuboid's centre, x to the right and z ahead, in metres.
     """
 
     log_height: Floats
     log_width: Floats
-    log_nearness: Floats
+    log_inverse_depth: Floats
     xz_m: _Pair
 
 
@@ -88,9 +88,9 @@ def box_of_cuboid(
             distance_m - entry_m, -0.3 * z, 0.3 * z
         )  # limited: the entry of a ray that misses is arbitrary
         x, z = x + bearing * step_m, np.maximum(z + step_m, _MIN_DEPTH_M)
-    column, nearness = _corners((x, z), (width, length), (cos, sin))
-    nearest = nearness.max(axis=0)
-    top = ((camera_height_m - height) * nearness).min(axis=0)
+    column, inverse_depth = _corners((x, z), (width, length), (cos, sin))
+    nearest = inverse_depth.max(axis=0)
+    top = ((camera_height_m - height) * inverse_depth).min(axis=0)
     log_height, log_width = np.log(camera_height_m * nearest - top), np.log(column.max(axis=0) - column.min(axis=0))
     return CuboidBox(log_height, log_width, np.log(nearest), (x, z))
 

@@ -84,8 +84,8 @@ class CuboidSizes:
         self._calibration = np.array(
             [_CALIBRATION if name in priors and priors[name].bodies else _ONE_BODY_CALIBRATION for name in SIZE_CLASSES]
         )
-        self._body, self._log_share = _body_mixture(self._tables)
-        self._n_possible = (self._log_share > IMPOSSIBLE).sum(axis=0)
+        self._body, self._log_fraction = _body_mixture(self._tables)
+        self._n_possible = (self._log_fraction > IMPOSSIBLE).sum(axis=0)
 
     def measure(self, boxes: BoxExtents, drive: DriveState | None = None) -> SizeRanges:
         """Distances of the boxes of one frame, which share a ground plane.
@@ -106,17 +106,17 @@ class CuboidSizes:
         n_bodies = len(self._tables.class_name)
         n_possible = int(self._n_possible[boxes.size_class].max())
         body = self._body[:n_possible].take(boxes.size_class, axis=1)
-        log_share = self._log_share[:n_possible].take(boxes.size_class, axis=1)
+        log_fraction = self._log_fraction[:n_possible].take(boxes.size_class, axis=1)
         if drive is not None:
-            log_share += drive.body_evidence(n_bodies)[body, rows]
-        by_size = mixture_by_size(self._tables, boxes, body, log_share)
+            log_fraction += drive.body_evidence(n_bodies)[body, rows]
+        by_size = mixture_by_size(self._tables, boxes, body, log_fraction)
         grid = on_grid(by_size)
         low, median, high = grid.quantiles(_QUANTILES_68)  # unlike moments not affected by unlikely body types
         size_sigma = (high - low) / 2
         contacts = GroundContacts(
             bottom=boxes.bottom,
             bearing=boxes.bearing,
-            nearness=np.exp(by_size.log_contact_ratio - median),
+            inverse_depth=np.exp(by_size.log_contact_ratio - median),
             sigma=size_sigma,
             edge_sigma=boxes.edge_sigma[:, 1],
             is_on_ground=self._is_on_ground[boxes.size_class] & boxes.uses_bottom,
@@ -135,7 +135,7 @@ class CuboidSizes:
         else:
             likelihood, terms = np.ones_like(grid.log_m), None
         if drive is not None:
-            drive.add(rows, terms, self._body_likelihood(body, log_share, by_size, grid, likelihood))
+            drive.add(rows, terms, self._body_likelihood(body, log_fraction, by_size, grid, likelihood))
         grid = grid.times(likelihood)
         lowest, low, high, highest = grid.quantiles(_QUANTILES)
         (best,) = grid.quantiles(_MEDIAN, is_relative=True)
@@ -147,21 +147,21 @@ class CuboidSizes:
         sigma = np.sqrt(sigma**2 + (1.0 - reduction) * drive_sigma**2)
         sigma = sigma * np.sqrt(1.0 + np.maximum(by_size.chi2 - _USUAL_CHI2, 0.0) / _USUAL_CHI2)
         # The ground reduces the systematic and the independent part alike, so their ratio is that by size alone.
-        systematic_share = np.maximum(1.0 - by_size.frame_variance / size_sigma**2, _MIN_SYSTEMATIC)
-        systematic = sigma * np.sqrt(systematic_share)
+        systematic_fraction = np.maximum(1.0 - by_size.frame_variance / size_sigma**2, _MIN_SYSTEMATIC)
+        systematic = sigma * np.sqrt(systematic_fraction)
         distance_m = np.exp(best)
         return distance_m, distance_m * sigma, distance_m * systematic
 
     def _body_likelihood(
-        self, body: IntArray, log_share: FloatArray, by_size: SizeMixture, grid: LogGrid, likelihood: FloatArray
+        self, body: IntArray, log_fraction: FloatArray, by_size: SizeMixture, grid: LogGrid, likelihood: FloatArray
     ) -> FloatArray:
         """(B, N) log likelihoods of all body types by size and ground; 0 = the most likely one, -inf = impossible."""
         (m, n), n_bodies = body.shape, len(self._tables.class_name)
         by_term = np.vecdot(grid.by_term, likelihood)
         place = by_size.body.T * n + np.arange(n)
         evidence = np.bincount(place.ravel(), weights=by_term.ravel(), minlength=m * n).reshape(m, n)
-        log_likelihood = np.log(np.maximum(evidence, 1e-300)) - log_share
-        is_possible = log_share > IMPOSSIBLE / 2
+        log_likelihood = np.log(np.maximum(evidence, 1e-300)) - log_fraction
+        is_possible = log_fraction > IMPOSSIBLE / 2
         log_likelihood -= log_likelihood.max(axis=0, where=is_possible, initial=-np.inf)
         result = np.full((n_bodies, n), -np.inf)
         place = body * n + np.arange(n)
@@ -174,7 +174,7 @@ class CuboidSizes:
         It depends on the focal length through the bearings. All boxes need a class with a prior.
         """
         body = self._body.take(boxes.size_class, axis=1)
-        return log_evidence(self._tables, boxes, body, self._log_share.take(boxes.size_class, axis=1))
+        return log_evidence(self._tables, boxes, body, self._log_fraction.take(boxes.size_class, axis=1))
 
     def with_flat_distance(self, log_sigma: float) -> CuboidSizes:
         """The same sizes with the standard deviation `log_sigma` of the log distance of every class."""
@@ -204,12 +204,14 @@ def _body_mixture(tables: ShapeTables) -> tuple[IntArray, FloatArray]:
     """(M, classes) body types that each detected class may show, and the logarithms of their probabilities."""
     mixtures = []
     for detected in SIZE_CLASSES:
-        shares = CLASS_CONFUSION.get(detected, {detected: 1.0})
-        bodies = [(k, shares[name] * tables.share[k]) for k, name in enumerate(tables.class_name) if name in shares]
+        fractions = CLASS_CONFUSION.get(detected, {detected: 1.0})
+        bodies = [
+            (k, fractions[name] * tables.fraction[k]) for k, name in enumerate(tables.class_name) if name in fractions
+        ]
         mixtures.append(bodies)
     m = max(len(mixture) for mixture in mixtures)
-    body, log_share = np.zeros((m, len(SIZE_CLASSES)), np.int64), np.full((m, len(SIZE_CLASSES)), IMPOSSIBLE)
+    body, log_fraction = np.zeros((m, len(SIZE_CLASSES)), np.int64), np.full((m, len(SIZE_CLASSES)), IMPOSSIBLE)
     for column, mixture in enumerate(mixtures):
-        for row, (k, share) in enumerate(mixture):
-            body[row, column], log_share[row, column] = k, np.log(share)
-    return body, log_share
+        for row, (k, fraction) in enumerate(mixture):
+            body[row, column], log_fraction[row, column] = k, np.log(fraction)
+    return body, log_fraction

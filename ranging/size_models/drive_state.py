@@ -118,13 +118,13 @@ class DriveState:
         track_id, state = self._track_id[rows], self._in_view[:, rows]
         if ground is not None:
             state[_N_GROUND] += ground.is_on_ground
-            share = ground.is_on_ground / np.maximum(state[_N_GROUND], 1.0)
+            fraction = ground.is_on_ground / np.maximum(state[_N_GROUND], 1.0)
             # Terms of the normal equations and moments of the residuals of this frame.
             expected = ground.other + self.roughness * ground.rough
             gain = ground.rough / expected**2
             excess = np.minimum(ground.residual2, _MAX_CHI2 * expected) - ground.other
             means = np.concatenate([ground.normal, [gain * excess, gain * ground.rough]])
-            state[:_N_MEANS] += share * (means - state[:_N_MEANS])
+            state[:_N_MEANS] += fraction * (means - state[:_N_MEANS])
         state[_N_VIEWS] += 1.0
         state[_BODIES:] += (np.maximum(log_likelihood, -_MAX_LOG_RATIO) - state[_BODIES:]) / state[_N_VIEWS]
         state[_TIME] = self._time_s

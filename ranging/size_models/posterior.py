@@ -82,16 +82,16 @@ class SizeMixture:
     chi2: FloatArray
 
 
-def mixture_by_size(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_share: FloatArray) -> SizeMixture:
+def mixture_by_size(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray) -> SizeMixture:
     """Log distance of N boxes from their size, without the bottom edge.
 
     Args:
         tables: shape tables of all body types.
         boxes: N boxes.
         body: (M, N) possible body types of each box.
-        log_share: (M, N) log probability of each body type; `IMPOSSIBLE` = excluded.
+        log_fraction: (M, N) log probability of each body type; `IMPOSSIBLE` = excluded.
     """
-    terms, n = _terms(tables, boxes, body, log_share), len(boxes)
+    terms, n = _terms(tables, boxes, body, log_fraction), len(boxes)
     n_terms = min(N_TERMS, terms.shape[1])
     best = np.argpartition(-terms[0].T, n_terms - 1, axis=1)[:, :n_terms]
     index = best * n + np.arange(n)[:, None]
@@ -111,14 +111,14 @@ def mixture_by_size(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_
     )
 
 
-def log_evidence(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_share: FloatArray) -> FloatArray:
+def log_evidence(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray) -> FloatArray:
     """(N,) log likelihood of log height and log width of N boxes, up to a constant per box; arguments as above."""
-    log_weight = _terms(tables, boxes, body, log_share)[0].astype(np.float64)
+    log_weight = _terms(tables, boxes, body, log_fraction)[0].astype(np.float64)
     largest = log_weight.max(axis=0)
     return np.asarray(largest + np.log(np.exp(log_weight - largest).sum(axis=0)))
 
 
-def _terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_share: FloatArray) -> _Float32:
+def _terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray) -> _Float32:
     """(6, K M, N) log weight, mean, variance, variance due to box noise, log contact ratio, chi^2 of the Gaussians.
 
     With x = log d - log_m, slopes s of the log size at the node, V = S + R and prior x ~ N(x0, 1 / p0), the log size
@@ -158,7 +158,7 @@ def _terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_share: Fl
     h = ge[0] + ge[1] + x0 * p0
     x = h * inverse
     chi2 = (c * e_h - 2 * b * e_w) * e_h + a * e_w * e_w + x0 * x0 * p0 - h * x
-    log_weight = log_weight + log_share.astype(np.float32)
+    log_weight = log_weight + log_fraction.astype(np.float32)
     g *= g
     g *= np.minimum(R, _MAX_NOISE)  # box noise
     terms = np.empty((6, *b.shape), np.float32)
@@ -201,8 +201,8 @@ class LogGrid:
         before = np.maximum((cumulative[:, None] >= target[:, :, None]).argmax(axis=2) - 1, 0)
         index = before + np.arange(0, n * n_grid, n_grid)[:, None]
         low, high = cumulative.take(index), cumulative.take(index + 1)
-        share = (target - low) / np.maximum(high - low, 1e-300)
-        return np.asarray((first + (before + share) * (self.log_m[:, 1:2] - first)).T)
+        fraction = (target - low) / np.maximum(high - low, 1e-300)
+        return np.asarray((first + (before + fraction) * (self.log_m[:, 1:2] - first)).T)
 
 
 def on_grid(mixture: SizeMixture) -> LogGrid:
@@ -241,14 +241,14 @@ def ground_likelihood(
         prior: prior of the ground plane.
         roughness: roughness lambda of the drive.
     """
-    nearness = np.exp(log_contact_ratio[:, None] - log_m)
-    residual2 = ((contacts.bottom - ground.horizon)[:, None] - ground.height_m[:, None] * nearness) ** 2
+    inverse_depth = np.exp(log_contact_ratio[:, None] - log_m)
+    residual2 = ((contacts.bottom - ground.horizon)[:, None] - ground.height_m[:, None] * inverse_depth) ** 2
     edge_variance = contacts.edge_sigma**2 + roughness * (prior.roll_sigma * contacts.bearing) ** 2
     variance = (ground.variance + edge_variance)[:, None]
-    likelihood = _contact_likelihood(residual2, variance, prior, roughness * nearness * nearness)
+    likelihood = _contact_likelihood(residual2, variance, prior, roughness * inverse_depth * inverse_depth)
     alone = ground.is_prior_only  # a Student's t prior of the horizon, instead of a Gaussian estimate
     if alone.any():
-        near, residual2 = nearness[alone], residual2[alone]
+        near, residual2 = inverse_depth[alone], residual2[alone]
         variance = edge_variance[alone, None] + (prior.camera_height_sigma_m * near) ** 2
         likelihood[alone] = 0.0
         for weight, scale in _T_COMPONENTS:

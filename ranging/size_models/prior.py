@@ -1,6 +1,6 @@
 """SizePrior: prior of the size, yaw and distance of objects of a class; ShapeTables: the boxes that follow from it.
 
-    log (height, width, length) ~ sum_b share_b N(mean_b, covariance_b)     over the objects of all drives
+    log (height, width, length) ~ sum_b fraction_b N(mean_b, covariance_b)     over the objects of all drives
     yaw                         ~ weights of a few angles to the camera's axis, the same to the left and right
     log distance                ~ N(mean, sigma)                            wide: it only makes 500 m unlikely
 
@@ -128,7 +128,7 @@ class SizePrior(BodySizes):
 
     @property
     def components(self) -> tuple[tuple[float, BodySizes], ...]:
-        """Share and sizes of each body type; one for a class without body types."""
+        """Probability and sizes of each body type; one for a class without body types."""
         return tuple((body.share, body) for body in self.bodies) or ((1.0, self),)
 
     def faults(self) -> str:
@@ -145,15 +145,17 @@ class ShapeTables:
 
     Attributes:
         class_name: (B,) class of each body type.
-        share: (B,) probability of the body type within its class.
+        fraction: (B,) probability of the body type within its class.
         typical: (3, B) log height, and mean and 1 / variance of log distance.
     """
 
     def __init__(self, priors: Mapping[str, SizePrior]) -> None:
         """Compute the nodes of every body type from its prior, in about 15 ms each."""
-        types = [(name, prior, share, sizes) for name, prior in priors.items() for share, sizes in prior.components]
+        types = [
+            (name, prior, fraction, sizes) for name, prior in priors.items() for fraction, sizes in prior.components
+        ]
         self.class_name = tuple(name for name, *_ in types)
-        self.share = np.array([share for _, _, share, _ in types])
+        self.fraction = np.array([fraction for _, _, fraction, _ in types])
         self._nodes = np.concatenate(
             [_nodes(prior, sizes).reshape(len(_BEARINGS) * len(_LOG_M), -1) for _, prior, _, sizes in types]
         )
@@ -212,7 +214,7 @@ def _nodes(prior: SizePrior, sizes: BodySizes) -> Floats:
     slopes = [np.gradient(value, step, axis=axis) for axis, step in ((2, _LOG_STEP), (1, _BEARING_STEP))]
     value += np.array(prior.offset, np.float32)[:, None, None, None]
     weight = np.broadcast_to(_log_weights(np.array(prior.turn_weights)), a.shape)
-    rest = np.stack([a, c, b, typical.log_nearness + log_m, weight])
+    rest = np.stack([a, c, b, typical.log_inverse_depth + log_m, weight])
     nodes = np.concatenate([value, *slopes, rest]).transpose(1, 2, 0, 3)
     nodes.setflags(write=False)
     return nodes

@@ -68,15 +68,15 @@ class GroundContacts:
     Attributes:
         bottom: tangent y of the bottom edge below the camera's axis.
         bearing: tangent b of the bearing.
-        nearness: x = 1 / z of the nearest point on the ground, by size, in 1/m.
-        sigma: relative standard deviation of `nearness`.
+        inverse_depth: x = 1 / z of the nearest point on the ground, by size, in 1/m.
+        sigma: relative standard deviation of `inverse_depth`.
         edge_sigma: standard deviation of `bottom`.
         is_on_ground: whether the object is on the ground and its bottom edge is visible.
     """
 
     bottom: FloatArray
     bearing: FloatArray
-    nearness: FloatArray
+    inverse_depth: FloatArray
     sigma: FloatArray
     edge_sigma: FloatArray
     is_on_ground: BoolArray
@@ -112,7 +112,7 @@ def ground_from_others(
         drive: state of the drive, of the objects seen before; None = only this frame is known.
     """
     drive = drive or DriveState()
-    x, y = contacts.nearness, contacts.bottom
+    x, y = contacts.inverse_depth, contacts.bottom
     basis = np.array([np.ones_like(x), x, x * x, y, x * y])  # terms of the normal equations for (y0, H)
     rough = (prior.kerb_m[0] * x) ** 2 + (prior.roll_sigma * contacts.bearing) ** 2
     other = contacts.edge_sigma**2 + (prior.camera_height_m * x * contacts.sigma) ** 2

@@ -60,8 +60,8 @@ class BoxNoise:
 
     def sigma_px(self, size_px: FloatArray, size_class: IntArray) -> FloatArray:
         """(N, 2) standard deviation of the edges of boxes, from their (N, 2) width and height in px."""
-        share = np.where(_HAS_PERSON, self.relative_person, self.relative)[size_class]
-        relative_px = share[:, None] * size_px
+        fraction = np.where(_HAS_PERSON, self.relative_person, self.relative)[size_class]
+        relative_px = fraction[:, None] * size_px
         return np.asarray(np.sqrt(self.px**2 + relative_px * relative_px))
 
 

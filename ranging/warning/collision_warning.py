@@ -177,7 +177,7 @@ class CollisionWarning:
         certain_s = np.where(is_usable, np.where(starts, time_s, np.fmin(certain_s, time_s)), np.nan)
         may_start &= time_s - certain_s >= np.where(is_person, settings.min_person_s, settings.min_track_s) - 1e-9
         may_end = ~(probability >= settings.off_probability)
-        is_uncertain = motion.ranges.sigma_m > settings.certain_share * measured.x
+        is_uncertain = motion.ranges.sigma_m > settings.certain_fraction * measured.x
         is_uncertain |= ~is_person & (np.abs(offset.x) > half_width_m)
         if self._ego.has_speed:
             is_uncertain |= gap.v + self._ego.speed_mps < -_STATIC_MPS
@@ -324,10 +324,10 @@ class CollisionWarning:
         is_near = (gap.x < settings.cut_in_headway_s * ego.speed_mps) & (gap.x > settings.min_cut_in_gap_m)
         if ego.speed_mps < _MIN_CUT_IN_SPEED_MPS or not is_near.any():
             return np.zeros(len(gap.x), np.bool_)
-        share = overlap_probability(
+        fraction = overlap_probability(
             offset, encounter.half_width_m, encounter.lateral_acceleration_mps2, settings.cut_in_ahead_s
         )
-        enters = (share >= settings.cut_in_probability) & (since_beside_s <= _BESIDE_S) & (offset.x * offset.v < 0)
+        enters = (fraction >= settings.cut_in_probability) & (since_beside_s <= _BESIDE_S) & (offset.x * offset.v < 0)
         is_along = encounter.object_mps > _STATIC_MPS
         return np.asarray(is_near & is_along & enters & (gap.v <= settings.max_cut_in_mps))
 

@@ -110,9 +110,9 @@ def needed_deceleration(encounter: Encounter, reaction_s: float) -> FloatArray:
     t, gap = reaction_s, encounter.gap
     b = np.maximum(-encounter.object_mps2, 0.0)
     moving_s, ego_s = np.minimum(t, encounter.object_stop_s), min(t, encounter.ego_stop_s)
-    way_m = encounter.object_mps * moving_s + encounter.object_mps2 * moving_s**2 / 2
+    travelled_m = encounter.object_mps * moving_s + encounter.object_mps2 * moving_s**2 / 2
     ego_m = encounter.ego_mps * ego_s + encounter.ego_mps2 * ego_s**2 / 2
-    left_m = np.maximum(gap.x + way_m - ego_m, 0.1)
+    left_m = np.maximum(gap.x + travelled_m - ego_m, 0.1)
     u = encounter.object_mps + encounter.object_mps2 * moving_s
     V = encounter.ego_mps + encounter.ego_mps2 * ego_s
     c = np.maximum(V - u, 0.0)

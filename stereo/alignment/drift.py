@@ -23,7 +23,7 @@ from track_range.stereo.alignment.from_drive import (
     MAX_GAP_S,
     MIN_FLOW_PX,
     MIN_STEP_S,
-    MIN_TRACKED_SHARE,
+    MIN_TRACKED_FRACTION,
     N_FRAMES,
     PIXEL_LOCKING_PX,
     observations_of,
@@ -141,11 +141,11 @@ class DriftMonitor:
             self._tracks, self._points = FeatureTracks(), []
         self._added_s = frame.time_s
         points = self._tracks.add(grey(frame.left), grey(whole_image(frame.right)))
-        self.add_points(TrackedFrame(frame.time_s, points, self._tracks.flow_px, self._tracks.share_tracked))
+        self.add_points(TrackedFrame(frame.time_s, points, self._tracks.flow_px, self._tracks.fraction_tracked))
 
     def add_points(self, frame: TrackedFrame) -> None:
         """Use the points of the next frame of a measurement; it ends with the last frame, or if the vehicle stops."""
-        if self._points and (frame.share_tracked < MIN_TRACKED_SHARE or frame.flow_px < MIN_FLOW_PX):
+        if self._points and (frame.fraction_tracked < MIN_TRACKED_FRACTION or frame.flow_px < MIN_FLOW_PX):
             self._end(frame.time_s)
             return
         self._points.append(frame)

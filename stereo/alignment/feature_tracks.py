@@ -85,13 +85,13 @@ class TrackedFrame(NamedTuple):
         time_s: time of the frame.
         points: points that are visible in both images.
         flow_px: median flow since the previous frame; 0 for the first frame.
-        share_tracked: fraction of the points tracked from the previous frame; 1 for the first frame.
+        fraction_tracked: fraction of the points tracked from the previous frame; 1 for the first frame.
     """
 
     time_s: float
     points: PairPoints
     flow_px: float
-    share_tracked: float
+    fraction_tracked: float
 
 
 class FeatureTracks:
@@ -99,11 +99,11 @@ class FeatureTracks:
 
     Attributes:
         flow_px: median flow since the previous frame; 0 for the first frame.
-        share_tracked: fraction of the points tracked from the previous frame; 1 for the first frame.
+        fraction_tracked: fraction of the points tracked from the previous frame; 1 for the first frame.
     """
 
     def __init__(self) -> None:
-        self.flow_px, self.share_tracked = 0.0, 1.0
+        self.flow_px, self.fraction_tracked = 0.0, 1.0
         self._before: Image | None = None
         self._left_px: FloatArray32 = np.zeros((0, 2), np.float32)
         self._number: IntArray = np.zeros(0, np.int64)
@@ -112,7 +112,7 @@ class FeatureTracks:
 
     def add(self, left: Image, right: Image) -> PairPoints:
         """Track the points into the next frame, (H, W) uint8 grey and rectified, and add new corners."""
-        self.flow_px, self.share_tracked = 0.0, 1.0
+        self.flow_px, self.fraction_tracked = 0.0, 1.0
         if self._before is not None and len(self._left_px):
             self._track(self._before, left)
         self._add_corners(left)
@@ -123,7 +123,7 @@ class FeatureTracks:
         moved, is_tracked = _flow(before, left, self._left_px, self._left_px, _LEVELS)
         step_px = np.linalg.norm(moved - self._left_px, axis=1)[is_tracked]
         self.flow_px = float(np.median(step_px)) if len(step_px) else float("inf")
-        self.share_tracked = float(is_tracked.mean())
+        self.fraction_tracked = float(is_tracked.mean())
         self._left_px, self._number = moved[is_tracked], self._number[is_tracked]
 
     def _add_corners(self, left: Image) -> None:

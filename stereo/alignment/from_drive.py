@@ -44,7 +44,7 @@ MAX_GAP_S = 0.5
 MIN_FLOW_PX = 0.5
 """Minimum median flow between frames of a moving vehicle; other frames are not used."""
 
-MIN_TRACKED_SHARE = 0.1
+MIN_TRACKED_FRACTION = 0.1
 """Minimum fraction of points tracked between two frames of a segment; a lower value indicates a cut in the video."""
 
 _MIN_TERM_SIGMAS = 3.0
@@ -111,14 +111,14 @@ class DriveAlignment:
             self._close()
             self._tracks = FeatureTracks()
         points = self._tracks.add(grey(frame.left), grey(whole_image(frame.right)))
-        self.add_points(TrackedFrame(frame.time_s, points, self._tracks.flow_px, self._tracks.share_tracked))
+        self.add_points(TrackedFrame(frame.time_s, points, self._tracks.flow_px, self._tracks.fraction_tracked))
 
     def add_points(self, frame: TrackedFrame) -> None:
         """Add the points of the next frame; `add` without the images."""
         self._last_s = frame.time_s
         self._n_frames_left -= 1
         self._matched.append(frame.points)
-        if frame.share_tracked < MIN_TRACKED_SHARE:
+        if frame.fraction_tracked < MIN_TRACKED_FRACTION:
             self._close()
         has_points = len(frame.points.number) >= MIN_ROWS
         if self._points and has_points and frame.flow_px < MIN_FLOW_PX:

@@ -32,7 +32,7 @@ COLUMNS_U = np.array([-0.5, 0.0, 0.5])
 _MIN_SIGMAS = 3.0
 """Minimum ratio of a noticed error to its standard deviation; one of 46 windows of true rigs exceeded 2.5."""
 
-_MIN_SHARE = 0.5
+_MIN_FRACTION = 0.5
 """Smallest noticed error as a fraction of the one that matters."""
 
 _MIN_MOVE_SIGMAS = 3.5
@@ -116,7 +116,7 @@ class RigHealth:
         if not self.measured.is_measured:
             return False
         error_px, sigma_px = np.abs(self.measured.error_px(COLUMNS_U)), self._sigma_px
-        return bool(((error_px > _MIN_SIGMAS * sigma_px) & (error_px > _MIN_SHARE * self.matters_px)).any())
+        return bool(((error_px > _MIN_SIGMAS * sigma_px) & (error_px > _MIN_FRACTION * self.matters_px)).any())
 
     @property
     def state(self) -> State:
@@ -130,7 +130,7 @@ class RigHealth:
         """The time at which the offset changed most, if the windows do not agree within their sigmas."""
         moves = [move for drive in {window.drive for window in self.windows} for move in self._moves(drive)]
         significant = [move for move in moves if abs(move.change_px) > _MIN_MOVE_SIGMAS * move.sigma_px]
-        of_size = [move for move in significant if abs(move.change_px) > _MIN_SHARE * self.matters_px]
+        of_size = [move for move in significant if abs(move.change_px) > _MIN_FRACTION * self.matters_px]
         return max(of_size, key=lambda move: abs(move.change_px) / move.sigma_px, default=None)
 
     def before_pct(self, distance_m: float) -> FloatArray:

@@ -62,7 +62,7 @@ _MAX_STATIC_ERROR_PX, _MIN_STATIC_STEPS = 4.0, 0.5
 _REFINING_ERRORS_PX = (8.0, 3.0, 2.0)
 """Largest reprojection errors of the points that agree with a predicted motion, round by round."""
 
-_MIN_DEPTH_SHARE = 0.3
+_MIN_DEPTH_FRACTION = 0.3
 """Minimum ratio of a point's depth in frame 0, where its ray starts, to its first depth; smaller in sharp turns."""
 
 
@@ -107,7 +107,7 @@ def initial_bundle(
         depth_m[observed.point[new]] = points_m[new, 2]
         rotations.append(rotation)
         translations.append(translation_m)
-    is_ahead = world_m[:, 2] > _MIN_DEPTH_SHARE * depth_m
+    is_ahead = world_m[:, 2] > _MIN_DEPTH_FRACTION * depth_m
     if is_ahead.sum() < MIN_POINTS:
         return None
     rays = np.column_stack([world_m[is_ahead, :2], np.ones(int(is_ahead.sum()))]) / world_m[is_ahead, 2:]

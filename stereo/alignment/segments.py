@@ -44,7 +44,7 @@ _MIN_PATH_M = 2.0
 _STATIC_WEIGHT = 0.25
 """Minimum mean Cauchy weight of a static point (about 0.6 for static points, 0.02 for moving objects)."""
 
-_MIN_STATIC_SHARE = 0.5
+_MIN_STATIC_FRACTION = 0.5
 """Minimum fraction of static points."""
 
 _MAX_ERROR_PX = 15.0
@@ -142,17 +142,17 @@ def _fitted(observed: Observations, initial: InitialBundle | None, rig: StereoRi
     """
     if initial is None:
         return "too few points were tracked"
-    used, fit, static_share = _static_points(initial.observed, initial.bundle, rig)
+    used, fit, static_fraction = _static_points(initial.observed, initial.bundle, rig)
     change_px = np.abs(fit.bundle.error_px - initial.bundle.error_px).max()
     if _MAX_CHANGE_PX < change_px <= _MAX_ERROR_PX:
         second = initial_bundle(observed, rig, error_px=fit.bundle.error_px)
         if second is not None and second.support > initial.support:
-            used, fit, static_share = _static_points(second.observed, second.bundle, rig)
+            used, fit, static_fraction = _static_points(second.observed, second.bundle, rig)
     if not np.isfinite(fit.bundle.error_px).all() or np.abs(fit.bundle.error_px).max() > _MAX_ERROR_PX:
         return "motion and disparities of the points are inconsistent"
     if fit.bundle.path_m < _MIN_PATH_M:
         return "the vehicle hardly moves, or only turns"
-    if static_share < _MIN_STATIC_SHARE:
+    if static_fraction < _MIN_STATIC_FRACTION:
         return "too many moving objects in the scene"
     return _segment(used, fit, rig)
 

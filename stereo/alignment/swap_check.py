@@ -34,10 +34,10 @@ _CLEAR_DISPARITY_PX = 1.0
 _MIN_MATCHES = 30
 """Minimum number of disparities with a meaningful sign."""
 
-_MIN_SHARE_OF_SIGN = 0.8
+_MIN_FRACTION_OF_SIGN = 0.8
 """Minimum fraction of the disparities with equal sign."""
 
-_MIN_SHARE_IN_ROW = 0.5
+_MIN_FRACTION_IN_ROW = 0.5
 """Minimum fraction of matches in the same row; of chance matches about 1 % are."""
 
 
@@ -49,13 +49,13 @@ class PairCheck:
         n_matches: number of matches in the same row.
         row_offset_px: their mean y_right - y_left (the median would be an integer, like the rows of features); NaN
             without matches.
-        negative_share: fraction of them with a disparity below -1 px, 0..1; NaN without matches.
+        negative_fraction: fraction of them with a disparity below -1 px, 0..1; NaN without matches.
         view_order: "unknown" with too few or contradictory matches.
     """
 
     n_matches: int
     row_offset_px: float
-    negative_share: float
+    negative_fraction: float
     view_order: ViewOrder
 
     @property
@@ -80,7 +80,7 @@ def check_pair(left: Image, right: Image) -> PairCheck:
     return PairCheck(
         n_matches=int(agreeing.sum()),
         row_offset_px=float(row_offset[agreeing].mean()),
-        negative_share=float((disparity_px < -_CLEAR_DISPARITY_PX).mean()),
+        negative_fraction=float((disparity_px < -_CLEAR_DISPARITY_PX).mean()),
         view_order=_view_order(disparity_px, float(agreeing.mean())),
     )
 
@@ -97,14 +97,14 @@ def is_in_row(left_px: FloatArray, right_px: FloatArray, *, tolerance_px: float)
     return np.asarray(np.abs(row_offset - np.median(offsets[start : until[start]])) <= tolerance_px)
 
 
-def _view_order(disparity_px: FloatArray, share_agreeing: float) -> ViewOrder:
+def _view_order(disparity_px: FloatArray, fraction_agreeing: float) -> ViewOrder:
     signed = disparity_px[np.abs(disparity_px) > _CLEAR_DISPARITY_PX]
-    if len(signed) < _MIN_MATCHES or share_agreeing < _MIN_SHARE_IN_ROW:
+    if len(signed) < _MIN_MATCHES or fraction_agreeing < _MIN_FRACTION_IN_ROW:
         return "unknown"
-    share_negative = float((signed < 0).mean())
-    if share_negative > _MIN_SHARE_OF_SIGN:
+    fraction_negative = float((signed < 0).mean())
+    if fraction_negative > _MIN_FRACTION_OF_SIGN:
         return "swapped"
-    return "correct" if share_negative < 1 - _MIN_SHARE_OF_SIGN else "unknown"
+    return "correct" if fraction_negative < 1 - _MIN_FRACTION_OF_SIGN else "unknown"
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ Sync = Literal["synchronised", "right lags", "left lags", "unknown"]
 _ROW_TOLERANCE_PX = 1.5
 """Largest difference between the row offset of an inlier and the most frequent one."""
 
-_MIN_SHARE = 0.6
+_MIN_FRACTION = 0.6
 """Minimum fraction of matches in the same row with the simultaneous image."""
 
 _MIN_LEAD = 0.1
@@ -41,16 +41,16 @@ def check_sync(left: Image, rights: Sequence[Image]) -> Sync:
         "synchronised": the second; "right lags": the third, so that right images are one frame late; "left lags": the
         first; "unknown".
     """
-    features, shares = Features.of(left), []
+    features, fractions = Features.of(left), []
     for right in rights:
         left_px, right_px = matched_points(features, Features.of(right))
         if len(left_px) < _MIN_MATCHES:
-            shares.append(0.0)
+            fractions.append(0.0)
         else:
-            shares.append(float(is_in_row(left_px, right_px, tolerance_px=_ROW_TOLERANCE_PX).mean()))
-    best = max(range(3), key=shares.__getitem__)
-    lead = shares[best] - sorted(shares)[1]
-    if shares[best] < _MIN_SHARE or lead < _MIN_LEAD:
+            fractions.append(float(is_in_row(left_px, right_px, tolerance_px=_ROW_TOLERANCE_PX).mean()))
+    best = max(range(3), key=fractions.__getitem__)
+    lead = fractions[best] - sorted(fractions)[1]
+    if fractions[best] < _MIN_FRACTION or lead < _MIN_LEAD:
         return "unknown"
     results: tuple[Sync, ...] = ("left lags", "synchronised", "right lags")
     return results[best]

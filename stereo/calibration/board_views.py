@@ -32,7 +32,7 @@ _MIN_CHARUCO_CORNERS = 6
 _THOROUGH = cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE
 """Flags of a slower search for chessboards that the first one misses: in dark images, and curved by a wide lens."""
 
-_PATCH_SHARE = 0.35
+_PATCH_FRACTION = 0.35
 """Half side of the patch around a corner in which the edge width is measured, as a fraction of the corner spacing."""
 
 
@@ -182,7 +182,7 @@ def _is_in_line(xyz_m: FloatArray) -> bool:
 
 def _edge_px(grey: Image, xy_px: FloatArray) -> float:
     """Median over the corners of the width of their edges, contrast / steepest slope."""
-    half = int(np.clip(_PATCH_SHARE * _spacing_px(xy_px), 2, 20))
+    half = int(np.clip(_PATCH_FRACTION * _spacing_px(xy_px), 2, 20))
     widths = []
     for x, y in xy_px.round().astype(int):
         patch = grey[max(y - half, 0) : y + half + 1, max(x - half, 0) : x + half + 1]

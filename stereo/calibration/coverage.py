@@ -23,10 +23,10 @@ from track_range.stereo.calibration.board_views import BoardView
 _THIRDS = (("left", "middle", "right"), ("top", "middle", "bottom"))
 """Names of the thirds of the image, by axis."""
 
-_MIN_SHARE_OF_THIRD = 0.03
+_MIN_FRACTION_OF_THIRD = 0.03
 """Minimum fraction of all corners in a third of the image."""
 
-_EDGE_SHARE = 0.15
+_EDGE_FRACTION = 0.15
 """Largest distance of the outermost corners from the edges of the image, as a fraction of its side."""
 
 _SAME_TILT_RAD = math.radians(6.0)
@@ -35,7 +35,7 @@ _SAME_TILT_RAD = math.radians(6.0)
 _TILTED_DEG = 15.0
 """Minimum tilt of a board that counts as tilted."""
 
-_MIN_TILTED_SHARE = 0.25
+_MIN_TILTED_FRACTION = 0.25
 """Minimum fraction of views with a tilted board."""
 
 _MIN_SIZE_RATIO = 1.3
@@ -74,20 +74,20 @@ class Coverage:
 
 def coverage_of(views: Sequence[BoardView], board_to_camera: FloatArray) -> Coverage:
     """Coverage by V views with board poses (V, 4, 4)."""
-    share = _shares(views)
+    fraction = _fractions(views)
     sizes = np.array([view_shape(view)[2] for view in views])
     normals = board_to_camera[:, :3, 2]
     tilts_deg = np.degrees(np.arccos(np.clip(np.abs(normals[:, 2]), 0, 1)))
     angle_rad = np.arccos(np.clip(np.abs(normals @ normals.T), 0, 1))
     warnings = [
         *_few_views(len(views)),
-        *_uncovered_parts(share),
+        *_uncovered_parts(fraction),
         *_sizes_missing(sizes),
         *_tilts_missing(tilts_deg, normals),
     ]
     return Coverage(
-        _range(share[:, 0]),
-        _range(share[:, 1]),
+        _range(fraction[:, 0]),
+        _range(fraction[:, 1]),
         _range(sizes),
         _range(tilts_deg),
         bool(angle_rad.max() < _SAME_TILT_RAD),
@@ -145,7 +145,7 @@ def _skew(homography: FloatArray, view: BoardView) -> float:
     return cosine + 1 - min(lengths) / max(*lengths, 1e-12)
 
 
-def _shares(views: Sequence[BoardView]) -> FloatArray:
+def _fractions(views: Sequence[BoardView]) -> FloatArray:
     """(N, 2) all corners as fractions of the image width and height."""
     return np.concatenate([view.xy_px / np.array(view.size_px) for view in views])
 
@@ -158,15 +158,15 @@ def _few_views(n_views: int) -> list[str]:
     return [f"only {n_views} views: 15 to 30 are recommended."] if n_views < _FEW_VIEWS else []
 
 
-def _uncovered_parts(share: FloatArray) -> list[str]:
+def _uncovered_parts(fraction: FloatArray) -> list[str]:
     """Warnings about thirds of the image with hardly any corners, and edges without corners."""
     warnings = []
     for axis, names in enumerate(_THIRDS):
-        counts = np.histogram(share[:, axis], bins=3, range=(0, 1))[0] / len(share)
-        missing = [name for name, count in zip(names, counts, strict=True) if count < _MIN_SHARE_OF_THIRD]
+        counts = np.histogram(fraction[:, axis], bins=3, range=(0, 1))[0] / len(fraction)
+        missing = [name for name, count in zip(names, counts, strict=True) if count < _MIN_FRACTION_OF_THIRD]
         warnings += [f"hardly any corners in the {name} third of the image: show the board there." for name in missing]
-        first, last = _range(share[:, axis])
-        edges = ((names[0], first > _EDGE_SHARE), (names[2], last < 1 - _EDGE_SHARE))
+        first, last = _range(fraction[:, axis])
+        edges = ((names[0], first > _EDGE_FRACTION), (names[2], last < 1 - _EDGE_FRACTION))
         warnings += [
             f"no corners near the {name} edge of the image: the lens distortion is extrapolated there."
             for name, is_far in edges
@@ -190,7 +190,7 @@ def _sizes_missing(sizes: FloatArray) -> list[str]:
 def _tilts_missing(tilts_deg: FloatArray, normals: FloatArray) -> list[str]:
     """Warnings about views without tilt, or with tilt about only one axis."""
     is_tilted = tilts_deg > _TILTED_DEG
-    if is_tilted.mean() < _MIN_TILTED_SHARE:
+    if is_tilted.mean() < _MIN_TILTED_FRACTION:
         return [
             f"the board is tilted by more than {_TILTED_DEG:.0f} degrees in only {int(is_tilted.sum())} of "
             f"{len(is_tilted)} views: tilt it by 20 to 45 degrees more often."

@@ -70,7 +70,7 @@ _OUTLIER_RATIO = 2.0
 _OUTLIER_SIGMAS = 4.0
 """A view is rejected if its residual exceeds both this multiple of the median and the median by this many sigmas."""
 
-_MIN_SHARE_USED = 2 / 3
+_MIN_FRACTION_USED = 2 / 3
 """Minimum fraction of the views that are used: if more were outliers, the views would not be the cause."""
 
 _MAX_GROUPS = 20
@@ -267,10 +267,10 @@ def check_determined(std: IntrinsicStd, camera: PinholeCamera) -> None:
     Raises:
         CalibrationError: the standard deviation of the focal length is large or NaN.
     """
-    share = max(std.fx_px / camera.fx_px, std.fy_px / camera.fy_px)
-    if not share <= _MAX_FOCAL_STD:
+    fraction = max(std.fx_px / camera.fx_px, std.fy_px / camera.fy_px)
+    if not fraction <= _MAX_FOCAL_STD:
         raise CalibrationError(
-            f"the views do not determine the focal length (standard deviation {100 * share:.0f} %, expected at most "
+            f"the views do not determine the focal length (standard deviation {100 * fraction:.0f} %, expected at most "
             f"{100 * _MAX_FOCAL_STD:.0f} %); add views with the board tilted by 20 to 45 degrees, in all directions, "
             "and near enough to fill the image."
         )
@@ -303,7 +303,7 @@ def without_outliers(
 
 def min_used(n_views: int) -> int:
     """Minimum number of views that are used of `n_views`."""
-    return max(MIN_VIEWS, round(_MIN_SHARE_USED * n_views))
+    return max(MIN_VIEWS, round(_MIN_FRACTION_USED * n_views))
 
 
 def leave_out_groups(

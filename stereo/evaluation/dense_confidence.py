@@ -1,10 +1,10 @@
 """Confidence measures of the median of dense disparities in a box, as alternatives to its standard deviation.
 
     spread       median absolute deviation of the disparities in the inner half, relative to their median
-    invalid      share of pixels in the inner half without a disparity: rejected by OpenCV's uniqueness test, left-right
+    invalid      fraction of pixels in the inner half without a disparity: rejected by OpenCV's uniqueness, left-right
                  check or speckle filter
-    disagreeing  share of pixels in the inner half without a disparity or more than `NEAR` away from the median
-    left_right   share of pixels in the inner half without a disparity, or whose disparity differs by more than
+    disagreeing  fraction of pixels in the inner half without a disparity or more than `NEAR` away from the median
+    left_right   fraction of pixels in the inner half without a disparity, or whose disparity differs by more than
                  `MAX_DIFFERENCE_PX` from that of the matched pixel in the right image's disparities
 
 All are uncertainties: larger = less certain. (Poggi et al., "On the confidence of stereo matching in a deep-learning

@@ -2,7 +2,7 @@
 
     A = (1 / N) sum_k r(k)      r(k): risk of the k most certain of N boxes
 
-The risk is the share of failures, for which boxes without a value come last, or the mean relative error, over boxes
+The risk is the fraction of failures, for which boxes without a value come last, or the mean relative error, over boxes
 with a value. The uncertainty is the standard deviation relative to the disparity, or another measure. A small area A
 means that the errors are small, and that the uncertain boxes are the wrong ones. (Geifman and El-Yaniv, "Selective
 classification for deep neural networks", NIPS 2017.)

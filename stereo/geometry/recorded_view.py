@@ -39,6 +39,6 @@ class RecordedView:
             return np.zeros((0, 4 * N_OUTLINE, 2))
         corners = xyxy_px[:, [0, 1, 2, 1, 2, 3, 0, 3]].reshape(-1, 4, 2)
         following = np.roll(corners, -1, axis=1)
-        share = (np.arange(N_OUTLINE) / N_OUTLINE)[:, None]
-        points = corners[:, :, None] * (1 - share) + following[:, :, None] * share
+        fraction = (np.arange(N_OUTLINE) / N_OUTLINE)[:, None]
+        points = corners[:, :, None] * (1 - fraction) + following[:, :, None] * fraction
         return self.points(points.reshape(-1, 2)).reshape(len(xyxy_px), -1, 2)

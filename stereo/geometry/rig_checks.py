@@ -60,7 +60,7 @@ _COEFFICIENTS = "0, 4, 5, 8, 12 or 14 finite distortion coefficients"
 """Description of them for messages."""
 
 _MIN_IMAGED = 0.5
-"""Share of the image width around the principal point that a plausible wide lens images at least."""
+"""Fraction of the image width around the principal point that a plausible wide lens images at least."""
 
 
 NO_VERTICAL_PAIRS = "mount them side by side, or run on one video with --mono"
@@ -71,7 +71,7 @@ _N_VIEW_POINTS = 25
 """Number of points along each side of the image at which the shared view is sampled."""
 
 _MIN_SHARED_VIEW, _FULL_SHARED_VIEW = 0.05, 0.7
-"""Shares of the left image in the right camera's view below which a rig is refused, and below which there is a note.
+"""Fractions of the left image in the right camera's view below which a rig is refused, and below which there is a note.
 Pairs for driving share more than 90 %."""
 
 
@@ -138,7 +138,7 @@ def check_rig(rig: StereoRig, source: object) -> None:
 
 
 def shared_view(rig: StereoRig) -> float:
-    """Share of the left image, 0 to 1, that the right camera sees at a large distance.
+    """Fraction of the left image, 0 to 1, that the right camera sees at a large distance.
 
     The distortion of lenses that are not wide is neglected.
     """
@@ -159,15 +159,15 @@ def shared_view_notes(rig: StereoRig, source: object) -> tuple[str, ...]:
     Raises:
         RigError: it sees hardly any of it.
     """
-    share = shared_view(rig)
-    if share < _MIN_SHARED_VIEW:
+    fraction = shared_view(rig)
+    if fraction < _MIN_SHARED_VIEW:
         raise RigError(
-            f"{source}: expected cameras that see the same scene, found a right camera that sees {share:.0%} of the "
+            f"{source}: expected cameras that see the same scene, found a right camera that sees {fraction:.0%} of the "
             "left image; check the rotation and the image sizes."
         )
-    if share >= _FULL_SHARED_VIEW:
+    if fraction >= _FULL_SHARED_VIEW:
         return ()
-    return (f"{source}: the right camera sees {share:.0%} of the left image; the rest is measured with one camera.",)
+    return (f"{source}: the right camera sees {fraction:.0%} of the left image; the rest is measured with one camera.",)
 
 
 def _check_baseline(baseline_m: float, source: object) -> None:
@@ -200,7 +200,7 @@ def check_camera(camera: PinholeCamera, source: object) -> None:
     for name, focal_px in (("fx_px", camera.fx_px), ("fy_px", camera.fy_px)):
         if not 0 < focal_px <= _FOCAL_PER_WIDTH[1] * MAX_SIDE_PX:
             raise RigError(f"{source}: expected a positive focal length {name} in pixels, found {focal_px:g}.")
-        low, high = (share * max(camera.width_px, 1) for share in _FOCAL_PER_WIDTH)
+        low, high = (fraction * max(camera.width_px, 1) for fraction in _FOCAL_PER_WIDTH)
         if camera.width_px and not low <= focal_px <= high:
             raise RigError(
                 f"{source}: expected a focal length {name} between {low:g} and {high:g} px for images "

@@ -74,23 +74,24 @@ class PatchMatcherSettings:
         search_px: half width of the search around the last match of a track, px of the tile.
         size_search_px: half width of the search around the disparity expected from the size, px of the tile.
         min_side_px: smallest side of a box.
-        min_seen_share: smallest fraction of the windows that must have a minimum, and lie within the right image.
+        min_seen_fraction: smallest fraction of the windows that must have a minimum, and lie within the right image.
         min_support: smallest fraction of those that must belong to the object's surface.
         min_probability: smallest probability of the surface to be the object.
         min_margin_bits: minimum difference between the costs of a chance match and of the minimum, in bits of 24 per
             pixel.
         max_cost_bits: largest cost of the minimum; not checked for priors from the full search.
-        min_minima_share: minimum fraction of the visible windows with a minimum near a track's prior: if the object is
-            elsewhere, most minima lie at an end of the search range. Not checked for priors from the full search.
-        min_confirmed_share: minimum fraction of those minima that are confirmed by grey values. Not checked for priors
-            from the full search.
+        min_minima_fraction: minimum fraction of the visible windows with a minimum near a track's prior: if the
+            object is elsewhere, most minima lie at an end of the search range. Not checked for priors from the full
+            search.
+        min_confirmed_fraction: minimum fraction of those minima that are confirmed by grey values. Not checked for
+            priors from the full search.
         uniqueness_ratio: minimum difference between the costs of the second best and the best minimum, as a fraction of
             the margin (OpenCV's uniquenessRatio is a fraction of the cost).
         floor_px: sigma of a flat, textured, noiseless box, px of its tile.
-        floor_share: the same as a fraction of the disparity: objects are not smooth surfaces.
-        noise_share: fraction of the propagated variances of the windows that contributes to sigma.
-        scatter_share: fraction of the windows' scatter about the surface that contributes to sigma.
-        tilt_share: fraction of the surface's tilt across the box that contributes to sigma.
+        floor_fraction: the same as a fraction of the disparity: objects are not smooth surfaces.
+        noise_fraction: fraction of the propagated variances of the windows that contributes to sigma.
+        scatter_fraction: fraction of the windows' scatter about the surface that contributes to sigma.
+        tilt_fraction: fraction of the surface's tilt across the box that contributes to sigma.
     """
 
     min_disparity_px: int = 1
@@ -99,19 +100,19 @@ class PatchMatcherSettings:
     search_px: int = 8
     size_search_px: int = 16
     min_side_px: float = 8.0
-    min_seen_share: float = 0.25
+    min_seen_fraction: float = 0.25
     min_support: float = 0.15
     min_probability: float = 0.4
     min_margin_bits: float = 1.5
     max_cost_bits: float = 8.0
-    min_minima_share: float = 0.5
-    min_confirmed_share: float = 0.25
+    min_minima_fraction: float = 0.5
+    min_confirmed_fraction: float = 0.25
     uniqueness_ratio: float = 0.12
     floor_px: float = 0.1
-    floor_share: float = 0.008
-    noise_share: float = 0.5
-    scatter_share: float = 0.6
-    tilt_share: float = 0.12
+    floor_fraction: float = 0.008
+    noise_fraction: float = 0.5
+    scatter_fraction: float = 0.6
+    tilt_fraction: float = 0.12
 
     @classmethod
     def for_rig(cls, rig: StereoRig, *, nearest_m: float = 2.0, smallest_m: float = 0.3) -> PatchMatcherSettings:
@@ -324,7 +325,7 @@ class PatchMatcher:
             matches.cost,
             by_size=known.by_size,
             track_px=known.track_px,
-            others_share=others,
+            others_fraction=others,
         )
         return SurfaceSearch(tiles, cost, matches, weight, surfaces, phi, choose_surface(phi, surfaces))
 
@@ -335,8 +336,8 @@ class PatchMatcher:
         settings, tiles, cost, choice = self._settings, search.tiles, search.cost, search.choice
         confidence = match_confidence(cost, surface, tiles)
         n_used = np.maximum(tiles.is_used.sum(axis=1), 1)
-        minima_share = ((search.matches.slope > 0) & tiles.is_used).sum(axis=1) / n_used
-        seen_share = (np.isfinite(cost).any(axis=0).T & tiles.is_used).sum(axis=1) / n_used
+        minima_fraction = ((search.matches.slope > 0) & tiles.is_used).sum(axis=1) / n_used
+        seen_fraction = (np.isfinite(cost).any(axis=0).T & tiles.is_used).sum(axis=1) / n_used
         support = np.isfinite(surface.residual).sum(axis=1) / n_used
         rows = np.arange(len(n_used))
         probability = choice.probability[choice.chosen, rows]
@@ -347,7 +348,7 @@ class PatchMatcher:
         with np.errstate(invalid="ignore", divide="ignore"):
             deviation = np.abs(np.log(disparity_px / known.by_size.disparity_px))
         is_expected = deviation < _EXPECTED_SIGMAS * log_sigma  # False where the size is unknown
-        support_limit = np.where(is_expected, _EXPECTED_SUPPORT, settings.min_support) * seen_share
+        support_limit = np.where(is_expected, _EXPECTED_SUPPORT, settings.min_support) * seen_fraction
         cost_limit = settings.max_cost_bits + np.where(is_expected, _EXPECTED_COST_BITS, 0.0)
 
         outcome = np.full(len(rows), int(Outcome.MATCHED), np.int64)
@@ -357,12 +358,12 @@ class PatchMatcher:
         outcome[~confidence.is_inside] = Outcome.OUT_OF_RANGE
         outcome[~(confidence.margin >= settings.min_margin_bits) | (support == 0)] = Outcome.NO_TEXTURE
         if not is_known:
-            is_elsewhere = minima_share < settings.min_minima_share * seen_share
-            is_elsewhere |= surface.is_confirmed.sum(axis=1) / n_used < settings.min_confirmed_share * support
+            is_elsewhere = minima_fraction < settings.min_minima_fraction * seen_fraction
+            is_elsewhere |= surface.is_confirmed.sum(axis=1) / n_used < settings.min_confirmed_fraction * support
             is_elsewhere &= ~is_expected & (tiles.shape == FINE)
             outcome[np.isfinite(confidence.cost) & (is_elsewhere | (confidence.cost > cost_limit))] = Outcome.NO_FIT
-        outcome[minima_share < settings.min_seen_share] = Outcome.NO_TEXTURE
-        outcome[seen_share < settings.min_seen_share] = Outcome.NOT_SEEN
+        outcome[minima_fraction < settings.min_seen_fraction] = Outcome.NO_TEXTURE
+        outcome[seen_fraction < settings.min_seen_fraction] = Outcome.NOT_SEEN
 
         outcome[(outcome == Outcome.MATCHED) & ~(disparity_px > 0)] = Outcome.OUT_OF_RANGE
         is_matched = outcome == Outcome.MATCHED
@@ -385,8 +386,8 @@ class PatchMatcher:
     ) -> FloatArray:
         """(N,) standard deviation of p0, px of the tile.
 
-        sigma^2 = floor^2 + (floor_share d)^2 + (noise_share noise)^2 + (scatter_share scatter)^2
-                  + (tilt_share tilt)^2 + choice^2
+        sigma^2 = floor^2 + (floor_fraction d)^2 + (noise_fraction noise)^2 + (scatter_fraction scatter)^2
+                  + (tilt_fraction tilt)^2 + choice^2
 
             noise^2 = G / (G_independent sum of weight)
             scatter = 1.25 mean |residual|          mean absolute deviation -> standard deviation
@@ -405,9 +406,9 @@ class PatchMatcher:
         difference = np.where(np.isfinite(surfaces.centre), surfaces.centre - surface.fit.p[:, 0], 0.0)
         is_other = np.arange(len(difference))[:, None] != choice.chosen
         other = np.where(is_other, choice.probability * difference**2, 0.0).sum(axis=0)
-        variance = other + (settings.floor_share * np.maximum(tiles.first + surface.fit.p[:, 0], 0.0)) ** 2
-        variance = variance + (settings.noise_share * noise) ** 2 + (settings.scatter_share * scatter) ** 2
-        return np.asarray(np.sqrt(settings.floor_px**2 + (variance + (settings.tilt_share * tilt) ** 2)))
+        variance = other + (settings.floor_fraction * np.maximum(tiles.first + surface.fit.p[:, 0], 0.0)) ** 2
+        variance = variance + (settings.noise_fraction * noise) ** 2 + (settings.scatter_fraction * scatter) ** 2
+        return np.asarray(np.sqrt(settings.floor_px**2 + (variance + (settings.tilt_fraction * tilt) ** 2)))
 
 
 def _chosen(search: SurfaceSearch) -> tuple[BoolArray, SurfaceFit]:

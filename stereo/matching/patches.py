@@ -16,7 +16,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 
-_SHARE_CUT = 0.25
+_FRACTION_CUT = 0.25
 """Fraction of the box's width (height) that is cut off on each side."""
 
 
@@ -48,7 +48,7 @@ def inner_halves(
     """
     height, width = image_hw
     with np.errstate(invalid="ignore", over="ignore"):  # infinite boxes become NaN, which gives no patch
-        cut = (xyxy_px[:, 2:] - xyxy_px[:, :2]) * _SHARE_CUT
+        cut = (xyxy_px[:, 2:] - xyxy_px[:, :2]) * _FRACTION_CUT
         first = np.maximum(np.ceil(xyxy_px[:, :2] + cut), margin_px)
         last = np.minimum(np.floor(xyxy_px[:, 2:] - cut), np.array([width, height]) - 1.0 - margin_px)
     big_enough = (last - first + 1 >= min_side_px).all(axis=1)  # False for NaN too

@@ -53,7 +53,7 @@ independent; measured on exact shifts."""
 _VERTICAL_SIGMA_PX = 0.3
 """Prior standard deviation of the vertical offset, px of the tile; larger ones are corrected by the alignment."""
 
-_FLOOR_PX, _FLOOR_SHARE = 0.06, 0.01
+_FLOOR_PX, _FLOOR_FRACTION = 0.06, 0.01
 """Lower limit of a window's standard deviation, px of the tile, and as a fraction of its disparity: objects are not
 smooth surfaces."""
 
@@ -87,7 +87,7 @@ def refine_surface(tiles: BoxTiles, index: FloatArray, is_member: BoolArray, pla
     u, v = tiles.u, tiles.v
     column_u, row_v = tiles.pixel_positions()
     disparity = np.maximum(tiles.first + plane.p[:, 0], 0.1)
-    floor = _FLOOR_PX**2 + (_FLOOR_SHARE * disparity[:, None]) ** 2
+    floor = _FLOOR_PX**2 + (_FLOOR_FRACTION * disparity[:, None]) ** 2
     central, terms = centre_weights(u, v), surface_terms(u, v)
     equations, fit = _Equations.of(tiles), plane
     last = tiles.n_disparities - 2.0
@@ -99,7 +99,7 @@ def refine_surface(tiles: BoxTiles, index: FloatArray, is_member: BoolArray, pla
         step = equations.solve(at_pixels, is_last=iteration == len(_N_FIT_ITERATIONS) - 1)
         is_fitted = (np.abs(step.s) < _MAX_STEP_PX) & (step.a > _MIN_GAIN) & (step.a * _MIN_GAIN < 1.0)
         is_confirmed = is_fitted & (step.variance < _MAX_SIGMA_PX**2) & is_member
-        s = step.s if step.vertical is None else step.s - _vertical_offset_share(step.vertical, is_confirmed)
+        s = step.s if step.vertical is None else step.s - _vertical_offset_fraction(step.vertical, is_confirmed)
         refined = np.where(is_confirmed, np.minimum(np.maximum(fit.at(u, v), 1.0), last) - s, index)
         variance = np.where(is_confirmed, step.variance, _UNCONFIRMED_SIGMA_PX**2) + floor
         weight = np.where(is_member, 1.0 / variance, 0.0)
@@ -128,7 +128,7 @@ def _smooth(grey: Grey) -> FloatArray32:
 class _Vertical(NamedTuple):
     """For the vertical offset t of a box, (N, G) each: <g, h> / <g, g>, and the window's part of t's equation."""
 
-    share: FloatArray
+    fraction: FloatArray
     numerator: FloatArray
     information: FloatArray
 
@@ -216,8 +216,8 @@ class _Equations(NamedTuple):
         if is_last:
             hh, gh = sum_hh - sum_h * sum_h / n, sum_gh - sum_g * sum_h / n
             hl, hr = sum_hl - sum_h * sum_l / n, sum_hr[0] - sum_h * sum_r / n
-            share = gh / np.maximum(gg, 1e-3)
-            vertical = _Vertical(share, (hl - s * gh - a * hr) / noise, (hh - share * gh) / noise)
+            fraction = gh / np.maximum(gg, 1e-3)
+            vertical = _Vertical(fraction, (hl - s * gh - a * hr) / noise, (hh - fraction * gh) / noise)
         return _Step(s, a, noise / information, vertical)
 
     def _right_at(self, index: FloatArray32, out: FloatArray32, *, is_linear: bool) -> FloatArray32:
@@ -268,7 +268,7 @@ def _by_window(values: FloatArray32, tiles: BoxTiles) -> FloatArray:
     return sums.reshape(len(sums), -1, sums.shape[-1]).swapaxes(1, 2).astype(np.float64)
 
 
-def _vertical_offset_share(vertical: _Vertical, is_confirmed: BoolArray) -> FloatArray:
+def _vertical_offset_fraction(vertical: _Vertical, is_confirmed: BoolArray) -> FloatArray:
     """(N, G) part of each window's s that is due to the vertical offset t of its box, from all confirmed windows.
 
     t = sum_w <h, l - a r - s g> / noise / (sum_w (<h, h> - <g, h>^2 / <g, g>) / noise + 1 / sigma^2)
@@ -276,4 +276,4 @@ def _vertical_offset_share(vertical: _Vertical, is_confirmed: BoolArray) -> Floa
     numerator = (is_confirmed * vertical.numerator).sum(axis=1)
     information = (is_confirmed * vertical.information).sum(axis=1)
     t = numerator / (information + _VERTICAL_SIGMA_PX**-2)
-    return np.asarray(vertical.share * t[:, None])
+    return np.asarray(vertical.fraction * t[:, None])

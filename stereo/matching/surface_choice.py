@@ -25,7 +25,7 @@ _SIDE_U, _SIDE_V = 0.15, 0.15
 _CENTRE_SIGMA = 0.175
 """Standard deviation of the weight of the box's centre, in box sizes."""
 
-_MIN_SHARE = 0.05
+_MIN_FRACTION = 0.05
 """Added to shares before their logarithm."""
 
 _MIN_LOG_SIGMA = 0.1
@@ -43,7 +43,7 @@ _NEARER, _FARTHER = 1.03, 0.97
 _OTHER_BOX_RATIO = 1.15
 """Ratio of the expected disparities from which another box is nearer or farther than the box."""
 
-_OTHER_BOX_SHARE = 0.12
+_OTHER_BOX_FRACTION = 0.12
 """Largest relative difference between a surface and the expected disparity of another box that it belongs to."""
 
 THETA = {
@@ -116,7 +116,7 @@ class OtherBoxes:
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = np.abs(np.log(self.expected_px[:, None] / expected_px[None, :]))
             is_other = ratio > np.log(_OTHER_BOX_RATIO)  # (other, box); False where unknown
-            is_same = np.abs(disparity_px / self.expected_px[:, None, None] - 1.0) < _OTHER_BOX_SHARE
+            is_same = np.abs(disparity_px / self.expected_px[:, None, None] - 1.0) < _OTHER_BOX_FRACTION
         is_inside = (x_px > left) & (x_px < right) & (y_px > top) & (y_px < bottom)  # (other, N, G)
         return np.asarray((is_inside & is_same & is_other[:, :, None]).any(axis=0), np.float64)
 
@@ -128,7 +128,7 @@ def features(
     *,
     by_size: ExpectedDisparity,
     track_px: FloatArray,
-    others_share: FloatArray,
+    others_fraction: FloatArray,
 ) -> dict[str, FloatArray]:
     """Phi, by name: (S, N) each.
 
@@ -138,7 +138,7 @@ def features(
         cost: (N, G) costs of the windows' minima, bits per pixel.
         by_size: disparities expected from the sizes of the objects.
         track_px: (N,) last matches of the boxes' tracks; NaN = none.
-        others_share: (N, G) 1 = the window belongs to another box (`OtherBoxes.windows`).
+        others_fraction: (N, G) 1 = the window belongs to another box (`OtherBoxes.windows`).
     """
     u, v, used = tiles.u, tiles.v, tiles.is_used
     n_boxes, n_windows = u.shape
@@ -154,9 +154,9 @@ def features(
     is_surface = np.isfinite(surfaces.centre)
     member = surfaces.is_member.astype(np.float64)
     n = np.maximum(member.sum(axis=2), 1.0)
-    share = member.swapaxes(0, 1) @ masks / np.maximum(masks.sum(axis=1), 1e-6)[:, None]  # (N, S, 8)
-    log_share = np.log(share + _MIN_SHARE).transpose(2, 1, 0)
-    area, disparity = share[..., 0].T, np.where(is_surface, surfaces.disparity, 0.0)
+    fraction = member.swapaxes(0, 1) @ masks / np.maximum(masks.sum(axis=1), 1e-6)[:, None]  # (N, S, 8)
+    log_fraction = np.log(fraction + _MIN_FRACTION).transpose(2, 1, 0)
+    area, disparity = fraction[..., 0].T, np.where(is_surface, surfaces.disparity, 0.0)
     single, parts = disparity[:, None], area[:, None]
     in_front = (single > disparity[None] * _NEARER) * parts  # surface t in front of s, (t, s, N)
     behind = (single < disparity[None] * _FARTHER) * parts
@@ -166,14 +166,14 @@ def features(
     track_z = _deviation(disparity_px, track_px, np.full(len(track_px), _TRACK_LOG_SIGMA))
     nearer, farther = np.maximum(by_size_z, 0.0), np.maximum(-by_size_z, 0.0)
     return {
-        "area": log_share[0],
-        "centre": log_share[1],
-        "both_sides": np.minimum(log_share[2], log_share[3]),
-        "one_side": np.maximum(log_share[2], log_share[3]),
-        "middle_columns": log_share[4],
-        "top": log_share[5],
-        "bottom": log_share[6],
-        "middle_rows": log_share[7],
+        "area": log_fraction[0],
+        "centre": log_fraction[1],
+        "both_sides": np.minimum(log_fraction[2], log_fraction[3]),
+        "one_side": np.maximum(log_fraction[2], log_fraction[3]),
+        "middle_columns": log_fraction[4],
+        "top": log_fraction[5],
+        "bottom": log_fraction[6],
+        "middle_rows": log_fraction[7],
         "width": _extent(u, surfaces.is_member),
         "height": _extent(v, surfaces.is_member),
         "cost": (member * cost).sum(axis=2) / n,
@@ -184,7 +184,7 @@ def features(
         "farther_than_size": farther,
         "farther_than_size_squared": farther**2,
         "off_track": track_z**2,
-        "of_other_box": (member * others_share).sum(axis=2) / n,
+        "of_other_box": (member * others_fraction).sum(axis=2) / n,
     }
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 
-_FLOOR_SHARE, _FLOOR_PX = 0.015, 0.05
+_FLOOR_FRACTION, _FLOOR_PX = 0.015, 0.05
 """f: residual below which windows have equal weights, as a fraction of the mean disparity, and its minimum in px."""
 
 _BOUND_FLOORS = 2.0
@@ -89,7 +89,7 @@ def fit_surfaces(
     if is_curved:
         diagonal[..., 3:] += (_OVERLAP / np.square(_CURVATURE * disparity))[..., None]
     ridge = diagonal[..., None] * np.eye(n_parameters)
-    inverse_f = 1.0 / np.maximum(_FLOOR_SHARE * disparity, _FLOOR_PX)[..., None]
+    inverse_f = 1.0 / np.maximum(_FLOOR_FRACTION * disparity, _FLOOR_PX)[..., None]
     w = weight
     for iteration in range(n_iterations):
         weighted = transposed * w[..., None, :]

@@ -19,7 +19,7 @@ from track_range.stereo.matching.window_sgm import WindowMatches
 N_SURFACES = 3
 """Largest number of surfaces per box, S."""
 
-_SAME_SURFACE_SHARE, _SAME_SURFACE_PX = 0.15, 0.75
+_SAME_SURFACE_FRACTION, _SAME_SURFACE_PX = 0.15, 0.75
 """Largest difference of the disparities of one surface, as a fraction of the disparity, and its minimum in px of the
 tile."""
 
@@ -88,7 +88,7 @@ def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles) -> Sur
         tiles: the boxes' tiles.
     """
     u, v = tiles.u, tiles.v
-    tolerance = np.maximum(_SAME_SURFACE_SHARE * (tiles.first[:, None] + index), _SAME_SURFACE_PX)
+    tolerance = np.maximum(_SAME_SURFACE_FRACTION * (tiles.first[:, None] + index), _SAME_SURFACE_PX)
     near_object = np.exp(-8.0 * u**2 - 8.0 * (v - _LOWER_MIDDLE) ** 2)
     agree = (np.abs(index[:, None, :] - index[:, :, None]) <= tolerance[:, :, None]).astype(np.float64)
     central, terms = centre_weights(u, v), surface_terms(u, v)

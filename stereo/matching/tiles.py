@@ -36,7 +36,7 @@ N_WINDOWS = N_SIDE**2
 MARGIN_PX = 4
 """Pixels around a tile that are read as well: for the census (2), smoothing and derivatives (2)."""
 
-_BOX_SHARE = 0.65
+_BOX_FRACTION = 0.65
 """Fraction of a box's width and height that its tile covers, around its centre; the rest is mostly background."""
 
 _MAX_ASPECT = 4.0
@@ -146,7 +146,7 @@ class BoxTiles:
 def tile_scale(xyxy_px: FloatArray, shape: TileShape) -> FloatArray:
     """(2, N) scales in x and y of the tiles of boxes (N, 4)."""
     size_px = (xyxy_px[:, 2:] - xyxy_px[:, :2]).T
-    required = np.maximum(_BOX_SHARE * size_px / np.array(shape.hw[::-1])[:, None], shape.min_scale)
+    required = np.maximum(_BOX_FRACTION * size_px / np.array(shape.hw[::-1])[:, None], shape.min_scale)
     required = np.minimum(required, _MAX_ASPECT * required[::-1])
     allowed = _SCALES * (shape.min_scale / FINE.min_scale)
     return np.asarray(allowed[np.minimum(np.searchsorted(allowed, required - 1e-9), len(allowed) - 1)])

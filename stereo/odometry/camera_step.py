@@ -18,8 +18,8 @@ class CameraStep:
         rotation: (3, 3) rotation `now_from_before` of the static scene.
         rotation_sigma_rad: standard deviation of the yaw between the frames, which does not average out.
         travel: (2,) x, y of the ray at depth 1 along the direction of travel, in this frame.
-        way_m: distance travelled.
-        way_sigma: relative standard deviation of `way_m`, the same in all frames.
+        travelled_m: distance travelled.
+        travelled_sigma: relative standard deviation of `travelled_m`, the same in all frames.
         now: the images of this frame.
     """
 
@@ -28,6 +28,6 @@ class CameraStep:
     rotation: FloatArray
     rotation_sigma_rad: float
     travel: FloatArray
-    way_m: float
-    way_sigma: float
+    travelled_m: float
+    travelled_sigma: float
     now: FlowFrame

@@ -39,7 +39,7 @@ from track_range.stereo.odometry.speed_filter import SpeedFilter
 _MIN_STRIP_GREY = 1.0
 """Smallest standard deviation of a strip in grey levels; below it there is only noise."""
 
-_MAX_MASKED_SHARE = 0.05
+_MAX_MASKED_FRACTION = 0.05
 """Largest fraction of a strip under boxes of road users."""
 
 _MIN_STRIPS, _STRIP_SIGMA_M, _STRIPS_SIGMA_RAD = 4, 0.015, 0.0015
@@ -196,8 +196,10 @@ class GroundOdometry:
             rotation=np.asarray(cv2.Rodrigues(turn)[0], np.float64),
             rotation_sigma_rad=motion.yaw_sigma_rad_s * motion.dt_s,
             travel=np.array([self._side, self.view.horizon]),
-            way_m=ego.speed_mps * motion.dt_s,
-            way_sigma=ego.speed_sigma_mps / ego.speed_mps if math.isfinite(ego.speed_sigma_mps) else _UNKNOWN_SIGMA,
+            travelled_m=ego.speed_mps * motion.dt_s,
+            travelled_sigma=ego.speed_sigma_mps / ego.speed_mps
+            if math.isfinite(ego.speed_sigma_mps)
+            else _UNKNOWN_SIGMA,
             now=now,
         )
 
@@ -218,7 +220,7 @@ class GroundOdometry:
             dt_s,
             pitch_rad=motion.pitch_rad_s * dt_s,
             roll_rad=motion.roll_rad_s * dt_s,
-            way_m=self._speed_mps * dt_s,
+            travelled_m=self._speed_mps * dt_s,
         )
         if is_moving:
             self._measure_epipole(motion)
@@ -238,8 +240,8 @@ class GroundOdometry:
         """Update the direction of travel to the side."""
         side = (motion.epipole_px[0] - self._camera.cx_px) / self._camera.fx_px
         if math.isfinite(side):
-            share = 1.0 if math.isnan(self._side) else min(1.0, motion.dt_s / self._settings.travel_time_s)
-            self._side = side if share == 1.0 else self._side + share * (side - self._side)
+            fraction = 1.0 if math.isnan(self._side) else min(1.0, motion.dt_s / self._settings.travel_time_s)
+            self._side = side if fraction == 1.0 else self._side + fraction * (side - self._side)
 
     def _shift_m(self, motion: ImageMotion, before: Image, now: Image, boxes: tuple[FloatArray, FloatArray]) -> float:
         """Way between two frames; NaN = not reliable. The shifts of the strips are added to the horizon before."""
@@ -260,9 +262,9 @@ class GroundOdometry:
         before_px = self._camera.project(road @ level.T)
         now_px = self._camera.project(road @ (cv2.Rodrigues(turn)[0] @ level).T)
         hw = len(Z), len(X)
-        masked_share = np.maximum(_inside(before_px, boxes[0]), _inside(now_px, boxes[1])).reshape(hw).mean(axis=1)
+        masked_fraction = np.maximum(_inside(before_px, boxes[0]), _inside(now_px, boxes[1])).reshape(hw).mean(axis=1)
         pictures = _sampled(before, before_px, hw), _sampled(now, now_px, hw)
-        distance_m, scores = self._strips(*pictures, masked_share, motion.dt_s)
+        distance_m, scores = self._strips(*pictures, masked_fraction, motion.dt_s)
         best = self._best_shift(scores)
         if best is None or (len(scores) < _MIN_STRIPS and math.isnan(self._last[1].speed_mps)):
             return math.nan  # two strips only confirm a speed
@@ -287,7 +289,7 @@ class GroundOdometry:
         return shift_m * (1 - 2 * slope.distance_m * error / self.height_m)
 
     def _strips(
-        self, before: FloatArray32, now: FloatArray32, masked_share: FloatArray, dt_s: float
+        self, before: FloatArray32, now: FloatArray32, masked_fraction: FloatArray, dt_s: float
     ) -> tuple[FloatArray, FloatArray]:
         """Usable strips of two pictures, whose rows run from far to near.
 
@@ -300,7 +302,7 @@ class GroundOdometry:
         distances_m, scores = [], []
         for top in range(0, len(before) - n_strip + 1, n_strip // 2):
             strip = before[top : top + n_strip]
-            if masked_share[top : top + n_strip].mean() > _MAX_MASKED_SHARE or strip.std() < _MIN_STRIP_GREY:
+            if masked_fraction[top : top + n_strip].mean() > _MAX_MASKED_FRACTION or strip.std() < _MIN_STRIP_GREY:
                 continue
             score = np.full(n_shifts, np.nan)
             known = cv2.matchTemplate(now[top:], strip, cv2.TM_CCOEFF_NORMED)[:n_shifts, 0]

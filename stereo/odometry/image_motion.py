@@ -67,7 +67,7 @@ class ImageMotionSettings:
         noise_px: standard deviation of a tracked corner.
         max_residual_px: largest distance of a static point from its epipolar line.
         min_features: minimum number of static points.
-        min_static_share: minimum fraction of static points among the tracked ones.
+        min_static_fraction: minimum fraction of static points among the tracked ones.
         max_still_px: largest median motion of the static points of a camera at rest.
         max_gap_s: longest time between two frames.
     """
@@ -78,7 +78,7 @@ class ImageMotionSettings:
     noise_px: float = 0.1
     max_residual_px: float = 0.5
     min_features: int = 16
-    min_static_share: float = 0.4
+    min_static_fraction: float = 0.4
     max_still_px: float = 0.1
     max_gap_s: float = 0.6
 
@@ -97,7 +97,7 @@ class ImageMotion:
         expansion_hz: median relative growth of the distances from the epipole per second, positive = forwards.
         expansion_sigma_hz: its standard deviation.
         epipole_px: x, y of the direction of travel in full pixels, NaN = unknown.
-        static_share: fraction of the tracked corners that move like a static scene.
+        static_fraction: fraction of the tracked corners that move like a static scene.
         n_features: number of tracked corners.
         is_still: whether the camera is at rest; False if unknown.
     """
@@ -111,7 +111,7 @@ class ImageMotion:
     expansion_hz: float = math.nan
     expansion_sigma_hz: float = math.nan
     epipole_px: tuple[float, float] = (math.nan, math.nan)
-    static_share: float = math.nan
+    static_fraction: float = math.nan
     n_features: int = 0
     is_still: bool = False
 
@@ -154,11 +154,11 @@ class ImageMotionEstimator:
         forward = self._direction[2]
         if abs(forward) < _MIN_FORWARD:
             return
-        share = self._direction_variance[1] / (self._direction_variance[1] + variance)
+        fraction = self._direction_variance[1] / (self._direction_variance[1] + variance)
         direction = self._direction / forward
-        direction[1] += share * (row - direction[1])
+        direction[1] += fraction * (row - direction[1])
         self._direction = direction * (math.copysign(1.0, forward) / np.linalg.norm(direction))
-        self._direction_variance = self._direction_variance * [1.0, 1.0 - share]
+        self._direction_variance = self._direction_variance * [1.0, 1.0 - fraction]
 
     def update(self, image: Image, time_s: float, xyxy_px: FloatArray | None = None) -> ImageMotion:
         """Motion since the previous frame, which must be earlier; unknown for the first frame and after a gap.
@@ -205,9 +205,9 @@ class ImageMotionEstimator:
             noise=settings.noise_px / focal_px,
             max_residual=settings.max_residual_px / focal_px,
         )
-        static_share = float(fit.is_static.mean())
-        if fit.is_static.sum() < settings.min_features or static_share < settings.min_static_share:
-            return ImageMotion(time_s=time_s, dt_s=dt_s, n_features=n_features, static_share=static_share)
+        static_fraction = float(fit.is_static.mean())
+        if fit.is_static.sum() < settings.min_features or static_fraction < settings.min_static_fraction:
+            return ImageMotion(time_s=time_s, dt_s=dt_s, n_features=n_features, static_fraction=static_fraction)
         turned = _turned(pair[0], np.asarray(cv2.Rodrigues(fit.rotation)[0], np.float64))
         motion_px = focal_px * np.linalg.norm((pair[1] - turned)[fit.is_static], axis=1)
         is_still = bool(median_of(motion_px) <= settings.max_still_px)
@@ -229,7 +229,7 @@ class ImageMotionEstimator:
             expansion_hz=0.0 if is_still else growth / dt_s,
             expansion_sigma_hz=growth_sigma / dt_s,
             epipole_px=epipole_px,
-            static_share=static_share,
+            static_fraction=static_fraction,
             n_features=n_features,
             is_still=is_still,
         )

@@ -82,14 +82,14 @@ class RoadView:
         )
 
 
-def curvature_share(distance_m: FloatArray) -> FloatArray:
-    """Share of the curvature at the camera, (...), in the mean curvature up to distances (...): exp(-Z / 3l)."""
+def curvature_fraction(distance_m: FloatArray) -> FloatArray:
+    """Fraction of the curvature at the camera, (...), in the mean curvature up to distances (...): exp(-Z / 3l)."""
     return np.asarray(np.exp(distance_m / (-3.0 * _CURVATURE_LENGTH_M)))
 
 
 def unknown_curvature_variance(distance_m: FloatArray) -> FloatArray:
     """Variance of the mean curvature (...) up to distances (...) that the curvature at the camera does not show."""
-    return np.asarray(_CURVATURE_PER_M**2 * (1.0 - curvature_share(distance_m) ** 2))
+    return np.asarray(_CURVATURE_PER_M**2 * (1.0 - curvature_fraction(distance_m) ** 2))
 
 
 class RoadHorizon:
@@ -114,20 +114,20 @@ class RoadHorizon:
             covariance=float(self._P[0, 2]),
         )
 
-    def predict(self, dt_s: float, *, pitch_rad: float, roll_rad: float, way_m: float) -> None:
+    def predict(self, dt_s: float, *, pitch_rad: float, roll_rad: float, travelled_m: float) -> None:
         """Move on to the next frame.
 
         Args:
             dt_s: time since the previous frame.
             pitch_rad: measured pitch between the frames, positive = upwards; NaN = unknown.
             roll_rad: measured roll, positive = clockwise as the driver sees it; NaN = unknown.
-            way_m: way between the frames; NaN = unknown.
+            travelled_m: way between the frames; NaN = unknown.
         """
         is_known = math.isfinite(pitch_rad)
-        way_m = abs(way_m) if math.isfinite(way_m) else 0.0
-        stays = math.exp(-way_m / _CURVATURE_LENGTH_M)
+        travelled_m = abs(travelled_m) if math.isfinite(travelled_m) else 0.0
+        stays = math.exp(-travelled_m / _CURVATURE_LENGTH_M)
         F = np.eye(4)
-        F[0, 2:] = -way_m, -1.0
+        F[0, 2:] = -travelled_m, -1.0
         F[2, 2] = stays
         if not is_known:
             F[0, 2:] = 0.0

@@ -83,7 +83,7 @@ class StereoOdometrySettings:
         min_disparity_px: smallest disparity.
         nearest_m: nearest point of the scene; sets the largest disparity.
         min_features: minimum number of static corners.
-        min_static_share: minimum fraction of static corners among those tracked with a disparity.
+        min_static_fraction: minimum fraction of static corners among those tracked with a disparity.
         max_noise_factor: largest ratio of the residuals to those expected.
         max_sigma_mps: largest standard deviation of a reliable speed.
         max_relative_sigma: the same as a fraction of the speed; one of the two suffices.
@@ -103,7 +103,7 @@ class StereoOdometrySettings:
     min_disparity_px: float = 0.5
     nearest_m: float = 3.2
     min_features: int = 20
-    min_static_share: float = 0.35
+    min_static_fraction: float = 0.35
     max_noise_factor: float = 5.0
     max_sigma_mps: float = 0.5
     max_relative_sigma: float = 0.05
@@ -264,7 +264,7 @@ class StereoOdometry:
             inverse_depth_noise=settings.disparity_noise_px / (self._focal_px * self._rig.baseline_m),
             rng=self._rng,
         )
-        if fit.is_static.sum() < settings.min_features or fit.is_static.mean() < settings.min_static_share:
+        if fit.is_static.sum() < settings.min_features or fit.is_static.mean() < settings.min_static_fraction:
             return self._unknown(now.time_s, dt_s)
         return self._checked(fit, now.time_s, dt_s)
 

@@ -45,7 +45,9 @@ def simulated(seed, scenario="city"):
     true = drive.true
     centre = (true.xyxy_px[:, 0] + true.xyxy_px[:, 2]) / 2
     is_car = np.array([scene.road_users[user].kitti_type == "Car" for user in true.user])
-    usable = is_car & (true.hidden_share < 0.05) & (true.outside_share <= 0) & (np.abs(centre - CENTRE_PX[0]) < 320)
+    usable = (
+        is_car & (true.hidden_fraction < 0.05) & (true.outside_fraction <= 0) & (np.abs(centre - CENTRE_PX[0]) < 320)
+    )
     usable &= (true.distance_m > 5) & (true.distance_m < 30)
     known = {}
     for row in rng.permutation(np.flatnonzero(usable)):

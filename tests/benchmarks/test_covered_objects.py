@@ -44,7 +44,7 @@ def renderer():
 @pytest.fixture(scope="module")
 def by_id(renderer):
     """Row of each car in the covered objects, by id, and the objects with boxes of the whole car."""
-    objects = covered_objects(renderer, 0.0, modal_share=0.0)
+    objects = covered_objects(renderer, 0.0, modal_fraction=0.0)
     return {number: row for row, number in enumerate(objects.track_id.tolist())}, objects
 
 
@@ -79,14 +79,14 @@ def test_kinds_and_covered_shares(by_id):
     pole_m = POLE_Z_M - POLE_WIDTH_M / 2
     assert FOCAL_BASELINE / objects.occluder_px[rows[1]] == pytest.approx(pole_m, rel=0.03)
     hidden_m = POLE_WIDTH_M * (CARS[1][1] - SIZE_HWL_M["Car"][2] / 2) / POLE_Z_M
-    assert objects.covered_share[rows[1]] == pytest.approx(hidden_m / 1.9, rel=0.35)
-    assert objects.covered_inner[rows[1]] > 1.5 * objects.covered_share[rows[1]]
-    assert objects.covered_share[rows[4]] == objects.covered_inner[rows[4]] == 0
+    assert objects.covered_fraction[rows[1]] == pytest.approx(hidden_m / 1.9, rel=0.35)
+    assert objects.covered_inner[rows[1]] > 1.5 * objects.covered_fraction[rows[1]]
+    assert objects.covered_fraction[rows[4]] == objects.covered_inner[rows[4]] == 0
 
 
 def test_boxes_of_visible_parts(renderer, by_id):
     rows, whole = by_id
-    objects = covered_objects(renderer, 0.0, modal_share=1.0)
+    objects = covered_objects(renderer, 0.0, modal_fraction=1.0)
     assert objects.is_modal.all()
     assert not whole.is_modal.any()
     width_px = objects.xyxy_px[:, 2] - objects.xyxy_px[:, 0]

@@ -19,8 +19,8 @@ def test_one_seed(capsys):
     assert total["n"] == unrelated["n"] + sequences["n"] > 20
     assert total["failures_pct"] < 60
     kinds = [group["patch"]["n"] for name, group in figures["all"].items() if name.startswith("occluder")]
-    shares = [group["patch"]["n"] for name, group in figures["all"].items() if name.startswith("covered")]
-    assert sum(kinds) == sum(shares) == total["n"]
+    fractions = [group["patch"]["n"] for name, group in figures["all"].items() if name.startswith("covered")]
+    assert sum(kinds) == sum(fractions) == total["n"]
     free = figures["all"]["occluder none"]["patch"]
     assert free["failures_pct"] <= total["failures_pct"]
     assert free["median_relative_error_pct"] < 1.0

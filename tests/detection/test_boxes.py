@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.detection.boxes import are_valid_boxes, area_px2, iou, nms, share_inside, xyxy_from_cxcywh
+from track_range.detection.boxes import are_valid_boxes, area_px2, fraction_inside, iou, nms, xyxy_from_cxcywh
 
 MAX_IOU = 0.4987  # not a ratio that hypothesis draws, so that float32 and float64 agree
 EDGE = st.floats(-50, 50, allow_nan=False)
@@ -15,7 +15,7 @@ def test_iou_by_hand():
     a = np.array([[0.0, 0.0, 2.0, 2.0]])
     b = np.array([[1.0, 1.0, 3.0, 3.0], [0.0, 0.0, 2.0, 2.0], [5.0, 5.0, 6.0, 6.0]])
     np.testing.assert_allclose(iou(a, b), [[1 / 7, 1.0, 0.0]])
-    np.testing.assert_allclose(share_inside(a, b), [[0.25, 1.0, 0.0]])
+    np.testing.assert_allclose(fraction_inside(a, b), [[0.25, 1.0, 0.0]])
     assert iou(np.zeros((1, 4)), np.zeros((1, 4))) == 0.0
 
 

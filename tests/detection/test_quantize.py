@@ -139,11 +139,11 @@ def test_pixels_are_never_rounded_to_halves(fp16):
     assert (corners != corners.astype(np.float16)).mean() > 0.9
 
 
-@pytest.mark.parametrize(("copy", "share"), [("int8", 0.6), ("fp16", 0.7)])
-def test_copy_is_smaller_with_equal_metadata(request, network, copy, share):
+@pytest.mark.parametrize(("copy", "fraction"), [("int8", 0.6), ("fp16", 0.7)])
+def test_copy_is_smaller_with_equal_metadata(request, network, copy, fraction):
     out = request.getfixturevalue(copy)
     onnx.checker.check_model(onnx.load(out), full_check=True)
-    assert 0.2 < out.stat().st_size / network.stat().st_size < share
+    assert 0.2 < out.stat().st_size / network.stat().st_size < fraction
     assert metadata(out) == METADATA
     before, after = (OnnxSession(path, Runtime(device="cpu")) for path in (network, out))
     assert (after.input_dtype, after.input_shape) == (before.input_dtype, before.input_shape)

@@ -130,7 +130,7 @@ def cuboid_scene(focal_px, *, n=60, seed=0):
         camera_height_m=1.5,
     )
     width, height = focal_px * np.exp(image.log_width), focal_px * np.exp(image.log_height)
-    bottom = CENTRE_PX[1] + focal_px * 1.5 * np.exp(image.log_nearness)
+    bottom = CENTRE_PX[1] + focal_px * 1.5 * np.exp(image.log_inverse_depth)
     centre = CENTRE_PX[0] + focal_px * bearing
     xyxy = np.stack([centre - width / 2, bottom - height, centre + width / 2, bottom], axis=1)
     return SceneBoxes(xyxy, np.full(n, CAR), np.arange(n))

@@ -21,7 +21,7 @@ def test_rear_straight_ahead_by_hand():
         camera_height_m=HEIGHT_M,
     )
     assert np.exp(box.log_width) == pytest.approx([1.8 / 20])
-    assert np.exp(box.log_nearness) == pytest.approx([1 / 20])
+    assert np.exp(box.log_inverse_depth) == pytest.approx([1 / 20])
     top = (HEIGHT_M - 1.5) / 24  # of the front edge of the roof
     assert np.exp(box.log_height) == pytest.approx([HEIGHT_M / 20 - top])
 
@@ -46,7 +46,7 @@ def test_box_equals_projected_corners(yaw, bearing, distance_m, hwl):
     columns, rows = corners(position, yaw, hwl)
     assert box.log_width == pytest.approx(np.log(columns.max() - columns.min()), abs=0.02)
     assert box.log_height == pytest.approx(np.log(rows.max() - rows.min()), abs=0.02)
-    assert np.exp(box.log_nearness) * HEIGHT_M == pytest.approx(rows.max(), rel=0.02)
+    assert np.exp(box.log_inverse_depth) * HEIGHT_M == pytest.approx(rows.max(), rel=0.02)
 
 
 def corners(position, yaw, hwl):

@@ -19,9 +19,9 @@ NOISE = 1.5 / 720
 def world(name, n, *, seed, noise=NOISE, on_ground=True):
     """Boxes with edge noise of objects drawn from the packaged prior of a class, and their distances."""
     rng, prior = np.random.default_rng(seed), PACKAGED.priors[name]
-    share, bodies = zip(*prior.components, strict=True)
+    fraction, bodies = zip(*prior.components, strict=True)
     drawn = np.stack([rng.multivariate_normal(np.log(body.hwl_m), body.covariance, n) for body in bodies])
-    log_hwl = drawn[rng.choice(len(bodies), n, p=np.array(share) / sum(share)), np.arange(n)].T
+    log_hwl = drawn[rng.choice(len(bodies), n, p=np.array(fraction) / sum(fraction)), np.arange(n)].T
     weights = np.array(prior.turn_weights) / sum(prior.turn_weights)
     yaw = np.radians(rng.choice(YAW_DEG, n, p=weights)) * rng.choice([-1, 1], n)
     bearing, distance_m = rng.uniform(-0.4, 0.4, n), np.exp(rng.uniform(np.log(10), np.log(70), n))
@@ -34,7 +34,7 @@ def world(name, n, *, seed, noise=NOISE, on_ground=True):
     boxes = BoxExtents(
         wh_over_f=size,
         bearing=bearing,
-        bottom=0.01 + 1.65 * np.exp(box.log_nearness) + rng.normal(0, 0.1, n) / distance_m,
+        bottom=0.01 + 1.65 * np.exp(box.log_inverse_depth) + rng.normal(0, 0.1, n) / distance_m,
         size_class=np.full(n, SIZE_CLASSES.index(name)),
         uses_width=np.ones(n, np.bool_),
         uses_bottom=np.full(n, on_ground),
@@ -157,21 +157,21 @@ def test_class_without_a_prior_is_not_measured():
 class TestSharedGround:
     """Ground plane estimated from the other objects."""
 
-    nearness = 1 / np.array([8.0, 15.0, 25.0, 40.0, 60.0, 70.0])
+    inverse_depth = 1 / np.array([8.0, 15.0, 25.0, 40.0, 60.0, 70.0])
 
     def contacts(self, bottom, is_on_ground=True):
         n = len(bottom)
         zeros, is_on_ground = np.zeros(n), np.full(n, is_on_ground)
-        return GroundContacts(bottom, zeros, self.nearness[:n], np.full(n, 0.05), np.full(n, 0.001), is_on_ground)
+        return GroundContacts(bottom, zeros, self.inverse_depth[:n], np.full(n, 0.05), np.full(n, 0.001), is_on_ground)
 
     def test_exact_objects_give_horizon_and_height(self):
-        ground = ground_from_others(self.contacts(0.02 + 1.8 * self.nearness), GroundPrior(camera_height_m=1.8))
+        ground = ground_from_others(self.contacts(0.02 + 1.8 * self.inverse_depth), GroundPrior(camera_height_m=1.8))
         np.testing.assert_allclose(ground.horizon, 0.02, atol=0.002)
         np.testing.assert_allclose(ground.height_m, 1.8, atol=0.05)
         assert not ground.is_prior_only.any()
 
     def test_own_measurement_is_excluded(self):
-        bottom = 0.02 + 1.5 * self.nearness
+        bottom = 0.02 + 1.5 * self.inverse_depth
         moved = bottom.copy()
         moved[5] += 0.004
         first, other = (
@@ -182,14 +182,14 @@ class TestSharedGround:
         assert other.horizon[0] > first.horizon[0] + 5e-4
 
     def test_outliers_are_down_weighted(self):
-        bottom = -0.01 + 1.5 * self.nearness
+        bottom = -0.01 + 1.5 * self.inverse_depth
         bottom[5] += 0.2  # on a balcony, or a false alarm
         ground = ground_from_others(self.contacts(bottom), GroundPrior())
         np.testing.assert_allclose(ground.horizon[:5], -0.01, atol=0.006)
 
     def test_only_the_prior_without_other_objects(self):
         prior = GroundPrior(horizon=0.03, camera_height_m=1.4)
-        for contacts in (self.contacts(np.array([0.2])), self.contacts(1.4 * self.nearness, is_on_ground=False)):
+        for contacts in (self.contacts(np.array([0.2])), self.contacts(1.4 * self.inverse_depth, is_on_ground=False)):
             ground = ground_from_others(contacts, prior)
             assert ground.is_prior_only.all()
             np.testing.assert_allclose(ground.horizon, 0.03)

@@ -14,12 +14,12 @@ HORIZON, HEIGHT_M = 0.02, 1.3
 BODY = ("small", "high roof")
 
 
-def contacts(nearness, *, off_m=0.0, bearing=0.0):
+def contacts(inverse_depth, *, off_m=0.0, bearing=0.0):
     """Contact points on the plane of the test, `off_m` below it, with sizes that are known to 5 %."""
-    n = len(nearness)
-    bottom = HORIZON + (HEIGHT_M + off_m) * nearness
+    n = len(inverse_depth)
+    bottom = HORIZON + (HEIGHT_M + off_m) * inverse_depth
     return GroundContacts(
-        bottom, np.full(n, bearing), nearness, np.full(n, 0.05), np.full(n, 5e-4), np.ones(n, np.bool_)
+        bottom, np.full(n, bearing), inverse_depth, np.full(n, 0.05), np.full(n, 5e-4), np.ones(n, np.bool_)
     )
 
 
@@ -29,8 +29,8 @@ def drive_past(drive, n_objects, *, off_m=0.0, seed=0):
     for first in range(n_objects):
         ids = np.arange(first, first + 3)
         drive.start_frame(ids, 0.5 * first)
-        nearness = 1 / rng.uniform(8, 60, 3)
-        ground = ground_from_others(contacts(nearness, off_m=rng.normal(0, off_m, 3)), GroundPrior(), drive)
+        inverse_depth = 1 / rng.uniform(8, 60, 3)
+        ground = ground_from_others(contacts(inverse_depth, off_m=rng.normal(0, off_m, 3)), GroundPrior(), drive)
         drive.add(np.arange(3), ground.terms, np.zeros((1, 3)))
 
 
@@ -49,10 +49,10 @@ def test_objects_that_left_give_the_ground_of_a_single_object():
 
 def test_objects_in_view_do_not_count_twice():
     drive = DriveState()
-    nearness = 1 / np.array([10.0, 20.0, 40.0])
+    inverse_depth = 1 / np.array([10.0, 20.0, 40.0])
     for k in range(50):
         drive.start_frame(np.array([1, 2, 3]), 0.1 * k)
-        ground = ground_from_others(contacts(nearness), GroundPrior(), drive)
+        ground = ground_from_others(contacts(inverse_depth), GroundPrior(), drive)
         drive.add(np.arange(3), ground.terms, np.zeros((1, 3)))
     np.testing.assert_array_equal(drive.information, 0.0)
     drive.start_frame(np.array([9]), 5.0)

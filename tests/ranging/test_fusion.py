@@ -187,15 +187,15 @@ def test_tracks_are_independent_and_in_order():
 
 
 @pytest.mark.parametrize(
-    ("names", "shares", "shared"), [(("mono", "lane"), (0.6, 0.6), 0.4), (("mono", "stereo"), (0.6, 0.3), 0.0)]
+    ("names", "fractions", "shared"), [(("mono", "lane"), (0.6, 0.6), 0.4), (("mono", "stereo"), (0.6, 0.3), 0.0)]
 )
-def test_fused_is_the_least_squares_solution(names, shares, shared):
+def test_fused_is_the_least_squares_solution(names, fractions, shared):
     """Against the joint normal equations of a frame for log d and the biases of the methods."""
     sigma, log_m = np.array([0.1, 0.07]), np.log([31.0, 28.0])
     by_method = {n: ranges(np.exp(z), s * np.exp(z)) for n, z, s in zip(names, log_m, sigma, strict=True)}
-    share = np.array(shares)
-    noise = np.outer(share * sigma, share * sigma) * np.array([[1.0, shared], [shared, 1.0]])
-    design = np.hstack([np.ones((2, 1)), np.diag(np.sqrt(1 - share**2) * sigma)])
+    fraction = np.array(fractions)
+    noise = np.outer(fraction * sigma, fraction * sigma) * np.array([[1.0, shared], [shared, 1.0]])
+    design = np.hstack([np.ones((2, 1)), np.diag(np.sqrt(1 - fraction**2) * sigma)])
     information = design.T @ np.linalg.inv(noise) @ design + np.diag([0, 1, 1])
     solution = np.linalg.solve(information, design.T @ np.linalg.inv(noise) @ log_m)
     result = single_frame(by_method).ranges

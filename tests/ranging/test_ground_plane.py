@@ -12,7 +12,7 @@ from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidenc
 from track_range.ranging.size_models.surface_offset import surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.odometry.road_horizon import RoadView, curvature_share
+from track_range.stereo.odometry.road_horizon import RoadView, curvature_fraction
 from track_range.tracking.tracks import Tracks
 
 F_PX, CY_PX, HEIGHT_M = 700.0, 180.0, 1.65
@@ -228,7 +228,7 @@ def test_contact_points_on_a_curved_road(curvature_per_m):
     """By hand: y = y0 + f H / d - f k share(d) d / 2."""
     distance_m = np.array([15.0, 30.0, 45.0])
     tracks, by_size = cars_at(distance_m)
-    raised_px = F_PX * curvature_per_m * curvature_share(distance_m) * distance_m / 2
+    raised_px = F_PX * curvature_per_m * curvature_fraction(distance_m) * distance_m / 2
     boxes = tracks.xyxy_px - raised_px[:, None] * [0.0, 1.0, 0.0, 1.0]
     raised = Tracks(tracks.track_id, boxes, tracks.class_id, tracks.score, tracks.observed)
     plane = GroundPlane(CAMERA, SMOOTH)

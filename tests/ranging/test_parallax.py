@@ -42,7 +42,9 @@ def picture(distances_m):
     return image.astype(np.uint8)
 
 
-def driven(speeds_mps=(0.0, 0.0), *, class_id=CAR, size_error=0.0, sigma=0.08, way_m=WAY_M, starts_m=(32.0, 28.0)):
+def driven(
+    speeds_mps=(0.0, 0.0), *, class_id=CAR, size_error=0.0, sigma=0.08, travelled_m=WAY_M, starts_m=(32.0, 28.0)
+):
     """Ranges after some frames, and the true distances; the objects move with `speeds_mps` away from the camera."""
     parallax, flow = Parallax(CAMERA), BackgroundFlow()
     distances_m, ids = np.array(starts_m), np.array([1, 2])
@@ -56,8 +58,8 @@ def driven(speeds_mps=(0.0, 0.0), *, class_id=CAR, size_error=0.0, sigma=0.08, w
             rotation=np.eye(3),
             rotation_sigma_rad=1e-4,
             travel=np.zeros(2),
-            way_m=way_m,
-            way_sigma=0.02,
+            travelled_m=travelled_m,
+            travelled_sigma=0.02,
             now=flow.now,
         )
         other_m = distances_m * (1 + size_error)
@@ -76,7 +78,7 @@ def test_distances_of_parked_cars(size_error):
 
 
 def test_error_of_the_way_is_an_error_of_the_distance():
-    ranges, true_m = driven(way_m=1.1 * WAY_M)
+    ranges, true_m = driven(travelled_m=1.1 * WAY_M)
     assert ranges.distance_m == pytest.approx(1.1 * true_m, rel=0.03)
 
 

@@ -112,7 +112,7 @@ def test_tables_interpolate_the_geometry():
             camera_height_m=1.65,
         )
         np.testing.assert_allclose(seen[k], box.log_height, atol=0.02)
-        np.testing.assert_allclose(nodes[9][k] - log_m, box.log_nearness, atol=0.1)
+        np.testing.assert_allclose(nodes[9][k] - log_m, box.log_inverse_depth, atol=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -130,9 +130,9 @@ def test_cross_validated_error_on_kitti(kitti, noise_px):
     column = cross_validated(boxes, kitti, size_fitter(MONO, MethodOptions(box_sigma_px=noise_px)))
     mono = figures(boxes, column.distance_m, column.sigma_m)
     key = "mean_relative_error_pct"
-    for kind, share, least in (("car", 0.9, 4.0), ("person", 0.9, 3.4), ("bicycle", 0.95, 2.0)):
+    for kind, fraction, least in (("car", 0.9, 4.0), ("person", 0.9, 3.4), ("bicycle", 0.95, 2.0)):
         best = min(rows[kind][key] for rows in plain.values())
-        assert least < mono[kind][key] < share * best, kind
+        assert least < mono[kind][key] < fraction * best, kind
     assert mono["van"][key] < 0.75 * plain["log-linear"]["van"][key]
     assert mono["truck"][key] < 9.0
     for kind in ("car", "van", "person", "bicycle"):

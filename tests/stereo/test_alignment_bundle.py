@@ -37,7 +37,7 @@ def drive(
     yaw_step_rad: float = 0.003,
     n_points: int = 700,
     n_frames: int = 14,
-    share_moving: float = 0.0,
+    fraction_moving: float = 0.0,
     noise_px: float = NOISE_PX,
 ) -> Observations:
     """A drive through a street of random points; moving points keep their distance from the vehicle."""
@@ -45,7 +45,7 @@ def drive(
     z_m = rng.uniform(5.0, 90.0, n_points)
     side_m = rng.uniform(3.0, 20.0, n_points) * rng.choice([-1.0, 1.0], n_points)
     world_m = np.column_stack([side_m, rng.uniform(-5.0, 1.6, n_points), z_m])
-    is_moving = rng.random(n_points) < share_moving
+    is_moving = rng.random(n_points) < fraction_moving
     frames, points, pixels = [], [], []
     for frame in range(n_frames):
         rotation = cv2.Rodrigues(np.array([0.0, -yaw_step_rad * frame, 0.0]))[0]
@@ -145,20 +145,20 @@ def test_combination_of_two_segments() -> None:
     assert (both.error_px[1], both.sigma_px[1]) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("share_moving", [pytest.param(0.1, marks=pytest.mark.slow), 0.25])
-def test_moving_objects_have_no_influence(share_moving: float) -> None:
-    estimate = combine([segment(drive(4, offset_px=0.5, share_moving=share_moving))], (OFFSET,))
+@pytest.mark.parametrize("fraction_moving", [pytest.param(0.1, marks=pytest.mark.slow), 0.25])
+def test_moving_objects_have_no_influence(fraction_moving: float) -> None:
+    estimate = combine([segment(drive(4, offset_px=0.5, fraction_moving=fraction_moving))], (OFFSET,))
     assert estimate.error_px[0] == pytest.approx(0.5, abs=0.03)
 
 
 def test_half_of_the_points_on_vehicles_ahead() -> None:
     """The static scene moves faster than vehicles that keep their distance, also if half of the points are on them."""
-    estimate = combine([segment(drive(4, offset_px=0.5, share_moving=0.5))], (OFFSET,))
+    estimate = combine([segment(drive(4, offset_px=0.5, fraction_moving=0.5))], (OFFSET,))
     assert estimate.error_px[0] == pytest.approx(0.5, abs=0.05)
 
 
 def test_scene_that_moves_with_the_vehicle_is_refused() -> None:
-    assert isinstance(segment_of(drive(4, share_moving=1.0), RIG), str)
+    assert isinstance(segment_of(drive(4, fraction_moving=1.0), RIG), str)
 
 
 @pytest.mark.slow

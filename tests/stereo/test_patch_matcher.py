@@ -489,7 +489,7 @@ def test_any_box_and_prior_is_accepted(boxes: FloatArray, priors: FloatArray) ->
 @pytest.mark.slow
 def test_sigma_matches_errors_on_noisy_textures() -> None:
     """Without the floors for objects that are not smooth, sigma is that of the sensor noise."""
-    smooth = PatchMatcher(PatchMatcherSettings(floor_px=0.03, floor_share=0.0))
+    smooth = PatchMatcher(PatchMatcherSettings(floor_px=0.03, floor_fraction=0.0))
     ratios = []
     for noise, box in ((10.0, SMALL), (12.0, SMALL), (14.0, (200.0, 40.0, 240.0, 76.0)), (8.0, (200, 50, 216, 64))):
         error, sigma = errors_px(5.0 + 0.37 * np.arange(40), box=box, noise=noise, matcher=smooth)
@@ -511,7 +511,7 @@ def test_sigma_is_not_below_its_floor_without_noise() -> None:
 def floor_at(disparity_px: FloatArray | float) -> FloatArray:
     """Sigma of a flat, noiseless box in a tile of scale 1, px."""
     constants = PatchMatcherSettings()
-    return np.hypot(constants.floor_px, constants.floor_share * np.asarray(disparity_px))
+    return np.hypot(constants.floor_px, constants.floor_fraction * np.asarray(disparity_px))
 
 
 def test_sigma_grows_with_noise_and_with_tilt() -> None:

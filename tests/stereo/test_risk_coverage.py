@@ -32,8 +32,12 @@ def test_areas_by_hand():
 def test_curve_by_hand():
     rows = {row["answered_pct"]: row for row in risk_coverage(COLUMN, TRUE_PX)["curve"]}
     assert list(rows) == list(range(5, 101, 5))
-    assert [rows[share]["n"] for share in (5, 25, 50, 75, 100)] == [1, 1, 2, 3, 4]
-    assert [rows[share]["failures_pct"] for share in (50, 75, 100)] == [0.0, pytest.approx(100 / 3, abs=1e-3), 50.0]
+    assert [rows[fraction]["n"] for fraction in (5, 25, 50, 75, 100)] == [1, 1, 2, 3, 4]
+    assert [rows[fraction]["failures_pct"] for fraction in (50, 75, 100)] == [
+        0.0,
+        pytest.approx(100 / 3, abs=1e-3),
+        50.0,
+    ]
     assert rows[50]["mean_relative_error_pct"] == pytest.approx(100 / 19 / 2, abs=1e-3)
     assert rows[75]["p95_relative_error_pct"] == rows[100]["p95_relative_error_pct"]
 

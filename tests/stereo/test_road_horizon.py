@@ -6,23 +6,25 @@ import pytest
 from track_range.stereo.odometry.road_horizon import (
     RoadHorizon,
     RoadView,
-    curvature_share,
+    curvature_fraction,
     unknown_curvature_variance,
 )
 
 DT_S = 0.1
 
 
-def driven(n, *, mounting=0.01, curvature_per_m=0.0, way_m=1.0, springs_rad=0.0, bias_rad=0.0, noise=0.002, seed=0):
+def driven(
+    n, *, mounting=0.01, curvature_per_m=0.0, travelled_m=1.0, springs_rad=0.0, bias_rad=0.0, noise=0.002, seed=0
+):
     """The filter after `n` frames of a car on a road of constant curvature, and the true horizon."""
     rng = np.random.default_rng(seed)
     road = RoadHorizon()
     before = 0.0
     for _ in range(n):
         springs = springs_rad * rng.normal()
-        pitch_rad = curvature_per_m * way_m + springs - before + bias_rad
+        pitch_rad = curvature_per_m * travelled_m + springs - before + bias_rad
         before = springs
-        road.predict(DT_S, pitch_rad=pitch_rad, roll_rad=0.0, way_m=way_m)
+        road.predict(DT_S, pitch_rad=pitch_rad, roll_rad=0.0, travelled_m=travelled_m)
         road.measure(mounting + springs + noise * rng.normal(), noise**2)
     return road.view, mounting + before
 
@@ -44,7 +46,7 @@ def test_horizon_follows_the_springs(springs_rad):
 @pytest.mark.parametrize("curvature_per_m", [-4e-4, 3e-4])
 def test_curvature_is_rotation_without_a_moving_horizon(curvature_per_m):
     """The camera turns by k V dt per frame while the horizon stays."""
-    view, true = driven(100, curvature_per_m=curvature_per_m, way_m=2.0)
+    view, true = driven(100, curvature_per_m=curvature_per_m, travelled_m=2.0)
     assert view.curvature_per_m == pytest.approx(curvature_per_m, abs=1.5e-4)
     assert view.horizon == pytest.approx(true, abs=0.0015)
 
@@ -69,17 +71,17 @@ def test_unknown_rotation_widens_the_horizon():
     road = RoadHorizon()
     road.measure(0.01, 1e-8)
     before = road.view.horizon_variance
-    road.predict(DT_S, pitch_rad=math.nan, roll_rad=math.nan, way_m=math.nan)
+    road.predict(DT_S, pitch_rad=math.nan, roll_rad=math.nan, travelled_m=math.nan)
     assert road.view.horizon_variance > before
     assert road.view.slope == 0.0
 
 
 def test_roll_tilts_the_horizon_and_returns():
     road = RoadHorizon()
-    road.predict(DT_S, pitch_rad=0.0, roll_rad=0.02, way_m=1.0)
+    road.predict(DT_S, pitch_rad=0.0, roll_rad=0.02, travelled_m=1.0)
     assert road.view.slope == pytest.approx(-0.02, rel=0.25)  # clockwise: the horizon rises on the right-hand side
     for _ in range(100):
-        road.predict(DT_S, pitch_rad=0.0, roll_rad=0.0, way_m=1.0)
+        road.predict(DT_S, pitch_rad=0.0, roll_rad=0.0, travelled_m=1.0)
     assert abs(road.view.slope) < 0.001
 
 
@@ -94,6 +96,6 @@ def test_scaled_lengths():
 
 def test_share_of_the_curvature_decreases_with_distance():
     distance_m = np.array([0.0, 10.0, 50.0, 1e4])
-    assert curvature_share(distance_m)[0] == 1.0
-    assert (np.diff(curvature_share(distance_m)) < 0).all()
+    assert curvature_fraction(distance_m)[0] == 1.0
+    assert (np.diff(curvature_fraction(distance_m)) < 0).all()
     assert unknown_curvature_variance(distance_m)[[0, -1]] == pytest.approx([0.0, 9e-8])

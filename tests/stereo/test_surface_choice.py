@@ -33,7 +33,7 @@ def features_of(
     *,
     by_size_px: float = NONE,
     track_px: float = NONE,
-    others_share: FloatArray | None = None,
+    others_fraction: FloatArray | None = None,
     weight: FloatArray = WEIGHT,
 ) -> tuple[dict[str, FloatArray], Surfaces]:
     """Features and surfaces of one box, from disparities (1, G) in px."""
@@ -44,7 +44,7 @@ def features_of(
         COST,
         by_size=ExpectedDisparity(np.array([by_size_px]), np.array([0.15])),
         track_px=np.array([track_px]),
-        others_share=np.zeros((1, 49)) if others_share is None else others_share,
+        others_fraction=np.zeros((1, 49)) if others_fraction is None else others_fraction,
     )
     return phi, surfaces
 
@@ -155,8 +155,8 @@ def test_features_by_hand() -> None:
 
 def test_surface_of_another_box_is_less_probable() -> None:
     probability = []
-    for share in (0.0, 1.0):
-        phi, surfaces = features_of(HALVES, others_share=np.where(U > 0, 0.0, share))
+    for fraction in (0.0, 1.0):
+        phi, surfaces = features_of(HALVES, others_fraction=np.where(U > 0, 0.0, fraction))
         near = int(np.nanargmax(surfaces.disparity[:, 0]))
         probability.append(choose_surface(phi, surfaces).probability[near, 0])
     assert probability[1] < 0.7 * probability[0]

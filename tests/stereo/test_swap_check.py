@@ -26,7 +26,7 @@ def test_correct_and_swapped_order() -> None:
     swapped = check_pair(right, left)
     assert swapped.is_swapped
     assert swapped.is_conclusive
-    assert swapped.negative_share > 0.95
+    assert swapped.negative_fraction > 0.95
 
 
 @pytest.mark.parametrize("row_offset_px", [0, 3, -7])
@@ -42,7 +42,7 @@ def test_equal_images_are_not_swapped() -> None:
     check = check_pair(left, left)
     assert check.view_order == "unknown"
     assert not check.is_conclusive
-    assert check.negative_share == 0.0
+    assert check.negative_fraction == 0.0
 
 
 def test_images_without_texture_are_unknown() -> None:
@@ -50,7 +50,7 @@ def test_images_without_texture_are_unknown() -> None:
     check = check_pair(flat, flat)
     assert (check.n_matches, check.view_order) == (0, "unknown")
     assert np.isnan(check.row_offset_px)
-    assert np.isnan(check.negative_share)
+    assert np.isnan(check.negative_fraction)
 
 
 def test_images_of_different_scenes_are_unknown() -> None:

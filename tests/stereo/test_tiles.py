@@ -147,10 +147,10 @@ def test_strip_outside_the_right_image() -> None:
     st.sampled_from([FINE, COARSE]),
 )
 def test_used_windows_are_in_box_and_image(
-    image_hw: tuple[int, int], shares: tuple[float, float, float, float], shape: TileShape
+    image_hw: tuple[int, int], fractions: tuple[float, float, float, float], shape: TileShape
 ) -> None:
     height, width = image_hw
-    (left, right), (top, bottom) = sorted(shares[:2]), sorted(shares[2:])
+    (left, right), (top, bottom) = sorted(fractions[:2]), sorted(fractions[2:])
     box = np.array([left * width, top * height, right * width, bottom * height]) - 0.5
     size_px = np.maximum(box[2:] - box[:2], 8.0)
     box[2:] = box[:2] + size_px

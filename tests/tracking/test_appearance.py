@@ -43,11 +43,11 @@ def test_one_colour_by_hand():
     np.testing.assert_allclose(band, np.broadcast_to(band[0], band.shape), rtol=1e-5)  # channels have equal weights
     np.testing.assert_allclose(band.sum(), 1, rtol=1e-5)
     np.testing.assert_allclose(band[0], band[0, ::-1], rtol=1e-5)
-    share = weight / band[:, :, None]
+    fraction = weight / band[:, :, None]
     lightness = 113.5 / 255 * 7 - 3
     for row in range(6):
-        np.testing.assert_allclose(share[0, row], [0, 0, 0, 1 - lightness, lightness, 0, 0, 0], atol=1e-4)
-        np.testing.assert_allclose(share[1:, row], [[0] * 7 + [1]] * 2, atol=1e-4)
+        np.testing.assert_allclose(fraction[0, row], [0, 0, 0, 1 - lightness, lightness, 0, 0, 0], atol=1e-4)
+        np.testing.assert_allclose(fraction[1:, row], [[0] * 7 + [1]] * 2, atol=1e-4)
 
 
 def test_two_colours_by_hand():

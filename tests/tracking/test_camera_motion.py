@@ -173,7 +173,7 @@ def test_small_and_narrow_images(hw: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize(
-    "gate", [{"max_roll_rad": 0.03}, {"max_scale": 1.05}, {"max_shift": 0.01}, {"min_inlier_share": 1.01}]
+    "gate", [{"max_roll_rad": 0.03}, {"max_scale": 1.05}, {"max_shift": 0.01}, {"min_inlier_fraction": 1.01}]
 )
 def test_implausible_motion_is_the_identity(gate: dict[str, float]) -> None:
     image = texture(375, 1242, seed=1)

@@ -65,7 +65,7 @@ def test_limits_for_perfect_and_useless_detectors() -> None:
 
 
 def test_fixed_threshold_and_sampling_of_many_boxes() -> None:
-    threshold = ConfidenceThreshold(ConfidenceThresholdSettings(min_share=0.0, first=0.2))
+    threshold = ConfidenceThreshold(ConfidenceThresholdSettings(min_fraction=0.0, first=0.2))
     stream(threshold, n_frames=30, true_from=0.8)
     assert threshold.of(np.array([CAR]))[0] == 0.2
     crowd = ConfidenceThreshold(ConfidenceThresholdSettings())

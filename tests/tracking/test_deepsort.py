@@ -402,12 +402,12 @@ def test_ten_thousand_boxes() -> None:
     assert tracker.update(detections, 0.1, None).track_id.tolist() == list(range(1, 10_001))
 
 
-@pytest.mark.parametrize(("min_share", "least", "most"), [(0.85, 0, 0), (0.0, 60, 200)])
-def test_activation_threshold_adapts_to_detector(min_share: float, least: int, most: int) -> None:
+@pytest.mark.parametrize(("min_fraction", "least", "most"), [(0.85, 0, 0), (0.0, 60, 200)])
+def test_activation_threshold_adapts_to_detector(min_fraction: float, least: int, most: int) -> None:
     """False alarms with a score of 0.55 at random positions, persistent cars with 0.85: false alarms start no track."""
     rng = np.random.default_rng(6)
     tracker = DeepSortTracker(
-        DeepSortSettings(track_activation_threshold=ConfidenceThresholdSettings(min_share=min_share))
+        DeepSortSettings(track_activation_threshold=ConfidenceThresholdSettings(min_fraction=min_fraction))
     )
     n_new = []
     for i in range(50):
@@ -415,4 +415,4 @@ def test_activation_threshold_adapts_to_detector(min_share: float, least: int, m
         tracker.update(both(*[car_at(60 * k, score=0.85) for k in range(3)], *false), 0.1 * i, None)
         n_new.append(len(tracker.tentative))
     assert least <= sum(n_new[5:]) <= most
-    assert (tracker.track_activation_threshold(np.array([CAR]))[0] > 0.55) == (min_share > 0)
+    assert (tracker.track_activation_threshold(np.array([CAR]))[0] > 0.55) == (min_fraction > 0)

@@ -67,7 +67,7 @@ def test_gain_of_low_confidence_and_prediction(shared_data: Path) -> None:
     truth = rows_of(cars.frame, cars.track_id, cars.xyxy_px, np.ones(len(cars.frame)))
     plain = DeepSortSettings(
         min_score=0.5,
-        track_activation_threshold=ConfidenceThresholdSettings(first=0.5, min_share=0.0),
+        track_activation_threshold=ConfidenceThresholdSettings(first=0.5, min_fraction=0.0),
         prediction=PredictionGates(max_missing_s=0.0),
     )
     scores, plain_scores = (

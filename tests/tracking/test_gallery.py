@@ -56,7 +56,7 @@ class ListGallery:
     st.integers(2, 5),
     st.floats(0, 1),
 )
-def test_equals_a_loop_over_lists(seed, n, m, nn_budget, length, share):
+def test_equals_a_loop_over_lists(seed, n, m, nn_budget, length, fraction):
     rng = np.random.default_rng(seed)
     first = random_rows(rng, n, length)
     gallery, reference = Gallery.empty(nn_budget=nn_budget).initiate(first), [ListGallery(e, nn_budget) for e in first]
@@ -69,7 +69,7 @@ def test_equals_a_loop_over_lists(seed, n, m, nn_budget, length, share):
     boxes = random_rows(rng, m, length)
     expected = np.array([[track.distance(box) for box in boxes] for track in reference]).reshape(n, m)
     np.testing.assert_allclose(gallery.cosine_distance(boxes), expected, atol=1e-5)
-    among = rng.random((n, m)) < share
+    among = rng.random((n, m)) < fraction
     np.testing.assert_allclose(gallery.cosine_distance(boxes, among), np.where(among, expected, np.inf), atol=1e-5)
 
 

@@ -129,8 +129,8 @@ def test_gating_distance_is_chi_square() -> None:
     cxcywh = filters.x[0] + rng.normal(0, 1, (4000, 4)) * sigma
     xyxy = np.concatenate([cxcywh[:, :2] - cxcywh[:, 2:] / 2, cxcywh[:, :2] + cxcywh[:, 2:] / 2], axis=1)
     distance = gating_distance(filters, xyxy, NOISE)[0]
-    for share in (0.5, 0.9, 0.99):
-        assert np.mean(distance <= chi2.ppf(share, df=4)) == pytest.approx(share, abs=0.02)
+    for fraction in (0.5, 0.9, 0.99):
+        assert np.mean(distance <= chi2.ppf(fraction, df=4)) == pytest.approx(fraction, abs=0.02)
 
 
 def test_rows_are_independent_of_each_other() -> None:
@@ -179,8 +179,8 @@ def test_innovations_are_standard_normal() -> None:
         filters, innovation = update(filters, box(value), noise)
         innovations.append(innovation[:, :2])
     squared = np.sum(np.square(innovations), axis=2).ravel()
-    for share in (0.5, 0.9, 0.99):
-        assert np.mean(squared <= chi2.ppf(share, df=2)) == pytest.approx(share, abs=0.015)
+    for fraction in (0.5, 0.9, 0.99):
+        assert np.mean(squared <= chi2.ppf(fraction, df=2)) == pytest.approx(fraction, abs=0.015)
 
 
 def test_noise_scale_increases_variance() -> None:

@@ -9,7 +9,7 @@ from track_range.tracking.tracks import Tracks
 
 CAR, TRUCK = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("truck")
 NONE = Tracks.empty()
-EVERYTHING = RefinementSettings(min_boxes=1, min_score_share=0.0)
+EVERYTHING = RefinementSettings(min_boxes=1, min_score_fraction=0.0)
 
 
 def track(track_id: int, x_px: float, *, score: float = 0.9, class_id: int = CAR, observed: bool = True) -> Tracks:
@@ -65,7 +65,7 @@ def test_unreliable_tracks_are_dropped() -> None:
     assert {i for tracks in out for i in tracks.track_id.tolist()} == {1}
     no_threshold = refined([*long, *short, *weak], RefinementSettings(), threshold=None)
     assert {i for tracks in no_threshold for i in tracks.track_id.tolist()} == {1, 3}
-    lenient = refined([*long, *short, *weak], RefinementSettings(min_boxes=2, min_score_share=0.8))
+    lenient = refined([*long, *short, *weak], RefinementSettings(min_boxes=2, min_score_fraction=0.8))
     assert {i for tracks in lenient for i in tracks.track_id.tolist()} == {1, 2, 3}
 
 

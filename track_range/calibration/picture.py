@@ -74,8 +74,8 @@ def _shades(xy_px: FloatArray, height_px: int) -> Image:
     """Density of the corners (N, 2) per cell, from white (none) to blue-green (most)."""
     bins = (max(height_px // _CELL_PX, 1), _PANEL_PX // _CELL_PX)
     counts, _, _ = np.histogram2d(xy_px[:, 1], xy_px[:, 0], bins=bins, range=((0, height_px), (0, _PANEL_PX)))
-    share = np.sqrt(counts / max(counts.max(), 1))
-    wide = cv2.resize(share.astype(np.float32), (_PANEL_PX, height_px), interpolation=cv2.INTER_NEAREST)
+    fraction = np.sqrt(counts / max(counts.max(), 1))
+    wide = cv2.resize(fraction.astype(np.float32), (_PANEL_PX, height_px), interpolation=cv2.INTER_NEAREST)
     dark = np.array([235.0, 225.0, 150.0])
     return np.asarray(255 - wide[..., None] * (255 - dark), np.uint8)
 

@@ -30,17 +30,17 @@ from track_range.tracking.registry import checked_tracks
 from track_range.tracking.tracker import ObjectTracker
 from track_range.tracking.tracks import Tracks
 
-FUSED_NOISE_SHARE = 0.35
+FUSED_NOISE_FRACTION = 0.35
 """Initial fraction of the fused sigma that is independent between frames, for the distance filter."""
 
 
-def noise_shares() -> dict[str, float]:
+def noise_fractions() -> dict[str, float]:
     """Initial fraction of sigma that is independent between frames, for each distance that is filtered over time.
 
     The filters adapt it to their innovations. Fusion uses the declared error sources of the methods instead.
     """
-    filtered = {method.name: method.noise_share for method in methods() if method.is_filtered}
-    return {**filtered, "fused": FUSED_NOISE_SHARE}
+    filtered = {method.name: method.noise_fraction for method in methods() if method.is_filtered}
+    return {**filtered, "fused": FUSED_NOISE_FRACTION}
 
 
 @dataclass(slots=True, kw_only=True)
@@ -72,7 +72,7 @@ class FramePipeline:
     notes: tuple[str, ...] = ()
     clock: StageClock = field(default_factory=StageClock)
     _fusion: Fusion = field(default_factory=Fusion)
-    _filters: DistanceFilters = field(default_factory=lambda: DistanceFilters(noise_shares()))
+    _filters: DistanceFilters = field(default_factory=lambda: DistanceFilters(noise_fractions()))
     _lateral: LateralFilters = field(init=False)
 
     def __post_init__(self) -> None:

@@ -21,7 +21,7 @@ _NEUTRAL_DIFFERENCE = 8
 """Largest difference between the channels of a grey pixel, in grey levels; lossy chroma of grey videos differs by 1 to
 3."""
 
-_NEUTRAL_SHARE = 0.999
+_NEUTRAL_FRACTION = 0.999
 """Smallest fraction of grey pixels in an image without colour; assumed."""
 
 
@@ -90,7 +90,7 @@ def bgr_image(frame: av.VideoFrame) -> Image:
 def is_neutral(image: Image) -> bool:
     """Whether a BGR image has no colour: its channels are equal except for compression noise."""
     sample = image[::4, ::4].astype(np.int16)
-    return bool((np.ptp(sample, axis=2) <= _NEUTRAL_DIFFERENCE).mean() >= _NEUTRAL_SHARE)
+    return bool((np.ptp(sample, axis=2) <= _NEUTRAL_DIFFERENCE).mean() >= _NEUTRAL_FRACTION)
 
 
 def strictly_later(stamp_s: float | None, last_s: float | None, *, interval_s: float) -> float | None:

@@ -23,7 +23,7 @@ from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.frames import Frame
 
 _MIN_SHOWN = 0.5
-"""Smallest share of a recorded box inside the undistorted image of a wide lens, without which it is not used."""
+"""Smallest fraction of a recorded box inside the undistorted image of a wide lens, without which it is not used."""
 
 CANDIDATE_SCORE = np.where(np.isin(ROAD_CLASSES, ("person", "bicycle")), 0.02, 0.1)
 """(8,) minimum confidence of the candidates for anonymization by road class: low for people, since the regions of false

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.boxes import share_inside
+from track_range.detection.boxes import fraction_inside
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.csv_tables import read_csv_table
@@ -107,5 +107,5 @@ def joined_text(views_deg: Sequence[float], folders: Sequence[Path]) -> str:
 
 def _overlap(xyxy_px: FloatArray) -> FloatArray:
     """(N, N) intersection of boxes (N, 4) over the area of the smaller one; 0 for boxes with NaN."""
-    shares = share_inside(xyxy_px, xyxy_px)
-    return np.nan_to_num(np.maximum(shares, shares.T))
+    fractions = fraction_inside(xyxy_px, xyxy_px)
+    return np.nan_to_num(np.maximum(fractions, fractions.T))

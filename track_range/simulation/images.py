@@ -96,11 +96,11 @@ def _write(folder: Path, name: str, image: Image, truth: KittiLabels) -> None:
     sizes = boxes[:, 2:] - boxes[:, :2]
     ignored = (truth.occluded >= _HIDDEN) | (scale * sizes.min(axis=1, initial=np.inf) < MIN_SIDE_PX)
     known = [ROAD_CLASS_OF.get(str(kind).lower()) for kind in truth.kitti_type]
-    shares = np.concatenate([(boxes[:, :2] + boxes[:, 2:]) / 2, sizes], axis=1) / [width, height, width, height]
+    fractions = np.concatenate([(boxes[:, :2] + boxes[:, 2:]) / 2, sizes], axis=1) / [width, height, width, height]
     lines: dict[bool, list[str]] = {False: [], True: []}
-    for kind, row, is_ignored in zip(known, shares, ignored, strict=True):
+    for kind, row, is_ignored in zip(known, fractions, ignored, strict=True):
         if kind is not None and row[2:].min() > 0:
-            cells = [str(ROAD_CLASSES.index(kind)), *(f"{share:.6f}" for share in row)]
+            cells = [str(ROAD_CLASSES.index(kind)), *(f"{fraction:.6f}" for fraction in row)]
             lines[bool(is_ignored)].append(" ".join([*cells, str(_IGNORED_SCORE)] if is_ignored else cells) + "\n")
     write_text(folder / "labels" / f"{name}.txt", "".join(lines[False]))
     write_text(folder / "ignored" / f"{name}.txt", "".join(lines[True]))

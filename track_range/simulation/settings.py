@@ -150,7 +150,7 @@ class SimulationSettings(Options):
             le=20,
         ),
     ] = None
-    drop_share: Annotated[
+    drop_fraction: Annotated[
         float | None,
         option(
             "Fraction of frames dropped by each camera, from 0 to 0.9.",

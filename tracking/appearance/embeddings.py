@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from track_range.detection.boxes import are_valid_boxes, share_inside
+from track_range.detection.boxes import are_valid_boxes, fraction_inside
 from track_range.detection.detections import Descriptors
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
 from track_range.tracking.appearance.gallery import unit_rows
@@ -23,7 +23,7 @@ from track_range.tracking.appearance.gallery import unit_rows
 MIN_SIDE_PX = 4.0
 """Minimum width and height of a box with an embedding."""
 
-MIN_SHARE_INSIDE = 0.3
+MIN_FRACTION_INSIDE = 0.3
 """Minimum fraction of a box inside the image, for an embedding."""
 
 _FAR_PX = 1e6
@@ -46,9 +46,9 @@ def has_appearance(image: Image, xyxy_px: FloatArray) -> BoolArray:
     """(N,) which boxes are large enough, and lie far enough inside the image, for an embedding."""
     height, width = image.shape[:2]
     boxes = np.clip(np.where(are_valid_boxes(xyxy_px)[:, None], xyxy_px, 0.0), -_FAR_PX, _FAR_PX)
-    inside = share_inside(boxes, np.array([[-0.5, -0.5, width - 0.5, height - 0.5]]))[:, 0]
+    inside = fraction_inside(boxes, np.array([[-0.5, -0.5, width - 0.5, height - 0.5]]))[:, 0]
     large = (boxes[:, 2:] - boxes[:, :2]).min(axis=1, initial=np.inf) >= MIN_SIDE_PX
-    return np.asarray(large & (inside >= MIN_SHARE_INSIDE))
+    return np.asarray(large & (inside >= MIN_FRACTION_INSIDE))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

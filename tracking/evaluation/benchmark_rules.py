@@ -19,7 +19,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from track_range.detection.boxes import iou, share_inside
+from track_range.detection.boxes import fraction_inside, iou
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.detection.formats.video_labels.mot import MotRows
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
@@ -28,7 +28,7 @@ from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
 _MIN_IOU = 0.5
 """Minimum IoU of a match."""
 
-_MIN_SHARE_IGNORED = 0.5
+_MIN_FRACTION_IGNORED = 0.5
 """Fraction of a result box inside a DontCare region above which it is dropped."""
 
 _EPSILON = float(np.finfo(np.float64).eps)
@@ -69,7 +69,7 @@ def kitti_cleaned(labels: KittiLabels, results: TrackedBoxes, road_class: str) -
         boxes = results.xyxy_px[rows[unmatched]]
         regions = labels.xyxy_px[in_frame & (labels.kitti_type == "DontCare")]
         is_low = boxes[:, 3] - boxes[:, 1] <= MIN_HEIGHT_PX + _EPSILON
-        is_ignored = share_inside(boxes, regions).max(axis=1, initial=0.0) > _MIN_SHARE_IGNORED + _EPSILON
+        is_ignored = fraction_inside(boxes, regions).max(axis=1, initial=0.0) > _MIN_FRACTION_IGNORED + _EPSILON
         is_counted[rows[result_rows[is_void]]] = False
         is_counted[rows[unmatched[is_low | is_ignored]]] = False
     truth = _truth(labels.frame, labels.track_id, labels.xyxy_px, is_class & is_clear, results)

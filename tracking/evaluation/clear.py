@@ -111,8 +111,8 @@ def count_clear(similarity: Similarity) -> ClearCounts:
         last[truth] = result
         last_frame[:] = -1
         last_frame[truth] = result
-    share = n_matched / np.maximum(similarity.truth_count, 1)
-    mt, mt_or_pt = int(np.count_nonzero(share > 0.8)), int(np.count_nonzero(share >= 0.2))
+    fraction = n_matched / np.maximum(similarity.truth_count, 1)
+    mt, mt_or_pt = int(np.count_nonzero(fraction > 0.8)), int(np.count_nonzero(fraction >= 0.2))
     idtp = _identity_matches(similarity)
     return ClearCounts(
         tp=tp,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.boxes import iou, share_inside
+from track_range.detection.boxes import fraction_inside, iou
 from track_range.foundation.arrays import BoolArray
 from track_range.tracking.association import min_cost_matching
 from track_range.tracking.evaluation.clear import MIN_IOU, ClearCounts, count_clear
@@ -19,7 +19,7 @@ from track_range.tracking.evaluation.hota import HotaCounts, count_hota
 from track_range.tracking.evaluation.similarity import Similarity
 from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, TrackedBoxes
 
-_MIN_SHARE_IGNORED = 0.5
+_MIN_FRACTION_IGNORED = 0.5
 """Minimum fraction of an unmatched result box inside an ignore region for which it is dropped."""
 
 
@@ -125,8 +125,10 @@ def _ignored(truth: TrackedBoxes, results: TrackedBoxes, ignore: IgnoreRegions) 
         overlap = iou(frame_truth.xyxy_px, frame_results.xyxy_px)
         allowed = (frame_truth.class_id[:, None] == frame_results.class_id[None, :]) & (overlap >= MIN_IOU)
         _, matched = min_cost_matching(np.where(allowed, 1.0 - overlap, np.inf), max_cost=1.0)
-        share = share_inside(frame_results.xyxy_px, ignore.xyxy_px[ignore.frame == frame]).max(axis=1, initial=0.0)
-        is_inside = share >= _MIN_SHARE_IGNORED
+        fraction = fraction_inside(frame_results.xyxy_px, ignore.xyxy_px[ignore.frame == frame]).max(
+            axis=1, initial=0.0
+        )
+        is_inside = fraction >= _MIN_FRACTION_IGNORED
         is_inside[matched] = False
         is_ignored[rows] = is_inside
     return is_ignored

@@ -212,7 +212,7 @@ def alarm_figures(scenes: Sequence[SceneFigures], threshold: int = -1) -> dict[s
         "contacts": n_contacts,
         "median_lead_s": round(float(np.median(leads)), 2) if leads else None,
         "lead_10_pct_s": round(float(np.quantile(leads, 0.1)), 2) if leads else None,
-        "share_with_2_1_s": round(float(np.mean(np.array(leads) >= 2.1)), 3) if leads else None,
+        "fraction_with_2_1_s": round(float(np.mean(np.array(leads) >= 2.1)), 3) if leads else None,
     }
 
 

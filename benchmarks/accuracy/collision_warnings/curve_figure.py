@@ -21,7 +21,7 @@ def curve_points(figures: dict[str, Any]) -> dict[str, list[list[float]]]:
     """[false alarms per hour, median lead in s, fraction warned in time] by method, at rising thresholds."""
     return {
         methods: [
-            [row["false_alarms_per_hour"], row["median_lead_s"], row["share_with_2_1_s"]] for row in part["points"]
+            [row["false_alarms_per_hour"], row["median_lead_s"], row["fraction_with_2_1_s"]] for row in part["points"]
         ]
         for methods, part in figures.items()
     }
@@ -32,10 +32,12 @@ def write_curve(path: Path, figures: dict[str, Any], protocol: str) -> None:
     curve = {
         "protocol": protocol,
         "date": datetime.now(UTC).date().isoformat(),
-        "columns": ["false_alarms_per_hour", "median_lead_s", "share_warned_2_1_s"],
+        "columns": ["false_alarms_per_hour", "median_lead_s", "fraction_warned_2_1_s"],
         "methods": curve_points(figures),
         "default": {
-            methods: [part["default"][name] for name in ("false_alarms_per_hour", "median_lead_s", "share_with_2_1_s")]
+            methods: [
+                part["default"][name] for name in ("false_alarms_per_hour", "median_lead_s", "fraction_with_2_1_s")
+            ]
             for methods, part in figures.items()
         },
     }
@@ -64,7 +66,7 @@ def draw_curve(figures: dict[str, Any], path: Path, *, lead_s: float) -> None:
                 label=TITLES[methods],
             )
             row = figures[methods]["default"]
-            value = row[("median_lead_s", "share_with_2_1_s")[column - 1]]
+            value = row[("median_lead_s", "fraction_with_2_1_s")[column - 1]]
             axes.plot(
                 [row["false_alarms_per_hour"]], [factor * value], "o", ms=9, mfc="none", mew=1.8, color=COLOURS[methods]
             )

@@ -118,6 +118,6 @@ def _print_table(drives: Sequence[dict[str, Any]], total: dict[str, Any]) -> Non
     )
     for name, key in (("at the axis", "axis"), ("in the image", "image")):
         *errors_px, once, twice = total[key].values()
-        shares = (figure_text(share, digits=0, times=100) for share in (once, twice))
-        summary.add_row(name, *(figure_text(value, digits=3) for value in errors_px), *shares)
+        fractions = (figure_text(fraction, digits=0, times=100) for fraction in (once, twice))
+        summary.add_row(name, *(figure_text(value, digits=3) for value in errors_px), *fractions)
     Console().print(table, summary, f"{total['measured']} of {total['drives']} drives give an estimate")

@@ -5,7 +5,7 @@ boxes are those of the visible part, the others those of the whole object. The f
 images (four per seed); in sequences (six frames at 10 frames/s per seed), the last disparity of a track is the prior,
 as in a run. All road users and signs are given to the matchers; counted are vehicles and people at 5-60 m that are at
 least half visible, with at most 75 % of their part in the inner half of the box covered. Failures are objects without a
-value (refused) or with an error above 15 % (wrong). `covered` is the share of the object's part in the inner half that
+value (refused) or with an error above 15 % (wrong). `covered` is the fraction of the part in the inner half that
 something nearer covers. Intervals are 95 % bootstrap intervals over drives.
 
 Seeds 0-19 are for development: settings of a matcher may be fitted to them. Seeds from 100 are for judgement only.

@@ -203,31 +203,31 @@ def _figures(cases: Sequence[dict[str, Any]]) -> dict[str, Any]:
             by_fault[f"{fault} {size:g}"] = {
                 "cases": len(rows),
                 "before_pct": float(np.median([row["before_pct"] for row in rows])),
-                "noticed": share(row["is_noticed"] for row in rows),
+                "noticed": fraction(row["is_noticed"] for row in rows),
                 "after_median_pct": float(np.median([row["after_pct"] for row in rows])),
                 "after_95_pct": float(np.percentile([row["after_pct"] for row in rows], 95)),
-                "corrected": share(row["after_pct"] <= AFTER_PCT for row in rows),
+                "corrected": fraction(row["after_pct"] <= AFTER_PCT for row in rows),
             }
     return {
         "true": len(true),
         "wrong": len(wrong),
-        "measured": share(case["is_measured"] for case in known),
-        "false_alarms": share(case["is_noticed"] for case in true),
-        "true_moved": share(case["has_moved"] for case in true),
-        "noticed": share(case["is_noticed"] for case in matters),
-        "noticed_if_measured": share(case["is_noticed"] for case in measured),
-        "corrected": share(case["after_pct"] <= AFTER_PCT for case in matters),
-        "corrected_if_measured": share(case["after_pct"] <= AFTER_PCT for case in measured),
-        "corrected_middle_if_measured": share(abs(case["after_middle_pct"]) <= AFTER_PCT for case in measured),
-        "unseen_noticed": share(case["is_noticed"] for case in unseen),
-        "halves_within_2_sigma": share(sigma <= 2 for sigma in sigmas),
-        "halves_within_1_sigma": share(sigma <= 1 for sigma in sigmas),
+        "measured": fraction(case["is_measured"] for case in known),
+        "false_alarms": fraction(case["is_noticed"] for case in true),
+        "true_moved": fraction(case["has_moved"] for case in true),
+        "noticed": fraction(case["is_noticed"] for case in matters),
+        "noticed_if_measured": fraction(case["is_noticed"] for case in measured),
+        "corrected": fraction(case["after_pct"] <= AFTER_PCT for case in matters),
+        "corrected_if_measured": fraction(case["after_pct"] <= AFTER_PCT for case in measured),
+        "corrected_middle_if_measured": fraction(abs(case["after_middle_pct"]) <= AFTER_PCT for case in measured),
+        "unseen_noticed": fraction(case["is_noticed"] for case in unseen),
+        "halves_within_2_sigma": fraction(sigma <= 2 for sigma in sigmas),
+        "halves_within_1_sigma": fraction(sigma <= 1 for sigma in sigmas),
         "estimate_s": float(np.median([case["estimate_s"] for case in cases])),
         "by_fault": by_fault,
     }
 
 
-def share(values: Any) -> dict[str, float | None]:
+def fraction(values: Any) -> dict[str, float | None]:
     """Fraction of true values with Wilson's 95 % interval, and their number."""
     flags = [bool(value) for value in values]
     n, z = len(flags), 1.96

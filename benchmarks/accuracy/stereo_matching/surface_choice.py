@@ -36,7 +36,7 @@ from track_range.stereo.matching.surface_choice import OtherBoxes
 WAYS = ("size", "track and size", "track", "full range")
 """Ways in which the surfaces are searched."""
 
-TRACK_LOG_SIGMA, OCCLUDER_SHARE = 0.03, 0.07
+TRACK_LOG_SIGMA, OCCLUDER_FRACTION = 0.03, 0.07
 """Standard deviation of the log disparity of tracks, and the fraction of occluded objects with that of the occluder."""
 
 AS_GOOD = 0.03
@@ -98,7 +98,7 @@ def _searches(occlusion: OcclusionPair, rng: np.random.Generator) -> Iterator[tu
     height, width = pair.left.shape[:2]
     boxes = np.clip(pair.xyxy_px, -0.5, np.array([width, height, width, height]) - 0.5)
     limit_px = np.full(n, float(settings.max_disparity_px))
-    is_on_occluder = (rng.random(n) < OCCLUDER_SHARE) & np.isfinite(objects.occluder_px)
+    is_on_occluder = (rng.random(n) < OCCLUDER_FRACTION) & np.isfinite(objects.occluder_px)
     track_px = np.where(is_on_occluder, objects.occluder_px, pair.true_px * np.exp(rng.normal(0, TRACK_LOG_SIGMA, n)))
     no_track, no_size = np.full(n, np.nan), ExpectedDisparity.unknown(n)
     is_large = (boxes[:, 2:] - boxes[:, :2]).min(axis=1) >= settings.min_side_px

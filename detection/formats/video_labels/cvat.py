@@ -348,8 +348,8 @@ def _interpolate_repeated(boxes: FloatArray) -> None:
                 and math.isfinite(end)
                 and (between[:, column] == start).all()
             ):
-                share = (between[:, _FRAME] - boxes[first, _FRAME]) / (boxes[last, _FRAME] - boxes[first, _FRAME])
-                between[:, column] = start + share * (end - start)
+                fraction = (between[:, _FRAME] - boxes[first, _FRAME]) / (boxes[last, _FRAME] - boxes[first, _FRAME])
+                between[:, column] = start + fraction * (end - start)
 
 
 def _between(boxes: FloatArray, steps: FloatArray, counts: IntArray) -> FloatArray:
@@ -357,11 +357,11 @@ def _between(boxes: FloatArray, steps: FloatArray, counts: IntArray) -> FloatArr
     before = np.repeat(np.arange(len(boxes)), counts)
     after = np.minimum(before + 1, len(boxes) - 1)
     offset = np.arange(len(before)) - np.repeat(np.cumsum(counts) - counts, counts)
-    share = (offset / steps[before])[:, None]
+    fraction = (offset / steps[before])[:, None]
     filled = boxes[before]
     columns = [1, 2, 3, 4, _DISTANCE, _SIGMA]
     start, end = filled[:, columns], boxes[after][:, columns]
-    filled[:, columns] = np.where((share == 0) | np.isnan(end), start, (1 - share) * start + share * end)
+    filled[:, columns] = np.where((fraction == 0) | np.isnan(end), start, (1 - fraction) * start + fraction * end)
     filled[:, _FRAME] += offset
     return filled
 
@@ -491,8 +491,8 @@ def _keyframes(rows: BoxTable, is_last: BoolArray) -> BoolArray:
         if last - first < 2:
             continue
         between = slice(first + 1, last)
-        share = (rows.frame[between] - rows.frame[first]) / (rows.frame[last] - rows.frame[first])
-        line = values[first] + share[:, None] * (values[last] - values[first])
+        fraction = (rows.frame[between] - rows.frame[first]) / (rows.frame[last] - rows.frame[first])
+        line = values[first] + fraction[:, None] * (values[last] - values[first])
         error = np.fmax.reduce(np.abs(values[between] - line) / limits[between], axis=1)  # ignores unknown distances
         if error.max() > 1:
             middle = first + 1 + int(np.argmax(error))

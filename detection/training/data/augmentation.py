@@ -50,7 +50,7 @@ class AugmentationSettings:
 MIN_SIDE_PX = 2.0
 """Smallest visible side of a box that is not ignored."""
 
-MIN_SHARE = 0.1
+MIN_FRACTION = 0.1
 """Smallest visible fraction of the area of a box that is not ignored (as in YOLOv5)."""
 
 
@@ -203,7 +203,7 @@ def _transformed_labels(
     boxes = np.clip(full, first, last)
     size, full_size = boxes[:, 2:] - boxes[:, :2], full[:, 2:] - full[:, :2]
     share = size.prod(1) / np.maximum(full_size.prod(1), 1e-9)
-    is_too_small = (size.min(1, initial=np.inf) < MIN_SIDE_PX) | (share < MIN_SHARE)
+    is_too_small = (size.min(1, initial=np.inf) < MIN_SIDE_PX) | (share < MIN_FRACTION)
     is_visible = size.min(1, initial=np.inf) > 0
     is_ignored = source.is_ignored | is_too_small
     return boxes[is_visible], source.class_index[is_visible], is_ignored[is_visible], source.confidence[is_visible]

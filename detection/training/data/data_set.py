@@ -18,7 +18,7 @@ from track_range.detection.formats.image_labels.labelled_images import ImageFile
 from track_range.detection.training.data.augmentation import LabelledPixels
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 
-_MEMORY_SHARE = 0.5
+_MEMORY_FRACTION = 0.5
 """Largest fraction of the free memory that cached images use."""
 
 _UNKNOWN_MEMORY_BYTES = 2 << 30
@@ -184,4 +184,4 @@ def _free_bytes() -> int:
     with suppress(OSError, ValueError):  # "max" = no limit
         limit, used = (int(Path(f"/sys/fs/cgroup/memory.{name}").read_text()) for name in ("max", "current"))
         known.append(max(limit - used, 0))
-    return int(min(known) * _MEMORY_SHARE) if known else _UNKNOWN_MEMORY_BYTES
+    return int(min(known) * _MEMORY_FRACTION) if known else _UNKNOWN_MEMORY_BYTES

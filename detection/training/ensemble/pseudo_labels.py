@@ -36,10 +36,10 @@ _MISSING_SCORE = 0.12
 _LOWEST, _HIGHEST = 0.02, 0.98
 """Limits of the probabilities that are combined, so that log-odds are finite."""
 
-_LEAST_SHARE = 0.6
+_LEAST_FRACTION = 0.6
 """Fraction of the other detector's score that its boxes have at least."""
 
-_ALONE_SHARE = 0.75
+_ALONE_FRACTION = 0.75
 """Fraction of the other detector's score that its boxes have where the ensemble, which knows the class, has none."""
 
 
@@ -108,7 +108,7 @@ def pseudo_labels(
     if other is not None:
         alone = ~truth.is_complete[other.class_id]
         alone &= ~(is_open[other.class_id] & (iou(xyxy, other.xyxy) > _SAME_OBJECT_IOU).any(axis=0))
-        p_alone = other.score * np.where(is_known, _ALONE_SHARE, 1.0)[other.class_id]
+        p_alone = other.score * np.where(is_known, _ALONE_FRACTION, 1.0)[other.class_id]
         alone &= p_alone >= min_probability
         boxes = np.concatenate([boxes, other.xyxy[alone]])
         classes = np.concatenate([classes, other.class_id[alone]])
@@ -130,5 +130,5 @@ def _combined(xyxy: FloatArray, probability: FloatArray, other: YoloLabels) -> F
     s = np.where(is_seen, np.minimum(other_score, _HIGHEST), _MISSING_SCORE)
     p = np.clip(probability, _LOWEST, _HIGHEST)
     q = expit((logit(p) + logit(s)) / 2)
-    q = np.where(is_seen, np.maximum(q, _LEAST_SHARE * s), q)
+    q = np.where(is_seen, np.maximum(q, _LEAST_FRACTION * s), q)
     return np.where(is_seen | (probability > 0), q, 0.0)

@@ -128,11 +128,11 @@ class DetectionLoss:
         ]
         box, objectness, class_score = (torch.stack(column).sum() for column in zip(*parts, strict=True))
         height, width = batch.images.shape[2:]
-        share = 3 / len(raw)
+        fraction = 3 / len(raw)
         return {
-            "box": _BOX * share * box,
-            "objectness": _OBJECTNESS * share * (height * width / 640**2) * objectness,
-            "class": _CLASS * share * self._network.n_classes / 80 * class_score,
+            "box": _BOX * fraction * box,
+            "objectness": _OBJECTNESS * fraction * (height * width / 640**2) * objectness,
+            "class": _CLASS * fraction * self._network.n_classes / 80 * class_score,
         }
 
     def _of_head(

@@ -101,7 +101,7 @@ _N_REWEIGHTS = 2
 """Number of fits with updated standard deviations of the scene."""
 
 _MAX_SLOPE_RATIO = 2.0
-"""Largest factor between the nearness by size and by the fitted road in these standard deviations."""
+"""Largest factor between the inverse_depth by size and by the fitted road in these standard deviations."""
 
 _N_GRID = 13
 """Number of focal lengths at which distances by size are computed, for interpolation."""
@@ -384,9 +384,9 @@ class _Terms:
         slope = w / lane.width_m
         drop_px = math.exp(theta[_LOG_H]) * slope
         value = self._below_horizon(theta, (lane.x1_px + lane.x2_px) / 2, lane.y_px) - drop_px
-        share = math.hypot(lane.relative_sigma, math.sqrt(2) * _PICKED_EDGE_PX / w)
+        fraction = math.hypot(lane.relative_sigma, math.sqrt(2) * _PICKED_EDGE_PX / w)
         fixed_drop_px = math.exp(self._fixed[_LOG_H]) * slope
-        sigma = math.hypot(_PITCHING_RAD * math.exp(self._fixed[_LOG_F]), _PICKED_EDGE_PX, fixed_drop_px * share)
+        sigma = math.hypot(_PITCHING_RAD * math.exp(self._fixed[_LOG_F]), _PICKED_EDGE_PX, fixed_drop_px * fraction)
         return Residual(lane.name, "width of the lane", value, sigma, "px")
 
     def reweight(self, theta: FloatArray) -> None:

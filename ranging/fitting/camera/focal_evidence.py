@@ -71,7 +71,7 @@ _ROUNDED = 0.05
 KITTI's labels (+0.09) and on rendered drives with the packaged detector, seeds 200-202 (+0.11); exact cuboids have
 -0.05."""
 
-_OUTLIER_SHARE, _OUTLIER_NOISE = 0.1, 0.4
+_OUTLIER_FRACTION, _OUTLIER_NOISE = 0.1, 0.4
 """Fraction of boxes of another kind (partly hidden, of another class), and the standard deviation of their edges."""
 
 _SHAPE_CLASSES = np.isin(SIZE_CLASSES, ("car", "van"))
@@ -189,9 +189,9 @@ def _shape_likelihood(
 
     log_likelihood = np.zeros((len(_RELATIVE_NOISE), len(log_f)))
     for k, value in enumerate(log_f):
-        outlier = math.log(_OUTLIER_SHARE) + log_p(value, _OUTLIER_NOISE)
+        outlier = math.log(_OUTLIER_FRACTION) + log_p(value, _OUTLIER_NOISE)
         for j, noise in enumerate(_RELATIVE_NOISE):
-            log_likelihood[j, k] = weight @ np.logaddexp(math.log(1 - _OUTLIER_SHARE) + log_p(value, noise), outlier)
+            log_likelihood[j, k] = weight @ np.logaddexp(math.log(1 - _OUTLIER_FRACTION) + log_p(value, noise), outlier)
     likelihood = np.exp(log_likelihood - log_likelihood.max())
     noise_weight = likelihood.sum(axis=1) / likelihood.sum()
     kernel = np.exp(-0.5 * ((log_f[:, None] - log_f) / _SHAPE_SIGMA) ** 2)

@@ -197,8 +197,8 @@ def test_run_without_a_calibration(tmp_path, cli, small_drive):
     true_px = load_camera(small_drive.rig, size_px=None)[0].fx_px
     assert abs(math.log(summary["focal_px"] / true_px)) < 3 * summary["focal_sigma"]
     rows = np.genfromtxt(out / "tracks.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
-    share = rows["fused_sigma_m"] / rows["fused_m"]
-    assert np.nanmin(share) >= summary["focal_sigma"] - 1e-3
+    fraction = rows["fused_sigma_m"] / rows["fused_m"]
+    assert np.nanmin(fraction) >= summary["focal_sigma"] - 1e-3
 
 
 @pytest.mark.real

@@ -26,8 +26,8 @@ def rectangles(tmp_path):
         image = np.full((96, 96, 3), GREY, np.uint8)
         image[y1 : y1 + h, x1 : x1 + w] = 255
         cv2.imwrite(str(tmp_path / f"images/{i}.png"), image)
-        share = np.array([x1 + w / 2, y1 + h / 2, w, h]) / 96
-        (tmp_path / f"labels/{i}.txt").write_text(f"2 {' '.join(map(str, share))}\n")
+        fraction = np.array([x1 + w / 2, y1 + h / 2, w, h]) / 96
+        (tmp_path / f"labels/{i}.txt").write_text(f"2 {' '.join(map(str, fraction))}\n")
     metadata = {"names": '["car"]'}
     write_rectangle_finder(tmp_path / "finder.onnx", side_px=96, grey=GREY / 255, metadata=metadata)
     return tmp_path

@@ -220,9 +220,9 @@ def test_raw_pair_is_rectified(tmp_path: Path, images: list[np.ndarray], monkeyp
 
 
 @pytest.mark.parametrize("kind", ["foxglove", "ros1"])
-@pytest.mark.parametrize("share", [0.6, 0.97])
+@pytest.mark.parametrize("fraction", [0.6, 0.97])
 def test_bag_that_is_cut_off(
-    tmp_path: Path, images: list[np.ndarray], kind: str, share: float, monkeypatch: Any
+    tmp_path: Path, images: list[np.ndarray], kind: str, fraction: float, monkeypatch: Any
 ) -> None:
     noisy = [
         np.random.default_rng(number).integers(0, 255, image.shape, np.uint8) for number, image in enumerate(images)
@@ -231,10 +231,10 @@ def test_bag_that_is_cut_off(
         monkeypatch.setattr("rosbags.rosbag1.Writer.__init__", _with_small_chunks(Writer.__init__))
     bag = write(tmp_path / "drive", kind, ("/cam",), noisy)
     content = bag.read_bytes()
-    bag.write_bytes(content[: int(share * len(content))])
+    bag.write_bytes(content[: int(fraction * len(content))])
     reader = open_video(BagTopic(bag, f"/cam/{topic_of(kind)}"))
     n_frames = len(list(reader))
-    assert 4 <= n_frames < 12 or share > 0.9
+    assert 4 <= n_frames < 12 or fraction > 0.9
     assert any("cut off" in note for note in reader.notes)
 
 

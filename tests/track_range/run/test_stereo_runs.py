@@ -52,8 +52,8 @@ def test_pair_without_a_rig_is_scaled_by_sizes(drive, run, tmp_path):
     assert scale["focal_px"] * scale["baseline_m"] == pytest.approx(expected, rel=2 * scale["relative_sigma"])
     assert 0.2 < stereo["median_relative_error_pct"] < 40
     assert stereo["within_2_sigma"] > 0.9
-    share = columns["stereo_sigma_m"] / columns["stereo_m"]
-    assert np.nanmin(share) > summary["focal_sigma"]
+    fraction = columns["stereo_sigma_m"] / columns["stereo_m"]
+    assert np.nanmin(fraction) > summary["focal_sigma"]
     assert "sgbm" not in summary["methods"]
     assert "track-range calibrate" in printed
     assert "No disparity.mp4" in printed

@@ -103,7 +103,7 @@ def test_late_right_camera_keeps_its_timestamps(tmp_path):
 
 @pytest.mark.slow
 def test_dropped_frames_leave_gaps_in_time(tmp_path):
-    options = DriveOptions(scenario="town", faults=Faults(drop_share=0.4), noise_grey=0)
+    options = DriveOptions(scenario="town", faults=Faults(drop_fraction=0.4), noise_grey=0)
     drive = write_drive(tmp_path, seed=5, seconds=2.0, rig=SMALL, options=options)
     left_s, right_s = ([frame.time_s for frame in open_video(path)] for path in (drive.left, drive.right))
     assert 6 <= len(left_s) <= 18
@@ -116,12 +116,12 @@ def test_dropped_frames_leave_gaps_in_time(tmp_path):
     assert speeds == pytest.approx(left_s, abs=1e-3)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.5])
-def test_share_of_dropped_frames(share):
-    kept = Faults(drop_share=share).kept_frames(4000, 3, is_right=True)
+@pytest.mark.parametrize("fraction", [0.0, 0.1, 0.5])
+def test_share_of_dropped_frames(fraction):
+    kept = Faults(drop_fraction=fraction).kept_frames(4000, 3, is_right=True)
     assert kept[0] == 0
-    assert 1 - len(kept) / 4000 == pytest.approx(share, abs=0.03)
-    assert kept != Faults(drop_share=share).kept_frames(4000, 3, is_right=False) or share == 0
+    assert 1 - len(kept) / 4000 == pytest.approx(fraction, abs=0.03)
+    assert kept != Faults(drop_fraction=fraction).kept_frames(4000, 3, is_right=False) or fraction == 0
 
 
 def test_errors_of_a_wrong_rig():

@@ -70,14 +70,14 @@ COORDINATES = st.floats(-3, 3)
 
 @settings(deadline=None, max_examples=60)
 @given(st.tuples(*[COORDINATES] * 6), st.tuples(st.floats(0, 1), st.floats(0, 1)))
-def test_texels_are_projected_to_their_points(numbers, shares):
+def test_texels_are_projected_to_their_points(numbers, fractions):
     corner = np.array([numbers[0], numbers[1], 12.0])
     along, down = np.array([2.0, 0.3, numbers[2] / 2]), np.array([-0.2, 1.5, numbers[3] / 2])
     textured_face = Face(corner, along, down, np.zeros((64, 64, 4), np.uint8), True)
     pieces = projected(visible_pieces(table(textured_face), CAMERA), CAMERA)
-    point = corner + shares[0] * along + shares[1] * down
+    point = corner + fractions[0] * along + fractions[1] * down
     point_px = CAMERA.project(point[None])[0]
-    texel = 64 * np.array(shares)
+    texel = 64 * np.array(fractions)
     for row in range(len(pieces.face)):
         top, bottom, left, right = pieces.texels[row]
         if left <= texel[0] <= right and top <= texel[1] <= bottom:

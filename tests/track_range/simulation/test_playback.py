@@ -32,7 +32,7 @@ def simulated(truth, *, seed=0, **flaws):
 
 def test_truth_without_flaws():
     truth = truth_of(n_frames=50)
-    detections = simulated(truth, edge_min_px=0.0, edge_share=0.0, miss=0.0, run=0.0, false_per_frame=0.0)
+    detections = simulated(truth, edge_min_px=0.0, edge_fraction=0.0, miss=0.0, run=0.0, false_per_frame=0.0)
     np.testing.assert_array_equal(detections.xyxy_px, truth.xyxy_px)
     np.testing.assert_array_equal(detections.frame, truth.frame)
     assert (detections.track_id == -1).all()
@@ -40,7 +40,7 @@ def test_truth_without_flaws():
 
 
 def test_edge_errors_have_the_given_sigma():
-    detections = simulated(truth_of(), edge_share=0.015, false_per_frame=0.0)
+    detections = simulated(truth_of(), edge_fraction=0.015, false_per_frame=0.0)
     error_px = detections.xyxy_px - (600.0, 150.0, 700.0, 250.0)
     # 1.5 % of 100 px; the standard error of a deviation of 4 x 3900 draws is under 1 %, and of the mean 0.012 px.
     assert error_px.std() == pytest.approx(1.5, rel=0.04)

@@ -145,8 +145,8 @@ def test_visible_share_of_a_half_hidden_car():
     location = np.array([[-1.5, 1.65, 12.0], [0.0, 1.65, 30.1]])
     size, yaw = np.array([near.size_hwl_m, far.size_hwl_m]), np.array([AWAY_RAD, AWAY_RAD])
     boxes = projected_boxes_px(box_corners_m(location, size_hwl_m=size, rotation_y_rad=yaw), CAMERA)
-    shares = visible_shares(boxes, location, size_hwl_m=size, rotation_y_rad=yaw, camera=CAMERA)
-    np.testing.assert_allclose(shares, [1.0, 0.5])
+    fractions = visible_shares(boxes, location, size_hwl_m=size, rotation_y_rad=yaw, camera=CAMERA)
+    np.testing.assert_allclose(fractions, [1.0, 0.5])
     assert labels_of(near, far).occluded.tolist() == [0, 1]
 
 

@@ -129,6 +129,6 @@ def test_boxes_equal_those_of_the_kitti_file(drive, rows):
 
 
 def test_visible_shares(rows):
-    shares = np.array([float(row["visible_share"]) for row in rows])
-    assert shares.max() == 1.0
-    assert 0 < shares.min() < 0.6
+    fractions = np.array([float(row["visible_share"]) for row in rows])
+    assert fractions.max() == 1.0
+    assert 0 < fractions.min() < 0.6

@@ -354,12 +354,13 @@ def test_files_contain_neither_folders_nor_metadata(shared, cli, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "part_share", "max_cells"), [("person", 0.155, 3.2), ("car", 0.52 / 1.5, 3.0), ("truck", 0.52 / 2.5, 3.0)]
+    ("name", "part_fraction", "max_cells"),
+    [("person", 0.155, 3.2), ("car", 0.52 / 1.5, 3.0), ("truck", 0.52 / 2.5, 3.0)],
 )
-def test_cells_are_large_relative_to_what_they_cover(name, part_share, max_cells):
+def test_cells_are_large_relative_to_what_they_cover(name, part_fraction, max_cells):
     """A head is 0.155 of a person's height; a plate is 0.52 m wide, a car 1.5 m high, a truck at least 2.5 m."""
     box = Boxes(np.array([[100.0, 100.0, 300.0, 700.0]]), np.array([ROAD_CLASSES.index(name)]), np.zeros(1))
-    assert part_share * 600.0 / regions_of(box).cell_px[0] <= max_cells
+    assert part_fraction * 600.0 / regions_of(box).cell_px[0] <= max_cells
 
 
 def test_colours_are_quantized():

@@ -37,12 +37,12 @@ def test_frame_is_not_modified() -> None:
 
 def test_predicted_box_is_dashed() -> None:
     # the lower edge, where no label is placed while there is room above
-    share = {}
+    fraction = {}
     for observed in (True, False):
         drawn = Overlay().draw(result([BOX], observed=observed))
-        share[observed] = painted(drawn, track_colour(1))[280, 505:615].mean()
-    assert share[True] == 1.0
-    assert 0.3 < share[False] < 0.8
+        fraction[observed] = painted(drawn, track_colour(1))[280, 505:615].mean()
+    assert fraction[True] == 1.0
+    assert 0.3 < fraction[False] < 0.8
 
 
 def test_dashed_outline_stays_on_the_box() -> None:

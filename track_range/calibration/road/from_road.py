@@ -210,7 +210,7 @@ def _parts(duration_s: float) -> list[tuple[float, float]]:
     """Start and length of the parts of a video that are read."""
     if duration_s <= _PART_S * len(_PARTS):
         return [(0.0, _PART_S * len(_PARTS))]
-    return [(share * duration_s, _PART_S) for share in _PARTS]
+    return [(fraction * duration_s, _PART_S) for fraction in _PARTS]
 
 
 def _add_part(

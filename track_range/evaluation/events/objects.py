@@ -1,9 +1,9 @@
 """Objects of events: which object of the ground truth the track of an event is.
 
-With the tracks of the run and labelled boxes, the object is the one that the track overlaps most often (IoU at least
-`MIN_IOU`) from `MARGIN_S` before the event to its end; none if it overlaps no object in at least `MIN_SHARE` of these
-frames. Without them, a warning belongs to a contact of the same class group and number; if no warning has the number of
-the contact, to those of the same class group whose contact is at most `WINDOW_S` after the warning.
+With the tracks of the run and labelled boxes, the object is the one that the track overlaps most often (IoU at
+least `MIN_IOU`) from `MARGIN_S` before the event to its end; none if it overlaps no object in at least `MIN_FRACTION`
+of these frames. Without them, a warning belongs to a contact of the same class group and number; if none has the number
+of the contact, to those of the same class group whose contact is at most `WINDOW_S` after the warning.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ MIN_IOU = 0.3
 MARGIN_S = 1.0
 """Time before the start of an event for which its track is compared, s."""
 
-MIN_SHARE = 0.2
-"""Smallest share of the frames in which a track overlaps its object: objects that are largely hidden have no label."""
+MIN_FRACTION = 0.2
+"""Smallest fraction of frames in which a track overlaps its object: objects that are largely hidden have no label."""
 
 WINDOW_S, SAME_ID_WINDOW_S = 10.0, 30.0
 """Longest time from a warning to a contact of its class, and of its number too, where tracks or boxes are missing."""
@@ -102,7 +102,7 @@ def objects_by_boxes(events: Sequence[Event], columns: Columns, boxes: LabelledB
                 if overlap.max() >= MIN_IOU:
                     votes[int(boxes.object_id[labels[overlap.argmax()]])] += 1
         best = votes.most_common(1)
-        objects.append(best[0][0] if best and best[0][1] >= MIN_SHARE * len(rows) else None)
+        objects.append(best[0][0] if best and best[0][1] >= MIN_FRACTION * len(rows) else None)
     return objects
 
 

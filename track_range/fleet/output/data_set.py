@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 CLIPS_FILE, JOURNAL, TRACKS, RUNS, TRACKS_FILE = "clips.parquet", "journal", "tracks", "runs", "tracks.parquet"
 EVENTS = "events"
 
-_COMPILE_S, _COMPILE_SHARE = 10.0, 20.0
+_COMPILE_S, _COMPILE_FRACTION = 10.0, 20.0
 """Shortest time between two compilations, s, and relative to the time that one takes."""
 
 _ROWS_PER_GROUP = 10_000
@@ -240,7 +240,7 @@ class ClipTable:
             default_memory_pool().release_unused()
         self._clear_journal()
         end_s = time.monotonic()
-        self._next_s = end_s + max(_COMPILE_S, _COMPILE_SHARE * (end_s - start_s))
+        self._next_s = end_s + max(_COMPILE_S, _COMPILE_FRACTION * (end_s - start_s))
 
     def _clear_journal(self) -> None:
         compiled = self._in_journal - self.newer.keys()

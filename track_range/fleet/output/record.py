@@ -49,7 +49,7 @@ class ClipRecord:
         peak_memory_mb: largest resident memory of the worker during the clip, MB.
         finished_utc: end of the attempt, ISO 8601.
         stages_ms: time of each stage, ms per frame; columns `STAGE_ms`.
-        coverage: share of boxes with a distance by method; columns `METHOD_coverage`.
+        coverage: fraction of boxes with a distance by method; columns `METHOD_coverage`.
         errors: figures by method where there is ground truth; columns `METHOD_FIGURE`.
         labels: other placeholders of the pattern or columns of the manifest; columns of these names.
     """

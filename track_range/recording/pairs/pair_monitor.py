@@ -83,8 +83,8 @@ class PairMonitor:
         check = check_pair(frame.left, whole_image(frame.right))
         if check.is_swapped:
             raise RigError(
-                f"left and right are swapped: {100 * check.negative_share:.0f} % of {check.n_matches} matched points "
-                "have a negative disparity; swap the two videos."
+                f"left and right are swapped: {100 * check.negative_fraction:.0f} % of {check.n_matches} matched "
+                "points have a negative disparity; swap the two videos."
             )
         self._last_index = frame.index
         self._n_checked += 1

@@ -19,8 +19,8 @@ MAX_SPEED_MPS = 120.0
 _MAX_ACCELERATION_MPS2 = 15.0
 """Largest plausible acceleration of a car over a second in m/s^2; emergency braking reaches 11."""
 
-_MAX_SHARE = 0.1
-"""Share of wild samples up to which they are omitted; with more, the track is not used."""
+_MAX_FRACTION = 0.1
+"""Fraction of wild samples up to which they are omitted; with more, the track is not used."""
 
 _MAX_CLOCK_STEP_S = 30.0
 """Largest change in s between the receiver's clock and the time in the video; it may lack 18 leap seconds at first."""
@@ -34,15 +34,15 @@ _HOUR_S, _HOUR_TOLERANCE_S = 3600.0, 3.0
 MIN_STABLE_S = 10.0
 """Shortest time in s with a fix after which a clock that was wrong before the fix is no reason to doubt the rest."""
 
-_MIN_STABLE_SHARE = 0.9
-"""Smallest share of samples with a fix in that time and all later ones."""
+_MIN_STABLE_FRACTION = 0.9
+"""Smallest fraction of samples with a fix in that time and all later ones."""
 
 _FIRST_DATE_S = 1_199_145_600.0
 """2008-01-01 in seconds since 1970: receivers without a date state 1980, 2000 or 2004, or a date 1024 weeks ago."""
 
-_MIN_LOSSES, _MIN_FIX_SHARE = 5, 0.6
-"""Number of losses of the fix from which speeds are doubted if the share of samples with a fix is smaller. Assumed: the
-one known recording of a parked car with false speeds has 22 losses in 3 minutes and a share of 0.38."""
+_MIN_LOSSES, _MIN_FIX_FRACTION = 5, 0.6
+"""Number of losses of the fix from which speeds are doubted if fewer samples have a fix. Assumed: the
+one known recording of a parked car with false speeds has 22 losses in 3 minutes and a fraction of 0.38."""
 
 _MIN_COMPARED, _COMPARED_MPS, _UNIT_TOLERANCE = 10, 3.0, 0.08
 """Number of steps, their speed in m/s, and the largest relative difference for a unit inferred from positions."""
@@ -101,7 +101,7 @@ def _after_cold_start(track: TelemetryTrack) -> TelemetryTrack | None:
     first = int(np.argmax(has_fix))
     warm = selected(track, np.arange(len(track)) >= first)
     length_s = float(warm.time_s.max() - warm.time_s[0])
-    if length_s < MIN_STABLE_S or has_fix[first:].mean() < _MIN_STABLE_SHARE:
+    if length_s < MIN_STABLE_S or has_fix[first:].mean() < _MIN_STABLE_FRACTION:
         return None
     note = f"its first {first} samples, before the receiver had a fix, have a wrong clock and are not used."
     return replace(warm, notes=(*track.notes, note))
@@ -111,7 +111,7 @@ def _check_losses(track: TelemetryTrack) -> None:
     """Raise an error if the receiver keeps losing its fix: such fixes state 100 km/h in parked cars."""
     has_fix = np.isfinite(track.speed_mps)
     n_losses = int((has_fix[:-1] & ~has_fix[1:]).sum())
-    if n_losses >= _MIN_LOSSES and has_fix.mean() < _MIN_FIX_SHARE:
+    if n_losses >= _MIN_LOSSES and has_fix.mean() < _MIN_FIX_FRACTION:
         raise TelemetryError(
             f"the receiver loses its fix {n_losses} times and has one in {has_fix.mean():.0%} of the samples only; "
             "such speeds are not reliable."
@@ -143,7 +143,7 @@ def _check_positions(track: TelemetryTrack) -> None:
     if not known.any():
         return
     is_outside = known & ((np.abs(lat) > 90) | (np.abs(lon) > 180))
-    if is_outside.sum() > _MAX_SHARE * known.sum():
+    if is_outside.sum() > _MAX_FRACTION * known.sum():
         raise TelemetryError("its positions are not on the Earth.")
     inside = np.flatnonzero(known & ~is_outside)
     index = inside[thinned(track.time_s[inside])]
@@ -151,7 +151,7 @@ def _check_positions(track: TelemetryTrack) -> None:
         return
     north_m, east_m = steps_m(lat[index], lon[index])
     is_fast = np.hypot(north_m, east_m) > MAX_SPEED_MPS * np.diff(track.time_s[index])
-    if is_fast.sum() > max(1.0, _MAX_SHARE * len(is_fast)) or (is_fast.all() and len(is_fast)):
+    if is_fast.sum() > max(1.0, _MAX_FRACTION * len(is_fast)) or (is_fast.all() and len(is_fast)):
         raise TelemetryError("its positions jump.")
 
 
@@ -199,7 +199,7 @@ def _without_wild_speeds(track: TelemetryTrack) -> TelemetryTrack:
     speed_mps = track.speed_mps
     known = np.isfinite(speed_mps)
     is_wild = known & ((speed_mps > MAX_SPEED_MPS) | (speed_mps < 0))
-    if is_wild.sum() > _MAX_SHARE * known.sum():
+    if is_wild.sum() > _MAX_FRACTION * known.sum():
         raise TelemetryError(
             f"expected speeds of at most {MAX_SPEED_MPS * 3.6:.0f} km/h, found "
             f"{float(np.nanmax(np.abs(speed_mps))) * 3.6:.4g} km/h; the unit may be another one."
@@ -208,6 +208,6 @@ def _without_wild_speeds(track: TelemetryTrack) -> TelemetryTrack:
     good = np.flatnonzero(np.isfinite(speed_mps))
     index = good[thinned(track.time_s[good])]
     rate = np.abs(np.diff(speed_mps[index])) / np.diff(track.time_s[index])
-    if (rate > _MAX_ACCELERATION_MPS2).sum() > max(1.0, _MAX_SHARE * len(rate)):
+    if (rate > _MAX_ACCELERATION_MPS2).sum() > max(1.0, _MAX_FRACTION * len(rate)):
         raise TelemetryError("its speeds jump.")
     return replace(track, speed_mps=speed_mps)

@@ -51,7 +51,7 @@ _MIN_STILL = 10
 """Number of images at rest, 1 s, from which telemetry can contradict them."""
 
 _MAX_CONTRADICTED = 0.5
-"""Largest share of images at rest at which telemetry may state a motion: most errors of the measurement are single."""
+"""Largest fraction of images at rest while telemetry states a motion: most errors of the measurement are single."""
 
 _MOVING_HZ = 0.2
 """Expansion of images that only a moving camera has, 1/s: 2 m/s at a typical depth of 10 m."""

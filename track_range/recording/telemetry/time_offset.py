@@ -36,7 +36,7 @@ _CORRELATION_S = 1.0
 _MIN_SAMPLES, _MIN_FIXES = 20, 3
 """Smallest numbers of images and of samples of the telemetry for an estimate."""
 
-_INTERPOLATION_SHARE = 0.1
+_INTERPOLATION_FRACTION = 0.1
 """Error of an offset from the interpolation between samples, relative to their interval (queue, seed 2, at 1 Hz)."""
 
 _MIN_CORRELATION = 0.9
@@ -112,7 +112,7 @@ def estimated_offset(
     weight /= weight.sum()
     offset_s = float(weight @ grid_s)
     step_s = float(np.median(np.diff(time_s[known]))) if known.sum() > 1 else 0.0
-    variance_s2 = float(weight @ (grid_s - offset_s) ** 2) + _STEP_S**2 / 12 + (_INTERPOLATION_SHARE * step_s) ** 2
+    variance_s2 = float(weight @ (grid_s - offset_s) ** 2) + _STEP_S**2 / 12 + (_INTERPOLATION_FRACTION * step_s) ** 2
     sigma_s = math.sqrt(variance_s2)
     best = int(np.argmax(log_likelihood))
     correlation = max(float(fit[1][best]) for fit in fits)

@@ -35,13 +35,13 @@ _MAX_GAP_S = 3.0
 """Longest interval between samples that covers a video, as in `ranging.ego_speed`."""
 
 _MIN_COVERED = 0.5
-"""Smallest share of a video that telemetry of another time zone must cover."""
+"""Smallest fraction of a video that telemetry of another time zone must cover."""
 
 _START_S = 5.0
 """Largest difference in s between the starts of a video and of telemetry that was recorded with it."""
 
-_EQUAL_LENGTH_S, _EQUAL_LENGTH_SHARE = 3.0, 0.05
-"""Largest difference between equal lengths: seconds, and share of the length of the video."""
+_EQUAL_LENGTH_S, _EQUAL_LENGTH_FRACTION = 3.0, 0.05
+"""Largest difference between equal lengths: seconds, and fraction of the length of the video."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,7 @@ def _possible_starts_s(part: VideoPart) -> list[float]:
 
 
 def _covered(time_s: FloatArray, duration_s: float) -> float:
-    """Share of a video that samples cover at these times from its first frame."""
+    """Fraction of a video that samples cover at these times from its first frame."""
     end_s = max(duration_s, 1.0)
     inner = np.concatenate([[0.0], time_s[(time_s > 0) & (time_s < end_s)], [end_s]])
     before = bool((time_s <= 0).any()) and -float(time_s[time_s <= 0].max()) <= _MAX_GAP_S
@@ -134,7 +134,7 @@ def _best(fits: list[tuple[float, float]], time_s: FloatArray) -> list[tuple[flo
 def _from_start(track: TelemetryTrack, part: VideoPart) -> VideoClock:
     """A track that starts with the video, because both have the same length."""
     length_s = float(track.time_s[-1] - track.time_s[0])
-    tolerance_s = max(_EQUAL_LENGTH_S, _EQUAL_LENGTH_SHARE * part.duration_s)
+    tolerance_s = max(_EQUAL_LENGTH_S, _EQUAL_LENGTH_FRACTION * part.duration_s)
     if not part.duration_s or not math.isfinite(length_s) or abs(length_s - part.duration_s) > tolerance_s:
         raise TelemetryError(
             "the video states no date and time with which its times could be matched; give that of "

@@ -20,7 +20,7 @@ from track_range.results.events.conditions import Conditions, Situation
 from track_range.results.events.event import WARNING_KINDS, Event, EventKind, EventSettings
 from track_range.results.events.reasons import reason
 
-_NEAR_M, _NEAR_SHARE = 2.0, 0.15
+_NEAR_M, _NEAR_FRACTION = 2.0, 0.15
 """Largest difference in distance between two tracks of one object: metres, plus a fraction of the distance."""
 
 _NEAR_ACROSS_M = 1.5
@@ -186,7 +186,7 @@ class EventFinder:
         for event in same_kind:
             elapsed_s = result.time_s - event.last_s
             moved_m = elapsed_s * np.nan_to_num(event.values["closing_mps"])
-            is_near = abs(event.distance_m - moved_m - distance_m) < _NEAR_M + _NEAR_SHARE * distance_m
+            is_near = abs(event.distance_m - moved_m - distance_m) < _NEAR_M + _NEAR_FRACTION * distance_m
             is_near &= not abs(event.offset_m - offset_m) > _NEAR_ACROSS_M  # unknown offsets may be the same
             if event.group == group and event.track_id not in present and is_near:
                 return event

@@ -39,7 +39,7 @@ class Faults:
         rain: density of rain, from 0 = dry to 1 = cloudburst.
         row_offset_px: vertical shift of the right image, positive = down.
         disparity_offset_px: true disparity minus that of the rig file.
-        drop_share: fraction of frames that each camera drops; the timestamps show the gaps.
+        drop_fraction: fraction of frames that each camera drops; the timestamps show the gaps.
         late_s: delay of the right camera that its timestamps do not show.
         wrong_rig: the wrong parameter in the rig file; None = none.
     """
@@ -49,7 +49,7 @@ class Faults:
     rain: float = 0.0
     row_offset_px: float = 0.0
     disparity_offset_px: float = 0.0
-    drop_share: float = 0.0
+    drop_fraction: float = 0.0
     late_s: float = 0.0
     wrong_rig: WrongRig | None = None
 
@@ -68,7 +68,7 @@ class Faults:
     def kept_frames(self, n_frames: int, seed: int, *, is_right: bool) -> list[int]:
         """Numbers of the frames that a camera does not drop; the first one, from which times count, is among them."""
         rng = np.random.default_rng([seed, 8, int(is_right)])
-        is_dropped = rng.uniform(size=n_frames) < self.drop_share
+        is_dropped = rng.uniform(size=n_frames) < self.drop_fraction
         is_dropped[:1] = False
         return [int(number) for number in np.flatnonzero(~is_dropped)]
 

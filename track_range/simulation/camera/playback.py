@@ -40,7 +40,7 @@ class Flaws:
     """Error model of the simulated detector.
 
     Attributes:
-        edge_share: standard deviation of box edges relative to the box height.
+        edge_fraction: standard deviation of box edges relative to the box height.
         edge_min_px, edge_max_px: limits of this standard deviation.
         miss: probability that a large, fully visible object is missed in a frame.
         miss_small: additional probability for a box 10 px high, falling linearly to 0 at 40 px.
@@ -49,7 +49,7 @@ class Flaws:
         false_per_frame: mean number of false detections per frame.
     """
 
-    edge_share: float = 0.015
+    edge_fraction: float = 0.015
     edge_min_px: float = 0.7
     edge_max_px: float = 2.0
     miss: float = 0.02
@@ -75,7 +75,7 @@ def play_back(
     n_frames = int(truth.frame.max()) + 1 if len(truth) else 0
     rows = np.flatnonzero(_is_detected(truth, rng, flaws))
     height_px = truth.xyxy_px[rows, 3] - truth.xyxy_px[rows, 1]
-    sigma_px = np.clip(flaws.edge_share * height_px, flaws.edge_min_px, flaws.edge_max_px)
+    sigma_px = np.clip(flaws.edge_fraction * height_px, flaws.edge_min_px, flaws.edge_max_px)
     boxes = truth.xyxy_px[rows] + rng.normal(size=(len(rows), 4)) * sigma_px[:, None]
     score_loss = 0.25 * _smallness(height_px) + 0.15 * (truth.occluded[rows] > 0)
     score = 0.88 - score_loss + rng.normal(0, 0.06, len(rows))

@@ -159,9 +159,9 @@ def _halved(pieces: Pieces, is_split: BoolArray) -> Pieces:
     is_second = is_cut & (np.cumsum(is_cut) % 2 == 0)
     across = np.abs(both.along[:, 2]) >= np.abs(both.down[:, 2])
     n_first = np.where(across, both.n_texels[:, 1], both.n_texels[:, 0]) // 2
-    share = n_first / np.where(across, both.n_texels[:, 1], both.n_texels[:, 0])
-    length = np.where(is_cut, np.where(is_second, 1 - share, share), 1.0)[:, None]
-    start = np.where(is_second, share, 0.0)[:, None]
+    fraction = n_first / np.where(across, both.n_texels[:, 1], both.n_texels[:, 0])
+    length = np.where(is_cut, np.where(is_second, 1 - fraction, fraction), 1.0)[:, None]
+    start = np.where(is_second, fraction, 0.0)[:, None]
     corner = both.corner + start * np.where(across[:, None], both.along, both.down)
     window = both.window.copy()
     for axis, is_axis in ((0, ~across), (2, across)):

@@ -84,7 +84,7 @@ def first_depths_m(surface: Surface, rays: FloatArray) -> FloatArray:
     across = rays @ normal[facing].T
     depth = away[facing] / np.where(across == 0, np.nan, across)
     in_plane = rays[:, None, :] * depth[:, :, None] - corner
-    s, t = _shares(in_plane, along, down)
+    s, t = _fractions(in_plane, along, down)
     inside = (s >= 0) & (s < 1) & (t >= 0) & (t < 1) & (depth > 0)
     nearest = np.full(len(rays), np.inf)
     for ray, face in zip(*np.nonzero(inside), strict=True):
@@ -96,7 +96,7 @@ def first_depths_m(surface: Surface, rays: FloatArray) -> FloatArray:
     return np.where(np.isfinite(nearest), nearest, np.nan)
 
 
-def _shares(in_plane: FloatArray, along: FloatArray, down: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _fractions(in_plane: FloatArray, along: FloatArray, down: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(N, F) coordinates s and t of points (N, F, 3) in the planes of faces, from the normal equations."""
     aa, ad, dd = (along * along).sum(axis=1), (along * down).sum(axis=1), (down * down).sum(axis=1)
     a, d = (in_plane * along).sum(axis=2), (in_plane * down).sum(axis=2)

@@ -27,8 +27,8 @@ class LaneChange:
 
     def moved_m(self, time_s: float) -> float:
         """Lateral displacement at a time."""
-        share = float(np.clip((time_s - self.from_s) / (self.to_s - self.from_s), 0, 1))
-        return self.by_m * share**2 * (3 - 2 * share)
+        fraction = float(np.clip((time_s - self.from_s) / (self.to_s - self.from_s), 0, 1))
+        return self.by_m * fraction**2 * (3 - 2 * fraction)
 
 
 def speed_at_mps(changes: SpeedChanges, time_s: float) -> float:

@@ -241,7 +241,7 @@ ONCOMING_FROM_M, ONCOMING_SPACING_M, ONCOMING_SPEED_MPS = 74.0, 48.0, 11.0
 PARKED_SPACING_M = 7.5
 """Distance between parking spaces."""
 
-PARKED_SHARE = 0.6
+PARKED_FRACTION = 0.6
 """Fraction of parking spaces that are occupied."""
 
 VIEW_M = 110.0
@@ -290,7 +290,7 @@ def _parked(rng: np.random.Generator, until_m: float) -> list[Placing]:
     for x_m, heading_rad in ((6.55, AWAY_RAD), (-6.55, TOWARDS_RAD)):
         places_m = np.arange(12.0, until_m, PARKED_SPACING_M)
         places_m = places_m[np.abs(places_m - CROSSING_Z_M) > PARKED_SPACING_M / 2]
-        for z_m in places_m[rng.uniform(size=len(places_m)) < PARKED_SHARE]:
+        for z_m in places_m[rng.uniform(size=len(places_m)) < PARKED_FRACTION]:
             kitti_type = "Van" if rng.uniform() < 0.2 else "Car"
             placings.append((kitti_type, x_m, float(z_m), heading_rad + float(rng.normal(0, 0.02)), 0.0))
     return placings

@@ -74,5 +74,5 @@ def _on_road_m(user: RoadUser, times_s: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def _moved_m(change: LaneChange, times_s: FloatArray) -> FloatArray:
-    share = np.clip((times_s - change.from_s) / (change.to_s - change.from_s), 0, 1)
-    return np.asarray(change.by_m * share**2 * (3 - 2 * share))
+    fraction = np.clip((times_s - change.from_s) / (change.to_s - change.from_s), 0, 1)
+    return np.asarray(change.by_m * fraction**2 * (3 - 2 * fraction))

@@ -111,8 +111,8 @@ def boxes_in_image(boxes_m: FloatArray, camera: PinholeCamera) -> tuple[FloatArr
     xy_px, is_in_front = _projected_points(boxes_m, camera)
     boxes = _bounds(xy_px, is_in_front)
     limit_px = np.array([camera.width_px - 1, camera.height_px - 1] * 2, np.float64)
-    outside_share = 1 - _areas(np.clip(boxes, 0, limit_px)) / _areas(boxes)
-    return _clipped_to_image(boxes, xy_px, is_in_front, limit_px[:2]), outside_share
+    outside_fraction = 1 - _areas(np.clip(boxes, 0, limit_px)) / _areas(boxes)
+    return _clipped_to_image(boxes, xy_px, is_in_front, limit_px[:2]), outside_fraction
 
 
 def _clipped_to_image(boxes: FloatArray, xy_px: FloatArray, is_in_front: BoolArray, edge: FloatArray) -> FloatArray:
@@ -127,9 +127,11 @@ def _clipped_to_image(boxes: FloatArray, xy_px: FloatArray, is_in_front: BoolArr
         rise = inner[:, None, :] - inner[:, :, None]
         is_segment = exists[:, None, :] & exists[:, :, None] & (rise != 0)
         for border in (0.0, edge[1 - axis]):
-            share = (border - inner[:, :, None]) / np.where(is_segment, rise, 1.0)
-            crossing = others[:, :, None] + share * (others[:, None, :] - others[:, :, None])
-            values.append(np.where(is_segment & (share >= 0) & (share <= 1), crossing, np.nan).reshape(len(cut), -1))
+            fraction = (border - inner[:, :, None]) / np.where(is_segment, rise, 1.0)
+            crossing = others[:, :, None] + fraction * (others[:, None, :] - others[:, :, None])
+            values.append(
+                np.where(is_segment & (fraction >= 0) & (fraction <= 1), crossing, np.nan).reshape(len(cut), -1)
+            )
         low, high = _extremes(np.concatenate(values, axis=1))
         is_inside = (high >= 0) & (low <= edge[axis])  # false for NaN
         boxes[cut, axis] = np.where(is_inside, np.clip(low, 0, edge[axis]), np.nan)
@@ -145,8 +147,8 @@ def _projected_points(boxes_m: FloatArray, camera: PinholeCamera) -> tuple[Float
     """
     start, end = boxes_m[:, _EDGES[:, 0]], boxes_m[:, _EDGES[:, 1]]
     rise = end[:, :, 2] - start[:, :, 2]
-    share = np.clip((NEAR_M - start[:, :, 2]) / np.where(rise == 0, 1.0, rise), 0, 1)
-    cut = start + share[:, :, None] * (
+    fraction = np.clip((NEAR_M - start[:, :, 2]) / np.where(rise == 0, 1.0, rise), 0, 1)
+    cut = start + fraction[:, :, None] * (
         end - start
     )  # the intersection of an edge with the near plane, else one of its ends
     points = np.concatenate([boxes_m, cut], axis=1)
@@ -192,7 +194,7 @@ def visible_shares(
     return np.asarray(n_visible / np.maximum(n_own, 1), np.float64)
 
 
-def _drawn_shares(
+def _drawn_fractions(
     xyxy_px: FloatArray,
     boxes: tuple[FloatArray, FloatArray, FloatArray],
     camera: PinholeCamera,
@@ -239,24 +241,26 @@ def visible_objects(
     rows = nearest_first[in_view[nearest_first]]
     location, size, yaw, inside, outside = (part[rows] for part in (location, size, yaw, inside, outside))
     if inverse_depth is None:
-        shares = visible_shares(inside, location, size_hwl_m=size, rotation_y_rad=yaw, camera=camera)
+        fractions = visible_shares(inside, location, size_hwl_m=size, rotation_y_rad=yaw, camera=camera)
     else:
-        shares = _drawn_shares(inside, (location, size, yaw), camera, inverse_depth)
+        fractions = _drawn_fractions(inside, (location, size, yaw), camera, inverse_depth)
     labels = KittiLabels(
         frame=np.full(len(rows), frame, np.int64),
         track_id=np.array([scene.road_users[row].track_id for row in rows], np.int64),
         kitti_type=np.array([scene.road_users[row].kitti_type for row in rows], np.str_),
         truncated=np.digitize(outside, [UNCUT, HALF_CUT]).astype(np.float64),
-        occluded=np.where(shares >= LARGELY_VISIBLE, 0, np.where(shares >= PARTLY_VISIBLE, 1, 2)).astype(np.int64),
+        occluded=np.where(fractions >= LARGELY_VISIBLE, 0, np.where(fractions >= PARTLY_VISIBLE, 1, 2)).astype(
+            np.int64
+        ),
         xyxy_px=inside,
         size_hwl_m=size,
         location_m=location,
         rotation_y_rad=yaw,
         score=np.full(len(rows), np.nan),
     )
-    visible = np.flatnonzero(shares > 0)
+    visible = np.flatnonzero(fractions > 0)
     is_small = (inside[:, 3] - inside[:, 1] < DONT_CARE_BELOW_PX)[visible]
-    visible_share = (shares * (1 - outside))[visible]
+    visible_share = (fractions * (1 - outside))[visible]
     labels = _with_dont_care(labels.select(visible), is_small)
     return VisibleObjects(rows[visible].astype(np.int64), labels, visible_share)
 

@@ -28,7 +28,7 @@ PAST_S = 0.5
 GROWTH_PER_S = 0.6
 """Increase of the uncertainty of a box with the time to the nearest detection, relative to its smaller side."""
 
-SPEED_SHARE = 0.5
+SPEED_FRACTION = 0.5
 """Uncertainty of the speed of an extrapolated box, as a fraction of its speed."""
 
 SPEED_TIME_S = 0.35
@@ -185,14 +185,14 @@ def _track_boxes(boxes: Sequence[_Box], time_s: float) -> Iterator[tuple[FloatAr
         yield now.xyxy_px, now.class_id, GROWTH_PER_S * nearest_s * _side_px(now.xyxy_px)
     if before and after:
         start, end = before[-1], after[0]
-        share = (time_s - start.time_s) / (end.time_s - start.time_s)
-        box = (1 - share) * start.xyxy_px + share * end.xyxy_px
+        fraction = (time_s - start.time_s) / (end.time_s - start.time_s)
+        box = (1 - fraction) * start.xyxy_px + fraction * end.xyxy_px
         yield box, start.class_id, GROWTH_PER_S * nearest_s * _side_px(box)
     elif before or after:
         nearest = before[-1] if before else after[0]
         step_s = time_s - nearest.time_s
         moved = step_s * _speed(before if before else after[::-1])
-        margin_px = GROWTH_PER_S * nearest_s * _side_px(nearest.xyxy_px) + SPEED_SHARE * float(np.abs(moved).max())
+        margin_px = GROWTH_PER_S * nearest_s * _side_px(nearest.xyxy_px) + SPEED_FRACTION * float(np.abs(moved).max())
         yield nearest.xyxy_px + moved, nearest.class_id, margin_px
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
-HEAD_SHARE = 0.22
+HEAD_FRACTION = 0.22
 """Height of a head with neck, as a fraction of a person's height; a head with neck is 0.155 of the body."""
 
 ABOVE_PERSON = 0.15
@@ -29,7 +29,7 @@ sometimes start below the head."""
 STANDING_RATIO = 2.2
 """Minimum ratio of a person's height to the width of the box; boxes that are less high show only the upper body."""
 
-RIDER_SHARE = 0.36
+RIDER_FRACTION = 0.36
 """Height of the rider's head region below the upper edge of the box of a bicycle or motorcycle, relative to the box."""
 
 ABOVE_BICYCLE, ABOVE_MOTORCYCLE = 0.75, 0.5
@@ -44,7 +44,7 @@ FRONTAL_RATIO, FRONTAL_SIDE = 1.2, 0.12
 """Ratio of width to height below which a car is seen from the front or rear, and fraction of the width at each side
 where it then has no plate."""
 
-MARGIN_SHARE, MARGIN_PX = 0.05, 1.5
+MARGIN_FRACTION, MARGIN_PX = 0.05, 1.5
 """Tolerance of the edges of a box: fraction of the smaller side, and pixels."""
 
 HEAD_CELL = 0.05
@@ -121,7 +121,7 @@ def _heads(boxes: Boxes) -> Regions:
     people = boxes.select(np.flatnonzero(boxes.class_id == _PERSON))
     x1, y1, x2, y2 = people.xyxy_px.T
     height_px = np.maximum(y2 - y1, STANDING_RATIO * (x2 - x1))
-    lower = np.minimum(y1 + HEAD_SHARE * height_px, y2)
+    lower = np.minimum(y1 + HEAD_FRACTION * height_px, y2)
     return _widened(people, (x1, y1 - ABOVE_PERSON * height_px, x2, lower), HEAD_CELL * height_px)
 
 
@@ -130,7 +130,7 @@ def _heads_of_riders(boxes: Boxes) -> Regions:
     x1, y1, x2, y2 = cycles.xyxy_px.T
     height_px = y2 - y1
     above = np.where(cycles.class_id == _BICYCLE, ABOVE_BICYCLE, ABOVE_MOTORCYCLE)
-    edges = (x1, y1 - above * height_px, x2, y1 + RIDER_SHARE * height_px)
+    edges = (x1, y1 - above * height_px, x2, y1 + RIDER_FRACTION * height_px)
     return _widened(cycles, edges, HEAD_CELL * height_px * (1 + above))
 
 
@@ -152,6 +152,6 @@ def _widened(
 ) -> Regions:
     """Regions with the given edges (N,), widened by the tolerances of their boxes."""
     side_px = (boxes.xyxy_px[:, 2:] - boxes.xyxy_px[:, :2]).min(axis=1, initial=np.inf)
-    margin_px = MARGIN_SHARE * side_px + MARGIN_PX + boxes.margin_px
+    margin_px = MARGIN_FRACTION * side_px + MARGIN_PX + boxes.margin_px
     signs = np.array([-1.0, -1.0, 1.0, 1.0])
     return Regions(np.stack(edges, axis=1) + margin_px[:, None] * signs, cell_px)

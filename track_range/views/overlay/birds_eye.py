@@ -30,7 +30,7 @@ RANGES_M = (30.0, 60.0, 90.0, 120.0)
 _SHRINK_DELAY_S = 3.0
 """Seconds for which all tracks must be nearer before the range shrinks."""
 
-_HEIGHT_SHARE, _WIDTH_SHARE = 0.42, 0.3
+_HEIGHT_FRACTION, _WIDTH_FRACTION = 0.42, 0.3
 """Largest height and width of the inset as fractions of the image's."""
 
 _ASPECT = 0.8
@@ -80,7 +80,7 @@ class BirdsEye:
     def place(self, image_px: tuple[int, int]) -> FloatArray:
         """(4,) rectangle of the inset in an image (W, H), at the lower left; empty if the image is too small."""
         width, height = image_px
-        inset_px = min(_HEIGHT_SHARE * height, _WIDTH_SHARE * width / _ASPECT)
+        inset_px = min(_HEIGHT_FRACTION * height, _WIDTH_FRACTION * width / _ASPECT)
         inset_px = round(inset_px) if inset_px >= 60 else 0
         return np.array([0, height - inset_px, round(_ASPECT * inset_px), height], np.float64)
 

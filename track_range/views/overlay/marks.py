@@ -27,7 +27,7 @@ _ARMS = np.array([[(x, 0), (0, 0), (0, y)] for x in (1, -1) for y in (1, -1)], n
 _LANE_POINTS = 8
 """Points of the polyline of a lane line."""
 
-_CORNER_SHARE = 0.2
+_CORNER_FRACTION = 0.2
 """Arm length of a corner as a fraction of the shorter side of the inner window."""
 
 
@@ -62,7 +62,7 @@ def draw_inner_windows(canvas: Image, boxes: FloatArray, colours: Sequence[Bgr])
     patches = [(patch, bgr) for patch, bgr in zip(halves, colours, strict=True) if patch is not None]
     edges = np.array([patch for patch, _ in patches], np.int32).reshape(-1, 4)
     spans = edges[:, 2:] - edges[:, :2] + 1
-    arm = np.maximum(2, np.rint(_CORNER_SHARE * spans.min(axis=1))).astype(np.int32) if len(edges) else spans[:, 0]
+    arm = np.maximum(2, np.rint(_CORNER_FRACTION * spans.min(axis=1))).astype(np.int32) if len(edges) else spans[:, 0]
     corners = edges[:, _CORNERS]
     strokes = np.repeat(corners[:, :, None], 3, axis=2) + arm[:, None, None, None] * _ARMS
     cv2.polylines(canvas, list(strokes.reshape(-1, 3, 2)), False, BLACK, 3)

@@ -27,13 +27,13 @@ TIME_TOLERANCE_S = 0.5
 MIN_IOU = 0.3
 """Smallest median IoU of the boxes of matching events."""
 
-_DISTANCE_SHARE, _DISTANCE_M = 0.2, 2.0
+_DISTANCE_FRACTION, _DISTANCE_M = 0.2, 2.0
 """Largest difference of the distances of matching events without common frames: relative, and in metres."""
 
 _CHANGED_S, _CHANGED_SIGMA = 0.2, 1.0
 """Differences that are listed: times in s, and distances in their joint standard deviation."""
 
-_CHANGED_SHARE = 0.1
+_CHANGED_FRACTION = 0.1
 """Relative difference of distances without a standard deviation that is listed."""
 
 
@@ -122,7 +122,7 @@ def _is_same_place(a: Event, a_boxes: _Boxes, b: Event, b_boxes: _Boxes) -> bool
         overlaps = [float(iou(first[frame][None], second[frame][None])[0, 0]) for frame in frames]
         return float(np.median(overlaps)) >= MIN_IOU
     difference_m = abs(a.min_distance_m - b.min_distance_m)  # NaN = unknown
-    largest_m = max(_DISTANCE_M, _DISTANCE_SHARE * max(a.min_distance_m, b.min_distance_m))
+    largest_m = max(_DISTANCE_M, _DISTANCE_FRACTION * max(a.min_distance_m, b.min_distance_m))
     return not difference_m > largest_m
 
 
@@ -136,7 +136,7 @@ def _changes(a: Event, b: Event) -> Iterator[str]:
     sigma_m = math.hypot(a.min_distance_sigma_m, b.min_distance_sigma_m)
     tolerance_m = _CHANGED_SIGMA * sigma_m
     if not math.isfinite(tolerance_m):
-        tolerance_m = _CHANGED_SHARE * max(a.min_distance_m, b.min_distance_m)
+        tolerance_m = _CHANGED_FRACTION * max(a.min_distance_m, b.min_distance_m)
     if abs(a.min_distance_m - b.min_distance_m) > tolerance_m:
         yield f"smallest distance {a.min_distance_m:.1f} \N{RIGHTWARDS ARROW} {b.min_distance_m:.1f} m"
     yield from _changed_time("time to collision", a.min_ttc_s, b.min_ttc_s, absolute=False)

@@ -102,7 +102,7 @@ def curve_picture(classes: Mapping[str, tuple[FloatArray, FloatArray, Sequence[C
 
 
 def risk_coverage_chart(curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) -> None:
-    """Draw failures, mean and 95th percentile of the error against the share of answered boxes.
+    """Draw failures, mean and 95th percentile of the error against the fraction of answered boxes.
 
     Args:
         curves: by name the rows of a curve, as from `risk_coverage`.

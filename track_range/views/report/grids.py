@@ -89,4 +89,6 @@ def stage_bars(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
     stages_ms = summary.get("stages_ms") or {}
     ran = {name: ms for name in stages_ms if (ms := figure(stages_ms, name))}
     longest = max(ran.values(), default=1.0)
-    return [{"name": name, "text": f"{ms:.1f}", "share_pct": round(100 * ms / longest, 1)} for name, ms in ran.items()]
+    return [
+        {"name": name, "text": f"{ms:.1f}", "fraction_pct": round(100 * ms / longest, 1)} for name, ms in ran.items()
+    ]

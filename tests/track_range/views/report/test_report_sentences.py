@@ -160,8 +160,8 @@ def test_tracking_metrics() -> None:
 def test_stage_bars() -> None:
     summary = {"stages_ms": {"read": 2.0, "detect": 8.0, "lane": 0.0, "sgbm": None}}
     assert stage_bars(summary) == [
-        {"name": "read", "text": "2.0", "share_pct": 25.0},
-        {"name": "detect", "text": "8.0", "share_pct": 100.0},
+        {"name": "read", "text": "2.0", "fraction_pct": 25.0},
+        {"name": "detect", "text": "8.0", "fraction_pct": 100.0},
     ]
     assert stage_bars({}) == speed_grids({}) == []
 

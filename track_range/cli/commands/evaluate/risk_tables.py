@@ -9,7 +9,7 @@ from typing import Any
 from track_range.views.report import tables
 
 ANSWERED_PCT = (100, 95, 90, 80, 50)
-"""Answered shares of the boxes in the risk-coverage tables, per cent."""
+"""Answered fractions of the boxes in the risk-coverage tables, per cent."""
 
 _Curves = Mapping[str, Mapping[str, Any]]
 
@@ -32,9 +32,9 @@ def risk_grids(curves: _Curves) -> list[tables.Grid]:
         ("95th percentile of the error (%) of the answered boxes", "p95_relative_error_pct", None),
     ):
         columns = []
-        for share_pct in ANSWERED_PCT:
-            values = [_at(curve, share_pct, key) for curve in curves.values()]
-            columns.append(tables.Column(f"{share_pct} %", values, "{:.2f}", cost=abs))
+        for fraction_pct in ANSWERED_PCT:
+            values = [_at(curve, fraction_pct, key) for curve in curves.values()]
+            columns.append(tables.Column(f"{fraction_pct} %", values, "{:.2f}", cost=abs))
         if area is not None:
             columns.append(
                 tables.Column("area", [tables.figure(row, area) for row in curves.values()], "{:.2f}", cost=abs)

@@ -27,7 +27,7 @@ MAX_NMEA_BYTES = 100_000_000
 _RMC = re.compile(r"\$[A-Z]{2}RMC,[^$*\r\n]{10,90}(?:\*([0-9A-Fa-f]{2}))?")
 """Recommended minimum sentence of any satellite system."""
 
-_MIN_RIGHT_SHARE = 0.5
+_MIN_RIGHT_FRACTION = 0.5
 """Share of right checksums above which sentences with a wrong one are dropped. Some programs change positions in files
 without correcting any checksum."""
 
@@ -89,7 +89,7 @@ def fixes_in(texts: Iterable[str], source: str) -> list[Fix | None]:
     """
     matches = [_RMC.search(text) for text in texts]
     checked = [_is_right(match.group()) for match in matches if match and match.group(1)]
-    needs_right = bool(checked) and sum(checked) >= _MIN_RIGHT_SHARE * len(checked)
+    needs_right = bool(checked) and sum(checked) >= _MIN_RIGHT_FRACTION * len(checked)
     if not any(matches):
         return [None] * len(matches)
     pynmea2 = imported("pynmea2", source)

@@ -47,7 +47,7 @@ _DJI_POSITION = re.compile(r"GPS\s*\(\s*([-+]?\d{1,3}\.\d+)\s*,\s*([-+]?\d{1,3}\
 """DJI's older form: longitude first."""
 
 _HEMISPHERES = re.compile(r"\b([NS])\s*:?\s*(\d{1,2}\.\d+)[\s,;]+([EW])\s*:?\s*(\d{1,3}\.\d+)")
-_MIN_SHARE = 0.5
+_MIN_FRACTION = 0.5
 """Share of the subtitles that must have a speed or a position: a film's dialogue may mention a speed."""
 
 
@@ -79,7 +79,7 @@ def subtitle_track(times_s: Sequence[float], texts: Sequence[str], path: str, so
     fixes = [fix or Fix() for fix in sentences] if is_nmea else [_fix(text) for text in texts]
     has_speed = [math.isfinite(fix.speed_mps) for fix in fixes]
     has_position = [math.isfinite(fix.latitude_deg) for fix in fixes]
-    n_needed = max(1.0, _MIN_SHARE * len(fixes))
+    n_needed = max(1.0, _MIN_FRACTION * len(fixes))
     if not is_nmea and sum(has_speed) < n_needed and sum(has_position) < n_needed:
         if sum(bool(_WITHOUT_UNIT.search(text)) for text in texts) >= n_needed:
             raise TelemetryError(f"{path}: expected a unit such as km/h after each speed, found none.")

@@ -174,9 +174,9 @@ def _side_face(
     face = coloured_face(rng, (corner, along, (0, top, 0)), bgr, contrast=PAINT_CONTRAST)
     picture = face.texture
 
-    def at(share: float) -> float:
+    def at(fraction: float) -> float:
         """Fraction of the texture's width, from the left, for a fraction of the car's length, from the back."""
-        from_back = (share * length - length / 2 - back) / (front - back)
+        from_back = (fraction * length - length / 2 - back) / (front - back)
         return 1 - from_back if side > 0 else from_back
 
     shade_rows(picture, ((0, 1.18), (0.2, 1.05), (0.34, 1.12), (0.38, 0.9), (0.75, 0.78), (1, 0.5)))
@@ -220,8 +220,8 @@ def _cabin(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], bui
     """Windscreen, rear window, roof and side windows."""
     height, width, length = size_hwl_m
     low = build.deck * height
-    x0, x1 = (share * length - length / 2 for share in build.cabin)
-    roof0, roof1 = (share * length - length / 2 for share in build.roof)
+    x0, x1 = (fraction * length - length / 2 for fraction in build.cabin)
+    roof0, roof1 = (fraction * length - length / 2 for fraction in build.roof)
     z, top_z = width / 2 - SHOULDER_M, width / 2 - LEAN_M
     rise, lean = height - low, z - top_z
     inset = lean / (2 * z)
@@ -250,7 +250,7 @@ def _shoulders(
 ) -> list[Face]:
     """The narrow horizontal faces between cabin and sides, without which there would be gaps."""
     height, width, length = size_hwl_m
-    x0, x1 = (share * length - length / 2 for share in build.cabin)
+    x0, x1 = (fraction * length - length / 2 for fraction in build.cabin)
     x0 = max(x0, BACK_CHAMFER_M[0] - length / 2)
     along, across, high = (x1 - x0, 0.0, 0.0), (0.0, 0.0, -SHOULDER_M), -build.deck * height
     lefts = (width / 2, SHOULDER_M - width / 2)

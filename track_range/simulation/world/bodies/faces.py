@@ -185,8 +185,8 @@ def lid(rng: np.random.Generator, corners: FloatArray, bgr: Colour, *, contrast:
     along, down = (float(high[0] - low[0]), 0.0, 0.0), (0.0, 0.0, float(low[2] - high[2]))
     corner = (float(low[0]), float(low[1]), float(high[2]))
     face = coloured_face(rng, (corner, along, down), shaded(bgr, SUN["top"]), contrast=contrast)
-    shares = (corners[:, [0, 2]] - (low[0], high[2])) / (along[0], down[2])
-    cut_outside(face.texture, [(float(s), float(t)) for s, t in shares])
+    fractions = (corners[:, [0, 2]] - (low[0], high[2])) / (along[0], down[2])
+    cut_outside(face.texture, [(float(s), float(t)) for s, t in fractions])
     return face
 
 

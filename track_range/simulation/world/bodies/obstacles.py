@@ -98,8 +98,8 @@ def bush(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     hue = np.array([38.0, 86.0, 62.0]) * float(rng.uniform(0.75, 1.35)) + rng.normal(0, 8, 3)
     faces = []
     for k in range(N_LAYERS):
-        share = float(rng.uniform(0.55, 1.0))
-        layer_m, high_m = share * length, float(rng.uniform(0.7, 1.0)) * height
+        fraction = float(rng.uniform(0.55, 1.0))
+        layer_m, high_m = fraction * length, float(rng.uniform(0.7, 1.0)) * height
         if k == 0:
             layer_m, high_m = length, height
         left_m = float(rng.uniform(-length / 2, length / 2 - layer_m))

@@ -95,7 +95,7 @@ def pedestrian(rng: np.random.Generator, size_hwl_m: tuple[float, float, float])
         faces += _tube(rng, shoulder, elbow, (0.038 * height, 0.033 * height), top)
         faces += _tube(rng, _towards(elbow, shoulder), wrist, (0.033 * height, 0.026 * height), top)
         faces += _tube(rng, wrist, palm, (0.033, 0.030), skin)
-    rings = [ring((0.0, share * height, 0.0), (rx * height, rz * height)) for share, rx, rz in TRUNK]
+    rings = [ring((0.0, fraction * height, 0.0), (rx * height, rz * height)) for fraction, rx, rz in TRUNK]
     for low, high in pairwise(rings):
         faces += loft(rng, low, high, trousers if low is rings[0] else top, contrast=CLOTH_CONTRAST)
     if has_bag:
@@ -117,7 +117,7 @@ def cyclist(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) ->
         (-0.10, 0.70, 0.125, 0.19),
         (0.02, 0.785, 0.11, 0.21),
     )
-    rings = [ring((at_x, share * height, 0.0), (rx, rz)) for at_x, share, rx, rz in trunk]
+    rings = [ring((at_x, fraction * height, 0.0), (rx, rz)) for at_x, fraction, rx, rz in trunk]
     rings.append(ring((0.07, neck, 0.0), (0.065, 0.085)))
     for low, high in pairwise(rings):
         faces += loft(rng, low, high, trousers if low is rings[0] else top, contrast=CLOTH_CONTRAST)
@@ -172,7 +172,7 @@ def _head(
     hair = _random_colour(rng, HAIR) if helmet is None else helmet
     shoulders = ring((x - 0.02, low - 0.03, 0.0), (0.058, 0.058), n_sides=6)
     neck = loft(rng, shoulders, ring((x - 0.01, low + 0.3 * tall, 0.0), (0.052, 0.052), n_sides=6), skin)
-    rings = [ring((x, low + share * tall, 0.0), (wide * rx, wide * rz)) for share, rx, rz in HEAD]
+    rings = [ring((x, low + fraction * tall, 0.0), (wide * rx, wide * rz)) for fraction, rx, rz in HEAD]
     head = []
     for (under, over), bare in zip(pairwise(rings), BARE_SIDES, strict=True):
         head += loft(rng, under, over, hair, contrast=4.0, others=dict.fromkeys(bare, skin))

@@ -53,9 +53,9 @@ def traffic_light(rng: np.random.Generator, size_hwl_m: tuple[float, float, floa
     picture = housing["front"].texture
     lit = int(rng.integers(3))
     for number, colour in enumerate(((40, 40, 250), (60, 190, 250), (130, 230, 80))):
-        share = 1.0 if number == lit else 0.22
+        fraction = 1.0 if number == lit else 0.22
         at = (round(0.5 * picture.shape[1]), round((0.18 + 0.32 * number) * picture.shape[0]))
-        lamp = tuple(share * channel for channel in colour)
+        lamp = tuple(fraction * channel for channel in colour)
         cv2.circle(picture, at, round(0.34 * picture.shape[1]), (*lamp, 255), -1, cv2.LINE_AA)
     return [*housing.values(), *_pole(rng, -length / 2)]
 

@@ -65,8 +65,8 @@ def truck(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> l
     frame = _painted(rng, (-x, cab_x, 0, bed, -z, z), STEEL, sides=("back", "left", "right"))
     cab = _painted(rng, (cab_x, x, 0, 0.85 * height, -z, z), paint)
     for side, window, wheels in (("left", (0.08, 0.55), (0.72, 0.87)), ("right", (0.45, 0.92), (0.13, 0.28))):
-        for share in np.linspace(0.08, 0.92, 8):
-            fill(cargo[side].texture, (share, 0.02, share + 0.004, 0.98), SEAM)
+        for fraction in np.linspace(0.08, 0.92, 8):
+            fill(cargo[side].texture, (fraction, 0.02, fraction + 0.004, 0.98), SEAM)
         fill(cargo[side].texture, (0.2, 0.3, 0.8, 0.55), paint)
         _panes(cab[side], (window[0], 0.12, window[1], 0.45))
         _on_wheels(frame[side], 0.48, wheels, sill_m=0.55)
@@ -148,9 +148,9 @@ def _on_wheels(face: Face, radius_m: float, at: tuple[float, ...], *, sill_m: fl
     """Paint wheels at fractions `at` of a side's length; the texture is transparent between them."""
     down_m = float(face.down[1])
     radius, sill = radius_m / down_m, 1 - sill_m / down_m
-    for share in at:
-        wheel(face.texture, (share, 1 - radius), radius)
-    clip(face.texture, [[(0, 0), (1, 0), (1, sill), (0, sill)]], [(share, 1 - radius, radius) for share in at])
+    for fraction in at:
+        wheel(face.texture, (fraction, 1 - radius), radius)
+    clip(face.texture, [[(0, 0), (1, 0), (1, sill), (0, sill)]], [(fraction, 1 - radius, radius) for fraction in at])
 
 
 def _on_tyres(face: Face, *, sill_m: float = SILL_M) -> None:

@@ -60,24 +60,26 @@ class Flow:
 
     def parts(self, rng: np.random.Generator) -> list[Part]:
         """The vehicles of the lane."""
-        names, shares = zip(*self.kinds, strict=True)
+        names, fractions = zip(*self.kinds, strict=True)
         places = np.arange(self.from_m, self.until_m, self.spacing_m)
         places = places + 0.2 * self.spacing_m * rng.uniform(-1, 1, len(places))
-        chosen = rng.choice(names, len(places), p=np.array(shares) / sum(shares)).tolist()
+        chosen = rng.choice(names, len(places), p=np.array(fractions) / sum(fractions)).tolist()
         return [
             Part(kind=kind, x_m=self.x_m, z_m=z_m, heading_rad=self.heading_rad, speed_mps=self.speed_mps)
             for kind, z_m in zip(chosen, places.tolist(), strict=True)
         ]
 
 
-def parked(rng: np.random.Generator, *, until_m: float, share: float = 0.6, free_m: Sequence[float] = ()) -> list[Part]:
+def parked(
+    rng: np.random.Generator, *, until_m: float, fraction: float = 0.6, free_m: Sequence[float] = ()
+) -> list[Part]:
     """Cars and vans parked along both kerbs at slightly varying angles, except near the positions `free_m`."""
     parts = []
     for x_m, heading_rad in ((6.5, AWAY_RAD), (-6.5, TOWARDS_RAD)):
         for z_m in np.arange(12.0, until_m, PARKED_SPACING_M).tolist():
             is_free = any(abs(z_m - gap_m) < 1.2 * PARKED_SPACING_M for gap_m in free_m)
             occupancy, kind_draw, angle_rad = rng.uniform(), rng.uniform(), float(rng.normal(0, 0.02))
-            if occupancy < share and not is_free:
+            if occupancy < fraction and not is_free:
                 kind = "Van" if kind_draw < 0.15 else "Car"
                 parts.append(Part(kind=kind, x_m=x_m, z_m=z_m, heading_rad=heading_rad + angle_rad))
     return parts

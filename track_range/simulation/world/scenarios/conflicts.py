@@ -90,7 +90,7 @@ def _crossing_adult(seed: int, seconds: float) -> Scene:
     traffic = _oncoming_traffic(rng, until_m, seconds) if side > 0 else []
     free_m = tuple(person.z_m + by_m for by_m in (-12.0, 0.0, 6.0))
     others = [
-        *parked(rng, until_m=until_m, share=0.5, free_m=free_m),
+        *parked(rng, until_m=until_m, fraction=0.5, free_m=free_m),
         *_walkers_except_at(person.z_m, rng, until_m),
         *signs(until_m=until_m, x_m=7.9),
     ]
@@ -111,7 +111,7 @@ def _crossing_child(seed: int, seconds: float) -> Scene:
         for kind, by_m in (("Van" if rng.uniform() < 0.4 else "Car", -3.6), ("Car", -10.0), ("Car", 3.8))
     ]
     others = [
-        *parked(rng, until_m=until_m, share=0.6, free_m=tuple(child.z_m + by_m for by_m in (-12.0, -4.0, 4.0))),
+        *parked(rng, until_m=until_m, fraction=0.6, free_m=tuple(child.z_m + by_m for by_m in (-12.0, -4.0, 4.0))),
         *_walkers_except_at(child.z_m, rng, until_m),
         *signs(until_m=until_m, x_m=7.9),
     ]
@@ -187,7 +187,7 @@ def _following(seed: int, seconds: float) -> Scene:
     surroundings = str(rng.choice(["city", "country", "highway"]))
     mean_mps = float(rng.uniform(9, 14) if surroundings == "city" else rng.uniform(14, 28))
     ego = _slow_changes(rng, mean_mps, seconds)
-    kind = str(rng.choice([name for name, _ in _KINDS], p=[share for _, share in _KINDS]))
+    kind = str(rng.choice([name for name, _ in _KINDS], p=[fraction for _, fraction in _KINDS]))
     lead = earlier(ego, 2.0)
     z_m = travelled_m(ego, 2.0) + CAMERA_TO_FRONT_M + SIZE_HWL_M[kind][2] / 2
     parts = [Part(kind=kind, x_m=float(rng.normal(0, 0.2)), z_m=z_m, speed_changes=lead)]
@@ -229,7 +229,7 @@ def _rear(
     roads: tuple[str, ...],
 ) -> Scene:
     """A scene in which the ego vehicle runs into the rear of a vehicle with the given speeds."""
-    kind = str(rng.choice([name for name, _ in _KINDS], p=[share for _, share in _KINDS]))
+    kind = str(rng.choice([name for name, _ in _KINDS], p=[fraction for _, fraction in _KINDS]))
     _, width_m, length_m = SIZE_HWL_M[kind]
     narrower_m = min(width_m, EGO_HWL_M[1])
     most_m = (width_m + EGO_HWL_M[1]) / 2 - 0.5 * narrower_m
@@ -266,7 +266,7 @@ def _other_traffic(rng: np.random.Generator, surroundings: str, until_m: float, 
         return [*traffic, *signs(until_m=until_m, x_m=3.9, spacing_m=70.0)]
     return [
         *traffic,
-        *parked(rng, until_m=until_m, share=0.5),
+        *parked(rng, until_m=until_m, fraction=0.5),
         *walkers(rng, until_m=until_m, x_m=9.4),
         *signs(until_m=until_m, x_m=7.9),
     ]

@@ -59,8 +59,8 @@ USERS = (("Car", 0.5), ("Van", 0.12), ("Truck", 0.08), ("Pedestrian", 0.17), ("C
 OCCLUDERS = (("none", 0.13), ("pole", 0.24), ("sign", 0.17), ("fence", 0.2), ("bush", 0.1), ("vehicle", 0.16))
 """Kinds of occluders with their shares."""
 
-LEAD_SHARE = 0.6
-"""Share of drives with a vehicle ahead that hides another one."""
+LEAD_FRACTION = 0.6
+"""Fraction of drives with a vehicle ahead that hides another one."""
 
 Disc = tuple[float, float, float]
 """x, z and radius of a circle on the ground, m."""
@@ -76,7 +76,7 @@ def occlusion(seed: int, seconds: float) -> Scene:
     rng = np.random.default_rng([seed, 31])
     ego: SpeedChanges = ((0.0, float(rng.uniform(4, 11))),)
     builder = _Builder(rng)
-    if rng.uniform() < LEAD_SHARE:
+    if rng.uniform() < LEAD_FRACTION:
         builder.add_leading(ego)
     for time_s in reference_times_s(seconds):
         for _ in range(N_PER_GROUP):
@@ -137,7 +137,7 @@ class _Builder:
 
     def add_one(self, time_s: float, camera_z_m: float) -> None:
         """Add a road user and its occluder for a reference time; nothing if there is no room."""
-        kind, occluder = (_drawn(self.rng, shares) for shares in (USERS, OCCLUDERS))
+        kind, occluder = (_drawn(self.rng, fractions) for fractions in (USERS, OCCLUDERS))
         for _ in range(N_TRIALS):
             place = self._random_place(kind, camera_z_m)
             placed = self._occluder(occluder, place, camera_z_m) if occluder != "none" else ([], None)
@@ -261,8 +261,8 @@ def _discs(x_m: float, z_m: float, long_m: float, heading_rad: float) -> list[Di
     return [(x_m + a * cos, z_m - a * sin, 0.3) for a in along.tolist()]
 
 
-def _drawn(rng: np.random.Generator, shares: tuple[tuple[str, float], ...]) -> str:
-    names, weights = zip(*shares, strict=True)
+def _drawn(rng: np.random.Generator, fractions: tuple[tuple[str, float], ...]) -> str:
+    names, weights = zip(*fractions, strict=True)
     return str(rng.choice(names, p=np.array(weights) / sum(weights)))
 
 

@@ -92,8 +92,8 @@ def number_plate(picture: Image, box: Box) -> None:
     """Paint a white number plate with dark characters."""
     fill(picture, box, (222, 228, 228))
     x1, y1, x2, y2 = box
-    for share in (0.1, 0.22, 0.4, 0.52, 0.68, 0.8):
-        left = x1 + share * (x2 - x1)
+    for fraction in (0.1, 0.22, 0.4, 0.52, 0.68, 0.8):
+        left = x1 + fraction * (x2 - x1)
         fill(picture, (left, y1 + 0.25 * (y2 - y1), left + 0.08 * (x2 - x1), y1 + 0.75 * (y2 - y1)), (40, 36, 36))
 
 

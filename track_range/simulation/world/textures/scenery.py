@@ -165,10 +165,10 @@ def sky_picture(rng: np.random.Generator, *, size_px: tuple[int, int], horizon_p
     width, height = size_px[0] // 2, size_px[1] // 2
     horizon = horizon_px / 2
     y = np.arange(height, dtype=np.float32)[:, None]
-    share = np.clip(y / max(horizon, 1.0), 0, 1)[:, :, None]
+    fraction = np.clip(y / max(horizon, 1.0), 0, 1)[:, :, None]
     above, below = np.array([232.0, 196.0, 158.0], np.float32), np.array([238.0, 232.0, 226.0], np.float32)
     clouds = np.clip(_smooth_noise(rng, (height, width)), -0.6, 2).astype(np.float32)[:, :, None]
-    sky = above * (1 - share) + below * share + (7.0 + 10.0 * (1 - share)) * clouds
+    sky = above * (1 - fraction) + below * fraction + (7.0 + 10.0 * (1 - fraction)) * clouds
     ridge = horizon - height * (0.022 + 0.008 * value_noise(rng, (2, width), cells=(4, 10, 30))[0])
     grain = value_noise(rng, (height, width), cells=(2, 4, 8)).astype(np.float32)[:, :, None]
     trees = np.array([112.0, 122.0, 112.0], np.float32) + 6.0 * grain

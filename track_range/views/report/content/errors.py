@@ -25,10 +25,10 @@ BAND_M = 10.0
 MIN_IN_BAND = 3
 """Minimum number of errors in a band for a median."""
 
-EXPECTED_SHARES = np.arange(0.05, 1.0, 0.05)
+EXPECTED_FRACTIONS = np.arange(0.05, 1.0, 0.05)
 """Fractions of errors expected within k sigma at which the calibration curve is sampled."""
 
-_SHARE_KEYS = ((WITHIN_1_SIGMA, "within_1_sigma"), (WITHIN_2_SIGMA, "within_2_sigma"))
+_FRACTION_KEYS = ((WITHIN_1_SIGMA, "within_1_sigma"), (WITHIN_2_SIGMA, "within_2_sigma"))
 """Expected fraction, and key of the observed one in a method's row of the summary."""
 
 
@@ -98,14 +98,14 @@ def calibration_curves(columns: Columns, summary: Mapping[str, Any]) -> dict[str
 
     Without truth in the columns, the line holds the summary's fractions within one and two sigma.
     """
-    k = np.sqrt(2.0) * erfinv(EXPECTED_SHARES)
+    k = np.sqrt(2.0) * erfinv(EXPECTED_FRACTIONS)
     curves = {}
     for method in methods_measured(columns):
         z = _errors_in_sigmas(columns, method)
         if len(z):
             observed = np.searchsorted(np.sort(z), k, side="right") / len(z)
-            curves[method] = {"line": [_rounded(100.0 * EXPECTED_SHARES), _rounded(100.0 * observed)], "n": len(z)}
-    return curves or _curves_of_shares(summary)
+            curves[method] = {"line": [_rounded(100.0 * EXPECTED_FRACTIONS), _rounded(100.0 * observed)], "n": len(z)}
+    return curves or _curves_of_fractions(summary)
 
 
 def _errors_in_sigmas(columns: Columns, method: str) -> FloatArray:
@@ -115,11 +115,13 @@ def _errors_in_sigmas(columns: Columns, method: str) -> FloatArray:
     return error_m[known] / sigma_m[known]
 
 
-def _curves_of_shares(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def _curves_of_fractions(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     curves = {}
     for method, row in (summary.get("methods") or {}).items():
         known = [
-            (100 * expected, 100 * share) for expected, key in _SHARE_KEYS if (share := figure(row, key)) is not None
+            (100 * expected, 100 * fraction)
+            for expected, key in _FRACTION_KEYS
+            if (fraction := figure(row, key)) is not None
         ]
         if known:
             curves[method] = {"line": [list(part) for part in zip(*known, strict=True)], "n": row.get("n")}

@@ -44,7 +44,7 @@ _MIN_POSITIONS = 4
 _LATERAL_ACCELERATION_MPS2 = 0.25
 """Standard deviation a of the lateral acceleration in m/s^2, as in `ranging`'s collision course."""
 
-_CENTRE_SIGMA_PX, _CENTRE_SIGMA_SHARE = 1.0, 0.02
+_CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02
 """Standard deviation of a box centre: a constant in px, plus a fraction of the box width; as in `ranging`."""
 
 _BORDER_PX = 2.0
@@ -83,7 +83,7 @@ def road_columns(columns: Columns) -> dict[str, FloatArray]:
         "passing": np.full(len(x_m), np.nan),
         "passing_sigma": np.full(len(x_m), np.nan),
     }
-    sigma_m = _CENTRE_SIGMA_PX * m_per_px + _CENTRE_SIGMA_SHARE * width_m
+    sigma_m = _CENTRE_SIGMA_PX * m_per_px + _CENTRE_SIGMA_FRACTION * width_m
     is_measured = is_whole & np.isfinite(x_m) & (column(columns, "observed") != 0)
     offset_m, window_s = x_m, WINDOW_S
     if np.isfinite(column(columns, "path_offset_m")).any():

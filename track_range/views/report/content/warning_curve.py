@@ -3,7 +3,7 @@
 The figure is the same in all reports: it shows what one camera, a stereo rig and both methods together achieve. Its
 values are packaged in assets/warning_curve.json:
 
-    {"protocol": text, "methods": {name: [[false alarms per hour, median lead in s, share of contacts], ...]}}
+    {"protocol": text, "methods": {name: [[false alarms per hour, median lead in s, fraction of contacts], ...]}}
 
 The share is that of the contacts with a warning at least 2.1 s before.
 """
@@ -55,8 +55,8 @@ def curve_figure(content: Mapping[str, Any]) -> dict[str, Any]:
     first_decade = round(math.log10(_MIN_PER_HOUR))
 
     def x_px(per_hour: float) -> float:
-        share = (math.log10(max(per_hour, _MIN_PER_HOUR)) - first_decade) / (last_decade - first_decade)
-        return round(_LEFT_PX + share * (_WIDTH_PX - _LEFT_PX - _RIGHT_PX), 1)
+        fraction = (math.log10(max(per_hour, _MIN_PER_HOUR)) - first_decade) / (last_decade - first_decade)
+        return round(_LEFT_PX + fraction * (_WIDTH_PX - _LEFT_PX - _RIGHT_PX), 1)
 
     def y_px(lead_s: float) -> float:
         return round(_TOP_PX + (1 - lead_s / highest_s) * (_HEIGHT_PX - _TOP_PX - _BOTTOM_PX), 1)
@@ -64,9 +64,9 @@ def curve_figure(content: Mapping[str, Any]) -> dict[str, Any]:
     colours = colour_of_each(list(curves))
     lines = []
     for name, curve in curves.items():
-        at = [(x_px(per_hour), y_px(lead_s), share) for per_hour, lead_s, share in curve]
+        at = [(x_px(per_hour), y_px(lead_s), fraction) for per_hour, lead_s, fraction in curve]
         path = "M" + "L".join(f"{x} {y}" for x, y, _ in at) if at else ""
-        dots = [{"x": x, "y": y, "r": round(1.5 + 4 * share, 1)} for x, y, share in at]
+        dots = [{"x": x, "y": y, "r": round(1.5 + 4 * fraction, 1)} for x, y, fraction in at]
         lines.append({"name": name, "colour": colours[name], "path": path, "dots": dots})
     return {
         "width": _WIDTH_PX,
@@ -81,7 +81,7 @@ def curve_figure(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _known(points: Sequence[_Point]) -> list[tuple[float, float, float]]:
-    """Points with a rate and a lead time in the order of the rate; the share of contacts is 0 where it is unknown."""
+    """Points with a rate and a lead time by rate; the fraction of contacts is 0 where it is unknown."""
     known = [
         (float(point[0]), float(point[1]), float((point[2] if len(point) > 2 else None) or 0.0))
         for point in points
