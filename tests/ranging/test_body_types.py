@@ -21,7 +21,7 @@ def test_types_follow_the_objects():
     bodies = {body.name: body for body in fit_body_types("van", log_size, np.ones(len(log_size)))}
     assert bodies["small"].hwl_m[0] == pytest.approx(1.85 * np.exp(0.05), rel=0.02)
     assert bodies["high roof"].hwl_m[0] == pytest.approx(2.50, rel=0.03)
-    assert bodies["small"].fraction + bodies["flat roof"].fraction > 0.6
+    assert bodies["small"].share + bodies["flat roof"].share > 0.6
     assert sum(body.share for body in bodies.values()) == pytest.approx(1.0, abs=1e-3)
     for body in bodies.values():
         assert np.linalg.eigvalsh(body.covariance).min() > 0
