@@ -23,68 +23,45 @@ from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.stereo.geometry.rig import StereoRig
 
 OFFSET, CURVATURE, SLOPE = range(3)
-N_ERRORS = 3
-"""Disparity errors, by their numbers."""
-
-_MAX_STEPS = 25
-"""Largest number of Levenberg-Marquardt steps."""
-
-_MAX_DAMPING = 1e6
-"""Largest damping, relative to the diagonal; if no step lowers the cost up to it, the iteration ends."""
-
-_MIN_RELATIVE_GAIN = 1e-5
-"""Decrease of the cost, relative to the cost, below which the iteration has converged."""
+N_ERRORS = 3  # disparity errors, by their numbers
+_MAX_STEPS = 25  # largest number of Levenberg-Marquardt steps
+_MAX_DAMPING = 1e6  # largest damping, relative to the diagonal; if no step lowers the cost up to it, the iteration ends
+_MIN_RELATIVE_GAIN = 1e-5  # decrease of the cost, relative to the cost, below which the iteration has converged
 
 _SETTLED_GAIN, _SETTLED_PX = 2e-3, 1e-3
 """Decrease of the cost, relative to the cost, and change of the disparity errors in px, below which the iteration ends:
 the robust weights then still change the points, but the errors by less than 0.005 px (KITTI, three drives)."""
 
-_CAUCHY_SIGMAS = 2.0
-"""Scale of the Cauchy loss: length of a residual, in standard deviations, that has half the weight."""
+_CAUCHY_SIGMAS = 2.0  # scale of the Cauchy loss: length of a residual, in standard deviations, that has half the weight
 
 _NOISE_PX = (0.05, 1.0)
 """Smallest and largest standard deviation of a tracked point; within them it is estimated from the residuals."""
 
-_MEDIAN_NORM = 1.538
-"""Median length of a vector of three standard normal numbers."""
+_MEDIAN_NORM = 1.538  # median length of a vector of three standard normal numbers
 
 _POSE_RIDGE = 1e-6
 """Ridge on poses, for frames without points; negligible compared to the information of points (1e5 per m^2, 1e8 per
 rad^2)."""
 
-_ERROR_PRIOR_PX = 5.0
-"""Prior standard deviation of the disparity errors: wide, it only keeps the equations solvable."""
+_ERROR_PRIOR_PX = 5.0  # prior standard deviation of the disparity errors: wide, it only keeps the equations solvable
 
 
 class Observations(NamedTuple):
-    """Tracked points in both images, at most one row per point and frame.
+    """Tracked points in both images, at most one row per point and frame."""
 
-    Attributes:
-        frame: (N,) frame numbers from 0.
-        point: (N,) point numbers from 0.
-        xyx_px: (N, 3) x and y in the left image, x in the right one.
-    """
-
-    frame: IntArray
-    point: IntArray
-    xyx_px: FloatArray
+    frame: IntArray  # (N,) frame numbers from 0
+    point: IntArray  # (N,) point numbers from 0
+    xyx_px: FloatArray  # (N, 3) x and y in the left image, x in the right one
 
 
 @dataclass(frozen=True, slots=True)
 class Bundle:
-    """Unknowns of a segment of F frames and P points.
+    """Unknowns of a segment of F frames and P points."""
 
-    Attributes:
-        rotation: (F, 3, 3) R, frame from frame 0.
-        translation_m: (F, 3) t.
-        points: (P, 3) a, b and r (1/m): ray and inverse depth in frame 0.
-        error_px: (3,) offset, curvature and slope.
-    """
-
-    rotation: FloatArray
-    translation_m: FloatArray
-    points: FloatArray
-    error_px: FloatArray
+    rotation: FloatArray  # (F, 3, 3) R, frame from frame 0
+    translation_m: FloatArray  # (F, 3) t
+    points: FloatArray  # (P, 3) a, b and r (1/m): ray and inverse depth in frame 0
+    error_px: FloatArray  # (3,) offset, curvature and slope
 
     @property
     def path_m(self) -> float:
@@ -102,35 +79,23 @@ class BundleFit(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """Residuals and Jacobians of N observations.
+    """Residuals and Jacobians of N observations."""
 
-    Attributes:
-        residual: (N, 3) observed minus predicted, px: x and y in the left image, x in the right one.
-        by_pose: (N, 3, 6) derivatives of the prediction by rotation vector and translation of the frame.
-        by_point: (N, 3, 3) derivatives of the prediction by a, b and r of the point.
-        by_error: (N, 3, E) derivatives of the prediction by the disparity errors.
-    """
-
-    residual: FloatArray
-    by_pose: FloatArray
-    by_point: FloatArray
-    by_error: FloatArray
+    residual: FloatArray  # (N, 3) observed minus predicted, px: x and y in the left image, x in the right one
+    by_pose: FloatArray  # (N, 3, 6) derivatives of the prediction by rotation vector and translation of the frame
+    by_point: FloatArray  # (N, 3, 3) derivatives of the prediction by a, b and r of the point
+    by_error: FloatArray  # (N, 3, E) derivatives of the prediction by the disparity errors
 
 
 class Equations(NamedTuple):
     """Normal equations S x = b with the points eliminated: x = poses of all frames but the first, then the errors.
 
     Equations of disjoint sets of points add up.
-
-    Attributes:
-        s: (C, C) Schur complement.
-        b: (C,) right side.
-        n_pose_unknowns: number of pose unknowns, which come first.
     """
 
-    s: FloatArray
-    b: FloatArray
-    n_pose_unknowns: int
+    s: FloatArray  # (C, C) Schur complement
+    b: FloatArray  # (C,) right side
+    n_pose_unknowns: int  # number of pose unknowns, which come first
 
     def of_errors(self) -> tuple[FloatArray, FloatArray]:
         """(E, E) information on the errors and (E,) right side, with the poses p eliminated too.
@@ -150,17 +115,11 @@ class Equations(NamedTuple):
 
 
 class _PointBlocks(NamedTuple):
-    """Blocks of the points in the normal equations, V = L L^T.
+    """Blocks of the points in the normal equations, V = L L^T."""
 
-    Attributes:
-        l_inverse: (P, 3, 3) L^-1.
-        whitened: (P, 3, C) L^-1 W.
-        right_side: (P, 3) L^-1 b_y.
-    """
-
-    l_inverse: FloatArray
-    whitened: FloatArray
-    right_side: FloatArray
+    l_inverse: FloatArray  # (P, 3, 3) L^-1
+    whitened: FloatArray  # (P, 3, C) L^-1 W
+    right_side: FloatArray  # (P, 3) L^-1 b_y
 
 
 class _Elimination(NamedTuple):

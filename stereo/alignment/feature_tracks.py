@@ -16,61 +16,33 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
 
-MIN_ROWS = 30
-"""Minimum number of points for a row offset."""
-
-_N_POINTS = 1100
-"""Number of points that are tracked."""
-
-_GRID = (3, 8)
-"""Rows and columns of cells with equal numbers of new points."""
-
-_MIN_GAP_PX = 10
-"""Minimum distance between two points, px."""
-
-_MIN_QUALITY = 0.01
-"""Minimum quality of a corner, as a fraction of the best corner's in its cell."""
-
-_WINDOW_PX = (15, 15)
-"""Size of the tracked window, px."""
-
-_LEVELS = 3
-"""Pyramid levels above the full image for tracking over time."""
-
-_MAX_RETURN_PX = 0.5
-"""Largest error of the forward-backward check, px."""
-
-_MAX_ROW_PX = 2.0
-"""Largest difference between the row offset of a right point and the common one, px."""
-
-_BORDER_PX = 8
-"""Minimum distance of a point from the image border, px."""
-
-_COARSE_RANGE_PX = 80
-"""Number of disparities searched in the half-size images; twice as many in full pixels."""
+MIN_ROWS = 30  # minimum number of points for a row offset
+_N_POINTS = 1100  # number of points that are tracked
+_GRID = (3, 8)  # rows and columns of cells with equal numbers of new points
+_MIN_GAP_PX = 10  # minimum distance between two points, px
+_MIN_QUALITY = 0.01  # minimum quality of a corner, as a fraction of the best corner's in its cell
+_WINDOW_PX = (15, 15)  # size of the tracked window, px
+_LEVELS = 3  # pyramid levels above the full image for tracking over time
+_MAX_RETURN_PX = 0.5  # largest error of the forward-backward check, px
+_MAX_ROW_PX = 2.0  # largest difference between the row offset of a right point and the common one, px
+_BORDER_PX = 8  # minimum distance of a point from the image border, px
+_COARSE_RANGE_PX = 80  # number of disparities searched in the half-size images; twice as many in full pixels
 
 _COARSE_MIN_PX = -8
 """Smallest of them: negative, because a wrong vergence of 0.5 degrees makes the disparities of far points negative."""
 
-_UNKNOWN_PX = 5.0
-"""Initial disparity where the coarse map has none, px."""
+_UNKNOWN_PX = 5.0  # initial disparity where the coarse map has none, px
 
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 20, 0.01)
 """Stop criteria of Lucas-Kanade: number of iterations and step in px."""
 
 
 class PairPoints(NamedTuple):
-    """The points of one frame that are visible in both images.
+    """The points of one frame that are visible in both images."""
 
-    Attributes:
-        number: (N,) numbers of the points, equal in all frames.
-        left_px: (N, 2) x, y in the left image.
-        right_px: (N, 2) x, y in the right image.
-    """
-
-    number: IntArray
-    left_px: FloatArray
-    right_px: FloatArray
+    number: IntArray  # (N,) numbers of the points, equal in all frames
+    left_px: FloatArray  # (N, 2) x, y in the left image
+    right_px: FloatArray  # (N, 2) x, y in the right image
 
     @property
     def row_offsets_px(self) -> FloatArray:
@@ -79,19 +51,12 @@ class PairPoints(NamedTuple):
 
 
 class TrackedFrame(NamedTuple):
-    """The points of one frame of a drive, and how well they were tracked from the frame before.
+    """The points of one frame of a drive, and how well they were tracked from the frame before."""
 
-    Attributes:
-        time_s: time of the frame.
-        points: points that are visible in both images.
-        flow_px: median flow since the previous frame; 0 for the first frame.
-        fraction_tracked: fraction of the points tracked from the previous frame; 1 for the first frame.
-    """
-
-    time_s: float
-    points: PairPoints
-    flow_px: float
-    fraction_tracked: float
+    time_s: float  # time of the frame
+    points: PairPoints  # points that are visible in both images
+    flow_px: float  # median flow since the previous frame; 0 for the first frame
+    fraction_tracked: float  # fraction of the points tracked from the previous frame; 1 for the first frame
 
 
 class FeatureTracks:

@@ -32,11 +32,8 @@ from track_range.stereo.rig_formats.rig_format import write_rig_text
 _VERSION = 1
 _VERSION_KEY = "track_range_align"
 
-_MAX_PX = 100.0
-"""Largest plausible value of a calibrated pair; larger values are in other units."""
-
-_MAX_ROLL_DEG, _MAX_FOCAL_RATIO = 10.0, 1.2
-"""Largest plausible errors of the right camera's roll and focal length."""
+_MAX_PX = 100.0  # largest plausible value of a calibrated pair; larger values are in other units
+_MAX_ROLL_DEG, _MAX_FOCAL_RATIO = 10.0, 1.2  # largest plausible errors of the right camera's roll and focal length
 
 _Offset = Annotated[Number, Field(ge=-_MAX_PX, le=_MAX_PX)]
 _Sigma = Annotated[Number, Field(ge=0, le=_MAX_PX)]

@@ -21,38 +21,20 @@ from track_range.stereo.alignment.model import Alignment, column_from_axis
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 
-MIN_OBJECTS = 5
-"""Minimum number of objects for a fit."""
-
-_N_RESAMPLES = 200
-"""Number of bootstrap samples."""
-
-_N_FOLDS = 8
-"""Number of folds of the cross-validation."""
-
-_MIN_OBJECTS_FOR_CURVATURE = 60
-"""Minimum number of objects for a fit of the curvature."""
+MIN_OBJECTS = 5  # minimum number of objects for a fit
+_N_RESAMPLES = 200  # number of bootstrap samples
+_N_FOLDS = 8  # number of folds of the cross-validation
+_MIN_OBJECTS_FOR_CURVATURE = 60  # minimum number of objects for a fit of the curvature
 
 _MIN_LEVERAGE = 0.08
 """Minimum standard deviation of u^2 over the objects for the curvature; 0.3 for a uniform distribution."""
 
-_MAX_MISMATCH = 0.3
-"""Largest relative disparity error due to alignment; larger ones are wrong matches or labels."""
-
-_MAX_OFFSET_PX = 3.0
-"""Disparity error that is never a mismatch, however small the disparity."""
-
-_MEDIAN_OF_NORMAL = 0.6745
-"""Median of |x| for a standard normal x."""
-
-_N_REWEIGHTINGS = 30
-"""Iterations of the reweighted least squares."""
-
-_N_HALVINGS = 30
-"""Iterations of the bisection."""
-
-_MIN_ERROR_PX = 0.02
-"""Error below which weights no longer increase in the reweighted least squares."""
+_MAX_MISMATCH = 0.3  # largest relative disparity error due to alignment; larger ones are wrong matches or labels
+_MAX_OFFSET_PX = 3.0  # disparity error that is never a mismatch, however small the disparity
+_MEDIAN_OF_NORMAL = 0.6745  # median of |x| for a standard normal x
+_N_REWEIGHTINGS = 30  # iterations of the reweighted least squares
+_N_HALVINGS = 30  # iterations of the bisection
+_MIN_ERROR_PX = 0.02  # error below which weights no longer increase in the reweighted least squares
 
 
 class _Known(NamedTuple):

@@ -20,8 +20,7 @@ from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX, Alignment
 from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry.rig import StereoRig
 
-DISTANCES_M = (10.0, 20.0, 30.0, 50.0)
-"""Distances of the reported errors."""
+DISTANCES_M = (10.0, 20.0, 30.0, 50.0)  # distances of the reported errors
 
 REFERENCE_M, MATTERS = 30.0, 0.01
 """Distance, and relative error of distances there from which an error of the rig matters."""
@@ -32,8 +31,7 @@ COLUMNS_U = np.array([-0.5, 0.0, 0.5])
 _MIN_SIGMAS = 3.0
 """Minimum ratio of a noticed error to its standard deviation; one of 46 windows of true rigs exceeded 2.5."""
 
-_MIN_FRACTION = 0.5
-"""Smallest noticed error as a fraction of the one that matters."""
+_MIN_FRACTION = 0.5  # smallest noticed error as a fraction of the one that matters
 
 _MIN_MOVE_SIGMAS = 3.5
 """Minimum ratio of a movement during a drive to its standard deviation, which is that of the best of several times."""
@@ -48,52 +46,31 @@ State = Literal["good", "off", "unknown"]
 
 
 class Window(NamedTuple):
-    """The offset in a part of a drive.
+    """The offset in a part of a drive."""
 
-    Attributes:
-        drive: number of the drive, from 0.
-        from_s: time of the first frame.
-        to_s: time of the last frame.
-        offset_px: offset with the slope and the curvature of the whole estimate.
-        sigma_px: its standard deviation.
-    """
-
-    drive: int
-    from_s: float
-    to_s: float
-    offset_px: float
-    sigma_px: float
+    drive: int  # number of the drive, from 0
+    from_s: float  # time of the first frame
+    to_s: float  # time of the last frame
+    offset_px: float  # offset with the slope and the curvature of the whole estimate
+    sigma_px: float  # its standard deviation
 
 
 class Move(NamedTuple):
-    """A change of the offset between two windows.
+    """A change of the offset between two windows."""
 
-    Attributes:
-        time_s: middle of the time between them.
-        change_px: offset after minus offset before.
-        sigma_px: its standard deviation.
-    """
-
-    time_s: float
-    change_px: float
-    sigma_px: float
+    time_s: float  # middle of the time between them
+    change_px: float  # offset after minus offset before
+    sigma_px: float  # its standard deviation
 
 
 @dataclass(frozen=True, slots=True)
 class RigHealth:
-    """State of a rig in terms of distances.
+    """State of a rig in terms of distances."""
 
-    Attributes:
-        rig: the rectified pair.
-        measured: the alignment as measured.
-        applied: the alignment that is applied.
-        windows: offsets of the parts of the drive, in order of time; empty = not from a drive.
-    """
-
-    rig: StereoRig
-    measured: Alignment
-    applied: Alignment
-    windows: tuple[Window, ...] = ()
+    rig: StereoRig  # the rectified pair
+    measured: Alignment  # the alignment as measured
+    applied: Alignment  # the alignment that is applied
+    windows: tuple[Window, ...] = ()  # offsets of the parts of the drive, in order of time; empty = not from a drive
 
     @property
     def matters_px(self) -> float:

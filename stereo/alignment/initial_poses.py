@@ -21,32 +21,15 @@ from track_range.stereo.alignment.bundle_adjustment import N_ERRORS, Bundle, Obs
 from track_range.stereo.alignment.model import column_from_axis
 from track_range.stereo.geometry.rig import StereoRig
 
-MIN_OBSERVATIONS = 4
-"""Minimum number of observations of a point; points with fewer carry little information."""
-
-MIN_POINTS = 60
-"""Minimum number of points of a bundle."""
-
-_MIN_INLIERS = 12
-"""Minimum number of inliers of a pose."""
-
-_MAX_ERROR_PX = 2.0
-"""Largest reprojection error of an inlier."""
-
-_N_TRIALS = 200
-"""Iterations of RANSAC."""
-
-_MIN_DISPARITY_PX = 0.5
-"""Initial disparity of farther points; the bundle adjustment moves them."""
-
-_FAR_M = 200.0
-"""Largest distance of points used for PnP; farther ones carry no information on the translation."""
-
-_N_KEY_STEPS, _N_MOTIONS = 5, 3
-"""Number of steps in which motions are searched, and of the motions of one step."""
-
-_GRID = (8, 16)
-"""Rows and columns of the cells by which the spread of a motion's points over the image is counted."""
+MIN_OBSERVATIONS = 4  # minimum number of observations of a point; points with fewer carry little information
+MIN_POINTS = 60  # minimum number of points of a bundle
+_MIN_INLIERS = 12  # minimum number of inliers of a pose
+_MAX_ERROR_PX = 2.0  # largest reprojection error of an inlier
+_N_TRIALS = 200  # iterations of RANSAC
+_MIN_DISPARITY_PX = 0.5  # initial disparity of farther points; the bundle adjustment moves them
+_FAR_M = 200.0  # largest distance of points used for PnP; farther ones carry no information on the translation
+_N_KEY_STEPS, _N_MOTIONS = 5, 3  # number of steps in which motions are searched, and of the motions of one step
+_GRID = (8, 16)  # rows and columns of the cells by which the spread of a motion's points over the image is counted
 
 _MIN_SUPPORT = 0.4
 """Minimum support of the static scene's motion, relative to the motion with the most: on eight windows of simulated

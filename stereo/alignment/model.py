@@ -24,11 +24,8 @@ UNCORRECTED_SIGMA_PX = 0.5
 Six matchers agree that the disparities of KITTI's carefully calibrated pairs are about half a pixel too small.
 """
 
-MIN_SIGMAS = 2.0
-"""Minimum ratio of an estimate to its standard deviation at which it is applied."""
-
-MAX_ROW_OFFSET_PX = 0.3
-"""Largest vertical offset without a warning and a correction."""
+MIN_SIGMAS = 2.0  # minimum ratio of an estimate to its standard deviation at which it is applied
+MAX_ROW_OFFSET_PX = 0.3  # largest vertical offset without a warning and a correction
 
 _MAX_OFFSET_PX = 1.0
 """Largest offset that is only added to disparities. For larger ones the right image is also shifted by whole pixels:
@@ -54,33 +51,21 @@ def column_from_axis(x_px: FloatArray, camera: PinholeCamera) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alignment:
-    """A measured correction of the disparities of one rectified rig.
+    """A measured correction of the disparities of one rectified rig."""
 
-    Attributes:
-        offset_px: correction of all disparities.
-        curvature_px: additional correction at the left and right image edges, proportional to u^2.
-        slope_px: additional correction at the right image edge, proportional to u.
-        row_offset_px: vertical offset y_right - y_left of corresponding points.
-        residual_px: standard deviation of the remaining disparity error, including that of the estimate.
-        offset_sigma_px: standard deviation of the offset.
-        curvature_sigma_px: standard deviation of the curvature; 0 if it was not estimated.
-        slope_sigma_px: standard deviation of the slope; 0 if it was not estimated.
-        roll_deg: rotation of the right camera about its optical axis relative to the rig, degrees, clockwise positive.
-        focal_ratio: focal length of the right camera relative to the rig.
-        source: origin of the estimate, for the user.
-    """
-
-    offset_px: float = 0.0
-    curvature_px: float = 0.0
-    row_offset_px: float = 0.0
+    offset_px: float = 0.0  # correction of all disparities
+    curvature_px: float = 0.0  # additional correction at the left and right image edges, proportional to u^2
+    row_offset_px: float = 0.0  # vertical offset y_right - y_left of corresponding points
+    # standard deviation of the remaining disparity error, including that of the estimate
     residual_px: float = UNCORRECTED_SIGMA_PX
-    offset_sigma_px: float = UNCORRECTED_SIGMA_PX
-    curvature_sigma_px: float = 0.0
-    slope_px: float = 0.0
-    slope_sigma_px: float = 0.0
+    offset_sigma_px: float = UNCORRECTED_SIGMA_PX  # standard deviation of the offset
+    curvature_sigma_px: float = 0.0  # standard deviation of the curvature; 0 if it was not estimated
+    slope_px: float = 0.0  # additional correction at the right image edge, proportional to u
+    slope_sigma_px: float = 0.0  # standard deviation of the slope; 0 if it was not estimated
+    # rotation of the right camera about its optical axis relative to the rig, degrees, clockwise positive
     roll_deg: float = 0.0
-    focal_ratio: float = 1.0
-    source: str = "not measured"
+    focal_ratio: float = 1.0  # focal length of the right camera relative to the rig
+    source: str = "not measured"  # origin of the estimate, for the user
 
     def corrected(
         self, disparity_px: FloatArray, sigma_px: FloatArray, *, x_px: FloatArray, camera: PinholeCamera

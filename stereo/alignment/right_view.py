@@ -21,35 +21,20 @@ from track_range.foundation.robust_statistics import mad_sigma
 from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX, Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 
-_N_ROUNDS = 8
-"""Rounds of the reweighted least squares."""
-
-_CAUCHY_SIGMAS = 2.0
-"""Scale of the Cauchy weights, in standard deviations of the row differences."""
-
-_MIN_POINTS = 200
-"""Minimum number of points for roll and focal ratio; with fewer, only the median row offset is used."""
-
-_MAX_POINTS = 12_000
-"""Largest number of points in the fit; more do not make it more accurate."""
-
-_MIN_SPAN = 0.5
-"""Minimum standard deviation of the columns, as a fraction of that of points all over the image."""
+_N_ROUNDS = 8  # rounds of the reweighted least squares
+_CAUCHY_SIGMAS = 2.0  # scale of the Cauchy weights, in standard deviations of the row differences
+_MIN_POINTS = 200  # minimum number of points for roll and focal ratio; with fewer, only the median row offset is used
+_MAX_POINTS = 12_000  # largest number of points in the fit; more do not make it more accurate
+_MIN_SPAN = 0.5  # minimum standard deviation of the columns, as a fraction of that of points all over the image
 
 
 @dataclass(frozen=True, slots=True)
 class RightView:
-    """Errors of the right camera of a rectified pair that move rows.
+    """Errors of the right camera of a rectified pair that move rows."""
 
-    Attributes:
-        row_offset_px: y_right - y_left in the middle of the image.
-        roll_deg: rotation about the optical axis.
-        focal_ratio: true focal length divided by that of the rig.
-    """
-
-    row_offset_px: float = 0.0
-    roll_deg: float = 0.0
-    focal_ratio: float = 1.0
+    row_offset_px: float = 0.0  # y_right - y_left in the middle of the image
+    roll_deg: float = 0.0  # rotation about the optical axis
+    focal_ratio: float = 1.0  # true focal length divided by that of the rig
 
     @classmethod
     def of(cls, alignment: Alignment) -> RightView:

@@ -29,14 +29,12 @@ from track_range.stereo.alignment.bundle_adjustment import (
 from track_range.stereo.alignment.initial_poses import MIN_POINTS, InitialBundle, initial_bundle, only_points
 from track_range.stereo.geometry.rig import StereoRig
 
-N_STRIPS = 8
-"""Number of vertical strips of the image."""
+N_STRIPS = 8  # number of vertical strips of the image
 
 _N_ALL = N_ERRORS + N_STRIPS
 """Number of errors in the equations: offset, curvature, slope and an additional offset of each strip."""
 
-_N_PARTS = 12
-"""Number of parts of a segment by time; with fewer, leaving one out would leave frames without points."""
+_N_PARTS = 12  # number of parts of a segment by time; with fewer, leaving one out would leave frames without points
 
 _MIN_PATH_M = 2.0
 """Shortest path of a segment; on shorter ones, the noise of the poses is not small compared to the parallax."""
@@ -44,11 +42,8 @@ _MIN_PATH_M = 2.0
 _STATIC_WEIGHT = 0.25
 """Minimum mean Cauchy weight of a static point (about 0.6 for static points, 0.02 for moving objects)."""
 
-_MIN_STATIC_FRACTION = 0.5
-"""Minimum fraction of static points."""
-
-_MAX_ERROR_PX = 15.0
-"""Largest plausible offset, curvature or slope; beyond it, motion and disparities are inconsistent."""
+_MIN_STATIC_FRACTION = 0.5  # minimum fraction of static points
+_MAX_ERROR_PX = 15.0  # largest plausible offset, curvature or slope; beyond it, motion and disparities are inconsistent
 
 _OTHER_ERRORS_PX = ((-6.0, -4.0, 0.0), (-3.0, -2.0, 0.0), (3.0, 2.0, 0.0), (6.0, 4.0, 0.0))
 """Offset, curvature and slope from which a fit starts if it fails from 0: those of a wrong vergence of 0.25 and 0.5
@@ -57,29 +52,17 @@ degrees at a focal length of 720 px."""
 _MAX_CHANGE_PX = 1.0
 """Largest change of the errors from the start of a bundle, above which a second one starts from the fitted errors."""
 
-_PRIOR_PX = 5.0
-"""Prior standard deviation of offset, curvature and slope."""
-
-_STRIP_PRIOR_PX = 1.0
-"""Prior standard deviation of the additional offset of a strip."""
-
-_MAX_STRIP_SIGMA_PX = 0.3
-"""Largest standard deviation of a strip's offset that counts in the spread."""
-
-_MIN_STRIPS = 3
-"""Minimum number of strips for a spread."""
+_PRIOR_PX = 5.0  # prior standard deviation of offset, curvature and slope
+_STRIP_PRIOR_PX = 1.0  # prior standard deviation of the additional offset of a strip
+_MAX_STRIP_SIGMA_PX = 0.3  # largest standard deviation of a strip's offset that counts in the spread
+_MIN_STRIPS = 3  # minimum number of strips for a spread
 
 
 class Information(NamedTuple):
-    """Information on the errors e: offset, curvature, slope, and an additional offset of each strip.
+    """Information on the errors e: offset, curvature, slope, and an additional offset of each strip."""
 
-    Attributes:
-        matrix: (E, E) I.
-        product: (E,) I e.
-    """
-
-    matrix: FloatArray
-    product: FloatArray
+    matrix: FloatArray  # (E, E) I
+    product: FloatArray  # (E,) I e
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,32 +70,20 @@ class Segment:
     """Information on the disparity error from a few seconds of a drive.
 
     Points are assigned to strips of the image and parts of the time by their mean position.
-
-    Attributes:
-        n_frames: number of frames used.
-        whole: information from all points.
-        without_strip: information without each strip.
-        without_part: information without each part of the time.
     """
 
-    n_frames: int
-    whole: Information
-    without_strip: tuple[Information, ...]
-    without_part: tuple[Information, ...]
+    n_frames: int  # number of frames used
+    whole: Information  # information from all points
+    without_strip: tuple[Information, ...]  # information without each strip
+    without_part: tuple[Information, ...]  # information without each part of the time
 
 
 class CombinedEstimate(NamedTuple):
-    """The disparity error estimated from several segments.
+    """The disparity error estimated from several segments."""
 
-    Attributes:
-        error_px: (3,) offset, curvature and slope; 0 if not estimated.
-        covariance_px2: (3, 3) their covariance.
-        spread_px: root mean square of the additional offsets of the strips; NaN if too few are determined.
-    """
-
-    error_px: FloatArray
-    covariance_px2: FloatArray
-    spread_px: float
+    error_px: FloatArray  # (3,) offset, curvature and slope; 0 if not estimated
+    covariance_px2: FloatArray  # (3, 3) their covariance
+    spread_px: float  # root mean square of the additional offsets of the strips; NaN if too few are determined
 
     @property
     def sigma_px(self) -> FloatArray:

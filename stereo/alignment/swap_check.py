@@ -19,44 +19,27 @@ from track_range.foundation.arrays import BoolArray, FloatArray, Image
 
 ViewOrder = Literal["correct", "swapped", "unknown"]
 
-_N_FEATURES = 2000
-"""Number of ORB features per image."""
-
-_MAX_RATIO = 0.85
-"""Largest ratio of the distances of the best and the second best match (Lowe 2004)."""
-
-_ROW_TOLERANCE_PX = 2.0
-"""Largest difference between the row offset of an inlier and the most frequent one."""
+_N_FEATURES = 2000  # number of ORB features per image
+_MAX_RATIO = 0.85  # largest ratio of the distances of the best and the second best match (Lowe 2004)
+_ROW_TOLERANCE_PX = 2.0  # largest difference between the row offset of an inlier and the most frequent one
 
 _CLEAR_DISPARITY_PX = 1.0
 """Minimum disparity with a meaningful sign; far points and small alignment errors have smaller ones."""
 
-_MIN_MATCHES = 30
-"""Minimum number of disparities with a meaningful sign."""
-
-_MIN_FRACTION_OF_SIGN = 0.8
-"""Minimum fraction of the disparities with equal sign."""
-
-_MIN_FRACTION_IN_ROW = 0.5
-"""Minimum fraction of matches in the same row; of chance matches about 1 % are."""
+_MIN_MATCHES = 30  # minimum number of disparities with a meaningful sign
+_MIN_FRACTION_OF_SIGN = 0.8  # minimum fraction of the disparities with equal sign
+_MIN_FRACTION_IN_ROW = 0.5  # minimum fraction of matches in the same row; of chance matches about 1 % are
 
 
 @dataclass(frozen=True, slots=True)
 class PairCheck:
-    """Row offset and order of one pair.
+    """Row offset and order of one pair."""
 
-    Attributes:
-        n_matches: number of matches in the same row.
-        row_offset_px: their mean y_right - y_left (the median would be an integer, like the rows of features); NaN
-            without matches.
-        negative_fraction: fraction of them with a disparity below -1 px, 0..1; NaN without matches.
-        view_order: "unknown" with too few or contradictory matches.
-    """
-
-    n_matches: int
+    n_matches: int  # number of matches in the same row
+    # their mean y_right - y_left (the median would be an integer, like the rows of features); NaN without matches
     row_offset_px: float
-    negative_fraction: float
-    view_order: ViewOrder
+    negative_fraction: float  # fraction of them with a disparity below -1 px, 0..1; NaN without matches
+    view_order: ViewOrder  # "unknown" with too few or contradictory matches
 
     @property
     def is_conclusive(self) -> bool:

@@ -17,17 +17,10 @@ from track_range.stereo.alignment.swap_check import Features, is_in_row, matched
 
 Sync = Literal["synchronised", "right lags", "left lags", "unknown"]
 
-_ROW_TOLERANCE_PX = 1.5
-"""Largest difference between the row offset of an inlier and the most frequent one."""
-
-_MIN_FRACTION = 0.6
-"""Minimum fraction of matches in the same row with the simultaneous image."""
-
-_MIN_LEAD = 0.1
-"""Minimum difference between that fraction and those of both other images."""
-
-_MIN_MATCHES = 60
-"""Minimum number of matches."""
+_ROW_TOLERANCE_PX = 1.5  # largest difference between the row offset of an inlier and the most frequent one
+_MIN_FRACTION = 0.6  # minimum fraction of matches in the same row with the simultaneous image
+_MIN_LEAD = 0.1  # minimum difference between that fraction and those of both other images
+_MIN_MATCHES = 60  # minimum number of matches
 
 
 def check_sync(left: Image, rights: Sequence[Image]) -> Sync:

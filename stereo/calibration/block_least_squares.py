@@ -21,32 +21,24 @@ from track_range.foundation.arrays import FloatArray, IntArray
 Residuals = Callable[[FloatArray, FloatArray], FloatArray]
 """(R,) residuals of common parameters (C,) and of the views' parameters (V, P), ordered by view."""
 
-_STEP = 1e-6
-"""Relative step of the differences, at least as large as for a parameter of 1e-3."""
+_STEP = 1e-6  # relative step of the differences, at least as large as for a parameter of 1e-3
 
 _FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e8
 """Damping of the first step, and the damping above which the minimum is reached."""
 
 _MAX_ITERATIONS = 100
-_TOLERANCE = 1e-9
-"""Relative reduction of the sum of squares below which the minimum is reached."""
+_TOLERANCE = 1e-9  # relative reduction of the sum of squares below which the minimum is reached
 
 
 @dataclass(frozen=True, slots=True)
 class BlockSolution:
-    """Minimum of a block least-squares problem.
+    """Minimum of a block least-squares problem."""
 
-    Attributes:
-        common: (C,) common parameters.
-        of_views: (V, P) parameters of the views.
-        residuals: (R,) residuals.
-        covariance: (C, C) covariance of the common parameters for independent residuals of equal variance, which is
-            estimated from them.
-    """
-
-    common: FloatArray
-    of_views: FloatArray
-    residuals: FloatArray
+    common: FloatArray  # (C,) common parameters
+    of_views: FloatArray  # (V, P) parameters of the views
+    residuals: FloatArray  # (R,) residuals
+    # (C, C) covariance of the common parameters for independent residuals of equal variance, which is estimated from
+    # them
     covariance: FloatArray
 
 

@@ -26,8 +26,7 @@ from track_range.stereo.calibration.boards import (
     dictionary_of,
 )
 
-_MIN_CHARUCO_CORNERS = 6
-"""Minimum number of corners of a ChArUco board that determine its pose well enough."""
+_MIN_CHARUCO_CORNERS = 6  # minimum number of corners of a ChArUco board that determine its pose well enough
 
 _THOROUGH = cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE
 """Flags of a slower search for chessboards that the first one misses: in dark images, and curved by a wide lens."""
@@ -38,23 +37,14 @@ _PATCH_FRACTION = 0.35
 
 @dataclass(frozen=True, slots=True)
 class BoardView:
-    """The detected corners of a board in one image.
+    """The detected corners of a board in one image."""
 
-    Attributes:
-        name: name of the image.
-        size_px: (width, height) of the image.
-        corner_id: (N,) ids of the detected corners.
-        xy_px: (N, 2) their positions in the image, pixel centres at integers.
-        xyz_m: (N, 3) their positions on the board, metres.
-        edge_px: width of the edges between black and white: about 2 in sharp images, more than 5 in blurred ones.
-    """
-
-    name: str
-    size_px: tuple[int, int]
-    corner_id: IntArray
-    xy_px: FloatArray
-    xyz_m: FloatArray
-    edge_px: float
+    name: str  # name of the image
+    size_px: tuple[int, int]  # (width, height) of the image
+    corner_id: IntArray  # (N,) ids of the detected corners
+    xy_px: FloatArray  # (N, 2) their positions in the image, pixel centres at integers
+    xyz_m: FloatArray  # (N, 3) their positions on the board, metres
+    edge_px: float  # width of the edges between black and white: about 2 in sharp images, more than 5 in blurred ones
 
     def of_corners(self, corner_id: IntArray) -> BoardView:
         """The view restricted to the corners with these ids (K,)."""

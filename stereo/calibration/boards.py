@@ -17,16 +17,12 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.rig import RigError
 
-SQUARE_M = (0.002, 1.0)
-"""Plausible range of the side of a square, metres."""
-
-_N_CORNERS = (3, 60)
-"""Range of the number of inner corners along a side; fewer than 3 would be detected in any texture."""
+SQUARE_M = (0.002, 1.0)  # plausible range of the side of a square, metres
+_N_CORNERS = (3, 60)  # range of the number of inner corners along a side; fewer than 3 would be detected in any texture
 
 _SIZE = re.compile(r"(\d+)[xX*](\d+)")
 
-_DEFAULT_DICTIONARY = "4X4_50"
-"""Dictionary of ArUco markers if the specification of a board has none."""
+_DEFAULT_DICTIONARY = "4X4_50"  # dictionary of ArUco markers if the specification of a board has none
 
 
 class CalibrationError(RigError):
@@ -35,17 +31,11 @@ class CalibrationError(RigError):
 
 @dataclass(frozen=True, slots=True)
 class ChessBoard:
-    """A chessboard.
+    """A chessboard."""
 
-    Attributes:
-        n_columns: number of inner corners in a row.
-        n_rows: number of inner corners in a column.
-        square_m: side of a square, metres.
-    """
-
-    n_columns: int
-    n_rows: int
-    square_m: float
+    n_columns: int  # number of inner corners in a row
+    n_rows: int  # number of inner corners in a column
+    square_m: float  # side of a square, metres
 
     @property
     def name(self) -> str:
@@ -65,21 +55,13 @@ class ChessBoard:
 
 @dataclass(frozen=True, slots=True)
 class CharucoBoard:
-    """A chessboard with ArUco markers in its white squares, which may be partly visible.
+    """A chessboard with ArUco markers in its white squares, which may be partly visible."""
 
-    Attributes:
-        n_columns: number of squares in a row.
-        n_rows: number of squares in a column.
-        square_m: side of a square, metres.
-        marker_m: side of a marker, metres.
-        dictionary: dictionary of the markers, OpenCV's name without DICT_.
-    """
-
-    n_columns: int
-    n_rows: int
-    square_m: float
-    marker_m: float
-    dictionary: str = _DEFAULT_DICTIONARY
+    n_columns: int  # number of squares in a row
+    n_rows: int  # number of squares in a column
+    square_m: float  # side of a square, metres
+    marker_m: float  # side of a marker, metres
+    dictionary: str = _DEFAULT_DICTIONARY  # dictionary of the markers, OpenCV's name without DICT_
 
     @property
     def name(self) -> str:

@@ -20,56 +20,31 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.calibration.board_views import BoardView
 
-_THIRDS = (("left", "middle", "right"), ("top", "middle", "bottom"))
-"""Names of the thirds of the image, by axis."""
-
-_MIN_FRACTION_OF_THIRD = 0.03
-"""Minimum fraction of all corners in a third of the image."""
+_THIRDS = (("left", "middle", "right"), ("top", "middle", "bottom"))  # names of the thirds of the image, by axis
+_MIN_FRACTION_OF_THIRD = 0.03  # minimum fraction of all corners in a third of the image
 
 _EDGE_FRACTION = 0.15
 """Largest distance of the outermost corners from the edges of the image, as a fraction of its side."""
 
-_SAME_TILT_RAD = math.radians(6.0)
-"""Largest angle between parallel boards."""
-
-_TILTED_DEG = 15.0
-"""Minimum tilt of a board that counts as tilted."""
-
-_MIN_TILTED_FRACTION = 0.25
-"""Minimum fraction of views with a tilted board."""
-
-_MIN_SIZE_RATIO = 1.3
-"""Minimum ratio of the largest to the smallest board in the images."""
-
-_MIN_LARGEST_SIZE = 0.25
-"""Minimum size of the largest board, as a fraction of the image's side."""
-
-_FEW_VIEWS = 10
-"""Number of views below which a warning asks for more."""
-
-_SAME_PLACE_PX = 5.0
-"""Mean motion of the corners between two views below which the board is static."""
+_SAME_TILT_RAD = math.radians(6.0)  # largest angle between parallel boards
+_TILTED_DEG = 15.0  # minimum tilt of a board that counts as tilted
+_MIN_TILTED_FRACTION = 0.25  # minimum fraction of views with a tilted board
+_MIN_SIZE_RATIO = 1.3  # minimum ratio of the largest to the smallest board in the images
+_MIN_LARGEST_SIZE = 0.25  # minimum size of the largest board, as a fraction of the image's side
+_FEW_VIEWS = 10  # number of views below which a warning asks for more
+_SAME_PLACE_PX = 5.0  # mean motion of the corners between two views below which the board is static
 
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Coverage of the image by board views.
+    """Coverage of the image by board views."""
 
-    Attributes:
-        x_span: (first, last) corner as a fraction of the image width.
-        y_span: (first, last) corner as a fraction of the image height.
-        size_range: (smallest, largest) board: square root of the fraction of the image area.
-        tilt_range_deg: (smallest, largest) angle between a board's plane and the image plane.
-        is_parallel: whether all boards are parallel.
-        warnings: messages for the user on missing views.
-    """
-
-    x_span: tuple[float, float]
-    y_span: tuple[float, float]
-    size_range: tuple[float, float]
-    tilt_range_deg: tuple[float, float]
-    is_parallel: bool
-    warnings: tuple[str, ...]
+    x_span: tuple[float, float]  # (first, last) corner as a fraction of the image width
+    y_span: tuple[float, float]  # (first, last) corner as a fraction of the image height
+    size_range: tuple[float, float]  # (smallest, largest) board: square root of the fraction of the image area
+    tilt_range_deg: tuple[float, float]  # (smallest, largest) angle between a board's plane and the image plane
+    is_parallel: bool  # whether all boards are parallel
+    warnings: tuple[str, ...]  # messages for the user on missing views
 
 
 def coverage_of(views: Sequence[BoardView], board_to_camera: FloatArray) -> Coverage:

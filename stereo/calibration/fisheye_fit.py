@@ -26,32 +26,22 @@ from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses.kannala_brandt import KANNALA_BRANDT, distorted_angle
 
-N_INTRINSICS = 8
-"""fx, fy, cx, cy, k1, k2, k3, k4."""
+N_INTRINSICS = 8  # fx, fy, cx, cy, k1, k2, k3, k4
 
 _FOCAL_PER_WIDTH = np.geomspace(0.18, 3.0, 36)
 """Focal lengths that are tried, as multiples of the image width: equidistant lenses of 318 to 19 degrees."""
 
-_LARGEST_RAD = np.pi * 0.98
-"""Largest angle from the axis of a corner at the start."""
-
-_N_STARTS = 3
-"""Number of the best focal lengths from which the optimisation starts."""
+_LARGEST_RAD = np.pi * 0.98  # largest angle from the axis of a corner at the start
+_N_STARTS = 3  # number of the best focal lengths from which the optimisation starts
 
 
 @dataclass(frozen=True, slots=True)
 class FisheyeFit:
-    """The least-squares camera of some views.
+    """The least-squares camera of some views."""
 
-    Attributes:
-        camera: the camera.
-        poses: (V, 4, 4) board to camera.
-        std: (8,) standard deviations of the parameters for independent errors of the corners.
-    """
-
-    camera: PinholeCamera
-    poses: FloatArray
-    std: FloatArray
+    camera: PinholeCamera  # the camera
+    poses: FloatArray  # (V, 4, 4) board to camera
+    std: FloatArray  # (8,) standard deviations of the parameters for independent errors of the corners
 
 
 @dataclass(frozen=True, slots=True)

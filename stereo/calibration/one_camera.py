@@ -30,25 +30,18 @@ from track_range.stereo.calibration.fisheye_fit import fit_fisheye
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses.registry import PINHOLE
 
-Advance = Callable[[int, int], None]
-"""Progress callback: number of finished steps, and the total."""
+Advance = Callable[[int, int], None]  # progress callback: number of finished steps, and the total
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class CameraModel:
-    """What is fitted to the views.
+    """What is fitted to the views."""
 
-    Attributes:
-        lens: name of the lens model, pinhole or kannala-brandt.
-        n_distortion_coefficients: number of distortion coefficients of a pinhole: 0, 4, 5 or 8.
-        start: a camera near the result, for wide lenses; None = searched for.
-    """
-
-    lens: str = PINHOLE
-    n_distortion_coefficients: int = 5
-    start: PinholeCamera | None = None
+    lens: str = PINHOLE  # name of the lens model, pinhole or kannala-brandt
+    n_distortion_coefficients: int = 5  # number of distortion coefficients of a pinhole: 0, 4, 5 or 8
+    start: PinholeCamera | None = None  # a camera near the result, for wide lenses; None = searched for
 
     def started(self, views: Sequence[BoardView]) -> CameraModel:
         """The model with the camera of these views as start, for the fits of parts of them."""
@@ -63,8 +56,7 @@ DISTORTION_FLAGS: dict[int, int] = {
 }
 """OpenCV's flags by number of distortion coefficients: none; k1 k2 p1 p2; with k3; with k3 k4 k5 k6."""
 
-MIN_VIEWS = 5
-"""Minimum number of views of a calibration with an error estimate; 10 to 30 are usual."""
+MIN_VIEWS = 5  # minimum number of views of a calibration with an error estimate; 10 to 30 are usual
 
 _OUTLIER_RATIO = 2.0
 _OUTLIER_SIGMAS = 4.0
@@ -73,26 +65,17 @@ _OUTLIER_SIGMAS = 4.0
 _MIN_FRACTION_USED = 2 / 3
 """Minimum fraction of the views that are used: if more were outliers, the views would not be the cause."""
 
-_MAX_GROUPS = 20
-"""Largest number of groups of the jackknife."""
-
-_MAX_FOCAL_STD = 0.05
-"""Relative standard deviation of the focal length above which it is not determined."""
+_MAX_GROUPS = 20  # largest number of groups of the jackknife
+_MAX_FOCAL_STD = 0.05  # relative standard deviation of the focal length above which it is not determined
 
 
 @dataclass(frozen=True, slots=True)
 class ViewFit:
-    """Residuals and board pose of one view.
+    """Residuals and board pose of one view."""
 
-    Attributes:
-        view: the view.
-        residual_px: (N, 2) measured minus projected corners.
-        board_to_camera: (4, 4) transform from the board's frame to the camera's, metres.
-    """
-
-    view: BoardView
-    residual_px: FloatArray
-    board_to_camera: FloatArray
+    view: BoardView  # the view
+    residual_px: FloatArray  # (N, 2) measured minus projected corners
+    board_to_camera: FloatArray  # (4, 4) transform from the board's frame to the camera's, metres
 
     @property
     def rms_px(self) -> float:
@@ -124,24 +107,16 @@ class IntrinsicStd:
 
 @dataclass(frozen=True, slots=True)
 class CameraCalibration:
-    """One calibrated camera with its accuracy.
+    """One calibrated camera with its accuracy."""
 
-    Attributes:
-        camera: the camera.
-        std: standard deviations of its parameters: from leaving out views, or from the scatter of the corners if that
-            is larger.
-        rms_px: root mean square residual of all corners.
-        fits: the views used.
-        rejected: the views not used.
-        coverage: coverage of the image by the views used.
-    """
-
-    camera: PinholeCamera
+    camera: PinholeCamera  # the camera
+    # standard deviations of its parameters: from leaving out views, or from the scatter of the corners if that is
+    # larger
     std: IntrinsicStd
-    rms_px: float
-    fits: tuple[ViewFit, ...]
-    rejected: tuple[RejectedView, ...]
-    coverage: Coverage
+    rms_px: float  # root mean square residual of all corners
+    fits: tuple[ViewFit, ...]  # the views used
+    rejected: tuple[RejectedView, ...]  # the views not used
+    coverage: Coverage  # coverage of the image by the views used
 
 
 def calibrate_camera(

@@ -48,17 +48,10 @@ from track_range.stereo.geometry.rectification import Rectifier, rectified_point
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import BASELINE_M
 
-ViewPair = tuple[BoardView, BoardView]
-"""Views of the left and the right camera with the same corners."""
-
-Models = tuple[CameraModel, CameraModel]
-"""Models of the left and the right camera."""
-
-_UPSIDE_DOWN_DEG = 120.0
-"""Angle between the cameras above which one of them is upside down."""
-
-_MAX_ANGLE_DEG = 45.0
-"""Largest angle between the cameras."""
+ViewPair = tuple[BoardView, BoardView]  # views of the left and the right camera with the same corners
+Models = tuple[CameraModel, CameraModel]  # models of the left and the right camera
+_UPSIDE_DOWN_DEG = 120.0  # angle between the cameras above which one of them is upside down
+_MAX_ANGLE_DEG = 45.0  # largest angle between the cameras
 
 _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-7)
 """Stop criteria of the optimisation: number of iterations and relative change."""

@@ -23,11 +23,8 @@ from track_range.stereo.geometry.camera import PinholeCamera
 BANDS_M = ((5.0, 15.0), (15.0, 30.0), (30.0, 60.0))
 """Bands of true distance, metres, with separate metrics; objects outside them count only in the total."""
 
-FAILURE = 0.15
-"""Relative distance error above which a value is a failure."""
-
-N_RESAMPLES = 500
-"""Number of bootstrap samples."""
+FAILURE = 0.15  # relative distance error above which a value is a failure
+N_RESAMPLES = 500  # number of bootstrap samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,23 +41,14 @@ class MatcherColumn:
 
 @dataclass(frozen=True, slots=True)
 class Objects:
-    """The measured objects with their true disparities.
+    """The measured objects with their true disparities."""
 
-    Attributes:
-        true_px: (N,) true disparity.
-        focal_baseline_m: (N,) f B, px m.
-        x_px: (N,) column of the box centre in the left image.
-        pair: (N,) number of the pair (frame), an index into `cameras`.
-        group: (N,) group of correlated errors: the pair, or the track of a drive.
-        cameras: rectified left camera of each pair.
-    """
-
-    true_px: FloatArray
-    focal_baseline_m: FloatArray
-    x_px: FloatArray
-    pair: IntArray
-    group: IntArray
-    cameras: tuple[PinholeCamera, ...]
+    true_px: FloatArray  # (N,) true disparity
+    focal_baseline_m: FloatArray  # (N,) f B, px m
+    x_px: FloatArray  # (N,) column of the box centre in the left image
+    pair: IntArray  # (N,) number of the pair (frame), an index into `cameras`
+    group: IntArray  # (N,) group of correlated errors: the pair, or the track of a drive
+    cameras: tuple[PinholeCamera, ...]  # rectified left camera of each pair
 
     def __len__(self) -> int:
         return len(self.true_px)

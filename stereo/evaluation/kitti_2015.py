@@ -27,20 +27,17 @@ from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.matching.patches import inner_halves
 from track_range.stereo.rig_formats.reading import load_rig
 
-LEFT, RIGHT, TRUTH, INSTANCES = "image_2", "image_3", "disp_occ_0", "obj_map"
-"""The four folders of a set."""
+LEFT, RIGHT, TRUTH, INSTANCES = "image_2", "image_3", "disp_occ_0", "obj_map"  # the four folders of a set
 
 MIN_TRUE_PIXELS, MIN_INNER_PIXELS = 100, 20
 """Minimum number of pixels with known disparity of an instance, in total and in the inner half of its box."""
 
-LABELLED_CLASS = "car"
-"""Road class of all labelled objects of the set."""
+LABELLED_CLASS = "car"  # road class of all labelled objects of the set
 
 _SIMULATED_RIG, _SIMULATED_TRUTH = "rig.yaml", "truth.csv"
 """Files of `track-range simulate --disparity`, which writes objects of all classes in the set's layout."""
 
-_STEPS_PER_PX = 256.0
-"""Steps of the stored disparities per pixel."""
+_STEPS_PER_PX = 256.0  # steps of the stored disparities per pixel
 
 
 class PairFileError(UserError):
@@ -49,29 +46,18 @@ class PairFileError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class StereoPair:
-    """One pair of a set with N labelled objects.
+    """One pair of a set with N labelled objects."""
 
-    Attributes:
-        name: name of the files, without .png.
-        left: (H, W, 3) uint8 BGR, rectified.
-        right: rectified right image, possibly grey and computed only where it is read.
-        xyxy_px: (N, 4) boxes in the left image.
-        true_px: (N,) true disparity of the inner half of each box.
-        rig: the rectified rig.
-        notes: messages for the user about the rig.
-        track_id: (N,) identities of the objects over the frames of a drive; (0,) for unrelated pairs.
-        class_names: N road classes ("car", "person", ...); () = unknown.
-    """
-
-    name: str
-    left: Image
-    right: ImageView
-    xyxy_px: FloatArray
-    true_px: FloatArray
-    rig: StereoRig
-    notes: tuple[str, ...] = ()
+    name: str  # name of the files, without .png
+    left: Image  # (H, W, 3) uint8 BGR, rectified
+    right: ImageView  # rectified right image, possibly grey and computed only where it is read
+    xyxy_px: FloatArray  # (N, 4) boxes in the left image
+    true_px: FloatArray  # (N,) true disparity of the inner half of each box
+    rig: StereoRig  # the rectified rig
+    notes: tuple[str, ...] = ()  # messages for the user about the rig
+    # (N,) identities of the objects over the frames of a drive; (0,) for unrelated pairs
     track_id: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
-    class_names: tuple[str, ...] = ()
+    class_names: tuple[str, ...] = ()  # N road classes ("car", "person", ...); () = unknown
 
     @property
     def x_px(self) -> FloatArray:

@@ -18,11 +18,8 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.stereo.evaluation.disparity_errors import FAILURE, MatcherColumn, figures
 
-STEP_PCT = 5
-"""Step of the answered share along a curve, per cent."""
-
-_KEYS = ("failures_pct", "mean_relative_error_pct", "p95_relative_error_pct")
-"""Figures of the answered boxes."""
+STEP_PCT = 5  # step of the answered share along a curve, per cent
+_KEYS = ("failures_pct", "mean_relative_error_pct", "p95_relative_error_pct")  # figures of the answered boxes
 
 
 def risk_coverage(column: MatcherColumn, true_px: FloatArray, uncertainty: FloatArray | None = None) -> dict[str, Any]:

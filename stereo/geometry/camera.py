@@ -24,26 +24,17 @@ class PinholeCamera:
         >>> camera = tr.PinholeCamera(700.0, 700.0, 320.0, 180.0, width_px=640, height_px=360)
         >>> camera.project(np.array([[1.0, 0.0, 10.0]])).tolist()
         [[390.0, 180.0]]
-
-    Attributes:
-        fx_px: focal length in units of the pixel width.
-        fy_px: focal length in units of the pixel height.
-        cx_px: principal point, x.
-        cy_px: principal point, y.
-        width_px: image width.
-        height_px: image height.
-        distortion: coefficients of the lens model; of a pinhole OpenCV's (4, 5, 8, 12 or 14 of them); empty = none.
-        lens: name of the lens model, one of `lenses.registry.LENSES`.
     """
 
-    fx_px: float
-    fy_px: float
-    cx_px: float
-    cy_px: float
-    width_px: int
-    height_px: int
+    fx_px: float  # focal length in units of the pixel width
+    fy_px: float  # focal length in units of the pixel height
+    cx_px: float  # principal point, x
+    cy_px: float  # principal point, y
+    width_px: int  # image width
+    height_px: int  # image height
+    # coefficients of the lens model; of a pinhole OpenCV's (4, 5, 8, 12 or 14 of them); empty = none
     distortion: tuple[float, ...] = ()
-    lens: str = PINHOLE
+    lens: str = PINHOLE  # name of the lens model, one of `lenses.registry.LENSES`
 
     @classmethod
     def of_focal_length(cls, focal_px: float, size_px: tuple[int, int]) -> PinholeCamera:

@@ -31,24 +31,16 @@ def whole_image(view: ImageView) -> Image:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One frame of a video or stereo video; the arrays are never modified.
+    """One frame of a video or stereo video; the arrays are never modified."""
 
-    Attributes:
-        index: frame number in the left video, from 0, including skipped frames.
-        time_s: seconds from the left video's first frame, from the file's timestamps.
-        left: (H, W, 3) uint8 BGR, rectified (one camera: undistorted).
-        right: rectified right image of equal size, in colour or grey, possibly computed only where it is read
-            (`whole_image` gives all of it); None for one camera.
-        utc_s: time of the frame in seconds since 1970-01-01 00:00 UTC; NaN = unknown.
-        recorded: left image of a wide lens before it was undistorted; None for other lenses.
-    """
-
-    index: int
-    time_s: float
-    left: Image
+    index: int  # frame number in the left video, from 0, including skipped frames
+    time_s: float  # seconds from the left video's first frame, from the file's timestamps
+    left: Image  # (H, W, 3) uint8 BGR, rectified (one camera: undistorted)
+    # rectified right image of equal size, in colour or grey, possibly computed only where it is read (`whole_image`
+    # gives all of it); None for one camera
     right: ImageView | None
-    utc_s: float = math.nan
-    recorded: Image | None = None
+    utc_s: float = math.nan  # time of the frame in seconds since 1970-01-01 00:00 UTC; NaN = unknown
+    recorded: Image | None = None  # left image of a wide lens before it was undistorted; None for other lenses
 
     def __repr__(self) -> str:
         height, width = self.left.shape[:2]

@@ -7,21 +7,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mounting:
-    """Results of a calibration from the road; the names of the attributes are keys of rig.yaml.
+    """Results of a calibration from the road; the names of the attributes are keys of rig.yaml."""
 
-    Attributes:
-        focal_sigma: relative standard deviation of the focal length.
-        camera_height_m: height of the camera above the road.
-        camera_height_sigma_m: its standard deviation.
-        pitch_deg: angle of the camera's axis below the horizon.
-        pitch_sigma_deg: its standard deviation.
-    """
-
-    focal_sigma: float
-    camera_height_m: float
-    camera_height_sigma_m: float
-    pitch_deg: float
-    pitch_sigma_deg: float
+    focal_sigma: float  # relative standard deviation of the focal length
+    camera_height_m: float  # height of the camera above the road
+    camera_height_sigma_m: float  # its standard deviation
+    pitch_deg: float  # angle of the camera's axis below the horizon
+    pitch_sigma_deg: float  # its standard deviation
 
     @property
     def sentence(self) -> str:

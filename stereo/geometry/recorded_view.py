@@ -9,21 +9,15 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 
-N_OUTLINE = 8
-"""Number of points of each edge of a box in the recorded image, where edges are curves."""
+N_OUTLINE = 8  # number of points of each edge of a box in the recorded image, where edges are curves
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedView:
-    """The recorded image behind the left, or only, undistorted images.
+    """The recorded image behind the left, or only, undistorted images."""
 
-    Attributes:
-        rectifier: what computes the undistorted images.
-        size_px: (width, height) of the recorded images.
-    """
-
-    rectifier: Rectifier | Undistorter
-    size_px: tuple[int, int]
+    rectifier: Rectifier | Undistorter  # what computes the undistorted images
+    size_px: tuple[int, int]  # (width, height) of the recorded images
 
     def points(self, xy_px: FloatArray) -> FloatArray:
         """(N, 2) points in pixels of the recorded image; NaN where the lens shows nothing."""

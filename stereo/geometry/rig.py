@@ -31,17 +31,12 @@ class StereoRig:
         >>> rig = tr.StereoRig.rectified(camera, baseline_m=0.5)
         >>> rig.distance_m(np.array([17.5])).tolist()
         [20.0]
-
-    Attributes:
-        left: the left camera; all distances are in its frame.
-        right: the right camera.
-        right_from_left: (4, 4) rigid transform, metres.
-        alignment: correction of the disparities of a rectified pair, as `open_recording` estimates it; None = unknown.
     """
 
-    left: PinholeCamera
-    right: PinholeCamera
-    right_from_left: FloatArray
+    left: PinholeCamera  # the left camera; all distances are in its frame
+    right: PinholeCamera  # the right camera
+    right_from_left: FloatArray  # (4, 4) rigid transform, metres
+    # correction of the disparities of a rectified pair, as `open_recording` estimates it; None = unknown
     alignment: AlignmentSource | None = None
 
     def __post_init__(self) -> None:

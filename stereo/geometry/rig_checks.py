@@ -19,32 +19,24 @@ from track_range.stereo.geometry.lenses.registry import LENSES
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rig import RigError, StereoRig
 
-BASELINE_M = (0.01, 5.0)
-"""Plausible range of the baseline, metres."""
-
-MAX_SIDE_PX = 32768
-"""Largest plausible width or height of an image, pixels; four times that of 8K video."""
-
-ImageSide = Annotated[Integer, Field(ge=1, le=MAX_SIDE_PX)]
-"""Width or height of an image in a calibration file, pixels."""
+BASELINE_M = (0.01, 5.0)  # plausible range of the baseline, metres
+MAX_SIDE_PX = 32768  # largest plausible width or height of an image, pixels; four times that of 8K video
+ImageSide = Annotated[Integer, Field(ge=1, le=MAX_SIDE_PX)]  # width or height of an image in a calibration file, pixels
 
 _FOCAL_PER_WIDTH = (0.1, 20.0)
 """Plausible focal length as a multiple of the image width: fields of view from 157 to 3 degrees."""
 
-_ROTATION_TOLERANCE = 1e-3
-"""Largest deviation of R^T R from the identity; calibration files have six digits or more."""
+_ROTATION_TOLERANCE = 1e-3  # largest deviation of R^T R from the identity; calibration files have six digits or more
 
 _MAX_TRANSFORM = 1e6
 """Largest magnitude of a number in a transform that is compared with the limits; larger ones overflow."""
 
-_CROPPED_PX = 2
-"""Largest number of rows or columns that video codecs crop."""
+_CROPPED_PX = 2  # largest number of rows or columns that video codecs crop
 
 _ASPECT_TOLERANCE = 0.01
 """Largest relative difference of aspect ratios at which a calibration is scaled to another image size."""
 
-_MAX_DISTORTION = 1e6
-"""Largest plausible magnitude of a distortion coefficient; badly conditioned fits reach thousands."""
+_MAX_DISTORTION = 1e6  # largest plausible magnitude of a distortion coefficient; badly conditioned fits reach thousands
 
 _MAX_PRINCIPAL_POINT_PX = 1e6
 """Largest plausible magnitude of a principal point in a file without an image size, pixels."""
@@ -53,22 +45,16 @@ _MIN_MARGIN = 0.01
 """Smallest plausible distance of a principal point from the image border, as a fraction of the side; cropped images may
 have one far from the centre."""
 
-_N_DISTORTION_COEFFICIENTS = (0, 4, 5, 8, 12, 14)
-"""Possible numbers of distortion coefficients in OpenCV's model."""
-
-_COEFFICIENTS = "0, 4, 5, 8, 12 or 14 finite distortion coefficients"
-"""Description of them for messages."""
-
-_MIN_IMAGED = 0.5
-"""Fraction of the image width around the principal point that a plausible wide lens images at least."""
+_N_DISTORTION_COEFFICIENTS = (0, 4, 5, 8, 12, 14)  # possible numbers of distortion coefficients in OpenCV's model
+_COEFFICIENTS = "0, 4, 5, 8, 12 or 14 finite distortion coefficients"  # description of them for messages
+_MIN_IMAGED = 0.5  # fraction of the image width around the principal point that a plausible wide lens images at least
 
 
 NO_VERTICAL_PAIRS = "mount them side by side, or run on one video with --mono"
 """Advice for pairs of cameras one above the other."""
 
 
-_N_VIEW_POINTS = 25
-"""Number of points along each side of the image at which the shared view is sampled."""
+_N_VIEW_POINTS = 25  # number of points along each side of the image at which the shared view is sampled
 
 _MIN_SHARED_VIEW, _FULL_SHARED_VIEW = 0.05, 0.7
 """Fractions of the left image in the right camera's view below which a rig is refused, and below which there is a note.
@@ -77,26 +63,18 @@ Pairs for driving share more than 90 %."""
 
 @dataclass(frozen=True, slots=True)
 class RigCalibration:
-    """Content of a calibration file in any format.
+    """Content of a calibration file in any format."""
 
-    Attributes:
-        left: the left (or only) camera; width_px = height_px = 0 if the file has no image size.
-        right: the right camera; None for a single camera.
-        right_from_left: (4, 4) rigid transform, metres; None for a single camera.
-        left_from_reference_m: (3,) translation from the frame of the data set's labels to the left camera's frame;
-            zeros except for KITTI.
-        notes: messages for the user.
-        mounting: height and pitch of a single camera, and the uncertainty of its focal length; None = unknown.
-        unrectified: the cameras of the images before their rectification, if the file has both and they differ in
-            size; the image size decides.
-    """
-
-    left: PinholeCamera
-    right: PinholeCamera | None
-    right_from_left: FloatArray | None
+    left: PinholeCamera  # the left (or only) camera; width_px = height_px = 0 if the file has no image size
+    right: PinholeCamera | None  # the right camera; None for a single camera
+    right_from_left: FloatArray | None  # (4, 4) rigid transform, metres; None for a single camera
+    # (3,) translation from the frame of the data set's labels to the left camera's frame; zeros except for KITTI
     left_from_reference_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # messages for the user
+    # the cameras of the images before their rectification, if the file has both and they differ in size; the image size
+    # decides
     unrectified: RigCalibration | None = None
+    # height and pitch of a single camera, and the uncertainty of its focal length; None = unknown
     mounting: Mounting | None = None
 
     def of_size(self, size_px: tuple[int, int] | None) -> RigCalibration:

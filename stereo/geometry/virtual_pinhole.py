@@ -26,17 +26,10 @@ largest one is the default."""
 _MAX_HALF_HEIGHT_RAD = math.radians(45.0)
 """Largest angle above and below the axis that is shown; a road user that is cut there is nearer than the hood."""
 
-_N_ANGLES = 1201
-"""Number of angles at which the reach of a lens is sampled, 0.05 degrees apart."""
-
-_MIN_SIDE_PX = 32
-"""Smallest width and height of a virtual pinhole's images."""
-
-_SMALL_RAD = 1e-5
-"""Angle from the axis at which the resolution on the axis is measured."""
-
-_N_SAMPLES = 257
-"""Number of pixels along a row or column at which the field of view is sampled."""
+_N_ANGLES = 1201  # number of angles at which the reach of a lens is sampled, 0.05 degrees apart
+_MIN_SIDE_PX = 32  # smallest width and height of a virtual pinhole's images
+_SMALL_RAD = 1e-5  # angle from the axis at which the resolution on the axis is measured
+_N_SAMPLES = 257  # number of pixels along a row or column at which the field of view is sampled
 
 
 class FieldOfView(NamedTuple):

@@ -70,19 +70,12 @@ def open_matcher(name: str, rig: StereoRig) -> BoxMatcher:
 
 @dataclass(frozen=True, slots=True)
 class MatcherResults:
-    """Disparities of the objects of all pairs by several matchers.
+    """Disparities of the objects of all pairs by several matchers."""
 
-    Attributes:
-        objects: N objects with their true disparities.
-        columns: disparities of the N objects, by name of the matcher.
-        ms_per_frame: median time per pair on one thread, milliseconds, by name of the matcher.
-        notes: messages for the user, without duplicates.
-    """
-
-    objects: Objects
-    columns: dict[str, MatcherColumn]
-    ms_per_frame: dict[str, float]
-    notes: tuple[str, ...] = ()
+    objects: Objects  # N objects with their true disparities
+    columns: dict[str, MatcherColumn]  # disparities of the N objects, by name of the matcher
+    ms_per_frame: dict[str, float]  # median time per pair on one thread, milliseconds, by name of the matcher
+    notes: tuple[str, ...] = ()  # messages for the user, without duplicates
 
 
 Expectation = Callable[[StereoPair], ExpectedDisparity]

@@ -25,8 +25,7 @@ from track_range.stereo.matching.tiles import (
 
 Census = npt.NDArray[np.uint32]
 
-_REACH_PX = 2
-"""Half the side of the census window, px."""
+_REACH_PX = 2  # half the side of the census window, px
 
 _SIDE = 2 * _REACH_PX + 1
 

@@ -14,8 +14,7 @@ _CHANCE_PERCENTILE = 75.0
 """Percentile of a box's costs that estimates the cost of a chance match; above the median, because in a search around a
 prior half of the costs belong to the minimum."""
 
-_PEAK_HALF_WIDTH = 2
-"""Disparities on both sides of the best one that belong to its minimum, px of the tile."""
+_PEAK_HALF_WIDTH = 2  # disparities on both sides of the best one that belong to its minimum, px of the tile
 
 _PEAK_HALF_WIDTH_PER_DISPARITY = 20
 """The half width grows by 1 px with each 20 px of disparity: nearer objects extend over more disparities."""
@@ -23,19 +22,13 @@ _PEAK_HALF_WIDTH_PER_DISPARITY = 20
 
 @dataclass(frozen=True, slots=True)
 class MatchConfidence:
-    """Confidence of the disparities of N boxes; costs in bits of 24 per pixel.
+    """Confidence of the disparities of N boxes; costs in bits of 24 per pixel."""
 
-    Attributes:
-        cost: (N,) cost of the object's minimum; inf = none.
-        margin: (N,) cost of a chance match minus that of the minimum.
-        second_best_margin: (N,) cost of the second best minimum minus that of the best; inf = there is no other.
-        is_inside: (N,) whether the minimum lies inside the search range, not at an end.
-    """
-
-    cost: FloatArray
-    margin: FloatArray
+    cost: FloatArray  # (N,) cost of the object's minimum; inf = none
+    margin: FloatArray  # (N,) cost of a chance match minus that of the minimum
+    # (N,) cost of the second best minimum minus that of the best; inf = there is no other
     second_best_margin: FloatArray
-    is_inside: BoolArray
+    is_inside: BoolArray  # (N,) whether the minimum lies inside the search range, not at an end
 
 
 def match_confidence(cost: FloatArray32, surface: RefinedSurface, tiles: BoxTiles) -> MatchConfidence:

@@ -58,61 +58,40 @@ _EXPECTED_SIGMAS, _MIN_EXPECTED_LOG_SIGMA = 2.0, 0.1
 _EXPECTED_SUPPORT = 0.06
 """Minimum support of a surface at the expected disparity: three of 49 windows, for example between bars."""
 
-_EXPECTED_COST_BITS = 2.0
-"""Cost by which a surface at the expected disparity may exceed the limit, bits per pixel."""
+_EXPECTED_COST_BITS = 2.0  # cost by which a surface at the expected disparity may exceed the limit, bits per pixel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PatchMatcherSettings:
-    """Search range, thresholds of the checks, and the parts of sigma.
+    """Search range, thresholds of the checks, and the parts of sigma."""
 
-    Attributes:
-        min_disparity_px: smallest disparity of the full search.
-        max_disparity_px: largest disparity; sets the nearest distance (192 px: 2 m with KITTI's rig).
-        max_disparity_per_side: largest disparity per px of the box's larger side, baseline / smallest object, both in
-            metres; inf = no limit.
-        search_px: half width of the search around the last match of a track, px of the tile.
-        size_search_px: half width of the search around the disparity expected from the size, px of the tile.
-        min_side_px: smallest side of a box.
-        min_seen_fraction: smallest fraction of the windows that must have a minimum, and lie within the right image.
-        min_support: smallest fraction of those that must belong to the object's surface.
-        min_probability: smallest probability of the surface to be the object.
-        min_margin_bits: minimum difference between the costs of a chance match and of the minimum, in bits of 24 per
-            pixel.
-        max_cost_bits: largest cost of the minimum; not checked for priors from the full search.
-        min_minima_fraction: minimum fraction of the visible windows with a minimum near a track's prior: if the
-            object is elsewhere, most minima lie at an end of the search range. Not checked for priors from the full
-            search.
-        min_confirmed_fraction: minimum fraction of those minima that are confirmed by grey values. Not checked for
-            priors from the full search.
-        uniqueness_ratio: minimum difference between the costs of the second best and the best minimum, as a fraction of
-            the margin (OpenCV's uniquenessRatio is a fraction of the cost).
-        floor_px: sigma of a flat, textured, noiseless box, px of its tile.
-        floor_fraction: the same as a fraction of the disparity: objects are not smooth surfaces.
-        noise_fraction: fraction of the propagated variances of the windows that contributes to sigma.
-        scatter_fraction: fraction of the windows' scatter about the surface that contributes to sigma.
-        tilt_fraction: fraction of the surface's tilt across the box that contributes to sigma.
-    """
-
-    min_disparity_px: int = 1
-    max_disparity_px: int = 192
+    min_disparity_px: int = 1  # smallest disparity of the full search
+    max_disparity_px: int = 192  # largest disparity; sets the nearest distance (192 px: 2 m with KITTI's rig)
+    # largest disparity per px of the box's larger side, baseline / smallest object, both in metres; inf = no limit
     max_disparity_per_side: float = math.inf
-    search_px: int = 8
-    size_search_px: int = 16
-    min_side_px: float = 8.0
+    search_px: int = 8  # half width of the search around the last match of a track, px of the tile
+    size_search_px: int = 16  # half width of the search around the disparity expected from the size, px of the tile
+    min_side_px: float = 8.0  # smallest side of a box
+    # smallest fraction of the windows that must have a minimum, and lie within the right image
     min_seen_fraction: float = 0.25
-    min_support: float = 0.15
-    min_probability: float = 0.4
+    min_support: float = 0.15  # smallest fraction of those that must belong to the object's surface
+    min_probability: float = 0.4  # smallest probability of the surface to be the object
+    # minimum difference between the costs of a chance match and of the minimum, in bits of 24 per pixel
     min_margin_bits: float = 1.5
-    max_cost_bits: float = 8.0
+    max_cost_bits: float = 8.0  # largest cost of the minimum; not checked for priors from the full search
+    # minimum fraction of the visible windows with a minimum near a track's prior: if the object is elsewhere, most
+    # minima lie at an end of the search range. Not checked for priors from the full search.
     min_minima_fraction: float = 0.5
+    # minimum fraction of those minima that are confirmed by grey values. Not checked for priors from the full search.
     min_confirmed_fraction: float = 0.25
+    # minimum difference between the costs of the second best and the best minimum, as a fraction of the margin
+    # (OpenCV's uniquenessRatio is a fraction of the cost)
     uniqueness_ratio: float = 0.12
-    floor_px: float = 0.1
-    floor_fraction: float = 0.008
-    noise_fraction: float = 0.5
-    scatter_fraction: float = 0.6
-    tilt_fraction: float = 0.12
+    floor_px: float = 0.1  # sigma of a flat, textured, noiseless box, px of its tile
+    floor_fraction: float = 0.008  # the same as a fraction of the disparity: objects are not smooth surfaces
+    noise_fraction: float = 0.5  # fraction of the propagated variances of the windows that contributes to sigma
+    scatter_fraction: float = 0.6  # fraction of the windows' scatter about the surface that contributes to sigma
+    tilt_fraction: float = 0.12  # fraction of the surface's tilt across the box that contributes to sigma
 
     @classmethod
     def for_rig(cls, rig: StereoRig, *, nearest_m: float = 2.0, smallest_m: float = 0.3) -> PatchMatcherSettings:
@@ -122,21 +101,13 @@ class PatchMatcherSettings:
 
 
 class KnownBoxes(NamedTuple):
-    """What is known of N boxes before the search.
+    """What is known of N boxes before the search."""
 
-    Attributes:
-        xyxy_px: (N, 4) boxes inside the image.
-        track_px: (N,) last match of the track; NaN = none.
-        by_size: expected disparities from the size.
-        limit_px: (N,) largest disparity.
-        others: all boxes of the frame, these included.
-    """
-
-    xyxy_px: FloatArray
-    track_px: FloatArray
-    by_size: ExpectedDisparity
-    limit_px: FloatArray
-    others: OtherBoxes
+    xyxy_px: FloatArray  # (N, 4) boxes inside the image
+    track_px: FloatArray  # (N,) last match of the track; NaN = none
+    by_size: ExpectedDisparity  # expected disparities from the size
+    limit_px: FloatArray  # (N,) largest disparity
+    others: OtherBoxes  # all boxes of the frame, these included
 
     def select(self, rows: IntArray) -> KnownBoxes:
         """The boxes in rows (M,)."""
@@ -146,25 +117,15 @@ class KnownBoxes(NamedTuple):
 
 
 class SurfaceSearch(NamedTuple):
-    """The surfaces of N boxes in a range of disparities.
+    """The surfaces of N boxes in a range of disparities."""
 
-    Attributes:
-        tiles: tiles and strips.
-        cost: (D, G, N) costs of the windows.
-        matches: matches of the windows.
-        weight: (N, G) weights of the windows.
-        surfaces: surfaces.
-        phi: features of the surfaces, (S, N) by name.
-        choice: their probabilities.
-    """
-
-    tiles: BoxTiles
-    cost: FloatArray32
-    matches: WindowMatches
-    weight: FloatArray
-    surfaces: Surfaces
-    phi: dict[str, FloatArray]
-    choice: SurfaceChoice
+    tiles: BoxTiles  # tiles and strips
+    cost: FloatArray32  # (D, G, N) costs of the windows
+    matches: WindowMatches  # matches of the windows
+    weight: FloatArray  # (N, G) weights of the windows
+    surfaces: Surfaces  # surfaces
+    phi: dict[str, FloatArray]  # features of the surfaces, (S, N) by name
+    choice: SurfaceChoice  # their probabilities
 
     @property
     def disparity_px(self) -> FloatArray:

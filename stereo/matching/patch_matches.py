@@ -40,15 +40,10 @@ REASONS: dict[Outcome, str] = {
 
 @dataclass(frozen=True, slots=True)
 class ExpectedDisparity:
-    """Disparities of N boxes that are expected from the size of the object, by its class.
+    """Disparities of N boxes that are expected from the size of the object, by its class."""
 
-    Attributes:
-        disparity_px: (N,) expected disparity; NaN = unknown.
-        log_sigma: (N,) standard deviation of its logarithm.
-    """
-
-    disparity_px: FloatArray
-    log_sigma: FloatArray
+    disparity_px: FloatArray  # (N,) expected disparity; NaN = unknown
+    log_sigma: FloatArray  # (N,) standard deviation of its logarithm
 
     @classmethod
     def unknown(cls, n: int) -> ExpectedDisparity:
@@ -62,21 +57,13 @@ class ExpectedDisparity:
 
 @dataclass(frozen=True, slots=True)
 class PatchMatches:
-    """Disparities of N boxes.
+    """Disparities of N boxes."""
 
-    Attributes:
-        disparity_px: (N,) disparity at the centre of the box; NaN = not measured.
-        sigma_px: (N,) its standard deviation, without the uncertainty of the alignment.
-        outcome: (N,) values of `Outcome`.
-        n_surfaces: (N,) number of surfaces that the box shows: the object, occluders, background; 0 = unknown.
-        probability: (N,) probability that the measured surface is the object; NaN = unknown.
-    """
-
-    disparity_px: FloatArray
-    sigma_px: FloatArray
-    outcome: IntArray
-    n_surfaces: IntArray
-    probability: FloatArray
+    disparity_px: FloatArray  # (N,) disparity at the centre of the box; NaN = not measured
+    sigma_px: FloatArray  # (N,) its standard deviation, without the uncertainty of the alignment
+    outcome: IntArray  # (N,) values of `Outcome`
+    n_surfaces: IntArray  # (N,) number of surfaces that the box shows: the object, occluders, background; 0 = unknown
+    probability: FloatArray  # (N,) probability that the measured surface is the object; NaN = unknown
 
     @classmethod
     def of(cls, disparity_px: FloatArray, sigma_px: FloatArray, outcome: IntArray) -> PatchMatches:

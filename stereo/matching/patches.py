@@ -16,8 +16,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 
-_FRACTION_CUT = 0.25
-"""Fraction of the box's width (height) that is cut off on each side."""
+_FRACTION_CUT = 0.25  # fraction of the box's width (height) that is cut off on each side
 
 
 class Patch(NamedTuple):

@@ -23,14 +23,12 @@ from track_range.stereo.matching.patches import Patch, inner_halves
 DisparityMap = npt.NDArray[np.float32]
 Mode = Literal["3way", "sgbm", "hh", "hh4"]
 
-_STEPS_PER_PX = 16
-"""Disparity steps per pixel: OpenCV's disparities are multiples of 1/16 px."""
+_STEPS_PER_PX = 16  # disparity steps per pixel: OpenCV's disparities are multiples of 1/16 px
 
 _MEDIAN_SIGMA_PX = 0.15
 """Standard deviation of the median of a flat, textured patch: mostly pixel locking (0.14 px on synthetic pairs)."""
 
-_MAX_COST = 32767
-"""Largest cost: OpenCV sums costs in 16 bits."""
+_MAX_COST = 32767  # largest cost: OpenCV sums costs in 16 bits
 
 _ALIASES = {
     "uniqueness_pct": "uniqueness_ratio",
@@ -50,37 +48,23 @@ _OPENCV_MODE: dict[Mode, int] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SgbmSettings:
-    """Parameters of OpenCV's StereoSGBM, and of reading boxes from its result.
+    """Parameters of OpenCV's StereoSGBM, and of reading boxes from its result."""
 
-    Attributes:
-        min_disparity: smallest disparity, px.
-        n_disparities: number of disparities, a multiple of 16; 128 reach 3 m with KITTI's rig (numDisparities).
-        block_size: side of the compared window, px, odd; usually 3 .. 7.
-        mode: number of aggregation directions: "3way" 3 (fastest, threaded), "sgbm" 5, "hh4" 4, "hh" 8 (most memory).
-        small_step_penalty: P1 per pixel of the window, for neighbours that differ by one disparity.
-        large_step_penalty: P2 per pixel of the window, for larger steps.
-        uniqueness_ratio: minimum margin between the best and the second best cost, per cent.
-        disp12_max_diff: largest difference between left-to-right and right-to-left matching, px; -1 = not checked.
-        speckle_window_size: regions with fewer pixels are removed.
-        speckle_range: largest disparity difference within a region, px.
-        pre_filter_cap: limit at which the compared x-derivative is truncated.
-        min_valid_fraction: minimum fraction of known pixels in the inner half of a box.
-        shape_fraction: fraction of the scatter inside the inner half that contributes to sigma.
-    """
-
-    min_disparity: int = 0
-    n_disparities: int = 128
-    block_size: int = 5
+    min_disparity: int = 0  # smallest disparity, px
+    n_disparities: int = 128  # number of disparities, a multiple of 16; 128 reach 3 m with KITTI's rig (numDisparities)
+    block_size: int = 5  # side of the compared window, px, odd; usually 3 .. 7
+    # number of aggregation directions: "3way" 3 (fastest, threaded), "sgbm" 5, "hh4" 4, "hh" 8 (most memory)
     mode: Mode = "3way"
-    small_step_penalty: int = 8
-    large_step_penalty: int = 32
-    uniqueness_ratio: int = 10
+    small_step_penalty: int = 8  # P1 per pixel of the window, for neighbours that differ by one disparity
+    large_step_penalty: int = 32  # P2 per pixel of the window, for larger steps
+    uniqueness_ratio: int = 10  # minimum margin between the best and the second best cost, per cent
+    # largest difference between left-to-right and right-to-left matching, px; -1 = not checked
     disp12_max_diff: int = 1
-    speckle_window_size: int = 100
-    speckle_range: int = 2
-    pre_filter_cap: int = 63
-    min_valid_fraction: float = 0.2
-    shape_fraction: float = 0.3
+    speckle_window_size: int = 100  # regions with fewer pixels are removed
+    speckle_range: int = 2  # largest disparity difference within a region, px
+    pre_filter_cap: int = 63  # limit at which the compared x-derivative is truncated
+    min_valid_fraction: float = 0.2  # minimum fraction of known pixels in the inner half of a box
+    shape_fraction: float = 0.3  # fraction of the scatter inside the inner half that contributes to sigma
 
     def __post_init__(self) -> None:
         for name, is_valid, expected in _checks(self):

@@ -31,14 +31,12 @@ from track_range.stereo.matching.tiles import MARGIN_PX, BoxTiles, Grey, window_
 _N_FIT_ITERATIONS = (2, 3)
 """Iterations of the fit of the surface, for each iteration of the least squares on grey values."""
 
-_MAX_STEP_PX = 0.75
-"""Largest |s| of a confirmed window, px of the tile."""
+_MAX_STEP_PX = 0.75  # largest |s| of a confirmed window, px of the tile
 
 _MIN_GAIN = 0.3
 """Smallest gain a of a confirmed window, and of its inverse: below, the right pixels hardly resemble the left ones."""
 
-_MAX_SIGMA_PX = 0.2
-"""Largest standard deviation of d of a confirmed window, px of the tile."""
+_MAX_SIGMA_PX = 0.2  # largest standard deviation of d of a confirmed window, px of the tile
 
 _UNCONFIRMED_SIGMA_PX = 0.2
 """Standard deviation of a window that is not confirmed and keeps its census disparity, px of the tile."""
@@ -60,18 +58,12 @@ smooth surfaces."""
 
 @dataclass(frozen=True, slots=True)
 class RefinedSurface:
-    """The surfaces of N boxes with G windows each, px of the tile.
+    """The surfaces of N boxes with G windows each, px of the tile."""
 
-    Attributes:
-        fit: the surfaces, relative to index 0 of the costs.
-        residual: (N, G) disparity of a window minus the surface; NaN for windows that are not part of it.
-        weight: (N, G) 1 / variance of the windows, px^-2; 0 for windows that are not part of it.
-        is_confirmed: (N, G) windows whose disparity the grey values confirm; the others have their census disparity.
-    """
-
-    fit: SurfaceFit
-    residual: FloatArray
-    weight: FloatArray
+    fit: SurfaceFit  # the surfaces, relative to index 0 of the costs
+    residual: FloatArray  # (N, G) disparity of a window minus the surface; NaN for windows that are not part of it
+    weight: FloatArray  # (N, G) 1 / variance of the windows, px^-2; 0 for windows that are not part of it
+    # (N, G) windows whose disparity the grey values confirm; the others have their census disparity
     is_confirmed: BoolArray
 
 

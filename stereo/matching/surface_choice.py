@@ -19,14 +19,9 @@ from track_range.stereo.matching.patch_matches import ExpectedDisparity
 from track_range.stereo.matching.surfaces import Surfaces
 from track_range.stereo.matching.tiles import BoxTiles
 
-_SIDE_U, _SIDE_V = 0.15, 0.15
-"""Limits of the middle third of a box, in box sizes from its centre."""
-
-_CENTRE_SIGMA = 0.175
-"""Standard deviation of the weight of the box's centre, in box sizes."""
-
-_MIN_FRACTION = 0.05
-"""Added to shares before their logarithm."""
+_SIDE_U, _SIDE_V = 0.15, 0.15  # limits of the middle third of a box, in box sizes from its centre
+_CENTRE_SIGMA = 0.175  # standard deviation of the weight of the box's centre, in box sizes
+_MIN_FRACTION = 0.05  # added to fractions before their logarithm
 
 _MIN_LOG_SIGMA = 0.1
 """Smallest standard deviation of the log disparity by size: visible parts of objects are smaller than objects."""
@@ -34,14 +29,9 @@ _MIN_LOG_SIGMA = 0.1
 _MAX_DEVIATION = 4.0
 """Largest deviation from the expected disparity, in standard deviations; larger ones are as improbable."""
 
-_TRACK_LOG_SIGMA = 0.05
-"""Standard deviation of the log disparity in one frame about that of the track's last match."""
-
-_NEARER, _FARTHER = 1.03, 0.97
-"""Ratio of disparities from which a surface is in front of or behind another one."""
-
-_OTHER_BOX_RATIO = 1.15
-"""Ratio of the expected disparities from which another box is nearer or farther than the box."""
+_TRACK_LOG_SIGMA = 0.05  # standard deviation of the log disparity in one frame about that of the track's last match
+_NEARER, _FARTHER = 1.03, 0.97  # ratio of disparities from which a surface is in front of or behind another one
+_OTHER_BOX_RATIO = 1.15  # ratio of the expected disparities from which another box is nearer or farther than the box
 
 _OTHER_BOX_FRACTION = 0.12
 """Largest relative difference between a surface and the expected disparity of another box that it belongs to."""
@@ -73,30 +63,19 @@ THETA = {
 
 @dataclass(frozen=True, slots=True)
 class SurfaceChoice:
-    """The object's surface in each of N boxes.
+    """The object's surface in each of N boxes."""
 
-    Attributes:
-        chosen: (N,) number of the surface.
-        probability: (S, N) probability of each surface; they sum to 1, or are 0 for boxes without a surface.
-        n_surfaces: (N,) number of surfaces with at least two windows.
-    """
-
-    chosen: IntArray
-    probability: FloatArray
-    n_surfaces: IntArray
+    chosen: IntArray  # (N,) number of the surface
+    probability: FloatArray  # (S, N) probability of each surface; they sum to 1, or are 0 for boxes without a surface
+    n_surfaces: IntArray  # (N,) number of surfaces with at least two windows
 
 
 @dataclass(frozen=True, slots=True)
 class OtherBoxes:
-    """All boxes of a frame with their expected disparities: nearer ones occlude, farther ones are background.
+    """All boxes of a frame with their expected disparities: nearer ones occlude, farther ones are background."""
 
-    Attributes:
-        xyxy_px: (M, 4) boxes.
-        expected_px: (M,) expected disparities, from the track or the size; NaN = unknown.
-    """
-
-    xyxy_px: FloatArray
-    expected_px: FloatArray
+    xyxy_px: FloatArray  # (M, 4) boxes
+    expected_px: FloatArray  # (M,) expected disparities, from the track or the size; NaN = unknown
 
     def windows(
         self, xyxy_px: FloatArray, expected_px: FloatArray, tiles: BoxTiles, disparity_px: FloatArray

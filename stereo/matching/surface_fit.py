@@ -22,8 +22,7 @@ from track_range.foundation.arrays import FloatArray
 _FLOOR_FRACTION, _FLOOR_PX = 0.015, 0.05
 """f: residual below which windows have equal weights, as a fraction of the mean disparity, and its minimum in px."""
 
-_BOUND_FLOORS = 2.0
-"""Residual, in units of f, at which a window counts half of what it would without the bound."""
+_BOUND_FLOORS = 2.0  # residual, in units of f, at which a window counts half of what it would without the bound
 
 _RIDGE = 4e-3
 """Ridge on the tilt p1, p2, relative to the total weight: keeps the system solvable where windows nearly coincide."""
@@ -32,19 +31,14 @@ _CURVATURE = 0.25
 """c: prior standard deviation of p3 and p4 as a fraction of the disparity; 1.5 % at the edge of the box's inner half.
 Fitted on simulated drives (seeds 0-2) and on the accuracy at the centre of KITTI 2015's given pairs."""
 
-_OVERLAP = 4.0
-"""Number of windows that contain a pixel: their errors are correlated, so the prior counts as much more."""
+_OVERLAP = 4.0  # number of windows that contain a pixel: their errors are correlated, so the prior counts as much more
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceFit:
-    """Surfaces of N boxes; disparities in px of the tile.
+    """Surfaces of N boxes; disparities in px of the tile."""
 
-    Attributes:
-        p: (..., N, 5) coefficients p0 .. p4, with p0 relative to index 0 of the costs.
-    """
-
-    p: FloatArray
+    p: FloatArray  # (..., N, 5) coefficients p0 .. p4, with p0 relative to index 0 of the costs
 
     def at(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """(..., N, G) disparities at positions (N, G), or broadcastable to that."""

@@ -16,15 +16,13 @@ from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces, su
 from track_range.stereo.matching.tiles import BoxTiles
 from track_range.stereo.matching.window_sgm import WindowMatches
 
-N_SURFACES = 3
-"""Largest number of surfaces per box, S."""
+N_SURFACES = 3  # largest number of surfaces per box, S
 
 _SAME_SURFACE_FRACTION, _SAME_SURFACE_PX = 0.15, 0.75
 """Largest difference of the disparities of one surface, as a fraction of the disparity, and its minimum in px of the
 tile."""
 
-_ON_PLANE = 0.75
-"""Largest distance from the plane, as a fraction of that difference."""
+_ON_PLANE = 0.75  # largest distance from the plane, as a fraction of that difference
 
 _MIN_ON_PLANE = 0.8
 """Minimum number of windows on the plane, as a fraction of those that agree; otherwise the surface is not a plane."""
@@ -32,17 +30,13 @@ _MIN_ON_PLANE = 0.8
 _N_GROWTHS = 2
 """Number of times that a plane is fitted to the first surface, and its windows selected: it grows along its plane."""
 
-_N_FIT_ITERATIONS = 3
-"""Iterations of each fit of a plane."""
+_N_FIT_ITERATIONS = 3  # iterations of each fit of a plane
 
 _CENTRE_SIGMA = 0.2
 """Standard deviation of the Gaussian weight about the box's centre, in box sizes: the corners of cars are rounded."""
 
-_LOWER_MIDDLE = 0.125
-"""v of the most likely position of the object, in box sizes: objects touch the box's lower edge."""
-
-_MIN_WINDOWS = 4
-"""Minimum number of windows that a plane is fitted to, one more than its parameters."""
+_LOWER_MIDDLE = 0.125  # v of the most likely position of the object, in box sizes: objects touch the box's lower edge
+_MIN_WINDOWS = 4  # minimum number of windows that a plane is fitted to, one more than its parameters
 
 _FULL_COST_BITS, _NO_MATCH_BITS = 6.0, 10.0
 """Cost up to which a window counts fully, and from which it counts as a chance match, bits per pixel of 12 by
@@ -51,19 +45,13 @@ chance."""
 
 @dataclass(frozen=True, slots=True)
 class Surfaces:
-    """S surfaces of each of N boxes, those with most support first.
+    """S surfaces of each of N boxes, those with most support first."""
 
-    Attributes:
-        is_member: (S, N, G) windows of each surface; none = the box shows fewer surfaces.
-        centre: (S, N) disparity at the box's centre relative to index 0 of the costs, px of the tile; NaN = none.
-        disparity: (S, N) the same, from 0.
-        planes: their planes.
-    """
-
-    is_member: BoolArray
+    is_member: BoolArray  # (S, N, G) windows of each surface; none = the box shows fewer surfaces
+    # (S, N) disparity at the box's centre relative to index 0 of the costs, px of the tile; NaN = none
     centre: FloatArray
-    disparity: FloatArray
-    planes: SurfaceFit
+    disparity: FloatArray  # (S, N) the same, from 0
+    planes: SurfaceFit  # their planes
 
 
 def window_weights(matches: WindowMatches, tiles: BoxTiles) -> FloatArray:

@@ -24,23 +24,15 @@ from track_range.stereo.geometry.frames import ImageView
 
 Grey = npt.NDArray[np.uint8]
 
-N_CELLS = 8
-"""Cells per row and per column of a tile."""
-
-N_SIDE = N_CELLS - 1
-"""Windows per row and per column of a tile."""
-
-N_WINDOWS = N_SIDE**2
-"""Windows per tile, G."""
-
-MARGIN_PX = 4
-"""Pixels around a tile that are read as well: for the census (2), smoothing and derivatives (2)."""
+N_CELLS = 8  # cells per row and per column of a tile
+N_SIDE = N_CELLS - 1  # windows per row and per column of a tile
+N_WINDOWS = N_SIDE**2  # windows per tile, G
+MARGIN_PX = 4  # pixels around a tile that are read as well: for the census (2), smoothing and derivatives (2)
 
 _BOX_FRACTION = 0.65
 """Fraction of a box's width and height that its tile covers, around its centre; the rest is mostly background."""
 
-_MAX_ASPECT = 4.0
-"""Largest ratio of the scales in x and y: of longer boxes, the tile shows the middle."""
+_MAX_ASPECT = 4.0  # largest ratio of the scales in x and y: of longer boxes, the tile shows the middle
 
 _OVERHANG = 0.25
 """Smallest distance of a used window's centre from the box's edges, in window sizes: at most a quarter of the window is
@@ -50,20 +42,14 @@ _SCALES = np.concatenate([np.arange(1.0, 2.0, 0.25), np.arange(2.0, 4.0, 0.5), n
 """Possible scales of tiles, px of the image per px of the tile."""
 
 
-_STEPS_MULTIPLE = 4
-"""D - 1 is a multiple of this, so that strips end at whole pixels at each scale."""
+_STEPS_MULTIPLE = 4  # D - 1 is a multiple of this, so that strips end at whole pixels at each scale
 
 
 class TileShape(NamedTuple):
-    """Resolution of a tile.
+    """Resolution of a tile."""
 
-    Attributes:
-        cell_hw: height and width of a cell, px of the tile.
-        min_scale: smallest scale, px of the image per px of the tile.
-    """
-
-    cell_hw: tuple[int, int]
-    min_scale: float
+    cell_hw: tuple[int, int]  # height and width of a cell, px of the tile
+    min_scale: float  # smallest scale, px of the image per px of the tile
 
     @property
     def hw(self) -> tuple[int, int]:
@@ -76,11 +62,8 @@ class TileShape(NamedTuple):
         return 4 * self.cell_hw[0] * self.cell_hw[1]
 
 
-FINE = TileShape((4, 6), 1.0)
-"""Tiles for the measurement."""
-
-COARSE = TileShape((2, 3), 2.0)
-"""Tiles for the search of the full range of disparities."""
+FINE = TileShape((4, 6), 1.0)  # tiles for the measurement
+COARSE = TileShape((2, 3), 2.0)  # tiles for the search of the full range of disparities
 
 MIN_IMAGE_HW = (FINE.cell_hw[0] * 2 + 3, FINE.cell_hw[1] * 2 + 1)
 """Height and width in px of the smallest image that contains a window."""
@@ -91,28 +74,17 @@ class BoxTiles:
     """The tiles of N boxes, and the strips of the right image for D disparities.
 
     Window g at disparity index k of a tile matches the strip's columns that start D - 1 - k further right.
-
-    Attributes:
-        shape: resolution of the tiles.
-        both: (H + 8, 2 W + 16 + D - 1, N) grey values: `left` and, beside it, `right`.
-        scale: (2, N) px of the image per px of the tile, in x and in y.
-        first_px: (N,) disparity of index 0 in px of the image; that of index k is first_px + k scale[0].
-        n_disparities: D.
-        u: (N, G) position of a window's centre to the right of the box's centre, divided by the box's width.
-        v: (N, G) position below the box's centre, divided by the box's height.
-        is_used: (N, G) windows inside the box and the left image.
-        is_seen: (W + 8 + D - 1, N) columns of the strip inside the right image.
     """
 
-    shape: TileShape
-    both: Grey
-    scale: FloatArray
-    first_px: FloatArray
-    n_disparities: int
-    u: FloatArray
-    v: FloatArray
-    is_used: BoolArray
-    is_seen: BoolArray
+    shape: TileShape  # resolution of the tiles
+    both: Grey  # (H + 8, 2 W + 16 + D - 1, N) grey values: `left` and, beside it, `right`
+    scale: FloatArray  # (2, N) px of the image per px of the tile, in x and in y
+    first_px: FloatArray  # (N,) disparity of index 0 in px of the image; that of index k is first_px + k scale[0]
+    n_disparities: int  # D
+    u: FloatArray  # (N, G) position of a window's centre to the right of the box's centre, divided by the box's width
+    v: FloatArray  # (N, G) position below the box's centre, divided by the box's height
+    is_used: BoolArray  # (N, G) windows inside the box and the left image
+    is_seen: BoolArray  # (W + 8 + D - 1, N) columns of the strip inside the right image
 
     @property
     def left(self) -> Grey:

@@ -20,8 +20,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray, FloatArray32, IntArray
 
-_P1_BITS = np.float32(1.5)
-"""P1: cost of a step of one disparity between neighbouring windows, bits per pixel."""
+_P1_BITS = np.float32(1.5)  # P1: cost of a step of one disparity between neighbouring windows, bits per pixel
 
 _P2_BITS = np.float32(6.0)
 """P2: cost of any larger step, bits per pixel; about the margin between a good minimum and a chance match."""
@@ -32,18 +31,12 @@ _UNSEEN_BITS = np.float32(8.0)
 
 @dataclass(frozen=True, slots=True)
 class WindowMatches:
-    """Disparities of G windows of each of N boxes.
+    """Disparities of G windows of each of N boxes."""
 
-    Attributes:
-        index: (N, G) disparity in steps of the costs, between the first and the last one.
-        slope: (N, G) slope of the sides of the minimum, bits per pixel and step; 0 = no minimum, or outside the right
-            image.
-        cost: (N, G) cost at the minimum, bits per pixel.
-    """
-
-    index: FloatArray
+    index: FloatArray  # (N, G) disparity in steps of the costs, between the first and the last one
+    # (N, G) slope of the sides of the minimum, bits per pixel and step; 0 = no minimum, or outside the right image
     slope: FloatArray
-    cost: FloatArray
+    cost: FloatArray  # (N, G) cost at the minimum, bits per pixel
 
 
 def match_windows(cost: FloatArray32) -> WindowMatches:

@@ -12,19 +12,12 @@ from track_range.stereo.geometry.frames import Frame
 
 @dataclass(frozen=True, slots=True)
 class EgoMotion:
-    """Motion of the left camera since the previous frame.
+    """Motion of the left camera since the previous frame."""
 
-    Attributes:
-        speed_mps: speed along the optical axis, negative = backwards; NaN = not measured.
-        speed_sigma_mps: its standard deviation; NaN = not measured.
-        yaw_rad_s: rate of the heading, positive = to the right; NaN = not measured.
-        is_still: whether the camera is at rest; False if unknown.
-    """
-
-    speed_mps: float = math.nan
-    speed_sigma_mps: float = math.nan
-    yaw_rad_s: float = math.nan
-    is_still: bool = False
+    speed_mps: float = math.nan  # speed along the optical axis, negative = backwards; NaN = not measured
+    speed_sigma_mps: float = math.nan  # its standard deviation; NaN = not measured
+    yaw_rad_s: float = math.nan  # rate of the heading, positive = to the right; NaN = not measured
+    is_still: bool = False  # whether the camera is at rest; False if unknown
 
 
 class Odometry(Protocol):

@@ -36,11 +36,8 @@ from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEst
 from track_range.stereo.odometry.road_horizon import RoadHorizon, RoadView
 from track_range.stereo.odometry.speed_filter import SpeedFilter
 
-_MIN_STRIP_GREY = 1.0
-"""Smallest standard deviation of a strip in grey levels; below it there is only noise."""
-
-_MAX_MASKED_FRACTION = 0.05
-"""Largest fraction of a strip under boxes of road users."""
+_MIN_STRIP_GREY = 1.0  # smallest standard deviation of a strip in grey levels; below it there is only noise
+_MAX_MASKED_FRACTION = 0.05  # largest fraction of a strip under boxes of road users
 
 _MIN_STRIPS, _STRIP_SIGMA_M, _STRIPS_SIGMA_RAD = 4, 0.015, 0.0015
 """Minimum number of strips for a measurement of the horizon; standard deviations of the shift of one strip, and of the
@@ -58,21 +55,15 @@ _MAX_STRIP_CELLS, _MIN_STRIP_CORRELATION = 6, 0.4
 """Largest difference of a strip's shift from the common one in cells, that of the farthest strip for an error of 0.012
 rad at 30 m/s, and minimum correlation of the strip."""
 
-_PICTURE_M = 9.0
-"""Distance of the middle of the picture, at which its plane has the slope of the road."""
+_PICTURE_M = 9.0  # distance of the middle of the picture, at which its plane has the slope of the road
 
 _OUTLIER_SIGMA, _MAX_FRAMES = 4.0, 50.0
 """Innovation of the horizon in standard deviations above which the shifts are wrong, and largest amplification of an
 error of the rotation, by slow motion."""
 
-_UNKNOWN_SIGMA = 0.03
-"""Relative standard deviation of a speed without one."""
-
-_TYPICAL_MPS = 10.0
-"""Speed for the curvature of the road until the first speed is known."""
-
-_MIN_UNIQUE_M = 0.35
-"""Shifts nearer than this to the maximum belong to it."""
+_UNKNOWN_SIGMA = 0.03  # relative standard deviation of a speed without one
+_TYPICAL_MPS = 10.0  # speed for the curvature of the road until the first speed is known
+_MIN_UNIQUE_M = 0.35  # shifts nearer than this to the maximum belong to it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

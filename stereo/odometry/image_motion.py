@@ -25,17 +25,13 @@ from track_range.foundation.robust_statistics import MAD_TO_SIGMA, median_of
 from track_range.foundation.sparse_flow import BackgroundFlow, isotropy
 from track_range.stereo.geometry.camera import PinholeCamera
 
-_TUKEY = 4.685
-"""Residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)."""
+_TUKEY = 4.685  # residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
 
 _N_ROTATION_ROUNDS, _N_ROUNDS = 3, 7
 """Rounds of Gauss-Newton for the rotation alone, which a wrong direction cannot mislead, and in all."""
 
-_ROUNDS_OF_NOISE = (1, 3, 5)
-"""Rounds that update the noise of the points, with the rotation so far."""
-
-_DIRECTION_SIGMA_RAD = 0.05
-"""Standard deviation of the direction of travel at the start, and the largest one."""
+_ROUNDS_OF_NOISE = (1, 3, 5)  # rounds that update the noise of the points, with the rotation so far
+_DIRECTION_SIGMA_RAD = 0.05  # standard deviation of the direction of travel at the start, and the largest one
 
 _DIRECTION_DRIFT_RAD = 0.03
 """Random walk of the direction of travel in the camera's frame, rad per square root of a second: a car that enters a
@@ -49,71 +45,43 @@ _BIAS_PX = 0.06
 """Standard deviation of the common error of the flow of distant points, small pixels, which does not average out; the
 errors of yaw on simulated drives, seeds 0-9, then have a standard deviation of 1 in units of their sigma."""
 
-_MIN_FORWARD = 0.5
-"""Smallest forward part of a unit translation; a smaller one has no epipole near the image."""
-
-_MIN_RADIUS = 0.03
-"""Smallest distance of a ray from the epipole, at depth 1, at which its growth is measured."""
+_MIN_FORWARD = 0.5  # smallest forward part of a unit translation; a smaller one has no epipole near the image
+_MIN_RADIUS = 0.03  # smallest distance of a ray from the epipole, at depth 1, at which its growth is measured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageMotionSettings:
-    """Numbers of corners, and limits of plausible motions, in pixels of the small image.
+    """Numbers of corners, and limits of plausible motions, in pixels of the small image."""
 
-    Attributes:
-        n_features: largest number of corners.
-        min_quality: minimum quality of a corner, as a fraction of the best corner's.
-        min_isotropy: minimum ratio of the eigenvalues of a corner's structure tensor.
-        noise_px: standard deviation of a tracked corner.
-        max_residual_px: largest distance of a static point from its epipolar line.
-        min_features: minimum number of static points.
-        min_static_fraction: minimum fraction of static points among the tracked ones.
-        max_still_px: largest median motion of the static points of a camera at rest.
-        max_gap_s: longest time between two frames.
-    """
-
-    n_features: int = 200
-    min_quality: float = 0.003
-    min_isotropy: float = 0.1
-    noise_px: float = 0.1
-    max_residual_px: float = 0.5
-    min_features: int = 16
-    min_static_fraction: float = 0.4
-    max_still_px: float = 0.1
-    max_gap_s: float = 0.6
+    n_features: int = 200  # largest number of corners
+    min_quality: float = 0.003  # minimum quality of a corner, as a fraction of the best corner's
+    min_isotropy: float = 0.1  # minimum ratio of the eigenvalues of a corner's structure tensor
+    noise_px: float = 0.1  # standard deviation of a tracked corner
+    max_residual_px: float = 0.5  # largest distance of a static point from its epipolar line
+    min_features: int = 16  # minimum number of static points
+    min_static_fraction: float = 0.4  # minimum fraction of static points among the tracked ones
+    max_still_px: float = 0.1  # largest median motion of the static points of a camera at rest
+    max_gap_s: float = 0.6  # longest time between two frames
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageMotion:
-    """Motion between a frame and the previous one; rates are NaN where the motion is unknown.
+    """Motion between a frame and the previous one; rates are NaN where the motion is unknown."""
 
-    Attributes:
-        time_s: time of the frame.
-        dt_s: time since the previous frame; NaN for the first one.
-        yaw_rad_s: rate of the heading, positive = to the right.
-        yaw_sigma_rad_s: its standard deviation.
-        pitch_rad_s: pitch rate, positive = upwards.
-        roll_rad_s: roll rate, positive = clockwise as the driver sees it.
-        expansion_hz: median relative growth of the distances from the epipole per second, positive = forwards.
-        expansion_sigma_hz: its standard deviation.
-        epipole_px: x, y of the direction of travel in full pixels, NaN = unknown.
-        static_fraction: fraction of the tracked corners that move like a static scene.
-        n_features: number of tracked corners.
-        is_still: whether the camera is at rest; False if unknown.
-    """
-
-    time_s: float
-    dt_s: float = math.nan
-    yaw_rad_s: float = math.nan
-    yaw_sigma_rad_s: float = math.nan
-    pitch_rad_s: float = math.nan
-    roll_rad_s: float = math.nan
+    time_s: float  # time of the frame
+    dt_s: float = math.nan  # time since the previous frame; NaN for the first one
+    yaw_rad_s: float = math.nan  # rate of the heading, positive = to the right
+    yaw_sigma_rad_s: float = math.nan  # its standard deviation
+    pitch_rad_s: float = math.nan  # pitch rate, positive = upwards
+    roll_rad_s: float = math.nan  # roll rate, positive = clockwise as the driver sees it
+    # median relative growth of the distances from the epipole per second, positive = forwards
     expansion_hz: float = math.nan
-    expansion_sigma_hz: float = math.nan
+    expansion_sigma_hz: float = math.nan  # its standard deviation
+    # x, y of the direction of travel in full pixels, NaN = unknown
     epipole_px: tuple[float, float] = (math.nan, math.nan)
-    static_fraction: float = math.nan
-    n_features: int = 0
-    is_still: bool = False
+    static_fraction: float = math.nan  # fraction of the tracked corners that move like a static scene
+    n_features: int = 0  # number of tracked corners
+    is_still: bool = False  # whether the camera is at rest; False if unknown
 
     @property
     def is_known(self) -> bool:
@@ -242,21 +210,13 @@ class ImageMotionEstimator:
 
 @dataclass(frozen=True, slots=True)
 class EpipolarFit:
-    """Rotation and direction of travel between two frames.
+    """Rotation and direction of travel between two frames."""
 
-    Attributes:
-        rotation: (3,) rotation vector `now_from_before`, rad.
-        rotation_sigma: (3,) its standard deviations.
-        direction: (3,) unit vector t of the translation `now_from_before`; (0, 0, -1) = straight ahead.
-        direction_variance: (2,) variances of its x and y.
-        is_static: (N,) whether a point is near its epipolar line.
-    """
-
-    rotation: FloatArray
-    rotation_sigma: FloatArray
-    direction: FloatArray
-    direction_variance: FloatArray
-    is_static: BoolArray
+    rotation: FloatArray  # (3,) rotation vector `now_from_before`, rad
+    rotation_sigma: FloatArray  # (3,) its standard deviations
+    direction: FloatArray  # (3,) unit vector t of the translation `now_from_before`; (0, 0, -1) = straight ahead
+    direction_variance: FloatArray  # (2,) variances of its x and y
+    is_static: BoolArray  # (N,) whether a point is near its epipolar line
 
 
 def fit_epipolar(

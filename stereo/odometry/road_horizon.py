@@ -27,8 +27,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 
-_MOUNTING_RAD = 0.03
-"""Standard deviation of the mean angle between the camera's axis and the road at the start."""
+_MOUNTING_RAD = 0.03  # standard deviation of the mean angle between the camera's axis and the road at the start
 
 _MOUNTING_DRIFT_RAD = 0.0005
 """Random walk of the mean angle, rad per square root of a second: load, long phases of braking."""
@@ -40,8 +39,7 @@ _ROTATION_RAD, _ROTATION_BIAS_RAD = 0.0002, 0.00012
 """Errors of the pitch between two frames, independent and constant: 0.15 and 0.08 px at KITTI's focal length on
 simulated drives, seeds 0-2."""
 
-_LOST_RAD = 0.003
-"""Standard deviation of the pitch between two frames if it is not measured."""
+_LOST_RAD = 0.003  # standard deviation of the pitch between two frames if it is not measured
 
 _CURVATURE_PER_M, _CURVATURE_LENGTH_M = 0.0003, 80.0
 """Standard deviation of the vertical curvature (radii of 3 km are usual on roads) and its correlation length."""
@@ -52,24 +50,15 @@ _ROLL_S = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadView:
-    """The road as the camera sees it in one frame; angles are tangents in the image.
+    """The road as the camera sees it in one frame; angles are tangents in the image."""
 
-    Attributes:
-        horizon: tangent of the horizon below the camera's axis, at the middle column.
-        horizon_variance: its variance.
-        slope: slope of the horizon in the image, positive = lower on the right-hand side.
-        curvature_per_m: curvature k in the vertical plane below the camera, positive = turns upwards.
-        curvature_variance: variance of k.
-        covariance: covariance of the horizon and k.
-        height_m: height of the camera and its standard deviation, if it was measured; None = not.
-    """
-
-    horizon: float
-    horizon_variance: float
-    slope: float = 0.0
-    curvature_per_m: float = 0.0
-    curvature_variance: float = 0.0
-    covariance: float = 0.0
+    horizon: float  # tangent of the horizon below the camera's axis, at the middle column
+    horizon_variance: float  # its variance
+    slope: float = 0.0  # slope of the horizon in the image, positive = lower on the right-hand side
+    curvature_per_m: float = 0.0  # curvature k in the vertical plane below the camera, positive = turns upwards
+    curvature_variance: float = 0.0  # variance of k
+    covariance: float = 0.0  # covariance of the horizon and k
+    # height of the camera and its standard deviation, if it was measured; None = not
     height_m: tuple[float, float] | None = None
 
     def scaled(self, factor: float) -> RoadView:

@@ -41,75 +41,46 @@ from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.stereo.odometry.speed_filter import SpeedFilter
 
-_TUKEY = 4.685
-"""Residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)."""
-
-_N_ROUNDS = 5
-"""Rounds of Gauss-Newton; the last one changes the translation by less than 1 mm."""
+_TUKEY = 4.685  # residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
+_N_ROUNDS = 5  # rounds of Gauss-Newton; the last one changes the translation by less than 1 mm
 
 _N_TRIPLES = 40
 """Random triples of corners: with half of them static, one of 40 is all static with a probability of 99.5 %."""
 
-_CHI2_MEDIAN = 1.386
-"""Median of the chi-squared distribution with 2 degrees of freedom."""
+_CHI2_MEDIAN = 1.386  # median of the chi-squared distribution with 2 degrees of freedom
 
 _MAX_DISTANCE2 = 9.0
 """Largest squared Mahalanobis distance of a static corner; 1.1 % of the static ones have a larger one."""
 
-_MIN_RATIO = 0.05
-"""Smallest ratio of the depths now and before; a nearer point leaves the image."""
-
-_BLOCK_PX = 9
-"""Side of the blocks of the coarse matcher, pixels of the quarter-size image."""
-
-_MIN_SIDE_PX = 64
-"""Smallest side of a small image that has room for windows in its halved copy."""
+_MIN_RATIO = 0.05  # smallest ratio of the depths now and before; a nearer point leaves the image
+_BLOCK_PX = 9  # side of the blocks of the coarse matcher, pixels of the quarter-size image
+_MIN_SIDE_PX = 64  # smallest side of a small image that has room for windows in its halved copy
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StereoOdometrySettings:
-    """Settings of feature tracking, noise, and limits of reliable motions; pixels are those of the small image.
+    """Settings of feature tracking, noise, and limits of reliable motions; pixels are those of the small image."""
 
-    Attributes:
-        n_features: largest number of corners.
-        min_quality: minimum quality of a corner, as a fraction of the best corner's.
-        window_px: side of the tracked window.
-        n_levels: pyramid levels above the small image for tracking over time.
-        n_levels_predicted: the same with a predicted motion.
-        noise_px: standard deviation of a corner tracked over time; larger residuals raise both.
-        disparity_noise_px: standard deviation of a disparity; with both and an exact alignment, the rms error of the
-            speed on simulated drives is 0.7 (seeds 0-9) and 0.6 (20-29) of its sigma.
-        max_row_px: largest difference of rows between left and right.
-        min_disparity_px: smallest disparity.
-        nearest_m: nearest point of the scene; sets the largest disparity.
-        min_features: minimum number of static corners.
-        min_static_fraction: minimum fraction of static corners among those tracked with a disparity.
-        max_noise_factor: largest ratio of the residuals to those expected.
-        max_sigma_mps: largest standard deviation of a reliable speed.
-        max_relative_sigma: the same as a fraction of the speed; one of the two suffices.
-        scale_sigma: relative error of all speeds, from calibration and subpixel bias.
-        max_still_mps: largest speed of a camera at rest.
-        max_gap_s: longest time between two frames.
-    """
-
-    n_features: int = 300
-    min_quality: float = 0.001
-    window_px: int = 9
-    n_levels: int = 4
-    n_levels_predicted: int = 2
-    noise_px: float = 0.15
+    n_features: int = 300  # largest number of corners
+    min_quality: float = 0.001  # minimum quality of a corner, as a fraction of the best corner's
+    window_px: int = 9  # side of the tracked window
+    n_levels: int = 4  # pyramid levels above the small image for tracking over time
+    n_levels_predicted: int = 2  # the same with a predicted motion
+    noise_px: float = 0.15  # standard deviation of a corner tracked over time; larger residuals raise both
+    # standard deviation of a disparity; with both and an exact alignment, the rms error of the speed on simulated
+    # drives is 0.7 (seeds 0-9) and 0.6 (20-29) of its sigma
     disparity_noise_px: float = 0.15
-    max_row_px: float = 0.75
-    min_disparity_px: float = 0.5
-    nearest_m: float = 3.2
-    min_features: int = 20
-    min_static_fraction: float = 0.35
-    max_noise_factor: float = 5.0
-    max_sigma_mps: float = 0.5
-    max_relative_sigma: float = 0.05
-    scale_sigma: float = 0.005
-    max_still_mps: float = 0.15
-    max_gap_s: float = 0.6
+    max_row_px: float = 0.75  # largest difference of rows between left and right
+    min_disparity_px: float = 0.5  # smallest disparity
+    nearest_m: float = 3.2  # nearest point of the scene; sets the largest disparity
+    min_features: int = 20  # minimum number of static corners
+    min_static_fraction: float = 0.35  # minimum fraction of static corners among those tracked with a disparity
+    max_noise_factor: float = 5.0  # largest ratio of the residuals to those expected
+    max_sigma_mps: float = 0.5  # largest standard deviation of a reliable speed
+    max_relative_sigma: float = 0.05  # the same as a fraction of the speed; one of the two suffices
+    scale_sigma: float = 0.005  # relative error of all speeds, from calibration and subpixel bias
+    max_still_mps: float = 0.15  # largest speed of a camera at rest
+    max_gap_s: float = 0.6  # longest time between two frames
 
 
 class _View(NamedTuple):
@@ -136,21 +107,13 @@ AT_REST = RigidMotion(np.eye(3), np.zeros(3))
 
 
 class MotionFit(NamedTuple):
-    """A motion fitted to N points.
+    """A motion fitted to N points."""
 
-    Attributes:
-        motion: the motion.
-        covariance: (6, 6) of rotation and translation.
-        by_offset: (6,) change of rotation and translation per common error of all inverse depths, in 1/m.
-        is_static: (N,) which points agree with it.
-        noise_factor: ratio of the residuals to those expected, at least 1.
-    """
-
-    motion: RigidMotion
-    covariance: FloatArray
-    by_offset: FloatArray
-    is_static: BoolArray
-    noise_factor: float
+    motion: RigidMotion  # the motion
+    covariance: FloatArray  # (6, 6) of rotation and translation
+    by_offset: FloatArray  # (6,) change of rotation and translation per common error of all inverse depths, in 1/m
+    is_static: BoolArray  # (N,) which points agree with it
+    noise_factor: float  # ratio of the residuals to those expected, at least 1
 
 
 class StereoOdometry:

@@ -20,17 +20,13 @@ from track_range.stereo.geometry.lenses.registry import PINHOLE
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS
 
-_MODELS = ("", "plumb_bob", "rational_polynomial", "pinhole", "none")
-"""Distortion models that are OpenCV's."""
-
-_FISHEYE_MODELS = ("equidistant", "fisheye")
-"""Distortion models that are OpenCV's fisheye model."""
+_MODELS = ("", "plumb_bob", "rational_polynomial", "pinhole", "none")  # distortion models that are OpenCV's
+_FISHEYE_MODELS = ("equidistant", "fisheye")  # distortion models that are OpenCV's fisheye model
 
 _FOCAL_DIFFERENCE, _ROW_DIFFERENCE_PX = 0.01, 2.0
 """Largest relative difference of the focal lengths, and difference of the principal rows, of two rectified cameras."""
 
-_COEFFICIENTS = (0, 4, 5, 8, 12, 14)
-"""Numbers of coefficients of OpenCV's model."""
+_COEFFICIENTS = (0, 4, 5, 8, 12, 14)  # numbers of coefficients of OpenCV's model
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,8 +35,7 @@ from track_range.stereo.rig_formats.rig_format import RigFormat
 _CAMERA = re.compile(r"^cam\d+\s*:", re.MULTILINE)
 _HINT = "give Kalibr's camchain.yaml unchanged"
 
-_OPENCV_HEAD = re.compile(r"\A\s*%YAML:[^\n]*\n")
-"""First line of OpenCV's YAML, which YAML does not have."""
+_OPENCV_HEAD = re.compile(r"\A\s*%YAML:[^\n]*\n")  # first line of OpenCV's YAML, which YAML does not have
 
 _Row = tuple[Number, Number, Number, Number]
 _Transform = tuple[_Row, _Row, _Row, _Row]

@@ -30,24 +30,19 @@ from track_range.stereo.rig_formats.rig_format import RigFormat
 
 _LINE = re.compile(r"^[ \t]*(P|S)(?:_rect_0)?([0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
 
-_NUMBER = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
-"""Beginning of a word that is a number."""
+_NUMBER = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)  # beginning of a word that is a number
 
 _MIN_NAMELESS = 9
 """Smallest number of words of a line that is meant as a projection matrix; lines of other files have fewer numbers."""
 
-_BRACKETS = str.maketrans("[](),;", "      ")
-"""Separators, and the brackets of copied matrices."""
+_BRACKETS = str.maketrans("[](),;", "      ")  # separators, and the brackets of copied matrices
 
 _RAW_LINE = re.compile(r"^[ \t]*([SKDRT]_0[0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
 _RAW_COUNTS = {"S": 2, "K": 9, "D": 5, "R": 9, "T": 3}
 """Lines of the images before rectification, and how many numbers each kind has."""
 
-_MAX_VALUE = 1e7
-"""Largest plausible magnitude of a number in a projection; NaN and larger numbers are rejected."""
-
-_COLOUR, _GREY = (2, 3), (0, 1)
-"""Numbers of the left and right camera of each pair."""
+_MAX_VALUE = 1e7  # largest plausible magnitude of a number in a projection; NaN and larger numbers are rejected
+_COLOUR, _GREY = (2, 3), (0, 1)  # numbers of the left and right camera of each pair
 
 
 def _has_projections(text: str) -> bool:

@@ -15,8 +15,7 @@ RIG_FORMATS: tuple[RigFormat, ...] = (OPENCV, KALIBR, KITTI, ROS, RIG_YAML)
 OpenCV's precedes KITTI's, because both have lines P1 and P2.
 """
 
-FORMAT_TITLES = ", ".join(rig_format.title for rig_format in RIG_FORMATS[::-1])
-"""List of the formats for messages."""
+FORMAT_TITLES = ", ".join(rig_format.title for rig_format in RIG_FORMATS[::-1])  # list of the formats for messages
 
 
 def rig_writers() -> dict[str, RigWriter]:

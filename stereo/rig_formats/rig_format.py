@@ -18,26 +18,19 @@ RigWriter = Callable[[StereoRig | PinholeCamera, Path, Sequence[str]], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigFormat:
-    """One file format of camera calibrations.
+    """One file format of camera calibrations."""
 
-    Attributes:
-        name: the format's name on the command line.
-        title: the format's files, for messages, such as "KITTI's calib.txt".
-        recognises: whether a file with this text is in the format.
-        read: the cameras of a file from its text, its path (for messages and other files) and whether the images are
-            grey; raises RigError.
-        missing: the keys that a file with one camera lacks for a stereo rig, for messages, from the same arguments.
-        read_pair: as `read`, for two videos: a file with one camera is completed by one beside it; None = `read`.
-        write: writes a file; None = the format is only read.
-    """
-
-    name: str
-    title: str
-    recognises: Callable[[str], bool]
+    name: str  # the format's name on the command line
+    title: str  # the format's files, for messages, such as "KITTI's calib.txt"
+    recognises: Callable[[str], bool]  # whether a file with this text is in the format
+    # the cameras of a file from its text, its path (for messages and other files) and whether the images are grey;
+    # raises RigError
     read: Callable[[str, Path, bool], RigCalibration]
+    # the keys that a file with one camera lacks for a stereo rig, for messages, from the same arguments
     missing: Callable[[str, Path, bool], str]
+    # as `read`, for two videos: a file with one camera is completed by one beside it; None = `read`
     read_pair: Callable[[str, Path, bool], RigCalibration] | None = None
-    write: RigWriter | None = None
+    write: RigWriter | None = None  # writes a file; None = the format is only read
 
 
 def write_rig_text(path: Path, text: str) -> None:

@@ -32,8 +32,7 @@ from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration, check_camera, check_rig
 from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
 
-VERSION = 1
-"""Version of the format, the value of its key `track_range_rig`."""
+VERSION = 1  # version of the format, the value of its key `track_range_rig`
 
 
 _Row = Annotated[list[Number], Field(min_length=3, max_length=3)]

@@ -32,8 +32,7 @@ _EXPECTED = "a camera_info of ROS"
 _RECOGNISED = re.compile(r"^(?:(?:camera|projection)_matrix|[kKpP])[ \t]*:", re.MULTILINE)
 """Keys at the start of a line, one of which every camera_info has."""
 
-_SEPARATOR = re.compile(r"^---[^\n]*$", re.MULTILINE)
-"""Line between two YAML documents."""
+_SEPARATOR = re.compile(r"^---[^\n]*$", re.MULTILINE)  # line between two YAML documents
 
 _SIDE = re.compile("left|right", re.IGNORECASE)
 _OTHER_SIDE = {"left": "right", "right": "left", "Left": "Right", "Right": "Left", "LEFT": "RIGHT", "RIGHT": "LEFT"}
@@ -41,8 +40,7 @@ _OTHER_SIDE = {"left": "right", "right": "left", "Left": "Right", "Right": "Left
 
 _SUFFIXES = (".yaml", ".yml")
 
-_MAX_FILES = 50
-"""Largest number of YAML files in a folder that are searched for cameras."""
+_MAX_FILES = 50  # largest number of YAML files in a folder that are searched for cameras
 
 
 def _data_of(value: object) -> object:
@@ -92,17 +90,11 @@ _NAMES = {
 
 
 class _Camera(NamedTuple):
-    """One camera of a file.
+    """One camera of a file."""
 
-    Attributes:
-        info: its calibration.
-        path: the file.
-        is_raw: whether K and D describe raw images; False = the file only has P, of rectified images.
-    """
-
-    info: CameraInfo
-    path: Path
-    is_raw: bool
+    info: CameraInfo  # its calibration
+    path: Path  # the file
+    is_raw: bool  # whether K and D describe raw images; False = the file only has P, of rectified images
 
     @property
     def is_rectified(self) -> bool:

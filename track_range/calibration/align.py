@@ -33,25 +33,17 @@ from track_range.stereo.rig_formats.reading import find_rig
 
 _MATCHER = "patch"
 _CORRECTION = "a run with this alignment corrects it"
-_N_ROW_PAIRS = 12
-"""Number of image pairs on which the row offset is measured; it hardly varies between pairs."""
+_N_ROW_PAIRS = 12  # number of image pairs on which the row offset is measured; it hardly varies between pairs
 
 
 @dataclass(frozen=True, slots=True)
 class RigAlignment:
-    """The disparity error of a rig.
+    """The disparity error of a rig."""
 
-    Attributes:
-        applied: the alignment to apply, with insignificant terms set to 0.
-        measured: the alignment as estimated.
-        health: what it means for distances.
-        notes: messages for the user.
-    """
-
-    applied: Alignment
-    measured: Alignment
-    health: RigHealth
-    notes: tuple[str, ...]
+    applied: Alignment  # the alignment to apply, with insignificant terms set to 0
+    measured: Alignment  # the alignment as estimated
+    health: RigHealth  # what it means for distances
+    notes: tuple[str, ...]  # messages for the user
 
     @property
     def figures(self) -> dict[str, Any]:

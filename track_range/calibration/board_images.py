@@ -24,44 +24,29 @@ from track_range.recording.open_video import open_video
 from track_range.recording.pairs.recorded_pair import RecordedPair
 from track_range.stereo.calibration.board_views import RejectedView
 
-_MAX_VIDEO_SHOTS = 300
-"""Largest number of frames of a video that are searched for boards."""
-
-_SHORTEST_STEP_S = 0.2
-"""Minimum time between these frames, s; a hand-held board hardly moves in a shorter time."""
+_MAX_VIDEO_SHOTS = 300  # largest number of frames of a video that are searched for boards
+_SHORTEST_STEP_S = 0.2  # minimum time between these frames, s; a hand-held board hardly moves in a shorter time
 
 _WILDCARD = re.compile(r"[*?\[]")
 
-Key = Callable[[Path], str]
-"""Function that returns the same text for the paths of the left and right image of a pair."""
+Key = Callable[[Path], str]  # function that returns the same text for the paths of the left and right image of a pair
 
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """The image of one camera, or the images of both at the same time.
+    """The image of one camera, or the images of both at the same time."""
 
-    Attributes:
-        names: names of the images, one per camera.
-        images: the images, one per camera; None = unreadable.
-    """
-
-    names: tuple[str, ...]
-    images: tuple[Image | None, ...]
+    names: tuple[str, ...]  # names of the images, one per camera
+    images: tuple[Image | None, ...]  # the images, one per camera; None = unreadable
 
 
 @dataclass(frozen=True, slots=True)
 class ImageFiles:
-    """Shots from image files.
+    """Shots from image files."""
 
-    Attributes:
-        paths: one tuple of paths per shot, with one path per camera.
-        unpaired: images without a counterpart from the other camera.
-        is_video: False.
-    """
-
-    paths: tuple[tuple[Path, ...], ...]
-    unpaired: tuple[RejectedView, ...] = ()
-    is_video: bool = field(default=False, init=False)
+    paths: tuple[tuple[Path, ...], ...]  # one tuple of paths per shot, with one path per camera
+    unpaired: tuple[RejectedView, ...] = ()  # images without a counterpart from the other camera
+    is_video: bool = field(default=False, init=False)  # false
 
     @property
     def n_shots(self) -> int:
@@ -122,8 +107,7 @@ class VideoShots:
             yield left.time_s, (left.image, right.image)
 
 
-BoardImages = ImageFiles | VideoShots
-"""Source of shots, which can be iterated more than once."""
+BoardImages = ImageFiles | VideoShots  # source of shots, which can be iterated more than once
 
 
 def board_images(sources: Sequence[str]) -> BoardImages:

@@ -29,37 +29,27 @@ Advance = Callable[[int, int], None]
 Views = tuple[BoardView, ...]
 Size = tuple[int, int]
 
-MAX_VIEWS = 60
-"""Largest number of views for a calibration; more cost time without improving accuracy."""
+MAX_VIEWS = 60  # largest number of views for a calibration; more cost time without improving accuracy
 
 _MAX_CROP_PX = 2
 """Difference in image size, px, up to which images count as from one camera, rounded or cropped by other software."""
 
-_BLURRED_PX = 4.0
-"""Edge width, px, above which an image may be blurred; see `_BLURRED_RATIO`."""
+_BLURRED_PX = 4.0  # edge width, px, above which an image may be blurred; see `_BLURRED_RATIO`
 
 _BLURRED_RATIO = 2.5
 """Edge width of a blurred image relative to the 25th percentile of all images; `_BLURRED_PX` must be exceeded too."""
 
-_N_SAMPLES = 6
-"""Number of images from which the size of the board is determined if the given board is not found."""
+_N_SAMPLES = 6  # number of images from which the size of the board is determined if the given board is not found
 
 
 @dataclass(frozen=True, slots=True)
 class BoardSearch:
-    """Result of the search for a board.
+    """Result of the search for a board."""
 
-    Attributes:
-        shots: the views of each usable shot, one per camera.
-        rejected: the rejected images.
-        notes: messages for the user.
-        n_images: number of shots that were searched.
-    """
-
-    shots: list[Views]
-    rejected: list[RejectedView]
-    notes: list[str]
-    n_images: int
+    shots: list[Views]  # the views of each usable shot, one per camera
+    rejected: list[RejectedView]  # the rejected images
+    notes: list[str]  # messages for the user
+    n_images: int  # number of shots that were searched
 
 
 def find_views(images: BoardImages, board: Board, advance: Advance) -> BoardSearch:

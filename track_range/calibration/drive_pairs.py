@@ -23,8 +23,7 @@ from track_range.stereo.evaluation.kitti_2015 import PairFileError, StereoPair
 from track_range.stereo.geometry.rig import RigError, StereoRig
 
 LEFT, RIGHT = "left.mp4", "right.mp4"
-LABELS = ("truth.csv", "truth.txt", "label.txt")
-"""Names of label files; the first one that exists is used."""
+LABELS = ("truth.csv", "truth.txt", "label.txt")  # names of label files; the first one that exists is used
 
 
 def is_drive(folder: Path) -> bool:

@@ -28,32 +28,22 @@ from track_range.stereo.geometry.lenses.registry import PINHOLE
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
-LENS_NAMES = {"pinhole": PINHOLE, "fisheye": KANNALA_BRANDT.name}
-"""Names of the lens models by value of --lens."""
+LENS_NAMES = {"pinhole": PINHOLE, "fisheye": KANNALA_BRANDT.name}  # names of the lens models by value of --lens
 
 _REACH_DEG = 5.0
 """Angle by which images may reach farther from the optical axis than the corners of the boards, degrees."""
 
-_BOARD_M = (0.1, 20.0)
-"""Plausible range of the median distance of the board, m; outside, --square-mm is probably wrong."""
-
-_OUT_OF_FOCUS_PX = 6.0
-"""Median edge width of the views, px, above which the images count as out of focus."""
+_BOARD_M = (0.1, 20.0)  # plausible range of the median distance of the board, m; outside, --square-mm is probably wrong
+_OUT_OF_FOCUS_PX = 6.0  # median edge width of the views, px, above which the images count as out of focus
 
 
 @dataclass(frozen=True, slots=True)
 class BoardCalibration:
-    """A camera or a pair of cameras calibrated from images of a board.
+    """A camera or a pair of cameras calibrated from images of a board."""
 
-    Attributes:
-        search: the views of the board.
-        result: the calibration.
-        figures: all measured values, as plain values for JSON.
-    """
-
-    search: BoardSearch
-    result: CameraCalibration | PairCalibration
-    figures: dict[str, Any]
+    search: BoardSearch  # the views of the board
+    result: CameraCalibration | PairCalibration  # the calibration
+    figures: dict[str, Any]  # all measured values, as plain values for JSON
 
     @property
     def cameras(self) -> dict[str, CameraCalibration]:

@@ -17,17 +17,13 @@ from track_range.stereo.calibration.one_camera import CameraCalibration, ViewFit
 _PANEL_PX, _BARS_PX, _MARGIN_PX, _TITLE_PX = 960, 520, 16, 40
 """Widths of the left panel and of the bars, width of the margins, and height of the title, px."""
 
-_ARROW_PX = 24.0
-"""Length of the arrow for the 90th percentile of the residuals, px."""
-
-_CELL_PX = 24
-"""Side of a cell in which corners are counted, px."""
+_ARROW_PX = 24.0  # length of the arrow for the 90th percentile of the residuals, px
+_CELL_PX = 24  # side of a cell in which corners are counted, px
 
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _INK, _GRID = (40, 40, 40), (200, 200, 200)
 _WORST_BGR, _BAR_BGR = (60, 60, 220), (190, 130, 60)
-_MAX_ROW_PX, _MIN_ROW_PX = 26, 9
-"""Largest and smallest height of a bar with its margins, px."""
+_MAX_ROW_PX, _MIN_ROW_PX = 26, 9  # largest and smallest height of a bar with its margins, px
 
 
 def calibration_picture(cameras: Mapping[str, CameraCalibration]) -> Image:

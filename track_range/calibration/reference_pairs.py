@@ -32,27 +32,18 @@ from track_range.stereo.geometry.rig import StereoRig
 
 _BOX = ("x1", "y1", "x2", "y2")
 _KNOWN = ("distance_m", "disparity_px")
-_PLAUSIBLE = {"distance_m": (0.1, 10_000.0), "disparity_px": (0.01, 10_000.0)}
-"""Accepted range of each kind of value."""
+_PLAUSIBLE = {"distance_m": (0.1, 10_000.0), "disparity_px": (0.01, 10_000.0)}  # accepted range of each kind of value
 
 
 @dataclass(frozen=True, slots=True)
 class _KnownObjects:
-    """Objects of a drive, one row per object and frame.
+    """Objects of a drive, one row per object and frame."""
 
-    Attributes:
-        frame: (N,) frame number.
-        track_id: (N,) id, -1 = unknown.
-        xyxy_px: (N, 4) box.
-        true_px: (N,) true disparity.
-        class_id: (N,) road class; None = unknown.
-    """
-
-    frame: IntArray
-    track_id: IntArray
-    xyxy_px: FloatArray
-    true_px: FloatArray
-    class_id: IntArray | None = None
+    frame: IntArray  # (N,) frame number
+    track_id: IntArray  # (N,) id, -1 = unknown
+    xyxy_px: FloatArray  # (N, 4) box
+    true_px: FloatArray  # (N,) true disparity
+    class_id: IntArray | None = None  # (N,) road class; None = unknown
 
 
 def reference_pairs(reference: Path, *, stereo: tuple[Path, Path] | None, rig: Path | None) -> Iterator[StereoPair]:

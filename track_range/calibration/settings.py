@@ -7,11 +7,8 @@ from typing import Annotated
 
 from track_range.foundation.options import Options, option
 
-_ROAD = "Without a board"
-"""Heading of the options of the calibration from a drive."""
-
-OFF, LEAVE_TWO_OUT = "off", "leave-two-out"
-"""Values of --align that name no file."""
+_ROAD = "Without a board"  # heading of the options of the calibration from a drive
+OFF, LEAVE_TWO_OUT = "off", "leave-two-out"  # values of --align that name no file
 
 
 _Stereo = Annotated[

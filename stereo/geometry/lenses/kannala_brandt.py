@@ -18,11 +18,8 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.lenses.lens import Lens
 
-_N_STEPS = 4096
-"""Number of steps of the table in which the polynomial is inverted; Newton's method refines the result."""
-
-_N_NEWTON = 3
-"""Number of Newton steps; the table is within 1e-3 rad, and each step squares the error."""
+_N_STEPS = 4096  # number of steps of the table in which the polynomial is inverted; Newton's method refines the result
+_N_NEWTON = 3  # number of Newton steps; the table is within 1e-3 rad, and each step squares the error
 
 
 def distorted_angle(theta_rad: FloatArray, k: Sequence[float]) -> FloatArray:

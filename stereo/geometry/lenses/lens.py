@@ -13,19 +13,13 @@ from track_range.foundation.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lens:
-    """One lens model.
+    """One lens model."""
 
-    Attributes:
-        name: its name in rig.yaml.
-        coefficients: names of its coefficients, in the order in which they are given to the functions.
-        distort: (N, 2) points of the normalised image plane of directions (N, 3) of any length, in the camera's frame;
-            NaN for directions that the lens does not image.
-        undistort: (N, 3) unit directions of points (N, 2) of the normalised image plane; NaN outside the image circle.
-        is_wide: whether the lens can image directions behind z = 0.
-    """
-
-    name: str
-    coefficients: tuple[str, ...]
+    name: str  # its name in rig.yaml
+    coefficients: tuple[str, ...]  # names of its coefficients, in the order in which they are given to the functions
+    # (N, 2) points of the normalised image plane of directions (N, 3) of any length, in the camera's frame; NaN for
+    # directions that the lens does not image
     distort: Callable[[FloatArray, Sequence[float]], FloatArray]
+    # (N, 3) unit directions of points (N, 2) of the normalised image plane; NaN outside the image circle
     undistort: Callable[[FloatArray, Sequence[float]], FloatArray]
-    is_wide: bool = True
+    is_wide: bool = True  # whether the lens can image directions behind z = 0

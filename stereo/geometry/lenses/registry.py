@@ -8,8 +8,7 @@ from track_range.stereo.geometry.lenses.lens import Lens
 from track_range.stereo.geometry.lenses.radial_tangential import RADIAL_TANGENTIAL
 from track_range.stereo.geometry.lenses.unified import UNIFIED
 
-PINHOLE = RADIAL_TANGENTIAL.name
-"""Name of the pinhole with OpenCV's distortion, the default."""
+PINHOLE = RADIAL_TANGENTIAL.name  # name of the pinhole with OpenCV's distortion, the default
 
 LENSES: dict[str, Lens] = {lens.name: lens for lens in (RADIAL_TANGENTIAL, KANNALA_BRANDT, DOUBLE_SPHERE, UNIFIED)}
 """The lens models by name."""

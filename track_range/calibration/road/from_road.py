@@ -40,46 +40,26 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.rig_formats.rig_yaml import save_camera
 
-_PART_S = 10.0
-"""Length of each part of the video that is read."""
-
-_PARTS = (0.1, 0.5, 0.85)
-"""Starts of the parts, as fractions of the video, if it is longer than all of them."""
-
-_MIN_IOU = 0.4
-"""Smallest IoU of a detection with a box of the user whose class it gives."""
-
-_MEASURED_HEIGHT_SIGMA_M = 0.03
-"""Standard deviation of a measured camera height."""
-
-_CAMERA_HEIGHT_M = (0.3, 5.0)
-"""Smallest and largest height of a camera above the road that measurements may give, m."""
-
-_FRAME_S = 0.5
-"""Length of the part that is read for the frame of a measurement."""
+_PART_S = 10.0  # length of each part of the video that is read
+_PARTS = (0.1, 0.5, 0.85)  # starts of the parts, as fractions of the video, if it is longer than all of them
+_MIN_IOU = 0.4  # smallest IoU of a detection with a box of the user whose class it gives
+_MEASURED_HEIGHT_SIGMA_M = 0.03  # standard deviation of a measured camera height
+_CAMERA_HEIGHT_M = (0.3, 5.0)  # smallest and largest height of a camera above the road that measurements may give, m
+_FRAME_S = 0.5  # length of the part that is read for the frame of a measurement
 
 Detect = Callable[[Frame], Detections]
 
 
 @dataclass(frozen=True, slots=True)
 class RoadCalibration:
-    """A camera calibrated from a drive.
+    """A camera calibrated from a drive."""
 
-    Attributes:
-        fit: the camera.
-        guesses: guesses of the focal length from outside of the images.
-        by_shape: focal length from these and the shapes of road users.
-        sentences: what the measurements determine, in words.
-        n_frames: number of frames that were read.
-        figures: all values, as plain values for JSON.
-    """
-
-    fit: CameraFit
-    guesses: tuple[FocalGuess, ...]
-    by_shape: FocalPosterior
-    sentences: tuple[str, ...]
-    n_frames: int
-    figures: dict[str, Any]
+    fit: CameraFit  # the camera
+    guesses: tuple[FocalGuess, ...]  # guesses of the focal length from outside of the images
+    by_shape: FocalPosterior  # focal length from these and the shapes of road users
+    sentences: tuple[str, ...]  # what the measurements determine, in words
+    n_frames: int  # number of frames that were read
+    figures: dict[str, Any]  # all values, as plain values for JSON
 
     @property
     def mounting(self) -> Mounting:

@@ -9,11 +9,8 @@ from track_range.ranging.fitting.camera.camera_fit import CameraFit
 from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior
 from track_range.ranging.fitting.camera.measurements import FocalGuess
 
-_DETERMINED = 0.7
-"""Standard deviation relative to that of the prior below which the measurements determine a parameter."""
-
-_INSEPARABLE = 0.85
-"""Magnitude of the correlation above which two parameters cannot be separated."""
+_DETERMINED = 0.7  # standard deviation relative to that of the prior below which the measurements determine a parameter
+_INSEPARABLE = 0.85  # magnitude of the correlation above which two parameters cannot be separated
 
 
 def separability(
