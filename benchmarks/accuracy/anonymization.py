@@ -32,7 +32,7 @@ from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.pipeline.frame_result import FrameResult
 from track_range.run.box_source import CANDIDATE_SCORE
-from track_range.run.options.detector_options import DetectorOptions, open_detector
+from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.ready_model import ready_model
 from track_range.simulation.camera.masks import masks_of
 from track_range.simulation.world.bodies.faces import IdentifyingPart

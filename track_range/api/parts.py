@@ -19,8 +19,7 @@ from track_range.detection.models.onnx_session import Device, Runtime
 from track_range.foundation.arrays import Image
 from track_range.foundation.keywords import KeywordsInErrors
 from track_range.recording import recording
-from track_range.run.options.detector_options import DetectorOptions, open_detector
-from track_range.run.options.tracker_options import open_tracker_options
+from track_range.run.options.opened import DetectorOptions, open_detector, open_tracker_options
 from track_range.run.ready_model import ready_model
 from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.rig import RigError, StereoRig

@@ -18,12 +18,11 @@ from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.arrays import IntArray
 from track_range.recording.recording import Recording
 from track_range.run.options.detection import DetectionOptions
-from track_range.run.options.detector_options import DetectorOptions, open_detector
+from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.frames import Frame
 
-_MIN_SHOWN = 0.5
-"""Smallest fraction of a recorded box inside the undistorted image of a wide lens, without which it is not used."""
+_MIN_SHOWN = 0.5  # smallest fraction of a recorded box inside the undistorted image of a wide lens that is used
 
 CANDIDATE_SCORE = np.where(np.isin(ROAD_CLASSES, ("person", "bicycle")), 0.02, 0.1)
 """(8,) minimum confidence of the candidates for anonymization by road class: low for people, since the regions of false
@@ -61,11 +60,7 @@ def open_box_source(
 ) -> BoxSource:
     """The detector or the recorded detections of the settings.
 
-    Args:
-        settings: of the run.
-        recording: the opened recording.
-        ready_model: returns the file of a model by name or path, downloading it first if necessary.
-        opened: returns the detector of a file and options.
+    `ready_model` returns the file of a model by name or path, downloading it first if necessary.
 
     Raises:
         ModelError, DownloadError, LabelFileError: the detector or the file cannot be used.
@@ -85,17 +80,15 @@ def network_source(
     """The detector of the settings; see `open_box_source`."""
     path = ready_model(settings.detector or "")
     network = opened(path, DetectorOptions.of(settings))
-    detector: ObjectDetector = network
-    session = network.session
     description = {
         "file": path.name,
-        "sha256": session.sha256(),
+        "sha256": network.session.sha256(),
         "family": network.model.family,
         "names": list(network.model.names),
-        "device": session.device,
+        "device": network.session.device,
     }
     return BoxSource(
-        detect=lambda frame: detector.detect(frame.left),
+        detect=lambda frame: network.detect(frame.left),
         candidates=lambda frame: network.candidates(CANDIDATE_SCORE),
         frames=np.zeros(0, np.int64),
         description={"detector": description},
@@ -120,9 +113,14 @@ def boxes_of(detector: ObjectDetector) -> BoxSource:
         detect=detect,
         candidates=lambda frame: last,
         frames=np.zeros(0, np.int64),
-        description={"detector": {"class": f"{type(detector).__module__}:{type(detector).__qualname__}"}},
+        description={"detector": {"class": class_name(detector)}},
         notes=lambda: tuple(getattr(detector, "notes", ())),
     )
+
+
+def class_name(value: object) -> str:
+    """The class of an object as module:Class."""
+    return f"{type(value).__module__}:{type(value).__qualname__}"
 
 
 def _recorded(path: Path, class_id: tuple[int, ...], recording: Recording) -> BoxSource:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from inspect import signature
+from typing import Any
 
 from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
@@ -21,7 +23,7 @@ from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.recording.cameras.calibration import RecordingCalibration
 from track_range.recording.recording import Recording, open_recording
 from track_range.run.box_source import BoxSource
-from track_range.run.options.tracker_options import open_tracker_options
+from track_range.run.options.opened import open_tracker_options
 from track_range.run.settings import PipelineOptions, RunSettings
 from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.rig import StereoRig
@@ -36,27 +38,16 @@ _SIDE_VIEW = (
     "--yaw-deg: in a view to the side there are no lane lines, no horizon from image motion, no times to collision and "
     "no collision warnings; distances are along the axis of the view."
 )
-"""Note of a run with a view to the side, along whose axis the vehicle does not drive."""
+
+
+_RECORDING_OPTIONS = signature(open_recording).parameters.keys() & RunSettings.model_fields.keys() - {"rig"}
 
 
 def open_input(settings: RunSettings, progress: StepProgress = no_progress, rig: StereoRig | None = None) -> Recording:
     """The recording of the settings; `rig` replaces their calibration. Raises the errors of `open_recording`."""
     left, right = settings.stereo or (settings.left, None)
-    return open_recording(
-        left,
-        right,
-        rig=rig or settings.rig,
-        focal_px=settings.focal_px,
-        fov_deg=settings.fov_deg,
-        yaw_deg=settings.yaw_deg,
-        align=settings.align,
-        start_s=settings.start_s,
-        duration_s=settings.duration_s,
-        folder_fps=settings.folder_fps,
-        start_utc=settings.start_utc,
-        topics=settings.topics,
-        progress=progress,
-    )
+    options: dict[str, Any] = {name: getattr(settings, name) for name in _RECORDING_OPTIONS}
+    return open_recording(left, right, rig=rig or settings.rig, **options, progress=progress)
 
 
 def open_pipeline(
@@ -74,10 +65,6 @@ def open_pipeline(
     """The pipeline of the settings, with the methods that the calibration allows.
 
     Args:
-        settings: of detection, tracking and ranging.
-        calibration: of the frames.
-        boxes: source of the detections.
-        size_model: size model of the mono method.
         tracker: replaces the tracker of the settings.
         alignment: replaces that of the calibration.
         ego_speed: speed of the camera; None = unknown.
@@ -110,6 +97,12 @@ def open_pipeline(
     )
     flow = BackgroundFlow()
     road_motion = GroundOdometry(calibration.camera, context.camera_height_m or GroundSettings().height_m, flow=flow)
+    odometry: Odometry | None = None  # of a calibrated pair, or of a camera at a known height: else no scale is known
+    if measures_speed and ego_speed is None and is_ahead:
+        if context.rig is not None:
+            odometry = StereoOdometry(context.rig, context.alignment, flow=flow)
+        elif context.camera_height_m is not None:
+            odometry = road_motion
     tracker_options = replace(open_tracker_options(settings.reid, runtime), flow=flow)
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     return FramePipeline(
@@ -123,9 +116,7 @@ def open_pipeline(
         tracker=tracker or create_tracker(settings.tracker, tracker_options),
         ego=EgoStage(
             speed=ego_speed if ego_speed is None or is_ahead else ego_speed.along(yaw_deg),
-            odometry=_odometry(context, flow, road_motion)
-            if measures_speed and ego_speed is None and is_ahead
-            else None,
+            odometry=odometry,
             road_motion=road_motion if is_ahead else None,
             camera_height=CameraHeight(road_motion.height_m) if context.camera_height_m is None else None,
         ),
@@ -134,12 +125,3 @@ def open_pipeline(
         shared_sigma=context.focal_sigma,
         notes=(*appearance_notes, *method_notes(), *(() if is_ahead else (_SIDE_VIEW,))),
     )
-
-
-def _odometry(context: MethodContext, flow: BackgroundFlow, road_motion: GroundOdometry) -> Odometry | None:
-    """Odometry of a calibrated pair, or of a camera at a known height; None = no scale is known."""
-    if context.rig is not None:
-        return StereoOdometry(context.rig, context.alignment, flow=flow)
-    if context.camera_height_m is not None:
-        return road_motion
-    return None

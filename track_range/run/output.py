@@ -16,13 +16,7 @@ from typing import Any, Self
 
 from track_range.foundation.errors import UserError, call_all
 from track_range.foundation.files.folder_lock import FolderLock
-from track_range.foundation.files.output_files import (
-    OutputError,
-    check_outputs,
-    clear_results,
-    make_folder,
-    write_text,
-)
+from track_range.foundation.files.output_files import OutputError, check_outputs, clear_results, make_folder, write_text
 from track_range.pipeline.frame_result import FrameResult
 from track_range.recording.telemetry.position_file import TELEMETRY_FILE, write_positions
 from track_range.results.columns import Columns
@@ -43,8 +37,7 @@ from track_range.views.overlay.result_video import ResultVideo
 from track_range.views.report.page import write_report
 from track_range.views.report.tables import markdown
 
-_NOTE_INTERVAL_S = 1.0
-"""Minimum time between two notes on the number of frames."""
+_NOTE_INTERVAL_S = 1.0  # minimum time between two notes on the number of frames
 
 
 class RunOutput:
@@ -56,12 +49,10 @@ class RunOutput:
     the lock.
 
     Args:
-        settings: settings of the run.
         folder: the output folder; None = nothing is written.
         rig: models of the cameras that were not read from a file: written to rig.yaml, which settings.yaml then names.
 
     Attributes:
-        folder: the output folder.
         videos: file names by video ("overlay", "disparity").
         files: all files that the run writes.
 
@@ -108,11 +99,7 @@ class RunOutput:
         return note
 
     def report(self, state: str) -> None:
-        """Change the state in progress.json.
-
-        Raises:
-            OutputError: the file cannot be written.
-        """
+        """Change the state in progress.json."""
         if self.folder is not None:
             self._note = replace(self._note, state=state)
             self._note.write(self.folder)
@@ -120,18 +107,22 @@ class RunOutput:
     def start(self, session: RunSession, *, has_videos: bool = True) -> None:
         """Remove the files of an earlier run from the folder, and open those of this run, whose inputs are usable.
 
-        Args:
-            session: the opened run.
-            has_videos: whether videos are written; False if the images are no longer available.
-
-        Raises:
-            OutputError, VideoError, WriterError: a file cannot be written.
+        No videos are written without `has_videos`, if the images are no longer available. A file that cannot be written
+        raises OutputError, VideoError or WriterError.
         """
         if self.folder is None:
             return
         settings, folder = self._settings, self.folder
         self._session, self._clock, self._n_frames = session, session.pipeline.clock, 0
-        self._clear(folder)
+        # from now on, the folder and its files are kept at the end, except progress.json
+        names = result_names()
+        inputs = [*input_files(settings), *session.speed.files]
+        clear_results(folder, [name for name in names if name != PROGRESS_FILE], except_for=inputs)
+        remove_clips(folder / CLIPS_FOLDER)
+        # temporary files `.PID.NAME` of runs that were killed (see `atomic_files`)
+        _remove([path for path in folder.glob(".[0-9]*.*") if path.name.lstrip(".0123456789") in names])
+        self._new_folders.clear()
+        self._temporary[:] = [folder / PROGRESS_FILE]
         self.report(PROCESSING)
         self._noted_s = time.monotonic()
         if self._rig is not None:
@@ -157,29 +148,12 @@ class RunOutput:
         names = (*self.videos.values(), "report.html", *rows, *positions, *rigs, "summary.json", "settings.yaml")
         self.files = tuple(folder / name for name in names)
 
-    def _clear(self, folder: Path) -> None:
-        """Remove the files of an earlier run; the folder and its files are kept at the end, except progress.json."""
-        names = result_names()
-        inputs = [*input_files(self._settings), *self._session.speed.files]
-        clear_results(folder, [name for name in names if name != PROGRESS_FILE], except_for=inputs)
-        remove_clips(folder / CLIPS_FOLDER)
-        # temporary files `.PID.NAME` of runs that were killed (see `atomic_files`)
-        _remove([path for path in folder.glob(".[0-9]*.*") if path.name.lstrip(".0123456789") in names])
-        self._new_folders.clear()
-        self._temporary[:] = [folder / PROGRESS_FILE]
-
     def write(self, result: FrameResult, record: Callable[[FrameResult], Sequence[Event]] = lambda _result: ()) -> None:
         """Write the rows of a frame, pass it to the threads that write the videos, and write the events that ended.
 
         The rows are written only if the videos of the earlier frames did not fail; if the rows of one file fail, or
-        `record`, those of the others are removed.
-
-        Args:
-            result: the frame.
-            record: adds the frame to the rows of the run, and returns the events that ended.
-
-        Raises:
-            OutputError, VideoError: writing failed for this or an earlier frame; the first error, if there are several.
+        `record`, those of the others are removed. `record` adds the frame to the rows of the run, and returns the
+        events that ended. The first OutputError or VideoError of this or an earlier frame is raised.
         """
         if self.folder is None:
             record(result)
@@ -195,7 +169,12 @@ class RunOutput:
                 video.raise_error()
             raise
         self._draw(result, precedes_rows=False)
-        self._count(self.folder)
+        self._n_frames += 1
+        now_s = time.monotonic()
+        if now_s - self._noted_s >= _NOTE_INTERVAL_S:
+            self._noted_s = now_s
+            with suppress(OutputError):  # the note is not a result
+                replace(self._note, frames=self._n_frames).write(self.folder)
         try:
             ended = record(result)
         except BaseException:
@@ -209,34 +188,15 @@ class RunOutput:
             if video.precedes_rows == precedes_rows:
                 video.write(result)
 
-    def _count(self, folder: Path) -> None:
-        """Count a frame, and note the number in progress.json at most once per second."""
-        self._n_frames += 1
-        now_s = time.monotonic()
-        if now_s - self._noted_s >= _NOTE_INTERVAL_S:
-            self._noted_s = now_s
-            with suppress(OutputError):  # the note is not a result
-                replace(self._note, frames=self._n_frames).write(folder)
-
     def finish_videos(self) -> None:
-        """Draw and encode the queued frames, and close the videos.
-
-        Raises:
-            VideoError: writing failed for this or an earlier frame.
-        """
+        """Draw and encode the queued frames, and close the videos; VideoError if one of them failed."""
         self._videos_open.close()
 
     def finish(self, summary: Mapping[str, Any], columns: Columns) -> None:
         """Write summary.json, report.html, the events and the Markdown tables, and close the files of the rows.
 
-        If a file cannot be written, the others are.
-
-        Args:
-            summary: the results of the run.
-            columns: rows of the run, with the ground truth if there is one.
-
-        Raises:
-            OutputError: a file cannot be written; the first one, if there are several.
+        If a file cannot be written, the others are, and the first OutputError is raised. `columns`: rows of the run,
+        with the ground truth if there is one.
         """
         if self.folder is None:
             return

@@ -36,14 +36,13 @@ from track_range.results.events.finder import EventFinder
 from track_range.results.recent_rows import RecentRows
 from track_range.run.box_source import boxes_of, network_source
 from track_range.run.build import open_pipeline
-from track_range.run.options.detector_options import open_detector
+from track_range.run.options.opened import open_detector
 from track_range.run.ready_model import ready_model
 from track_range.run.settings import PipelineOptions, RunSettings
 from track_range.run.settings_files import options_and_objects, pipeline_options
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera
 from track_range.stereo.odometry.ego_motion import EgoMotion
@@ -303,12 +302,10 @@ class MonoPipeline(Pipeline):
 
 
 def _is_number(value: object) -> bool:
-    """Whether a value is a number of Python or NumPy."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def _known_motion(ego_speed_mps: float | None) -> EgoMotion | None:
-    """The motion of a camera at a given speed; None = unknown."""
     if ego_speed_mps is None or (_is_number(ego_speed_mps) and math.isnan(ego_speed_mps)):
         return None
     if not _is_number(ego_speed_mps) or not abs(ego_speed_mps) <= MAX_SPEED_MPS:
@@ -327,14 +324,7 @@ def _checked(image: Any, name: str, *, is_left: bool) -> Image:
 
 
 class _Opened:
-    """A pipeline after its first frame.
-
-    Args:
-        unaligned: calibration without an alignment.
-        aligned: calibration of the next frame.
-        stages: of the pipeline.
-        stepwise: alignment of a pair; None = one camera.
-    """
+    """A pipeline after its first frame: calibrations without and with the alignment, and the stages."""
 
     def __init__(
         self,
@@ -351,50 +341,38 @@ class _Opened:
 
     @property
     def alignment(self) -> PairAlignment | None:
-        """The alignment of the next frame; None = unknown."""
         self._apply()
         return None if self._stepwise is None else self._stepwise.current
 
     @property
     def next_calibration(self) -> RecordingCalibration:
-        """The calibration of the next frame."""
         self._apply()
         return self.calibration
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Messages for the user."""
         self._apply()
         pair = () if self._monitor is None else self._monitor.notes
         return (*self.calibration.notes, *pair, *self._stages.notes, *self._stages.ranging.notes())
 
     def check_sizes(self, images: Mapping[str, Image]) -> None:
-        """Check that images have the sizes of the first ones.
-
-        Raises:
-            FrameError: they have not.
-        """
         for (name, image), size_px in zip(images.items(), self._unaligned.sizes_px, strict=True):
             if (image.shape[1], image.shape[0]) != size_px:
                 got = f"{image.shape[1]}x{image.shape[0]}"
                 raise FrameError(f"{name}: expected {size_px[0]}x{size_px[1]} px as before, found {got} px.")
 
     def step(self, images: Sequence[Image], index: int, time_s: float, known: EgoMotion | None) -> FrameResult:
-        """Result of one frame."""
         self._apply()
         frame = self.calibration.frame_of(images, index, time_s)
         if self._monitor is not None:
             self._monitor.add(frame)
         result = self._stages.step(self._stages.detected(frame), known)
         if self._stepwise is not None and self._stepwise.is_active:
-            self._pending = self._thread.submit(self._stepwise.add, self._without_alignment(images, frame), frame)
+            unaligned = frame  # the alignment is estimated without the correction of rows and shifts
+            if self.calibration.rectifier is not self._unaligned.rectifier:
+                unaligned = self._unaligned.frame_of(images, index, time_s)
+            self._pending = self._thread.submit(self._stepwise.add, unaligned, frame)
         return result
-
-    def _without_alignment(self, images: Sequence[Image], frame: Frame) -> Frame:
-        """The frame without the correction of rows and shifts, from which the alignment is estimated."""
-        if self.calibration.rectifier is self._unaligned.rectifier:
-            return frame
-        return self._unaligned.frame_of(images, frame.index, frame.time_s)
 
     def _apply(self) -> None:
         """Use the alignment that was estimated since the last frame."""
@@ -403,6 +381,5 @@ class _Opened:
             self.calibration = self._unaligned.with_alignment(alignment)
 
     def close(self) -> None:
-        """End the threads."""
         self._thread.shutdown(wait=True)
         self._stages.close()

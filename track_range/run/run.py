@@ -26,8 +26,9 @@ from track_range.foundation.files.input_files import real_path
 from track_range.foundation.keywords import KeywordsInErrors
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.replay import frames_of_rows
+from track_range.run.box_source import class_name
 from track_range.run.interrupts import defer_interrupts, ignore_interrupts
-from track_range.run.options.detector_options import open_detector
+from track_range.run.options.opened import open_detector
 from track_range.run.output import RunOutput
 from track_range.run.pictures import overlay_picture
 from track_range.run.progress import frame_progress
@@ -43,8 +44,8 @@ if TYPE_CHECKING:
     from track_range.detection.detector import ObjectDetector
     from track_range.recording.pairs.auto_alignment import PairAlignment
     from track_range.results.events.event import Event
-    from track_range.run.opened_detectors import OpenedDetectors
     from track_range.run.option_types import RunKeywords
+    from track_range.run.options.opened import OpenedDetectors
     from track_range.stereo.geometry.camera import PinholeCamera
     from track_range.stereo.geometry.rig import StereoRig
     from track_range.tracking.tracker import ObjectTracker
@@ -81,12 +82,12 @@ class Run:
         """Prepare a run; nothing is opened yet.
 
         Args:
-            settings: settings of the run; files are written if `out` is set.
+            settings: files are written if `out` is set.
             detector: an object with `detect(image) -> Detections`, instead of the model of the settings.
             tracker: an object with `update(detections, time_s, image) -> Tracks`, instead of that in the settings.
             rig: models of the cameras, instead of a calibration file.
             progress: whether to show progress bars (also in a notebook), or the Rich console to show them on.
-            opened_detectors: detectors that are used again instead of being opened for this run; None = none.
+            opened_detectors: detectors that are used again instead of being opened for this run.
 
         Raises:
             ConfigError: both a detector and recorded detections are given, or a rig and a focal length.
@@ -97,7 +98,7 @@ class Run:
             raise ConfigError("expected either a detector or detections, got both.")
         # objects are recorded in settings.yaml by their class, as module:Class
         objects = {"detector": detector, "tracker": tracker}
-        named = {key: _class_name(value) for key, value in objects.items() if value is not None}
+        named = {key: class_name(value) for key, value in objects.items() if value is not None}
         self.settings = settings.model_copy(update=named)
         self._detector, self._tracker, self._rig = detector, tracker, rig
         self._open_detector = opened_detectors or open_detector
@@ -212,18 +213,14 @@ class Run:
             raise RuntimeError("expected a run that was not iterated yet; create a new one, or use its rows (to_arrow)")
         if self._is_closed:
             raise RuntimeError("expected an open run, but it was closed; create a new one")
-        frames = self._with_keywords(self._processed())
+        frames = self._processed()
         self._frames = weakref.ref(frames)  # a weak reference: when the loop drops the generator, the run ends
         return frames
-
-    def _with_keywords(self, frames: Generator[FrameResult, None, None]) -> Generator[FrameResult, None, None]:
-        with KeywordsInErrors(RunSettings):
-            yield from frames
 
     def _processed(self) -> Generator[FrameResult, None, None]:
         """Results of all frames; a run that fails or is stopped after the first frame is finished before the error."""
         session = self.session
-        with closing(session.recording), self._output_of_folder() as output:
+        with KeywordsInErrors(RunSettings), closing(session.recording), self._output_of_folder() as output:
             output.start(session)
             start_s = time.perf_counter()
             try:
@@ -248,7 +245,6 @@ class Run:
             raise session.stopped_by
 
     def _finish(self, output: RunOutput) -> None:
-        """Compute the summary of the run, and finish its files."""
         self._summary, columns = self.session.finish(output.videos)
         output.finish(self._summary, columns)
         self.files = output.files
@@ -383,10 +379,6 @@ class Run:
 
 def _video(name: str | Path | Sequence[str | Path]) -> str | list[str]:
     return str(name) if isinstance(name, str | Path) else [str(part) for part in name]
-
-
-def _class_name(value: Any) -> str:
-    return f"{type(value).__module__}:{type(value).__qualname__}"
 
 
 def headline_figures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

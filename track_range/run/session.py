@@ -7,6 +7,7 @@ import platform
 import time
 from collections.abc import Callable, Generator, Mapping
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from dataclasses import replace
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
@@ -15,13 +16,17 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from track_range.calibration.road.from_road import focal_from_video
 from track_range.detection.detector import ObjectDetector
 from track_range.detection.yolo.detector import YoloDetector
+from track_range.foundation.progress import StepProgress
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
 from track_range.pipeline.throughput import FrameMeter
 from track_range.ranging.evaluation.truth import read_truth
 from track_range.ranging.size_models.curve import load_curves
+from track_range.ranging.size_models.size_model import SizeModel
+from track_range.recording.names import BagTopic
 from track_range.recording.telemetry.speed_source import AUTO, open_speed
 from track_range.results.columns import Columns
 from track_range.results.events.finder import EventFinder
@@ -34,8 +39,7 @@ from track_range.results.truth import boxes_px, matched_truth, with_truth
 from track_range.results.writers import RunInfo
 from track_range.run.box_source import boxes_of, open_box_source
 from track_range.run.build import open_input, open_pipeline
-from track_range.run.focal_estimate import with_focal_length
-from track_range.run.options.detector_options import DetectorOptions
+from track_range.run.options.opened import DetectorOptions
 from track_range.run.pictures import missing_outputs
 from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
@@ -47,46 +51,25 @@ from track_range.tracking.tracker import ObjectTracker
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
 _INPUTS = ("left", "right", "mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
-
-
 _NO_POSITIONS = "--keep-gps: the recording has no telemetry with positions that can be used."
-"""Note of a run with --keep-gps without positions."""
-
 ANONYMIZED = (
     "Anonymized: the heads of detected or tracked people and riders and the number plates of such vehicles are covered "
     "in all images of the results. What is not detected is not covered: check the videos before you share them."
 )
-"""Note of a run with --anonymize."""
 
 
 class RunSession:
-    """Opened inputs of a run, and what its finished frames gave.
+    """Opened inputs of a run, and what its finished frames gave; an unusable input raises its error.
 
     Args:
-        settings: settings of the run.
-        detector: detector object; None = the model or the file of the settings.
-        tracker: tracker object; None = that of the settings.
-        rig: models of the cameras; None = the calibration of the settings.
-        open_detector: returns the detector of a file and options.
-        console: for progress bars.
+        detector, tracker, rig: objects that replace those of the settings.
         report: called with the name of each task of the opening.
 
     Attributes:
-        settings: settings of the run.
-        recording: the opened recording.
-        box_source: source of the detections.
-        truth: ground truth; None = not given.
-        speed: ego speed and its origin.
-        pipeline: stages of the run.
-        rows: rows and events of the finished frames.
-        meter: rate and latency of the results.
         wall_s: wall-clock seconds for opening the videos and processing all frames, without loading the network and
             without the estimation of the alignment (`alignment.look_s`).
-        stopped_by: error that ended the run early; None = not stopped.
+        stopped_by: error that ended the run early.
         frame_notes: messages for the user about the frame numbers of labels, known at the end of the run.
-
-    Raises:
-        VideoError, RigError, ModelError, LabelFileError, ...: an input cannot be used.
     """
 
     def __init__(
@@ -120,7 +103,7 @@ class RunSession:
             else:  # an object may depend on the order of the frames, so that it cannot look ahead
                 models = partial(ready_model, console=console)
                 self.box_source = open_box_source(settings, self.recording, models, open_detector)
-                self.recording = with_focal_length(self.recording, settings, self.box_source, curves, progress)
+                self._estimate_focal_length(curves, progress)
             calibration, path = self.recording.calibration, settings.truth
             shift_m = calibration.left_from_reference_m
             self.truth = None if path is None else read_truth(path, calibration.camera, shift_m)
@@ -145,6 +128,25 @@ class RunSession:
         self.rows = RunRows(fps=self.recording.fps, finder=EventFinder(settings.event_settings))
         self.meter = FrameMeter(self.recording.live)
 
+    def _estimate_focal_length(self, size_model: SizeModel, progress: StepProgress) -> None:
+        """Estimate the unknown focal length of a recording that is not live from the boxes in its first seconds."""
+        recording, settings, video = self.recording, self.settings, self.settings.left
+        guesses = recording.calibration.guesses
+        if not guesses or recording.live is not None or (settings.topics and not isinstance(video, BagTopic)):
+            return
+        with progress("estimating the focal length") as advance:
+            posterior = focal_from_video(
+                video,
+                guesses,
+                self.box_source.detect,
+                size_model,
+                span_s=(settings.start_s, settings.duration_s),
+                folder_fps=settings.folder_fps,
+                advance=advance,
+            )
+        calibration = recording.calibration.with_focal_length(posterior.as_guess(guesses))
+        self.recording = replace(recording, calibration=calibration)
+
     @contextmanager
     def results(self) -> Generator[Generator[FrameResult, None, None], None, None]:
         """Context with the results of all frames, anonymized if requested; its end stops the threads."""
@@ -161,11 +163,11 @@ class RunSession:
 
     @property
     def provenance(self) -> Provenance:
-        """Origin of the results, for the result files."""
+        """Origin of the results."""
         return Provenance.of_inputs(self.detected(), settings_hash(absolute_settings(self.settings)))
 
     def info(self, overlay: Path | None) -> RunInfo:
-        """Information about the run for result writers."""
+        """What result writers get to know about the run."""
         recording = self.recording
         return RunInfo(
             camera=recording.camera,
@@ -209,9 +211,8 @@ class RunSession:
     @property
     def notes(self) -> list[str]:
         """Messages for the user so far; more may follow during the run."""
-        settings, n_frames = self.settings, len(self.rows)
-        finder, ego = self.pipeline.detection.lane_finder, self.pipeline.ego.speed
-        odometry = self.pipeline.ego.odometry
+        settings, pipeline, n_frames = self.settings, self.pipeline, len(self.rows)
+        finder, ego, odometry = pipeline.detection.lane_finder, pipeline.ego.speed, pipeline.ego.odometry
         lanes = () if finder is None else finder.notes
         speed = ego.note(self.rows.last_s) if ego is not None and n_frames else None
         boxes = self.box_source.notes()
@@ -226,9 +227,9 @@ class RunSession:
             *unused_options(settings),
             *([f"Stopped early, after {n_frames} frames."] if self.stopped_by else []),
             *self.frame_notes,
-            *(self.pipeline.ranging.notes() if n_frames else ()),
+            *(pipeline.ranging.notes() if n_frames else ()),
             # networks that fall back from the same device have the same note
-            *(note for note in self.pipeline.notes if note not in (*boxes, *lanes)),
+            *(note for note in pipeline.notes if note not in (*boxes, *lanes)),
             *lanes,
             *([] if speed is None else [speed]),
             *([] if odometry is None else [f"Ego speed from {odometry.source}; --ego-speed off ignores it."]),
@@ -274,11 +275,7 @@ class RunSession:
         return (*missed, *beyond, *shift)
 
     def finish(self, videos: Mapping[str, str]) -> tuple[dict[str, Any], Columns]:
-        """Content of summary.json, and the rows, with the ground truth if there is one.
-
-        Args:
-            videos: file names by video ("overlay", "disparity").
-        """
+        """Content of summary.json, and the rows with the ground truth; `videos`: file names by video ("overlay")."""
         rows, recording, pipeline = self.rows, self.recording, self.pipeline
         calibration, odometry = recording.calibration, pipeline.ego.odometry
         rows.finish()
@@ -314,8 +311,6 @@ class RunSession:
         return summary, columns if matched is None else with_truth(columns, matched)
 
 
+@cache
 def _versions() -> dict[str, str]:
-    return {"python": platform.python_version(), **{name: _version_of(name) for name in _LIBRARIES}}
-
-
-_version_of = cache(version)
+    return {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}}

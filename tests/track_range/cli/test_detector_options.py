@@ -7,7 +7,7 @@ from track_range.detection.classes import ROAD_CLASSES, ClassNameError
 from track_range.detection.darknet.network import read_network
 from track_range.detection.models.onnx_session import ModelError
 from track_range.foundation.errors import ConfigError, UsageError
-from track_range.run.options.detector_options import DetectorOptions, class_names, open_detector, thresholds
+from track_range.run.options.opened import DetectorOptions, class_names, open_detector, thresholds
 
 CAR, PERSON = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person")
 BLACK = np.zeros((64, 64, 3), np.uint8)

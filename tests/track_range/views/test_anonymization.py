@@ -16,7 +16,7 @@ from track_range.detection.detections import Detections
 from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
 from track_range.foundation.errors import ConfigError
 from track_range.pipeline.frame_result import FrameResult
-from track_range.run.options.detector_options import DetectorOptions, open_detector
+from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.settings_files import save_settings, settings_from, without_folders
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.stereo.geometry.frames import Frame

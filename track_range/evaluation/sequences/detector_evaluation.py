@@ -27,7 +27,7 @@ from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.evaluation.sequences.labelled_images import LabelledFrames, LabelledSource
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.progress import FrameProgress, no_frame_progress
-from track_range.run.options.detector_options import DetectorOptions, open_detector, thresholds
+from track_range.run.options.opened import DetectorOptions, open_detector, thresholds
 
 LOWEST_SCORE = 0.001
 """Lowest confidence of the boxes for average precision, as usual for COCO."""

@@ -9,15 +9,16 @@ from track_range.detection.evaluation.matching import SizeMeasure
 from track_range.detection.formats.image_labels.labelled_images import IMAGE_LABELS
 from track_range.detection.formats.label_formats import LABEL_FORMATS
 from track_range.foundation.options import Options, option
-from track_range.run.options.detector_fields import (
+from track_range.run.options.detection import (
     AnchorsField,
     DeviceField,
     LetterboxField,
     NamesField,
+    ReidField,
     SizeField,
     ThreadsField,
+    TrackerField,
 )
-from track_range.run.options.tracker_fields import ReidField, TrackerField
 
 TRUTH_FORMATS = {name: form for name, form in LABEL_FORMATS.items() if not form.is_of_run}
 

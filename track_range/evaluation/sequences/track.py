@@ -28,8 +28,8 @@ from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import OutputError, locked_output, make_folder
 from track_range.foundation.progress import FrameProgress, no_frame_progress
 from track_range.recording.frame import VideoError
-from track_range.run.options.tracker_fields import check_tracker
-from track_range.run.options.tracker_options import open_tracker_options
+from track_range.run.options.detection import check_tracker
+from track_range.run.options.opened import open_tracker_options
 from track_range.tracking.registry import create_tracker
 from track_range.tracking.tracker import ObjectTracker
 

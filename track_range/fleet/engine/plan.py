@@ -22,7 +22,7 @@ from track_range.foundation.files.numeric_text import number
 from track_range.foundation.options import is_file, option_of
 from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.telemetry.speed_source import AUTO, OFF
-from track_range.run.options.detector_options import DetectorOptions, open_detector
+from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings
 from track_range.run.settings_files import read_settings, settings_from
 

@@ -4,22 +4,91 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import model_validator
 
+from track_range.foundation.errors import UsageError
 from track_range.foundation.options import Options, option
-from track_range.run.options.detector_fields import (
-    AnchorsField,
-    DeviceField,
-    LetterboxField,
-    NamesField,
-    SizeField,
-    ThreadsField,
-)
-from track_range.run.options.tracker_fields import ReidField, TrackerField, check_tracker
 
 _shared_option = partial(option, is_shared=True)
+
+# Fields that several commands have.
+Device = Literal["auto", "cpu", "cuda", "tensorrt"]
+
+LETTERBOX_HELP = (
+    "Placement and padding grey of images in the network input: centred-114, centred-128, top-left-114, stretch"
+)
+
+NamesField = Annotated[
+    str | None,
+    option(
+        "Class names of the network in its order: a,b,c or a file with one name per line (default: the names in the "
+        "model file, else COCO's or VOC's).",
+        is_file=True,
+    ),
+]
+AnchorsField = Annotated[
+    str | None,
+    option(
+        "Anchors of a network with raw YOLO heads, one group per output (default: those in the model file, else "
+        "YOLOv4-tiny's).",
+        metavar="'W,H ... / W,H ...'",
+    ),
+]
+LetterboxField = Annotated[
+    str | None, option(f"{LETTERBOX_HELP} (default: that of the network family).", metavar="NAME")
+]
+SizeField = Annotated[
+    int | None,
+    option(
+        "Longer side of the network input in pixels, for a network of variable input size (default: that in the model "
+        "file, else 640).",
+        flag="--size",
+        metavar="PX",
+        ge=32,
+        le=4096,
+    ),
+]
+ThreadsField = Annotated[
+    int, option("Number of CPU threads for the network; 0 = one per core.", metavar="N", ge=0, le=256)
+]
+DeviceField = Annotated[Device, option("Device that runs the network; auto = a GPU if there is one, else the CPU.")]
+TrackerField = Annotated[
+    str,
+    option(
+        "Tracker: deepsort (motion and appearance), sort (motion only), or a class of an installed package or of a "
+        "module in the current folder, in which only the command line searches.",
+        metavar="NAME|MODULE:CLASS",
+        is_shared=True,
+    ),
+]
+ReidField = Annotated[
+    Path | None,
+    option(
+        "Re-identification network (ONNX) that describes the appearance of objects (default: a built-in colour "
+        "descriptor).",
+        is_shared=True,
+    ),
+]
+
+
+def check_tracker(name: str, reid: Path | None) -> None:
+    """Check that the tracker exists, and that it compares appearance if a re-identification network is given.
+
+    Raises:
+        UsageError: no such tracker, or it does not use the network.
+    """
+    from track_range.tracking.registry import TrackerError, find_tracker
+
+    try:
+        tracker = find_tracker(name)
+    except TrackerError as error:
+        raise UsageError(f"--tracker: {error}") from error
+    if reid is not None and not tracker.uses_reid:
+        raise UsageError(
+            f"--reid: --tracker {name} does not compare appearance; omit --reid or use --tracker deepsort."
+        )
 
 
 class DetectionOptions(Options):

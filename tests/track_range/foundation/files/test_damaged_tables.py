@@ -25,7 +25,7 @@ from track_range.ranging.fitting.box_csv import read_box_csv
 from track_range.results.columns import column_names
 from track_range.results.events.files import events_text, read_events
 from track_range.results.folder import read_run_rows
-from track_range.run.options.detector_options import class_names
+from track_range.run.options.opened import class_names
 from track_range.stereo.geometry.camera import PinholeCamera
 
 KITTI = """\

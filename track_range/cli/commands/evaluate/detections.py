@@ -20,7 +20,7 @@ from track_range.evaluation.sequences.labelled_images import LabelledSource
 from track_range.evaluation.sequences.settings import DetectionEvaluationSettings
 from track_range.foundation.files.output_files import write_text
 from track_range.foundation.options import option
-from track_range.run.options.detector_options import DetectorOptions, class_names
+from track_range.run.options.opened import DetectorOptions, class_names
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
 from track_range.views.report.detection_tables import (

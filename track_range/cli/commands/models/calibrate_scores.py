@@ -36,8 +36,8 @@ from track_range.evaluation.sequences.settings import LabelFormatField, LabelNam
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.files.output_files import OutputError, write_bytes, write_text
 from track_range.foundation.options import Options, option
-from track_range.run.options.detector_fields import ThreadsField
-from track_range.run.options.detector_options import DetectorOptions, class_names, open_detector
+from track_range.run.options.detection import ThreadsField
+from track_range.run.options.opened import DetectorOptions, class_names, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
 from track_range.views.report.tables import Column, Grid, grid_of

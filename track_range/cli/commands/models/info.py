@@ -17,8 +17,8 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.models.lookup import ModelLocation, find_model
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.options import Options, option
-from track_range.run.options.detector_fields import AnchorsField, LetterboxField, NamesField
-from track_range.run.options.detector_options import DetectorOptions, open_detector
+from track_range.run.options.detection import AnchorsField, LetterboxField, NamesField
+from track_range.run.options.opened import DetectorOptions, open_detector
 
 _ABOUT = ("data", "date", "epochs", "licence", "license")
 """Metadata on the origin of a model."""

@@ -1,4 +1,4 @@
-"""Options of a detector as the command line takes them: class names, confidence thresholds, device."""
+"""Detectors and options of trackers, opened from options as the command line takes them."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import quoted, read_text, shortened
 from track_range.foundation.files.numeric_text import number
+from track_range.tracking.appearance.reid import ReidModel
+from track_range.tracking.tracker import TrackerOptions
 
 _MAX_NAME = 200
 """Largest number of characters of a class name."""
@@ -131,3 +133,42 @@ def _score(text: str) -> float:
             f"--min-score: expected confidences from 0 to 1, such as 0.25 or 0.1,car=0.3, got {quoted(text.strip())}."
         )
     return score
+
+
+def open_tracker_options(reid: Path | None, runtime: Runtime | None = None) -> TrackerOptions:
+    """Options for trackers, with the re-identification network (else ModelError) loaded if there is one."""
+    return TrackerOptions(reid=None if reid is None else ReidModel(reid, runtime))
+
+
+class OpenedDetectors:
+    """The last opened detector, which a run with the same file and options uses again.
+
+    The results are those of a newly opened detector. One run at a time may use it.
+    """
+
+    def __init__(self) -> None:
+        self._key: tuple[object, ...] | None = None
+        self._detector: YoloDetector | None = None
+
+    def __call__(self, path: Path, options: DetectorOptions) -> YoloDetector:
+        """The detector of a file and options.
+
+        Raises:
+            ModelError, ClassNameError, ConfigError: see `open_detector`.
+        """
+        key = (path, options, _state(path), None if options.names is None else _state(Path(options.names)))
+        if self._detector is None or key != self._key:
+            self._detector = self._key = None  # two networks at a time would need twice the memory
+            self._detector = open_detector(path, options)
+            self._key = key
+        self._detector.n_invalid = 0
+        return self._detector
+
+
+def _state(path: Path) -> tuple[int, int] | None:
+    """Size and time of change of a file; None without one."""
+    try:
+        status = path.stat()
+    except (OSError, ValueError):
+        return None
+    return status.st_size, status.st_mtime_ns
