@@ -16,8 +16,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.ranging.evaluation.box_evaluation import frame_rows
 from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.evaluation.paper_filter import PaperFilter
-from track_range.ranging.filtering.distance_filter import DistanceFilters
-from track_range.ranging.filtering.filtered_ranges import FilteredRanges
+from track_range.ranging.filtering.distance_filter import DistanceFilters, FilteredRanges
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.ranges import Ranges
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.constant_velocity import ConstantVelocity
-from track_range.ranging.filtering.filtered_ranges import FilteredRanges, time_to_collision
+from track_range.ranging.filtering.distance_filter import FilteredRanges, time_to_collision
 from track_range.ranging.ranges import Ranges
 
 _NOISE_M2 = 0.1

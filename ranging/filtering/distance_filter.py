@@ -25,14 +25,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
-from track_range.ranging.filtering.filtered_ranges import FilteredRanges, time_to_collision
 from track_range.ranging.ranges import Ranges
+
+MIN_CLOSING_MPS = 0.3
+"""Smallest closing speed in m/s for which a time to collision is reported; below, the time is mostly noise."""
 
 _MIN_INDEPENDENT_FRACTION = 0.1
 """Smallest independent fraction of sigma; a method that declares less is filtered with this fraction."""
@@ -44,11 +47,8 @@ second. Odometry's are shorter, but its sigma is a tenth of a receiver's."""
 _MIN_DISTANCE_M = 0.3
 """Smallest distance in m; a track that is predicted to be nearer has passed the camera, and its filter restarts."""
 
-_PRIOR_SAMPLES = 30.0
-"""Weight of the declared noise, as a number of measurements."""
-
-_MEMORY_SAMPLES = 300.0
-"""Half-life of the estimate, as a number of measurements."""
+_PRIOR_SAMPLES, _MEMORY_SAMPLES = 30.0, 300.0
+"""Weight of the declared noise, and half-life of the estimate of lambda, as numbers of measurements."""
 
 _LIMITS = (0.2**2, 4.0**2)
 """Smallest and largest lambda: between a fifth and four times the declared standard deviation."""
@@ -57,40 +57,41 @@ _MAX_RATIO = 9.0
 """Largest nu^2 / S; innovations beyond 3 sigma are outliers."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FilterSettings:
-    """Settings of a distance filter.
+@dataclass(frozen=True, slots=True)
+class FilteredRanges:
+    """Filtered distances of one method, with their rate and the time to collision.
 
     Attributes:
-        acceleration_noise: random walk of the speed, m/s per square root of a second; q is its square.
-        initial_rate_sigma_mps: standard deviation of the rate of a new track if the ego speed is unknown.
-        target_speed_sigma_mps: standard deviation of a new track's own speed if the ego speed is known; smaller,
-            since many targets are static.
-        learns_noise: whether lambda is estimated from the innovations; otherwise it is 1.
-        outlier_sigma: innovations beyond this number of standard deviations are down-weighted.
-        max_outliers: number of consecutive outliers that restart a track's filter.
-        max_gap_s: longest time without a measurement; the track is then NaN, and its filter restarts.
-        max_rate_sigma_mps: largest standard deviation of a reported rate; NaN above.
-        min_steady_s: time after a start or a change of condition during which the rate is NaN, against false alarms.
+        ranges: distance and sigma, NaN = no recent measurement.
+        rate_mps: (N,) change of distance per second, negative = closing; NaN = unknown.
+        rate_sigma_mps: (N,) standard deviation of the rate, and of the closing speed `-rate_mps`.
+        ttc_s: (N,) time to collision, distance / closing speed; NaN = not closing, or the rate is unknown.
+        ttc_sigma_s: (N,) standard deviation of `ttc_s`, to first order.
+        state: distance and rate in m and m/s, (N,) each, with the covariance of their independent errors; also where
+            the rate is too uncertain to be reported.
     """
 
-    acceleration_noise: float = 1.5
-    initial_rate_sigma_mps: float = 12.0
-    target_speed_sigma_mps: float = 8.0
-    learns_noise: bool = True
-    outlier_sigma: float = 3.0
-    max_outliers: int = 3
-    max_gap_s: float = 1.0
-    max_rate_sigma_mps: float = 1.5
-    min_steady_s: float = 0.35
+    ranges: Ranges
+    rate_mps: FloatArray
+    rate_sigma_mps: FloatArray
+    ttc_s: FloatArray
+    ttc_sigma_s: FloatArray
+    state: ConstantVelocity
 
 
-_INITIAL = (np.nan, np.nan, 0.0, 0.0, 0.0, np.nan, np.nan, np.nan, np.nan, 0.0, 0.0, np.nan)
-"""State of a new track: d, v, P_xx, P_xv, P_vv, systematic variance, time of the state, time of the last measurement,
-ego speed, consecutive outliers, condition of the last measurement, time of the start or last change of condition."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilterSettings:
+    """Settings of a distance filter."""
 
-_MEASURED_S = 7
-"""Index of the time of the last measurement in the state."""
+    acceleration_noise: float = 1.5  # random walk of the speed, m/s per square root of a second; q is its square
+    initial_rate_sigma_mps: float = 12.0  # of the rate of a new track if the ego speed is unknown
+    target_speed_sigma_mps: float = 8.0  # of a new track's own speed if the ego speed is known: many targets are static
+    learns_noise: bool = True  # lambda is estimated from the innovations; otherwise it is 1
+    outlier_sigma: float = 3.0  # innovations beyond this number of standard deviations are down-weighted
+    max_outliers: int = 3  # consecutive outliers that restart a track's filter
+    max_gap_s: float = 1.0  # longest time without a measurement; the track is then NaN, and its filter restarts
+    max_rate_sigma_mps: float = 1.5  # largest standard deviation of a reported rate; NaN above
+    min_steady_s: float = 0.35  # time after a start or change of condition with a NaN rate, against false alarms
 
 
 class NoiseScale:
@@ -114,14 +115,7 @@ class NoiseScale:
         self._ratios, self._weights = np.full((2, n_methods, 1), _PRIOR_SAMPLES)
 
     def learn(self, squared: FloatArray, predicted: FloatArray, *, noise: FloatArray, use: BoolArray) -> None:
-        """Update the factors with the innovations of one frame.
-
-        Args:
-            squared: (M, N) squared innovations nu^2.
-            predicted: (M, N) variance P of the predictions.
-            noise: (M, N) variance lambda R of the noise.
-            use: (M, N) whether to use the innovation.
-        """
+        """Update the factors with the innovations of one frame where `use`: nu^2, P and lambda R, (M, N) each."""
         S = predicted + noise
         w = np.where(use, noise / S, 0.0)
         ratio = np.where(use, squared / S, 0.0)
@@ -130,6 +124,27 @@ class NoiseScale:
         self._ratios = self._ratios * decay + self.factor * ratios
         self._weights = self._weights * decay + w.sum(axis=1, keepdims=True)
         self.factor = (self._ratios / self._weights).clip(*_LIMITS)
+
+
+class _FilterState(NamedTuple):
+    """State of the filters of M methods for N tracks, (M, N) each: the rows of `TrackState`, in this order."""
+
+    d: FloatArray  # distance, m; NaN = new track
+    v: FloatArray  # its rate, m/s
+    P_dd: FloatArray
+    P_dv: FloatArray
+    P_vv: FloatArray
+    systematic: FloatArray  # systematic variance of log d at the last measurement
+    time_s: FloatArray  # of the state
+    measured_s: FloatArray  # time of the last measurement
+    ego_mps: FloatArray
+    n_outliers: FloatArray  # consecutive ones
+    condition: FloatArray  # of the last measurement
+    steady_since_s: FloatArray  # time of the start or of the last change of condition
+
+
+_NAN, _ZERO = np.array(np.nan), np.array(0.0)
+_NEW_TRACK = _FilterState(_NAN, _NAN, _ZERO, _ZERO, _ZERO, _NAN, _NAN, _NAN, _NAN, _ZERO, _ZERO, _NAN)
 
 
 class DistanceFilters:
@@ -157,7 +172,7 @@ class DistanceFilters:
         self._methods = tuple(noise_fractions)
         self._independent_fraction = np.array(list(noise_fractions.values()))[:, None] ** 2  # of the variance
         self._noise_scale = NoiseScale(len(self._methods))
-        self._tracks = TrackState(np.repeat(np.array(_INITIAL)[:, None], len(self._methods), axis=1))
+        self._tracks = TrackState(np.repeat(np.array(_NEW_TRACK)[:, None], len(self._methods), axis=1))
 
     @property
     def noise_fractions(self) -> dict[str, float]:
@@ -188,66 +203,68 @@ class DistanceFilters:
         if by_method.keys().isdisjoint(self._methods):
             return {}
         settings, track_id = self._settings, next(iter(by_method.values())).track_id
-        z, independent, new_systematic, valid = self._measured(by_method, len(track_id))
-        columns = self._tracks.get(track_id)
-        state = ConstantVelocity(*columns[:5])
-        systematic, state_s, measured_s, state_ego_mps, n_outliers, condition, steady_since_s = columns[5:]
+        z, independent, systematic, valid = self._measured(by_method, len(track_id))
+        last = _FilterState._make(self._tracks.get(track_id))
 
         # Predict.
-        dt = np.fmax(time_s - state_s, 0.0)  # 0 for a new track
-        dV = np.nan_to_num(ego_speed_mps - state_ego_mps)  # 0 if the ego speed was or is unknown
-        state = state.predict(dt, q=settings.acceleration_noise**2)
-        d, v = state.x - dt * dV / 2, state.v - dV
+        dt = np.fmax(time_s - last.time_s, 0.0)  # 0 for a new track
+        dV = np.nan_to_num(ego_speed_mps - last.ego_mps)  # 0 if the ego speed was or is unknown
         dV_variance = np.where(
             dV == 0, 0.0, 2 * np.nan_to_num(ego_sigma_mps) ** 2 * -np.expm1(-dt / _EGO_CORRELATION_S)
         )
-        P_xx, P_xv = state.P_xx + dt * dt / 4 * dV_variance, state.P_xv + dt / 2 * dV_variance
-        state = ConstantVelocity(d, v, P_xx, P_xv, state.P_vv + dV_variance)
-        is_expired = (time_s - measured_s > settings.max_gap_s) | (d < _MIN_DISTANCE_M)
+        state = ConstantVelocity(last.d, last.v, last.P_dd, last.P_dv, last.P_vv)
+        state = state.predict(dt, q=settings.acceleration_noise**2)
+        d, v = state.x - dt * dV / 2, state.v - dV
+        is_expired = (time_s - last.measured_s > settings.max_gap_s) | (d < _MIN_DISTANCE_M)
         d[is_expired] = v[is_expired] = np.nan
+        P_dd, P_dv = state.P_xx + dt * dt / 4 * dV_variance, state.P_xv + dt / 2 * dV_variance
+        P_vv = state.P_vv + dV_variance
 
         # A change of condition: the step may be as large as the old and the new systematic error together.
-        is_changed = np.zeros_like(valid)
+        condition, is_changed = last.condition, np.zeros_like(valid)
         for name, code in (conditions or {}).items():
             i = self._methods.index(name)
             is_changed[i] = valid[i] & (code != condition[i]) & np.isfinite(d[i])
-            np.copyto(condition[i], code, where=valid[i])
-        P_xx = state.P_xx + np.where(is_changed, d * d * (systematic + new_systematic), 0.0)
-        steady_since_s[is_changed] = time_s
+            condition[i] = np.where(valid[i], code, condition[i])
+        P_dd = P_dd + np.where(is_changed, d * d * (last.systematic + systematic), 0.0)
+        steady_since_s = np.where(is_changed, time_s, last.steady_since_s)
 
         # Gate.
         nu = d * np.log(z / d)
         R = d * d * independent
-        excess = np.abs(nu) / (settings.outlier_sigma * np.sqrt(P_xx + R))
-        np.copyto(n_outliers, (excess > 1) * (n_outliers + 1), where=valid)
+        excess = np.abs(nu) / (settings.outlier_sigma * np.sqrt(P_dd + R))
+        n_outliers = np.where(valid, (excess > 1) * (last.n_outliers + 1), last.n_outliers)
         is_lost = np.isnan(d) | (n_outliers >= settings.max_outliers)
         known, starts = valid & ~is_lost, valid & is_lost
         if settings.learns_noise:
             is_steady = time_s - steady_since_s >= settings.min_steady_s
-            self._noise_scale.learn(nu * nu, P_xx, noise=R, use=known & is_steady)
+            self._noise_scale.learn(nu * nu, P_dd, noise=R, use=known & is_steady)
 
         # Update.
-        state = ConstantVelocity(d, v, P_xx, state.P_xv, state.P_vv)
+        state = ConstantVelocity(d, v, P_dd, P_dv, P_vv)
         state = state.update(nu, R * np.maximum(1.0, excess) ** 2, valid=known)
-        columns[:5] = np.maximum(state.x, _MIN_DISTANCE_M), state.v, state.P_xx, state.P_xv, state.P_vv
 
         # Restart.
-        if starts.any():
-            is_ego_known = math.isfinite(ego_speed_mps)
-            rate_mps = -ego_speed_mps if is_ego_known else 0.0
-            rate_sigma_mps = settings.target_speed_sigma_mps if is_ego_known else settings.initial_rate_sigma_mps
-            initial = np.broadcast_arrays(z, rate_mps, z * z * independent, 0.0, rate_sigma_mps**2)
-            np.copyto(columns[:5], initial, where=starts)
-            n_outliers[starts] = 0.0
-            steady_since_s[starts] = time_s
-
-        state_s[:], state_ego_mps[:] = time_s, ego_speed_mps
-        np.copyto(measured_s, time_s, where=valid)
-        np.copyto(systematic, new_systematic, where=valid)
-        is_recent = (time_s - self._tracks.known[_MEASURED_S] <= settings.max_gap_s).any(axis=0)
-        self._tracks.put(track_id, columns, keep_known=is_recent)
-        is_steady = time_s - steady_since_s >= settings.min_steady_s
-        return self._filtered(ConstantVelocity(*columns[:5]), systematic, is_steady, by_method)
+        is_ego_known = math.isfinite(ego_speed_mps)
+        rate_mps = -ego_speed_mps if is_ego_known else 0.0
+        rate_sigma_mps = settings.target_speed_sigma_mps if is_ego_known else settings.initial_rate_sigma_mps
+        new = _FilterState(
+            d=np.where(starts, z, np.maximum(state.x, _MIN_DISTANCE_M)),
+            v=np.where(starts, rate_mps, state.v),
+            P_dd=np.where(starts, z * z * independent, state.P_xx),
+            P_dv=np.where(starts, 0.0, state.P_xv),
+            P_vv=np.where(starts, rate_sigma_mps**2, state.P_vv),
+            systematic=np.where(valid, systematic, last.systematic),
+            time_s=np.full(valid.shape, time_s),
+            measured_s=np.where(valid, time_s, last.measured_s),
+            ego_mps=np.full(valid.shape, ego_speed_mps),
+            n_outliers=np.where(starts, 0.0, n_outliers),
+            condition=condition,
+            steady_since_s=np.where(starts, time_s, steady_since_s),
+        )
+        known_s = _FilterState._make(self._tracks.known).measured_s
+        self._tracks.put(track_id, np.array(new), keep_known=(time_s - known_s <= settings.max_gap_s).any(axis=0))
+        return self._filtered(new, by_method, time_s)
 
     def _measured(
         self, by_method: Mapping[str, Ranges], n: int
@@ -275,23 +292,43 @@ class DistanceFilters:
         return distance_m, fraction * factor * variance, systematic, valid
 
     def _filtered(
-        self, state: ConstantVelocity, systematic: FloatArray, is_steady: BoolArray, by_method: Mapping[str, Ranges]
+        self, state: _FilterState, by_method: Mapping[str, Ranges], time_s: float
     ) -> dict[str, FilteredRanges]:
-        """Filtered ranges by method, from the states and the systematic variance of log distance, (M, N) each."""
-        sigma_m = np.sqrt(state.P_xx + systematic * state.x**2)
+        d, v, systematic = state.d, state.v, state.systematic
+        sigma_m = np.sqrt(state.P_dd + systematic * d**2)
+        is_steady = time_s - state.steady_since_s >= self._settings.min_steady_s
         is_certain = (state.P_vv <= self._settings.max_rate_sigma_mps**2) & is_steady
-        rate_mps = np.where(is_certain, state.v, np.nan)
+        rate_mps = np.where(is_certain, v, np.nan)
         rate_sigma_mps = np.sqrt(state.P_vv + systematic * rate_mps**2)
-        ttc_s, ttc_sigma_s = time_to_collision(state.x, rate_mps, variances=(state.P_xx, state.P_xv, state.P_vv))
+        ttc_s, ttc_sigma_s = time_to_collision(d, rate_mps, variances=(state.P_dd, state.P_dv, state.P_vv))
         return {
             name: FilteredRanges(
-                Ranges(by_method[name].track_id, state.x[i], sigma_m[i]),
+                Ranges(by_method[name].track_id, d[i], sigma_m[i]),
                 rate_mps[i],
                 rate_sigma_mps[i],
                 ttc_s[i],
                 ttc_sigma_s[i],
-                ConstantVelocity(state.x[i], state.v[i], state.P_xx[i], state.P_xv[i], state.P_vv[i]),
+                ConstantVelocity(d[i], v[i], state.P_dd[i], state.P_dv[i], state.P_vv[i]),
             )
             for i, name in enumerate(self._methods)
             if name in by_method
         }
+
+
+def time_to_collision(
+    distance_m: FloatArray, rate_mps: FloatArray, *, variances: tuple[FloatArray, FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Time to collision T = d / -v in s and its standard deviation, (...) each; NaN = not closing.
+
+        (sigma_T / T)^2 = P_dd / d^2 - 2 P_dv / (d v) + P_vv / v^2        to first order
+
+    Args:
+        distance_m: (...) distance d.
+        rate_mps: (...) rate v, negative = closing.
+        variances: P_dd, P_dv, P_vv, (...) each.
+    """
+    closing_mps = np.where(rate_mps < -MIN_CLOSING_MPS, -rate_mps, np.nan)
+    ttc_s = distance_m / closing_mps
+    P_dd, P_dv, P_vv = variances
+    relative = P_dd / distance_m**2 + 2 * P_dv / (distance_m * closing_mps) + P_vv / closing_mps**2
+    return ttc_s, ttc_s * np.sqrt(np.maximum(relative, 0.0))

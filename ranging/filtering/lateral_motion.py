@@ -14,12 +14,21 @@ inner one of an object beside the axis at up to d + L, since the box of a parked
 
 A box that is truncated at the left or right image border is not a measurement: the bearing of its visible part stays
 constant while the object passes, as on a collision course.
+
+At the time to collision T the object passes the camera at the lateral offset (`passing_offsets`)
+
+    o = x + u T,    var o = P_xx + 2 T P_xu + T^2 P_uu + (a T^2 / 2)^2
+
+where a is the standard deviation of the lateral acceleration until then. At constant bearing o = 0. A track is on a
+collision course unless |o| exceeds the sum of half the box width, half the width of the ego vehicle and one standard
+deviation.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +38,12 @@ from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
+
+EGO_HALF_WIDTH_M = 0.9
+"""Half the width of the ego vehicle in m, of a typical passenger car."""
+
+_LATERAL_ACCELERATION_MPS2 = 0.25
+"""Standard deviation a of the lateral acceleration, tuned on simulated drives; a lane change reaches twice as much."""
 
 _INITIAL_RATE_SIGMA_MPS = 5.0
 """Standard deviation of u for a new track: lateral speed of a runner, or of a car in town."""
@@ -42,8 +57,9 @@ _CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02
 _GATE_SIGMA = 5.0
 """Gate in standard deviations of the innovation; measurements outside are ignored."""
 
-_OUTSIDE_S = 0.25
-"""Time without a measurement inside the gate after which one outside restarts the track's filter, s."""
+_OUTSIDE_S, _MAX_GAP_S = 0.25, 1.0
+"""Time in s without a measurement inside the gate after which one outside restarts the track's filter, and without any
+measurement after which the filter restarts."""
 
 _BORDER_PX, _BORDER_FRACTION = 2.0, 0.1
 """Distance from the left or right image border within which a box counts as cut by it: px, plus a fraction of the
@@ -51,12 +67,6 @@ height of the box, since the edges of detected boxes are uncertain."""
 
 _LEAST_WIDTH_FRACTION = 0.8
 """Width of a box, as a fraction of the smallest width of its class, below which a part of the object is hidden."""
-
-_MAX_GAP_S = 1.0
-"""Longest time without a measurement in s; after it the track's filter restarts."""
-
-_N_STATE = 7
-"""Values per track: x, u, P_xx, P_xu, P_uu, time of the state, time of the last measurement."""
 
 _SIZES_M = {
     "person": (0.3, 0.4),
@@ -86,6 +96,45 @@ class LateralMotion:
     half_width_m: FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class PassingOffsets:
+    """Lateral offsets at which tracks will pass the camera, (N,) each; NaN = unknown.
+
+    Attributes:
+        lateral_offset_m: offset o of the object's centre at the time of collision, positive = right of the camera.
+        sigma_m: its standard deviation.
+        half_width_m: half the width of the object, from its current box.
+        may_hit: False if the object will pass the ego vehicle; True also if that is unknown.
+    """
+
+    lateral_offset_m: FloatArray
+    sigma_m: FloatArray
+    half_width_m: FloatArray
+    may_hit: BoolArray
+
+
+def passing_offsets(motion: LateralMotion, ttc_s: FloatArray) -> PassingOffsets:
+    """Offsets o of N tracks at their times to collision (N,); NaN = not closing, the offset is then NaN too."""
+    state, T, a = motion.state, ttc_s, _LATERAL_ACCELERATION_MPS2
+    offset_m = state.x + T * state.v
+    variance = state.P_xx + T * (2 * state.P_xv + T * state.P_vv)
+    sigma_m = np.sqrt(variance + (a * T**2 / 2) ** 2)
+    passes = np.abs(offset_m) > EGO_HALF_WIDTH_M + motion.half_width_m + sigma_m  # False for NaN
+    return PassingOffsets(offset_m, sigma_m, motion.half_width_m, ~passes)
+
+
+class _LateralState(NamedTuple):
+    """State of the filters of N tracks, (N,) each: the rows of `TrackState`, in this order; NaN = new track."""
+
+    x: FloatArray
+    u: FloatArray
+    P_xx: FloatArray
+    P_xu: FloatArray
+    P_uu: FloatArray
+    time_s: FloatArray  # of the state
+    measured_s: FloatArray  # time of the last measurement
+
+
 class LateralFilters:
     """Kalman filters of the lateral motion of all tracks of a video, relative to one camera.
 
@@ -100,7 +149,7 @@ class LateralFilters:
     def __init__(self, camera: PinholeCamera) -> None:
         """Start without tracks; boxes are in the pixels of `camera` (undistorted)."""
         self._camera = camera
-        self._tracks = TrackState(np.full(_N_STATE, np.nan))
+        self._tracks = TrackState(np.full(len(_LateralState._fields), np.nan))
 
     def update(
         self,
@@ -126,33 +175,30 @@ class LateralFilters:
         R = sigma_m**2 + (x * distance_sigma_m / distance_m) ** 2
         valid = tracks.observed & is_whole & np.isfinite(x)
 
-        *stored, state_s, measured_s = self._tracks.get(tracks.track_id)
-        is_stale = ~(time_s - measured_s <= _MAX_GAP_S)
-        dt = time_s - state_s
-        predicted = ConstantVelocity(*stored).predict(dt, q=_ACCELERATION_NOISE**2)
+        last = _LateralState._make(self._tracks.get(tracks.track_id))
+        is_stale = ~(time_s - last.measured_s <= _MAX_GAP_S)
+        dt = time_s - last.time_s
+        state = ConstantVelocity(last.x, last.u, last.P_xx, last.P_xu, last.P_uu)
+        state = state.predict(dt, q=_ACCELERATION_NOISE**2)
         if math.isfinite(yaw_rad_s):
             turned = yaw_rad_s * dt
-            predicted = ConstantVelocity(
-                predicted.x - turned * np.nan_to_num(distance_m),
-                predicted.v - turned * own_mps,
-                predicted.P_xx,
-                predicted.P_xv,
-                predicted.P_vv,
-            )
-        innovation = x - predicted.x
-        is_in_gate = ~is_stale & (innovation**2 < _GATE_SIGMA**2 * (predicted.P_xx + R))
-        is_measured, starts = valid & is_in_gate, valid & ~is_in_gate & ~(time_s - measured_s < _OUTSIDE_S)
-        updated = predicted.update(innovation, R, valid=is_measured)
+            state = replace(state, x=state.x - turned * np.nan_to_num(distance_m), v=state.v - turned * own_mps)
+        innovation = x - state.x
+        is_in_gate = ~is_stale & (innovation**2 < _GATE_SIGMA**2 * (state.P_xx + R))
+        is_measured, starts = valid & is_in_gate, valid & ~is_in_gate & ~(time_s - last.measured_s < _OUTSIDE_S)
+        state = state.update(innovation, R, valid=is_measured)
 
-        state = np.array([updated.x, updated.v, updated.P_xx, updated.P_xv, updated.P_vv])
-        state[:, is_stale] = np.nan
         initial = np.array([x, 0 * x, R, 0 * x, 0 * x + _INITIAL_RATE_SIGMA_MPS**2])
-        np.copyto(state, initial, where=starts)
-        measured_s = np.where(is_measured | starts, time_s, measured_s)
-        is_recent = time_s - self._tracks.known[-1] <= _MAX_GAP_S
-        columns = np.concatenate([state, [np.full(len(tracks), time_s), measured_s]])
-        self._tracks.put(tracks.track_id, columns, keep_known=is_recent)
-        return LateralMotion(ConstantVelocity(*state), half_width_m)
+        filtered = np.array([state.x, state.v, state.P_xx, state.P_xv, state.P_vv])
+        filtered = np.where(starts, initial, np.where(is_stale, np.nan, filtered))
+        new = _LateralState(
+            *filtered,
+            time_s=np.full(len(tracks), time_s),
+            measured_s=np.where(is_measured | starts, time_s, last.measured_s),
+        )
+        known_s = _LateralState._make(self._tracks.known).measured_s
+        self._tracks.put(tracks.track_id, np.array(new), keep_known=time_s - known_s <= _MAX_GAP_S)
+        return LateralMotion(ConstantVelocity(*filtered), half_width_m)
 
     def _measured(self, tracks: Tracks, distance_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         """Lateral position of the centre, its standard deviation, half the width in m, and whether a box is whole."""

@@ -26,7 +26,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
-from track_range.ranging.filtering.filtered_ranges import FilteredRanges
+from track_range.ranging.filtering.distance_filter import FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralMotion
 from track_range.ranging.warning.contact import (
     Encounter,

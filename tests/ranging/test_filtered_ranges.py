@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.ranging.filtering.filtered_ranges import time_to_collision
+from track_range.ranging.filtering.distance_filter import time_to_collision
 
 
 def test_time_to_collision_by_hand():

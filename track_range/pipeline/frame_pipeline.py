@@ -14,10 +14,8 @@ from track_range.pipeline.ego_stage import EgoStage
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.ranging_stage import RangingStage
 from track_range.pipeline.stage_clock import StageClock
-from track_range.ranging.filtering.collision_course import passing_offsets
-from track_range.ranging.filtering.distance_filter import DistanceFilters
-from track_range.ranging.filtering.filtered_ranges import FilteredRanges
-from track_range.ranging.filtering.lateral_motion import LateralFilters
+from track_range.ranging.filtering.distance_filter import DistanceFilters, FilteredRanges
+from track_range.ranging.filtering.lateral_motion import LateralFilters, passing_offsets
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods

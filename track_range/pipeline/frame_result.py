@@ -13,7 +13,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.ranging.filtering.collision_course import PassingOffsets
+from track_range.ranging.filtering.lateral_motion import PassingOffsets
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.warning.warnings import Warnings
 from track_range.stereo.geometry.frames import Frame, ImageView

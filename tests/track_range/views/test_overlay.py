@@ -12,7 +12,7 @@ import pytest
 from tests.track_range.views.overlay_results import BOX, HEIGHT, WIDTH, grey, painted, result
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.pipeline.colours import CALM, LANE_COLOUR, PALETTE, RED, alarm_colour, track_colour
-from track_range.ranging.filtering.collision_course import PassingOffsets
+from track_range.ranging.filtering.lateral_motion import PassingOffsets
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.recorded_view import RecordedView
 from track_range.stereo.geometry.rectification import Undistorter

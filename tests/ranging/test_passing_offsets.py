@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.filtering.collision_course import PassingOffsets, passing_offsets
-from track_range.ranging.filtering.lateral_motion import LateralFilters
+from track_range.ranging.filtering.lateral_motion import LateralFilters, PassingOffsets, passing_offsets
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 
