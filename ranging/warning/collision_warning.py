@@ -18,6 +18,8 @@ probability of contact: they hang above the road, or are beside it.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import expit, logit
@@ -37,8 +39,7 @@ from track_range.ranging.warning.contact import (
     stop_s,
 )
 from track_range.ranging.warning.ego_trend import INITIAL_ACCELERATION_MPS2, JERK_NOISE, MAX_GAP_S, EgoTrend
-from track_range.ranging.warning.settings import WarningSettings
-from track_range.ranging.warning.warnings import Warnings
+from track_range.ranging.warning.warnings import Warnings, WarningSettings
 from track_range.tracking.tracks import Tracks
 
 _PERSON = ROAD_CLASSES.index("person")
@@ -54,17 +55,13 @@ _JUMP_SIGMA = 3.0
 _MAX_SPEED_MPS, _MAX_ACCELERATION_MPS2 = 70.0, 15.0
 """Largest speed and acceleration of road users, m/s and m/s^2; above, the track is wrong."""
 
-_MAX_LAG_S = 0.6
-"""Largest lag of a distance filter that is corrected, s."""
+_MAX_LAG_S = 0.6  # of a distance filter that is corrected
 
 _BESIDE_SIGMA = 2.0
 """Distance from the ego path, in standard deviations, beyond which a vehicle is beside it."""
 
-_STATIC_MPS = 2.0
-"""Speed of an object along the road below which it counts as static, m/s."""
-
-_MOVING_MPS = 8.0
-"""Prior standard deviation of the speed of moving objects along the road, m/s."""
+_STATIC_MPS, _MOVING_MPS = 2.0, 8.0
+"""Speed along the road below which an object counts as static, and prior standard deviation of that of moving ones."""
 
 _GATE_SIGMA = 6.0
 """Lateral speed in standard deviations of the prior and its error above which the prior does not apply."""
@@ -85,12 +82,21 @@ both."""
 _REACH_SIGMA = 3.0
 """Standard deviations of the gap beyond which an object is out of reach."""
 
-_N_STATE = 11
-"""Values per track: u, u', P_uu, P_uu', P_u'u', time of the state, since when the probability is known, time of the
-last distance, last time beside the ego path, since when the condition for the next state of the alarm holds, alarm."""
 
-_LAST_S = 7
-"""Index of the time of the last distance in the state."""
+class _WarningState(NamedTuple):
+    """State of N tracks, (N,) each: the rows of `TrackState`, in this order; NaN = none."""
+
+    u: FloatArray  # speed along the road, m/s
+    a: FloatArray  # u', m/s^2
+    P_uu: FloatArray
+    P_ua: FloatArray
+    P_aa: FloatArray
+    time_s: FloatArray  # of the state
+    certain_s: FloatArray  # since when the probability is known
+    known_s: FloatArray  # time of the last distance
+    beside_s: FloatArray  # last time beside the ego path
+    since_s: FloatArray  # since when the condition for the next change of the alarm holds
+    is_on: FloatArray  # 1 = alarm
 
 
 class CollisionWarning:
@@ -115,9 +121,9 @@ class CollisionWarning:
     def __init__(self, settings: WarningSettings | None = None) -> None:
         """Start without tracks; None = default settings."""
         self.settings = settings or WarningSettings()
-        initial = np.full(_N_STATE, np.nan)
-        initial[-1] = 0.0
-        self._tracks = TrackState(initial)
+        new_track = np.full(len(_WarningState._fields), np.nan)
+        new_track[_WarningState._fields.index("is_on")] = 0.0
+        self._tracks = TrackState(new_track)
         self._ego = EgoTrend(self.settings)
 
     def update(
@@ -140,78 +146,81 @@ class CollisionWarning:
             ego_mps: speed V of the ego vehicle; NaN = unknown.
             yaw_rad_s: its yaw rate, positive = to the right; NaN = unknown.
         """
-        settings = self.settings
-        self._ego.update(time_s, ego_mps, yaw_rad_s)
-        *trend, state_s, certain_s, last_s, beside_s, since_s, is_on = self._tracks.get(tracks.track_id)
+        settings, ego = self.settings, self._ego
+        ego.update(time_s, ego_mps, yaw_rad_s)
+        last = _WarningState._make(self._tracks.get(tracks.track_id))
         is_person = tracks.class_id == _PERSON
-        measured = motion.state
-        if self._ego.has_speed and is_person.any():  # the prior speed of people along the road
-            along_mps = np.where(is_person, settings.person_along_mps, np.inf)
-            measured = _with_rate(measured, -self._ego.speed_mps, along_mps)
-        is_known = np.isfinite(measured.x) & np.isfinite(lateral.state.x)
-        is_stale = ~(time_s - last_s <= MAX_GAP_S)
-        certain_speed = measured.P_vv <= settings.max_closing_sigma_mps**2
-        drifting = measured.P_vv + (motion.ranges.sigma_m / settings.drift_s) ** 2
-        measured = ConstantVelocity(measured.x, measured.v, measured.P_xx, measured.P_xv, drifting)
-        own, starts = self._own_motion(measured, ConstantVelocity(*trend), time_s - state_s, is_known, is_stale)
-        is_plausible = (np.abs(own.x) < _MAX_SPEED_MPS) & (np.abs(own.v) < _MAX_ACCELERATION_MPS2)
-        is_usable = is_known & certain_speed & is_plausible & _IN_THE_WAY[tracks.class_id]
-        gap = _without_lag(measured, own.v, own.P_vv)
-        offset = self._offset(tracks, gap, lateral.state, motion.ranges.sigma_m)
 
+        # Motion of the objects along the road.
+        measured, sigma_m = motion.state, motion.ranges.sigma_m
+        if ego.has_speed and is_person.any():  # the prior speed of people along the road
+            along_mps = np.where(is_person, settings.person_along_mps, np.inf)
+            measured = _with_rate(measured, -ego.speed_mps, along_mps)
+        is_known = np.isfinite(measured.x) & np.isfinite(lateral.state.x)
+        is_certain = measured.P_vv <= settings.max_closing_sigma_mps**2
+        measured = replace(measured, P_vv=measured.P_vv + (sigma_m / settings.drift_s) ** 2)
+        own, starts = self._own_motion(measured, last, time_s, is_known)
+        is_plausible = (np.abs(own.x) < _MAX_SPEED_MPS) & (np.abs(own.v) < _MAX_ACCELERATION_MPS2)
+        is_usable = is_known & is_certain & is_plausible & _IN_THE_WAY[tracks.class_id]
+
+        # Position relative to the ego path.
+        gap = _without_lag(measured, own.v, own.P_vv)
+        offset = self._offset(tracks, gap, lateral.state, sigma_m)
         half_width_m = lateral.half_width_m + settings.ego_width_m / 2
         is_beside = np.abs(offset.x) > half_width_m + _BESIDE_SIGMA * np.sqrt(offset.P_xx)
-        beside_s = np.where(is_known & is_beside, time_s, beside_s)
+        beside_s = np.where(is_known & is_beside, time_s, last.beside_s)
 
         # Probability of contact, only of objects that are near enough.
         probability, may_start = np.where(is_usable, 0.0, np.nan), np.zeros(len(tracks), np.bool_)
-        is_near = gap.x - settings.front_m < settings.cut_in_headway_s * self._ego.speed_mps
+        is_near = gap.x - settings.front_m < settings.cut_in_headway_s * ego.speed_mps
         rows = np.flatnonzero(is_usable & (self._may_touch(gap, own) | is_near))
         if len(rows):
             encounter = self._encounter(rows, is_person, gap, own, offset, half_width_m)
-            probability[rows] = self._probability(encounter)
+            predicted = contact_probability(
+                encounter,
+                horizon_s=settings.horizon_s,
+                manoeuvre_s=settings.manoeuvre_s,
+                ego_length_m=settings.ego_length_m,
+            )
+            probability[rows] = expit(_CALIBRATION[0] + _CALIBRATION[1] * logit(np.clip(predicted, 0.0, 1.0)))
             may_start[rows] = self._may_start(encounter, probability[rows], is_person[rows])
             may_start[rows] |= self._cuts_in(encounter, time_s - beside_s[rows]) & ~is_person[rows]
 
         # Alarm.
-        certain_s = np.where(is_usable, np.where(starts, time_s, np.fmin(certain_s, time_s)), np.nan)
+        certain_s = np.where(is_usable, np.where(starts, time_s, np.fmin(last.certain_s, time_s)), np.nan)
         may_start &= time_s - certain_s >= np.where(is_person, settings.min_person_s, settings.min_track_s) - 1e-9
         may_end = ~(probability >= settings.off_probability)
-        is_uncertain = motion.ranges.sigma_m > settings.certain_fraction * measured.x
+        is_uncertain = sigma_m > settings.certain_fraction * measured.x
         is_uncertain |= ~is_person & (np.abs(offset.x) > half_width_m)
-        if self._ego.has_speed:
-            is_uncertain |= gap.v + self._ego.speed_mps < -_STATIC_MPS
-        needed_s = np.where(is_uncertain, settings.uncertain_on_s, settings.min_on_s)
-        needed_s = np.where(is_on > 0, settings.min_off_s, needed_s)
-        active, since_s = _alarm(np.where(is_on > 0, may_end, may_start), needed_s, time_s, since_s, is_on > 0)
+        if ego.has_speed:
+            is_uncertain |= gap.v + ego.speed_mps < -_STATIC_MPS
+        active, since_s = self._alarm(last, time_s, may_start, may_end, is_uncertain)
 
-        last_s = np.where(is_known, time_s, last_s)
-        state_s.fill(time_s)
-        new = np.array([*_columns(own), state_s, certain_s, last_s, beside_s, since_s, active])
-        is_recent = time_s - self._tracks.known[_LAST_S] <= MAX_GAP_S
-        self._tracks.put(tracks.track_id, new, keep_known=is_recent)
+        new = _WarningState(
+            *_columns(own),
+            time_s=np.full(len(tracks), time_s),
+            certain_s=certain_s,
+            known_s=np.where(is_known, time_s, last.known_s),
+            beside_s=beside_s,
+            since_s=since_s,
+            is_on=active.astype(np.float64),
+        )
+        known_s = _WarningState._make(self._tracks.known).known_s
+        self._tracks.put(tracks.track_id, np.array(new), keep_known=time_s - known_s <= MAX_GAP_S)
         return Warnings(probability, active, offset.x)
 
     def _own_motion(
-        self,
-        measured: ConstantVelocity,
-        trend: ConstantVelocity,
-        dt: FloatArray,
-        is_known: BoolArray,
-        is_stale: BoolArray,
+        self, measured: ConstantVelocity, last: _WarningState, time_s: float, is_known: BoolArray
     ) -> tuple[ConstantVelocity, BoolArray]:
         """Speed u of the objects along the road with its change, and which objects are new or have changed.
 
-        Args:
-            measured: distances and rates.
-            trend: u and its change at the last frame of each track.
-            dt: time since then.
-            is_known: whether the distance is known.
-            is_stale: whether it was unknown for too long before.
+        `is_known` (N,) is whether their distances are known.
         """
-        predicted = trend.predict(dt, q=JERK_NOISE**2)
+        trend = ConstantVelocity(last.u, last.a, last.P_uu, last.P_ua, last.P_aa)
+        predicted = trend.predict(time_s - last.time_s, q=JERK_NOISE**2)
         u, R = measured.v + self._ego.speed_mps, _RATE_FACTOR * measured.P_vv
         nu = u - predicted.x
+        is_stale = ~(time_s - last.known_s <= MAX_GAP_S)
         is_same = nu * nu <= _JUMP_SIGMA**2 * (predicted.P_xx + R)  # False for NaN
         starts = is_known & (is_stale | ~is_same)
         state = predicted.update(nu, R, valid=is_known)
@@ -220,6 +229,17 @@ class CollisionWarning:
             initial = (u, zero, R, zero, zero + INITIAL_ACCELERATION_MPS2**2)
             state = ConstantVelocity(*np.where(starts, initial, _columns(state)))
         return state, starts
+
+    def _alarm(
+        self, last: _WarningState, time_s: float, may_start: BoolArray, may_end: BoolArray, is_uncertain: BoolArray
+    ) -> tuple[BoolArray, FloatArray]:
+        """Whether each alarm is on, and since when the condition for its next change holds; NaN = it does not."""
+        settings, is_on = self.settings, last.is_on > 0
+        needed_s = np.where(is_uncertain, settings.uncertain_on_s, settings.min_on_s)
+        needed_s = np.where(is_on, settings.min_off_s, needed_s)
+        since_s = np.where(np.where(is_on, may_end, may_start), np.fmin(last.since_s, time_s), np.nan)
+        changes = time_s - since_s >= needed_s - 1e-9
+        return is_on ^ changes, np.where(changes, np.nan, since_s)
 
     def _may_touch(self, gap: ConstantVelocity, own: ConstantVelocity) -> BoolArray:
         """(N,) False where the probability of contact is below 0.2 %, since the object is too far away."""
@@ -241,8 +261,7 @@ class CollisionWarning:
     ) -> Encounter:
         """Motion of the objects in these rows relative to the ego vehicle and its path."""
         settings, ego = self.settings, self._ego
-        gap = ConstantVelocity(*np.array(_columns(gap)).take(rows, axis=1))
-        offset = ConstantVelocity(*np.array(_columns(offset)).take(rows, axis=1))
+        gap, offset = (ConstantVelocity(*np.array(_columns(state)).take(rows, axis=1)) for state in (gap, offset))
         u, u_change, change_variance = gap.v + ego.speed_mps, own.v[rows], own.P_vv[rows]
         stops_s = np.full(len(rows) + 1, np.inf)
         if ego.has_speed:
@@ -256,7 +275,7 @@ class CollisionWarning:
             changes = np.append(u_change, ego.acceleration_mps2)
             stops_s = stop_s(np.append(u, ego.speed_mps), changes, settings.manoeuvre_s)
         return Encounter(
-            gap=ConstantVelocity(gap.x - settings.front_m, gap.v, gap.P_xx, gap.P_xv, gap.P_vv),
+            gap=replace(gap, x=gap.x - settings.front_m),
             object_mps=u,
             object_mps2=u_change,
             object_stop_s=stops_s[:-1],
@@ -297,17 +316,6 @@ class CollisionWarning:
         sigma_mps = np.where(tracks.class_id == _PERSON, settings.person_lateral_mps, sigma_mps)
         return _with_rate(offset, 0.0, sigma_mps)
 
-    def _probability(self, encounter: Encounter) -> FloatArray:
-        """(K,) probability of contact, on a scale on which it agrees with the fraction of contacts."""
-        settings, (offset, slope) = self.settings, _CALIBRATION
-        predicted = contact_probability(
-            encounter,
-            horizon_s=settings.horizon_s,
-            manoeuvre_s=settings.manoeuvre_s,
-            ego_length_m=settings.ego_length_m,
-        )
-        return np.asarray(expit(offset + slope * logit(np.clip(predicted, 0.0, 1.0))))
-
     def _may_start(self, encounter: Encounter, probability: FloatArray, is_person: BoolArray) -> BoolArray:
         """(K,) whether a contact is probable, and the driver has to brake hard after the reaction time."""
         settings = self.settings
@@ -335,23 +343,6 @@ class CollisionWarning:
 def _columns(state: ConstantVelocity) -> tuple[FloatArray, ...]:
     """The values of a state, in the order of the constructor."""
     return state.x, state.v, state.P_xx, state.P_xv, state.P_vv
-
-
-def _alarm(
-    holds: BoolArray, needed_s: FloatArray, time_s: float, since_s: FloatArray, is_on: BoolArray
-) -> tuple[BoolArray, FloatArray]:
-    """Whether each alarm is on, and since when the condition for its next change holds; NaN = it does not.
-
-    Args:
-        holds: (N,) whether the condition holds in this frame.
-        needed_s: (N,) time for which it has to hold.
-        time_s: time of the frame.
-        since_s: (N,) since when it held before; NaN = it did not.
-        is_on: (N,) whether the alarm was on.
-    """
-    since_s = np.where(holds, np.fmin(since_s, time_s), np.nan)
-    changes = time_s - since_s >= needed_s - 1e-9
-    return is_on ^ changes, np.where(changes, np.nan, since_s)
 
 
 def _with_rate(state: ConstantVelocity, rate_mps: float, sigma_mps: FloatArray) -> ConstantVelocity:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from track_range.foundation.constant_velocity import ConstantVelocity
-from track_range.ranging.warning.settings import WarningSettings
+from track_range.ranging.warning.warnings import WarningSettings
 
 MAX_GAP_S = 1.0
 """Longest time without a value in s; after it the filters restart."""

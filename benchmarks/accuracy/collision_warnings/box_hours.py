@@ -15,8 +15,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.warning.collision_warning import CollisionWarning
-from track_range.ranging.warning.settings import WarningSettings
-from track_range.ranging.warning.warnings import Warnings
+from track_range.ranging.warning.warnings import Warnings, WarningSettings
 
 METHODS = {"mono": ("mono",), "stereo": ("stereo",), "fused": ("mono", "stereo")}
 """Ranging methods of each configuration."""

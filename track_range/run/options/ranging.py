@@ -10,7 +10,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from track_range.foundation.options import Options, option
 from track_range.foundation.validation import chosen_numbers
-from track_range.ranging.warning.settings import WarningSettings
+from track_range.ranging.warning.warnings import WarningSettings
 from track_range.results.events.event import EventSettings
 
 _clip_option = partial(option, is_per_clip=True)
