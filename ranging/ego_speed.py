@@ -25,21 +25,15 @@ from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, re
 from track_range.foundation.files.numeric_text import number, numbers
 
 _MPS_PER_KMH = 1 / 3.6
-MAX_SPEED_MPS = 120.0
-"""Largest plausible speed (432 km/h); a faster one is most likely in another unit."""
-
-_MAX_GAP_S = 3.0
-"""Longest interval between two samples that is interpolated."""
+MAX_SPEED_MPS = 120.0  # largest plausible speed (432 km/h); a faster one is most likely in another unit
+_MAX_GAP_S = 3.0  # longest interval between two samples that is interpolated
 
 _EDGE_S = 0.25
 """Time before the first and after the last sample for which its speed holds: recordings and videos do not start on the
 same frame."""
 
-_MAX_TIME_S = 1e10
-"""Largest absolute time; seconds since 1970 are smaller."""
-
-_UNITS = {"speed_mps": 1.0, "speed_kmh": _MPS_PER_KMH}
-"""Factor from each speed column to m/s."""
+_MAX_TIME_S = 1e10  # largest absolute time; seconds since 1970 are smaller
+_UNITS = {"speed_mps": 1.0, "speed_kmh": _MPS_PER_KMH}  # factor from each speed column to m/s
 
 TABLE_SIGMA_MPS = 0.2
 """Standard deviation of the speeds in a CSV or in oxts files in m/s, which state none: that of GPS receivers."""
@@ -47,11 +41,8 @@ TABLE_SIGMA_MPS = 0.2
 _CONSTANT_SIGMA_MPS = 1.0
 """Standard deviation of a constant speed in m/s; assumed: a speed that a person reads from a speedometer."""
 
-_OXTS_FORWARD = 8
-"""Index of the forward speed vf in a line of KITTI oxts."""
-
-_OXTS_COLUMNS = 30
-"""Number of values in a line of KITTI oxts."""
+_OXTS_FORWARD = 8  # index of the forward speed vf in a line of KITTI oxts
+_OXTS_COLUMNS = 30  # number of values in a line of KITTI oxts
 
 
 class EgoSpeedError(UserError):
@@ -60,21 +51,14 @@ class EgoSpeedError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class EgoSpeed:
-    """Samples of the camera's speed.
+    """Samples of the camera's speed."""
 
-    Attributes:
-        time_s: (N,) increasing, seconds from the video's first frame; a single sample at -inf is a constant speed.
-        speed_mps: (N,) along the camera's axis, negative = backwards.
-        source: where the samples come from, for notes.
-        speed_sigma_mps: standard deviation of the samples.
-        time_sigma_s: standard deviation of the time offset that all samples share.
-    """
-
+    # (N,) increasing, seconds from the video's first frame; a single sample at -inf is a constant speed
     time_s: FloatArray
-    speed_mps: FloatArray
-    source: str
-    speed_sigma_mps: float = TABLE_SIGMA_MPS
-    time_sigma_s: float = 0.0
+    speed_mps: FloatArray  # (N,) along the camera's axis, negative = backwards
+    source: str  # where the samples come from, for notes
+    speed_sigma_mps: float = TABLE_SIGMA_MPS  # standard deviation of the samples
+    time_sigma_s: float = 0.0  # standard deviation of the time offset that all samples share
 
     def along(self, yaw_deg: float) -> EgoSpeed:
         """The speed along an axis that is `yaw_deg` to the side of the camera's."""

@@ -31,8 +31,7 @@ ComplexArray = npt.NDArray[np.complex128]
 _N_SIMILARITY_ROUNDS, _N_ROTATION_ROUNDS = 4, 5
 """Rounds of reweighting; one more changes the result by at most 0.02 px in the median of real drives."""
 
-_TUKEY = 4.685
-"""Residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)."""
+_TUKEY = 4.685  # residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
 
 _NEAR_CENTRE = 0.01
 """Minimum distance from the image centre, as a fraction of the long side, for a meaningful direction from it."""
@@ -43,34 +42,21 @@ _RIDGE = np.diag([1e-9, 1e-9, 1e-9, 0.01, 0.01])
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraMotionSettings:
-    """Numbers of features, and limits of plausible motions, in pixels of the small image.
+    """Numbers of features, and limits of plausible motions, in pixels of the small image."""
 
-    Attributes:
-        n_features: largest number of tracked features.
-        min_quality: minimum quality of a corner, as a fraction of the best corner's.
-        noise_px: standard deviation of a tracked feature, small pixels.
-        max_residual_px: largest residual of an inlier, small pixels.
-        min_inliers: minimum number of inliers of a motion.
-        min_inlier_fraction: minimum fraction of inliers among the tracked features.
-        similarity_fraction: minimum fraction of inliers for using the similarity, with its zoom, as the motion.
-        min_spread: minimum rms distance of the features from their mean, as a fraction of the long side; below it, only
-            t is fitted.
-        max_scale: largest plausible scale; its inverse is the smallest.
-        max_roll_rad: largest plausible roll.
-        max_shift: largest plausible shift of the image centre, as a fraction of width and of height.
-    """
-
-    n_features: int = 100
-    min_quality: float = 0.01
-    noise_px: float = 0.1
-    max_residual_px: float = 0.5
-    min_inliers: int = 12
-    min_inlier_fraction: float = 0.4
+    n_features: int = 100  # largest number of tracked features
+    min_quality: float = 0.01  # minimum quality of a corner, as a fraction of the best corner's
+    noise_px: float = 0.1  # standard deviation of a tracked feature, small pixels
+    max_residual_px: float = 0.5  # largest residual of an inlier, small pixels
+    min_inliers: int = 12  # minimum number of inliers of a motion
+    min_inlier_fraction: float = 0.4  # minimum fraction of inliers among the tracked features
+    # minimum fraction of inliers for using the similarity, with its zoom, as the motion
     similarity_fraction: float = 0.8
+    # minimum rms distance of the features from their mean, as a fraction of the long side; below it, only t is fitted
     min_spread: float = 0.1
-    max_scale: float = 1.25
-    max_roll_rad: float = 0.2
-    max_shift: float = 0.25
+    max_scale: float = 1.25  # largest plausible scale; its inverse is the smallest
+    max_roll_rad: float = 0.2  # largest plausible roll
+    max_shift: float = 0.25  # largest plausible shift of the image centre, as a fraction of width and of height
 
 
 class CameraMotion:

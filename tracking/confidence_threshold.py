@@ -30,50 +30,34 @@ from track_range.detection.classes import SAME_OBJECT_GROUP
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, IntArray
 
-_N_BINS = 10
-"""Number of bins of scores, each a tenth wide."""
-
-_MIDDLE = [(k + 0.5) / _N_BINS for k in range(_N_BINS)]
-"""Scores in the middle of the bins."""
+_N_BINS = 10  # number of bins of scores, each a tenth wide
+_MIDDLE = [(k + 0.5) / _N_BINS for k in range(_N_BINS)]  # scores in the middle of the bins
 
 _MAX_COMPARED = 64
 """Maximum number of boxes of a frame that are compared with the next frame; of more boxes, every k-th is compared."""
 
-_MAX_PAIRS = 4096
-"""Number of pairs of boxes after which the frames so far are compared, even if no new estimate is due."""
-
-_MIN_BEST = 0.4
-"""Persistence of the better half of boxes below which frames are too far apart for a comparison."""
-
-_PRIOR_BEST = 0.97
-"""Prior of the persistence of the better half of boxes: about that of the detectors above."""
+_MAX_PAIRS = 4096  # number of pairs of boxes after which the frames so far are compared, even if no new estimate is due
+_MIN_BEST = 0.4  # persistence of the better half of boxes below which frames are too far apart for a comparison
+_PRIOR_BEST = 0.97  # prior of the persistence of the better half of boxes: about that of the detectors above
 
 _N_EVERY_FRAME, _SAMPLING_STEP = 1000, 4
 """After the first 1000 frames, only every fourth is compared: the others add little information."""
 
-_N_GROUPS = int(SAME_OBJECT_GROUP.max()) + 1
-"""Number of groups of classes that detectors confuse."""
+_N_GROUPS = int(SAME_OBJECT_GROUP.max()) + 1  # number of groups of classes that detectors confuse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConfidenceThresholdSettings:
-    """Settings of the estimation of the threshold; scores and fractions are in [0, 1].
+    """Settings of the estimation of the threshold; scores and fractions are in [0, 1]."""
 
-    Attributes:
-        first: initial threshold, before any box is counted.
-        min_share: persistence that a score must reach, as a fraction of that of the better half of boxes; 0 = a fixed
-            threshold.
-        lowest, highest: limits of the threshold.
-        prior_boxes: weight of the prior, in boxes per bin of scores.
-        min_iou: minimum IoU of two boxes of one object in successive frames.
-    """
-
-    first: float = 0.4
+    first: float = 0.4  # initial threshold, before any box is counted
+    # persistence that a score must reach, as a fraction of that of the better half of boxes; 0 = a fixed threshold
     min_share: float = 0.85
+    # lowest, highest: limits of the threshold
     lowest: float = 0.3
     highest: float = 0.9
-    prior_boxes: float = 10.0
-    min_iou: float = 0.3
+    prior_boxes: float = 10.0  # weight of the prior, in boxes per bin of scores
+    min_iou: float = 0.3  # minimum IoU of two boxes of one object in successive frames
 
 
 class _Boxes(NamedTuple):

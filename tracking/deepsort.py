@@ -38,8 +38,7 @@ from track_range.tracking.track_table import TrackTable
 from track_range.tracking.tracker import AppearanceModel, TrackerOptions
 from track_range.tracking.tracks import Tracks
 
-_OUTWARDS = np.array([-1.0, -1.0, 1.0, 1.0])
-"""Directions of the left, top, right and bottom edge."""
+_OUTWARDS = np.array([-1.0, -1.0, 1.0, 1.0])  # directions of the left, top, right and bottom edge
 
 _MAX_COSINE_DISTANCE_OF_FILES = 0.2
 """Largest cosine distance for embeddings from a detection file: deep_sort's, for its 128-dimensional embeddings."""
@@ -47,22 +46,18 @@ _MAX_COSINE_DISTANCE_OF_FILES = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AppearanceSettings:
-    """Gates of appearance: which detections may match a track by their embedding.
+    """Gates of appearance: which detections may match a track by their embedding."""
 
-    Attributes:
-        max_cosine_distance: largest cosine distance (1 - cos) from the nearest of the track's embeddings; 0 =
-            appearance is not used; None = the appearance model's value, 0.2 for embeddings from a file.
-        gating_threshold: largest squared Mahalanobis distance from the track's prediction: the chi-square gate, 99.7 %
-            at 4 degrees of freedom.
-        max_occlusion: largest fraction of a detection's area inside one nearer detection; beyond it, no embedding is
-            computed, because it would resemble the occluder's.
-        nn_budget: embeddings per track, including the running mean.
-    """
-
+    # largest cosine distance (1 - cos) from the nearest of the track's embeddings; 0 = appearance is not used; None =
+    # the appearance model's value, 0.2 for embeddings from a file
     max_cosine_distance: float | None = None
+    # largest squared Mahalanobis distance from the track's prediction: the chi-square gate, 99.7 % at 4 degrees of
+    # freedom
     gating_threshold: float = 16.0
+    # largest fraction of a detection's area inside one nearer detection; beyond it, no embedding is computed, because
+    # it would resemble the occluder's
     max_occlusion: float = 0.5
-    nn_budget: int = 4
+    nn_budget: int = 4  # embeddings per track, including the running mean
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,52 +66,35 @@ class DeepSortSettings:
 
     One set of defaults for all scenes, chosen on KITTI's cars and pedestrians (RRC boxes of 13 sequences), 6 sequences
     of MOT15 and MOT17-05.
-
-    Attributes:
-        min_score: detections with a lower score are ignored.
-        track_activation_threshold: settings of the estimated score above which a detection has high confidence and can
-            start a track.
-        min_iou: minimum IoU of a high-confidence detection and the predicted box of a confirmed track.
-        min_iou_low_confidence: minimum IoU of a low-confidence detection and the predicted box of a confirmed track;
-            stricter.
-        min_iou_tentative: minimum IoU of a high-confidence detection and a tentative track, both boxes widened by
-            `tentative_margin`.
-        tentative_margin: fraction of a box's size added on every side, because the speed of a new track is unknown.
-        n_init: detections, one per frame, that confirm a tentative track.
-        init_score_sum: minimum sum of their scores, so that low-confidence tracks are confirmed later; not used with
-            `n_init` = 1.
-        max_skipped_s: longest time without any detection that counts as frames skipped by the detector, not as misses:
-            tentative tracks survive and hit streaks continue.
-        max_age_s: longest time without a detection before a track is deleted.
-        max_position_sigma: largest standard deviation of a track's position before it is deleted, in heights of its
-            box.
-        score_half_life_s: time in which the score of a predicted box halves.
-        classes: which classes may be one object.
-        is_camera_motion_compensated: whether predictions move with the background, where there are images.
-        noise: noise of the motion filters.
-        process_noise: how the scale of the process noise is estimated.
-        appearance: gates of appearance.
-        prediction: when a missing box is predicted.
     """
 
-    min_score: float = 0.1
+    min_score: float = 0.1  # detections with a lower score are ignored
+    # settings of the estimated score above which a detection has high confidence and can start a track
     track_activation_threshold: ConfidenceThresholdSettings = field(default_factory=ConfidenceThresholdSettings)
-    min_iou: float = 0.2
+    min_iou: float = 0.2  # minimum IoU of a high-confidence detection and the predicted box of a confirmed track
+    # minimum IoU of a low-confidence detection and the predicted box of a confirmed track; stricter
     min_iou_low_confidence: float = 0.5
+    # minimum IoU of a high-confidence detection and a tentative track, both boxes widened by `tentative_margin`
     min_iou_tentative: float = 0.3
+    # fraction of a box's size added on every side, because the speed of a new track is unknown
     tentative_margin: float = 0.3
-    n_init: int = 2
+    n_init: int = 2  # detections, one per frame, that confirm a tentative track
+    # minimum sum of their scores, so that low-confidence tracks are confirmed later; not used with `n_init` = 1
     init_score_sum: float = 1.5
+    # longest time without any detection that counts as frames skipped by the detector, not as misses: tentative tracks
+    # survive and hit streaks continue
     max_skipped_s: float = 1.0
-    max_age_s: float = 4.0
+    max_age_s: float = 4.0  # longest time without a detection before a track is deleted
+    # largest standard deviation of a track's position before it is deleted, in heights of its box
     max_position_sigma: float = 2.0
-    score_half_life_s: float = 0.2
-    classes: Classes = "similar"
-    is_camera_motion_compensated: bool = True
-    noise: MotionNoise = field(default_factory=MotionNoise)
+    score_half_life_s: float = 0.2  # time in which the score of a predicted box halves
+    classes: Classes = "similar"  # which classes may be one object
+    is_camera_motion_compensated: bool = True  # whether predictions move with the background, where there are images
+    noise: MotionNoise = field(default_factory=MotionNoise)  # noise of the motion filters
+    # how the scale of the process noise is estimated
     process_noise: ProcessNoiseSettings = field(default_factory=ProcessNoiseSettings)
-    appearance: AppearanceSettings = field(default_factory=AppearanceSettings)
-    prediction: PredictionGates = field(default_factory=PredictionGates)
+    appearance: AppearanceSettings = field(default_factory=AppearanceSettings)  # gates of appearance
+    prediction: PredictionGates = field(default_factory=PredictionGates)  # when a missing box is predicted
 
 
 class DeepSortTracker:

@@ -26,8 +26,7 @@ import numpy as np
 from track_range.detection.boxes import are_valid_boxes
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, row_numbers
 
-Form = Literal["median-of-steps", "step-of-medians"]
-"""Form of the prediction: the second or the first equation above."""
+Form = Literal["median-of-steps", "step-of-medians"]  # form of the prediction: the second or the first equation above
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,25 +34,17 @@ class PredictionGates:
     """Conditions for the prediction of a missing box, checked in each frame.
 
     The occlusion of a box is the largest fraction of its area inside one nearer box; a lower bottom edge means nearer.
-
-    Attributes:
-        form: form of the prediction.
-        n_kept: boxes stored per track: k + 1, for k steps or two medians of k; at least 2.
-        max_missing_s: longest time since the last detection; 0 = no prediction.
-        min_hit_streak: minimum number of successive frames with a detection, up to the last one; at least 2.
-        min_hit_streak_visible: the same for a box with an occlusion below `min_occlusion`.
-        min_occlusion: occlusion that explains a missing box, as a fraction of its area.
-        max_deviation: largest median deviation of the steps, extrapolated over the missing time, in heights of the box.
-        min_margin: minimum distance from the image border, in heights of the box; nearer boxes are leaving the image.
     """
 
-    form: Form = "median-of-steps"
-    n_kept: int = 6
-    max_missing_s: float = 0.25
-    min_hit_streak: int = 5
-    min_hit_streak_visible: int = 15
-    min_occlusion: float = 0.3
+    form: Form = "median-of-steps"  # form of the prediction
+    n_kept: int = 6  # boxes stored per track: k + 1, for k steps or two medians of k; at least 2
+    max_missing_s: float = 0.25  # longest time since the last detection; 0 = no prediction
+    min_hit_streak: int = 5  # minimum number of successive frames with a detection, up to the last one; at least 2
+    min_hit_streak_visible: int = 15  # the same for a box with an occlusion below `min_occlusion`
+    min_occlusion: float = 0.3  # occlusion that explains a missing box, as a fraction of its area
+    # largest median deviation of the steps, extrapolated over the missing time, in heights of the box
     max_deviation: float = 0.1
+    # minimum distance from the image border, in heights of the box; nearer boxes are leaving the image
     min_margin: float = 0.05
 
     def __post_init__(self) -> None:
@@ -65,15 +56,11 @@ class PredictionGates:
 
 @dataclass(frozen=True, slots=True)
 class BoxHistory:
-    """The last K detected boxes of N tracks, newest last; empty slots are NaN.
+    """The last K detected boxes of N tracks, newest last; empty slots are NaN."""
 
-    Attributes:
-        boxes: (N, K, 5) left, top, right and bottom edge in px, and time in s: one array, since they change together.
-        hit_streak: (N,) number of successive frames with a detection, up to the newest box.
-    """
-
+    # (N, K, 5) left, top, right and bottom edge in px, and time in s: one array, since they change together
     boxes: FloatArray
-    hit_streak: IntArray
+    hit_streak: IntArray  # (N,) number of successive frames with a detection, up to the newest box
 
     def __len__(self) -> int:
         return len(self.hit_streak)

@@ -55,14 +55,9 @@ _XYXY_OF_CXCYWH = np.array(
 """The inverse."""
 # fmt: on
 
-_MAX_SIGMAS = 2.0
-"""Limit of innovations, in standard deviations, so that one wrong box does not dominate."""
-
-_MIN_POWER = 0.05
-"""Lower limit of the denominator of c, in standard deviations squared."""
-
-_MAX_TRACKS = 10
-"""Upper limit of n, the number of tracks, in the update."""
+_MAX_SIGMAS = 2.0  # limit of innovations, in standard deviations, so that one wrong box does not dominate
+_MIN_POWER = 0.05  # lower limit of the denominator of c, in standard deviations squared
+_MAX_TRACKS = 10  # upper limit of n, the number of tracks, in the update
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,37 +65,25 @@ class MotionNoise:
     """Standard deviations in heights of the box: nwojke/deep_sort's, converted from per frame at 30 Hz to per second.
 
     Values between half and twice these improve IDF1 by at most 0.1 on average over KITTI, MOT15 and MOT17.
-
-    Attributes:
-        measured: r, noise of a detected coordinate, heights.
-        drift: d, random walk of the value, heights per sqrt(s).
-        acceleration: a, random walk of the rate, heights per s^1.5.
-        first_rate: standard deviation of the rate of a box detected once, heights per s.
     """
 
-    measured: float = 0.05
-    drift: float = 0.27
-    acceleration: float = 1.0
-    first_rate: float = 1.9
+    measured: float = 0.05  # r, noise of a detected coordinate, heights
+    drift: float = 0.27  # d, random walk of the value, heights per sqrt(s)
+    acceleration: float = 1.0  # a, random walk of the rate, heights per s^1.5
+    first_rate: float = 1.9  # standard deviation of the rate of a box detected once, heights per s
 
 
 @dataclass(frozen=True, slots=True)
 class BoxFilters:
-    """Filters of N boxes at one time.
+    """Filters of N boxes at one time."""
 
-    Attributes:
-        x: (N, 4) cx, cy, w, h in px.
-        v: (N, 4) their rates in px/s.
-        P_xx, P_xv, P_vv: (N,) covariance, equal for all four coordinates.
-        height_px: (N,) s, height of the last detected box, the unit of the noise.
-    """
-
-    x: FloatArray
-    v: FloatArray
+    x: FloatArray  # (N, 4) cx, cy, w, h in px
+    v: FloatArray  # (N, 4) their rates in px/s
+    # P_xx, P_xv, P_vv: (N,) covariance, equal for all four coordinates
     P_xx: FloatArray
     P_xv: FloatArray
     P_vv: FloatArray
-    height_px: FloatArray
+    height_px: FloatArray  # (N,) s, height of the last detected box, the unit of the noise
 
     def __len__(self) -> int:
         return len(self.height_px)
@@ -231,18 +214,13 @@ def _scale(now_from_before: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProcessNoiseSettings:
-    """Settings of the estimation of the scale.
+    """Settings of the estimation of the scale."""
 
-    Attributes:
-        rate: learning rate per track and frame; 0 = a fixed scale.
-        lowest, highest: limits of the scale, which starts at the highest.
-        min_hits: number of detections after which a track's innovations are used.
-    """
-
-    rate: float = 0.03
+    rate: float = 0.03  # learning rate per track and frame; 0 = a fixed scale
+    # lowest, highest: limits of the scale, which starts at the highest
     lowest: float = 0.01
     highest: float = 1.0
-    min_hits: int = 4
+    min_hits: int = 4  # number of detections after which a track's innovations are used
 
 
 class ProcessNoiseScale:

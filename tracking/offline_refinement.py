@@ -21,16 +21,11 @@ from track_range.tracking.tracks import Tracks
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefinementSettings:
-    """Limits of interpolation and of dropping tracks.
+    """Limits of interpolation and of dropping tracks."""
 
-    Attributes:
-        max_gap_s: longest gap that is interpolated.
-        min_boxes: minimum number of boxes of a track; fewer are enough in a recording with fewer frames.
-        min_score_fraction: minimum mean score of a track, as a fraction of its class's track-activation threshold.
-    """
-
-    max_gap_s: float = 1.0
-    min_boxes: int = 3
+    max_gap_s: float = 1.0  # longest gap that is interpolated
+    min_boxes: int = 3  # minimum number of boxes of a track; fewer are enough in a recording with fewer frames
+    # minimum mean score of a track, as a fraction of its class's track-activation threshold
     min_score_fraction: float = 1.0
 
 
@@ -67,15 +62,10 @@ class OfflineRefinement:
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """Boxes of all frames, sorted by track, then by frame.
+    """Boxes of all frames, sorted by track, then by frame."""
 
-    Attributes:
-        frame: (N,) frame numbers from 0.
-        tracks: N boxes with their identities.
-    """
-
-    frame: IntArray
-    tracks: Tracks
+    frame: IntArray  # (N,) frame numbers from 0
+    tracks: Tracks  # N boxes with their identities
 
     @classmethod
     def of(cls, parts: Sequence[tuple[int, Tracks, bool]]) -> _Rows:

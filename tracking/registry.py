@@ -30,15 +30,10 @@ class TrackerError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class RegisteredTracker:
-    """A tracker that `--tracker` can select.
+    """A tracker that `--tracker` can select."""
 
-    Attributes:
-        factory: makes the tracker; a string "package.module:attribute" is imported on first use.
-        uses_reid: whether it uses `TrackerOptions.reid`.
-    """
-
-    factory: TrackerFactory | str
-    uses_reid: bool = False
+    factory: TrackerFactory | str  # makes the tracker; a string "package.module:attribute" is imported on first use
+    uses_reid: bool = False  # whether it uses `TrackerOptions.reid`
 
 
 TRACKERS: Registry[RegisteredTracker] = Registry(

@@ -16,23 +16,15 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.errors import BANDS_M, MethodColumn, score_rows
 from track_range.ranging.fitting.labelled_boxes import CLASS_OF, BoxSet
 
-CLASSES = tuple(CLASS_OF.values())
-"""Evaluated classes, in the order of tables."""
-
-NEAREST_M, FAR_M = 10.0, 30.0
-"""Smallest distance in m of the metrics of a class, and of those of far objects."""
-
-N_FOLDS = 7
-"""Folds of the cross-validation: 3 of KITTI's 21 sequences each."""
+CLASSES = tuple(CLASS_OF.values())  # evaluated classes, in the order of tables
+NEAREST_M, FAR_M = 10.0, 30.0  # smallest distance in m of the metrics of a class, and of those of far objects
+N_FOLDS = 7  # folds of the cross-validation: 3 of KITTI's 21 sequences each
 
 CLOSING_HALF_SPAN_S = 0.5
 """Time in s before and after a label over which its true closing speed is the central difference of the distance."""
 
-Predictor = Callable[[BoxSet], MethodColumn]
-"""Function that measures boxes."""
-
-Fitter = Callable[[BoxSet], Predictor]
-"""Function that fits a predictor to boxes."""
+Predictor = Callable[[BoxSet], MethodColumn]  # function that measures boxes
+Fitter = Callable[[BoxSet], Predictor]  # function that fits a predictor to boxes
 
 Scheme = Callable[[BoxSet, BoxSet, Fitter], MethodColumn]
 """Function that fits a method to training boxes and measures boxes: `cross_validated`, `within_drives`, `held_out`."""

@@ -25,8 +25,7 @@ FilterName = Literal["none", "paper", "default"]
 _Filter = Callable[[Ranges, float], FilteredRanges]
 """Function from the measured ranges and the time of a frame to filtered ranges."""
 
-_NOISE_FRACTION = 0.6
-"""Initial independent fraction of sigma for the default filter, that of mono."""
+_NOISE_FRACTION = 0.6  # initial independent fraction of sigma for the default filter, that of mono
 
 
 def _default_filter() -> _Filter:
@@ -36,8 +35,7 @@ def _default_filter() -> _Filter:
 
 _FILTERS: Mapping[str, Callable[[], _Filter]] = {"paper": lambda: PaperFilter().update, "default": _default_filter}
 
-_UNKNOWN_SIGMA = 0.1
-"""Relative sigma that is assumed for methods without a sigma (plain curves)."""
+_UNKNOWN_SIGMA = 0.1  # relative sigma that is assumed for methods without a sigma (plain curves)
 
 
 @dataclass(frozen=True, slots=True)

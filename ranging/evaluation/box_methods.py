@@ -33,8 +33,7 @@ from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
-MIN_PLAIN_SAMPLES = 20
-"""Smallest number of boxes of a class to which a plain curve is fitted."""
+MIN_PLAIN_SAMPLES = 20  # smallest number of boxes of a class to which a plain curve is fitted
 
 
 def box_methods() -> tuple[RangingMethod, ...]:
@@ -50,23 +49,15 @@ def method_names() -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MethodOptions:
-    """Options for fitting and measuring with box-only methods.
+    """Options for fitting and measuring with box-only methods."""
 
-    Attributes:
-        curves: curve file for mono; None = the packaged one.
-        is_cross_validated: mono is fitted by cross-validation instead; plain curves always are.
-        is_held_out: mono and plain curves are fitted to all training boxes, which are of other drives or images.
-        is_same_drive: mono and plain curves are fitted to the same drive that they measure.
-        box_sigma_px: standard deviation of one box edge; None = the noise model of a detector.
-        camera_height_m: camera height for the ground plane; None = unknown.
-    """
-
-    curves: Path | None = None
-    is_cross_validated: bool = False
-    is_same_drive: bool = False
+    curves: Path | None = None  # curve file for mono; None = the packaged one
+    is_cross_validated: bool = False  # mono is fitted by cross-validation instead; plain curves always are
+    is_same_drive: bool = False  # mono and plain curves are fitted to the same drive that they measure
+    # mono and plain curves are fitted to all training boxes, which are of other drives or images
     is_held_out: bool = False
-    box_sigma_px: float | None = None
-    camera_height_m: float | None = None
+    box_sigma_px: float | None = None  # standard deviation of one box edge; None = the noise model of a detector
+    camera_height_m: float | None = None  # camera height for the ground plane; None = unknown
 
     @property
     def scheme(self) -> Scheme | None:

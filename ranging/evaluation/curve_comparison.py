@@ -17,35 +17,21 @@ from track_range.ranging.evaluation.box_methods import plain_fitter
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, FittedCurve
 
-TABLE_DISTANCES_M = (20.0, 30.0, 40.0, 60.0, 90.0)
-"""Distances in m of the rows of Table 3 of Zhang et al."""
-
-_NEAR = 0.05
-"""Largest relative difference between a box's distance and that of the row in which it is averaged."""
+TABLE_DISTANCES_M = (20.0, 30.0, 40.0, 60.0, 90.0)  # distances in m of the rows of Table 3 of Zhang et al.
+_NEAR = 0.05  # largest relative difference between a box's distance and that of the row in which it is averaged
 
 
 @dataclass(frozen=True, slots=True)
 class CurveFit:
-    """One curve fitted to the boxes of one class.
-
-    Attributes:
-        class_name: the class.
-        curve: name of the curve.
-        n: number of boxes.
-        residual_m2: residual sum of squares over the fitted boxes.
-        fitted_error_pct: mean relative error over the fitted boxes.
-        other_drives_error_pct: mean relative error, cross-validated by sequence; NaN = one sequence only.
-        at_m: mean fitted distance of the boxes near each of `TABLE_DISTANCES_M`; NaN = no boxes.
-        predict: the fitted curve.
-    """
+    """One curve fitted to the boxes of one class."""
 
     class_name: str
     curve: str
-    n: int
-    residual_m2: float
-    fitted_error_pct: float
-    other_drives_error_pct: float
-    at_m: tuple[float, ...]
+    n: int  # number of boxes
+    residual_m2: float  # residual sum of squares over the fitted boxes
+    fitted_error_pct: float  # mean relative error over the fitted boxes
+    other_drives_error_pct: float  # mean relative error, cross-validated by sequence; NaN = one sequence only
+    at_m: tuple[float, ...]  # mean fitted distance of the boxes near each of `TABLE_DISTANCES_M`; NaN = no boxes
     predict: Callable[[FloatArray, FloatArray], FloatArray]
 
 

@@ -22,8 +22,7 @@ from track_range.detection.boxes import iou
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.truth import Truth
 
-BANDS_M = (5.0, 10.0, 20.0, 30.0, 50.0, 100.0)
-"""Edges of the distance bands for which errors are reported."""
+BANDS_M = (5.0, 10.0, 20.0, 30.0, 50.0, 100.0)  # edges of the distance bands for which errors are reported
 
 MIN_IOU = 0.5
 """Smallest intersection over union of a matched track and label, as in KITTI's evaluation of people and cyclists."""
@@ -34,17 +33,11 @@ _MIN_COMMON_COVERAGE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class MethodColumn:
-    """One method's distances of the N track-frames of a run.
+    """One method's distances of the N track-frames of a run."""
 
-    Attributes:
-        distance_m: (N,) distance, NaN = not measured.
-        sigma_m: (N,) standard deviation, NaN = not measured or unknown.
-        sigma_systematic_m: (N,) systematic part of sigma_m, as in `Ranges`; None = unknown.
-    """
-
-    distance_m: FloatArray
-    sigma_m: FloatArray
-    sigma_systematic_m: FloatArray | None = None
+    distance_m: FloatArray  # (N,) distance, NaN = not measured
+    sigma_m: FloatArray  # (N,) standard deviation, NaN = not measured or unknown
+    sigma_systematic_m: FloatArray | None = None  # (N,) systematic part of sigma_m, as in `Ranges`; None = unknown
 
 
 def match_truth(frame: IntArray, xyxy_px: FloatArray, truth: Truth) -> IntArray:

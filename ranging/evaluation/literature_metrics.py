@@ -16,11 +16,8 @@ from track_range.foundation.arrays import FloatArray
 from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.fitting.labelled_boxes import CLASS_OF, BoxSet
 
-ALL = "all"
-"""Name of the row over all classes."""
-
-_MIN_M = 0.1
-"""Smallest distance in m in ratios and logarithms: polynomials may be negative."""
+ALL = "all"  # name of the row over all classes
+_MIN_M = 0.1  # smallest distance in m in ratios and logarithms: polynomials may be negative
 
 METRICS = ("abs_rel", "sq_rel_m", "rmse_m", "rmse_log", "delta_1_25", "delta_1_25_2", "delta_1_25_3")
 """Keys of the metrics."""

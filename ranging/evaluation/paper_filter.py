@@ -19,11 +19,8 @@ from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.filtering.distance_filter import FilteredRanges, time_to_collision
 from track_range.ranging.ranges import Ranges
 
-_NOISE_M2 = 0.1
-"""Q and R in m^2, from Zhang et al."""
-
-_MAX_GAP_S = 1.0
-"""Longest time in s without a measurement; after it the filter of a track restarts."""
+_NOISE_M2 = 0.1  # Q and R in m^2, from Zhang et al.
+_MAX_GAP_S = 1.0  # longest time in s without a measurement; after it the filter of a track restarts
 
 
 @dataclass(slots=True)

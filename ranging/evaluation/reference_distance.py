@@ -23,19 +23,13 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import read_text
 from track_range.ranging.fitting.prior_fit import STANDARD_SIZES
 
-ReferenceName = Literal["surface", "centre", "lidar"]
-"""Names of the definitions."""
+ReferenceName = Literal["surface", "centre", "lidar"]  # names of the definitions
 
 REFERENCES: tuple[ReferenceName, ...] = get_args(ReferenceName)
 
-_LIDAR_FRACTION = 0.1
-"""Fraction of the lidar points of an object that are nearer than the reference distance."""
-
-_NARROW, _WIDE = 1.5, 2.2
-"""Ratios of the width to the height of boxes of vehicles seen from behind, and from the side."""
-
-_MARGIN_M = 0.05
-"""Margin of 3-D boxes within which lidar points belong to the object."""
+_LIDAR_FRACTION = 0.1  # fraction of the lidar points of an object that are nearer than the reference distance
+_NARROW, _WIDE = 1.5, 2.2  # ratios of the width to the height of boxes of vehicles seen from behind, and from the side
+_MARGIN_M = 0.05  # margin of 3-D boxes within which lidar points belong to the object
 
 _ROWS = {"R": ("R0_rect", "R_rect"), "T": ("Tr_velo_to_cam", "Tr_velo_cam")}
 """Names of the rows of calibration files of the object and of the tracking set."""

@@ -62,31 +62,18 @@ _COLUMNS = ("frame", "track_id", "kitti_type", "class_id", "xyxy_px", "distance_
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """Labelled objects, one row per object and frame.
+    """Labelled objects, one row per object and frame."""
 
-    Attributes:
-        frame: (N,) frame number from 0.
-        track_id: (N,) identity of the object; -1 = DontCare.
-        kitti_type: (N,) type of the label, as in the file.
-        class_id: (N,) road class; -1 = ignored in detection and tracking scores.
-        xyxy_px: (N, 4) box.
-        distance_m: (N,) distance of the visible surface; NaN = unknown, or not scored (truncated, occluded).
-        closing_mps: (N,) closing speed, the decrease of the distance per second; NaN = unknown.
-        protocol: description of the ground truth for users.
-        notes: notes for the user about the file.
-        has_low_labels: whether low labels and tracks count, which KITTI's rules ignore.
-    """
-
-    frame: IntArray
-    track_id: IntArray
-    kitti_type: npt.NDArray[np.str_]
-    class_id: IntArray
-    xyxy_px: FloatArray
-    distance_m: FloatArray
-    closing_mps: FloatArray
-    protocol: str = KITTI_PROTOCOL
-    notes: tuple[str, ...] = ()
-    has_low_labels: bool = False
+    frame: IntArray  # (N,) frame number from 0
+    track_id: IntArray  # (N,) identity of the object; -1 = DontCare
+    kitti_type: npt.NDArray[np.str_]  # (N,) type of the label, as in the file
+    class_id: IntArray  # (N,) road class; -1 = ignored in detection and tracking scores
+    xyxy_px: FloatArray  # (N, 4) box
+    distance_m: FloatArray  # (N,) distance of the visible surface; NaN = unknown, or not scored (truncated, occluded)
+    closing_mps: FloatArray  # (N,) closing speed, the decrease of the distance per second; NaN = unknown
+    protocol: str = KITTI_PROTOCOL  # description of the ground truth for users
+    notes: tuple[str, ...] = ()  # notes for the user about the file
+    has_low_labels: bool = False  # whether low labels and tracks count, which KITTI's rules ignore
 
     def __len__(self) -> int:
         return len(self.frame)

@@ -53,29 +53,20 @@ _PRIOR_SAMPLES, _MEMORY_SAMPLES = 30.0, 300.0
 _LIMITS = (0.2**2, 4.0**2)
 """Smallest and largest lambda: between a fifth and four times the declared standard deviation."""
 
-_MAX_RATIO = 9.0
-"""Largest nu^2 / S; innovations beyond 3 sigma are outliers."""
+_MAX_RATIO = 9.0  # largest nu^2 / S; innovations beyond 3 sigma are outliers
 
 
 @dataclass(frozen=True, slots=True)
 class FilteredRanges:
-    """Filtered distances of one method, with their rate and the time to collision.
+    """Filtered distances of one method, with their rate and the time to collision."""
 
-    Attributes:
-        ranges: distance and sigma, NaN = no recent measurement.
-        rate_mps: (N,) change of distance per second, negative = closing; NaN = unknown.
-        rate_sigma_mps: (N,) standard deviation of the rate, and of the closing speed `-rate_mps`.
-        ttc_s: (N,) time to collision, distance / closing speed; NaN = not closing, or the rate is unknown.
-        ttc_sigma_s: (N,) standard deviation of `ttc_s`, to first order.
-        state: distance and rate in m and m/s, (N,) each, with the covariance of their independent errors; also where
-            the rate is too uncertain to be reported.
-    """
-
-    ranges: Ranges
-    rate_mps: FloatArray
-    rate_sigma_mps: FloatArray
-    ttc_s: FloatArray
-    ttc_sigma_s: FloatArray
+    ranges: Ranges  # distance and sigma, NaN = no recent measurement
+    rate_mps: FloatArray  # (N,) change of distance per second, negative = closing; NaN = unknown
+    rate_sigma_mps: FloatArray  # (N,) standard deviation of the rate, and of the closing speed `-rate_mps`
+    ttc_s: FloatArray  # (N,) time to collision, distance / closing speed; NaN = not closing, or the rate is unknown
+    ttc_sigma_s: FloatArray  # (N,) standard deviation of `ttc_s`, to first order
+    # distance and rate in m and m/s, (N,) each, with the covariance of their independent errors; also where the rate is
+    # too uncertain to be reported
     state: ConstantVelocity
 
 

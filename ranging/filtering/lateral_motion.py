@@ -39,14 +39,12 @@ from track_range.foundation.track_state import TrackState
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 
-EGO_HALF_WIDTH_M = 0.9
-"""Half the width of the ego vehicle in m, of a typical passenger car."""
+EGO_HALF_WIDTH_M = 0.9  # half the width of the ego vehicle in m, of a typical passenger car
 
 _LATERAL_ACCELERATION_MPS2 = 0.25
 """Standard deviation a of the lateral acceleration, tuned on simulated drives; a lane change reaches twice as much."""
 
-_INITIAL_RATE_SIGMA_MPS = 5.0
-"""Standard deviation of u for a new track: lateral speed of a runner, or of a car in town."""
+_INITIAL_RATE_SIGMA_MPS = 5.0  # standard deviation of u for a new track: lateral speed of a runner, or of a car in town
 
 _ACCELERATION_NOISE = 0.7
 """Process noise: random walk of u in m/s per square root of a second, tuned on simulated drives."""
@@ -54,8 +52,7 @@ _ACCELERATION_NOISE = 0.7
 _CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02
 """Standard deviation of a box centre: a constant in px, plus a fraction of the box width; typical of detectors."""
 
-_GATE_SIGMA = 5.0
-"""Gate in standard deviations of the innovation; measurements outside are ignored."""
+_GATE_SIGMA = 5.0  # gate in standard deviations of the innovation; measurements outside are ignored
 
 _OUTSIDE_S, _MAX_GAP_S = 0.25, 1.0
 """Time in s without a measurement inside the gate after which one outside restarts the track's filter, and without any
@@ -85,32 +82,22 @@ _LENGTH_M, _MIN_WIDTH_M = np.array([_SIZES_M[name] for name in ROAD_CLASSES]).T
 
 @dataclass(frozen=True, slots=True)
 class LateralMotion:
-    """Lateral motion of N tracks relative to the camera.
+    """Lateral motion of N tracks relative to the camera."""
 
-    Attributes:
-        state: x in m, positive = right of the camera, and u in m/s, (N,) each with their covariance; NaN = unknown.
-        half_width_m: (N,) half the width of the object, from its current box; NaN = unknown distance.
-    """
-
+    # x in m, positive = right of the camera, and u in m/s, (N,) each with their covariance; NaN = unknown
     state: ConstantVelocity
-    half_width_m: FloatArray
+    half_width_m: FloatArray  # (N,) half the width of the object, from its current box; NaN = unknown distance
 
 
 @dataclass(frozen=True, slots=True)
 class PassingOffsets:
-    """Lateral offsets at which tracks will pass the camera, (N,) each; NaN = unknown.
+    """Lateral offsets at which tracks will pass the camera, (N,) each; NaN = unknown."""
 
-    Attributes:
-        lateral_offset_m: offset o of the object's centre at the time of collision, positive = right of the camera.
-        sigma_m: its standard deviation.
-        half_width_m: half the width of the object, from its current box.
-        may_hit: False if the object will pass the ego vehicle; True also if that is unknown.
-    """
-
+    # offset o of the object's centre at the time of collision, positive = right of the camera
     lateral_offset_m: FloatArray
-    sigma_m: FloatArray
-    half_width_m: FloatArray
-    may_hit: BoolArray
+    sigma_m: FloatArray  # its standard deviation
+    half_width_m: FloatArray  # half the width of the object, from its current box
+    may_hit: BoolArray  # False if the object will pass the ego vehicle; True also if that is unknown
 
 
 def passing_offsets(motion: LateralMotion, ttc_s: FloatArray) -> PassingOffsets:

@@ -23,34 +23,20 @@ from scipy.stats import multivariate_normal
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.size_models.prior import BodyType
 
-_STANDARD_OBJECTS = 4.0
-"""Weight of the standard sizes of a body type, as a number of objects."""
-
-_N_ITERATIONS = 30
-"""Iterations of expectation maximisation; a dozen suffice for some tens of objects."""
-
-_CORRELATION = 0.3
-"""Correlation between any two log sizes of the objects of one body type."""
-
-_MAX_CORRELATION = 0.95
-"""Largest absolute correlation in a curve file."""
+_STANDARD_OBJECTS = 4.0  # weight of the standard sizes of a body type, as a number of objects
+_N_ITERATIONS = 30  # iterations of expectation maximisation; a dozen suffice for some tens of objects
+_CORRELATION = 0.3  # correlation between any two log sizes of the objects of one body type
+_MAX_CORRELATION = 0.95  # largest absolute correlation in a curve file
 
 
 @dataclass(frozen=True, slots=True)
 class StandardBody:
-    """Sizes of production models of one body type.
+    """Sizes of production models of one body type."""
 
-    Attributes:
-        fraction: probability of the type within its class.
-        hwl_m: height, width (without mirrors) and length in metres.
-        log_sigma: relative standard deviations of the sizes.
-        source: models that the sizes are those of.
-    """
-
-    fraction: float
-    hwl_m: tuple[float, float, float]
-    log_sigma: tuple[float, float, float]
-    source: str
+    fraction: float  # probability of the type within its class
+    hwl_m: tuple[float, float, float]  # height, width (without mirrors) and length in metres
+    log_sigma: tuple[float, float, float]  # relative standard deviations of the sizes
+    source: str  # models that the sizes are those of
 
     @property
     def moments(self) -> tuple[FloatArray, FloatArray]:

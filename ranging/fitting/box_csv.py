@@ -26,8 +26,7 @@ COLUMNS = ("class", "x1", "y1", "x2", "y2", "distance_m", "fx", "fy", "cx", "cy"
 
 _REQUIRED = COLUMNS[:6]
 _NUMERIC = (*COLUMNS[1:10],)
-_MAX_TEXT = 200
-"""Largest number of characters of the name of a track or sequence."""
+_MAX_TEXT = 200  # largest number of characters of the name of a track or sequence
 
 _POSITIVE = ("distance_m", "fx", "fy")
 

@@ -18,8 +18,7 @@ from track_range.detection.formats.label_formats import read_labels
 from track_range.detection.formats.table_checks import other_labels_note
 from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, BoxSet
 
-_BORDER_PX = 1.0
-"""Distance from the image border within which a box counts as cut."""
+_BORDER_PX = 1.0  # distance from the image border within which a box counts as cut
 
 
 def read_box_labels(path: Path, *, focal_px: float | None) -> tuple[BoxSet, tuple[str, ...]]:

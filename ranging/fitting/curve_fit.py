@@ -21,17 +21,13 @@ from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
 NEAREST_M, FARTHEST_M = 5.0, 100.0
 """Range of distances in m to fit: nearer objects are truncated, farther ones are a few pixels high."""
 
-MIN_SAMPLES = 100
-"""Smallest number of boxes of a class for a fit, which requires several objects at several distances."""
-
-_MIN_SIGMA_RELATIVE = 0.03
-"""Smallest relative standard deviation of a curve."""
+MIN_SAMPLES = 100  # smallest number of boxes of a class for a fit, which requires several objects at several distances
+_MIN_SIGMA_RELATIVE = 0.03  # smallest relative standard deviation of a curve
 
 _SLOPE_BOUNDS = ((-2.0, -0.1), (-1.0, 0.0))
 """Bounds of the slopes of log d in log height and log width, so that the distance always decreases with size."""
 
-_HUBER_SCALE = 0.1
-"""Residual of log d beyond which the loss is linear: 10 % of the distance."""
+_HUBER_SCALE = 0.1  # residual of log d beyond which the loss is linear: 10 % of the distance
 
 STANDARD_HEIGHTS_M: Mapping[str, tuple[float, float, str]] = {
     "motorcycle": (1.55, 0.15, "a motorcycle with its rider, 1.3-1.8 m"),
@@ -44,21 +40,13 @@ STANDARD_HEIGHTS_M: Mapping[str, tuple[float, float, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class SizeSamples:
-    """Labelled boxes to fit to.
+    """Labelled boxes to fit to."""
 
-    Attributes:
-        road_class: (N,) class name.
-        sequence: (N,) index of the sequence.
-        wh_over_f: (N, 2) width / fx and height / fy.
-        bearing: (N,) tangent of the angle between the box centre and the camera's axis.
-        distance_m: (N,) distance.
-    """
-
-    road_class: npt.NDArray[np.str_]
-    sequence: IntArray
-    wh_over_f: FloatArray
-    bearing: FloatArray
-    distance_m: FloatArray
+    road_class: npt.NDArray[np.str_]  # (N,) class name
+    sequence: IntArray  # (N,) index of the sequence
+    wh_over_f: FloatArray  # (N, 2) width / fx and height / fy
+    bearing: FloatArray  # (N,) tangent of the angle between the box centre and the camera's axis
+    distance_m: FloatArray  # (N,) distance
 
     def select(self, rows: BoolArray | IntArray) -> SizeSamples:
         """The samples selected by a mask or an index array."""

@@ -21,20 +21,12 @@ from track_range.ranging.size_models.size_model import StoredSizeModel
 
 @dataclass(frozen=True, slots=True)
 class FittedSizes:
-    """Result of `fit_sizes`.
-
-    Attributes:
-        boxes: boxes that were fitted to.
-        name: name of the model, one of `MODEL_NAMES`.
-        model: the fitted model; None = comparison only.
-        comparison: the plain curves by class; empty = no comparison.
-        notes: notes for the user.
-    """
+    """Result of `fit_sizes`."""
 
     boxes: BoxSet
-    name: str
-    model: StoredSizeModel | None
-    comparison: Mapping[str, Sequence[CurveFit]]
+    name: str  # name of the model, one of `MODEL_NAMES`
+    model: StoredSizeModel | None  # the fitted model; None = comparison only
+    comparison: Mapping[str, Sequence[CurveFit]]  # the plain curves by class; empty = no comparison
     notes: tuple[str, ...]
 
 

@@ -46,20 +46,14 @@ CLASS_OF: Mapping[str, str] = {
 DETECTED_CLASS_OF: Mapping[str, str] = {"van": "car"}
 """Class names that are not road classes, with the road class that a detector reports for them."""
 
-FRAME_STEP_S = 0.1036
-"""Mean frame interval of KITTI's tracking drives in s; their labels have no timestamps."""
-
-MIN_SCORE = 0.5
-"""Smallest confidence of detections that are used."""
+FRAME_STEP_S = 0.1036  # mean frame interval of KITTI's tracking drives in s; their labels have no timestamps
+MIN_SCORE = 0.5  # smallest confidence of detections that are used
 
 REAR_VIEW_RAD, REAR_VIEW_M = 0.25, 10.0
 """Largest difference of alpha from -pi/2 in rad, and largest lateral offset in m, of an object seen from behind."""
 
-_RRC_TYPE: Mapping[str, str] = {"Car": "Car", "Pedestrian": "Pedestrian"}
-"""KITTI type by folder of RRC detections."""
-
-_MIN_SIZE_PX = 1.0
-"""Smallest width and height of a box after noise was added."""
+_RRC_TYPE: Mapping[str, str] = {"Car": "Car", "Pedestrian": "Pedestrian"}  # KITTI type by folder of RRC detections
+_MIN_SIZE_PX = 1.0  # smallest width and height of a box after noise was added
 
 _OBJECT_COLUMNS = (15, 16)
 """Numbers of columns in a line of KITTI object labels, without and with a score; tracking labels have 17 or 18."""
@@ -74,53 +68,31 @@ _IMAGE_SIZE_PX: Mapping[float, tuple[int, int]] = {
 """Width and height of the rectified images by focal length, of KITTI's recordings on 26, 28, 29 and 30 September and
 3 October 2011: its calibration files do not contain them."""
 
-_MAX_FOCAL_DIFFERENCE_PX = 1e-3
-"""Largest difference of focal lengths that count as equal."""
-
-_OBJECT_GROUPS = 10
-"""Number of groups of images that serve as sequences for object labels, which have none."""
+_MAX_FOCAL_DIFFERENCE_PX = 1e-3  # largest difference of focal lengths that count as equal
+_OBJECT_GROUPS = 10  # number of groups of images that serve as sequences for object labels, which have none
 
 
 @dataclass(frozen=True, slots=True)
 class BoxSet:
-    """Labelled boxes, one row per object and frame, ordered by sequence and frame.
+    """Labelled boxes, one row per object and frame, ordered by sequence and frame."""
 
-    Attributes:
-        sequence_names: names of the sequences.
-        sequence: (N,) index into `sequence_names`.
-        frame: (N,) frame number.
-        time_s: (N,) seconds from the sequence's first frame.
-        track_id: (N,) identity of the object, unique within a sequence.
-        kitti_type: (N,) type of the label, as in the file.
-        class_name: (N,) class in the results: car, van, truck, person, bicycle.
-        xyxy_px: (N, 4) box to measure: that of the label, with noise, or detected.
-        fxycxy_px: (N, 4) fx, fy, cx, cy of the camera.
-        size_px: (N, 2) width and height of the image, from the camera, or estimated from the boxes.
-        distance_m: (N,) true distance.
-        alpha_rad: (N,) observation angle: -pi/2 = seen from behind.
-        x_m: (N,) lateral offset.
-        size_hwl_m: (N, 3) height, width, length of the 3-D box; NaN = no 3-D box.
-        rotation_y_rad: (N,) yaw of the 3-D box; NaN = no 3-D box.
-        occluded: (N,) 0 = fully visible, 1 = partly occluded.
-        reference_m: (N,) distance by the definition of the evaluation (`BoxSelection.reference`); None = `distance_m`.
-    """
-
-    sequence_names: tuple[str, ...]
-    sequence: IntArray
-    frame: IntArray
-    time_s: FloatArray
-    track_id: IntArray
-    kitti_type: npt.NDArray[np.str_]
-    class_name: npt.NDArray[np.str_]
-    xyxy_px: FloatArray
-    fxycxy_px: FloatArray
-    size_px: IntArray
-    distance_m: FloatArray
-    alpha_rad: FloatArray
-    x_m: FloatArray
-    size_hwl_m: FloatArray
-    rotation_y_rad: FloatArray
-    occluded: IntArray
+    sequence_names: tuple[str, ...]  # names of the sequences
+    sequence: IntArray  # (N,) index into `sequence_names`
+    frame: IntArray  # (N,) frame number
+    time_s: FloatArray  # (N,) seconds from the sequence's first frame
+    track_id: IntArray  # (N,) identity of the object, unique within a sequence
+    kitti_type: npt.NDArray[np.str_]  # (N,) type of the label, as in the file
+    class_name: npt.NDArray[np.str_]  # (N,) class in the results: car, van, truck, person, bicycle
+    xyxy_px: FloatArray  # (N, 4) box to measure: that of the label, with noise, or detected
+    fxycxy_px: FloatArray  # (N, 4) fx, fy, cx, cy of the camera
+    size_px: IntArray  # (N, 2) width and height of the image, from the camera, or estimated from the boxes
+    distance_m: FloatArray  # (N,) true distance
+    alpha_rad: FloatArray  # (N,) observation angle: -pi/2 = seen from behind
+    x_m: FloatArray  # (N,) lateral offset
+    size_hwl_m: FloatArray  # (N, 3) height, width, length of the 3-D box; NaN = no 3-D box
+    rotation_y_rad: FloatArray  # (N,) yaw of the 3-D box; NaN = no 3-D box
+    occluded: IntArray  # (N,) 0 = fully visible, 1 = partly occluded
+    # (N,) distance by the definition of the evaluation (`BoxSelection.reference`); None = `distance_m`
     reference_m: FloatArray | None = None
 
     def __len__(self) -> int:
@@ -173,20 +145,13 @@ class BoxSet:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoxSelection:
-    """Labels that are used, and their reference distance.
+    """Labels that are used, and their reference distance."""
 
-    Attributes:
-        frames: file of names of label files without .txt, one per line, such as the frames of a published split; None =
-            all files.
-        has_all_objects: whether labels that are truncated, occluded or outside 5-100 m are used too.
-        reference: definition of the distance (`reference_distance`).
-        velodyne: folder of lidar files NAME.bin, for the reference "lidar".
-    """
-
+    # file of names of label files without .txt, one per line, such as the frames of a published split; None = all files
     frames: Path | None = None
-    has_all_objects: bool = False
-    reference: ReferenceName = "surface"
-    velodyne: Path | None = None
+    has_all_objects: bool = False  # whether labels that are truncated, occluded or outside 5-100 m are used too
+    reference: ReferenceName = "surface"  # definition of the distance (`reference_distance`)
+    velodyne: Path | None = None  # folder of lidar files NAME.bin, for the reference "lidar"
 
 
 def box_set(

@@ -26,11 +26,8 @@ from track_range.ranging.size_models.tables import TableCurve, TableSizes
 
 CUBOIDS, LOG_LINEAR = "cuboids", "log-linear"
 
-MODEL_NAMES = (CUBOIDS, LOG_LINEAR, *SAFE_CURVES)
-"""Names of the size models that can be fitted."""
-
-_MIN_SIGMA_RELATIVE = 0.03
-"""Smallest relative standard deviation of a curve."""
+MODEL_NAMES = (CUBOIDS, LOG_LINEAR, *SAFE_CURVES)  # names of the size models that can be fitted
+_MIN_SIGMA_RELATIVE = 0.03  # smallest relative standard deviation of a curve
 
 _MIN_HEIGHT_RATIO = 1.3
 """Smallest ratio of the 95th to the 5th percentile of box heights of a class that determines a curve."""
@@ -38,15 +35,10 @@ _MIN_HEIGHT_RATIO = 1.3
 
 @dataclass(frozen=True, slots=True)
 class UsableBoxes:
-    """Boxes of classes with enough data for a curve.
-
-    Attributes:
-        boxes: the boxes.
-        rejected: name of and reason for each class that was removed.
-    """
+    """Boxes of classes with enough data for a curve."""
 
     boxes: BoxSet
-    rejected: tuple[str, ...]
+    rejected: tuple[str, ...]  # name of and reason for each class that was removed
 
 
 def usable_boxes(boxes: BoxSet, source: object) -> UsableBoxes:

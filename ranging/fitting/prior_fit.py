@@ -28,14 +28,12 @@ MIN_OBJECTS, MIN_BOXES = 3, 100
 _OBJECT_POWER, _BOX_POWER = 0.8, -0.5
 """Exponents of the number n of an object's boxes in the weight of the object, and in that of each of its boxes."""
 
-_STANDARD_OBJECTS = 1.0
-"""Weight of the standard size of a class, as a number of objects."""
+_STANDARD_OBJECTS = 1.0  # weight of the standard size of a class, as a number of objects
 
 _STANDARD_DRIVES, _STANDARD_DRIVE_SIGMA = 6.0, 0.03
 """Weight, as a number of drives, and value of the standard deviation of the mean log height of drives."""
 
-_UNIFORM_YAW_FRACTION = 0.1
-"""Fraction of objects with a uniformly distributed yaw, so that no yaw is impossible."""
+_UNIFORM_YAW_FRACTION = 0.1  # fraction of objects with a uniformly distributed yaw, so that no yaw is impossible
 
 _MIN_SCATTER = (0.01, 0.02)
 """Smallest standard deviations of log height and log width of boxes about those of the cuboid."""
@@ -63,35 +61,22 @@ STANDARD_SIZES: Mapping[str, tuple[tuple[float, float, float], tuple[float, floa
 }
 """Height, width and length in m, their relative standard deviations, and the source, by class."""
 
-_OFF_GROUND = ("traffic light", "traffic sign")
-"""Classes of objects that are not on the road."""
+_OFF_GROUND = ("traffic light", "traffic sign")  # classes of objects that are not on the road
 
 
 @dataclass(frozen=True, slots=True)
 class LabelledSizes:
-    """Labelled boxes with their 3-D boxes, one row per object and frame.
+    """Labelled boxes with their 3-D boxes, one row per object and frame."""
 
-    Attributes:
-        size_class: (N,) class name.
-        object_id: (N,) identity, unique over all sequences.
-        wh_over_f: (N, 2) width / fx and height / fy.
-        bearing: (N,) tangent of the angle between the middle column and the camera's axis.
-        distance_m: (N,) distance of the visible surface.
-        size_hwl_m: (N, 3) height, width, length of the 3-D box.
-        rotation_y_rad: (N,) yaw of the 3-D box in KITTI's convention.
-        is_whole: (N,) whether the box is not truncated by the image border.
-        drive: (N,) index of the drive.
-    """
-
-    size_class: npt.NDArray[np.str_]
-    object_id: IntArray
-    wh_over_f: FloatArray
-    bearing: FloatArray
-    distance_m: FloatArray
-    size_hwl_m: FloatArray
-    rotation_y_rad: FloatArray
-    is_whole: BoolArray
-    drive: IntArray
+    size_class: npt.NDArray[np.str_]  # (N,) class name
+    object_id: IntArray  # (N,) identity, unique over all sequences
+    wh_over_f: FloatArray  # (N, 2) width / fx and height / fy
+    bearing: FloatArray  # (N,) tangent of the angle between the middle column and the camera's axis
+    distance_m: FloatArray  # (N,) distance of the visible surface
+    size_hwl_m: FloatArray  # (N, 3) height, width, length of the 3-D box
+    rotation_y_rad: FloatArray  # (N,) yaw of the 3-D box in KITTI's convention
+    is_whole: BoolArray  # (N,) whether the box is not truncated by the image border
+    drive: IntArray  # (N,) index of the drive
 
     def select(self, rows: BoolArray | IntArray) -> LabelledSizes:
         """The boxes selected by a mask or an index array."""

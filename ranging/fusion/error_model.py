@@ -26,42 +26,26 @@ _SIMILAR = 0.5
 
 @dataclass(frozen=True, slots=True)
 class ErrorModel:
-    """Error correlations of M methods, and their grouping by error source for the outlier rules.
+    """Error correlations of M methods, and their grouping by error source for the outlier rules."""
 
-    Attributes:
-        names: names of the methods, in the order of all arrays.
-        systematic: (M, 1) systematic fraction of sigma, constant over a track.
-        independent: (M, 1) independent fraction of sigma, new in every frame.
-        systematic_correlation: (M, M) correlation C0 of the systematic errors.
-        systematic_covariance: (M, M, 1) products of the systematic fractions of sigma.
-        independent_covariance: (M, M, 1) covariance of the independent errors for sigmas of 1.
-        similar: (2, K) indices of the pairs of methods with an error correlation above 0.5 that may both be used for a
-            track.
-        reference: indices of scale references: methods declared as such, and methods with all systematic errors in
-            common with one of them.
-        is_learnt: (M, 1) whether the bias of a method is estimated: all but scale references.
-        superseded_by: (M, M) whether method i is not used for a track that method j measures.
-        size: indices of methods that depend on the size of the object's class.
-        matching: indices of methods that match two images.
-        contact: indices of methods that depend on the contact point and not on object size.
-        lane: indices of methods that depend on the width of the lane.
-        horizon: indices of methods that depend on the contact point and neither on object size nor on the lane width.
-    """
-
-    names: tuple[str, ...]
-    systematic: FloatArray
-    independent: FloatArray
-    systematic_correlation: FloatArray
-    systematic_covariance: FloatArray
-    independent_covariance: FloatArray
+    names: tuple[str, ...]  # names of the methods, in the order of all arrays
+    systematic: FloatArray  # (M, 1) systematic fraction of sigma, constant over a track
+    independent: FloatArray  # (M, 1) independent fraction of sigma, new in every frame
+    systematic_correlation: FloatArray  # (M, M) correlation C0 of the systematic errors
+    systematic_covariance: FloatArray  # (M, M, 1) products of the systematic fractions of sigma
+    independent_covariance: FloatArray  # (M, M, 1) covariance of the independent errors for sigmas of 1
+    # (2, K) indices of the pairs of methods with an error correlation above 0.5 that may both be used for a track
     similar: IntArray
+    # indices of scale references: methods declared as such, and methods with all systematic errors in common with one
+    # of them
     reference: IntArray
-    is_learnt: BoolArray
-    superseded_by: BoolArray
-    size: IntArray
-    matching: IntArray
-    contact: IntArray
-    lane: IntArray
+    is_learnt: BoolArray  # (M, 1) whether the bias of a method is estimated: all but scale references
+    superseded_by: BoolArray  # (M, M) whether method i is not used for a track that method j measures
+    size: IntArray  # indices of methods that depend on the size of the object's class
+    matching: IntArray  # indices of methods that match two images
+    contact: IntArray  # indices of methods that depend on the contact point and not on object size
+    lane: IntArray  # indices of methods that depend on the width of the lane
+    # indices of methods that depend on the contact point and neither on object size nor on the lane width
     horizon: IntArray
 
     @classmethod

@@ -14,23 +14,16 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.fusion.error_model import ErrorModel
 from track_range.ranging.ranges import Ranges
 
-_TINY = 1e-300
-"""Lower bound of divisors that are 0 for tracks without a measurement."""
+_TINY = 1e-300  # lower bound of divisors that are 0 for tracks without a measurement
 
 
 @dataclass(frozen=True, slots=True)
 class Measurements:
-    """Ranges of N tracks in one frame by M methods, as logarithms.
+    """Ranges of N tracks in one frame by M methods, as logarithms."""
 
-    Attributes:
-        z: (M, N) log distance; 0 = not measured.
-        sigma: (M, N) standard deviation of z, equal to the relative one of the distance; 0 = not measured.
-        valid: (M, N) whether the track is measured.
-    """
-
-    z: FloatArray
-    sigma: FloatArray
-    valid: BoolArray
+    z: FloatArray  # (M, N) log distance; 0 = not measured
+    sigma: FloatArray  # (M, N) standard deviation of z, equal to the relative one of the distance; 0 = not measured
+    valid: BoolArray  # (M, N) whether the track is measured
 
     @classmethod
     def of(cls, by_method: Mapping[str, Ranges], model: ErrorModel, track_id: IntArray) -> Measurements:
@@ -54,27 +47,18 @@ class Measurements:
 
 @dataclass(frozen=True, slots=True)
 class TrackBiases:
-    """State of fusion for N tracks: biases of the methods, and the last estimate.
+    """State of fusion for N tracks: biases of the methods, and the last estimate."""
 
-    Attributes:
-        u: (M, N) bias of each method, in units of the systematic part of its sigma.
-        C: (M, M, N) covariance of u.
-        log_m: (N,) log distance at the last measurement; NaN = never measured.
-        variance: (N,) variance of `log_m`; NaN = never measured.
-        time_s: (N,) time of the last measurement; NaN = never measured.
-        n_agreements: (N,) number of frames in which methods agreed, minus 2 for each frame with a conflict; limited.
-        n_conflicts: (N,) number of frames with a conflict between methods that the track's history did not resolve.
-        reference_s: (N,) time of the last measurement of a scale reference; NaN = never.
-    """
-
-    u: FloatArray
-    C: FloatArray
-    log_m: FloatArray
-    variance: FloatArray
-    time_s: FloatArray
+    u: FloatArray  # (M, N) bias of each method, in units of the systematic part of its sigma
+    C: FloatArray  # (M, M, N) covariance of u
+    log_m: FloatArray  # (N,) log distance at the last measurement; NaN = never measured
+    variance: FloatArray  # (N,) variance of `log_m`; NaN = never measured
+    time_s: FloatArray  # (N,) time of the last measurement; NaN = never measured
+    # (N,) number of frames in which methods agreed, minus 2 for each frame with a conflict; limited
     n_agreements: FloatArray
+    # (N,) number of frames with a conflict between methods that the track's history did not resolve
     n_conflicts: FloatArray
-    reference_s: FloatArray
+    reference_s: FloatArray  # (N,) time of the last measurement of a scale reference; NaN = never
 
     @classmethod
     def from_columns(cls, columns: FloatArray, m: int) -> TrackBiases:
@@ -109,31 +93,18 @@ class TrackBiases:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Log distances from one frame's measurements, given the biases; entries without a measurement are 0.
+    """Log distances from one frame's measurements, given the biases; entries without a measurement are 0."""
 
-    Attributes:
-        log_m: (N,) log distance.
-        variance: (N,) variance of `log_m`; undefined for tracks without a measurement.
-        k: (M, N) systematic part of sigma.
-        y: (M, N) measurements minus their biases.
-        A: (M, M, N) covariance of y.
-        P: (M, M, N) information of the differences between the valid methods.
-        residual: (M, N) P y.
-        t2: (N,) largest t_i^2: squared deviation of a method from all others, in units of its variance.
-        chi2_per_dof: (N,) chi^2 of the differences per degree of freedom.
-        n_valid: (N,) number of valid methods.
-    """
-
-    log_m: FloatArray
-    variance: FloatArray
-    k: FloatArray
-    y: FloatArray
-    A: FloatArray
-    P: FloatArray
-    residual: FloatArray
-    t2: FloatArray
-    chi2_per_dof: FloatArray
-    n_valid: IntArray
+    log_m: FloatArray  # (N,) log distance
+    variance: FloatArray  # (N,) variance of `log_m`; undefined for tracks without a measurement
+    k: FloatArray  # (M, N) systematic part of sigma
+    y: FloatArray  # (M, N) measurements minus their biases
+    A: FloatArray  # (M, M, N) covariance of y
+    P: FloatArray  # (M, M, N) information of the differences between the valid methods
+    residual: FloatArray  # (M, N) P y
+    t2: FloatArray  # (N,) largest t_i^2: squared deviation of a method from all others, in units of its variance
+    chi2_per_dof: FloatArray  # (N,) chi^2 of the differences per degree of freedom
+    n_valid: IntArray  # (N,) number of valid methods
 
 
 def least_squares(used: Measurements, track: TrackBiases, model: ErrorModel) -> Estimate:

@@ -47,17 +47,13 @@ _MEMORY_LOG = 5.0
 """Change of log distance over which biases decay to 1/e. On KITTI's labelled tracks, the errors of mono lose 16 % of
 their variance over a distance factor of e, and none over time alone."""
 
-_MEMORY_S = 60.0
-"""Time in s over which biases decay to 1/e; long, since KITTI shows no decay over time alone."""
-
-_MAX_GAP_S = 3.0
-"""Longest absence in s after which the biases of a track are still used."""
+_MEMORY_S = 60.0  # time in s over which biases decay to 1/e; long, since KITTI shows no decay over time alone
+_MAX_GAP_S = 3.0  # longest absence in s after which the biases of a track are still used
 
 _MAX_AGREEMENTS = 2 * TRUSTED_FRAMES
 """Largest count of frames in agreement, so that a few conflicts (-2 each) end the trust in a track's history."""
 
-_CONFLICT_VARIANCE = 0.5
-"""Variance added to u in a frame with a conflict."""
+_CONFLICT_VARIANCE = 0.5  # variance added to u in a frame with a conflict
 
 _MAX_BIAS_SIGMA = 2.5
 """Largest difference between size and matching methods, in standard deviations, that biases are learnt from: larger
@@ -85,17 +81,11 @@ class ScaleSource(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Fused:
-    """Fused ranges of N tracks in one frame.
+    """Fused ranges of N tracks in one frame."""
 
-    Attributes:
-        ranges: distance and sigma, NaN = no method measured the track.
-        scale_source: (N,) `ScaleSource` of each distance.
-        n_conflicts: (N,) number of frames so far with a conflict between methods that the track's history did not
-            resolve.
-    """
-
-    ranges: Ranges
-    scale_source: IntArray
+    ranges: Ranges  # distance and sigma, NaN = no method measured the track
+    scale_source: IntArray  # (N,) `ScaleSource` of each distance
+    # (N,) number of frames so far with a conflict between methods that the track's history did not resolve
     n_conflicts: IntArray
 
     @property

@@ -23,11 +23,8 @@ from track_range.foundation.arrays import BoolArray
 from track_range.ranging.fusion.error_model import ErrorModel
 from track_range.ranging.fusion.estimation import Estimate, Measurements, TrackBiases, least_squares
 
-CONFLICT_T2 = 9.0
-"""Value of t^2 above which methods are in conflict: 3 standard deviations."""
-
-TRUSTED_FRAMES = 5
-"""Number of frames in agreement after which the history of a track decides which method is wrong."""
+CONFLICT_T2 = 9.0  # value of t^2 above which methods are in conflict: 3 standard deviations
+TRUSTED_FRAMES = 5  # number of frames in agreement after which the history of a track decides which method is wrong
 
 _LOG_MAX_SIZE_RATIO = math.log(2.5)
 """Largest plausible difference of log distance between matching and size methods: a factor of 2.5."""
@@ -35,11 +32,8 @@ _LOG_MAX_SIZE_RATIO = math.log(2.5)
 _OUTLIER_SIGMA = 3.0
 """Deviation in standard deviations from the track's history or another method: above an outlier, below in agreement."""
 
-_MAX_SPEED_MPS = 20.0
-"""Largest rate of change of distances, for the prediction from the last frame."""
-
-_SAME_ERRORS = 0.5
-"""Correlation of systematic errors above which two methods do not confirm each other."""
+_MAX_SPEED_MPS = 20.0  # largest rate of change of distances, for the prediction from the last frame
+_SAME_ERRORS = 0.5  # correlation of systematic errors above which two methods do not confirm each other
 
 
 def inconsistent_with_size(

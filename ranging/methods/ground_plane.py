@@ -60,11 +60,8 @@ GROUND_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van
 _ON_GROUND = np.array([name in GROUND_CLASSES for name in SIZE_CLASSES])
 """(size classes,) whether objects of the class are on the ground."""
 
-_HUBER_SIGMA = 2.0
-"""Residual in standard deviations beyond which measurements are down-weighted (Huber)."""
-
-_MAX_HEIGHT_SIGMA = 0.05
-"""Largest relative standard deviation of a measured camera height that counts as known."""
+_HUBER_SIGMA = 2.0  # residual in standard deviations beyond which measurements are down-weighted (Huber)
+_MAX_HEIGHT_SIGMA = 0.05  # largest relative standard deviation of a measured camera height that counts as known
 
 _REFERENCE_SIGMA = 0.015
 """Relative error of all distances from image motion: camera height, and the horizon's mean error."""
@@ -72,36 +69,21 @@ _REFERENCE_SIGMA = 0.015
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GroundSettings:
-    """Settings of the ground plane.
+    """Settings of the ground plane."""
 
-    Attributes:
-        height_m: prior mean of the camera height H above the road.
-        height_sigma_m: standard deviation of `height_m`: small if measured, large if assumed.
-        horizon_sigma_rad: prior standard deviation of the angle between the camera's axis and the horizon.
-        average_s: time constant for averaging the measurements of a track.
-        memory_s: time constant of the decay of a track's measurement after the track ended.
-        pitch_sigma_rad: initial standard deviation of pitch and slope; updated from the residuals.
-        pitch_memory_s: time constant of the update of `pitch_sigma_rad`.
-        kerb_m: standard deviation of the height of contact points above the road (kerbs, camber).
-        has_visible_boxes: whether boxes end at the tyres, as a detector sees them, and not below the bumper, as
-            projected 3-D boxes do.
-        crossfall: standard deviation of the slope of the road and its surroundings to the side.
-        box_sigma_px: standard deviation of one box edge.
-        max_sigma: largest relative standard deviation of a reported distance.
-    """
-
-    height_m: float = 1.5
-    height_sigma_m: float = 0.3
-    horizon_sigma_rad: float = 0.03
-    average_s: float = 0.3
-    memory_s: float = 1.5
-    pitch_sigma_rad: float = 0.008
-    pitch_memory_s: float = 5.0
-    kerb_m: float = 0.08
-    crossfall: float = 0.007
+    height_m: float = 1.5  # prior mean of the camera height H above the road
+    height_sigma_m: float = 0.3  # standard deviation of `height_m`: small if measured, large if assumed
+    horizon_sigma_rad: float = 0.03  # prior standard deviation of the angle between the camera's axis and the horizon
+    average_s: float = 0.3  # time constant for averaging the measurements of a track
+    memory_s: float = 1.5  # time constant of the decay of a track's measurement after the track ended
+    pitch_sigma_rad: float = 0.008  # initial standard deviation of pitch and slope; updated from the residuals
+    pitch_memory_s: float = 5.0  # time constant of the update of `pitch_sigma_rad`
+    kerb_m: float = 0.08  # standard deviation of the height of contact points above the road (kerbs, camber)
+    crossfall: float = 0.007  # standard deviation of the slope of the road and its surroundings to the side
+    # whether boxes end at the tyres, as a detector sees them, and not below the bumper, as projected 3-D boxes do
     has_visible_boxes: bool = False
-    box_sigma_px: float = 1.5
-    max_sigma: float = 0.5
+    box_sigma_px: float = 1.5  # standard deviation of one box edge
+    max_sigma: float = 0.5  # largest relative standard deviation of a reported distance
 
     @classmethod
     def of_known_height(cls, height_m: float) -> GroundSettings:
@@ -111,61 +93,39 @@ class GroundSettings:
 
 @dataclass(frozen=True, slots=True)
 class Horizon:
-    """Vanishing line of the road at the middle column of the image.
+    """Vanishing line of the road at the middle column of the image."""
 
-    Attributes:
-        y_px: row of the horizon in px of the frame.
-        sigma_px: standard deviation of `y_px`.
-        height_m: height H of the camera above the road.
-    """
-
-    y_px: float
-    sigma_px: float
-    height_m: float
+    y_px: float  # row of the horizon in px of the frame
+    sigma_px: float  # standard deviation of `y_px`
+    height_m: float  # height H of the camera above the road
 
 
-_N = 4
-"""Number of unknowns: y0, H, fy k, b."""
-
-_UPPER = np.triu_indices(_N)
-"""Rows and columns of the upper triangle of a matrix of the unknowns."""
+_N = 4  # number of unknowns: y0, H, fy k, b
+_UPPER = np.triu_indices(_N)  # rows and columns of the upper triangle of a matrix of the unknowns
 
 _MATRIX = np.zeros((_N, _N), np.int64)
 _MATRIX[_UPPER] = _MATRIX.T[_UPPER] = np.arange(len(_UPPER[0]))
 """(4, 4) place of each element of a symmetric matrix in its upper triangle."""
 
-_N_TERMS = len(_UPPER[0]) + _N
-"""Terms of the normal equations: the upper triangle of their matrix, and a vector."""
-
-_FIXED = 1e-3
-"""Standard deviation of unknowns that are taken to be 0, in px/m and as a fraction."""
+_N_TERMS = len(_UPPER[0]) + _N  # terms of the normal equations: the upper triangle of their matrix, and a vector
+_FIXED = 1e-3  # standard deviation of unknowns that are taken to be 0, in px/m and as a fraction
 
 _N_CURVE_ROUNDS = 3
 """Rounds of fixed-point iteration for the distance on a curved road; the fraction of the curvature changes slowly."""
 
-_MIN_SLOPE = 0.3
-"""Smallest change of the row with distance, relative to that on a plane road: near a crest."""
-
-_MIN_OWN = 0.4
-"""Smallest fraction of the variance of a distance by size that belongs to the object and the box."""
-
-_MOVING_PITCH_RAD = 0.001
-"""Error of the horizon from image motion that is new in every frame."""
+_MIN_SLOPE = 0.3  # smallest change of the row with distance, relative to that on a plane road: near a crest
+_MIN_OWN = 0.4  # smallest fraction of the variance of a distance by size that belongs to the object and the box
+_MOVING_PITCH_RAD = 0.001  # error of the horizon from image motion that is new in every frame
 
 _MIN_INFORMATION = 1e-3
 """Smallest information of a track about the horizon, relative to a new measurement; tracks with less are dropped."""
 
 
 class _Plane(NamedTuple):
-    """Least-squares estimates of the road.
+    """Least-squares estimates of the road."""
 
-    Attributes:
-        x: (..., 4) y0 in px below the expected horizon, H in m, fy k in px/m, b.
-        P: (..., 4, 4) covariance.
-    """
-
-    x: FloatArray
-    P: FloatArray
+    x: FloatArray  # (..., 4) y0 in px below the expected horizon, H in m, fy k in px/m, b
+    P: FloatArray  # (..., 4, 4) covariance
 
     def rows(self, basis: FloatArray) -> FloatArray:
         """(N,) rows of the ground, in px below the expected horizon, from the `_basis` (4, N) of their distances."""
@@ -179,29 +139,17 @@ class _Plane(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _Contacts:
-    """Contact points of the tracks of one frame, (N,) each.
+    """Contact points of the tracks of one frame, (N,) each."""
 
-    Attributes:
-        y: row of the bottom edge in px below the expected horizon at its column.
-        offset_m: distance from the contact point to the visible surface.
-        s: fy / d with the distance by size, in px/m; 1 = no distance by size.
-        s_variance: variance of `s`.
-        basis: (4, N) derivatives of the row of the ground at `s` by the unknowns, without b.
-        R: variance of `y` about the ground plane, px^2.
-        side_px2: part of it from the slope to the side, px^2.
-        on_ground: whether the bottom edge is visible and the object is on the ground.
-        is_informative: whether there is also a distance by size, so that the track measures the horizon.
-    """
-
-    y: FloatArray
-    offset_m: FloatArray
-    s: FloatArray
-    s_variance: FloatArray
-    basis: FloatArray
-    R: FloatArray
-    side_px2: FloatArray
-    on_ground: BoolArray
-    is_informative: BoolArray
+    y: FloatArray  # row of the bottom edge in px below the expected horizon at its column
+    offset_m: FloatArray  # distance from the contact point to the visible surface
+    s: FloatArray  # fy / d with the distance by size, in px/m; 1 = no distance by size
+    s_variance: FloatArray  # variance of `s`
+    basis: FloatArray  # (4, N) derivatives of the row of the ground at `s` by the unknowns, without b
+    R: FloatArray  # variance of `y` about the ground plane, px^2
+    side_px2: FloatArray  # part of it from the slope to the side, px^2
+    on_ground: BoolArray  # whether the bottom edge is visible and the object is on the ground
+    is_informative: BoolArray  # whether there is also a distance by size, so that the track measures the horizon
 
 
 class GroundPlane:

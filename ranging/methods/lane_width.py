@@ -31,8 +31,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
-LANE_WIDTH_M = 3.5
-"""Default distance W in m between the centre lines of the lane markings, of main roads in Europe."""
+LANE_WIDTH_M = 3.5  # default distance W in m between the centre lines of the lane markings, of main roads in Europe
 
 LANE_WIDTH_SIGMA = 0.15
 """Relative standard deviation of the default width.
@@ -50,11 +49,8 @@ _LATERAL_RANGE = (-1.1, 2.1)
 _MAX_EXTRAPOLATION, _MIN_EXTRAPOLATION = 2.0, 0.5
 """Largest and smallest distance, as factors of the distances of the farthest and nearest row with both lines."""
 
-_MIN_WIDTH_PX = 8.0
-"""Smallest usable width of the lane in the image."""
-
-_MAX_SIGMA = 0.3
-"""Largest relative standard deviation of a reported distance."""
+_MIN_WIDTH_PX = 8.0  # smallest usable width of the lane in the image
+_MAX_SIGMA = 0.3  # largest relative standard deviation of a reported distance
 
 _MIN_WIDTH_SIGMA, _MAX_WIDTH_SIGMA = 0.015, 0.25
 """Limits of the relative standard deviation of a learnt width.
@@ -62,17 +58,10 @@ _MIN_WIDTH_SIGMA, _MAX_WIDTH_SIGMA = 0.015, 0.25
 The lower limit covers errors common to all measurements of a drive: bias of box bottom edges, alignment of the pair.
 """
 
-_CONFLICT_FACTOR = 1.4
-"""Factor on the sigma of the width after an image with outliers only."""
-
-_GATE = 3.0
-"""Deviation of a measured width in standard deviations beyond which it is an outlier."""
-
-_FORGETTING_S = 60.0
-"""Time in s over which the variance of a learnt width grows by that of the default."""
-
-_ROAD_SIGMA = 0.01
-"""Relative standard deviation of w from uneven roads and varying lane widths."""
+_CONFLICT_FACTOR = 1.4  # factor on the sigma of the width after an image with outliers only
+_GATE = 3.0  # deviation of a measured width in standard deviations beyond which it is an outlier
+_FORGETTING_S = 60.0  # time in s over which the variance of a learnt width grows by that of the default
+_ROAD_SIGMA = 0.01  # relative standard deviation of w from uneven roads and varying lane widths
 
 _Widths = tuple[FloatArray, FloatArray, BoolArray]
 """(N,) lane width w in px in the rows of the bottom edges, its relative sigma, and whether the track can be ranged."""
@@ -80,15 +69,10 @@ _Widths = tuple[FloatArray, FloatArray, BoolArray]
 
 @dataclass(frozen=True, slots=True)
 class LaneWidth:
-    """Estimate of the width of the lane: a Kalman filter of its logarithm.
+    """Estimate of the width of the lane: a Kalman filter of its logarithm."""
 
-    Attributes:
-        width_m: distance W between the lines.
-        sigma: relative standard deviation of W.
-    """
-
-    width_m: float = LANE_WIDTH_M
-    sigma: float = LANE_WIDTH_SIGMA
+    width_m: float = LANE_WIDTH_M  # distance W between the lines
+    sigma: float = LANE_WIDTH_SIGMA  # relative standard deviation of W
 
     def after(self, step_s: float) -> LaneWidth:
         """The estimate after `step_s` seconds without a measurement: the same width with a larger sigma."""

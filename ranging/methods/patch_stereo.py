@@ -25,8 +25,7 @@ from track_range.tracking.tracks import Tracks
 _DETAILS = ("surfaces", "probability")
 
 
-_REFERENCE_SIGMA = 0.01
-"""Relative error of all distances of a pair, as a reference for the scale of the drive."""
+_REFERENCE_SIGMA = 0.01  # relative error of all distances of a pair, as a reference for the scale of the drive
 
 
 class StereoRanger(Ranger):

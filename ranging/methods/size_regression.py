@@ -30,8 +30,7 @@ _CUT_SIGMA = 0.085
 """Relative standard deviation of the distance of boxes that end at the left or right border of the image, whose middle
 column is not that of the object; on KITTI."""
 
-_MIN_AREA_PX2 = 1e-6
-"""Smallest area of a box, so that one without an area is not covered."""
+_MIN_AREA_PX2 = 1e-6  # smallest area of a box, so that one without an area is not covered
 
 _COVERED_SIGMA = 0.06
 """Relative standard deviation of the distance of a box that nearer ones cover wholly, of a detector on KITTI."""

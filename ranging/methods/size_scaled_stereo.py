@@ -24,8 +24,7 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.matching.patch_matches import BoxMatcher
 from track_range.tracking.tracks import Tracks
 
-_UNALIGNED_SIGMA_PX = 1.0
-"""Standard deviation in px of the disparities of uncalibrated cameras, apart from the scale."""
+_UNALIGNED_SIGMA_PX = 1.0  # standard deviation in px of the disparities of uncalibrated cameras, apart from the scale
 
 _SIZES_SIGMA = 0.08
 """Relative standard deviation of the mean size of a class: countries, car models and detectors differ."""

@@ -30,24 +30,16 @@ _FULL_SEARCH_INTERVAL_S = 1.0
 """Time in s after which the full disparity range is searched in any case, so that a track can leave an occluder."""
 
 
-_BORDER_PX = 2.0
-"""Distance in px from the image border within which a box may show only a part of the object."""
-
-_CUT_LOG_SIGMA = 0.4
-"""Additional standard deviation of the log disparity by size of such a box."""
+_BORDER_PX = 2.0  # distance in px from the image border within which a box may show only a part of the object
+_CUT_LOG_SIGMA = 0.4  # additional standard deviation of the log disparity by size of such a box
 
 
 @dataclass(frozen=True, slots=True)
 class Triangulation:
-    """Conversion of disparities to distances.
-
-    Attributes:
-        rig: the rectified pair.
-        alignment: correction of the disparities.
-    """
+    """Conversion of disparities to distances."""
 
     rig: StereoRig
-    alignment: AlignmentSource
+    alignment: AlignmentSource  # correction of the disparities
 
     def ranges(
         self,

@@ -19,17 +19,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-_N_STEPS = 5
-"""Iterations for the position of a cuboid, from a start behind the visible surface."""
-
-_N_STEPS_FROM_START = 2
-"""Iterations for the position of a cuboid, from that of a cuboid of similar size."""
-
-_MIN_DEPTH_M = 0.3
-"""Smallest depth in m of a corner, to keep corners in front of the camera."""
-
-_CORNERS = tuple(product((-0.5, 0.5), repeat=2))
-"""Corners of the ground face in units of (length, width)."""
+_N_STEPS = 5  # iterations for the position of a cuboid, from a start behind the visible surface
+_N_STEPS_FROM_START = 2  # iterations for the position of a cuboid, from that of a cuboid of similar size
+_MIN_DEPTH_M = 0.3  # smallest depth in m of a corner, to keep corners in front of the camera
+_CORNERS = tuple(product((-0.5, 0.5), repeat=2))  # corners of the ground face in units of (length, width)
 
 Floats = npt.NDArray[np.floating[Any]]
 """Array of single or double precision; results have the precision of the arguments."""
@@ -39,19 +32,13 @@ _Pair = tuple[Floats, Floats]
 
 @dataclass(frozen=True, slots=True)
 class CuboidBox:
-    """Image of cuboids, arrays of the same shape (...).
+    """Image of cuboids, arrays of the same shape (...)."""
 
-    Attributes:
-        log_height: log of the box height divided by the focal length.
-        log_width: log of the box width divided by the focal length.
-        log_inverse_depth: log of 1 / z of the nearest point on the ground, z in metres; determines the bottom edge.
-        xz_m: position of the cuboid's centre, x to the right and z ahead, in metres.
-    """
-
-    log_height: Floats
-    log_width: Floats
+    log_height: Floats  # log of the box height divided by the focal length
+    log_width: Floats  # log of the box width divided by the focal length
+    # log of 1 / z of the nearest point on the ground, z in metres; determines the bottom edge
     log_inverse_depth: Floats
-    xz_m: _Pair
+    xz_m: _Pair  # position of the cuboid's centre, x to the right and z ahead, in metres
 
 
 def box_of_cuboid(

@@ -28,8 +28,7 @@ from track_range.ranging.size_models.prior import ShapeTables, SizePrior
 from track_range.ranging.size_models.shared_ground import GroundContacts, GroundPrior, ground_from_others
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeClass, SizeRanges
 
-KIND = "cuboids"
-"""Value of "kind" in curve files of this model."""
+KIND = "cuboids"  # value of "kind" in curve files of this model
 
 CLASS_CONFUSION: Mapping[str, Mapping[str, float]] = {
     "car": {"car": 0.96, "van": 0.04},
@@ -55,11 +54,8 @@ _USUAL_CHI2 = 6.0
 """Squared deviation of a box from the usual sizes and yaws of its class, 95 % of boxes have less; that of more unusual
 ones shows that the class is wrong, or that the box is not that of the whole object, and scales the variance."""
 
-_MIN_SYSTEMATIC = 1e-4
-"""Smallest systematic fraction of the variance: the size of an object is never known exactly."""
-
-_MIN_SIGMA = 0.01
-"""Smallest relative standard deviation of a distance."""
+_MIN_SYSTEMATIC = 1e-4  # smallest systematic fraction of the variance: the size of an object is never known exactly
+_MIN_SIGMA = 0.01  # smallest relative standard deviation of a distance
 
 
 class CuboidFile(BaseModel):

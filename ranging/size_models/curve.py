@@ -21,11 +21,8 @@ from track_range.foundation.validation import Integer, validated
 from track_range.ranging.size_models import cuboid_sizes, log_linear, tables
 from track_range.ranging.size_models.size_model import StoredSizeModel
 
-CURVE_VERSION = 2
-"""Version of the file format that is written and read."""
-
-_VERSION_KEY = "track_range_size_curves"
-"""Key of the version in a curve file, which also identifies the format."""
+CURVE_VERSION = 2  # version of the file format that is written and read
+_VERSION_KEY = "track_range_size_curves"  # key of the version in a curve file, which also identifies the format
 
 
 class CurveError(UserError):

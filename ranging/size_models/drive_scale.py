@@ -32,26 +32,16 @@ _COMMON_SIGMA, _CLASS_SIGMA = 0.03, 0.05
 
 _PRIOR_VARIANCE = _COMMON_SIGMA**2 + _CLASS_SIGMA**2
 
-_MAX_SHARED = 0.3
-"""Largest fraction of the systematic variance of a distance by size that the drive is taken to cause."""
-
-_CORRELATED_S = 0.5
-"""Time over which the errors of a track's frames are correlated: pitch, and boxes of a detector."""
-
-_MEMORY_S = 180.0
-"""Time constant with which tracks are forgotten: streets change."""
-
-_OWN_S = 5.0
-"""Time for which a track without references stays corrected by its own ones."""
-
-_MAX_TRACKS = 400
-"""Largest number of tracks; more do not change the estimate."""
+_MAX_SHARED = 0.3  # largest fraction of the systematic variance of a distance by size that the drive is taken to cause
+_CORRELATED_S = 0.5  # time over which the errors of a track's frames are correlated: pitch, and boxes of a detector
+_MEMORY_S = 180.0  # time constant with which tracks are forgotten: streets change
+_OWN_S = 5.0  # time for which a track without references stays corrected by its own ones
+_MAX_TRACKS = 400  # largest number of tracks; more do not change the estimate
 
 _N_ROUNDS, _CAUCHY_SIGMA = 3, 2.0
 """Rounds of reweighting, and scale of the weights 1 / (1 + (residual / scale)^2) in standard deviations."""
 
-_MAX_LOG_RATIO = 0.5
-"""Largest difference of log distance that is evidence; larger ones are mistakes."""
+_MAX_LOG_RATIO = 0.5  # largest difference of log distance that is evidence; larger ones are mistakes
 
 
 class BiasOfClass(NamedTuple):
@@ -63,21 +53,13 @@ class BiasOfClass(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ScaleEvidence:
-    """Evidence of the scale of a drive by one method in one frame, for N tracks.
+    """Evidence of the scale of a drive by one method in one frame, for N tracks."""
 
-    Attributes:
-        by_size: distances by size before their correction; None = the method has none.
-        class_id: (N,) classes of the tracks.
-        reference: distances with a known scale, NaN = none; None = the method has none.
-        reference_sigma: relative standard deviation of an error that all references share.
-        corrects_tracks: whether the tracks are corrected by their own references, too.
-    """
-
-    class_id: IntArray
-    by_size: Ranges | None = None
-    reference: Ranges | None = None
-    reference_sigma: float = 0.0
-    corrects_tracks: bool = False
+    class_id: IntArray  # (N,) classes of the tracks
+    by_size: Ranges | None = None  # distances by size before their correction; None = the method has none
+    reference: Ranges | None = None  # distances with a known scale, NaN = none; None = the method has none
+    reference_sigma: float = 0.0  # relative standard deviation of an error that all references share
+    corrects_tracks: bool = False  # whether the tracks are corrected by their own references, too
 
 
 class _Tracks(NamedTuple):
@@ -112,14 +94,11 @@ _NO_IDS = np.zeros(0, np.int64)
 
 @dataclass(frozen=True, slots=True)
 class DriveScale:
-    """Bias of the distances by size in one drive, from the evidence so far; `DriveScale()` has none.
+    """Bias of the distances by size in one drive, from the evidence so far; `DriveScale()` has none."""
 
-    Attributes:
-        log_factor: (K,) posterior mean of a + c_k of the classes `SIZE_CLASSES`.
-        variance: (K,) its variance.
-    """
-
+    # (K,) posterior mean of a + c_k of the classes `SIZE_CLASSES`
     log_factor: FloatArray = field(default_factory=lambda: np.zeros(len(SIZE_CLASSES)))
+    # (K,) its variance
     variance: FloatArray = field(default_factory=lambda: np.full(len(SIZE_CLASSES), _PRIOR_VARIANCE))
     _tracks: _Tracks = field(default_factory=lambda: _Tracks(_NO_IDS, _NO_IDS, *np.zeros((4, 0))))
     _corrections: _Corrections = field(default_factory=lambda: _Corrections(_NO_IDS, *np.zeros((3, 0))))

@@ -23,20 +23,11 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.track_state import TrackState
 
-_MEMORY_S = 60.0
-"""Time in s over which the contribution of an object that has left decays to 1/e."""
-
-_ROUGHNESS_OBJECTS = 3.0
-"""Weight of the prior roughness, 1, as a number of objects."""
-
-_ROUGHNESS_RANGE = (0.2, 5.0)
-"""Smallest and largest roughness lambda."""
-
-_MAX_CHI2 = 9.0
-"""Largest squared residual relative to its variance that counts for the roughness."""
-
-_MIN_WEIGHT = 0.02
-"""Weight, relative to a new object, below which an object that has left is forgotten."""
+_MEMORY_S = 60.0  # time in s over which the contribution of an object that has left decays to 1/e
+_ROUGHNESS_OBJECTS = 3.0  # weight of the prior roughness, 1, as a number of objects
+_ROUGHNESS_RANGE = (0.2, 5.0)  # smallest and largest roughness lambda
+_MAX_CHI2 = 9.0  # largest squared residual relative to its variance that counts for the roughness
+_MIN_WEIGHT = 0.02  # weight, relative to a new object, below which an object that has left is forgotten
 
 _MAX_LOG_RATIO = 1.0
 """Largest log likelihood ratio of two body types from the earlier views of an object, since shapes are not cuboids."""
@@ -51,21 +42,13 @@ likelihoods of the body types."""
 
 @dataclass(frozen=True, slots=True)
 class GroundTerms:
-    """Measurements of the ground plane by the N objects of a frame.
+    """Measurements of the ground plane by the N objects of a frame."""
 
-    Attributes:
-        normal: (5, N) terms of the normal equations for (y0, H) (`shared_ground.solve_ground`).
-        residual2: (N,) squared residuals of the bottom edges.
-        rough: (N,) part of their variance that is proportional to the roughness, for a roughness of 1.
-        other: (N,) rest of their variance.
-        is_on_ground: (N,) whether the object is on the ground; others do not contribute.
-    """
-
-    normal: FloatArray
-    residual2: FloatArray
-    rough: FloatArray
-    other: FloatArray
-    is_on_ground: BoolArray
+    normal: FloatArray  # (5, N) terms of the normal equations for (y0, H) (`shared_ground.solve_ground`)
+    residual2: FloatArray  # (N,) squared residuals of the bottom edges
+    rough: FloatArray  # (N,) part of their variance that is proportional to the roughness, for a roughness of 1
+    other: FloatArray  # (N,) rest of their variance
+    is_on_ground: BoolArray  # (N,) whether the object is on the ground; others do not contribute
 
 
 class DriveState:

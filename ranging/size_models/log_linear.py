@@ -22,35 +22,23 @@ from track_range.foundation.validation import Integer, Number
 from track_range.ranging.size_models.drive_state import DriveState
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, Sigma, SizeClass, SizeRanges
 
-KIND = "log-linear"
-"""Value of "kind" in curve files of this model."""
+KIND = "log-linear"  # value of "kind" in curve files of this model
 
 _Intercept = Annotated[Number, Field(ge=-20, le=20)]
-_Slope = Annotated[Number, Field(ge=-10, le=10)]
-"""Coefficients in a file; exp(20) m is far beyond any distance."""
+_Slope = Annotated[Number, Field(ge=-10, le=10)]  # coefficients in a file; exp(20) m is far beyond any distance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SizeCurve:
-    """The curve of one class.
+    """The curve of one class."""
 
-    Attributes:
-        intercept: log distance in m for sizes of 1.
-        per_log_height: slope in log(h / fy), negative.
-        per_log_width: slope in log(w / fx), <= 0; 0 = the width is not used.
-        per_bearing: slope in |tan bearing|.
-        sigma_relative: standard deviation of the relative error on exact boxes of left-out sequences.
-        n: number of fitted boxes; 0 = from a standard size.
-        source: origin of the coefficients.
-    """
-
-    intercept: _Intercept
-    per_log_height: _Slope
-    per_log_width: _Slope
-    per_bearing: _Slope
-    sigma_relative: Sigma
-    n: Integer
-    source: str
+    intercept: _Intercept  # log distance in m for sizes of 1
+    per_log_height: _Slope  # slope in log(h / fy), negative
+    per_log_width: _Slope  # slope in log(w / fx), <= 0; 0 = the width is not used
+    per_bearing: _Slope  # slope in |tan bearing|
+    sigma_relative: Sigma  # standard deviation of the relative error on exact boxes of left-out sequences
+    n: Integer  # number of fitted boxes; 0 = from a standard size
+    source: str  # origin of the coefficients
 
     @property
     def coefficients(self) -> tuple[float, ...]:

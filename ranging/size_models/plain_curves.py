@@ -23,8 +23,7 @@ from track_range.foundation.arrays import FloatArray
 Measure = Callable[[FloatArray], FloatArray]
 """Function from (N, 2) width and height divided by the focal length to (N,) box measure s, the argument of a curve."""
 
-_TABLE_SIZE = 64
-"""Number of nodes of a `safe_table`."""
+_TABLE_SIZE = 64  # number of nodes of a `safe_table`
 
 
 class FittedCurve(Protocol):
@@ -53,8 +52,7 @@ def diagonal(wh_over_f: FloatArray) -> FloatArray:
     return np.asarray(np.hypot(wh_over_f[:, 0], wh_over_f[:, 1]))
 
 
-MEASURES: Mapping[str, Measure] = {"height": height, "diagonal": diagonal}
-"""Box measures by their name in curve files."""
+MEASURES: Mapping[str, Measure] = {"height": height, "diagonal": diagonal}  # box measures by their name in curve files
 
 
 @dataclass(frozen=True, slots=True)

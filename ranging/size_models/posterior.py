@@ -24,26 +24,16 @@ from track_range.ranging.size_models.prior import NODE_RANGE, ShapeTables
 from track_range.ranging.size_models.shared_ground import GroundContacts, GroundFromOthers, GroundPrior
 from track_range.ranging.size_models.size_model import BoxExtents
 
-IMPOSSIBLE = -1e9
-"""Log probability of a body type that a box cannot have."""
-
-_UNSEEN_VARIANCE = 1e4
-"""Variance of the log width of a box truncated at a side: the width carries no information."""
+IMPOSSIBLE = -1e9  # log probability of a body type that a box cannot have
+_UNSEEN_VARIANCE = 1e4  # variance of the log width of a box truncated at a side: the width carries no information
 
 _MAX_NOISE = np.array([np.inf, 1.0], np.float32).reshape(2, 1, 1, 1)
 """Largest variance of log height and log width that counts as noise of the box, without `_UNSEEN_VARIANCE`."""
 
-N_TERMS = 24
-"""Number of Gaussians per box: the most likely yaw bins and body types."""
-
-_N_GRID = 37
-"""Number of points of the grid of log distance."""
-
-_GRID_SIGMAS = 4.5
-"""Half width of the grid in standard deviations of the distance by size."""
-
-_STEPS = np.linspace(-_GRID_SIGMAS, _GRID_SIGMAS, _N_GRID)
-"""(G,) grid points in standard deviations."""
+N_TERMS = 24  # number of Gaussians per box: the most likely yaw bins and body types
+_N_GRID = 37  # number of points of the grid of log distance
+_GRID_SIGMAS = 4.5  # half width of the grid in standard deviations of the distance by size
+_STEPS = np.linspace(-_GRID_SIGMAS, _GRID_SIGMAS, _N_GRID)  # (G,) grid points in standard deviations
 
 _TRAPEZOIDS = (np.triu(np.ones((_N_GRID, _N_GRID))) + np.triu(np.ones((_N_GRID, _N_GRID)), k=1)) / 2
 _TRAPEZOIDS[0] -= 0.5
@@ -60,25 +50,16 @@ _Float32 = npt.NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class SizeMixture:
-    """Log distance by size: a mixture of K Gaussians for each of N boxes.
+    """Log distance by size: a mixture of K Gaussians for each of N boxes."""
 
-    Attributes:
-        mean: (N, K) means of log d, d in metres.
-        variance: (N, K) variances of log d.
-        weight: (N, K) weights, which sum to 1 per box.
-        frame_variance: (N,) part of the variance of log d that comes from the noise of the box.
-        log_contact_ratio: (N,) log of the distance divided by that of the nearest point on the ground.
-        body: (N, K) index of each Gaussian's body type among the M possible ones.
-        chi2: (N,) smallest squared deviation of the box from the sizes of a body type, in units of its covariance, plus
-            twice the log of the weight of the most likely yaw and type over that of the best one.
-    """
-
-    mean: FloatArray
-    variance: FloatArray
-    weight: FloatArray
-    frame_variance: FloatArray
-    log_contact_ratio: FloatArray
-    body: IntArray
+    mean: FloatArray  # (N, K) means of log d, d in metres
+    variance: FloatArray  # (N, K) variances of log d
+    weight: FloatArray  # (N, K) weights, which sum to 1 per box
+    frame_variance: FloatArray  # (N,) part of the variance of log d that comes from the noise of the box
+    log_contact_ratio: FloatArray  # (N,) log of the distance divided by that of the nearest point on the ground
+    body: IntArray  # (N, K) index of each Gaussian's body type among the M possible ones
+    # (N,) smallest squared deviation of the box from the sizes of a body type, in units of its covariance, plus twice
+    # the log of the weight of the most likely yaw and type over that of the best one
     chi2: FloatArray
 
 
@@ -173,16 +154,11 @@ def _terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction:
 
 @dataclass(frozen=True, slots=True)
 class LogGrid:
-    """Densities of the log distance of N boxes on grids of G points.
+    """Densities of the log distance of N boxes on grids of G points."""
 
-    Attributes:
-        log_m: (N, G) grid points, evenly spaced per box.
-        density: (N, G) density, scaled to the maximum 1 per box.
-        by_term: (K, N, G) densities of the Gaussians of the mixture by size, which further evidence leaves unchanged.
-    """
-
-    log_m: FloatArray
-    density: FloatArray
+    log_m: FloatArray  # (N, G) grid points, evenly spaced per box
+    density: FloatArray  # (N, G) density, scaled to the maximum 1 per box
+    # (K, N, G) densities of the Gaussians of the mixture by size, which further evidence leaves unchanged
     by_term: _Float32
 
     def times(self, likelihood: FloatArray) -> LogGrid:

@@ -32,32 +32,15 @@ YAW_DEG = np.array([0.0, 3.0, 7.0, 12.0, 20.0, 32.0, 48.0, 68.0, 90.0])
 NODE_CAMERA_HEIGHT_M = 1.65
 """Camera height of the boxes in the tables, that of KITTI; the size of a box hardly depends on it."""
 
-_YAW_RAD = np.radians(np.concatenate([YAW_DEG, -YAW_DEG[1:-1]]))
-"""(K,) yaw of the bins of the tables, to both sides."""
-
-_BEARING_STEP = 0.06
-"""Spacing of the nodes in the tangent of the bearing."""
-
-_BEARINGS = np.arange(21) * _BEARING_STEP
-"""Tangent of the bearing of the nodes, up to 50 degrees."""
-
-_LOG_STEP = 0.1
-"""Spacing of the nodes in log distance."""
-
-_LOG_M = np.arange(np.log(4.0), np.log(250.0), _LOG_STEP)
-"""Log distance of the nodes, from 4 to 250 m."""
-
-NODE_RANGE = float(_LOG_M[0]), float(_LOG_M[-1])
-"""Smallest and largest log distance of the nodes."""
-
-N_NODE_VALUES = 11
-"""Number of values per node, in the order given by `ShapeTables.at`."""
-
-_SIZE_STEP = 0.02
-"""Step of the numerical derivatives in log size."""
-
-_Log = Annotated[Number, Field(ge=-100, le=100)]
-"""Logarithm in a file; larger values overflow."""
+_YAW_RAD = np.radians(np.concatenate([YAW_DEG, -YAW_DEG[1:-1]]))  # (K,) yaw of the bins of the tables, to both sides
+_BEARING_STEP = 0.06  # spacing of the nodes in the tangent of the bearing
+_BEARINGS = np.arange(21) * _BEARING_STEP  # tangent of the bearing of the nodes, up to 50 degrees
+_LOG_STEP = 0.1  # spacing of the nodes in log distance
+_LOG_M = np.arange(np.log(4.0), np.log(250.0), _LOG_STEP)  # log distance of the nodes, from 4 to 250 m
+NODE_RANGE = float(_LOG_M[0]), float(_LOG_M[-1])  # smallest and largest log distance of the nodes
+N_NODE_VALUES = 11  # number of values per node, in the order given by `ShapeTables.at`
+_SIZE_STEP = 0.02  # step of the numerical derivatives in log size
+_Log = Annotated[Number, Field(ge=-100, le=100)]  # logarithm in a file; larger values overflow
 
 _Correlation = Annotated[Number, Field(ge=-1, le=1)]
 _Weight = Annotated[Number, Field(ge=0, le=100)]
@@ -65,16 +48,11 @@ _Weight = Annotated[Number, Field(ge=0, le=100)]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BodySizes:
-    """Sizes of objects of one body type; the names of the attributes are keys of curve files.
+    """Sizes of objects of one body type; the names of the attributes are keys of curve files."""
 
-    Attributes:
-        hwl_m: typical height, width and length in metres.
-        log_sigma: standard deviations of log height, log width and log length.
-        correlation: correlations of log height and width, height and length, width and length.
-    """
-
-    hwl_m: tuple[SizeM, SizeM, SizeM]
-    log_sigma: tuple[Sigma, Sigma, Sigma]
+    hwl_m: tuple[SizeM, SizeM, SizeM]  # typical height, width and length in metres
+    log_sigma: tuple[Sigma, Sigma, Sigma]  # standard deviations of log height, log width and log length
+    # correlations of log height and width, height and length, width and length
     correlation: tuple[_Correlation, _Correlation, _Correlation]
 
     @property
@@ -87,15 +65,10 @@ class BodySizes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BodyType(BodySizes):
-    """One component of the sizes of a class.
+    """One component of the sizes of a class."""
 
-    Attributes:
-        name: name of the body type, such as "high roof".
-        share: probability of the type within the class.
-    """
-
-    name: str
-    share: Annotated[Number, Field(gt=0, le=1)]
+    name: str  # name of the body type, such as "high roof"
+    share: Annotated[Number, Field(gt=0, le=1)]  # probability of the type within the class
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

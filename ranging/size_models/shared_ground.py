@@ -24,11 +24,8 @@ from track_range.foundation.validation import Number
 from track_range.ranging.size_models.drive_state import DriveState, GroundTerms
 from track_range.ranging.size_models.size_model import Sigma
 
-_N_ITERATIONS = 3
-"""Iterations of reweighted least squares."""
-
-_CAUCHY_SIGMA = 2.0
-"""Scale of the robust weights 1 / (1 + (residual / scale)^2) (Cauchy), in standard deviations."""
+_N_ITERATIONS = 3  # iterations of reweighted least squares
+_CAUCHY_SIGMA = 2.0  # scale of the robust weights 1 / (1 + (residual / scale)^2) (Cauchy), in standard deviations
 
 _Real = TypeVar("_Real", float, FloatArray)
 
@@ -37,68 +34,42 @@ _Real = TypeVar("_Real", float, FloatArray)
 class GroundPrior:
     """Prior of the ground plane; the names of the attributes are keys of curve files.
 
-    Attributes:
-        camera_height_m: mean of the camera height H above the road.
-        camera_height_sigma_m: standard deviation of H.
-        horizon: mean of the horizon y0, a tangent below the camera's axis.
-        horizon_sigma: scale of y0, with long tails (Student's t with 2 degrees of freedom).
-        pitch_sigma: standard deviation of y0 over the time of a drive, by pitch and slope.
-        roll_sigma: standard deviation of the cross slope relative to the camera, tangent.
-        kerb_m: standard deviations of the height of contact points above the plane ahead, for most objects and for the
-            fraction `rough_share`.
-        rough_share: fraction of objects with the second standard deviation.
-
     The last four are larger than those measured, since neighbouring objects have correlated heights.
     """
 
-    camera_height_m: Annotated[Number, Field(ge=0.05, le=100)] = 1.5
-    camera_height_sigma_m: Sigma = 0.3
-    horizon: Annotated[Number, Field(ge=-10, le=10)] = 0.0
-    horizon_sigma: Sigma = 0.04
-    pitch_sigma: Sigma = 0.015
-    roll_sigma: Sigma = 0.05
+    camera_height_m: Annotated[Number, Field(ge=0.05, le=100)] = 1.5  # mean of the camera height H above the road
+    camera_height_sigma_m: Sigma = 0.3  # standard deviation of H
+    horizon: Annotated[Number, Field(ge=-10, le=10)] = 0.0  # mean of the horizon y0, a tangent below the camera's axis
+    horizon_sigma: Sigma = 0.04  # scale of y0, with long tails (Student's t with 2 degrees of freedom)
+    pitch_sigma: Sigma = 0.015  # standard deviation of y0 over the time of a drive, by pitch and slope
+    roll_sigma: Sigma = 0.05  # standard deviation of the cross slope relative to the camera, tangent
+    # standard deviations of the height of contact points above the plane ahead, for most objects and for the fraction
+    # `rough_share`
     kerb_m: tuple[Sigma, Sigma] = (0.15, 0.5)
-    rough_share: Annotated[Number, Field(ge=0, lt=1)] = 0.18
+    rough_share: Annotated[Number, Field(ge=0, lt=1)] = 0.18  # fraction of objects with the second standard deviation
 
 
 @dataclass(frozen=True, slots=True)
 class GroundContacts:
-    """Contact points of the objects of a frame, (N,) each.
+    """Contact points of the objects of a frame, (N,) each."""
 
-    Attributes:
-        bottom: tangent y of the bottom edge below the camera's axis.
-        bearing: tangent b of the bearing.
-        inverse_depth: x = 1 / z of the nearest point on the ground, by size, in 1/m.
-        sigma: relative standard deviation of `inverse_depth`.
-        edge_sigma: standard deviation of `bottom`.
-        is_on_ground: whether the object is on the ground and its bottom edge is visible.
-    """
-
-    bottom: FloatArray
-    bearing: FloatArray
-    inverse_depth: FloatArray
-    sigma: FloatArray
-    edge_sigma: FloatArray
-    is_on_ground: BoolArray
+    bottom: FloatArray  # tangent y of the bottom edge below the camera's axis
+    bearing: FloatArray  # tangent b of the bearing
+    inverse_depth: FloatArray  # x = 1 / z of the nearest point on the ground, by size, in 1/m
+    sigma: FloatArray  # relative standard deviation of `inverse_depth`
+    edge_sigma: FloatArray  # standard deviation of `bottom`
+    is_on_ground: BoolArray  # whether the object is on the ground and its bottom edge is visible
 
 
 @dataclass(frozen=True, slots=True)
 class GroundFromOthers:
-    """Ground plane at each object, estimated from the other objects, (N,) each.
+    """Ground plane at each object, estimated from the other objects, (N,) each."""
 
-    Attributes:
-        horizon: tangent y0 of the horizon below the camera's axis.
-        height_m: height H of the camera above the road.
-        variance: variance of the bottom edge y0 + H x predicted for the object.
-        is_prior_only: True if no other object is or was on the ground, so that the estimate is the prior.
-        terms: measurements of the ground plane by the objects, for `DriveState`.
-    """
-
-    horizon: FloatArray
-    height_m: FloatArray
-    variance: FloatArray
-    is_prior_only: BoolArray
-    terms: GroundTerms
+    horizon: FloatArray  # tangent y0 of the horizon below the camera's axis
+    height_m: FloatArray  # height H of the camera above the road
+    variance: FloatArray  # variance of the bottom edge y0 + H x predicted for the object
+    is_prior_only: BoolArray  # True if no other object is or was on the ground, so that the estimate is the prior
+    terms: GroundTerms  # measurements of the ground plane by the objects, for `DriveState`
 
 
 def ground_from_others(

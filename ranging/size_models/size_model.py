@@ -25,14 +25,12 @@ def _known(name: str) -> str:
     return name
 
 
-SizeClass = Annotated[str, AfterValidator(_known)]
-"""Name of a size class in a file."""
+SizeClass = Annotated[str, AfterValidator(_known)]  # name of a size class in a file
 
 Sigma = Annotated[Number, Field(ge=1e-4, le=100)]
 """Standard deviation in a file; 1 / sigma^2 of smaller values overflows."""
 
-SizeM = Annotated[Number, Field(ge=0.01, le=50)]
-"""Height, width or length of an object in a file, metres."""
+SizeM = Annotated[Number, Field(ge=0.01, le=50)]  # height, width or length of an object in a file, metres
 
 _HAS_PERSON = np.array([name in ("person", "bicycle", "motorcycle") for name in SIZE_CLASSES])
 """(size classes,) whether the box of an object contains a person's limbs."""
@@ -47,16 +45,11 @@ class BoxNoise:
 
     The edges of a good detector (RRC on KITTI) have an error of half a pixel on small boxes, 1-2 % of the height of
     large vehicles, and 4 % of that of people, whose limbs move and are labelled inconsistently.
-
-    Attributes:
-        px: constant part in px.
-        relative: fraction of the box size for vehicles, lights and signs.
-        relative_person: fraction of the box size for people and two-wheelers.
     """
 
     px: float = 0.35
-    relative: float = 0.01
-    relative_person: float = 0.04
+    relative: float = 0.01  # fraction of the box size for vehicles, lights and signs
+    relative_person: float = 0.04  # fraction of the box size for people and two-wheelers
 
     def sigma_px(self, size_px: FloatArray, size_class: IntArray) -> FloatArray:
         """(N, 2) standard deviation of the edges of boxes, from their (N, 2) width and height in px."""
@@ -67,25 +60,15 @@ class BoxNoise:
 
 @dataclass(frozen=True, slots=True)
 class BoxExtents:
-    """N boxes of one frame, with image coordinates divided by the focal length.
+    """N boxes of one frame, with image coordinates divided by the focal length."""
 
-    Attributes:
-        wh_over_f: (N, 2) width and height, positive.
-        bearing: (N,) tangent of the angle between the middle column and the camera's axis.
-        bottom: (N,) tangent of the angle of the bottom edge below the camera's axis.
-        size_class: (N,) index into `SIZE_CLASSES`.
-        uses_width: (N,) False = a side is cut, the width is not used.
-        uses_bottom: (N,) False = the bottom edge is not the contact point.
-        edge_sigma: (N, 2) standard deviation of one edge, in x and in y.
-    """
-
-    wh_over_f: FloatArray
-    bearing: FloatArray
-    bottom: FloatArray
-    size_class: IntArray
-    uses_width: BoolArray
-    uses_bottom: BoolArray
-    edge_sigma: FloatArray
+    wh_over_f: FloatArray  # (N, 2) width and height, positive
+    bearing: FloatArray  # (N,) tangent of the angle between the middle column and the camera's axis
+    bottom: FloatArray  # (N,) tangent of the angle of the bottom edge below the camera's axis
+    size_class: IntArray  # (N,) index into `SIZE_CLASSES`
+    uses_width: BoolArray  # (N,) False = a side is cut, the width is not used
+    uses_bottom: BoolArray  # (N,) False = the bottom edge is not the contact point
+    edge_sigma: FloatArray  # (N, 2) standard deviation of one edge, in x and in y
 
     def __len__(self) -> int:
         return len(self.bearing)
@@ -133,17 +116,12 @@ def measured_boxes(
 
 @dataclass(frozen=True, slots=True)
 class SizeRanges:
-    """Distances by size, (N,) each; NaN = the class has no size model.
+    """Distances by size, (N,) each; NaN = the class has no size model."""
 
-    Attributes:
-        distance_m: z of the visible surface.
-        sigma_m: standard deviation of `distance_m`.
-        sigma_systematic_m: systematic part of `sigma_m`, constant over a track (the size of the object); the rest is
-            box noise, independent from frame to frame.
-    """
-
-    distance_m: FloatArray
-    sigma_m: FloatArray
+    distance_m: FloatArray  # z of the visible surface
+    sigma_m: FloatArray  # standard deviation of `distance_m`
+    # systematic part of `sigma_m`, constant over a track (the size of the object); the rest is box noise, independent
+    # from frame to frame
     sigma_systematic_m: FloatArray
 
 

@@ -15,31 +15,19 @@ from track_range.ranging.size_models.drive_state import DriveState
 from track_range.ranging.size_models.plain_curves import MEASURES, FittedTable
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, Sigma, SizeClass, SizeRanges
 
-KIND = "table"
-"""Value of "kind" in curve files of this model."""
-
-_MIN_STEP = 1e-9
-"""Smallest difference of successive nodes in log size; the slopes of smaller ones overflow."""
-
-_STEP = 0.02
-"""Step in log size, to either side, of the numerical slope of a curve."""
+KIND = "table"  # value of "kind" in curve files of this model
+_MIN_STEP = 1e-9  # smallest difference of successive nodes in log size; the slopes of smaller ones overflow
+_STEP = 0.02  # step in log size, to either side, of the numerical slope of a curve
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableCurve:
-    """The curve of one class.
+    """The curve of one class."""
 
-    Attributes:
-        table: log distance as a function of the log size.
-        sigma_relative: standard deviation of the relative error on left-out sequences.
-        n: number of fitted boxes.
-        source: origin of the curve.
-    """
-
-    table: FittedTable
-    sigma_relative: float
-    n: int
-    source: str
+    table: FittedTable  # log distance as a function of the log size
+    sigma_relative: float  # standard deviation of the relative error on left-out sequences
+    n: int  # number of fitted boxes
+    source: str  # origin of the curve
 
 
 _Nodes = Annotated[list[Annotated[Number, Field(ge=-20, le=20)]], Field(min_length=2, max_length=10_000)]

@@ -46,19 +46,15 @@ _PERSON = ROAD_CLASSES.index("person")
 _IN_THE_WAY = np.array([name not in ("traffic light", "traffic sign") for name in ROAD_CLASSES])
 """(road classes,) whether objects of the class can be in the way."""
 
-_RATE_FACTOR = 2.0
-"""Factor on the variance of filtered rates, whose errors are correlated between frames."""
-
-_JUMP_SIGMA = 3.0
-"""Change of an object's speed in standard deviations above which the track now is on another object."""
+_RATE_FACTOR = 2.0  # factor on the variance of filtered rates, whose errors are correlated between frames
+_JUMP_SIGMA = 3.0  # change of an object's speed in standard deviations above which the track now is on another object
 
 _MAX_SPEED_MPS, _MAX_ACCELERATION_MPS2 = 70.0, 15.0
 """Largest speed and acceleration of road users, m/s and m/s^2; above, the track is wrong."""
 
 _MAX_LAG_S = 0.6  # of a distance filter that is corrected
 
-_BESIDE_SIGMA = 2.0
-"""Distance from the ego path, in standard deviations, beyond which a vehicle is beside it."""
+_BESIDE_SIGMA = 2.0  # distance from the ego path, in standard deviations, beyond which a vehicle is beside it
 
 _STATIC_MPS, _MOVING_MPS = 2.0, 8.0
 """Speed along the road below which an object counts as static, and prior standard deviation of that of moving ones."""
@@ -66,11 +62,8 @@ _STATIC_MPS, _MOVING_MPS = 2.0, 8.0
 _GATE_SIGMA = 6.0
 """Lateral speed in standard deviations of the prior and its error above which the prior does not apply."""
 
-_BESIDE_S = 4.0
-"""Longest time since a vehicle was beside the path for a cut-in, s: that of a slow lane change."""
-
-_MIN_CUT_IN_SPEED_MPS = 5.0
-"""Smallest ego speed of an alarm for a cut-in, m/s; below, vehicles merge closely in queues."""
+_BESIDE_S = 4.0  # longest time since a vehicle was beside the path for a cut-in, s: that of a slow lane change
+_MIN_CUT_IN_SPEED_MPS = 5.0  # smallest ego speed of an alarm for a cut-in, m/s; below, vehicles merge closely in queues
 
 _CALIBRATION = (-1.2, 1.8)
 """Offset and slope of the calibrated logit: of motion without reaction, fewer contacts happen than are predicted.
@@ -79,8 +72,7 @@ Fitted on drives without images (seeds 0 to 7, fused: 1.9 h of harmless driving,
 drives (30 of the seeds 0 to 29, stereo), for the smallest error of the reliability diagram above 0.1 on the worse of
 both."""
 
-_REACH_SIGMA = 3.0
-"""Standard deviations of the gap beyond which an object is out of reach."""
+_REACH_SIGMA = 3.0  # standard deviations of the gap beyond which an object is out of reach
 
 
 class _WarningState(NamedTuple):

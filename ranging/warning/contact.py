@@ -32,40 +32,27 @@ from track_range.foundation.constant_velocity import ConstantVelocity
 _N_STEPS = 12
 """Number of steps of the integral; with 256, 99 % of the probabilities of simulated drives differ by at most 0.004."""
 
-_MIN_SIGMA = 1e-3
-"""Smallest standard deviation in m, against a division by zero."""
-
-
-_MIN_BRAKING_MPS = 1e-6
-"""Smallest deceleration, against a division by zero."""
+_MIN_SIGMA = 1e-3  # smallest standard deviation in m, against a division by zero
+_MIN_BRAKING_MPS = 1e-6  # smallest deceleration, against a division by zero
 
 
 @dataclass(frozen=True, slots=True)
 class Encounter:
-    """Motion of N objects relative to the ego vehicle, (N,) each; NaN = unknown.
+    """Motion of N objects relative to the ego vehicle, (N,) each; NaN = unknown."""
 
-    Attributes:
-        gap: distance g from the front of the ego vehicle and its rate v, negative = closing.
-        object_mps, object_mps2: speed u and acceleration u' of the object along the road.
-        object_stop_s: t_u, time at which it stops; inf = not, or its speed is unknown.
-        acceleration_sigma_mps2: standard deviation of the relative acceleration, sqrt(P_aa).
-        ego_mps, ego_mps2, ego_stop_s: the same for the ego vehicle, V, V' and t_V.
-        offset: lateral offset o of the object's centre from the ego path and its rate.
-        half_width_m: W, half the sum of the widths of object and ego vehicle.
-        lateral_acceleration_mps2: A.
-    """
-
-    gap: ConstantVelocity
+    gap: ConstantVelocity  # distance g from the front of the ego vehicle and its rate v, negative = closing
+    # object_mps, object_mps2: speed u and acceleration u' of the object along the road
     object_mps: FloatArray
     object_mps2: FloatArray
-    object_stop_s: FloatArray
-    acceleration_sigma_mps2: FloatArray
+    object_stop_s: FloatArray  # t_u, time at which it stops; inf = not, or its speed is unknown
+    acceleration_sigma_mps2: FloatArray  # standard deviation of the relative acceleration, sqrt(P_aa)
+    # ego_mps, ego_mps2, ego_stop_s: the same for the ego vehicle, V, V' and t_V
     ego_mps: float
     ego_mps2: float
     ego_stop_s: float
-    offset: ConstantVelocity
-    half_width_m: FloatArray
-    lateral_acceleration_mps2: FloatArray
+    offset: ConstantVelocity  # lateral offset o of the object's centre from the ego path and its rate
+    half_width_m: FloatArray  # W, half the sum of the widths of object and ego vehicle
+    lateral_acceleration_mps2: FloatArray  # A
 
 
 def contact_probability(

@@ -9,32 +9,15 @@ import numpy as np
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.warning.warnings import WarningSettings
 
-MAX_GAP_S = 1.0
-"""Longest time without a value in s; after it the filters restart."""
-
-JERK_NOISE = 2.0
-"""Process noise: random walk of accelerations in m/s^2 per square root of a second."""
-
-INITIAL_ACCELERATION_MPS2 = 1.0
-"""Standard deviation of the acceleration at the start."""
-
-_EGO_SPEED_SIGMA_MPS = 0.1
-"""Standard deviation of a value of the ego speed, m/s."""
-
-_INITIAL_YAW_RAD_S2 = 0.03
-"""Standard deviation of the change of the yaw rate at the start, rad/s^2."""
-
-_BENDS_S = 5.0
-"""Time constant of the mean square of the lateral acceleration, s."""
-
-_INITIAL_LATERAL_MPS2 = 0.5
-"""Root mean square of the lateral acceleration at the start of a drive, m/s^2."""
-
-_TYPICAL_SPEED_MPS = 12.0
-"""Speed assumed for the curvature if the yaw rate is known but not the speed, m/s."""
-
-_MIN_SPEED_MPS = 2.0
-"""Smallest speed for the curvature, m/s."""
+MAX_GAP_S = 1.0  # longest time without a value in s; after it the filters restart
+JERK_NOISE = 2.0  # process noise: random walk of accelerations in m/s^2 per square root of a second
+INITIAL_ACCELERATION_MPS2 = 1.0  # standard deviation of the acceleration at the start
+_EGO_SPEED_SIGMA_MPS = 0.1  # standard deviation of a value of the ego speed, m/s
+_INITIAL_YAW_RAD_S2 = 0.03  # standard deviation of the change of the yaw rate at the start, rad/s^2
+_BENDS_S = 5.0  # time constant of the mean square of the lateral acceleration, s
+_INITIAL_LATERAL_MPS2 = 0.5  # root mean square of the lateral acceleration at the start of a drive, m/s^2
+_TYPICAL_SPEED_MPS = 12.0  # speed assumed for the curvature if the yaw rate is known but not the speed, m/s
+_MIN_SPEED_MPS = 2.0  # smallest speed for the curvature, m/s
 
 
 class EgoTrend:

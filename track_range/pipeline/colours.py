@@ -14,11 +14,8 @@ Bgr = tuple[int, int, int]
 
 BLACK, GREY, WHITE = (0, 0, 0), (210, 210, 210), (255, 255, 255)
 AMBER, RED = (0, 170, 255), (50, 50, 240)
-CALM: Bgr = (125, 110, 95)
-"""Bar of a time to collision that is not urgent."""
-
-LANE_COLOUR: Bgr = (70, 255, 215)
-"""Lines of the ego lane; a hue between amber and the greens of tracks."""
+CALM: Bgr = (125, 110, 95)  # bar of a time to collision that is not urgent
+LANE_COLOUR: Bgr = (70, 255, 215)  # lines of the ego lane; a hue between amber and the greens of tracks
 
 FUSED_COLOUR = "#2f7ed8"
 """Fused distance in the charts."""
@@ -26,14 +23,9 @@ FUSED_COLOUR = "#2f7ed8"
 OTHER_COLOURS = ("#c44e9c", "#9c8c0a", "#1496ab", "#d1495b")
 """Methods of a result that are not registered, in the order of their names."""
 
-TTC_AMBER_S, TTC_RED_S = 4.0, 2.0
-"""Times to collision in seconds below which tracks are marked in amber and red."""
-
-AMBER_PROBABILITY = 0.25
-"""Probability of contact from which tracks are marked in amber."""
-
-LUMA_MIN = 0.5
-"""Smallest luma (0..1) of the colour of a track; darker text is hard to read on the background of labels."""
+TTC_AMBER_S, TTC_RED_S = 4.0, 2.0  # times to collision in seconds below which tracks are marked in amber and red
+AMBER_PROBABILITY = 0.25  # probability of contact from which tracks are marked in amber
+LUMA_MIN = 0.5  # smallest luma (0..1) of the colour of a track; darker text is hard to read on the background of labels
 
 
 def track_palette() -> tuple[Bgr, ...]:
@@ -49,8 +41,7 @@ def track_palette() -> tuple[Bgr, ...]:
     return tuple((int(blue), int(green), int(red)) for blue, green, red in bgr)
 
 
-PALETTE = track_palette()
-"""Colours of tracks."""
+PALETTE = track_palette()  # colours of tracks
 
 
 def track_colour(track_id: int) -> Bgr:

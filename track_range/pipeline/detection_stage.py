@@ -37,20 +37,15 @@ class Detected(NamedTuple):
 
 @dataclass(slots=True, kw_only=True)
 class DetectionStage:
-    """First stage of the pipeline.
+    """First stage of the pipeline."""
 
-    Attributes:
-        detect: returns the boxes of a frame.
-        prepare: does what `detect` does before the network runs, and returns a function that does the rest, which
-            another thread may call; None = `detect` does all.
-        candidates: returns all boxes of the frame of the latest detection; None = not needed.
-        lane_finder: detects the lines of the ego lane, about ten times per second; the last lines are used in between.
-            None = off.
-    """
-
-    detect: Callable[[Frame], Detections]
+    detect: Callable[[Frame], Detections]  # returns the boxes of a frame
+    # does what `detect` does before the network runs, and returns a function that does the rest, which another thread
+    # may call; None = `detect` does all
     prepare: Callable[[Frame], Callable[[], Detections]] | None = None
+    # returns all boxes of the frame of the latest detection; None = not needed
     candidates: Callable[[Frame], Detections] | None = None
+    # detects the lines of the ego lane, about ten times per second; the last lines are used in between. None = off.
     lane_finder: LaneFinder | None = None
     _lanes: LaneLines | None = None
     _lanes_due_s: float = -math.inf

@@ -19,35 +19,24 @@ from track_range.stereo.odometry.road_horizon import RoadView
 
 
 class Ego(NamedTuple):
-    """What a frame shows of the camera's own motion.
+    """What a frame shows of the camera's own motion."""
 
-    Attributes:
-        motion: speed and yaw rate, NaN = unknown.
-        road: the road in the frame, lengths in metres; None = unknown.
-        step: motion of the camera since the previous frame; None = unknown.
-    """
-
-    motion: EgoMotion
-    road: RoadView | None = None
-    step: CameraStep | None = None
+    motion: EgoMotion  # speed and yaw rate, NaN = unknown
+    road: RoadView | None = None  # the road in the frame, lengths in metres; None = unknown
+    step: CameraStep | None = None  # motion of the camera since the previous frame; None = unknown
 
 
 @dataclass(slots=True, kw_only=True)
 class EgoStage:
-    """Measures `Ego` frame by frame.
+    """Measures `Ego` frame by frame."""
 
-    Attributes:
-        speed: speed of the camera from telemetry or a setting; None = unknown.
-        odometry: measures the motion of the camera, where `speed` is None; None = off.
-        road_motion: measures the horizon of the road and the yaw rate of the camera; None = off.
-        camera_height: measures the camera height from a known speed; None = it is known, or no speed is.
-        image_motion: yaw rate of the camera, for the path of the ego vehicle, without `road_motion`; None = unknown.
-    """
-
-    speed: EgoSpeed | None = None
-    odometry: Odometry | None = None
+    speed: EgoSpeed | None = None  # speed of the camera from telemetry or a setting; None = unknown
+    odometry: Odometry | None = None  # measures the motion of the camera, where `speed` is None; None = off
+    # measures the horizon of the road and the yaw rate of the camera; None = off
     road_motion: GroundOdometry | None = None
+    # measures the camera height from a known speed; None = it is known, or no speed is
     camera_height: CameraHeight | None = None
+    # yaw rate of the camera, for the path of the ego vehicle, without `road_motion`; None = unknown
     image_motion: ImageMotionEstimator | None = None
 
     def update(self, frame: Frame, xyxy_px: FloatArray, clock: StageClock, known: EgoMotion | None = None) -> Ego:

@@ -43,32 +43,21 @@ def noise_fractions() -> dict[str, float]:
 
 @dataclass(slots=True, kw_only=True)
 class FramePipeline:
-    """The stages of a drive and their state.
+    """The stages of a drive and their state."""
 
-    Attributes:
-        camera: the left camera, undistorted.
-        detection: boxes and lane lines of a frame.
-        tracker: assigns identities to boxes.
-        ego: motion of the camera and the road.
-        ranging: the ranging methods.
-        scale: scale of the drive, from the evidence of the frames so far; the methods get it with the next frame.
-        warning: collision warning; None = neither warnings nor times to collision, since the vehicle does not drive
-            along the camera's axis.
-        shared_sigma: relative error shared by all methods, from an uncalibrated focal length.
-        notes: messages for the user about the parts of the pipeline.
-        clock: time spent in each stage.
-    """
-
-    camera: PinholeCamera
-    detection: DetectionStage
-    tracker: ObjectTracker
-    ranging: RangingStage
-    ego: EgoStage = field(default_factory=EgoStage)
+    camera: PinholeCamera  # the left camera, undistorted
+    detection: DetectionStage  # boxes and lane lines of a frame
+    tracker: ObjectTracker  # assigns identities to boxes
+    ranging: RangingStage  # the ranging methods
+    ego: EgoStage = field(default_factory=EgoStage)  # motion of the camera and the road
+    # scale of the drive, from the evidence of the frames so far; the methods get it with the next frame
     scale: DriveScale = field(default_factory=DriveScale)
+    # collision warning; None = neither warnings nor times to collision, since the vehicle does not drive along the
+    # camera's axis
     warning: CollisionWarning | None = field(default_factory=CollisionWarning)
-    shared_sigma: float = 0.0
-    notes: tuple[str, ...] = ()
-    clock: StageClock = field(default_factory=StageClock)
+    shared_sigma: float = 0.0  # relative error shared by all methods, from an uncalibrated focal length
+    notes: tuple[str, ...] = ()  # messages for the user about the parts of the pipeline
+    clock: StageClock = field(default_factory=StageClock)  # time spent in each stage
     _fusion: Fusion = field(default_factory=Fusion)
     _filters: DistanceFilters = field(default_factory=lambda: DistanceFilters(noise_fractions()))
     _lateral: LateralFilters = field(init=False)

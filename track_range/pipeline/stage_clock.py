@@ -9,8 +9,7 @@ from threading import Lock
 
 from track_range.ranging.registry import methods
 
-_WALL_TIMED = ("detect",)
-"""Stages that work in threads of a library, measured in wall-clock time."""
+_WALL_TIMED = ("detect",)  # stages that work in threads of a library, measured in wall-clock time
 
 
 def stage_names() -> tuple[str, ...]:

@@ -23,17 +23,11 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class QueueDepths:
-    """Number of frames by which each thread may run ahead of the next one.
+    """Number of frames by which each thread may run ahead of the next one."""
 
-    Attributes:
-        read: decoded frames that wait for the lane detector.
-        lanes: frames with lane lines, in the network's input, that wait for the network.
-        detected: frames with boxes that wait for the caller.
-    """
-
-    read: int = 4
-    lanes: int = 2
-    detected: int = 2
+    read: int = 4  # decoded frames that wait for the lane detector
+    lanes: int = 2  # frames with lane lines, in the network's input, that wait for the network
+    detected: int = 2  # frames with boxes that wait for the caller
 
 
 LIVE_DEPTHS = QueueDepths(read=1, lanes=1, detected=1)

@@ -11,8 +11,7 @@ import numpy as np
 
 from track_range.pipeline.frame_result import FrameResult
 
-_WINDOW_S = 2.0
-"""Time window in seconds over which the rate of results is averaged."""
+_WINDOW_S = 2.0  # time window in seconds over which the rate of results is averaged
 
 
 class LiveOrigin(Protocol):

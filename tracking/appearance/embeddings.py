@@ -20,26 +20,13 @@ from track_range.detection.detections import Descriptors
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
 from track_range.tracking.appearance.gallery import unit_rows
 
-MIN_SIDE_PX = 4.0
-"""Minimum width and height of a box with an embedding."""
-
-MIN_FRACTION_INSIDE = 0.3
-"""Minimum fraction of a box inside the image, for an embedding."""
-
-_FAR_PX = 1e6
-"""Box edges are clipped here, so that areas stay finite."""
-
-_BOX_BLOCK = 64
-"""Boxes embedded at once: their data stays in the processor's cache."""
-
-_N_LEVELS = 64
-"""Levels in which values 0..255 are counted before they are distributed over soft bins."""
-
-_NEUTRAL = 8
-"""Largest difference, in grey levels, between the colour channels of a grey image after video compression."""
-
-_STEP_PX = 16
-"""Distance between the pixels that decide whether an image is grey."""
+MIN_SIDE_PX = 4.0  # minimum width and height of a box with an embedding
+MIN_FRACTION_INSIDE = 0.3  # minimum fraction of a box inside the image, for an embedding
+_FAR_PX = 1e6  # box edges are clipped here, so that areas stay finite
+_BOX_BLOCK = 64  # boxes embedded at once: their data stays in the processor's cache
+_N_LEVELS = 64  # levels in which values 0..255 are counted before they are distributed over soft bins
+_NEUTRAL = 8  # largest difference, in grey levels, between the colour channels of a grey image after video compression
+_STEP_PX = 16  # distance between the pixels that decide whether an image is grey
 
 
 def has_appearance(image: Image, xyxy_px: FloatArray) -> BoolArray:
@@ -53,26 +40,19 @@ def has_appearance(image: Image, xyxy_px: FloatArray) -> BoolArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColourLayoutSettings:
-    """Sampling grid, histogram bins and gate of the built-in embedding.
+    """Sampling grid, histogram bins and gate of the built-in embedding."""
 
-    Attributes:
-        n_columns, n_rows: points at which a box's colour is taken, whatever its size.
-        n_bands: horizontal bands of the box, each with separate histograms; divides `n_rows`.
-        n_bins: soft bins per histogram.
-        chroma_span: largest distinguished distance of a* and b* from grey, CIELAB units.
-        spread_x, spread_y: standard deviations, in widths and heights of the box, of the Gaussian weight of a point
-            about the box's centre: corners show background.
-        max_cosine_distance: see `AppearanceModel`.
-    """
-
+    # n_columns, n_rows: points at which a box's colour is taken, whatever its size
     n_columns: int = 16
     n_rows: int = 24
-    n_bands: int = 6
-    n_bins: int = 8
-    chroma_span: float = 40.0
+    n_bands: int = 6  # horizontal bands of the box, each with separate histograms; divides `n_rows`
+    n_bins: int = 8  # soft bins per histogram
+    chroma_span: float = 40.0  # largest distinguished distance of a* and b* from grey, CIELAB units
+    # spread_x, spread_y: standard deviations, in widths and heights of the box, of the Gaussian weight of a point about
+    # the box's centre: corners show background
     spread_x: float = 0.4
     spread_y: float = 0.35
-    max_cosine_distance: float = 0.08
+    max_cosine_distance: float = 0.08  # see `AppearanceModel`
 
     def __post_init__(self) -> None:
         if self.n_rows % self.n_bands:

@@ -18,11 +18,8 @@ import numpy.typing as npt
 from track_range.detection.detections import Descriptors
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
-_SPARSE = 0.1
-"""Fraction of pairs to compare below which single pairs are faster than a matrix product of all: a tenth."""
-
-_PAIR_BLOCK = 256
-"""Pairs compared at once: larger blocks do not fit into the processor's cache."""
+_SPARSE = 0.1  # fraction of pairs to compare below which single pairs are faster than a matrix product of all: a tenth
+_PAIR_BLOCK = 256  # pairs compared at once: larger blocks do not fit into the processor's cache
 
 
 def unit_rows(embedding: npt.NDArray[np.floating]) -> Descriptors:
@@ -35,16 +32,12 @@ def unit_rows(embedding: npt.NDArray[np.floating]) -> Descriptors:
 
 @dataclass(frozen=True, slots=True)
 class Gallery:
-    """Embeddings of N tracks, K each: a running mean and the most recent ones; immutable.
+    """Embeddings of N tracks, K each: a running mean and the most recent ones; immutable."""
 
-    Attributes:
-        embedding: (N, K, D) float32 of length 1; slot 0 is the mean, the others are the most recent, newest first.
-            Zeros = unknown; the first embedding of a track fills all slots; D = 0 = no embeddings.
-        mean_memory: weight of the old mean when an embedding is appended.
-    """
-
+    # (N, K, D) float32 of length 1; slot 0 is the mean, the others are the most recent, newest first. Zeros = unknown;
+    # the first embedding of a track fills all slots; D = 0 = no embeddings.
     embedding: npt.NDArray[np.float32]
-    mean_memory: float = 0.9
+    mean_memory: float = 0.9  # weight of the old mean when an embedding is appended
 
     def __post_init__(self) -> None:
         check_shape("embedding", self.embedding, (None, None, None))

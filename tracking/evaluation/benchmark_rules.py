@@ -25,14 +25,9 @@ from track_range.detection.formats.video_labels.mot import MotRows
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
 
-_MIN_IOU = 0.5
-"""Minimum IoU of a match."""
-
-_MIN_FRACTION_IGNORED = 0.5
-"""Fraction of a result box inside a DontCare region above which it is dropped."""
-
-_EPSILON = float(np.finfo(np.float64).eps)
-"""Tolerance of comparisons, as in TrackEval."""
+_MIN_IOU = 0.5  # minimum IoU of a match
+_MIN_FRACTION_IGNORED = 0.5  # fraction of a result box inside a DontCare region above which it is dropped
+_EPSILON = float(np.finfo(np.float64).eps)  # tolerance of comparisons, as in TrackEval
 
 KITTI_TYPES: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "car": ("Car", ("Van",)),
@@ -41,14 +36,9 @@ KITTI_TYPES: Mapping[str, tuple[str, tuple[str, ...]]] = {
 }
 """By road class: KITTI's type and its neighbouring types. KITTI's benchmark ranks cars and pedestrians only."""
 
-_MAX_OCCLUDED, _MAX_TRUNCATED = 2, 0.0
-"""Largest occlusion level and truncation of KITTI's truth that counts."""
-
-MIN_HEIGHT_PX = 25.0
-"""Height up to which KITTI ignores unmatched results."""
-
-_MOT_PEDESTRIAN = 1
-"""MOTChallenge's class number of pedestrians."""
+_MAX_OCCLUDED, _MAX_TRUNCATED = 2, 0.0  # largest occlusion level and truncation of KITTI's truth that counts
+MIN_HEIGHT_PX = 25.0  # height up to which KITTI ignores unmatched results
+_MOT_PEDESTRIAN = 1  # MOTChallenge's class number of pedestrians
 
 _MOT_DISTRACTORS = (2, 7, 8, 12)
 """MOTChallenge's class numbers of a person on a vehicle, a static person, a distractor and a reflection."""

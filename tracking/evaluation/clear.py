@@ -17,11 +17,8 @@ from scipy.optimize import linear_sum_assignment
 
 from track_range.tracking.evaluation.similarity import Similarity
 
-MIN_IOU = 0.5
-"""Minimum IoU of a match."""
-
-_EPSILON = float(np.finfo(np.float64).eps)
-"""Tolerance of comparisons, as in TrackEval."""
+MIN_IOU = 0.5  # minimum IoU of a match
+_EPSILON = float(np.finfo(np.float64).eps)  # tolerance of comparisons, as in TrackEval
 
 _CONTINUITY_BONUS = 1000.0
 """Added to the IoU of a pair that was matched in the previous frame; exceeds any sum of IoUs of a frame."""
@@ -29,26 +26,20 @@ _CONTINUITY_BONUS = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class ClearCounts:
-    """Counts of one or several sequences.
+    """Counts of one or several sequences."""
 
-    Attributes:
-        tp, fn, fp: matches, unmatched truth boxes, unmatched result boxes.
-        idsw: identity switches.
-        frag: fragmentations: how often a truth track is lost and matched again.
-        mt, pt, ml: truth tracks matched in more than 80 %, 20 to 80 % and less than 20 % of their frames.
-        iou_sum: sum of the IoU of the matches.
-        idtp, idfn, idfp: the same as tp, fn, fp under the best one-to-one mapping of whole tracks.
-    """
-
+    # tp, fn, fp: matches, unmatched truth boxes, unmatched result boxes
     tp: int
     fn: int
     fp: int
-    idsw: int
-    frag: int
+    idsw: int  # identity switches
+    frag: int  # fragmentations: how often a truth track is lost and matched again
+    # mt, pt, ml: truth tracks matched in more than 80 %, 20 to 80 % and less than 20 % of their frames
     mt: int
     pt: int
     ml: int
-    iou_sum: float
+    iou_sum: float  # sum of the IoU of the matches
+    # idtp, idfn, idfp: the same as tp, fn, fp under the best one-to-one mapping of whole tracks
     idtp: int
     idfn: int
     idfp: int

@@ -20,28 +20,20 @@ from scipy.optimize import linear_sum_assignment
 from track_range.foundation.arrays import FloatArray
 from track_range.tracking.evaluation.similarity import Similarity
 
-ALPHAS: FloatArray = np.linspace(0.05, 0.95, 19)
-"""IoU thresholds a."""
-
-_EPSILON = float(np.finfo(np.float64).eps)
-"""Tolerance of comparisons, as in TrackEval."""
+ALPHAS: FloatArray = np.linspace(0.05, 0.95, 19)  # IoU thresholds a
+_EPSILON = float(np.finfo(np.float64).eps)  # tolerance of comparisons, as in TrackEval
 
 
 @dataclass(frozen=True, slots=True)
 class HotaCounts:
-    """Counts of HOTA per IoU threshold; those of several sequences add up.
+    """Counts of HOTA per IoU threshold; those of several sequences add up."""
 
-    Attributes:
-        tp, fn, fp: (19,) matches, unmatched truth boxes, unmatched result boxes.
-        iou_sum: (19,) sum of the IoU of the matches.
-        association_sum: (19,) sum of A(c) over the matches.
-    """
-
+    # tp, fn, fp: (19,) matches, unmatched truth boxes, unmatched result boxes
     tp: FloatArray
     fn: FloatArray
     fp: FloatArray
-    iou_sum: FloatArray
-    association_sum: FloatArray
+    iou_sum: FloatArray  # (19,) sum of the IoU of the matches
+    association_sum: FloatArray  # (19,) sum of A(c) over the matches
 
     def __add__(self, other: HotaCounts) -> HotaCounts:
         return HotaCounts(*(getattr(self, name) + getattr(other, name) for name in self.__slots__))

@@ -67,15 +67,10 @@ REASONS: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class MotmetricsFigures:
-    """motmetrics' scores by their names in `TrackingScores`: ratios in per cent, NaN where the denominator is 0.
+    """motmetrics' scores by their names in `TrackingScores`: ratios in per cent, NaN where the denominator is 0."""
 
-    Attributes:
-        combined: scores of all sequences combined.
-        sequences: scores of each sequence, by name.
-    """
-
-    combined: Mapping[str, float]
-    sequences: Mapping[str, Mapping[str, float]]
+    combined: Mapping[str, float]  # scores of all sequences combined
+    sequences: Mapping[str, Mapping[str, float]]  # scores of each sequence, by name
 
 
 def motmetrics_figures(sequences: Mapping[str, Similarity]) -> MotmetricsFigures:

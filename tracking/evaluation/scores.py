@@ -28,55 +28,34 @@ class TrackingScores:
     """Scores of one sequence, or of several combined: ratios in per cent, the others are counts.
 
     Ratios are NaN where the denominator is 0.
-
-    Attributes:
-        hota: higher-order tracking accuracy.
-        deta: detection accuracy, a part of HOTA.
-        assa: association accuracy, a part of HOTA.
-        loca: localisation accuracy, a part of HOTA.
-        mota: multi-object tracking accuracy; can be negative.
-        motp: mean IoU of the matches.
-        idf1: identity F1 score.
-        idp: identity precision.
-        idr: identity recall.
-        idsw: identity switches.
-        fp: unmatched result boxes.
-        fn: unmatched truth boxes.
-        frag: fragmentations: how often a truth track is lost and matched again.
-        mt, pt, ml: truth tracks matched in more than 80 %, in 20 to 80 %, in less than 20 % of their frames.
-        n: truth boxes.
     """
 
-    hota: float
-    deta: float
-    assa: float
-    loca: float
-    mota: float
-    motp: float
-    idf1: float
-    idp: float
-    idr: float
-    idsw: int
-    fp: int
-    fn: int
-    frag: int
+    hota: float  # higher-order tracking accuracy
+    deta: float  # detection accuracy, a part of HOTA
+    assa: float  # association accuracy, a part of HOTA
+    loca: float  # localisation accuracy, a part of HOTA
+    mota: float  # multi-object tracking accuracy; can be negative
+    motp: float  # mean IoU of the matches
+    idf1: float  # identity F1 score
+    idp: float  # identity precision
+    idr: float  # identity recall
+    idsw: int  # identity switches
+    fp: int  # unmatched result boxes
+    fn: int  # unmatched truth boxes
+    frag: int  # fragmentations: how often a truth track is lost and matched again
+    # mt, pt, ml: truth tracks matched in more than 80 %, in 20 to 80 %, in less than 20 % of their frames
     mt: int
     pt: int
     ml: int
-    n: int
+    n: int  # truth boxes
 
 
 @dataclass(frozen=True, slots=True)
 class TrackingCounts:
-    """Counts from which the scores are computed; those of several sequences add up.
+    """Counts from which the scores are computed; those of several sequences add up."""
 
-    Attributes:
-        hota: counts of HOTA.
-        clear: counts of CLEAR and the identity metrics.
-    """
-
-    hota: HotaCounts
-    clear: ClearCounts
+    hota: HotaCounts  # counts of HOTA
+    clear: ClearCounts  # counts of CLEAR and the identity metrics
 
     @classmethod
     def of(cls, truth: TrackedBoxes, results: TrackedBoxes) -> TrackingCounts:

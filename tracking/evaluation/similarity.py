@@ -17,16 +17,11 @@ from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
 
 @dataclass(frozen=True, slots=True)
 class Similarity:
-    """IoU of the boxes of one sequence.
+    """IoU of the boxes of one sequence."""
 
-    Attributes:
-        truth_count: (T,) number of frames with each truth identity.
-        result_count: (R,) number of frames with each result identity.
-        by_frame: for each frame with a box, truth identities (n,), result identities (m,) and their IoU (n, m).
-    """
-
-    truth_count: IntArray
-    result_count: IntArray
+    truth_count: IntArray  # (T,) number of frames with each truth identity
+    result_count: IntArray  # (R,) number of frames with each result identity
+    # for each frame with a box, truth identities (n,), result identities (m,) and their IoU (n, m)
     by_frame: tuple[tuple[IntArray, IntArray, FloatArray], ...]
 
     @classmethod

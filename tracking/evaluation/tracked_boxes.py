@@ -11,19 +11,12 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check
 
 @dataclass(frozen=True, slots=True)
 class TrackedBoxes:
-    """Boxes with identities in many frames, truth or result; rows in any order.
+    """Boxes with identities in many frames, truth or result; rows in any order."""
 
-    Attributes:
-        frame: (N,) int64 frame numbers from 0.
-        track_id: (N,) int64, each at most once per frame.
-        xyxy_px: (N, 4) float64 boxes.
-        class_id: (N,) int64, index into `detection.classes.ROAD_CLASSES`.
-    """
-
-    frame: IntArray
-    track_id: IntArray
-    xyxy_px: FloatArray
-    class_id: IntArray
+    frame: IntArray  # (N,) int64 frame numbers from 0
+    track_id: IntArray  # (N,) int64, each at most once per frame
+    xyxy_px: FloatArray  # (N, 4) float64 boxes
+    class_id: IntArray  # (N,) int64, index into `detection.classes.ROAD_CLASSES`
 
     def __post_init__(self) -> None:
         n = len(self.frame)
@@ -44,15 +37,10 @@ class TrackedBoxes:
 
 @dataclass(frozen=True, slots=True)
 class IgnoreRegions:
-    """Regions in which unmatched results are ignored: KITTI's DontCare areas, vans when evaluating cars, and so on.
+    """Regions in which unmatched results are ignored: KITTI's DontCare areas, vans when evaluating cars, and so on."""
 
-    Attributes:
-        frame: (M,) int64 frame numbers from 0.
-        xyxy_px: (M, 4) float64 boxes.
-    """
-
-    frame: IntArray
-    xyxy_px: FloatArray
+    frame: IntArray  # (M,) int64 frame numbers from 0
+    xyxy_px: FloatArray  # (M, 4) float64 boxes
 
     def __post_init__(self) -> None:
         check_shape("frame", self.frame, (len(self.frame),))

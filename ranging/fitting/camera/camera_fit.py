@@ -59,30 +59,21 @@ _LOG_F, _LOG_H, _Y0, _ROLL, _SIZE = range(len(PARAMETERS))
 HEIGHT_M, HEIGHT_SIGMA = 1.5, 0.2
 """Prior of the camera height, and its relative standard deviation: 1.2 m (cars) to 1.9 m (vans)."""
 
-PITCH_SIGMA_RAD = 0.07
-"""Prior standard deviation of the pitch of the camera, 4 degrees."""
-
-_ROLL_SIGMA = 0.02
-"""Prior standard deviation of the tangent of the roll."""
+PITCH_SIGMA_RAD = 0.07  # prior standard deviation of the pitch of the camera, 4 degrees
+_ROLL_SIGMA = 0.02  # prior standard deviation of the tangent of the roll
 
 _SIZE_SIGMA = 0.04
 """Standard deviation of the log ratio of the sizes of one street's road users to those of the size model, of KITTI's
 drives."""
 
-_PICKED_EDGE_PX = 1.5
-"""Standard deviation of an edge of a box drawn by hand."""
+_PICKED_EDGE_PX = 1.5  # standard deviation of an edge of a box drawn by hand
 
 _SHAPE_SIGMA = 0.015
 """Relative standard deviation of the ratio of a box to a known height or width: objects are not flat."""
 
-_PITCHING_RAD = 0.004
-"""Standard deviation of pitch and slope of the road at one time about those of the drive."""
-
-_KERB_M = 0.1
-"""Standard deviation of the height of contact points above the road."""
-
-_VIEWS_PER_TRACK = 1.5
-"""Number of independent views that the views of one object count as at most."""
+_PITCHING_RAD = 0.004  # standard deviation of pitch and slope of the road at one time about those of the drive
+_KERB_M = 0.1  # standard deviation of the height of contact points above the road
+_VIEWS_PER_TRACK = 1.5  # number of independent views that the views of one object count as at most
 
 _CAUCHY = 2.0
 """Scale of Cauchy's loss of other road users and horizon rows (kerbs taken for lane lines), in standard deviations."""
@@ -90,66 +81,45 @@ _CAUCHY = 2.0
 _STANDS = np.isin(SIZE_CLASSES, ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van"))
 """(size classes,) whether objects of the class are on the road."""
 
-_MIN_HEIGHT_PX = 12.0
-"""Height of a box of the scene below which it is not used."""
+_MIN_HEIGHT_PX = 12.0  # height of a box of the scene below which it is not used
 
 _MAX_DEVIATION = 2.0
 """Root mean square of the deviations of measurements and priors, in standard deviations per measurement, above which
 they contradict each other; below, it hardly differs from chance with few measurements."""
 
-_N_REWEIGHTS = 2
-"""Number of fits with updated standard deviations of the scene."""
+_N_REWEIGHTS = 2  # number of fits with updated standard deviations of the scene
 
 _MAX_SLOPE_RATIO = 2.0
 """Largest factor between the inverse_depth by size and by the fitted road in these standard deviations."""
 
-_N_GRID = 13
-"""Number of focal lengths at which distances by size are computed, for interpolation."""
-
-_GRID_LOG_SPAN = 0.7
-"""Half width of the grid of log f."""
+_N_GRID = 13  # number of focal lengths at which distances by size are computed, for interpolation
+_GRID_LOG_SPAN = 0.7  # half width of the grid of log f
 
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """Difference of one measurement from the fitted camera.
+    """Difference of one measurement from the fitted camera."""
 
-    Attributes:
-        name: the measurement.
-        kind: the equation, in words.
-        value: measured minus fitted, in `unit`.
-        sigma: its standard deviation.
-        unit: "%" or "px".
-    """
-
-    name: str
-    kind: str
-    value: float
-    sigma: float
-    unit: str
+    name: str  # the measurement
+    kind: str  # the equation, in words
+    value: float  # measured minus fitted, in `unit`
+    sigma: float  # its standard deviation
+    unit: str  # "%" or "px"
 
 
 @dataclass(frozen=True, slots=True)
 class CameraFit:
-    """A fitted camera.
+    """A fitted camera."""
 
-    Attributes:
-        camera: its model, without distortion.
-        theta: (5,) parameters.
-        covariance: (5, 5) their covariance; larger if measurements and priors contradict each other.
-        prior_sigma: (5,) standard deviations of the priors.
-        residuals: residuals of the user's measurements and the horizon rows.
-        contradiction: factor of all standard deviations because measurements and priors contradict each other (Birge's
-            ratio); 1 = they agree.
-        largest_deviation: measurement or prior with the largest deviation, and this in standard deviations.
-    """
-
-    camera: PinholeCamera
-    theta: FloatArray
-    covariance: FloatArray
-    prior_sigma: FloatArray
-    residuals: tuple[Residual, ...] = field(default=())
+    camera: PinholeCamera  # its model, without distortion
+    theta: FloatArray  # (5,) parameters
+    covariance: FloatArray  # (5, 5) their covariance; larger if measurements and priors contradict each other
+    prior_sigma: FloatArray  # (5,) standard deviations of the priors
+    residuals: tuple[Residual, ...] = field(default=())  # residuals of the user's measurements and the horizon rows
+    # factor of all standard deviations because measurements and priors contradict each other (Birge's ratio); 1 = they
+    # agree
     contradiction: float = 1.0
+    # measurement or prior with the largest deviation, and this in standard deviations
     largest_deviation: tuple[str, float] = ("", 0.0)
 
     @property
@@ -209,17 +179,11 @@ class CameraFit:
 
 @dataclass(frozen=True, slots=True)
 class _BySize:
-    """Log distance of N boxes by size as a function of log f.
+    """Log distance of N boxes by size as a function of log f."""
 
-    Attributes:
-        log_f: (G,) grid.
-        log_m: (G, N) log distance.
-        sigma: (N,) standard deviation of log distance.
-    """
-
-    log_f: FloatArray
-    log_m: FloatArray
-    sigma: FloatArray
+    log_f: FloatArray  # (G,) grid
+    log_m: FloatArray  # (G, N) log distance
+    sigma: FloatArray  # (N,) standard deviation of log distance
 
     def at(self, log_f: float) -> FloatArray:
         """(N,) log distance with the focal length exp(log_f), extrapolated in proportion to f."""

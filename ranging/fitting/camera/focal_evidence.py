@@ -44,14 +44,9 @@ DEFAULT_FIELD_SIGMA = 0.3
 """Relative standard deviation of the focal length with that field of view: 50 degrees is a factor of 1.6, 110 one of
 0.54."""
 
-_FIELDS_DEG = 150.0, 20.0
-"""Largest and smallest horizontal field of view of the grid."""
-
-_N_GRID = 97
-"""Number of points of the grid."""
-
-_VIEWS_PER_TRACK = 2.0
-"""Number of independent views that the views of one object count as at most."""
+_FIELDS_DEG = 150.0, 20.0  # largest and smallest horizontal field of view of the grid
+_N_GRID = 97  # number of points of the grid
+_VIEWS_PER_TRACK = 2.0  # number of independent views that the views of one object count as at most
 
 _SHAPE_SIGMA = 0.12
 """Standard deviation of log f that all boxes of a drive share; that of KITTI's labels, see docs/accuracy.md."""
@@ -77,27 +72,18 @@ _OUTLIER_FRACTION, _OUTLIER_NOISE = 0.1, 0.4
 _SHAPE_CLASSES = np.isin(SIZE_CLASSES, ("car", "van"))
 """(size classes,) whether the lengths of the objects are known well enough."""
 
-_MIN_HEIGHT_PX = 30.0
-"""Height of a box below which its shape is mostly noise."""
-
-_FLAT_LOG_SIGMA = 30.0
-"""Standard deviation of the log distance without a prior of the distance."""
+_MIN_HEIGHT_PX = 30.0  # height of a box below which its shape is mostly noise
+_FLAT_LOG_SIGMA = 30.0  # standard deviation of the log distance without a prior of the distance
 
 
 @dataclass(frozen=True, slots=True)
 class FocalPosterior:
-    """Focal length from all sources.
+    """Focal length from all sources."""
 
-    Attributes:
-        focal_px: (G,) grid, evenly spaced in its logarithm.
-        density: (G,) probability of each point.
-        n_tracks: number of objects whose shapes contribute.
-        relative_noise: estimated standard deviation of the edges of boxes, as a fraction of their size.
-    """
-
-    focal_px: FloatArray
-    density: FloatArray
-    n_tracks: int = 0
+    focal_px: FloatArray  # (G,) grid, evenly spaced in its logarithm
+    density: FloatArray  # (G,) probability of each point
+    n_tracks: int = 0  # number of objects whose shapes contribute
+    # estimated standard deviation of the edges of boxes, as a fraction of their size
     relative_noise: float = BoxNoise().relative
 
     def as_guess(self, guesses: Sequence[FocalGuess]) -> FocalGuess:

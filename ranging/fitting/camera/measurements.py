@@ -16,84 +16,51 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
-_MAX_COVERED = 0.03
-"""Largest fraction of a box inside a nearer one for which it counts as not hidden."""
+_MAX_COVERED = 0.03  # largest fraction of a box inside a nearer one for which it counts as not hidden
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownObject:
-    """One object with metres known from a tape measure or a data sheet; NaN = unknown.
+    """One object with metres known from a tape measure or a data sheet; NaN = unknown."""
 
-    Attributes:
-        name: the measurement in the user's words, for the table of residuals.
-        xyxy_px: (4,) box.
-        size_class: index into `SIZE_CLASSES`.
-        distance_m: depth of its visible surface.
-        height_m: height above the road.
-        width_m: width of the side that faces the camera.
-        relative_sigma: relative standard deviation of the metres.
-    """
-
-    name: str
-    xyxy_px: tuple[float, float, float, float]
-    size_class: int
-    distance_m: float = np.nan
-    height_m: float = np.nan
-    width_m: float = np.nan
-    relative_sigma: float = 0.01
+    name: str  # the measurement in the user's words, for the table of residuals
+    xyxy_px: tuple[float, float, float, float]  # (4,) box
+    size_class: int  # index into `SIZE_CLASSES`
+    distance_m: float = np.nan  # depth of its visible surface
+    height_m: float = np.nan  # height above the road
+    width_m: float = np.nan  # width of the side that faces the camera
+    relative_sigma: float = 0.01  # relative standard deviation of the metres
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownLane:
-    """A lane, or any other stretch across the road, of known width.
+    """A lane, or any other stretch across the road, of known width."""
 
-    Attributes:
-        name: the measurement in the user's words.
-        x1_px: column of its left end.
-        x2_px: column of its right end.
-        y_px: row of both ends.
-        width_m: distance between the ends.
-        relative_sigma: relative standard deviation of `width_m`.
-        time_s: time of the frame, in seconds from the first one.
-    """
-
-    name: str
-    x1_px: float
-    x2_px: float
-    y_px: float
-    width_m: float
-    relative_sigma: float = 0.02
-    time_s: float = 0.0
+    name: str  # the measurement in the user's words
+    x1_px: float  # column of its left end
+    x2_px: float  # column of its right end
+    y_px: float  # row of both ends
+    width_m: float  # distance between the ends
+    relative_sigma: float = 0.02  # relative standard deviation of `width_m`
+    time_s: float = 0.0  # time of the frame, in seconds from the first one
 
 
 @dataclass(frozen=True, slots=True)
 class FocalGuess:
-    """A focal length from one source.
+    """A focal length from one source."""
 
-    Attributes:
-        focal_px: focal length in px of the images.
-        sigma: relative standard deviation.
-        source: where it comes from, as it continues "focal length from ...".
-    """
-
-    focal_px: float
-    sigma: float
-    source: str
+    focal_px: float  # focal length in px of the images
+    sigma: float  # relative standard deviation
+    source: str  # where it comes from, as it continues "focal length from ..."
 
 
 @dataclass(frozen=True, slots=True)
 class SceneBoxes:
-    """Boxes of road users in frames of a video, one row per box.
+    """Boxes of road users in frames of a video, one row per box."""
 
-    Attributes:
-        xyxy_px: (N, 4) boxes.
-        size_class: (N,) index into `SIZE_CLASSES`.
-        track_id: (N,) identity of the object.
-    """
-
-    xyxy_px: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
-    size_class: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
-    track_id: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    xyxy_px: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))  # (N, 4) boxes
+    size_class: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))  # (N,) index into `SIZE_CLASSES`
+    track_id: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))  # (N,) identity of the object
 
     def __post_init__(self) -> None:
         n = len(self.track_id)
@@ -127,17 +94,11 @@ class SceneBoxes:
 
 @dataclass(frozen=True, slots=True)
 class HorizonRow:
-    """Row of the horizon in the middle column, from lane lines or the direction of travel.
-
-    Attributes:
-        y_px: the row.
-        sigma_px: its standard deviation.
-        source: where it comes from.
-    """
+    """Row of the horizon in the middle column, from lane lines or the direction of travel."""
 
     y_px: float
-    sigma_px: float
-    source: str
+    sigma_px: float  # its standard deviation
+    source: str  # where it comes from
 
 
 def unhidden(xyxy_px: FloatArray) -> BoolArray:
