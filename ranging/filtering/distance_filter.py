@@ -253,8 +253,8 @@ class DistanceFilters:
             condition=condition,
             steady_since_s=np.where(starts, time_s, steady_since_s),
         )
-        known_s = _FilterState._make(self._tracks.known).measured_s
-        self._tracks.put(track_id, np.array(new), keep_known=(time_s - known_s <= settings.max_gap_s).any(axis=0))
+        is_recent = time_s - _FilterState._make(self._tracks.known).measured_s <= settings.max_gap_s
+        self._tracks.put(track_id, np.array(new), keep_known=np.asarray(is_recent.any(axis=0)))
         return self._filtered(new, by_method, time_s)
 
     def _measured(

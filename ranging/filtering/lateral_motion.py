@@ -177,15 +177,12 @@ class LateralFilters:
 
         initial = np.array([x, 0 * x, R, 0 * x, 0 * x + _INITIAL_RATE_SIGMA_MPS**2])
         filtered = np.array([state.x, state.v, state.P_xx, state.P_xv, state.P_vv])
-        filtered = np.where(starts, initial, np.where(is_stale, np.nan, filtered))
-        new = _LateralState(
-            *filtered,
-            time_s=np.full(len(tracks), time_s),
-            measured_s=np.where(is_measured | starts, time_s, last.measured_s),
-        )
+        x, u, P_xx, P_xu, P_uu = np.where(starts, initial, np.where(is_stale, np.nan, filtered))
+        measured_s = np.where(is_measured | starts, time_s, last.measured_s)
+        new = _LateralState(x, u, P_xx, P_xu, P_uu, np.full(len(tracks), time_s), measured_s)
         known_s = _LateralState._make(self._tracks.known).measured_s
         self._tracks.put(tracks.track_id, np.array(new), keep_known=time_s - known_s <= _MAX_GAP_S)
-        return LateralMotion(ConstantVelocity(*filtered), half_width_m)
+        return LateralMotion(ConstantVelocity(x, u, P_xx, P_xu, P_uu), half_width_m)
 
     def _measured(self, tracks: Tracks, distance_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         """Lateral position of the centre, its standard deviation, half the width in m, and whether a box is whole."""

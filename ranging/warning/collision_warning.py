@@ -189,7 +189,11 @@ class CollisionWarning:
         active, since_s = self._alarm(last, time_s, may_start, may_end, is_uncertain)
 
         new = _WarningState(
-            *_columns(own),
+            u=own.x,
+            a=own.v,
+            P_uu=own.P_xx,
+            P_ua=own.P_xv,
+            P_aa=own.P_vv,
             time_s=np.full(len(tracks), time_s),
             certain_s=certain_s,
             known_s=np.where(is_known, time_s, last.known_s),
