@@ -52,7 +52,7 @@ class ConfidenceThresholdSettings:
 
     first: float = 0.4  # initial threshold, before any box is counted
     # persistence that a score must reach, as a fraction of that of the better half of boxes; 0 = a fixed threshold
-    min_share: float = 0.85
+    min_fraction: float = 0.85
     # lowest, highest: limits of the threshold
     lowest: float = 0.3
     highest: float = 0.9
@@ -82,8 +82,8 @@ class ConfidenceThreshold:
         self._n_waiting_pairs = 0
         self._by_group = np.full(_N_GROUPS, settings.first)
         self._n_boxes, self._n_at_estimate, self._n_frames = 0, 0, 0
-        slope = 1 - settings.min_share
-        # Linear in the score, 1 at score 1 and min_share at `first`.
+        slope = 1 - settings.min_fraction
+        # Linear in the score, 1 at score 1 and min_fraction at `first`.
         self._prior = [1 - slope * (1 - middle) / max(1 - settings.first, 1e-6) for middle in _MIDDLE]
 
     def of(self, class_id: IntArray) -> FloatArray:
@@ -92,7 +92,7 @@ class ConfidenceThreshold:
 
     def update(self, detections: Detections) -> None:
         """Count the boxes of one frame, including low-confidence ones."""
-        if self._settings.min_share <= 0 or not len(detections):
+        if self._settings.min_fraction <= 0 or not len(detections):
             return  # no information if the detector skipped the frame, and hardly any if it is empty
         before, self._before = self._before, None
         self._n_frames += 1
@@ -114,7 +114,9 @@ class ConfidenceThreshold:
             self._count()
         if is_due:
             self._n_at_estimate = self._n_boxes
-            self._estimate()
+            n_compared, n_persisted = (n.reshape(_N_GROUPS, _N_BINS) for n in (self._n_compared, self._n_persisted))
+            for group in np.flatnonzero(n_compared.any(axis=1)):
+                self._by_group[group] = self._threshold(n_compared[group].tolist(), n_persisted[group].tolist())
 
     def _count(self) -> None:
         """Count the boxes of the waiting frames, and those that persist: that overlap a box of the next frame."""
@@ -130,18 +132,10 @@ class ConfidenceThreshold:
         self._n_compared += np.bincount(key, minlength=len(self._n_compared))
         self._n_persisted += np.bincount(key[persists], minlength=len(self._n_compared))
 
-    def _estimate(self) -> None:
-        n_compared = self._n_compared.reshape(_N_GROUPS, _N_BINS)
-        n_persisted = self._n_persisted.reshape(_N_GROUPS, _N_BINS)
-        for group in np.flatnonzero(n_compared.any(axis=1)):
-            self._by_group[group] = self._threshold(n_compared[group].tolist(), n_persisted[group].tolist())
-
     def _threshold(self, n_compared: Sequence[float], n_persisted: Sequence[float]) -> float:
         """Score at which the persistence reaches its fraction, interpolated between the middles of two bins.
 
-        Args:
-            n_compared: 10 numbers of boxes, one per bin of scores.
-            n_persisted: numbers of those that overlap a box of the next frame.
+        The arguments are the numbers of boxes per bin of scores, and of those that overlap a box of the next frame.
         """
         settings, n_prior = self._settings, self._settings.prior_boxes
         n_best, n_best_persisted, n_half = 0.0, 0.0, sum(n_compared) / 2
@@ -152,15 +146,15 @@ class ConfidenceThreshold:
         best = (n_best_persisted + n_prior * _PRIOR_BEST) / (n_best + n_prior)
         if best < _MIN_BEST:
             return settings.first
-        share_above = math.inf
+        persistence_above = math.inf
         for k in reversed(range(_N_BINS)):  # from the highest scores down to the first bin with too little persistence
-            share = (n_persisted[k] + n_prior * self._prior[k] * best) / (n_compared[k] + n_prior) / best
-            if share < settings.min_share:
+            persistence = (n_persisted[k] + n_prior * self._prior[k] * best) / (n_compared[k] + n_prior) / best
+            if persistence < settings.min_fraction:
                 if k == _N_BINS - 1:
                     return settings.highest
-                fraction = (settings.min_share - share) / (share_above - share)
+                fraction = (settings.min_fraction - persistence) / (persistence_above - persistence)
                 return min(max(_MIDDLE[k] + fraction / _N_BINS, settings.lowest), settings.highest)
-            share_above = share
+            persistence_above = persistence
         return settings.lowest
 
 
