@@ -35,9 +35,8 @@ _PATHS = RunSettings.fields_where(lambda field: value_type(field) is Path)
 def settings_from(options: Mapping[str, Any], file: Path | None = None) -> RunSettings:
     """Settings from options (None = not given) over those of a settings.yaml.
 
-    Raises:
-        UsageError: an option is invalid, or options contradict each other.
-        ConfigError: the file cannot be read, or contains an unknown key or an invalid value.
+    Invalid or contradicting options raise UsageError, an unreadable file, an unknown key or an invalid value in it
+    ConfigError.
     """
     base = read_settings(file) if file else {}
     given = {key: value for key, value in options.items() if value is not None}
@@ -63,11 +62,7 @@ def options_and_objects(model: type[Options], options: Mapping[str, Any]) -> tup
 
 
 def pipeline_options(values: Mapping[str, Any]) -> PipelineOptions:
-    """Options of detection, tracking and ranging from values by field; None = not given.
-
-    Raises:
-        ConfigError: an option is unknown or invalid.
-    """
+    """Options of detection, tracking and ranging from values by field (None = not given); ConfigError if invalid."""
     try:
         return PipelineOptions.of(values)
     except UsageError as error:
@@ -77,13 +72,7 @@ def pipeline_options(values: Mapping[str, Any]) -> PipelineOptions:
 def _check_anonymized(settings: RunSettings, keys: list[str], file: Path | None) -> None:
     """Check that the inputs of an anonymized run, which its settings name without folders, are in the current folder.
 
-    Args:
-        settings: all settings.
-        keys: the settings that come from the file.
-        file: the settings.yaml.
-
-    Raises:
-        ConfigError: an input does not exist.
+    `keys`: the settings that come from the file.
     """
     for key in keys:
         files: list[Path] = []
@@ -120,11 +109,7 @@ def _error_of(
 
 
 def read_settings(file: Path) -> dict[str, Any]:
-    """Values in a settings.yaml, which are not validated.
-
-    Raises:
-        ConfigError: the file cannot be read, or is another one.
-    """
+    """Values in a settings.yaml, which are not validated; ConfigError if it cannot be read, or is another file."""
     document = read_yaml(file, ConfigError, "the settings.yaml of a run")
     if not isinstance(document, dict) or document.get("track_range_settings") != 1:
         raise ConfigError(f"{file}: expected the settings.yaml of a run, with the key 'track_range_settings: 1'.")
@@ -135,13 +120,7 @@ def read_settings(file: Path) -> dict[str, Any]:
 
 
 def save_settings(settings: RunSettings, path: Path, *, detected: dict[str, Any] | None = None) -> None:
-    """Write settings.yaml: the settings with absolute paths under `run`, the detected properties under `found`.
-
-    Args:
-        settings: settings of the run.
-        path: the file.
-        detected: properties of the opened inputs; None = not known yet.
-    """
+    """Write settings.yaml: the settings with absolute paths under `run`, properties of the inputs under `found`."""
     run = absolute_settings(settings)
     content = {
         "track_range_settings": 1,

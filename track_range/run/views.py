@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.boxes import fraction_inside
-from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.output_files import OutputError, write_text
@@ -24,26 +23,18 @@ from track_range.run.build import open_input
 from track_range.run.settings import RunSettings
 
 VIEWS_FILE = "views.csv"
-
-_MAX_DEG = 120.0
-"""Largest angle of a view to the camera's axis, as of --yaw-deg."""
-
+_MAX_DEG = 120.0  # largest angle of a view to the camera's axis, as of --yaw-deg
 _SAME_OVERLAP = 0.6
 """Fraction of the smaller of two boxes in the recorded image that is inside the larger one, from which tracks of
 two views with the same class are the same object; the edge of a view may cut a box."""
-
 _EDGES = ("x1_px", "y1_px", "x2_px", "y2_px")
-_NUMBERS = ("frame", *_EDGES, "azimuth_deg")
-"""Columns that are compared."""
+_NUMBERS = ("frame", *_EDGES, "azimuth_deg")  # columns that are compared
 
 
 def run_views(settings: RunSettings, views_deg: Sequence[float], run: Callable[[RunSettings], Any]) -> Path:
-    """Run in each direction, write `VIEWS_FILE`, and return its path.
+    """Run in each direction, degrees to the right of the camera's axis, write `VIEWS_FILE`, and return its path.
 
-    Args:
-        settings: settings of the runs; `out` is the folder of their folders.
-        views_deg: directions of the views, degrees to the right of the camera's axis.
-        run: processes a run with these settings.
+    `out` of the settings is the folder of the runs' folders; `run` processes a run.
     """
     for view_deg in views_deg:  # an impossible direction must not be found after runs of the others
         open_input(settings.model_copy(update={"yaw_deg": view_deg, "align": "off"})).close()
@@ -59,11 +50,7 @@ def run_views(settings: RunSettings, views_deg: Sequence[float], run: Callable[[
 
 
 def directions_deg(text: str, settings: RunSettings) -> tuple[float, ...]:
-    """The directions of a value of --views, in ascending order.
-
-    Raises:
-        UsageError: they are not two or more different numbers, or the settings do not allow several views.
-    """
+    """The directions of a value of --views, in ascending order; UsageError if the settings allow no several views."""
     if settings.mono is None or settings.yaw_deg:
         raise UsageError("--views: expected --mono and no --yaw-deg, since each view has its own.")
     if settings.table is not None:
@@ -81,11 +68,7 @@ def directions_deg(text: str, settings: RunSettings) -> tuple[float, ...]:
 
 
 def joined_text(views_deg: Sequence[float], folders: Sequence[Path]) -> str:
-    """Content of `VIEWS_FILE` from the runs of the views: rows by frame, each object once.
-
-    Raises:
-        OutputError: the file of a run cannot be read.
-    """
+    """Content of `VIEWS_FILE` from the runs of the views: rows by frame, each object once."""
     tables = [read_csv_table(folder / FILE, OutputError, "the boxes of a view") for folder in folders]
     rows = [row for table in tables for row in table.rows]
     view_deg = np.repeat(np.array(views_deg, np.float64), [len(table) for table in tables])
@@ -95,17 +78,11 @@ def joined_text(views_deg: Sequence[float], folders: Sequence[Path]) -> str:
     off_axis_deg = np.abs(columns["azimuth_deg"] - view_deg)
     kept = []
     for frame in np.unique(columns["frame"]):
-        of_frame = np.flatnonzero(columns["frame"] == frame)
-        is_other = np.not_equal.outer(view_deg[of_frame], view_deg[of_frame])
-        is_same = is_other & np.equal.outer(class_name[of_frame], class_name[of_frame])
-        is_same &= _overlap(boxes_px[of_frame]) >= _SAME_OVERLAP
-        is_worse = np.greater.outer(off_axis_deg[of_frame], off_axis_deg[of_frame])
-        kept += of_frame[~(is_same & is_worse).any(axis=1)].tolist()
+        i = np.flatnonzero(columns["frame"] == frame)
+        fractions = fraction_inside(boxes_px[i], boxes_px[i])  # NaN for boxes with NaN
+        is_same = np.nan_to_num(np.maximum(fractions, fractions.T)) >= _SAME_OVERLAP
+        is_same &= np.not_equal.outer(view_deg[i], view_deg[i]) & np.equal.outer(class_name[i], class_name[i])
+        is_worse = np.greater.outer(off_axis_deg[i], off_axis_deg[i])
+        kept += i[~(is_same & is_worse).any(axis=1)].tolist()
     lines = (",".join((f"{view_deg[i]:g}", *rows[i])) for i in kept)
     return "\n".join([",".join(("view_deg", *COLUMNS)), *lines]) + "\n"
-
-
-def _overlap(xyxy_px: FloatArray) -> FloatArray:
-    """(N, N) intersection of boxes (N, 4) over the area of the smaller one; 0 for boxes with NaN."""
-    fractions = fraction_inside(xyxy_px, xyxy_px)
-    return np.nan_to_num(np.maximum(fractions, fractions.T))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from track_range.calibration.board_search import BoardSearch
 from track_range.calibration.figures import tilt_deg
 from track_range.calibration.from_boards import LENS_NAMES, calibrate_views, find_boards
 from track_range.calibration.settings import CalibrationSettings
@@ -22,31 +21,21 @@ from track_range.views.report.tables import SIGMA, Column, grid_of
 
 _BOARD_OPTIONS = ("square_mm", "lens_terms", "picture")
 _ROAD_OPTIONS = ("known_distance", "known_height", "known_width", "known_lane_width", "camera_height_m", "camera_model")
-"""Options of the calibration with a board, and of that on the road."""
-
 _N_COEFFICIENTS = (0, 4, 5, 8)
-"""Accepted numbers of distortion coefficients."""
 
 
 def _calibrate(settings: CalibrationSettings) -> None:
-    if settings.is_from_road and settings.lens != "pinhole":
-        raise UsageError(
-            f"--lens {settings.lens}: expected --board, since a drive does not show the lens's distortion."
-        )
-    _check_contradictions(settings)
+    _check(settings)
     if settings.is_from_road:
         _calibrate_on_road(settings)
         return
-    if settings.lens_terms not in _N_COEFFICIENTS:
-        numbers = ", ".join(map(str, _N_COEFFICIENTS))
-        raise UsageError(f"--lens-terms {settings.lens_terms}: expected one of {numbers}.")
-    if settings.lens not in LENS_NAMES:
-        raise UsageError(f"--lens {settings.lens}: expected one of {', '.join(LENS_NAMES)}.")
-    if settings.lens != "pinhole" and settings.lens_terms != CalibrationSettings.model_fields["lens_terms"].default:
-        raise UsageError("--lens-terms: expected --lens pinhole, since a fisheye always has four terms; omit it.")
     progress = partial(step_progress, console)
     search = find_boards(settings, progress)
-    _print_search(search)
+    for note in search.notes:
+        print_line(console, note)
+    unit = "pairs" if search.shots and len(search.shots[0]) == 2 else "images"
+    print_line(console, f"Board found in {len(search.shots)} of {search.n_images} {unit}.")
+    _print_rejected(search.rejected)
     calibration = calibrate_views(search, settings, progress)
     _print_rejected(calibration.result.rejected)
     _print_views(calibration.result.fits)
@@ -59,18 +48,26 @@ def _calibrate(settings: CalibrationSettings) -> None:
     print_line(console, f"Written: {', '.join(map(str, calibration.save(settings)))}.")
 
 
-def _check_contradictions(settings: CalibrationSettings) -> None:
-    """Refuse options of the other kind of calibration.
-
-    Raises:
-        UsageError: there are some.
-    """
-    ignored = _BOARD_OPTIONS if settings.is_from_road else _ROAD_OPTIONS
+def _check(settings: CalibrationSettings) -> None:
+    """Refuse impossible lenses and options of the other calibration, on the road or with a board: UsageError."""
+    if settings.is_from_road and settings.lens != "pinhole":
+        raise UsageError(
+            f"--lens {settings.lens}: expected --board, since a drive does not show the lens's distortion."
+        )
     fields = CalibrationSettings.model_fields
-    for name in ignored:
+    for name in _BOARD_OPTIONS if settings.is_from_road else _ROAD_OPTIONS:
         if getattr(settings, name) != fields[name].default:
             expected = "expected --board" if settings.is_from_road else "expected no --board and one camera"
             raise UsageError(f"{settings.flag(name)}: {expected}; omit the option, or correct the other ones.")
+    if settings.is_from_road:
+        return
+    if settings.lens_terms not in _N_COEFFICIENTS:
+        numbers = ", ".join(map(str, _N_COEFFICIENTS))
+        raise UsageError(f"--lens-terms {settings.lens_terms}: expected one of {numbers}.")
+    if settings.lens not in LENS_NAMES:
+        raise UsageError(f"--lens {settings.lens}: expected one of {', '.join(LENS_NAMES)}.")
+    if settings.lens != "pinhole" and settings.lens_terms != fields["lens_terms"].default:
+        raise UsageError("--lens-terms: expected --lens pinhole, since a fisheye always has four terms; omit it.")
 
 
 def _calibrate_on_road(settings: CalibrationSettings) -> None:
@@ -99,13 +96,6 @@ def _calibrate_on_road(settings: CalibrationSettings) -> None:
     print_line(console, f"Written: {', '.join(map(str, calibration.save(settings)))}.")
 
 
-def _print_search(search: BoardSearch) -> None:
-    for note in search.notes:
-        print_line(console, note)
-    print_line(console, f"Board found in {len(search.shots)} of {search.n_images} {_unit(search)}.")
-    _print_rejected(search.rejected)
-
-
 def _print_rejected(rejected: Sequence[RejectedView]) -> None:
     """Print a line per kind of reason, with the names of its views."""
     by_kind: dict[str, list[RejectedView]] = {}
@@ -114,10 +104,6 @@ def _print_rejected(rejected: Sequence[RejectedView]) -> None:
     for kind, views in by_kind.items():
         shown = ", ".join(view.name for view in views[:8]) + (f" and {len(views) - 8} more" if len(views) > 8 else "")
         print_line(console, f"Rejected: {shown}: {views[0].reason if len(views) == 1 else kind}.")
-
-
-def _unit(search: BoardSearch) -> str:
-    return "pairs" if search.shots and len(search.shots[0]) == 2 else "images"
 
 
 def _print_views(fits: Sequence[ViewFit] | Sequence[PairFit]) -> None:

@@ -35,7 +35,7 @@ SCENARIO = "crossing"
 
 
 class DemoOptions(Options):
-    """Options of `track-range demo`."""
+    """Options of `demo`."""
 
     out: Annotated[Path, option("Folder of the drive and the results.", metavar="DIR")] = Path("track-range-demo")
     seed: Annotated[int, option("Random seed for the drive.", ge=0)] = 0
@@ -50,28 +50,24 @@ class DemoOptions(Options):
 
 def _demo(options: DemoOptions) -> None:
     with locked_output(options.out / "drive"):
-        _run_demo(options)
-
-
-def _run_demo(options: DemoOptions) -> None:
-    boxes = "the simulation: true boxes with noise" if options.playback else "the packaged detector"
-    print_line(console, f"Simulated stereo drive of {options.seconds:g} s; detections from {boxes}.")
-    with step_progress(console, "rendering") as progress, one_opencv_thread():
-        drive = write_drive(
-            options.out / "drive",
-            seed=options.seed,
-            seconds=options.seconds,
-            options=DriveOptions(scenario=SCENARIO),
-            progress=progress,
+        boxes = "the simulation: true boxes with noise" if options.playback else "the packaged detector"
+        print_line(console, f"Simulated stereo drive of {options.seconds:g} s; detections from {boxes}.")
+        with step_progress(console, "rendering") as progress, one_opencv_thread():
+            drive = write_drive(
+                options.out / "drive",
+                seed=options.seed,
+                seconds=options.seconds,
+                options=DriveOptions(scenario=SCENARIO),
+                progress=progress,
+            )
+        settings = RunSettings(
+            stereo=(drive.left, drive.right),
+            rig=drive.rig,
+            detections=drive.detections if options.playback else None,
+            truth=drive.table,
+            out=options.out,
         )
-    settings = RunSettings(
-        stereo=(drive.left, drive.right),
-        rig=drive.rig,
-        detections=drive.detections if options.playback else None,
-        truth=drive.table,
-        out=options.out,
-    )
-    run_and_print(settings, console, print_results=_print_screen)
+        run_and_print(settings, console, print_results=_print_screen)
 
 
 def _print_screen(run: Run, console: Console) -> None:
@@ -96,8 +92,7 @@ def _print_screen(run: Run, console: Console) -> None:
 def track_grid(rows: pa.Table) -> Grid:
     """One row per class: number of tracks, the longest one, the smallest distance and time to collision.
 
-    Args:
-        rows: of a run, one per track and frame; predicted boxes, which no detection confirmed, are left out.
+    Predicted boxes, which no detection confirmed, are left out.
     """
     columns = {name: np.array(rows[name].to_pylist(), object) for name in _COLUMNS}
     is_observed = columns["observed"].astype(np.bool_)

@@ -21,37 +21,14 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.options import Options, option
 
 PACKAGES = (
-    "track-range",
-    "numpy",
-    "opencv-python-headless",
-    "onnxruntime",
-    "onnx",
-    "av",
-    "scipy",
-    "pyarrow",
-    "pydantic",
-    "typer",
-    "rich",
-    "jinja2",
-    "matplotlib",
+    *("track-range", "numpy", "opencv-python-headless", "onnxruntime", "onnx", "av", "scipy", "pyarrow", "pydantic"),
+    *("typer", "rich", "jinja2", "matplotlib"),
 )
-"""Distributions whose versions are printed."""
-
-ENCODERS = ("libx264",)
-"""FFmpeg's encoders that track-range needs."""
-
-DECODERS = ("h264", "hevc", "av1", "vp9", "mpeg4", "mjpeg")
-"""FFmpeg's decoders of common videos; a run needs only that of its input."""
-
-MIN_FREE_BYTES = 500_000_000
-"""Free space in the current folder; results of an hour of 1242x375 px take about this much."""
-
-MIN_TRACKS, MAX_MEDIAN_ERROR_PCT = 2, 5.0
-"""Expected from the short run, which finds 4 tracks with a median error of 0.3 %."""
-
-OK = "ok"
-"""Text of a check that passed."""
-
+ENCODERS = ("libx264",)  # those that track-range needs
+DECODERS = ("h264", "hevc", "av1", "vp9", "mpeg4", "mjpeg")  # of common videos; a run needs only that of its input
+MIN_FREE_BYTES = 500_000_000  # results of an hour of 1242x375 px take about this much
+MIN_TRACKS, MAX_MEDIAN_ERROR_PCT = 2, 5.0  # the short run finds 4 tracks with a median error of 0.3 %
+OK, _NOT_INSTALLED = "ok", "not installed"
 _EXTRA = re.compile(r"^([\w.-]+).*extra\s*==\s*['\"]([\w-]+)['\"]")
 
 
@@ -60,7 +37,7 @@ class DoctorError(UserError):
 
 
 class DoctorOptions(Options):
-    """Options of `track-range doctor`."""
+    """Options of `doctor`."""
 
     json_format: Annotated[bool, option("Output as JSON, for scripts.", flag="--json")] = False
 
@@ -107,9 +84,6 @@ def extras() -> dict[str, str]:
             packages.setdefault(match[2], []).append(match[1])
     missing = {extra: [name for name in names if _version(name) == _NOT_INSTALLED] for extra, names in packages.items()}
     return {extra: f"missing: {', '.join(names)}" if names else "installed" for extra, names in missing.items()}
-
-
-_NOT_INSTALLED = "not installed"
 
 
 def _version(name: str) -> str:

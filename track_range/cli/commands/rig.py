@@ -15,10 +15,9 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import real_path
 from track_range.foundation.options import Options, option
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.geometry.virtual_pinhole import FieldOfView, field_of_view
+from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_calibration, mounting_of
 from track_range.stereo.rig_formats.registry import rig_writers
 from track_range.stereo.rig_formats.rig_yaml import save_camera
@@ -50,14 +49,9 @@ class ShowOptions(Options):
     size: _Size = None
 
 
-_OURS = "ours"
-"""Name of the format rig.yaml."""
-
-_MAX_SIDE_PX = 20_000
-"""Largest accepted image side; rectification maps of larger images would not fit into memory."""
-
-_SHOWN_M = np.array([10.0, 30.0, 60.0])
-"""Distances in metres for which disparities are shown."""
+_OURS = "ours"  # the format rig.yaml
+_MAX_SIDE_PX = 20_000  # rectification maps of larger images would not fit into memory
+_SHOWN_M = np.array([10.0, 30.0, 60.0])  # distances for which disparities are shown
 
 
 def _convert(options: ConvertOptions) -> None:
@@ -66,36 +60,31 @@ def _convert(options: ConvertOptions) -> None:
         raise UsageError(f"--to {options.to}: expected one of {', '.join(writers)}.")
     if real_path(source) == real_path(out):
         raise UsageError(f"{out}: expected a file other than the input; choose another name for OUT.")
-    calibration, notes = load_calibration(source, size_px=_size_of(options.size))
-    _check_image_size(calibration, source)
-    mounting = mounting_of(source)
+    size_px = _size_of(options.size)
+    calibration, loading_notes = load_calibration(source, size_px=size_px)
+    camera = calibration.left if isinstance(calibration, StereoRig) else calibration
+    if not camera.width_px:
+        raise RigError(f"{source}: expected an image size, found none; give --size WIDTHxHEIGHT.")
+    mounting, notes = mounting_of(source), list(loading_notes)
+    shift_m = float(np.linalg.norm(left_from_reference_m(source, is_grey=False, size_px=size_px)))
+    if shift_m:  # of KITTI files
+        notes.append(
+            f"The reference frame of KITTI labels is {shift_m:.3f} m from the left camera, which OUT does not store: "
+            f"use --rig {source.name} in runs with --truth."
+        )
     if options.to == _OURS and isinstance(calibration, PinholeCamera):
         save_camera(calibration, out, comments=[f"from {source.name}"], mounting=mounting)
-        mounting = None
     else:
         writers[options.to](calibration, out, [f"from {source.name}"])
-    for note in (*notes, *_labels_note(source, _size_of(options.size)), *_mounting_note(mounting, source)):
+        if mounting is not None:
+            notes.append(
+                "OUT does not store the uncertainty of the focal length and the camera height: "
+                f"use --rig {source.name}."
+            )
+    for note in notes:
         print_line(console, note)
     cameras = "two cameras" if isinstance(calibration, StereoRig) else "one camera"
     print_line(console, f"Written: {out}, {cameras}.")
-
-
-def _mounting_note(mounting: Mounting | None, source: Path) -> tuple[str, ...]:
-    """Note on the results of a calibration on the road that are not converted; empty if there are none."""
-    if mounting is None:
-        return ()
-    return (f"OUT does not store the uncertainty of the focal length and the camera height: use --rig {source.name}.",)
-
-
-def _labels_note(source: Path, size_px: tuple[int, int] | None) -> tuple[str, ...]:
-    """Note on the reference frame of KITTI labels, which other formats cannot store; empty for other files."""
-    shift_m = float(np.linalg.norm(left_from_reference_m(source, is_grey=False, size_px=size_px)))
-    if shift_m == 0:
-        return ()
-    return (
-        f"The reference frame of KITTI labels is {shift_m:.3f} m from the left camera, which OUT does not store: use "
-        f"--rig {source.name} in runs with --truth.",
-    )
 
 
 def _show(options: ShowOptions) -> None:
@@ -118,25 +107,20 @@ def _show(options: ShowOptions) -> None:
 
 def _camera_columns(cameras: list[PinholeCamera]) -> list[Column]:
     columns = [
-        Column("fx px", [camera.fx_px for camera in cameras], "{:.2f}"),
-        Column("fy px", [camera.fy_px for camera in cameras], "{:.2f}"),
-        Column("cx px", [camera.cx_px for camera in cameras], "{:.2f}"),
-        Column("cy px", [camera.cy_px for camera in cameras], "{:.2f}"),
+        Column(f"{name} px", [getattr(camera, f"{name}_px") for camera in cameras], "{:.2f}")
+        for name in ("fx", "fy", "cx", "cy")
     ]
     if not all(camera.width_px for camera in cameras):
         return columns
+    # angles between the outer edges of the first and the last pixel
+    angles = [field_of_view(camera if camera.is_wide else camera.without_distortion()) for camera in cameras]
     return [
         Column("width px", [camera.width_px for camera in cameras], "{:.0f}"),
         Column("height px", [camera.height_px for camera in cameras], "{:.0f}"),
         *columns,
-        Column("horizontal deg", [_field_of_view(camera).horizontal_deg for camera in cameras]),
-        Column("vertical deg", [_field_of_view(camera).vertical_deg for camera in cameras]),
+        Column("horizontal deg", [angle.horizontal_deg for angle in angles]),
+        Column("vertical deg", [angle.vertical_deg for angle in angles]),
     ]
-
-
-def _field_of_view(camera: PinholeCamera) -> FieldOfView:
-    """Angles of view between the outer edges of the first and the last pixel; of pinholes without distortion."""
-    return field_of_view(camera if camera.is_wide else camera.without_distortion())
 
 
 def _show_pair(rig: StereoRig, source: Path) -> None:
@@ -181,12 +165,6 @@ def _size_of(text: str | None) -> tuple[int, int] | None:
     if max(width_px, height_px) > _MAX_SIDE_PX:
         raise UsageError(f"--size {text}: expected sides of at most {_MAX_SIDE_PX} px.")
     return width_px, height_px
-
-
-def _check_image_size(calibration: PinholeCamera | StereoRig, source: Path) -> None:
-    camera = calibration.left if isinstance(calibration, StereoRig) else calibration
-    if not camera.width_px:
-        raise RigError(f"{source}: expected an image size, found none; give --size WIDTHxHEIGHT.")
 
 
 convert_app = single_app(command(ConvertOptions, _convert))

@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from track_range.run.run import Run
     from track_range.views.live_view.view import LiveView
 
-_N_CAMERAS = 2
-"""Number of values of `--stereo`."""
-
 
 class RunView(Options):
     """Options of a run that do not affect its results."""
@@ -64,27 +61,21 @@ class RunView(Options):
 
 
 def _run(**values: Any) -> None:
-    from track_range.cli.console import console
+    from track_range.cli.console import console, print_line
     from track_range.views.live_view.view import open_view
 
-    view_options = RunView.of(given_values(RunView, values))
-    settings = settings_from(_with_sources(given_values(RunSettings, values)), view_options.settings)
-    if view_options.views is not None:
-        _run_views(settings, view_options)
+    options = RunView.of(given_values(RunView, values))
+    settings = settings_from(_with_sources(given_values(RunSettings, values)), options.settings)
+    if options.views is None:
+        with open_view(show=options.show, serve=options.serve, n_viewers=options.viewers) or nullcontext() as view:
+            run_and_print(settings, console, view)
         return
-    view = open_view(show=view_options.show, serve=view_options.serve, n_viewers=view_options.viewers)
-    with view or nullcontext():
-        run_and_print(settings, console, view)
-
-
-def _run_views(settings: RunSettings, view_options: RunView) -> None:
-    from track_range.cli.console import console, print_line
     from track_range.run.views import directions_deg, run_views
 
-    if view_options.show or view_options.serve is not None:
+    if options.show or options.serve is not None:
         raise UsageError("--views makes several runs: it cannot be combined with --show or --serve.")
-    views_deg = directions_deg(view_options.views or "", settings)
-    path = run_views(settings, views_deg, lambda of_view: run_and_print(of_view, console))
+    views_deg = directions_deg(options.views, settings)
+    path = run_views(settings, views_deg, lambda view_settings: run_and_print(view_settings, console))
     print_line(console, f"Tracks of all views in {path}.")
 
 
@@ -97,17 +88,8 @@ def run_and_print(
 ) -> Path:
     """Process a whole run, print its notes and tables, and return its output folder.
 
-    A run that is interrupted, or in which an input fails, finishes its files first.
-
-    Args:
-        settings: settings of the run; without `out`, the folder is named after the left video.
-        console: for notes, tables and progress.
-        view: live view of the frames; None = off.
-        print_results: prints the results of the finished run; None = all tables and the names of the files.
-
-    Raises:
-        RunStoppedError: the user stopped the run.
-        UserError: an input cannot be used, or a file cannot be written.
+    A run that is interrupted (RunStoppedError), or in which an input fails, finishes its files first. `print_results`
+    replaces the printing of all tables and of the names of the files.
     """
     from track_range.foundation.errors import RunStoppedError
     from track_range.run.interrupts import stop_on_interrupt
@@ -182,12 +164,12 @@ def _split_pairs(args: list[str]) -> list[str]:
             split.append(f"{name}{equals}{value}")
             continue
         values = [value] if equals else []
-        while rest and len(values) < _N_CAMERAS and not rest[0].startswith("-"):
+        while rest and len(values) < 2 and not rest[0].startswith("-"):
             values.append(rest.pop(0))
         if not values:
             split.append(name)  # the parser reports that a value is missing
             continue
-        split += [f"{name}={part}" for part in (*values, "")[:_N_CAMERAS]]
+        split += [f"{name}={part}" for part in (*values, "")[:2]]
     return split
 
 

@@ -10,12 +10,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from track_range.detection.classes import map_to_road_classes
 from track_range.detection.formats.box_table import BoxTable, Written, frames_listed
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat, label_format_of
+from track_range.detection.formats.video_labels.coco import image_name
 from track_range.detection.formats.video_labels.yolo_tracks import DATA_YAML, WRITTEN_MARK
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.atomic_files import atomic_path, describe, write_bytes
@@ -24,12 +26,13 @@ from track_range.foundation.files.output_files import OutputError, make_folder
 from track_range.results.columns import Columns, methods_measured
 from track_range.results.replay import frames_of_rows
 from track_range.results.writers import WRITERS, RunInfo, create_writer
-from track_range.run.export.images import frames_of_run, frames_of_video, write_images
 from track_range.run.export.settings import MARKS, ExportSettings
 from track_range.run.export.source import (
     RunSource,
     boxes_of_labels,
     boxes_of_run,
+    frames_of_run,
+    frames_of_video,
     is_run,
     named_boxes,
     open_run,
@@ -38,22 +41,14 @@ from track_range.run.export.source import (
 
 _Write = Callable[[BoxTable, Path], Written]
 
-_DEFAULT_FPS = 10.0
-"""Frame rate of a run whose settings.yaml has none."""
-
-_WRITTEN_ENTRIES = frozenset({"labels", "images", DATA_YAML})
-"""Entries of a folder that an export writes."""
+_DEFAULT_FPS = 10.0  # of a run whose settings.yaml has none
+_JPEG_QUALITY = 95  # differences to the video are not visible
+_WRITTEN_ENTRIES = frozenset({"labels", "images", DATA_YAML})  # of a folder that an export writes
 
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """Result of an export.
-
-    Attributes:
-        n_boxes: number of boxes that are written.
-        n_images: number of images.
-        notes: notes for the user.
-    """
+    """Result of an export: numbers of written boxes and images, and notes for the user."""
 
     n_boxes: int
     n_images: int
@@ -96,11 +91,7 @@ def _check(settings: ExportSettings, source: RunSource | None) -> None:
 
 
 def _check_out(settings: ExportSettings) -> None:
-    """Check that the output is neither an input nor in the folder of a run in progress.
-
-    Raises:
-        OutputError: it is.
-    """
+    """Check that the output is neither an input nor in the folder of a run in progress; OutputError if it is."""
     out = settings.out
     inputs = [settings.source, *run_files(settings.source)]
     if settings.video is not None:
@@ -139,8 +130,12 @@ def _export_labels(
 
 def _write_images(settings: ExportSettings, table: BoxTable, folder: Path) -> int:
     """Write the frames of the video, and remove the labels of frames that it does not have."""
-    frames = frames_of_run(settings.source) if settings.video is None else frames_of_video(settings.video)
-    numbers = write_images(frames, table.video, folder / "images")
+    images, numbers = folder / "images", []
+    images.mkdir()
+    for index, image in frames_of_run(settings.source) if settings.video is None else frames_of_video(settings.video):
+        _, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        (images / image_name(table.video, index)).write_bytes(encoded.tobytes())
+        numbers.append(index)
     if len(table) and not np.isin(table.frame, numbers).all():
         last = max(numbers, default=-1)
         raise OutputError(
@@ -148,7 +143,7 @@ def _write_images(settings: ExportSettings, table: BoxTable, folder: Path) -> in
             f"frame {table.frame[~np.isin(table.frame, numbers)][0]}."
         )
     for file in (folder / "labels").iterdir():
-        if not (folder / "images" / file.with_suffix(".jpg").name).exists():
+        if not (images / file.with_suffix(".jpg").name).exists():
             file.unlink()
     return len(numbers)
 
@@ -209,11 +204,7 @@ def _start_utc_s(columns: Columns) -> float | None:
 
 @contextmanager
 def _output(out: Path) -> Iterator[None]:
-    """Context in which `out` is written; its folder is created.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Context in which `out` is written, in a folder that is created; OutputError if it cannot be written."""
     make_folder(out.parent)
     try:
         yield
@@ -223,11 +214,7 @@ def _output(out: Path) -> Iterator[None]:
 
 @contextmanager
 def _replaced_folder(out: Path) -> Iterator[Path]:
-    """A new path next to `out`, whose folder replaces `out` at the end.
-
-    Raises:
-        OutputError: the folder cannot be written, or `out` has other files than those of an export.
-    """
+    """A new path next to `out`, whose folder replaces `out`, a new folder or one of an export, at the end."""
     check_replaceable(out, "yolo")
     with _output(out), tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as temporary:
         folder = Path(temporary) / "new"
@@ -238,11 +225,7 @@ def _replaced_folder(out: Path) -> Iterator[Path]:
 
 
 def check_replaceable(out: Path, name: str) -> None:
-    """Check that an output does not exist, or has the format that replaces it.
-
-    Raises:
-        OutputError: it is something else.
-    """
+    """Check that an output does not exist, or has the format that replaces it; else OutputError."""
     if not os.path.lexists(out):
         return
     if name == "yolo":

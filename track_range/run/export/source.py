@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 from track_range.detection.formats.box_table import BoxTable, VideoFacts, file_name_part
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import label_format_of
+from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_yaml
 from track_range.foundation.validation import validated
@@ -22,22 +23,16 @@ from track_range.recording.open_video import open_video
 from track_range.results.folder import DetectedCamera, RunFolder, read_run_folder
 from track_range.results.formats.run_boxes import table_of_rows
 from track_range.results.provenance import Provenance, settings_hash
+from track_range.run.build import open_input
+from track_range.run.settings_files import settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
 
 _RUN_FILES = ("settings.yaml", "tracks.csv", "tracks.parquet", "tracks.arrows", "summary.json")
-"""Files of a run that an export reads."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunSource:
-    """A finished run.
-
-    Attributes:
-        run: its results.
-        detected: section `found` of settings.yaml; empty without that file.
-        camera: the left camera; None = unknown.
-        settings_hash: hash of the settings.
-    """
+    """A finished run: its results, the section `found` of settings.yaml, and the left camera; None = unknown."""
 
     run: RunFolder
     detected: Mapping[str, Any]
@@ -93,14 +88,15 @@ def open_run(folder: Path) -> RunSource:
 def boxes_of_run(source: RunSource) -> BoxTable:
     """The boxes of a run, in rectified pixels."""
     run, camera = source.run, source.camera
-    rows, frames = run.columns, run.summary.get("frames")
+    rows, frames, video_name = run.columns, run.summary.get("frames"), _video_of(run.settings)
     n_frames = int(rows["frame"].max(initial=-1)) + 1
-    is_part = bool(run.settings.get("start_s")) or _is_live(run.settings)
+    # the numbers of the frames of a live run start at that of the first processed one
+    is_part = bool(run.settings.get("start_s")) or live_address(video_name) is not None
     first = int(rows["frame"].min(initial=n_frames)) if is_part else 0
     if isinstance(frames, int):
         n_frames = max(n_frames, first + frames)
     video = VideoFacts(
-        name=_video_name(run.settings),
+        name=file_name_part(Path(video_name).stem),
         n_frames=n_frames or None,
         first_frame=first,
         size_px=None if camera is None else (camera.width_px, camera.height_px),
@@ -120,23 +116,8 @@ def _video_of(settings: Mapping[str, Any]) -> str:
     return str(video or "")
 
 
-def _is_live(settings: Mapping[str, Any]) -> bool:
-    """Whether a run was live: the numbers of its frames start at that of the first processed one."""
-    return live_address(_video_of(settings)) is not None
-
-
-def _video_name(settings: Mapping[str, Any]) -> str:
-    """Name of the left or only video, without suffix and characters that some programs do not allow; "" = unknown."""
-    return file_name_part(Path(_video_of(settings)).stem)
-
-
 def boxes_of_labels(path: Path, *, video: Path | None, first_frame: int) -> BoxTable:
-    """The boxes of a label file, with frames from 0.
-
-    Args:
-        path: the file or folder.
-        video: the video or folder of images; None = unknown.
-        first_frame: number of the video's first frame in the file.
+    """The boxes of a label file, with frames from 0; `first_frame`: number of the video's first frame in the file.
 
     Raises:
         LabelFileError: the file cannot be read, or has boxes before the first frame.
@@ -174,3 +155,26 @@ def named_boxes(table: BoxTable) -> tuple[BoxTable, tuple[str, ...]]:
     if not n_unnamed:
         return table, ()
     return table.with_class(0), (f"Boxes without a class in the input, which are written as person: {n_unnamed}.",)
+
+
+def frames_of_run(folder: Path) -> Iterator[tuple[int, Image]]:
+    """Number and rectified left image of each frame of a run, from its video.
+
+    Raises:
+        ConfigError, VideoError, RigError: settings.yaml or the video cannot be read.
+    """
+    recording = open_input(settings_from({"align": "off"}, folder / "settings.yaml"))
+    with closing(recording):
+        for frame in recording.frames:
+            yield frame.index, frame.left
+
+
+def frames_of_video(video: Path) -> Iterator[tuple[int, Image]]:
+    """Number and image of each frame of a video or folder of images.
+
+    Raises:
+        VideoError: it cannot be read.
+    """
+    with closing(open_video(video)) as reader:
+        for frame in reader:
+            yield frame.index, frame.image
