@@ -36,13 +36,13 @@ class XmlHandler(Protocol):
         ...
 
 
-def parse_xml(file: BinaryIO, path: Path, handler: XmlHandler, error: type[Exception], expected: str) -> None:
+def parse_xml(file: BinaryIO, path: Path, handler: XmlHandler | None, error: type[Exception], expected: str) -> None:
     """Pass the elements of a file to a handler, block by block.
 
     Args:
         file: the open file.
         path: its path, for messages.
-        handler: receiver; its exceptions are passed on.
+        handler: receiver; its exceptions are passed on. None = the file is only checked.
         error: class of the exceptions to raise.
         expected: noun phrase for the content, for messages.
 
@@ -53,7 +53,7 @@ def parse_xml(file: BinaryIO, path: Path, handler: XmlHandler, error: type[Excep
 
 
 class _Events:
-    def __init__(self, path: Path, handler: XmlHandler, error: type[Exception], expected: str) -> None:
+    def __init__(self, path: Path, handler: XmlHandler | None, error: type[Exception], expected: str) -> None:
         self._path, self._handler, self._error, self._expected = path, handler, error, expected
         self._elements: list[str] = []
         self._text = ""
@@ -90,10 +90,12 @@ class _Events:
                 "elements."
             )
         self._text = ""
-        self._handler.start(self._elements, attributes, self._line)
+        if self._handler is not None:
+            self._handler.start(self._elements, attributes, self._line)
 
     def _end(self, name: str) -> None:
-        self._handler.end(self._elements, self._text, self._line)
+        if self._handler is not None:
+            self._handler.end(self._elements, self._text, self._line)
         self._elements.pop()
         self._text = ""
 

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray
-from track_range.recording.telemetry.errors import TelemetryError
-from track_range.recording.telemetry.positions import has_position, speed_from_positions, steps_m, thinned
-from track_range.recording.telemetry.sidecars.units import MPS_PER_UNIT
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.positions import (
+    MOVING_MPS,
+    MPS_PER_UNIT,
+    has_position,
+    speed_from_positions,
+    speed_ratio,
+    steps_m,
+    thinned,
+    unit_of_ratio,
+)
+from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
-MAX_SPEED_MPS = 120.0
-"""Largest plausible speed in m/s (432 km/h), as in `ranging.ego_speed`."""
+MAX_SPEED_MPS = 120.0  # 432 km/h, as in `ranging.ego_speed`
 
 _MAX_ACCELERATION_MPS2 = 15.0
 """Largest plausible acceleration of a car over a second in m/s^2; emergency braking reaches 11."""
@@ -44,8 +48,8 @@ _MIN_LOSSES, _MIN_FIX_FRACTION = 5, 0.6
 """Number of losses of the fix from which speeds are doubted if fewer samples have a fix. Assumed: the
 one known recording of a parked car with false speeds has 22 losses in 3 minutes and a fraction of 0.38."""
 
-_MIN_COMPARED, _COMPARED_MPS, _UNIT_TOLERANCE = 10, 3.0, 0.08
-"""Number of steps, their speed in m/s, and the largest relative difference for a unit inferred from positions."""
+_MIN_COMPARED, _UNIT_TOLERANCE = 10, 0.08
+"""Number of steps, and the largest relative difference, for a unit inferred from positions."""
 
 
 def usable(track: TelemetryTrack) -> TelemetryTrack:
@@ -99,7 +103,7 @@ def _after_cold_start(track: TelemetryTrack) -> TelemetryTrack | None:
     if has_fix[0] or not has_fix.any():
         return None
     first = int(np.argmax(has_fix))
-    warm = selected(track, np.arange(len(track)) >= first)
+    warm = track.selected(np.arange(len(track)) >= first)
     length_s = float(warm.time_s.max() - warm.time_s[0])
     if length_s < MIN_STABLE_S or has_fix[first:].mean() < _MIN_STABLE_FRACTION:
         return None
@@ -122,18 +126,12 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 3600:.3g} h" if seconds >= _HOUR_S / 2 else f"{seconds:.3g} s"
 
 
-def selected(track: TelemetryTrack, index: FloatArray | BoolArray) -> TelemetryTrack:
-    """The samples of a track with these indices, in their order."""
-    names = ("time_s", "speed_mps", "course_rad", "latitude_deg", "longitude_deg", "utc_s")
-    return replace(track, **{name: getattr(track, name)[index] for name in names})
-
-
 def _in_order(track: TelemetryTrack) -> TelemetryTrack:
     """Samples with increasing times; of several with the same time, the first one with a speed."""
     order = np.lexsort((np.isnan(track.speed_mps), track.time_s))
     times_s = track.time_s[order]
     is_first = np.concatenate([[True], np.diff(times_s) > 0])
-    return selected(track, order[is_first])
+    return track.selected(order[is_first])
 
 
 def _check_positions(track: TelemetryTrack) -> None:
@@ -165,24 +163,17 @@ def _with_unit(track: TelemetryTrack) -> TelemetryTrack:
     """
     if track.states_unit or not track.has_own_speed:
         return track
-    known = np.isfinite(track.speed_mps)
-    time_s, nothing = track.time_s, np.full(len(track), np.nan)
     positions = speed_from_positions(
-        time_s, track.latitude_deg, track.longitude_deg, nothing, source=track.source, clock=track.clock
+        track.time_s, track.latitude_deg, track.longitude_deg, np.full(len(track), np.nan), clock=track.clock
     )
-    n_moving = 0
-    if positions is not None and known.any():
-        stated = np.interp(positions.time_s, time_s[known], track.speed_mps[known])
-        moving = (positions.speed_mps > _COMPARED_MPS) & (stated > 0)
-        n_moving = int(moving.sum())
-    if positions is None or known.sum() < _MIN_COMPARED or n_moving < _MIN_COMPARED:
-        if not (track.speed_mps[known] > _COMPARED_MPS).any():
+    ratio, n_moving = speed_ratio(positions, track.time_s, track.speed_mps, _MIN_COMPARED)
+    if ratio is None:
+        if not (track.speed_mps > MOVING_MPS).any():
             return track
         note = f"its speeds have no unit and are taken as m/s; only {n_moving} positions of a moving car could show it."
         return replace(track, notes=(*track.notes, note))
-    ratio = float(np.median(positions.speed_mps[moving] / stated[moving]))
-    unit = min(MPS_PER_UNIT, key=lambda name: abs(math.log(MPS_PER_UNIT[name] / ratio)))
-    if abs(MPS_PER_UNIT[unit] / ratio - 1) > _UNIT_TOLERANCE:
+    unit = unit_of_ratio(ratio, _UNIT_TOLERANCE)
+    if unit is None:
         raise TelemetryError(f"its speeds contradict its positions by a factor of {1 / ratio:.2g}, which is no unit.")
     if unit == "m/s":
         return track

@@ -14,15 +14,15 @@ import subprocess
 import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
-from datetime import UTC, datetime
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 from track_range.foundation.files.structured_text import parse_json
-from track_range.recording.telemetry.containers.samples import MAX_SAMPLES, Sample, track
-from track_range.recording.telemetry.errors import TelemetryError
-from track_range.recording.telemetry.sidecars.units import MPS_PER_UNIT
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.positions import MPS_PER_UNIT
+from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, date_s, track
+from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
 TIMEOUT_S = 20.0
 """Longest time in s that ExifTool may take; it reads files of unknown formats from start to end."""
@@ -41,10 +41,9 @@ _KEY = re.compile(r"Doc(\d+)(?:-(\d+))?(?:-\d+)*:(\w+)")
 _UNITS = {"K": "km/h", "M": "mph", "N": "kn"}
 """Units by GPSSpeedRef (Exif); without it, ExifTool's documentation states km/h."""
 
-_DATE = re.compile(r"(\d{4}):(\d\d):(\d\d) (\d\d):(\d\d):(\d\d)(\.\d+)?(Z?)")
+_DATE = re.compile(r"(\d{4}):(\d\d):(\d\d) (\d\d):(\d\d):(\d\d(?:\.\d+)?)")
 
-_MIN_MODE = 2
-"""Smallest GPSMeasureMode with a fix."""
+_MIN_MODE = 2  # smallest GPSMeasureMode with a fix
 
 
 def read_with_exiftool(path: Path) -> TelemetryTrack | None:
@@ -89,7 +88,11 @@ def track_of_records(record: object) -> TelemetryTrack | None:
     """
     if not isinstance(record, Mapping):
         return None
-    documents = _documents(record)
+    documents: dict[_Document, dict[str, Any]] = {}
+    for name, value in record.items():
+        match = _KEY.fullmatch(str(name))
+        if match and match[3] in _TAGS:
+            documents.setdefault((int(match[1]), int(match[2] or 0)), {})[match[3]] = value
     times_s = _times_s(documents)
     gps = {key: tags for key, tags in documents.items() if "GPSLatitude" in tags or "GPSSpeed" in tags}
     samples = [_sample(tags, times_s.get(key, math.nan)) for key, tags in sorted(gps.items())[:MAX_SAMPLES]]
@@ -113,23 +116,11 @@ _Document = tuple[int, int]
 """Numbers of a document: Doc3-2 is (3, 2), and Doc3 is (3, 0)."""
 
 
-def _documents(record: Mapping[Any, Any]) -> dict[_Document, dict[str, Any]]:
-    """Tags by document."""
-    documents: dict[_Document, dict[str, Any]] = {}
-    for key, value in record.items():
-        match = _KEY.fullmatch(str(key))
-        if match and match[3] in _TAGS:
-            documents.setdefault((int(match[1]), int(match[2] or 0)), {})[match[3]] = value
-    return documents
-
-
 def _times_s(documents: Mapping[_Document, Mapping[str, Any]]) -> dict[_Document, float]:
     """Times in the video by document, s; the records of one sample are spread over its duration."""
     times_s = {}
-    parts: dict[int, list[_Document]] = {}
-    for key in sorted(documents):
-        parts.setdefault(key[0], []).append(key)
-    for keys in parts.values():
+    for _, group in groupby(sorted(documents), key=itemgetter(0)):
+        keys = list(group)
         timed = next((key for key in keys if "SampleTime" in documents[key]), None)
         if timed is None:
             continue
@@ -146,7 +137,8 @@ def _sample(tags: Mapping[str, Any], time_s: float) -> Sample:
     """A record as a sample; without speed and position if it states that there is no fix."""
     mode, status = _number(tags, "GPSMeasureMode"), str(tags.get("GPSStatus", "A"))
     latitude_deg, longitude_deg = _number(tags, "GPSLatitude"), _number(tags, "GPSLongitude")
-    utc_s = _date_s(str(tags.get("GPSDateTime", "")))
+    date = _DATE.match(str(tags.get("GPSDateTime", "")))
+    utc_s = date_s(*(float(part) for part in date.groups())) if date else math.nan
     is_void = latitude_deg == longitude_deg == 0 or mode < _MIN_MODE or status not in ("A", "Active")
     if is_void:
         return Sample(time_s, utc_s)
@@ -158,15 +150,3 @@ def _sample(tags: Mapping[str, Any], time_s: float) -> Sample:
 def _number(tags: Mapping[str, Any], name: str) -> float:
     value = tags.get(name)
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
-
-
-def _date_s(text: str) -> float:
-    """Seconds since 1970 of a date and time of ExifTool; NaN = it is none."""
-    match = _DATE.match(text)
-    if match is None:
-        return math.nan
-    try:
-        whole = datetime(*(int(part) for part in match.groups()[:6]), tzinfo=UTC)  # type: ignore[arg-type,misc]
-    except ValueError:
-        return math.nan
-    return whole.timestamp() + float(match[7] or 0.0)

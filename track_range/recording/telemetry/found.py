@@ -10,20 +10,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from track_range.foundation.files.input_files import counted
 from track_range.recording.files.video_part import VideoPart
-from track_range.recording.telemetry.checks import selected, usable
+from track_range.recording.telemetry.checks import usable
 from track_range.recording.telemetry.containers.embedded import embedded
-from track_range.recording.telemetry.errors import TelemetryError
 from track_range.recording.telemetry.exiftool import read_with_exiftool
 from track_range.recording.telemetry.sidecars.reading import SUFFIXES, read_sidecar, sidecar_names
-from track_range.recording.telemetry.track import TelemetryTrack
-from track_range.recording.telemetry.video_clock import VideoClock, on_video_clock
+from track_range.recording.telemetry.track import COLUMNS, TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.video_clock import on_video_clock
 
-_MAX_NOTES = 3
-"""Largest number of messages about telemetry that is not used."""
+_MAX_NOTES = 3  # messages about telemetry that is not used
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,22 +68,14 @@ def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
     track = read_sidecar(path, first.path.name, whole_s) if is_sidecar else _in_video(path)
     if track is None:
         raise TelemetryError(f"{path}: expected speeds or positions with times, found none.")
-    clock = _checked(track, path, recording)
-    return FoundTelemetry(
-        track=clock.track,
-        sigma_s=clock.sigma_s,
-        notes=tuple(f"{path.name}: {note}" for note in (*clock.track.notes, *clock.notes)),
-        files=(path,),
-    )
+    track, sigma_s = _checked(track, path, recording)
+    notes = tuple(f"{path.name}: {note}" for note in track.notes)
+    return FoundTelemetry(track=track, sigma_s=sigma_s, notes=notes, files=(path,))
 
 
 def _inside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
-    if not part.path.is_file():
-        return None
-    track = _in_video(part.path)
-    if track is None:
-        return None
-    return track, part.path
+    track = _in_video(part.path) if part.path.is_file() else None
+    return None if track is None else (track, part.path)
 
 
 def _in_video(path: Path) -> TelemetryTrack | None:
@@ -93,14 +85,12 @@ def _in_video(path: Path) -> TelemetryTrack | None:
         TelemetryError: the file cannot be read, or has telemetry of an unknown layout.
     """
     try:
-        track, problem = embedded(path), None
-    except TelemetryError as error:
-        track, problem = None, error
-    if track is None:
+        track = embedded(path)
+    except TelemetryError:
         track = read_with_exiftool(path)
-    if track is None and problem is not None:
-        raise problem
-    return track
+        if track is None:
+            raise
+    return read_with_exiftool(path) if track is None else track
 
 
 def _beside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
@@ -122,8 +112,8 @@ def _beside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
     return None
 
 
-def _checked(track: TelemetryTrack, path: Path, part: VideoPart) -> VideoClock:
-    """A track without wild samples on the clock of its video.
+def _checked(track: TelemetryTrack, path: Path, part: VideoPart) -> tuple[TelemetryTrack, float]:
+    """A track without wild samples on the clock of its video, and the standard deviation of its time offset in s.
 
     Raises:
         TelemetryError: it cannot be used; with the path.
@@ -139,26 +129,26 @@ def _of_parts(parts: Sequence[VideoPart], read: Read) -> FoundTelemetry:
     tracks: list[TelemetryTrack] = []
     notes: list[str] = []
     files: list[Path] = []
-    sigma_s = 0.0
+    sigmas_s: list[float] = []
     for part in parts:
         try:
             track_and_path = read(part)
             if track_and_path is None:
                 continue
             track, path = track_and_path
-            clock = _checked(track, path, part)
+            source = track.source if path != part.path else f"{track.source} in {path.name}"
+            track, sigma_s = _checked(track, path, part)
         except TelemetryError as error:
             notes.append(f"Telemetry is not used: {error}")
             continue
-        source = track.source if path != part.path else f"{track.source} in {path.name}"
-        tracks.append(replace(clock.track, time_s=clock.track.time_s + part.start_s, source=source))
-        notes += [f"{path.name}: {note}" for note in (*clock.track.notes, *clock.notes)]
-        sigma_s = max(sigma_s, clock.sigma_s)
+        tracks.append(replace(track, time_s=track.time_s + part.start_s, source=source))
+        notes += [f"{path.name}: {note}" for note in track.notes]
+        sigmas_s.append(sigma_s)
         files += [path] if path != part.path else []
     shown = tuple(dict.fromkeys(notes))[:_MAX_NOTES]
     if not tracks:
         return FoundTelemetry(notes=shown)
-    return FoundTelemetry(track=_joined(tracks), sigma_s=sigma_s, notes=shown, files=tuple(files))
+    return FoundTelemetry(track=_joined(tracks), sigma_s=max(sigmas_s), notes=shown, files=tuple(files))
 
 
 def _joined(tracks: Sequence[TelemetryTrack]) -> TelemetryTrack:
@@ -168,17 +158,12 @@ def _joined(tracks: Sequence[TelemetryTrack]) -> TelemetryTrack:
         return first
     last_s, later = -np.inf, list[TelemetryTrack]()
     for track in tracks:
-        later.append(selected(track, track.time_s > last_s))
+        later.append(track.selected(track.time_s > last_s))
         last_s = max(last_s, float(track.time_s[-1]))
-    others = len(tracks) - 1
+    columns: dict[str, Any] = {name: np.concatenate([getattr(track, name) for track in later]) for name in COLUMNS}
     return replace(
         first,
-        time_s=np.concatenate([track.time_s for track in later]),
-        speed_mps=np.concatenate([track.speed_mps for track in later]),
-        course_rad=np.concatenate([track.course_rad for track in later]),
-        latitude_deg=np.concatenate([track.latitude_deg for track in later]),
-        longitude_deg=np.concatenate([track.longitude_deg for track in later]),
-        utc_s=np.concatenate([track.utc_s for track in later]),
-        source=f"{first.source} and {others} other file{'' if others == 1 else 's'}",
+        **columns,
+        source=f"{first.source} and {counted(len(tracks) - 1, 'other file')}",
         speed_sigma_mps=max(track.speed_sigma_mps for track in tracks),
     )

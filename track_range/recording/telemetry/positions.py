@@ -1,6 +1,8 @@
-"""Speed and course from positions, for files that state no speed."""
+"""Speed and course from positions, for files that state no speed, and the unit of stated speeds by comparison."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -10,12 +12,18 @@ from track_range.recording.telemetry.track import Clock, TelemetryTrack
 EARTH_RADIUS_M = 6_371_008.8
 """Mean radius of the Earth in metres (IUGG)."""
 
+MPS_PER_UNIT = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600}
+"""Factor from each unit of speed to m/s; a knot is 1852 m per hour."""
+
 _MIN_STEP_S = 0.9
 """Shortest time between two positions from which a speed is computed: receivers repeat positions between their fixes,
 and at 1 Hz the noise of a position, about 0.2 m from fix to fix, is 0.3 m/s."""
 
 _POSITION_SPEED_SIGMA_MPS = 0.5
 """Standard deviation of such speeds in m/s; assumed, see `_MIN_STEP_S`, with the rounding of times to 0.01 s."""
+
+MOVING_MPS = 3.0
+"""Speed above which a sample is moving: the noise of positions is small against it."""
 
 
 def has_position(latitude_deg: FloatArray, longitude_deg: FloatArray) -> BoolArray:
@@ -47,13 +55,13 @@ def speed_from_positions(
     longitude_deg: FloatArray,
     utc_s: FloatArray,
     *,
-    source: str,
-    clock: Clock,
+    source: str = "",
+    clock: Clock = "video",
 ) -> TelemetryTrack | None:
     """Telemetry with the speed and course between successive positions, at the middle of each step.
 
     Args:
-        time_s: (N,) times of the positions.
+        time_s: (N,) times of the positions, of the clock `clock`.
         latitude_deg: (N,) NaN = unknown.
         longitude_deg: (N,) NaN = unknown.
         utc_s: (N,) date and time of the positions, NaN = unknown.
@@ -81,3 +89,35 @@ def speed_from_positions(
         speed_sigma_mps=_POSITION_SPEED_SIGMA_MPS,
         has_own_speed=False,
     )
+
+
+def speed_ratio(
+    positions: TelemetryTrack | None, time_s: FloatArray, stated: FloatArray, n_min: int
+) -> tuple[float | None, int]:
+    """Median ratio of the speeds from positions to the stated ones, and the number of moving samples.
+
+    Args:
+        positions: speeds from the positions of the same file; None = it has none.
+        time_s: (N,) times of the stated speeds, NaN = unknown.
+        stated: (N,) speeds in any unit, NaN = unknown.
+        n_min: smallest number of samples, and of moving ones, for a ratio; with fewer it is None.
+    """
+    known = np.flatnonzero(np.isfinite(time_s) & np.isfinite(stated))
+    if positions is None or not len(known):
+        return None, 0
+    known = known[np.argsort(time_s[known], kind="stable")]
+    stated = np.interp(positions.time_s, time_s[known], stated[known])
+    is_moving = (positions.speed_mps > MOVING_MPS) & (stated > 0)
+    n_moving = int(is_moving.sum())
+    if len(known) < n_min or n_moving < n_min:
+        return None, n_moving
+    return float(np.median(positions.speed_mps[is_moving] / stated[is_moving])), n_moving
+
+
+def unit_of_ratio(ratio: float, tolerance: float) -> str | None:
+    """The unit of which the factor to m/s differs by at most a fraction `tolerance` from a ratio; None = no unit.
+
+    The units differ by at least 13 %.
+    """
+    unit = min(MPS_PER_UNIT, key=lambda name: abs(math.log(MPS_PER_UNIT[name] / ratio)))
+    return unit if abs(MPS_PER_UNIT[unit] / ratio - 1) <= tolerance else None

@@ -21,13 +21,12 @@ from track_range.ranging.ego_speed import EgoSpeed, EgoSpeedError, open_ego_spee
 from track_range.recording.files.video_part import VideoPart
 from track_range.recording.live.live_video import LiveVideo
 from track_range.recording.recording import Recording
-from track_range.recording.telemetry.errors import TelemetryError
 from track_range.recording.telemetry.found import FoundTelemetry, candidates, named_telemetry
 from track_range.recording.telemetry.image_evidence import SPAN_S, contradiction, motion_of
 from track_range.recording.telemetry.sidecars.reading import OXTS_NAME, SPEED_TABLE_SUFFIXES, SUFFIXES, TABLE_NAME
 from track_range.recording.telemetry.sidecars.speed_csv import is_telemetry_csv
 from track_range.recording.telemetry.time_offset import MotionSeries, TimeOffset, estimated_offset
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
 AUTO, OFF = "auto", "off"
 """Values of --ego-speed that are neither a number nor a path."""
@@ -75,10 +74,6 @@ class SpeedSource:
             "median_mps": round(float(np.median(known)), 3) if len(known) else None,
             "coverage": round(len(known) / len(ego_mps), 4) if len(ego_mps) else None,
         }
-
-
-Motion = Callable[[], MotionSeries]
-"""Measures the motion of the images when it is first needed."""
 
 
 def open_speed(
@@ -140,15 +135,12 @@ _NO_MOTION = MotionSeries(
 )
 
 
-def _named(setting: str, parts: Sequence[VideoPart], motion: Motion) -> SpeedSource:
+def _named(setting: str, parts: Sequence[VideoPart], motion: Callable[[], MotionSeries]) -> SpeedSource:
     """Ego speed from a number, or from a file or folder that the user names."""
     path = Path(setting)
     if math.isfinite(number(setting)) or not path.is_file() or not parts or _is_table(path):
         return SpeedSource(ego=open_ego_speed(setting))
-    telemetry = named_telemetry(path, parts)
-    if telemetry.track is None:
-        raise TelemetryError(f"{path}: expected speeds or positions with times, found none.")
-    source, problem = _with_images(telemetry, telemetry.track, motion())
+    source, problem = _with_images(named_telemetry(path, parts), motion())
     if problem is not None:
         raise TelemetryError(f"{path}: cannot be used as ego speed: {problem}.")
     return source
@@ -172,7 +164,7 @@ def _is_table(path: Path) -> bool:
 def _table_beside(part: VideoPart) -> SpeedSource:
     """Ego speed from ego_speed.csv or an oxts folder beside the first file of a recording."""
     notes: list[str] = []
-    for path in table_places(part.path):
+    for path in _table_places(part.path):
         if path.exists():
             try:
                 ego = open_ego_speed(str(path))
@@ -184,7 +176,7 @@ def _table_beside(part: VideoPart) -> SpeedSource:
     return SpeedSource(notes=tuple(notes))
 
 
-def table_places(video: Path) -> tuple[Path, ...]:
+def _table_places(video: Path) -> tuple[Path, ...]:
     """Paths of ego_speed.csv and oxts beside a video, or in and beside a folder of images, in order of precedence.
 
     In KITTI's raw recordings, images are in image_02/data, and oxts is beside image_02.
@@ -195,7 +187,7 @@ def table_places(video: Path) -> tuple[Path, ...]:
     return tuple(folder / name for folder in folders for name in (TABLE_NAME, OXTS_NAME))
 
 
-def _automatic(parts: Sequence[VideoPart], motion: Motion, notes: tuple[str, ...]) -> SpeedSource:
+def _automatic(parts: Sequence[VideoPart], motion: Callable[[], MotionSeries], notes: tuple[str, ...]) -> SpeedSource:
     """Ego speed from the telemetry inside or beside the video files; notes on what cannot be used."""
     measured: MotionSeries | None = None
     for telemetry in candidates(parts):
@@ -203,35 +195,29 @@ def _automatic(parts: Sequence[VideoPart], motion: Motion, notes: tuple[str, ...
         if telemetry.track is None:
             continue
         measured = motion() if measured is None else measured
-        source, problem = _with_images(telemetry, telemetry.track, measured)
+        source, problem = _with_images(telemetry, measured)
         if problem is None:
-            return replace(source, notes=(*notes, _note(source)))
+            shift = ""
+            if source.offset is not None and source.offset.is_certain:
+                offset_s, sigma_s = source.offset.offset_s, source.offset.sigma_s
+                late = "late" if offset_s >= 0 else "early"
+                shift = f", {abs(offset_s):.2f} +- {sigma_s:.2f} s {late} and corrected"
+            note = f"Ego speed from {telemetry.track.source}{shift}; --ego-speed off ignores it."
+            return replace(source, notes=(*notes, note))
         notes = (*notes, f"Telemetry is not used: {telemetry.track.source}: {problem}.")
     return SpeedSource(notes=notes)
 
 
-def _with_images(
-    telemetry: FoundTelemetry, track: TelemetryTrack, motion: MotionSeries
-) -> tuple[SpeedSource, str | None]:
+def _with_images(telemetry: FoundTelemetry, motion: MotionSeries) -> tuple[SpeedSource, str | None]:
     """Ego speed with the time offset that the images show, and what they show against it; None = nothing."""
+    track = telemetry.track
+    if track is None:
+        return SpeedSource(notes=telemetry.notes), None
     known = np.isfinite(track.speed_mps)
     offset = estimated_offset(motion, track.time_s, track.speed_mps, track.course_rad)
-    shift_s, sigma_s = 0.0, telemetry.sigma_s
+    sigma_s = telemetry.sigma_s
     if offset is not None and offset.is_certain:
-        shift_s, sigma_s = offset.offset_s, offset.sigma_s
-        track = replace(track, time_s=track.time_s - shift_s)
+        sigma_s, track = offset.sigma_s, replace(track, time_s=track.time_s - offset.offset_s)
     ego = EgoSpeed(track.time_s[known], track.speed_mps[known], track.source, track.speed_sigma_mps, sigma_s)
     source = SpeedSource(ego=ego, notes=telemetry.notes, files=telemetry.files, offset=offset, track=track)
     return source, contradiction(motion, ego)
-
-
-def _note(source: SpeedSource) -> str:
-    """The line that states the source of the speed."""
-    if source.ego is None:
-        return ""
-    shift = ""
-    if source.offset is not None and source.offset.is_certain:
-        offset = source.offset
-        late = "late" if offset.offset_s >= 0 else "early"
-        shift = f", {abs(offset.offset_s):.2f} +- {offset.sigma_s:.2f} s {late} and corrected"
-    return f"Ego speed from {source.ego.source}{shift}; --ego-speed off ignores it."

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.foundation.arrays import FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.robust_statistics import MAD_TO_SIGMA, mad_sigma
 
 MAX_OFFSET_S = 3.0
 """Largest offset in s that is searched: receivers lag by up to 1 s, and clocks in whole seconds by another one."""
@@ -83,7 +84,7 @@ class MotionSeries:
     time_s: FloatArray
     yaw_rad_s: FloatArray
     expansion_hz: FloatArray
-    is_still: np.ndarray
+    is_still: BoolArray
 
 
 def estimated_offset(
@@ -151,10 +152,13 @@ def _fit(
     if len(at_s) < _MIN_FIXES:
         return None
     is_used = np.isfinite(image) & (t >= at_s[0]) & (t <= at_s[-1])
-    is_used &= np.array([_is_dense(at_s, time) for time in t.tolist()], np.bool_)
+    after = np.clip(np.searchsorted(at_s, t), 1, len(at_s) - 1)
+    is_used &= at_s[after] - at_s[after - 1] <= _MAX_GAP_S
     if is_used.sum() < _MIN_SAMPLES:
         return None
-    t, e = t[is_used], _clipped(image[is_used])
+    t, e = t[is_used], image[is_used]
+    centre, spread = float(np.median(e)), 5 * mad_sigma(e)
+    e = np.clip(e, centre - spread, centre + spread) if spread > 0 else e  # against single failures
     values = np.array([np.interp(t + offset_s, at_s, value) for offset_s in grid_s.tolist()])
     centred, e_centred = values - values.mean(axis=1, keepdims=True), e - e.mean()
     spread = np.sqrt((centred**2).mean(axis=1) * (e_centred**2).mean())
@@ -167,7 +171,7 @@ def _depth_likelihood(t: FloatArray, e: FloatArray, values: FloatArray) -> Float
     width = max(round(_CORRELATION_S / float(np.median(np.diff(t)))), 1)
     level = np.maximum(np.convolve(np.pad(np.abs(e), width, mode="edge"), np.ones(2 * width + 1), "valid"), 0.0)
     level = np.maximum(level / (2 * width + 1), _MIN_LEVEL_HZ)
-    noise = 1.4826 * float(np.median(np.abs(np.diff(e, n=2)))) / math.sqrt(6)  # of white noise
+    noise = MAD_TO_SIGMA * float(np.median(np.abs(np.diff(e, n=2)))) / math.sqrt(6)  # of white noise
     decay = np.exp(-np.abs(t[:, None] - t[None, :]) / _DEPTH_TIME_S)
     covariance = (_DEPTH_SIGMA**2 * level[:, None] * level[None, :]) * decay
     covariance[np.diag_indices(len(t))] += max(noise, 0.02 * float(level.mean())) ** 2
@@ -204,16 +208,3 @@ def _correlation_time_s(t: FloatArray, residual: FloatArray) -> float:
             break
         total += rho
     return max(2 * step_s * total, _CORRELATION_S)
-
-
-def _is_dense(at_s: FloatArray, time_s: float) -> bool:
-    """Whether the telemetry has no long gap around a time."""
-    after = int(np.clip(np.searchsorted(at_s, time_s), 1, len(at_s) - 1))
-    return bool(at_s[after] - at_s[after - 1] <= _MAX_GAP_S)
-
-
-def _clipped(values: FloatArray) -> FloatArray:
-    """Values within five robust standard deviations of their running level, against single failures."""
-    centre = float(np.median(values))
-    spread = 1.4826 * float(np.median(np.abs(values - centre)))
-    return np.asarray(np.clip(values, centre - 5 * spread, centre + 5 * spread)) if spread > 0 else values

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from importlib import import_module
+from typing import Any, Literal
 
 import numpy as np
 
-from track_range.foundation.arrays import FloatArray, check_shape
+from track_range.foundation.arrays import BoolArray, FloatArray, check_shape
+from track_range.foundation.errors import UserError
 
 Clock = Literal["video", "utc", "local"]
 """What the times of samples are: seconds from the first frame of the video, or since 1970 in UTC or in local time."""
@@ -15,6 +17,16 @@ Clock = Literal["video", "utc", "local"]
 GPS_SPEED_SIGMA_MPS = 0.2
 """Standard deviation of the speed over ground of GPS receivers in m/s, which they derive from the Doppler shift;
 datasheets of u-blox's M8 to M10 state 0.05 m/s at the median, and dashcams round to 1 km/h or 0.1 kn."""
+
+COLUMNS = ("time_s", "speed_mps", "course_rad", "latitude_deg", "longitude_deg", "utc_s")
+"""Fields of a track with one value per sample."""
+
+
+class TelemetryError(UserError):
+    """Telemetry that cannot be used; the message gives the file and the reason.
+
+    An error for a file that the user named; a note of the run for a file that was found automatically.
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +44,6 @@ class TelemetryTrack:
         utc_s: (N,) date and time of each sample in seconds since 1970, NaN = unknown. Equal to `time_s` if `clock` is
             "utc" or "local"; with `clock` "video" it is the receiver's clock, which the checks use.
         source: origin of the samples, for notes, such as "GoPro GPMF" or "drive.gpx".
-        clock: meaning of `time_s`.
         speed_sigma_mps: standard deviation of the speed.
         has_own_speed: whether the file states speeds; False if they are derived from positions.
         states_unit: whether the format or the file states the unit of its speeds; otherwise it is checked against the
@@ -55,12 +66,29 @@ class TelemetryTrack:
 
     def __post_init__(self) -> None:
         n = len(self.time_s)
-        for name in ("course_rad", "latitude_deg", "longitude_deg", "utc_s"):
-            if not len(getattr(self, name)) and n:
+        for name in COLUMNS:
+            if n and not len(getattr(self, name)):
                 is_clock = name == "utc_s" and self.clock != "video"
                 object.__setattr__(self, name, self.time_s.copy() if is_clock else np.full(n, np.nan))
-        for name in ("time_s", "speed_mps", "course_rad", "latitude_deg", "longitude_deg", "utc_s"):
             check_shape(name, getattr(self, name), (n,))
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    def selected(self, index: FloatArray | BoolArray) -> TelemetryTrack:
+        """The samples with these indices, in their order."""
+        return replace(self, **{name: getattr(self, name)[index] for name in COLUMNS})
+
+
+def optional_package(package: str, source: str) -> Any:
+    """A package of the extra [telemetry]; `source` is the file to read, for the message.
+
+    Raises:
+        TelemetryError: it is not installed.
+    """
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise TelemetryError(
+            f'{source}: reading it needs the package {package}; install it with: pip install "track-range[telemetry]"'
+        ) from error

@@ -9,15 +9,14 @@ UTC or local time, video without        from the start of the video, if both hav
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.recording.files.video_part import VideoPart
-from track_range.recording.telemetry.errors import TelemetryError
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
 ZONES_H = (
     *(float(hours) for hours in range(-12, 15)),
@@ -25,7 +24,7 @@ ZONES_H = (
 )
 """Differences between local times and UTC in hours that are in use."""
 
-VIDEO_SIGMA_S = 0.5
+_VIDEO_SIGMA_S = 0.5
 """Standard deviation of the times of GPS samples within a video, s: receivers lag by 0.2 to 1 s."""
 
 _CLOCK_SIGMA_S = 1.0
@@ -44,23 +43,8 @@ _EQUAL_LENGTH_S, _EQUAL_LENGTH_FRACTION = 3.0, 0.05
 """Largest difference between equal lengths: seconds, and fraction of the length of the video."""
 
 
-@dataclass(frozen=True, slots=True)
-class VideoClock:
-    """A track on the clock of a video.
-
-    Attributes:
-        track: `clock` is "video".
-        sigma_s: standard deviation of its time offset.
-        notes: messages for the user.
-    """
-
-    track: TelemetryTrack
-    sigma_s: float
-    notes: tuple[str, ...] = ()
-
-
-def on_video_clock(track: TelemetryTrack, part: VideoPart) -> VideoClock:
-    """A track in the order of time with the times of a video.
+def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTrack, float]:
+    """A track in the order of time with the times of a video, and the standard deviation of its time offset in s.
 
     Args:
         track: at least one sample.
@@ -70,44 +54,44 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> VideoClock:
         TelemetryError: the times do not fit the video, or cannot be matched.
     """
     if track.clock == "video":
-        return VideoClock(track, VIDEO_SIGMA_S)
+        return track, _VIDEO_SIGMA_S
     if part.utc is None:
-        return _from_start(track, part)
-    starts_s = _possible_starts_s(part)
-    is_local = track.clock == "local" or part.utc.is_local
+        length_s = float(track.time_s[-1] - track.time_s[0])
+        tolerance_s = max(_EQUAL_LENGTH_S, _EQUAL_LENGTH_FRACTION * part.duration_s)
+        if not part.duration_s or not math.isfinite(length_s) or abs(length_s - part.duration_s) > tolerance_s:
+            raise TelemetryError(
+                "the video states no date and time with which its times could be matched; give that of "
+                "the first frame with --start-utc."
+            )
+        note = "the video states no date and time; both have the same length and are taken to start together."
+        shifted = replace(track, time_s=track.time_s - track.time_s[0], clock="video", notes=(*track.notes, note))
+        return shifted, _CLOCK_SIGMA_S
+    starts_s = [part.utc.start_s]
+    is_local, uncertainty_s = track.clock == "local" or part.utc.is_local, part.utc.uncertainty_s or 0.0
+    if not part.utc.is_local and part.duration_s > 0 and uncertainty_s > max(2.0, 0.5 * part.duration_s):
+        starts_s.append(part.utc.start_s - part.duration_s)  # some recorders state the end without saying so
     fits = [(0.0, start_s) for start_s in starts_s if _covered(track.time_s - start_s, part.duration_s) > 0]
     if is_local or not (fits or part.utc.is_stated):
-        zones = [3600.0 * hours for hours in sorted(ZONES_H, key=abs)]
         fits = [
             (zone_s, start_s)
-            for zone_s in zones
+            for zone_s in (3600.0 * hours for hours in sorted(ZONES_H, key=abs))
             for start_s in starts_s
             if _covered(track.time_s + zone_s - start_s, part.duration_s) >= _MIN_COVERED
         ]
     if not fits:
         raise TelemetryError(
-            f"its times, {_span(track)}, are not those of the video, which starts "
-            f"{_text(part.utc.start_s)}: another day, or another drive."
+            f"its times, {_text(float(track.time_s[0]))} to {_text(float(track.time_s[-1]))}, are not those of the "
+            f"video, which starts {_text(part.utc.start_s)}: another day, or another drive."
         )
-    fits = _best(fits, track.time_s)
-    if len(fits) > 1:
+    together = [fit for fit in fits if abs(float(track.time_s[0]) + fit[0] - fit[1]) <= _START_S]
+    if len(together or fits) > 1:
         raise TelemetryError(
             "the start of the video is not known well enough to match the times; give it with --start-utc."
         )
-    zone_s, start_s = fits[0]
-    notes: tuple[str, ...] = ()
-    if zone_s and not is_local:
-        notes = (f"its times differ from those of the video by a time zone; {zone_s / 3600:+g} h added.",)
-    return VideoClock(replace(track, time_s=track.time_s + zone_s - start_s, clock="video"), _CLOCK_SIGMA_S, notes)
-
-
-def _possible_starts_s(part: VideoPart) -> list[float]:
-    """UTC at which a video may start: some recorders state the end without saying so."""
-    if part.utc is None:
-        return []
-    uncertainty_s = part.utc.uncertainty_s or 0.0
-    is_end_possible = not part.utc.is_local and uncertainty_s > max(2.0, 0.5 * part.duration_s) and part.duration_s > 0
-    return [part.utc.start_s, *([part.utc.start_s - part.duration_s] if is_end_possible else [])]
+    zone_s, start_s = (together or fits)[0]
+    note = f"its times differ from those of the video by a time zone; {zone_s / 3600:+g} h added."
+    notes = (*track.notes, note) if zone_s and not is_local else track.notes
+    return replace(track, time_s=track.time_s + zone_s - start_s, clock="video", notes=notes), _CLOCK_SIGMA_S
 
 
 def _covered(time_s: FloatArray, duration_s: float) -> float:
@@ -123,29 +107,6 @@ def _covered(time_s: FloatArray, duration_s: float) -> float:
         return float(inside and before and after)
     is_covered[0] &= before or inner[1] <= _MAX_GAP_S
     return float(gaps_s[is_covered].sum() / end_s)
-
-
-def _best(fits: list[tuple[float, float]], time_s: FloatArray) -> list[tuple[float, float]]:
-    """The fits in which video and telemetry start together, if there are any; else all of them."""
-    together = [fit for fit in fits if abs(float(time_s[0]) + fit[0] - fit[1]) <= _START_S]
-    return together or fits
-
-
-def _from_start(track: TelemetryTrack, part: VideoPart) -> VideoClock:
-    """A track that starts with the video, because both have the same length."""
-    length_s = float(track.time_s[-1] - track.time_s[0])
-    tolerance_s = max(_EQUAL_LENGTH_S, _EQUAL_LENGTH_FRACTION * part.duration_s)
-    if not part.duration_s or not math.isfinite(length_s) or abs(length_s - part.duration_s) > tolerance_s:
-        raise TelemetryError(
-            "the video states no date and time with which its times could be matched; give that of "
-            "the first frame with --start-utc."
-        )
-    note = "the video states no date and time; both have the same length and are taken to start together."
-    return VideoClock(replace(track, time_s=track.time_s - track.time_s[0], clock="video"), _CLOCK_SIGMA_S, (note,))
-
-
-def _span(track: TelemetryTrack) -> str:
-    return f"{_text(float(track.time_s[0]))} to {_text(float(track.time_s[-1]))}"
 
 
 def _text(utc_s: float) -> str:

@@ -3,8 +3,7 @@ import pytest
 
 from tests.track_range.recording.telemetry.telemetry_files import DEG_PER_M, LATITUDE, LONGITUDE, START_S
 from track_range.recording.telemetry.checks import usable
-from track_range.recording.telemetry.errors import TelemetryError
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
 N = 30
 

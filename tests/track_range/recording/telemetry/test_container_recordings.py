@@ -14,8 +14,7 @@ from track_range.recording.telemetry.checks import usable
 from track_range.recording.telemetry.containers.embedded import embedded
 from track_range.recording.telemetry.containers.gpmf import gps_rows
 from track_range.recording.telemetry.containers.mp4_boxes import read_movie
-from track_range.recording.telemetry.errors import TelemetryError
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
 KNOT = 1852 / 3600
 

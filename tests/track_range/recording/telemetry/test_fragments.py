@@ -19,7 +19,6 @@ from tests.track_range.recording.telemetry.mp4_files import (
 )
 from track_range.recording.telemetry.containers.embedded import embedded
 from track_range.recording.telemetry.containers.mp4_boxes import read_movie
-from track_range.recording.telemetry.containers.mp4_fragments import with_fragments
 
 TRACKS = {
     "GoPro GPMF": MadeTrack(b"meta", b"gpmd", [gps5_payload([speed]) for speed in (1.0, 2.0, 3.0)]),
@@ -59,7 +58,7 @@ def test_samples_of_ffmpeg(tmp_path: Path, flags: str) -> None:
     with path.open("rb") as file:
         movie = read_movie(file)
         assert movie is not None
-        tracks = with_fragments(file, movie).tracks
+        tracks = movie.tracks
     with av.open(str(path)) as container:
         rows = [
             (packet.stream.index, packet.pos, packet.size, float(packet.pts * packet.time_base))

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from tests.track_range.recording.telemetry.telemetry_files import START_S, part
-from track_range.recording.telemetry.errors import TelemetryError
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 from track_range.recording.telemetry.video_clock import on_video_clock
 
 
@@ -12,21 +11,21 @@ def track(first_s, *, n=21, clock="utc"):
 
 
 def test_times_of_the_video():
-    result = on_video_clock(track(3.0, clock="video"), part(start_s=None))
-    assert result.track.time_s[0] == 3.0
+    result, _ = on_video_clock(track(3.0, clock="video"), part(start_s=None))
+    assert result.time_s[0] == 3.0
 
 
 def test_difference_of_the_clocks():
-    result = on_video_clock(track(START_S - 600, n=2000), part())
-    assert result.track.time_s[0] == -600
-    assert result.track.clock == "video"
+    result, _ = on_video_clock(track(START_S - 600, n=2000), part())
+    assert result.time_s[0] == -600
+    assert result.clock == "video"
     assert result.notes == ()
 
 
 @pytest.mark.parametrize("zone_h", [-7, 2, 5.5])
 def test_time_zone_is_corrected_and_noted(zone_h):
-    result = on_video_clock(track(START_S + 1 - zone_h * 3600), part())
-    assert result.track.time_s[0] == 1.0
+    result, _ = on_video_clock(track(START_S + 1 - zone_h * 3600), part())
+    assert result.time_s[0] == 1.0
     assert f"{zone_h:+g} h" in result.notes[0]
 
 
@@ -36,13 +35,13 @@ def test_no_time_zone_where_the_user_states_the_time():
 
 
 def test_local_time_of_the_video():
-    result = on_video_clock(track(START_S + 1), part(start_s=START_S + 7200, is_local=True, uncertainty_s=50400))
-    assert result.track.time_s[0] == 1.0
+    result, _ = on_video_clock(track(START_S + 1), part(start_s=START_S + 7200, is_local=True, uncertainty_s=50400))
+    assert result.time_s[0] == 1.0
 
 
 def test_header_that_states_the_end():
-    result = on_video_clock(track(START_S, n=21), part(start_s=START_S + 20, uncertainty_s=21.0))
-    assert result.track.time_s[0] == 0.0
+    result, _ = on_video_clock(track(START_S, n=21), part(start_s=START_S + 20, uncertainty_s=21.0))
+    assert result.time_s[0] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -60,6 +59,6 @@ def test_times_that_cannot_be_matched(given, video, word):
 
 
 def test_equal_length_without_a_date():
-    result = on_video_clock(track(START_S + 5, n=22), part(start_s=None))
-    assert result.track.time_s[0] == 0.0
+    result, _ = on_video_clock(track(START_S + 5, n=22), part(start_s=None))
+    assert result.time_s[0] == 0.0
     assert "same length" in result.notes[0]

@@ -7,15 +7,14 @@ the start of the video; without it the first sentence counts as the start.
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, boxes, read_at
-from track_range.recording.telemetry.containers.nmea_text import rmc_samples
-from track_range.recording.telemetry.containers.samples import MAX_SAMPLES, Sample, track
+from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, track
+from track_range.recording.telemetry.sidecars.nmea import rmc_samples
 from track_range.recording.telemetry.track import TelemetryTrack
 
 MAX_GPS_BYTES = 64_000_000
@@ -38,31 +37,22 @@ def read_blackvue(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | 
             continue
         content = read_at(file, box.start, min(box.end - box.start, MAX_GPS_BYTES))
         parts = {part.kind: content[part.start : part.end] for part in boxes(content)}
-        if b"gps " in parts and (telemetry := parse_stamped(parts[b"gps "], parts.get(b"sttm", b""), str(path))):
+        if b"gps " in parts and (telemetry := _stamped_track(parts[b"gps "], parts.get(b"sttm", b""), str(path))):
             return telemetry
     return None
 
 
-def parse_stamped(content: bytes, start: bytes, source: str) -> TelemetryTrack | None:
-    """Telemetry of stamped sentences.
-
-    Args:
-        content: the sentences.
-        start: content of the box `sttm`; b"" = there is none.
-        source: name of the file, for messages.
-    """
-    stamped = [match.groups() for match in _SENTENCE.finditer(content)][:MAX_SAMPLES]
+def _stamped_track(content: bytes, start: bytes, source: str) -> TelemetryTrack | None:
+    """Telemetry of stamped sentences; `start` is the content of the box `sttm`, b"" = there is none."""
+    stamped = [(int(stamp), text) for stamp, text in _SENTENCE.findall(content)][:MAX_SAMPLES]
     if not stamped:
         return None
-    stamps_ms = [int(stamp) for stamp, _ in stamped]
-    first_ms = stamps_ms[0]
-    stated_ms = [int.from_bytes(start[:8], "big"), int.from_bytes(start[:8], "little")]
-    stated_ms = [stamp for stamp in stated_ms if abs(stamp - first_ms) <= _MAX_START_DIFFERENCE_MS]
-    if len(start) >= 8 and stated_ms:
-        first_ms = stated_ms[0]
+    first_ms = stamped[0][0]
+    stated_ms = [int.from_bytes(start[:8], "big"), int.from_bytes(start[:8], "little")] if len(start) >= 8 else []
+    start_ms = next((stamp for stamp in stated_ms if abs(stamp - first_ms) <= _MAX_START_DIFFERENCE_MS), first_ms)
     samples = [
-        replace(sample, time_s=(stamp_ms - first_ms) / 1000)
-        for stamp_ms, sample in zip(stamps_ms, rmc_samples([text for _, text in stamped], source), strict=True)
+        sample.at((stamp_ms - start_ms) / 1000)
+        for (stamp_ms, _), sample in zip(stamped, rmc_samples([text for _, text in stamped], source), strict=True)
         if sample
     ]
     return track(_without_jitter(samples), "BlackVue")

@@ -14,7 +14,7 @@ from typing import BinaryIO
 import numpy as np
 
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_samples
-from track_range.recording.telemetry.containers.samples import MAX_SAMPLES, Sample, date_s, track
+from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, date_s, track
 from track_range.recording.telemetry.track import GPS_SPEED_SIGMA_MPS, TelemetryTrack
 
 _POSITION = struct.Struct("<2xHddd")
@@ -31,8 +31,7 @@ _LEAP_SECONDS = 18
 _FIRST_UNIX_S = 1.5e9
 """Times above this (2017 in UTC, 2027 in GPS time) count from 1970, as some cameras write them."""
 
-_MIN_FIX = 2
-"""Smallest fix: 0 = none, 2 = two-dimensional, 3 = three-dimensional."""
+_MIN_FIX = 2  # 0 = none, 2 = two-dimensional, 3 = three-dimensional
 
 
 def read_camm(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | None:
@@ -41,24 +40,24 @@ def read_camm(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | Non
     if source is None:
         return None
     is_gps = np.flatnonzero(source.sizes >= _POSITION.size)[:MAX_SAMPLES]
-    samples: dict[int, list[Sample]] = {5: [], 6: []}
+    positions: list[Sample] = []
+    samples: list[Sample] = []
     sigmas_mps = []
     for index, content in read_samples(file, source, is_gps, _GPS.size):
-        kind = int.from_bytes(content[2:4], "little")
+        type_number = int.from_bytes(content[2:4], "little")
         time_s = float(source.time_s[index]) - movie.start_s
-        if kind == 6 and len(content) >= _GPS.size:
+        if type_number == 6 and len(content) >= _GPS.size:
             sample, sigma_mps = _gps(content)
-            samples[6].append(sample.at(time_s))
+            samples.append(sample.at(time_s))
             sigmas_mps.append(sigma_mps)
-        elif kind == 5 and len(content) >= _POSITION.size:
+        elif type_number == 5 and len(content) >= _POSITION.size:
             _, latitude_deg, longitude_deg, _ = _POSITION.unpack_from(content)
-            samples[5].append(Sample(time_s, latitude_deg=latitude_deg, longitude_deg=longitude_deg))
-    if samples[6] and any(sample.speed_mps > 0 for sample in samples[6]):
+            positions.append(Sample(time_s, latitude_deg=latitude_deg, longitude_deg=longitude_deg))
+    if any(sample.speed_mps > 0 for sample in samples):
         stated = [sigma for sigma in sigmas_mps if 0 < sigma < 10]
         sigma_mps = float(np.median(stated)) if stated else GPS_SPEED_SIGMA_MPS
-        return track(samples[6], "CAMM", speed_sigma_mps=sigma_mps)
-    positions = samples[6] or samples[5]
-    return track(positions, "CAMM", has_own_speed=False) if positions else None
+        return track(samples, "CAMM", speed_sigma_mps=sigma_mps)
+    return track(samples or positions, "CAMM", has_own_speed=False)
 
 
 def _gps(content: bytes) -> tuple[Sample, float]:

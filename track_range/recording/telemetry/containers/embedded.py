@@ -15,13 +15,11 @@ from track_range.recording.telemetry.containers.camm import read_camm
 from track_range.recording.telemetry.containers.gpmf import MAX_BARE_BYTES, read_bare_gpmf, read_gpmf
 from track_range.recording.telemetry.containers.ligogps import read_ligogps
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at, read_movie
-from track_range.recording.telemetry.containers.mp4_fragments import with_fragments
 from track_range.recording.telemetry.containers.mpeg_ts import packet_bytes, read_mpeg_ts
 from track_range.recording.telemetry.containers.novatek import read_novatek
 from track_range.recording.telemetry.containers.tesla import read_tesla
 from track_range.recording.telemetry.containers.text_tracks import read_text_tracks
-from track_range.recording.telemetry.errors import TelemetryError
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
 READERS: tuple[Callable[[BinaryIO, Movie, Path], TelemetryTrack | None], ...] = (
     read_gpmf,
@@ -51,7 +49,7 @@ def embedded(path: Path) -> TelemetryTrack | None:
         if start[:4] == b"DEVC":
             return read_bare_gpmf(read_at(file, 0, MAX_BARE_BYTES))
         movie = read_movie(file)
-        return _first_with_fix(file, with_fragments(file, movie), path) if movie else None
+        return _first_with_fix(file, movie, path) if movie else None
 
 
 def _first_with_fix(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:

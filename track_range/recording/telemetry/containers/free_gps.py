@@ -13,20 +13,21 @@ import math
 import re
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 from track_range.recording.telemetry.containers.ligogps import parse_ligo_record, parse_ligo_text
-from track_range.recording.telemetry.containers.samples import Sample, Unit, date_s, degrees
-from track_range.recording.telemetry.sidecars.units import MPS_PER_UNIT
-
-MPS_PER_KNOT, MPS_PER_KMH = MPS_PER_UNIT["kn"], MPS_PER_UNIT["km/h"]
+from track_range.recording.telemetry.positions import MPS_PER_UNIT
+from track_range.recording.telemetry.samples import Sample, Unit, date_s, degrees, signed
 
 MAX_BLOCK_BYTES = 4096
 """Bytes of a box that are read; boxes have up to 32 kB, most of them empty."""
 
+_PADDED_BYTES = 0x140
+"""Smallest size of the blocks that layouts read: fields beyond the end are 0."""
 
-@dataclass(frozen=True, slots=True)
-class FreeGps:
+
+class FreeGps(NamedTuple):
     """Content of one box.
 
     Attributes:
@@ -40,179 +41,140 @@ class FreeGps:
 
 def parse_free_gps(block: bytes) -> FreeGps | None:
     """Content of a box; None = the layout is unknown. Records with RMC sentences are read elsewhere."""
-    for layout in _LAYOUTS:
-        content = layout(block.ljust(_PADDED_BYTES, b"\0"))
-        if content is not None:
-            return content
-    return None
+    padded = block.ljust(_PADDED_BYTES, b"\0")
+    return next((content for layout in _LAYOUTS if (content := layout(padded)) is not None), None)
 
 
-_PADDED_BYTES = 0x140
-"""Smallest size of the blocks that layouts read: fields beyond the end are 0."""
+class _Layout(NamedTuple):
+    """Offsets of the fields of a record.
+
+    Attributes:
+        clock: hour, minute and second, integers of 4 bytes.
+        date: year, month and day.
+        status: A = valid, V = void, or 0 with hemispheres, a byte that some firmwares do not fill in.
+        north, east: N or S, and E or W.
+        latitude, longitude, speed: 0 = encrypted.
+        course: 0 = none.
+        number: type of the four numbers, "f" or "d".
+        marks: pattern of the characters from `status` on.
+        is_dated: whether the date must be valid; numbers are then little- or big-endian, of which one has a valid date.
+        unit, mps: of the speed.
+        reversal: characters at 0x10 of cameras that state the opposite course.
+        is_like: further condition.
+    """
+
+    clock: int
+    date: int
+    status: int
+    north: int
+    east: int
+    latitude: int
+    longitude: int
+    speed: int
+    course: int
+    number: str = "f"
+    marks: bytes = rb"[A\0][NS][EW]|V[^A-MO-RT-Z]."
+    is_dated: bool = True
+    unit: Unit = "known"
+    mps: float = MPS_PER_UNIT["kn"]
+    reversal: bytes = b""
+    is_like: Callable[[bytes], object] = bool
 
 
-def _ints(block: bytes, offset: int, n: int) -> tuple[int, ...]:
-    return struct.unpack_from(f"<{n}I", block, offset)
+def _compact(start: int) -> _Layout:
+    """The first layout: clock, date, flags, then latitude, longitude, speed and course."""
+    return _Layout(
+        start, start + 12, start + 24, start + 25, start + 26, start + 28, start + 32, start + 36, start + 40
+    )
 
 
-def _float(block: bytes, offset: int) -> float:
-    return float(struct.unpack_from("<f", block, offset)[0])
+def _text_compact(start: int) -> _Layout:
+    """E-ACE B44: encrypted coordinates as text, base64, before the speed."""
+
+    def is_like(block: bytes) -> bool:
+        texts = block[start + 28 : start + 48], block[start + 48 : start + 68]
+        return all(re.fullmatch(rb"[A-Za-z0-9+/.]{6,20}={0,2}\0*", text) for text in texts)
+
+    compact = _compact(start)
+    return compact._replace(latitude=0, longitude=0, speed=start + 68, course=start + 72, is_like=is_like)
 
 
-def _double(block: bytes, offset: int) -> float:
-    return float(struct.unpack_from("<d", block, offset)[0])
+def _spread_doubles(start: int) -> _Layout:
+    """Flags as separate words, and numbers of 8 bytes."""
+    return _Layout(
+        clock=start, date=start + 0x40, status=start + 0x0C, north=start + 0x18, east=start + 0x28,
+        latitude=start + 0x10, longitude=start + 0x20, speed=start + 0x30, course=start + 0x38,
+        number="d", marks=rb"[AV]\0{3}.{8}[NS]\0{3}.{12}[EW]\0{3}", is_dated=False,
+    )  # fmt: skip
 
 
-def _int(block: bytes, offset: int) -> int:
-    return int(struct.unpack_from("<i", block, offset)[0])
+_AKASO = _Layout(
+    clock=0x30, date=0x58, status=0x3C, north=0x44, east=0x4C, latitude=0x40, longitude=0x48, speed=0x50, course=0x54,
+    marks=rb"[AV]\0{3}.{4}[NS]\0{3}.{4}[EW]\0{3}", is_dated=False, unit="assumed", mps=MPS_PER_UNIT["km/h"],
+    reversal=b"x.xx", is_like=lambda block: _is_clock(*struct.unpack_from("<3I", block, 0x30)),
+)  # fmt: skip
+"""Flags as separate words, and the hemispheres after each coordinate."""
+
+_VANTRUE_S1 = _Layout(
+    clock=0x50, date=0x44, status=0x40, north=0x41, east=0x42, latitude=0x60, longitude=0x5C, speed=0x64, course=0x68
+)
+_ENCRYPTED = _compact(0x30)._replace(
+    latitude=0, longitude=0, speed=0x60, course=0, unit="unknown", mps=MPS_PER_UNIT["km/h"],
+    is_like=lambda block: block[0x48:0x49] != b"V" and block[0x4B:0x50] == bytes(5) and any(block[0x50:0x60]),
+)  # fmt: skip
+"""Akaso V1 and Redtiger."""
+
+
+def _fixed(layout: _Layout, block: bytes) -> FreeGps | None:
+    """The record of a layout with fixed offsets."""
+    order = _byte_order(layout, block)
+    marks = re.compile(layout.marks, re.DOTALL).match(block, layout.status)
+    if order is None or not marks or not layout.is_like(block):
+        return None
+
+    def numbers(form: str, offset: int) -> tuple[float, ...]:
+        return struct.unpack_from(f"{order}{form}", block, offset)
+
+    utc_s = date_s(*numbers("3I", layout.date), *numbers("3I", layout.clock))
+    if block[layout.status : layout.status + 1] == b"V":
+        return FreeGps((Sample(utc_s=utc_s),), layout.unit)
+    latitude_deg = longitude_deg = course_deg = math.nan
+    if layout.latitude:
+        (latitude,), (longitude,) = numbers(layout.number, layout.latitude), numbers(layout.number, layout.longitude)
+        if layout.number == "d":
+            latitude, longitude = abs(latitude), abs(longitude)
+        latitude_deg = degrees(latitude, chr(block[layout.north]))
+        longitude_deg = degrees(longitude, chr(block[layout.east]))
+    if layout.course:
+        (course_deg,) = numbers(layout.number, layout.course)
+        if layout.reversal:
+            course_deg = (course_deg + 180 * (block[0x10:0x14] == layout.reversal)) % 360
+    speed_mps = numbers(layout.number, layout.speed)[0] * layout.mps
+    return FreeGps((Sample(math.nan, utc_s, speed_mps, course_deg, latitude_deg, longitude_deg),), layout.unit)
+
+
+def _byte_order(layout: _Layout, block: bytes) -> str | None:
+    """The order in which clock and date are valid; None = in neither."""
+    for order in "<>" if layout.is_dated else ():
+        year, month, day = struct.unpack_from(f"{order}3I", block, layout.date)
+        is_date = 1 <= month <= 12 and 1 <= day <= 31 and year < 2200
+        if is_date and _is_clock(*struct.unpack_from(f"{order}3I", block, layout.clock)):
+            return order
+    return None if layout.is_dated else "<"
 
 
 def _is_clock(hour: int, minute: int, second: int) -> bool:
     return hour < 24 and minute < 60 and second < 61
 
 
-def _flags(block: bytes, offset: int) -> tuple[str, str, str] | None:
-    """Status and hemispheres at `offset`, such as "ANE"; a void record has only the V. None = they are others.
-
-    A status of 0 with hemispheres counts as valid: it is a byte that some firmwares do not fill in.
-    """
-    flags = block[offset : offset + 3].decode("latin-1")
-    if re.fullmatch("[A\0][NS][EW]", flags):
-        return "A", flags[1], flags[2]
-    return ("V", "", "") if re.fullmatch("V[^A-MO-RT-Z]..?|V[NS].?", flags, re.DOTALL) else None
-
-
-def _one(
-    utc_s: float,
-    is_valid: bool,
-    speed_mps: float,
-    course_deg: float,
-    latitude_deg: float = math.nan,
-    longitude_deg: float = math.nan,
-) -> FreeGps:
-    """One sample; a void one has no speed."""
-    if not is_valid:
-        return FreeGps((Sample(utc_s=utc_s),))
-    return FreeGps((Sample(math.nan, utc_s, speed_mps, course_deg, latitude_deg, longitude_deg),))
-
-
-def _short(block: bytes) -> FreeGps | None:
-    """Viofo A119V3 and relatives: date and time at 0x10, flags at 0x28; Kenwood has 48 bytes more before them.
-
-    In the variant with text coordinates (E-ACE B44, base64, encrypted), speed and course are at 0x54.
-    """
-    for extra in (0, 48):
-        dated = _dated(block, 0x10 + extra)
-        flags = _flags(block, 0x28 + extra)
-        if flags is None or dated is None:
-            continue
-        texts = block[0x2C + extra : 0x40 + extra], block[0x40 + extra : 0x54 + extra]
-        if all(re.fullmatch(rb"[A-Za-z0-9+/.]{6,20}={0,2}\0*", text) for text in texts):
-            speed_mps, course_deg = _float(block, 0x54 + extra) * MPS_PER_KNOT, _float(block, 0x58 + extra)
-            return _one(dated[0], flags[0] == "A", speed_mps, course_deg)
-        return _floats(block, dated, flags, 0x2C + extra)
-    return None
-
-
-def _dated(block: bytes, offset: int) -> tuple[float, str] | None:
-    """Date and time of the integers hour to second and year to day, and their byte order; None = they are none.
-
-    Numbers are little-endian in all known firmwares; a date is valid in one order only.
-    """
-    for order in "<>":
-        hour, minute, second, year, month, day = struct.unpack_from(f"{order}6I", block, offset)
-        if _is_clock(hour, minute, second) and 1 <= month <= 12 and 1 <= day <= 31 and year < 2200:
-            return date_s(year, month, day, hour, minute, second), order
-    return None
-
-
-def _floats(block: bytes, dated: tuple[float, str], flags: tuple[str, str, str], offset: int) -> FreeGps:
-    """Latitude, longitude, speed and course as floating-point numbers from `offset`."""
-    latitude, longitude, knots, course_deg = struct.unpack_from(f"{dated[1]}4f", block, offset)
-    return _one(
-        dated[0],
-        flags[0] == "A",
-        knots * MPS_PER_KNOT,
-        course_deg,
-        degrees(latitude, flags[1]),
-        degrees(longitude, flags[2]),
-    )
-
-
-def _long(block: bytes) -> FreeGps | None:
-    """Viofo A119S and most Novatek: date and time at 0x30, flags at 0x48.
-
-    Cameras with the mark "IQS" have integers: 1e-7 degrees and cm/s. Akaso V1 and Redtiger have encrypted coordinates
-    from 0x50, and a speed of unknown unit at 0x60.
-    """
-    flags, dated = _flags(block, 0x48), _dated(block, 0x30)
-    if flags is None or dated is None:
-        return None
-    if block[0x10:0x13] == b"IQS":
-        position_deg = [abs(_int(block, place) / 1e7) for place in (0x4C, 0x50)]
-        signs = [-1 if hemisphere in ("S", "W") else 1 for hemisphere in flags[1:]]
-        latitude_deg, longitude_deg = (sign * value for sign, value in zip(signs, position_deg, strict=True))
-        return _one(dated[0], flags[0] == "A", _int(block, 0x54) / 100, math.nan, latitude_deg, longitude_deg)
-    if flags[0] == "A" and block[0x4B:0x50] == bytes(5) and any(block[0x50:0x60]):
-        return FreeGps((Sample(math.nan, dated[0], _float(block, 0x60) * MPS_PER_KMH),), "unknown")
-    return _floats(block, dated, flags, 0x4C)
-
-
-def _spread(block: bytes) -> FreeGps | None:
-    """Flags as separate words: time at 0x30, status at 0x3C, hemispheres after each coordinate; km/h.
-
-    Akaso and relatives have floating-point numbers of 4 bytes.
-    """
-    is_short = re.match(rb".{60}[AV]\0{3}.{4}[NS]\0{3}.{4}[EW]\0{3}", block, re.DOTALL)
-    hour, minute, second = _ints(block, 0x30, 3)
-    year, month, day = _ints(block, 0x58, 3)
-    if not is_short or not _is_clock(hour, minute, second):
-        return None
-    sample = Sample(
-        math.nan,
-        date_s(year, month, day, hour, minute, second),
-        _float(block, 0x50) * MPS_PER_KMH,
-        (_float(block, 0x54) + (180 if block[0x10:0x14] == b"x.xx" else 0)) % 360,
-        degrees(_float(block, 0x40), chr(block[0x44])),
-        degrees(_float(block, 0x48), chr(block[0x4C])),
-    )
-    is_valid = block[0x3C:0x3D] == b"A"
-    return FreeGps((sample if is_valid else Sample(utc_s=sample.utc_s),), "assumed")
-
-
-def _spread_doubles(block: bytes) -> FreeGps | None:
-    """As `_spread` with floating-point numbers of 8 bytes and knots: from 0x30, or from 0x10 in Vantrue's N4."""
-    for start in (0x30, 0x10):
-        fields = block[start + 12 : start + 0x4C]
-        if not re.match(rb"[AV]\0{3}.{8}[NS]\0{3}.{12}[EW]\0{3}", fields, re.DOTALL):
-            continue
-        hour, minute, second = _ints(block, start, 3)
-        year, month, day = _ints(block, start + 0x40, 3)
-        return _one(
-            date_s(year, month, day, hour, minute, second),
-            fields[:1] == b"A",
-            _double(block, start + 0x30) * MPS_PER_KNOT,
-            _double(block, start + 0x38),
-            degrees(abs(_double(block, start + 0x10)), chr(block[start + 0x18])),
-            degrees(abs(_double(block, start + 0x20)), chr(block[start + 0x28])),
-        )
-    return None
-
-
-def _vantrue_s1(block: bytes) -> FreeGps | None:
-    """Vantrue S1: flags at 0x40, year to second at 0x44, longitude, latitude, speed and course from 0x5C."""
-    flags = _flags(block, 0x40)
-    year, month, day, hour, minute, second = _ints(block, 0x44, 6)
-    if flags is None or not (1 <= month <= 12 and 1 <= day <= 31 and _is_clock(hour, minute, second)):
-        return None
-    return _one(
-        date_s(year, month, day, hour, minute, second),
-        flags[0] == "A",
-        _float(block, 0x64) * MPS_PER_KNOT,
-        _float(block, 0x68),
-        degrees(_float(block, 0x60), flags[1]),
-        degrees(_float(block, 0x5C), flags[2]),
-    )
+def _integers(block: bytes) -> FreeGps | None:
+    """Viofo A119S with the mark "IQS": coordinates of 1e-7 degrees and a speed in cm/s, without course."""
+    plain = _fixed(_compact(0x30), block) if block[0x10:0x13] == b"IQS" else None
+    if plain is None or block[0x48:0x49] == b"V":
+        return plain
+    latitude, longitude, speed = struct.unpack_from("<3i", block, 0x4C)
+    north, east = signed(abs(latitude / 1e7), chr(block[0x49])), signed(abs(longitude / 1e7), chr(block[0x4A]))
+    return FreeGps((Sample(math.nan, plain.samples[0].utc_s, speed / 100, math.nan, north, east),))
 
 
 def _innovv(block: bytes) -> FreeGps | None:
@@ -223,7 +185,7 @@ def _innovv(block: bytes) -> FreeGps | None:
     for match in re.finditer(rb"A([NS])([EW])\0(.{28})", block, re.DOTALL):
         latitude, longitude, knots, course_deg = struct.unpack_from("<4f", match[3])
         north, east = degrees(abs(latitude), match[1].decode()), degrees(abs(longitude), match[2].decode())
-        samples.append(Sample(math.nan, math.nan, knots * MPS_PER_KNOT, course_deg, north, east))
+        samples.append(Sample(math.nan, math.nan, knots * MPS_PER_UNIT["kn"], course_deg, north, east))
     return FreeGps(tuple(samples))
 
 
@@ -231,13 +193,11 @@ def _seventymai(block: bytes) -> FreeGps | None:
     """70mai A810: status at 0x1E, then coordinates (DDMM.MMMMM as integers) and the speed in km/h; no date."""
     if not re.match(rb".{16}\x03\0.{12}[AV].{20}[AV][AV]", block, re.DOTALL):
         return None
-    latitude, longitude = _int(block, 31) / 1e5, _int(block, 35) / 1e5
     if block[30:31] == b"V":
         return FreeGps((Sample(),), "assumed")
-    speed_mps = _int(block, 43) * MPS_PER_KMH
-    return FreeGps(
-        (Sample(speed_mps=speed_mps, latitude_deg=degrees(latitude), longitude_deg=degrees(longitude)),), "assumed"
-    )
+    latitude, longitude, _, kmh = struct.unpack_from("<4i", block, 31)
+    position_deg = degrees(latitude / 1e5), degrees(longitude / 1e5)
+    return FreeGps((Sample(math.nan, math.nan, kmh * MPS_PER_UNIT["km/h"], math.nan, *position_deg),), "assumed")
 
 
 def _xor_text(block: bytes) -> FreeGps | None:
@@ -250,14 +210,13 @@ def _xor_text(block: bytes) -> FreeGps | None:
     )
     if not match:
         return FreeGps((Sample(),))
-    utc_s = date_s(*(int(match[i]) for i in range(1, 7)))
     speed = match[11]
     if speed is None:
         later = re.match(rb".{57}[-+]\d{4}(\d{3})", text, re.DOTALL)
-        speed = later[1] if later else None
-    kmh = float(speed) if speed else math.nan
+        speed = later[1] if later else b"nan"
     north, east = degrees(int(match[8]) / 1e4, match[7].decode()), degrees(int(match[10]) / 1e4, match[9].decode())
-    return _one(utc_s, True, kmh * MPS_PER_KMH, math.nan, north, east)
+    utc_s = date_s(*(int(match[i]) for i in range(1, 7)))
+    return FreeGps((Sample(math.nan, utc_s, float(speed) * MPS_PER_UNIT["km/h"], math.nan, north, east),))
 
 
 def _atc(block: bytes) -> FreeGps | None:
@@ -301,8 +260,7 @@ def _ligo(block: bytes) -> FreeGps | None:
     """LIGOGPSINFO records at 0x10, 0x30 or 0x50, or their text alone."""
     for start in (0x10, 0x30, 0x50):
         if block[start : start + 12] == b"LIGOGPSINFO\0":
-            sample = parse_ligo_record(block[start + 0x14 : start + 0x98])
-            return FreeGps((sample or Sample(),))
+            return FreeGps((parse_ligo_record(block[start + 0x14 : start + 0x98]) or Sample(),))
     sample = parse_ligo_text(block[0x10:0xA0])
     return FreeGps((sample,), "assumed") if sample else None
 
@@ -310,12 +268,18 @@ def _ligo(block: bytes) -> FreeGps | None:
 _LAYOUTS: tuple[Callable[[bytes], FreeGps | None], ...] = (
     _xor_text,
     _ligo,
-    _short,
-    _spread,
-    _spread_doubles,
+    partial(_fixed, _text_compact(0x10)),
+    partial(_fixed, _compact(0x10)),  # Viofo A119V3 and relatives
+    partial(_fixed, _text_compact(0x40)),
+    partial(_fixed, _compact(0x40)),  # Kenwood
+    partial(_fixed, _AKASO),
+    partial(_fixed, _spread_doubles(0x30)),
+    partial(_fixed, _spread_doubles(0x10)),  # Vantrue N4
     _atc,
-    _long,
-    _vantrue_s1,
+    _integers,
+    partial(_fixed, _ENCRYPTED),
+    partial(_fixed, _compact(0x30)),  # Viofo A119S and most Novatek
+    partial(_fixed, _VANTRUE_S1),
     _innovv,
     _seventymai,
     _nextbase,

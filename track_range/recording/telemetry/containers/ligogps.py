@@ -15,17 +15,19 @@ from typing import BinaryIO
 
 import numpy as np
 
+from track_range.foundation.files.numeric_text import number
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at
-from track_range.recording.telemetry.containers.samples import (
+from track_range.recording.telemetry.positions import MPS_PER_UNIT
+from track_range.recording.telemetry.samples import (
     MAX_SAMPLES,
     Sample,
     Unit,
     date_s,
     degrees,
     in_known_unit,
+    signed,
     track,
 )
-from track_range.recording.telemetry.sidecars.units import MPS_PER_UNIT
 from track_range.recording.telemetry.track import TelemetryTrack
 
 MAX_TRAILER_BYTES = 16_000_000
@@ -51,14 +53,13 @@ _SPEED_SCALE = 1.85407333 / 1.852
 def read_ligogps(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | None:
     """Telemetry of the trailer or of a box of a movie; None = there is none."""
     for content in _places(file, movie):
-        lines = [_sample(match) for match in _LINE.finditer(content)]
-        if lines:
-            return ligo_track(lines, "assumed")
+        if lines := [_sample(match) for match in _LINE.finditer(content)]:
+            return _track(lines, "assumed")
         records = [content[match.start() :][:_SLOT_BYTES] for match in re.finditer(rb"####", content)]
         encrypted = [sample for sample in map(parse_ligo_record, records[:MAX_SAMPLES]) if sample]
         texts = [_from_json(match[1]) for match in _JSON.finditer(content)]
         if encrypted or texts:
-            return ligo_track(encrypted or texts, "known")
+            return _track(encrypted or texts, "known")
     return None
 
 
@@ -76,15 +77,12 @@ def _places(file: BinaryIO, movie: Movie) -> Iterator[bytes]:
             yield content[:MAX_TRAILER_BYTES]
 
 
-def ligo_track(samples: Sequence[Sample], unit: Unit) -> TelemetryTrack | None:
+def _track(samples: Sequence[Sample], unit: Unit) -> TelemetryTrack | None:
     """Telemetry of samples at 1 Hz from the start of the video, timed by their own clock if it does not jump."""
     utc_s = np.array([sample.utc_s for sample in samples])
-    steps_s = np.diff(utc_s)
-    is_steady = (
-        bool(np.isfinite(utc_s).all()) and bool((steps_s >= 0).all()) and (utc_s[-1] - utc_s[0]) < 2 * len(utc_s)
-    )
+    is_steady = bool(np.isfinite(utc_s).all() and (np.diff(utc_s) >= 0).all() and utc_s[-1] - utc_s[0] < 2 * len(utc_s))
     time_s = utc_s - utc_s[0] if is_steady else np.arange(len(utc_s), dtype=float)
-    timed = [sample.at(float(second)) for sample, second in zip(samples, time_s, strict=True)]
+    timed = [sample.at(second) for sample, second in zip(samples, time_s.tolist(), strict=True)]
     checked, notes = in_known_unit(timed, unit)
     return track(checked, "LIGO GPS", notes=notes)
 
@@ -98,35 +96,18 @@ def parse_ligo_text(content: bytes) -> Sample | None:
 def _sample(match: re.Match[bytes]) -> Sample:
     utc_s = date_s(*(int(match[i]) for i in range(1, 7)))
     course = _COURSE.search(match[12])
-    latitude_deg = _coordinate(match[8], match[7])
-    longitude_deg = _coordinate(match[10], match[9])
+    north, latitude, east, longitude, kmh = (match[i].decode() for i in range(7, 12))
+    latitude_deg, longitude_deg = _coordinate(latitude, north), _coordinate(longitude, east)
     if latitude_deg == 0 and longitude_deg == 0:
         return Sample(utc_s=utc_s)
-    return Sample(
-        math.nan,
-        utc_s,
-        _number(match[11]) * MPS_PER_UNIT["km/h"],
-        float(course[1]) if course else math.nan,
-        latitude_deg,
-        longitude_deg,
-    )
+    course_deg = float(course[1]) if course else math.nan
+    return Sample(math.nan, utc_s, number(kmh) * MPS_PER_UNIT["km/h"], course_deg, latitude_deg, longitude_deg)
 
 
-def _number(text: bytes) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
-def _coordinate(text: bytes, hemisphere: bytes) -> float:
+def _coordinate(text: str, hemisphere: str) -> float:
     """Degrees of a coordinate, negative in the south and west; numbers above 180 are degrees and minutes."""
-    value = _number(text)
-    if not math.isfinite(value):
-        return math.nan
-    if abs(value) > 180:
-        value = degrees(value)
-    return -abs(value) if hemisphere in (b"S", b"W") else value
+    value = number(text)
+    return signed(degrees(value) if abs(value) > 180 else value, hemisphere)
 
 
 def parse_ligo_record(record: bytes) -> Sample | None:
@@ -138,7 +119,7 @@ def parse_ligo_record(record: bytes) -> Sample | None:
     if match is None:
         return None
     sample = _sample(match)
-    speed_mps = _number(match[11]) * MPS_PER_UNIT["kn"] * _SPEED_SCALE
+    speed_mps = number(match[11].decode()) * MPS_PER_UNIT["kn"] * _SPEED_SCALE
     return Sample(math.nan, sample.utc_s, speed_mps, sample.course_deg) if math.isfinite(sample.speed_mps) else sample
 
 
@@ -181,15 +162,12 @@ def _decrypted(content: bytes) -> bytes:
 def _from_json(content: bytes) -> Sample:
     """Sample of the variant in JSON (Yada RoadCam): date and time in UTC, speed in knots."""
     fields = {key.decode(): value.decode() for key, value in _FIELD.findall(content)}
-    names = ("Year", "Month", "Day", "Hour", "Minute", "Second")
-    utc_s = date_s(*(_number(fields.get(name, "").encode()) for name in names))
-    if fields.get("status") != "A":
+
+    def text(name: str) -> str:
+        return str(fields.get(name, ""))
+
+    utc_s = date_s(*(number(text(name)) for name in ("Year", "Month", "Day", "Hour", "Minute", "Second")))
+    if text("status") != "A":
         return Sample(utc_s=utc_s)
-    return Sample(
-        math.nan,
-        utc_s,
-        _number(fields.get("Speed", "").encode()) * MPS_PER_UNIT["kn"],
-        math.nan,
-        _coordinate(fields.get("Latitude", "").encode(), fields.get("NS", "").encode()),
-        _coordinate(fields.get("Longitude", "").encode(), fields.get("EW", "").encode()),
-    )
+    latitude_deg, longitude_deg = _coordinate(text("Latitude"), text("NS")), _coordinate(text("Longitude"), text("EW"))
+    return Sample(math.nan, utc_s, number(text("Speed")) * MPS_PER_UNIT["kn"], math.nan, latitude_deg, longitude_deg)

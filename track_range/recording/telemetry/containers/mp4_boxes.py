@@ -1,26 +1,36 @@
 """MP4 and QuickTime files: boxes, tracks, and the place and time of samples (ISO/IEC 14496-12).
 
+    moov  tracks with tables of their samples: stsz = sizes, stsc and stco = places, stts and ctts = times
+    mdat  the samples
+
+Cameras write fragments, too, so that a power cut loses only a second (8.8):
+
+    moov  tracks without samples; mvex/trex = defaults of each track
+    moof  traf of each track: tfhd = defaults, tfdt = first time, trun = size and duration of each sample
+
 Only headers and tables are read, never the media data, so that a video of many gigabytes takes milliseconds. Damaged
-tables give fewer samples, never an exception.
+tables give fewer samples, and damaged fragments none, never an exception.
 """
 
 from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Any, BinaryIO
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from track_range.foundation.arrays import FloatArray
-
-IntArray = npt.NDArray[np.int64]
+from track_range.foundation.arrays import FloatArray, IntArray
 
 MAX_MOVIE_BYTES = 256_000_000
 """Size limit of the box `moov`, bytes; ten hours of video at 60 frames per second have about 50 MB."""
+
+MAX_FRAGMENT_BYTES = 16_000_000
+"""Size limit of a box `moof`, bytes; a second of video with all tables has about 5 kB."""
 
 MAX_BOXES = 200_000
 """Largest number of boxes read on one level; dashcams write up to one small box per second."""
@@ -34,13 +44,11 @@ MAX_EQUAL_SAMPLES = 1_000_000
 MAX_TRACKS = 32
 """Largest number of tracks read; cameras with several lenses have up to ten."""
 
-_CONTAINERS = {b"moov", b"trak", b"mdia", b"minf", b"stbl", b"edts", b"udta"}
-_FULL_BOX = 4
-"""Bytes of version and flags at the start of a full box."""
+_MAX_INTEGER = 2**53
+"""Limit of offsets and times, with which sums do not overflow."""
 
 
-@dataclass(frozen=True, slots=True)
-class Box:
+class Box(NamedTuple):
     """A box: its type, and where its content is in the file."""
 
     kind: bytes
@@ -59,7 +67,7 @@ class Track:
         offsets, sizes: (N,) where the samples are in the file, bytes.
         time_s: (N,) when a sample is shown, on the time axis of the movie.
         durations_s: (N,) how long.
-        number: the ID of the track in its file.
+        number: the ID of the track in its file; 0 = not stated.
         ticks_per_s: unit of its times.
         shift_s: seconds from its time axis to that of the movie.
     """
@@ -86,7 +94,7 @@ class Movie:
     Attributes:
         top: boxes of the file.
         inner: content of the boxes in `moov` and `moov/udta`, by type.
-        tracks: all tracks.
+        tracks: all tracks with samples.
         n_bytes: size of the file.
     """
 
@@ -108,13 +116,9 @@ class Movie:
 
 
 def read_movie(file: BinaryIO) -> Movie | None:
-    """The movie in an open file, with the samples of its tables; None = it is no MP4 or QuickTime file.
-
-    The samples of fragments are not among them (`mp4_fragments`); tracks without samples are there only if the file has
-    fragments.
-    """
+    """The movie in an open file; None = it is no MP4 or QuickTime file."""
     n_bytes = os.fstat(file.fileno()).st_size
-    top = tuple(_boxes_in_file(file, 0, n_bytes))
+    top = tuple(_walk(lambda offset: read_at(file, offset, 16), 0, n_bytes))
     if not any(box.kind in (b"ftyp", b"moov", b"mdat") for box in top[:8]):
         return None
     place = next((box for box in top if box.kind == b"moov"), None)
@@ -122,19 +126,20 @@ def read_movie(file: BinaryIO) -> Movie | None:
         return Movie(top, n_bytes=n_bytes)
     content = read_at(file, place.start, place.end - place.start)
     inner: dict[bytes, bytes] = {}
-    tracks: list[Track | None] = []
-    scale = _timescale(_first(content, b"mvhd"))
+    traks = []
     for box in boxes(content):
-        if box.kind == b"trak" and len(tracks) < MAX_TRACKS:
-            tracks.append(_track(content[box.start : box.end], scale))
+        if box.kind == b"trak":
+            traks.append(content[box.start : box.end])
         elif box.kind == b"udta":
             for part in boxes(content, box.start, box.end):
                 inner.setdefault(part.kind, content[part.start : part.end])
         else:
             inner.setdefault(box.kind, content[box.start : box.end])
-    has_fragments = b"mvex" in inner
-    known = tuple(track for track in tracks if track is not None and (len(track) or has_fragments))
-    return Movie(top, inner, known, n_bytes)
+    scale = _timescale(inner.get(b"mvhd", b""))
+    tracks = [track for trak in traks[:MAX_TRACKS] if (track := _track(trak, scale)) is not None]
+    if b"mvex" in inner:
+        tracks = _with_fragments(file, top, tracks, inner[b"mvex"])
+    return Movie(top, inner, tuple(track for track in tracks if len(track)), n_bytes)
 
 
 def read_at(file: BinaryIO, offset: int, n_bytes: int) -> bytes:
@@ -163,37 +168,25 @@ def read_samples(
 
 def boxes(content: bytes, start: int = 0, end: int | None = None) -> Iterator[Box]:
     """Boxes in a part of the content of another box; the last one may be cut off."""
-    end = len(content) if end is None else end
+    return _walk(lambda offset: content[offset : offset + 16], start, len(content) if end is None else end)
+
+
+def _walk(header_at: Callable[[int], bytes], start: int, end: int) -> Iterator[Box]:
+    """Successive boxes, up to one without a valid size; `header_at` returns the 16 bytes from an offset."""
     for _ in range(MAX_BOXES):
         if start + 8 > end:
             return
-        box, start = _box(content[start : start + 16], start, end)
-        if box is None:
+        header = header_at(start)
+        n_bytes, kind = struct.unpack_from(">I4s", header)
+        n_header = 8
+        if n_bytes == 1 and len(header) >= 16:
+            n_bytes, n_header = struct.unpack_from(">Q", header, 8)[0], 16
+        elif n_bytes == 0:
+            n_bytes = end - start
+        if n_bytes < n_header:
             return
-        yield box
-
-
-def _boxes_in_file(file: BinaryIO, start: int, end: int) -> Iterator[Box]:
-    for _ in range(MAX_BOXES):
-        if start + 8 > end:
-            return
-        box, start = _box(read_at(file, start, 16), start, end)
-        if box is None:
-            return
-        yield box
-
-
-def _box(header: bytes, start: int, end: int) -> tuple[Box | None, int]:
-    """The box with this header at `start`, and where the next one starts; None = no valid size."""
-    n_bytes, kind = struct.unpack_from(">I4s", header)
-    n_header = 8
-    if n_bytes == 1 and len(header) >= 16:
-        n_bytes, n_header = struct.unpack_from(">Q", header, 8)[0], 16
-    elif n_bytes == 0:
-        n_bytes = end - start
-    if n_bytes < n_header:
-        return None, end
-    return Box(kind, start + n_header, min(start + n_bytes, end)), start + n_bytes
+        yield Box(kind, start + n_header, min(start + n_bytes, end))
+        start += n_bytes
 
 
 def _first(content: bytes, *path: bytes) -> bytes:
@@ -206,28 +199,21 @@ def _first(content: bytes, *path: bytes) -> bytes:
     return content
 
 
-def _timescale(header: bytes) -> int:
-    """Ticks per second in the box `mvhd` or `mdhd`; 1000 if it states none."""
-    place = 20 if header[:1] == b"\x01" else 12
-    value = int.from_bytes(header[place : place + 4], "big") if len(header) >= place + 4 else 0
-    return value or 1000
-
-
 def _track(content: bytes, movie_scale: int) -> Track | None:
     """Track of the content of a box `trak`; None = it has no handler."""
     media = _first(content, b"mdia")
     table = _first(media, b"minf", b"stbl")
     handler = _first(media, b"hdlr")[8:12]
     description = _first(table, b"stsd")[8:]
-    sizes = _sizes(table)
     if not handler:
         return None
+    sizes = _sizes(table)
     offsets = _offsets(table, sizes)
     n = min(len(offsets), len(sizes))
     scale = _timescale(_first(media, b"mdhd"))
-    durations = _runs(_first(table, b"stts"), n)
+    durations = _runs(_table(_first(table, b"stts"), 2), n)
     ticks = np.concatenate([[0], np.cumsum(durations[:-1])]) if n else np.empty(0)
-    shown = ticks + _runs(_first(table, b"ctts"), n, signed=True)
+    shifts = _table(_first(table, b"ctts"), 2).astype(np.uint32).astype(np.int32)
     shift_s = _edit_shift_s(_first(content, b"edts", b"elst"), scale, movie_scale)
     return Track(
         handler,
@@ -235,96 +221,80 @@ def _track(content: bytes, movie_scale: int) -> Track | None:
         description,
         offsets[:n],
         sizes[:n],
-        shown / scale + shift_s,
+        (ticks + _runs(shifts, n)) / scale + shift_s,
         durations / scale,
-        number=_number(_first(content, b"tkhd")),
+        number=_after_times(_first(content, b"tkhd")),
         ticks_per_s=scale,
         shift_s=shift_s,
     )
 
 
-def _number(header: bytes) -> int:
-    """ID of a track in its box `tkhd`; 0 = it states none."""
+def _after_times(header: bytes) -> int:
+    """The number after the times of creation and change in `mvhd` and `mdhd` (ticks per second) and `tkhd` (ID)."""
     start = 20 if header[:1] == b"\x01" else 12
     return int.from_bytes(header[start : start + 4], "big")
+
+
+def _timescale(header: bytes) -> int:
+    return (_after_times(header) if len(header) >= (24 if header[:1] == b"\x01" else 16) else 0) or 1000
+
+
+def _table(box: bytes, n_columns: int = 1, dtype: str = ">u4", start: int = 4) -> IntArray:
+    """(N, n_columns) integers after their number at `start`; fewer if the box is cut off."""
+    item = np.dtype(dtype)
+    n = min(int.from_bytes(box[start : start + 4], "big") * n_columns, MAX_TABLE_ROWS)
+    n = max(min(n, (len(box) - start - 4) // item.itemsize), 0) // n_columns
+    if not n:
+        return np.empty((0, n_columns), np.int64)
+    return np.frombuffer(box, item, n * n_columns, start + 4).astype(np.int64).reshape(n, n_columns)
 
 
 def _sizes(table: bytes) -> IntArray:
     """(N,) sizes of the samples from the box `stsz` or `stz2`."""
     box = _first(table, b"stsz")
     if len(box) >= 12:
-        size, n = struct.unpack_from(">II", box, _FULL_BOX)
-        if size:
-            return np.full(min(n, MAX_EQUAL_SAMPLES), size, dtype=np.int64)
-        return _integers(box, 12, n, ">u4")
+        size, n = struct.unpack_from(">II", box, 4)
+        return np.full(min(n, MAX_EQUAL_SAMPLES), size, np.int64) if size else _table(box, start=8)[:, 0]
     box = _first(table, b"stz2")
-    if len(box) >= 12 and box[7] in (8, 16):
-        return _integers(box, 12, struct.unpack_from(">I", box, 8)[0], ">u1" if box[7] == 8 else ">u2")
-    return np.empty(0, dtype=np.int64)
+    dtype = {8: ">u1", 16: ">u2"}.get(box[7]) if len(box) >= 12 else None
+    return np.empty(0, np.int64) if dtype is None else _table(box, dtype=dtype, start=8)[:, 0]
 
 
 def _offsets(table: bytes, sizes: IntArray) -> IntArray:
     """(N,) where the samples start, from the boxes `stsc` and `stco` or `co64`."""
-    chunks = _chunk_offsets(table)
-    rows = _rows(_first(table, b"stsc"), 3)
+    small = _first(table, b"stco")
+    chunks = _table(small) if len(small) >= 8 else _table(_first(table, b"co64"), dtype=">u8")
+    chunks = np.clip(chunks[:, 0], 0, _MAX_INTEGER)
+    rows = _table(_first(table, b"stsc"), 3)
     if not len(chunks) or not len(rows):
-        return np.empty(0, dtype=np.int64)
+        return np.empty(0, np.int64)
     first = np.clip(rows[:, 0] - 1, 0, len(chunks))
     n_chunks = np.diff(np.append(first, len(chunks)))
-    per_chunk = np.minimum(rows[:, 1], len(sizes))
     if (n_chunks < 0).any():
-        return np.empty(0, dtype=np.int64)
-    n_in_chunk = np.repeat(per_chunk, n_chunks)
+        return np.empty(0, np.int64)
     # tables of damaged files may announce more samples than the file has
+    n_in_chunk = np.repeat(np.minimum(rows[:, 1], len(sizes)), n_chunks)
     ends = np.minimum(np.cumsum(n_in_chunk), len(sizes))
-    n_in_chunk = np.diff(np.concatenate([[0], ends]))
-    chunk_of = np.repeat(np.arange(len(n_in_chunk)), n_in_chunk)
+    starts = np.concatenate([[0], ends[:-1]])
+    chunk_of = np.repeat(np.arange(len(ends)), ends - starts)
     before = np.concatenate([[0], np.cumsum(sizes)])
-    start_of_chunk = np.concatenate([[0], ends[:-1]])
-    within: IntArray = before[: len(chunk_of)] - before[start_of_chunk[chunk_of]]
-    base = chunks[int(first[0]) :][: len(n_in_chunk)]
-    offsets: IntArray = base[chunk_of] + within
+    base = chunks[int(first[0]) :][: len(ends)]
+    offsets: IntArray = base[chunk_of] + before[: len(chunk_of)] - before[starts[chunk_of]]
     return offsets
 
 
-def _chunk_offsets(table: bytes) -> IntArray:
-    for kind, dtype in ((b"stco", ">u4"), (b"co64", ">u8")):
-        box = _first(table, kind)
-        if len(box) >= 8:
-            return np.clip(_integers(box, 8, struct.unpack_from(">I", box, _FULL_BOX)[0], dtype), 0, 2**53)
-    return np.empty(0, dtype=np.int64)
-
-
-def _integers(box: bytes, start: int, n: int, dtype: str) -> IntArray:
-    """At most `n` integers of a box from `start`; fewer if it is cut off."""
-    item = np.dtype(dtype)
-    n = min(n, (len(box) - start) // item.itemsize, MAX_TABLE_ROWS)
-    return np.frombuffer(box, dtype=item, count=max(n, 0), offset=start).astype(np.int64)
-
-
-def _rows(box: bytes, n_columns: int) -> IntArray:
-    """(N, n_columns) rows of a table of unsigned integers."""
-    if len(box) < 8:
-        return np.empty((0, n_columns), dtype=np.int64)
-    n = struct.unpack_from(">I", box, _FULL_BOX)[0]
-    values = _integers(box, 8, n * n_columns, ">u4")
-    return values[: len(values) // n_columns * n_columns].reshape(-1, n_columns)
-
-
-def _runs(box: bytes, n: int, *, signed: bool = False) -> npt.NDArray[Any]:
-    """(n,) values of a table of runs (count, value), as in `stts` and `ctts`; the last value is repeated."""
-    rows = _rows(box, 2)
+def _runs(rows: npt.NDArray[np.integer], n: int) -> FloatArray:
+    """(n,) values of rows (count, value), as in `stts` and `ctts`; the last value is repeated."""
     if not len(rows):
         return np.zeros(n)
-    counts = np.diff(np.concatenate([[0], np.minimum(np.cumsum(np.minimum(rows[:, 0], n)), n)]))
-    values = np.repeat(rows[:, 1].astype(np.uint32).astype(np.int32) if signed else rows[:, 1], counts)
+    ends = np.minimum(np.cumsum(np.minimum(rows[:, 0].astype(np.uint32).astype(np.int64), n)), n)
+    values = np.repeat(rows[:, 1], np.diff(np.concatenate([[0], ends])))
     return np.concatenate([values, np.full(n - len(values), values[-1] if len(values) else 0)]).astype(float)
 
 
 def _edit_shift_s(edits: bytes, media_scale: int, movie_scale: int) -> float:
     """Seconds from the time axis of a track to that of the movie, from its edit list; 0 = there is none."""
-    is_long = edits[:1] == b"\x01"
-    row = struct.Struct(">Qqi" if is_long else ">Iii")
+    row = struct.Struct(">Qqi" if edits[:1] == b"\x01" else ">Iii")
     delay = 0
     for start in range(8, min(len(edits), 8 + 16 * row.size) - row.size + 1, row.size):
         duration, media_time, _ = row.unpack_from(edits, start)
@@ -332,3 +302,99 @@ def _edit_shift_s(edits: bytes, media_scale: int, movie_scale: int) -> float:
             return float(delay / movie_scale - media_time / media_scale)
         delay += duration
     return 0.0
+
+
+@dataclass(slots=True)
+class _Samples:
+    """Samples of a track in its fragments so far: (N, 4) offsets, sizes, times and durations, and the next time."""
+
+    end: int
+    parts: list[IntArray] = field(default_factory=list)
+    n: int = 0
+
+
+def _with_fragments(file: BinaryIO, top: Sequence[Box], tracks: Sequence[Track], extends: bytes) -> list[Track]:
+    """Tracks with the samples of their fragments; `extends` is the box `mvex`."""
+    defaults = {}
+    for box in boxes(extends):
+        if box.kind == b"trex" and box.end - box.start >= 20:
+            number, _, duration, size = struct.unpack_from(">4I", extends, box.start + 4)
+            defaults[number] = duration, size
+    samples = {t.number: _Samples(end=round(float(t.durations_s.sum()) * t.ticks_per_s)) for t in tracks}
+    start = 0
+    for box in top:
+        if box.kind == b"moof" and box.end - box.start <= MAX_FRAGMENT_BYTES:
+            with suppress(struct.error, ValueError, OverflowError):  # cut off or damaged
+                _add_fragment(read_at(file, box.start, box.end - box.start), start, defaults, samples)
+        start = box.end
+    joined = []
+    for track in tracks:
+        rows = np.concatenate([np.empty((0, 4), np.int64), *samples[track.number].parts])
+        joined.append(
+            replace(
+                track,
+                offsets=np.concatenate([track.offsets, rows[:, 0]]),
+                sizes=np.concatenate([track.sizes, rows[:, 1]]),
+                time_s=np.concatenate([track.time_s, rows[:, 2] / track.ticks_per_s + track.shift_s]),
+                durations_s=np.concatenate([track.durations_s, rows[:, 3] / track.ticks_per_s]),
+            )
+        )
+    return joined
+
+
+def _add_fragment(
+    content: bytes, start: int, defaults: dict[int, tuple[int, int]], samples: dict[int, _Samples]
+) -> None:
+    """Add the samples of a box `moof` that starts at `start` in the file."""
+    end_of_data = start
+    for box in boxes(content):
+        if box.kind != b"traf":
+            continue
+        parts = [(part.kind, content[part.start : part.end]) for part in boxes(content, box.start, box.end)]
+        header = next((body for kind, body in parts if kind == b"tfhd"), b"")
+        flags, number = struct.unpack_from(">II", header)
+        duration, size = defaults.get(number, (0, 0))
+        base, place = start if flags & 0x20000 else end_of_data, 8  # the base is the `moof`, or the data before
+        if flags & 0x1:
+            base, place = min(struct.unpack_from(">Q", header, place)[0], _MAX_INTEGER), place + 8
+        place += 4 * bool(flags & 0x2)  # sample description
+        if flags & 0x8:
+            (duration,), place = struct.unpack_from(">I", header, place), place + 4
+        if flags & 0x10:
+            (size,) = struct.unpack_from(">I", header, place)
+        track = samples.get(number)
+        if track is None:
+            continue
+        end_of_data = base
+        for kind, body in parts:
+            if kind == b"tfdt":
+                (end,) = struct.unpack_from(">Q" if body[:1] == b"\x01" else ">I", body, 4)
+                track.end = min(end, _MAX_INTEGER)
+            elif kind == b"trun":
+                end_of_data = _add_run(track, body, base, end_of_data, duration, size)
+
+
+def _add_run(track: _Samples, body: bytes, base: int, end_of_data: int, duration: int, size: int) -> int:
+    """Add the samples of a box `trun`, with a default duration and size; returns where their data end in the file."""
+    flags, n = struct.unpack_from(">II", body)
+    place, data_start = 8, end_of_data
+    if flags & 0x1:
+        data_start, place = base + struct.unpack_from(">i", body, place)[0], place + 4
+    place += 4 * bool(flags & 0x4)  # flags of the first sample
+    fields = [
+        name for name, flag in (("t", 0x100), ("size", 0x200), ("flags", 0x400), ("shift", 0x800)) if flags & flag
+    ]
+    n = min(n, MAX_EQUAL_SAMPLES, MAX_TABLE_ROWS - track.n)
+    if fields:
+        n = min(n, (len(body) - place) // (4 * len(fields)))
+    rows = np.frombuffer(body, ">u4", n * len(fields), place).reshape(n, len(fields)).astype(np.int64)
+    column = dict(zip(fields, rows.T, strict=True))
+    durations = column.get("t", np.full(n, duration, np.int64))
+    sizes = column.get("size", np.full(n, size, np.int64))
+    shifts = column.get("shift", np.zeros(n, np.int64)).astype(np.uint32).view(np.int32)
+    offsets = np.clip(data_start + np.cumsum(sizes) - sizes, 0, _MAX_INTEGER)
+    times = track.end + np.cumsum(durations) - durations + shifts
+    track.parts.append(np.stack([offsets, sizes, times, durations], axis=1))
+    track.end += int(durations.sum())
+    track.n += n
+    return data_start + int(sizes.sum())

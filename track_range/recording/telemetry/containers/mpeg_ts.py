@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
 from typing import BinaryIO
 
@@ -16,19 +17,14 @@ import numpy.typing as npt
 
 from track_range.recording.telemetry.containers.free_gps import MAX_BLOCK_BYTES, parse_free_gps
 from track_range.recording.telemetry.containers.mp4_boxes import read_at
-from track_range.recording.telemetry.containers.nmea_text import has_rmc
 from track_range.recording.telemetry.containers.novatek import MAX_BLOCKS, track_of_blocks
+from track_range.recording.telemetry.sidecars.nmea import has_rmc
 from track_range.recording.telemetry.track import TelemetryTrack
 
 _SYNC = 0x47
-_PACKETS_PER_READ = 40_000
-"""Packets read at once, 7.5 MB."""
-
-_MAX_LOST = 1000
-"""Largest number of times that synchronisation is found again in a file."""
-
-_SEARCHED_BYTES = 4096
-"""Bytes in which synchronisation is looked for before the next packets are tried."""
+_PACKETS_PER_READ = 40_000  # 7.5 MB
+_MAX_LOST = 1000  # times that synchronisation is found again in a file
+_SEARCHED_BYTES = 4096  # in which synchronisation is looked for before the next packets are tried
 
 _PROBED_BYTES = 48_000_000
 """Bytes at the start of a file in which a record must be found; about ten seconds of 4K video."""
@@ -84,7 +80,7 @@ def read_mpeg_ts(file: BinaryIO, path: Path) -> TelemetryTrack | None:
         if (place > _PROBED_BYTES and not has_record) or len(scan.records) > MAX_BLOCKS:
             break
     scan.records += [(pts, bytes(content)) for pts, content in scan.open.values()]
-    blocks = sorted(((pts, _block(content)) for pts, content in scan.records if _is_record(content)), key=_stamp)
+    blocks = sorted(((pts, _block(content)) for pts, content in scan.records if _is_record(content)), key=itemgetter(0))
     if not blocks:
         return None
     first = scan.first_pts or 0
@@ -92,10 +88,6 @@ def read_mpeg_ts(file: BinaryIO, path: Path) -> TelemetryTrack | None:
     if scan.first_pts is None or not (np.diff(times_s) >= 0).all():
         times_s = np.arange(len(blocks), dtype=float)
     return track_of_blocks([block for _, block in blocks], times_s, path)
-
-
-def _stamp(record: tuple[int, bytes]) -> int:
-    return record[0]
 
 
 def _difference(pts: int, first: int) -> int:
@@ -117,26 +109,19 @@ def _packets(file: BinaryIO, n_bytes: int) -> Iterator[tuple[int, npt.NDArray[np
             start += n * n_bytes
             if len(lost):
                 n_lost += 1
-                start = _next_sync(content, start + 1, n_bytes, offset)
+                start += 1
+                end = min(len(content) - n_bytes - offset, start + _SEARCHED_BYTES)
+                marks = (i for i in range(start, end) if content[i + offset] == _SYNC == content[i + offset + n_bytes])
+                start = next(marks, max(end, start))
             if n_lost > _MAX_LOST:
                 return
         place += max(start, 1)
 
 
-def _next_sync(content: bytes, start: int, n_bytes: int, offset: int) -> int:
-    """Place of the next two packets in a content from `start` on; the end of the part searched if there are none."""
-    end = min(len(content) - n_bytes - offset, start + _SEARCHED_BYTES)
-    for place in range(start, end):
-        if content[place + offset] == _SYNC == content[place + offset + n_bytes]:
-            return place
-    return max(end, start)
-
-
 def _read(packets: npt.NDArray[np.uint8], scan: _Scan) -> None:
     """Add the frames and private data of packets to a scan."""
     pids = (packets[:, 1] & 0x1F).astype(np.uint16) << 8 | packets[:, 2]
-    control = packets[:, 3]
-    has_payload = (control & 0x10) > 0
+    has_payload = (packets[:, 3] & 0x10) > 0
     heads = np.flatnonzero(has_payload & ((packets[:, 1] & 0x40) > 0))
     places = _payload_starts(packets[heads])
     heads, places = heads[places <= 188 - 6], places[places <= 188 - 6]
@@ -166,21 +151,15 @@ def _payload_starts(packets: npt.NDArray[np.uint8]) -> npt.NDArray[np.int64]:
 
 
 def _frame(payload: bytes, scan: _Scan) -> None:
-    pts = _pts(payload)
-    if pts is None:
+    """Add the presentation time stamp of a PES header, if it has one."""
+    if len(payload) < 14 or not payload[7] & 0x80:
         return
+    b = payload[9:14]
+    pts = (b[0] >> 1 & 7) << 30 | b[1] << 22 | b[2] >> 1 << 15 | b[3] << 7 | b[4] >> 1
     scan.n_frames += 1
     scan.last_pts = pts
     if scan.first_pts is None or (scan.n_frames < 30 and _difference(pts, scan.first_pts) < 0):
         scan.first_pts = pts
-
-
-def _pts(payload: bytes) -> int | None:
-    """Presentation time stamp of a PES header in ticks; None = it has none."""
-    if len(payload) < 14 or not payload[7] & 0x80:
-        return None
-    b = payload[9:14]
-    return (b[0] >> 1 & 7) << 30 | b[1] << 22 | b[2] >> 1 << 15 | b[3] << 7 | b[4] >> 1
 
 
 def _private(pid: int, payload: bytes, is_header: bool, scan: _Scan) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -17,8 +16,8 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.recording.telemetry.containers.free_gps import MAX_BLOCK_BYTES, parse_free_gps
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at
-from track_range.recording.telemetry.containers.nmea_text import has_rmc, rmc_samples
-from track_range.recording.telemetry.containers.samples import (
+from track_range.recording.telemetry.positions import MPS_PER_UNIT
+from track_range.recording.telemetry.samples import (
     Sample,
     Unit,
     degrees,
@@ -26,9 +25,8 @@ from track_range.recording.telemetry.containers.samples import (
     in_known_unit,
     track,
 )
-from track_range.recording.telemetry.errors import TelemetryError
-from track_range.recording.telemetry.sidecars.units import MPS_PER_UNIT
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.sidecars.nmea import has_rmc, rmc_samples
+from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
 MAX_BLOCKS = 50_000
 """Largest number of boxes read: 14 hours at 1 Hz."""
@@ -51,19 +49,14 @@ def read_novatek(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | N
         for place in places:
             block = read_at(file, place, MAX_BLOCK_BYTES)
             if block[4:12] == _MARK:
-                blocks.append((place, _own_part(block)))
+                n_bytes = int.from_bytes(block[:4], "big")
+                blocks.append((place, block[:n_bytes] if 12 <= n_bytes < len(block) else block))
             if len(blocks) >= MAX_BLOCKS:
                 break
         if blocks:
             times_s = _block_times_s(np.array([place for place, _ in blocks]), movie)
             return track_of_blocks([block for _, block in blocks], times_s, path)
     return _seventymai_table(file, movie)
-
-
-def _own_part(block: bytes) -> bytes:
-    """A box without what follows it in the file."""
-    n_bytes = int.from_bytes(block[:4], "big")
-    return block[:n_bytes] if 12 <= n_bytes < len(block) else block
 
 
 def _indexed(movie: Movie) -> Iterator[int]:
@@ -94,27 +87,19 @@ def _between_samples(file: BinaryIO, movie: Movie) -> Iterator[int]:
     first = np.concatenate([[media[0].start], ends])
     last = np.concatenate([starts, [media[-1].end]])
     is_gap = (last - first >= 64) & (first < movie.n_bytes)
-    n_found = 0
-    for number, (start, end) in enumerate(zip(first[is_gap].tolist(), last[is_gap].tolist(), strict=True)):
-        if number >= _MAX_PROBED and not n_found:
+    is_found = False
+    for n_probed, (start, end) in enumerate(zip(first[is_gap].tolist(), last[is_gap].tolist(), strict=True)):
+        if n_probed >= _MAX_PROBED and not is_found:
             return
-        for place in _in_gap(file, start, end):
-            n_found += 1
+        offset = read_at(file, start, min(end - start, _GAP_BYTES)).find(_MARK)
+        place = start + offset - 4
+        while offset >= 4 and place + 12 <= end:  # successive boxes
+            header = read_at(file, place, 12)
+            if header[4:] != _MARK:
+                break
+            is_found = True
             yield place
-            if n_found >= MAX_BLOCKS:
-                return
-
-
-def _in_gap(file: BinaryIO, start: int, end: int) -> Iterator[int]:
-    """Places of successive boxes in a gap."""
-    place = read_at(file, start, min(end - start, _GAP_BYTES)).find(_MARK)
-    start += place - 4
-    while place >= 4 and start + 12 <= end:
-        header = read_at(file, start, 12)
-        if header[4:] != _MARK:
-            return
-        yield start
-        start += max(int.from_bytes(header[:4], "big"), 12)
+            place += max(int.from_bytes(header[:4], "big"), 12)
 
 
 def _block_times_s(places: np.ndarray, movie: Movie) -> FloatArray:
@@ -131,20 +116,18 @@ def _block_times_s(places: np.ndarray, movie: Movie) -> FloatArray:
 
 
 def track_of_blocks(blocks: Sequence[bytes], times_s: FloatArray, path: Path) -> TelemetryTrack | None:
-    """Telemetry of boxes; samples of one box are spread over a second.
+    """Telemetry of boxes from their 4 bytes of size on, at (N,) times in the video; None = the boxes are empty.
 
-    Args:
-        blocks: boxes from their 4 bytes of size on.
-        times_s: (N,) times of the boxes in the video.
-        path: the file, for messages.
-
-    Returns:
-        None if the boxes are empty.
+    Samples of one box are spread over a second.
 
     Raises:
         TelemetryError: the layout is unknown, or pynmea2 is missing.
     """
-    plain = [_deciphered(block) for block in blocks]
+    is_cipher = [block[0x3C : 0x3C + len(_CIPHER_MARK)] == _CIPHER_MARK for block in blocks]
+    plain = [
+        bytes(byte - 16 for byte in block[0x3C:0x8C] if byte >= 16) if is_shifted else block
+        for block, is_shifted in zip(blocks, is_cipher, strict=True)
+    ]
     if any(map(has_rmc, plain)):
         sentences = [sample or Sample() for sample in rmc_samples(plain, str(path))]
         return track(_timed(((sample,) for sample in sentences), times_s), "freeGPS records")
@@ -157,15 +140,9 @@ def track_of_blocks(blocks: Sequence[bytes], times_s: FloatArray, path: Path) ->
     unit: Unit = max((record.unit for record in known), key=("known", "assumed", "unknown").index)
     samples = _timed((record.samples if record else () for record in records), times_s)
     if not has_plausible_positions(samples):  # encrypted by some makers
-        samples = [replace(sample, latitude_deg=math.nan, longitude_deg=math.nan) for sample in samples]
+        samples = [sample._replace(latitude_deg=math.nan, longitude_deg=math.nan) for sample in samples]
     checked, notes = in_known_unit(samples, unit)
     return track(checked, "freeGPS records", notes=notes)
-
-
-def _deciphered(block: bytes) -> bytes:
-    if block[0x3C : 0x3C + len(_CIPHER_MARK)] != _CIPHER_MARK:
-        return block
-    return bytes(byte - 16 for byte in block[0x3C:0x8C] if byte >= 16)
 
 
 def _timed(groups: Iterable[Sequence[Sample]], times_s: FloatArray) -> list[Sample]:
@@ -186,13 +163,6 @@ def _seventymai_table(file: BinaryIO, movie: Movie) -> TelemetryTrack | None:
         if north in b"NS" and east in b"EW" and north.strip(b"\0"):
             position_deg = degrees(latitude / 1e3, north.decode()), degrees(longitude / 1e3, east.decode())
             speed_mps = speed / 1e3 * MPS_PER_UNIT["km/h"]
-            samples.append(
-                replace(
-                    Sample(float(second)),
-                    speed_mps=speed_mps,
-                    latitude_deg=position_deg[0],
-                    longitude_deg=position_deg[1],
-                )
-            )
+            samples.append(Sample(float(second), math.nan, speed_mps, math.nan, *position_deg))
     checked, notes = in_known_unit(samples, "assumed")
     return track(checked, "70mai", notes=notes) if samples else None

@@ -16,10 +16,10 @@ from typing import BinaryIO
 import numpy as np
 
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, Track, read_samples
-from track_range.recording.telemetry.containers.samples import MAX_SAMPLES, Sample, track
+from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, track
 from track_range.recording.telemetry.track import TelemetryTrack
 
-SPEED_SIGMA_MPS = 0.1
+_SPEED_SIGMA_MPS = 0.1
 """Standard deviation of the speed in m/s, assumed: wheel speeds differ from the true one with the wear of the tyres."""
 
 _SEI_BYTES = 4096
@@ -28,9 +28,7 @@ _SEI_BYTES = 4096
 _PROBED_FRAMES = 120
 """Number of frames, spread over the video, that are read to find out whether there are messages at all."""
 
-_USER_DATA = 5
-"""Type of SEI messages with unregistered user data."""
-
+_USER_DATA = 5  # type of SEI messages with unregistered user data
 _SEI_TYPES = {b"avc1": (6,), b"avc3": (6,), b"hvc1": (39, 40), b"hev1": (39, 40)}
 """Types of NAL units with SEI messages."""
 
@@ -44,28 +42,24 @@ def read_tesla(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | No
     probed = np.unique(np.linspace(0, n - 1, min(n, _PROBED_FRAMES)).astype(int))
     if not any(_message(content, video) for _, content in read_samples(file, video, probed, _SEI_BYTES)):
         return None
-    samples = []
-    for index, content in read_samples(file, video, range(n), _SEI_BYTES):
-        sample = _message(content, video)
-        if sample:
-            samples.append(sample.at(float(video.time_s[index]) - movie.start_s))
+    samples = [
+        sample.at(float(video.time_s[index]) - movie.start_s)
+        for index, content in read_samples(file, video, range(n), _SEI_BYTES)
+        if (sample := _message(content, video))
+    ]
     samples.sort(key=lambda sample: sample.time_s)  # frames are stored in the order of decoding
-    return track(samples, "Tesla dashcam", speed_sigma_mps=SPEED_SIGMA_MPS)
+    return track(samples, "Tesla dashcam", speed_sigma_mps=_SPEED_SIGMA_MPS)
 
 
 def _message(content: bytes, video: Track) -> Sample | None:
     """The message in the start of a frame; None = there is none."""
-    n_size = _size_bytes(video.description)
-    start = 0
+    is_hevc = video.format in (b"hvc1", b"hev1")
+    n_size, start = _size_bytes(video.description), 0
     while start + n_size + 3 <= len(content):
         n_bytes = int.from_bytes(content[start : start + n_size], "big")
         unit = content[start + n_size : start + n_size + n_bytes]
         start += n_size + n_bytes
-        if len(unit) < 3:
-            continue
-        is_hevc = video.format in (b"hvc1", b"hev1")
-        kind = (unit[0] >> 1) & 0x3F if is_hevc else unit[0] & 0x1F
-        if kind in _SEI_TYPES[video.format]:
+        if len(unit) >= 3 and ((unit[0] >> 1) & 0x3F if is_hevc else unit[0] & 0x1F) in _SEI_TYPES[video.format]:
             for payload in _user_data(unit[2 if is_hevc else 1 :]):
                 if (sample := parse_message(payload)) is not None:
                     return sample
@@ -86,9 +80,9 @@ def _user_data(messages: bytes) -> Iterator[bytes]:
     content = messages.replace(b"\0\0\x03", b"\0\0")  # emulation prevention
     start = 0
     while start + 2 < len(content):
-        kind, start = _extended(content, start)
+        type_number, start = _extended(content, start)
         n_bytes, start = _extended(content, start)
-        if kind == _USER_DATA:
+        if type_number == _USER_DATA:
             yield content[start : start + n_bytes]
         start += n_bytes
 
@@ -104,19 +98,13 @@ def _extended(content: bytes, start: int) -> tuple[int, int]:
 def parse_message(payload: bytes) -> Sample | None:
     """The sample in the payload of a user-data message; None = the message is another one."""
     content = payload.lstrip(b"\x42")
-    if len(content) == len(payload) or content[:1] != b"\x69":
-        return None
-    fields = _fields(content[1:])
+    fields = _fields(content[1:]) if len(content) < len(payload) and content[:1] == b"\x69" else None
     if fields is None:
         return None
-    speed_mps, latitude_deg, longitude_deg = fields.get(4, 0.0), fields.get(11, 0.0), fields.get(12, 0.0)
-    has_position = latitude_deg != 0 or longitude_deg != 0
-    return Sample(
-        speed_mps=abs(speed_mps),
-        course_deg=fields.get(13, 0.0) if has_position else math.nan,
-        latitude_deg=latitude_deg if has_position else math.nan,
-        longitude_deg=longitude_deg if has_position else math.nan,
-    )
+    speed_mps, latitude_deg, longitude_deg = (fields.get(number, 0.0) for number in (4, 11, 12))
+    if latitude_deg == 0 and longitude_deg == 0:
+        return Sample(speed_mps=abs(speed_mps))
+    return Sample(math.nan, math.nan, abs(speed_mps), fields.get(13, 0.0), latitude_deg, longitude_deg)
 
 
 def _fields(content: bytes) -> dict[int, float] | None:
@@ -126,16 +114,14 @@ def _fields(content: bytes) -> dict[int, float] | None:
     while start < len(content):
         key, start = _varint(content, start)
         number, wire = key >> 3, key & 7
-        if number == 0 or number > 1000:
+        form = {1: "<d", 5: "<f"}.get(wire)
+        if not 0 < number <= 1000 or (form and start + struct.calcsize(form) > len(content)):
             return None
-        if wire == 0:
-            fields[number], start = _varint(content, start)
-        elif wire in (1, 5):
-            form = "<d" if wire == 1 else "<f"
-            if start + struct.calcsize(form) > len(content):
-                return None
+        if form:
             fields[number] = struct.unpack_from(form, content, start)[0]
             start += struct.calcsize(form)
+        elif wire == 0:
+            fields[number], start = _varint(content, start)
         elif wire == 2:
             n_bytes, start = _varint(content, start)
             start += n_bytes

@@ -11,13 +11,14 @@ import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
+from track_range.foundation.files.numeric_text import number
 from track_range.recording.telemetry.containers.free_gps import parse_free_gps
 from track_range.recording.telemetry.containers.ligogps import parse_ligo_text
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, Track, read_samples
-from track_range.recording.telemetry.containers.nmea_text import has_rmc, rmc_samples
-from track_range.recording.telemetry.containers.samples import (
+from track_range.recording.telemetry.positions import MPS_PER_UNIT
+from track_range.recording.telemetry.samples import (
     MAX_SAMPLES,
     Sample,
     Unit,
@@ -25,13 +26,13 @@ from track_range.recording.telemetry.containers.samples import (
     degrees,
     in_known_unit,
     on_receiver_clock,
+    signed,
     track,
 )
-from track_range.recording.telemetry.sidecars.units import MPS_PER_UNIT
+from track_range.recording.telemetry.sidecars.nmea import has_rmc, rmc_samples
 from track_range.recording.telemetry.track import TelemetryTrack
 
-MAX_TEXT_BYTES = 4096
-"""Bytes of a sample that are read."""
+MAX_TEXT_BYTES = 4096  # bytes of a sample that are read
 
 _PROBED_SAMPLES = 600
 """Number of samples at the start of a track in which the first record must be found."""
@@ -46,36 +47,30 @@ _DJI = re.compile(rb"GPS ?\(([-+.\d]+), ?([-+.\d]+)[^)]*\).*?H\.S ([-+.\d]+)m/s"
 
 def read_text_tracks(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:
     """Telemetry of the first track of a movie with readable records; None = there is none."""
-    for part in movie.tracks:
-        if part.handler in _HANDLERS or part.format in _FORMATS:
-            telemetry = _read_track(file, movie, part, path)
-            if telemetry:
-                return telemetry
-    return None
+    parts = [part for part in movie.tracks if part.handler in _HANDLERS or part.format in _FORMATS]
+    return next((telemetry for part in parts if (telemetry := _read_track(file, movie, part, path))), None)
 
 
 def _read_track(file: BinaryIO, movie: Movie, part: Track, path: Path) -> TelemetryTrack | None:
     times_s: list[float] = []
     texts: list[bytes] = []
-    reader: Callable[[bytes], Sample | None] | None = None
+    form: _Form | None = None
     for index, content in read_samples(file, part, range(min(len(part), MAX_SAMPLES)), MAX_TEXT_BYTES):
         text = _plain(content)
-        if reader is None:
-            reader = _reader(text)
-        if reader is None and index >= _PROBED_SAMPLES:
+        form = form or next((known for known in _FORMS if known.read(text) is not None), None)
+        if form is None and index >= _PROBED_SAMPLES:
             return None
-        if reader is not None and (reader is not _rmc or has_rmc(text)):
+        if form is not None and (form is not _RMC or has_rmc(text)):
             times_s.append(float(part.time_s[index]) - movie.start_s)
             texts.append(text)
-    if reader is None:
+    if form is None:
         return None
-    read = rmc_samples(texts, str(path)) if reader is _rmc else [reader(text) for text in texts]
+    read = rmc_samples(texts, str(path)) if form is _RMC else [form.read(text) for text in texts]
     samples = [sample.at(time_s) for sample, time_s in zip(read, times_s, strict=True) if sample]
-    name, unit = _FORMS[reader]
     if movie.video is None:
         samples = on_receiver_clock(samples)
-    checked, notes = in_known_unit(samples, unit)
-    return track(checked, name, notes=notes)
+    checked, notes = in_known_unit(samples, form.unit)
+    return track(checked, form.name, notes=notes)
 
 
 def _plain(content: bytes) -> bytes:
@@ -90,16 +85,9 @@ def _plain(content: bytes) -> bytes:
     return content
 
 
-def _reader(text: bytes) -> Callable[[bytes], Sample | None] | None:
-    """The reader of the form of a sample; None = unknown."""
-    if has_rmc(text):
-        return _rmc
-    return next((form for form in _FORMS if form is not _rmc and form(text) is not None), None)
-
-
-def _rmc(_text: bytes) -> Sample | None:
-    """None: RMC sentences are read together, by `rmc_samples`."""
-    return None
+def _has_rmc(text: bytes) -> Sample | None:
+    """A sample if there is an RMC sentence: sentences are read together, by `rmc_samples`."""
+    return Sample() if has_rmc(text) else None
 
 
 def _garmin(text: bytes) -> Sample | None:
@@ -110,11 +98,8 @@ def _garmin(text: bytes) -> Sample | None:
     speed, latitude, longitude = struct.unpack_from(">Hxxii", text, start + 8)
     if latitude == 0 and longitude == 0:
         return Sample()
-    return Sample(
-        speed_mps=speed * MPS_PER_UNIT["mph"],
-        latitude_deg=latitude * 180 / 2**31,
-        longitude_deg=longitude * 180 / 2**31,
-    )
+    position_deg = latitude * 180 / 2**31, longitude * 180 / 2**31
+    return Sample(math.nan, math.nan, speed * MPS_PER_UNIT["mph"], math.nan, *position_deg)
 
 
 def _dji(text: bytes) -> Sample | None:
@@ -122,9 +107,8 @@ def _dji(text: bytes) -> Sample | None:
     match = _DJI.search(text)
     if not match:
         return None
-    try:
-        longitude_deg, latitude_deg, speed_mps = (float(value) for value in match.groups())
-    except ValueError:
+    longitude_deg, latitude_deg, speed_mps = (number(value.decode()) for value in match.groups())
+    if not all(map(math.isfinite, (longitude_deg, latitude_deg, speed_mps))):
         return None
     return Sample(speed_mps=abs(speed_mps), latitude_deg=latitude_deg, longitude_deg=longitude_deg)
 
@@ -150,14 +134,8 @@ def _vantrue(text: bytes) -> Sample | None:
         return Sample(utc_s=utc_s)
     longitude_deg = east_deg + (east_min + east_part / 6000) / 60
     latitude_deg = north_deg + (north_min + north_part / 6000) / 60
-    return Sample(
-        math.nan,
-        utc_s,
-        mph * MPS_PER_UNIT["mph"],
-        course_deg % 360,
-        -latitude_deg if north == b"S" else latitude_deg,
-        -longitude_deg if east == b"W" else longitude_deg,
-    )
+    position_deg = signed(latitude_deg, north.decode("latin-1")), signed(longitude_deg, east.decode("latin-1"))
+    return Sample(math.nan, utc_s, mph * MPS_PER_UNIT["mph"], course_deg % 360, *position_deg)
 
 
 def _rove(text: bytes) -> Sample | None:
@@ -176,23 +154,28 @@ def _rove(text: bytes) -> Sample | None:
     if latitude == _NO_COORDINATE or longitude == _NO_COORDINATE or speed == 0xFFFF:
         return Sample()  # its time is that of the camera, in another time zone
     is_plain = abs(latitude) <= 90 and abs(longitude) <= 180 and len(text) == 40
-    return Sample(
-        math.nan,
-        utc_s,
-        speed * MPS_PER_UNIT["km/h" if len(text) == 40 else "kn"],
-        math.nan if half_course == 0xFF else half_course * 2.0 % 360,
-        latitude if is_plain else degrees(latitude),
-        longitude if is_plain else degrees(longitude),
-    )
+    speed_mps = speed * MPS_PER_UNIT["km/h" if len(text) == 40 else "kn"]
+    course_deg = math.nan if half_course == 0xFF else half_course * 2.0 % 360
+    position_deg = (latitude, longitude) if is_plain else (degrees(latitude), degrees(longitude))
+    return Sample(math.nan, utc_s, speed_mps, course_deg, *position_deg)
 
 
-_FORMS: dict[Callable[[bytes], Sample | None], tuple[str, Unit]] = {
-    _rmc: ("NMEA subtitles", "known"),
-    _garmin: ("Garmin dashcam", "known"),
-    _dji: ("DJI subtitles", "known"),
-    parse_ligo_text: ("LIGO GPS", "assumed"),
-    _vantrue: ("Vantrue dashcam", "known"),
-    _kingslim: ("Kingslim dashcam", "known"),
-    _rove: ("SigmaStar dashcam", "known"),
-}
-"""Readers of the makers' own forms: name of the source, and what is known of the unit of the speed."""
+class _Form(NamedTuple):
+    """A form of records: its reader, which returns None for other records, name of the source, and unit of speed."""
+
+    read: Callable[[bytes], Sample | None]
+    name: str
+    unit: Unit = "known"
+
+
+_RMC = _Form(_has_rmc, "NMEA subtitles")
+_FORMS = (
+    _RMC,
+    _Form(_garmin, "Garmin dashcam"),
+    _Form(_dji, "DJI subtitles"),
+    _Form(parse_ligo_text, "LIGO GPS", "assumed"),
+    _Form(_vantrue, "Vantrue dashcam"),
+    _Form(_kingslim, "Kingslim dashcam"),
+    _Form(_rove, "SigmaStar dashcam"),
+)
+"""Known forms, in the order in which they are tried."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterator, Mapping
 from datetime import UTC
 from pathlib import Path
 from typing import Any
@@ -14,10 +13,9 @@ import numpy as np
 from track_range.foundation.files.input_files import read_text
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.xml_events import parse_xml
-from track_range.recording.telemetry.errors import TelemetryError
-from track_range.recording.telemetry.libraries import imported
 from track_range.recording.telemetry.positions import speed_from_positions
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.recording.telemetry.samples import Sample, plain_track
+from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack, optional_package
 
 MAX_GPX_BYTES = 50_000_000
 """Size limit of a GPX file, bytes; a day at 1 Hz with extensions has 35 MB."""
@@ -38,43 +36,27 @@ def read_gpx(path: Path) -> TelemetryTrack:
     """
     text = read_text(path, TelemetryError, _EXPECTED, max_bytes=MAX_GPX_BYTES)
     _check_xml(text, path)
-    gpxpy = imported("gpxpy", str(path))
+    gpxpy = optional_package("gpxpy", str(path))
     try:
         gpx = gpxpy.parse(text)
     except (ValueError, KeyError, TypeError, AttributeError, gpxpy.gpx.GPXException) as error:
         raise TelemetryError(f"{path}: expected {_EXPECTED}, found one with invalid points or times.") from error
-    points = [point for point in _points(gpx) if point.time is not None]
-    if not points:
+    tracked = [point for track in gpx.tracks for segment in track.segments for point in segment.points]
+    points = tracked or [point for route in gpx.routes for point in route.points] or gpx.waypoints
+    samples = [_sample(point) for point in points if point.time is not None]
+    if not samples:
         raise TelemetryError(f"{path}: expected track points with times, found none.")
-    rows = np.array([_row(point) for point in points])
-    _, first = np.unique(rows[:, 0], return_index=True)
-    rows = rows[np.sort(first)]  # some programs write each point twice
-    utc_s, latitude_deg, longitude_deg, speed_mps, course_deg = rows.T
-    if np.isfinite(speed_mps).any():
-        return TelemetryTrack(
-            time_s=utc_s,
-            speed_mps=speed_mps,
-            course_rad=np.radians(course_deg),
-            latitude_deg=latitude_deg,
-            longitude_deg=longitude_deg,
-            source=path.name,
-            clock="utc",
-            states_unit=False,
-        )
-    track = speed_from_positions(utc_s, latitude_deg, longitude_deg, utc_s, source=path.name, clock="utc")
-    if track is None:
+    first: dict[float, Sample] = {}  # some programs write each point twice
+    for sample in samples:
+        first.setdefault(sample.utc_s, sample)
+    samples = list(first.values())
+    if any(math.isfinite(sample.speed_mps) for sample in samples):
+        return plain_track(samples, path.name, "utc", states_unit=False)
+    utc_s, _, _, _, latitude_deg, longitude_deg = np.array(samples).T
+    derived = speed_from_positions(utc_s, latitude_deg, longitude_deg, utc_s, source=path.name, clock="utc")
+    if derived is None:
         raise TelemetryError(f"{path}: expected at least two positions with different times, found fewer.")
-    return track
-
-
-class _NoHandler:
-    """Handler that only lets the parser check the XML."""
-
-    def start(self, path: list[str], attributes: Mapping[str, str], line: int) -> None:
-        """Ignore the start of an element."""
-
-    def end(self, path: list[str], text: str, line: int) -> None:
-        """Ignore the end of an element."""
+    return derived
 
 
 def _check_xml(text: str, path: Path) -> None:
@@ -83,37 +65,23 @@ def _check_xml(text: str, path: Path) -> None:
         raise TelemetryError(f"{path}: expected {_EXPECTED} without a document type, found one; remove it.")
     if text.count("xmlns") > _MAX_NAMESPACES:
         raise TelemetryError(f"{path}: expected {_EXPECTED} with at most {_MAX_NAMESPACES} namespaces, found more.")
-    parse_xml(io.BytesIO(text.encode()), path, _NoHandler(), TelemetryError, _EXPECTED)
+    parse_xml(io.BytesIO(text.encode()), path, None, TelemetryError, _EXPECTED)
 
 
-def _points(gpx: Any) -> Iterator[Any]:
-    """Track points; without any, route points; without any, way points."""
-    tracked = [point for track in gpx.tracks for segment in track.segments for point in segment.points]
-    yield from tracked or [point for route in gpx.routes for point in route.points] or gpx.waypoints
-
-
-def _row(point: Any) -> tuple[float, float, float, float, float]:
-    """UTC in s, latitude, longitude, speed in m/s and course in degrees; NaN = not stated."""
+def _sample(point: Any) -> Sample:
+    """A point with its UTC as time."""
     time = point.time if point.time.tzinfo is not None else point.time.replace(tzinfo=UTC)
-    extended = dict(_extensions(point))
-    speed_mps = getattr(point, "speed", None)
-    course_deg = getattr(point, "course", None)
-    return (
-        time.timestamp(),
-        _number(point.latitude),
-        _number(point.longitude),
-        extended.get("speed", math.nan) if speed_mps is None else _number(speed_mps),
-        extended.get("course", math.nan) if course_deg is None else _number(course_deg),
+    extended = {}
+    for element in (element for extension in point.extensions for element in extension.iter()):
+        value = number((element.text or "").strip())
+        if isinstance(element.tag, str) and math.isfinite(value):
+            extended[element.tag.rpartition("}")[2].lower()] = value  # without namespace
+    speed_mps, course_deg = (
+        extended.get(name, math.nan) if getattr(point, name, None) is None else _number(getattr(point, name))
+        for name in ("speed", "course")
     )
-
-
-def _extensions(point: Any) -> Iterator[tuple[str, float]]:
-    """Names, without namespaces, and numbers of the extensions of a point."""
-    for extension in point.extensions:
-        for element in extension.iter():
-            value = number((element.text or "").strip())
-            if isinstance(element.tag, str) and math.isfinite(value):
-                yield element.tag.rpartition("}")[2].lower(), value
+    utc_s = time.timestamp()
+    return Sample(utc_s, utc_s, speed_mps, course_deg, _number(point.latitude), _number(point.longitude))
 
 
 def _number(value: Any) -> float:

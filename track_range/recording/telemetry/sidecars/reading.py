@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from track_range.recording.telemetry.sidecars.blackvue import read_blackvue
 from track_range.recording.telemetry.sidecars.gpx import read_gpx
 from track_range.recording.telemetry.sidecars.nmea import read_nmea
 from track_range.recording.telemetry.sidecars.seventymai import read_seventymai
@@ -35,7 +34,6 @@ SIDECARS = (
     Sidecar((".nmea",), lambda path, video, duration_s: read_nmea(path)),
     Sidecar((".srt",), lambda path, video, duration_s: read_srt(path)),
     Sidecar((".csv",), lambda path, video, duration_s: read_csv(path)),
-    Sidecar((".txt", ".gps"), lambda path, video, duration_s: read_blackvue(path)),
     Sidecar((".txt", ".gps"), read_seventymai, name="GPSData000001.txt"),
     Sidecar((".txt", ".gps"), lambda path, video, duration_s: read_nmea(path)),
 )
@@ -54,14 +52,8 @@ def sidecar_names(video: str) -> tuple[str, ...]:
     """Names, in order, of files with telemetry that may lie beside a video with this name, besides ego_speed.csv."""
     stem = video.rpartition(".")[0] or video
     stems = dict.fromkeys((stem, _CAMERA_LETTER.sub("", stem)))
-    names = [f"{name}{suffix}" for suffix in SUFFIXES for name in stems]
-    shown = [variant for name in names for variant in (name, _upper(name))]
-    return (*shown, *(sidecar.name for sidecar in SIDECARS if sidecar.name))
-
-
-def _upper(name: str) -> str:
-    stem, point, suffix = name.rpartition(".")
-    return f"{stem}{point}{suffix.upper()}"
+    names = [f"{name}{shown}" for suffix in SUFFIXES for name in stems for shown in (suffix, suffix.upper())]
+    return (*names, *(sidecar.name for sidecar in SIDECARS if sidecar.name))
 
 
 def read_sidecar(path: Path, video: str, duration_s: float) -> TelemetryTrack | None:

@@ -15,12 +15,9 @@ import numpy as np
 
 from track_range.foundation.files.input_files import first_line, read_text
 from track_range.foundation.files.numeric_text import numbers
-from track_range.recording.telemetry.errors import TelemetryError
-from track_range.recording.telemetry.track import Clock, TelemetryTrack
+from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
-_MAX_BYTES = 200_000_000
-"""Size limit of a log, bytes; a day at 1 Hz has 8 MB."""
-
+_MAX_BYTES = 200_000_000  # a day at 1 Hz has 8 MB
 _N_CELLS = 10
 _MAX_STEP_S = 5.0
 """Largest time between the last row of a video and the first one of the next, if the recording did not stop between."""
@@ -47,27 +44,23 @@ def read_seventymai(path: Path, video: str, duration_s: float) -> TelemetryTrack
     rows = [row for row in cells if len(row) >= _N_CELLS and row[1] in ("A", "V")]
     values = np.array([[*numbers(row[:1]), *numbers(row[2:6])] for row in rows]).reshape(-1, 5)
     is_dated = np.isfinite(values[:, 0]) & (values[:, 0] > 0)
-    names = [_base(row[9]) for row in rows]
-    own = [index for index, name in enumerate(names) if name == _base(video) and is_dated[index]]
+    own = [index for index, row in enumerate(rows) if _base(row[9]) == _base(video) and is_dated[index]]
     index = np.array(own or np.flatnonzero(is_dated), np.int64)
     if not len(index):
         return None
-    time_s, clock = values[index, 0], "local"
     start_s = _start_s(values[:, 0], own, duration_s) if own else math.nan
-    if math.isfinite(start_s):
-        time_s, clock = time_s - start_s, "video"
+    is_timed = math.isfinite(start_s)
     has_fix = np.array([rows[i][1] == "A" for i in index.tolist()])
     lat, lon, course, speed = (np.where(has_fix, values[index, column], np.nan) for column in range(1, 5))
-    known_clock: Clock = "video" if clock == "video" else "local"
     return TelemetryTrack(
-        time_s=time_s,
+        time_s=values[index, 0] - (start_s if is_timed else 0.0),
         speed_mps=np.abs(speed) * _SPEED_SCALE,
         course_rad=np.radians(course * _COURSE_SCALE),
         latitude_deg=lat,
         longitude_deg=lon,
         utc_s=values[index, 0],
         source=path.name,
-        clock=known_clock,
+        clock="video" if is_timed else "local",
     )
 
 

@@ -6,9 +6,7 @@ without one, it is inferred if the file has positions too, and the file is refus
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -18,20 +16,17 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.files.input_files import shortened
 from track_range.foundation.files.numeric_text import numbers
-from track_range.recording.telemetry.errors import TelemetryError
-from track_range.recording.telemetry.positions import speed_from_positions
-from track_range.recording.telemetry.sidecars.units import MPS_PER_UNIT, unit_in
-from track_range.recording.telemetry.track import Clock, TelemetryTrack
+from track_range.recording.telemetry.positions import MPS_PER_UNIT, speed_from_positions, speed_ratio, unit_of_ratio
+from track_range.recording.telemetry.samples import unit_in
+from track_range.recording.telemetry.track import Clock, TelemetryError, TelemetryTrack
 
 _SPEED = re.compile(r"speed|velocity|(?<![a-z])v(?:el)?_(?:mps|kmh)")
 _NOT_SPEED = re.compile(
     r"vertical|3d|accuracy|limit|wind|sigma|error|z.?speed|angular|fan|engine|rpm|unit|"
     r"max|avg|average|target|lead|diff|delta|cruise|allowed|(?<![a-z])set(?![a-z])"
 )
-_LATITUDE, _LONGITUDE = (
-    re.compile(r"(?<![a-z])lat(?:itude)?(?![a-z])"),
-    re.compile(r"(?<![a-z])(?:lon|lng|long)(?:gitude|itude)?(?![a-z])"),
-)
+_LATITUDE = re.compile(r"(?<![a-z])lat(?:itude)?(?![a-z])")
+_LONGITUDE = re.compile(r"(?<![a-z])(?:lon|lng|long)(?:gitude|itude)?(?![a-z])")
 _COURSE = re.compile(r"(?<![a-z])(?:course|heading|bearing|track)(?![a-z])")
 _VIDEO_TIME = re.compile(r"^(?:time_s|t|seconds?|elapsed.*|video_?time.*|cts|time ?\(?\[?s\)?\]?|offset.*)$")
 _CLOCK_TIME = re.compile(r"(?:^|[^a-z])(?:utc|date|time|timestamp|datetime|epoch|gpstime)(?:$|[^a-z])")
@@ -39,12 +34,8 @@ _CLOCK_TIME = re.compile(r"(?:^|[^a-z])(?:utc|date|time|timestamp|datetime|epoch
 _EPOCH_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0))
 """Smallest value and seconds per unit of times since 1970 in nanoseconds, microseconds, milliseconds and seconds."""
 
-_UNIT_TOLERANCE = 0.08
-"""Largest relative difference between the factor of a unit and the ratio of speeds to those from positions: the units
-km/h, mph, kn and m/s differ by at least 13 %."""
-
-_MIN_MOVING, _MOVING_MPS = 10, 3.0
-"""Number of samples, and their speed in m/s, from which a unit is inferred."""
+_UNIT_TOLERANCE, _MIN_MOVING = 0.08, 10
+"""Largest relative difference of speeds to those from positions, and number of moving samples, that show a unit."""
 
 
 def is_telemetry_csv(table: CsvTable) -> bool:
@@ -62,26 +53,31 @@ def read_csv(path: Path) -> TelemetryTrack | None:
     if not is_telemetry_csv(table) or not len(table):
         return None
     time_s, clock = _times(table)
-    latitude_deg, longitude_deg = _position(table)
+    lat, lon = _columns(table, _LATITUDE), _columns(table, _LONGITUDE)
+    names = (lat[0], lon[0]) if lat and lon else ("", "")
+    latitude_deg, longitude_deg = (table.numbers(name) if name else np.full(len(table), np.nan) for name in names)
     known = np.flatnonzero(np.isfinite(time_s))
     if not len(known):
-        raise TelemetryError(f"{path}: expected times in the column {_shown(_time_column(table))}, found none.")
+        raise TelemetryError(
+            f"{path}: expected times in the column {shortened(repr(_time_column(table)))}, found none."
+        )
     utc_s = time_s if clock != "video" else np.full(len(time_s), np.nan)
     positions = speed_from_positions(time_s, latitude_deg, longitude_deg, utc_s, source=path.name, clock=clock)
-    names = _columns(table, _SPEED, _NOT_SPEED)
-    if not names:
+    speeds = _columns(table, _SPEED, _NOT_SPEED)
+    if not speeds:
         if positions is None:
             raise TelemetryError(f"{path}: expected speeds, or at least two positions, found fewer.")
         return positions
-    named = next((name for name in names if unit_in(name) is not None), names[0])
+    named = next((name for name in speeds if unit_in(name) is not None), speeds[0])
     values, unit = table.numbers(named), unit_in(named)
     notes: tuple[str, ...] = ()
     if unit is None:
-        unit = inferred_unit(time_s, values, positions)
+        ratio, _ = speed_ratio(positions, time_s, values, _MIN_MOVING)
+        unit = None if ratio is None else unit_of_ratio(ratio, _UNIT_TOLERANCE)
         if unit is None:
             raise TelemetryError(
-                f"{path}: expected a unit in the heading {_shown(named)}, found none; rename it to speed_mps or "
-                "speed_kmh."
+                f"{path}: expected a unit in the heading {shortened(repr(named))}, found none; rename it to speed_mps "
+                "or speed_kmh."
             )
         notes = (f"the speeds have no unit; compared with the positions they are in {unit}.",)
     course = _columns(table, _COURSE)
@@ -97,27 +93,6 @@ def read_csv(path: Path) -> TelemetryTrack | None:
     )
 
 
-def inferred_unit(time_s: FloatArray, speed: FloatArray, positions: TelemetryTrack | None) -> str | None:
-    """The unit of speeds that agrees with those from positions; None = none does, or too few samples move.
-
-    Args:
-        time_s: (N,) times, NaN = unknown.
-        speed: (N,) speeds in the unknown unit, NaN = unknown.
-        positions: speeds from the positions of the same file; None = it has none.
-    """
-    known = np.isfinite(time_s) & np.isfinite(speed)
-    if positions is None or known.sum() < _MIN_MOVING:
-        return None
-    order = np.argsort(time_s[known], kind="stable")
-    stated = np.interp(positions.time_s, time_s[known][order], speed[known][order])
-    moving = (positions.speed_mps > _MOVING_MPS) & (stated > 0)
-    if moving.sum() < _MIN_MOVING:
-        return None
-    ratio = float(np.median(positions.speed_mps[moving] / stated[moving]))
-    unit = min(MPS_PER_UNIT, key=lambda name: abs(math.log(MPS_PER_UNIT[name] / ratio)))
-    return unit if abs(MPS_PER_UNIT[unit] / ratio - 1) <= _UNIT_TOLERANCE else None
-
-
 def _columns(table: CsvTable, name: re.Pattern[str], excluded: re.Pattern[str] | None = None) -> list[str]:
     """Headings that match; those of repeated columns only once."""
     return [
@@ -125,14 +100,6 @@ def _columns(table: CsvTable, name: re.Pattern[str], excluded: re.Pattern[str] |
         for heading in dict.fromkeys(table.header)
         if name.search(heading[:100]) and not (excluded and excluded.search(heading[:100]))
     ]
-
-
-def _position(table: CsvTable) -> tuple[FloatArray, FloatArray]:
-    lat, lon = _columns(table, _LATITUDE), _columns(table, _LONGITUDE)
-    if not lat or not lon:
-        nothing = np.full(len(table), np.nan)
-        return nothing, nothing
-    return table.numbers(lat[0]), table.numbers(lon[0])
 
 
 def _time_column(table: CsvTable) -> str | None:
@@ -143,11 +110,7 @@ def _time_column(table: CsvTable) -> str | None:
 
 
 def _times(table: CsvTable) -> tuple[FloatArray, Clock]:
-    """(N,) times, NaN = unknown, and their clock.
-
-    Raises:
-        TelemetryError: dates and times without time zone are mixed with others, or none can be read.
-    """
+    """(N,) times, NaN = unknown, and their clock: numbers, or dates and times in ISO 8601."""
     name = _time_column(table) or ""
     texts = table.texts(name)
     values = np.array(numbers(texts))
@@ -158,11 +121,6 @@ def _times(table: CsvTable) -> tuple[FloatArray, Clock]:
                 return values * scale, "utc"
         is_ms = name == "cts" or re.search(r"ms(?![a-z])|milli", name) is not None
         return values * (1e-3 if is_ms else 1.0), "video"
-    return _dates(texts)
-
-
-def _dates(texts: Sequence[str]) -> tuple[FloatArray, Clock]:
-    """(N,) dates and times in ISO 8601 as seconds since 1970, and whether they state a time zone."""
     seconds, n_zoned = np.full(len(texts), np.nan), 0
     for index, text in enumerate(texts):
         try:
@@ -172,7 +130,3 @@ def _dates(texts: Sequence[str]) -> tuple[FloatArray, Clock]:
         except (ValueError, OverflowError):
             continue
     return seconds, "utc" if n_zoned > len(texts) / 2 else "local"
-
-
-def _shown(name: str | None) -> str:
-    return shortened(repr(name))

@@ -10,45 +10,39 @@ from pathlib import Path
 import numpy as np
 
 from track_range.foundation.files.input_files import read_text
-from track_range.recording.telemetry.errors import TelemetryError
-from track_range.recording.telemetry.positions import speed_from_positions
-from track_range.recording.telemetry.sidecars.nmea import Fix, fixes_in
-from track_range.recording.telemetry.sidecars.units import MPS_PER_UNIT, unit_in
-from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.foundation.files.numeric_text import number
+from track_range.recording.telemetry.positions import MPS_PER_UNIT, speed_from_positions
+from track_range.recording.telemetry.samples import Sample, plain_track, signed, unit_in
+from track_range.recording.telemetry.sidecars.nmea import fixes_in
+from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
 MAX_SRT_BYTES = 100_000_000
 """Size limit of a file of subtitles, bytes; DJI writes about 10 kB per second of video at 60 Hz, an hour is 36 MB."""
 
 _CUE = re.compile(r"(\d{1,3}):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
-_TAG = re.compile(r"<[^<>]{0,200}>")
-_VERTICAL = re.compile(r"\b[VW]\.?S\.?\s*:?\s*[-+]?[\d.]+\s*m/s", re.IGNORECASE)
-"""Vertical speed or wind of a drone."""
 
-_HORIZONTAL = re.compile(r"\bH\.?S\.?\s*:?\s*([\d.]{1,10})\s*m/s", re.IGNORECASE)
 _UNIT = r"(?:km\s?/\s?h|kmh|kmph|kph|mph|mi/h|m/s|knots?|kn|kt)(?![a-z²^]|\s?2\b)"
-_OTHER_SPEED = re.compile(
-    r"\b(?:limit|wind|max(?:imum)?|avg|average|target|set)\b[^\d\n]{0,12}[-+]?[\d.,]+\s?" + _UNIT, re.IGNORECASE
+_IGNORED = (
+    r"<[^<>]{0,200}>",  # formatting
+    r"\b[VW]\.?S\.?\s*:?\s*[-+]?[\d.]+\s*m/s",  # vertical speed or wind of a drone
+    r"\b(?:limit|wind|max(?:imum)?|avg|average|target|set)\b[^\d\n]{0,12}[-+]?[\d.,]+\s?" + _UNIT,
 )
-"""Speed limit, wind, or a mean or largest speed."""
+"""Parts that hold no speed of the camera; each is removed before the next is looked for."""
 
-_WITH_UNIT = re.compile(rf"(?<![\d.,])(\d{{1,3}}(?:[.,]\d{{1,6}})?)\s?({_UNIT})", re.IGNORECASE)
-_WITHOUT_UNIT = re.compile(r"\bspeed\s*[:=]\s*(\d{1,3}(?:\.\d{1,6})?)(?![\d.]|\s?[a-z/])", re.IGNORECASE)
+_HORIZONTAL = r"\bH\.?S\.?\s*:?\s*([\d.]{1,10})\s*m/s"
+_WITH_UNIT = rf"(?<![\d.,])(\d{{1,3}}(?:[.,]\d{{1,6}})?)\s?({_UNIT})"
+_WITHOUT_UNIT = r"\bspeed\s*[:=]\s*(\d{1,3}(?:\.\d{1,6})?)(?![\d.]|\s?[a-z/])"
+
+_DEGREES = r"\s*([-+]?\d{1,3}\.\d+)"
 _POSITION = (
-    (
-        re.compile(r"latitude\s*[:=]\s*([-+]?\d{1,3}\.\d+)", re.I),
-        re.compile(r"long?i?tude\s*[:=]\s*([-+]?\d{1,3}\.\d+)", re.I),
-    ),
-    (
-        re.compile(r"\blat\s*[:=]?\s*([-+]?\d{1,3}\.\d+)", re.I),
-        re.compile(r"\blo?ng?\s*[:=]?\s*([-+]?\d{1,3}\.\d+)", re.I),
-    ),
+    (r"latitude\s*[:=]" + _DEGREES, r"long?i?tude\s*[:=]" + _DEGREES),
+    (r"\blat\s*[:=]?" + _DEGREES, r"\blo?ng?\s*[:=]?" + _DEGREES),
 )
-_DJI_POSITION = re.compile(r"GPS\s*\(\s*([-+]?\d{1,3}\.\d+)\s*,\s*([-+]?\d{1,3}\.\d+)\s*,")
-"""DJI's older form: longitude first."""
+_DJI_POSITION = rf"GPS\s*\({_DEGREES}\s*,{_DEGREES}\s*,"  # DJI's older form: longitude first
+_HEMISPHERES = r"\b([NS])\s*:?\s*(\d{1,2}\.\d+)[\s,;]+([EW])\s*:?\s*(\d{1,3}\.\d+)"
 
-_HEMISPHERES = re.compile(r"\b([NS])\s*:?\s*(\d{1,2}\.\d+)[\s,;]+([EW])\s*:?\s*(\d{1,3}\.\d+)")
 _MIN_FRACTION = 0.5
-"""Share of the subtitles that must have a speed or a position: a film's dialogue may mention a speed."""
+"""Fraction of the subtitles that must have a speed or a position: a film's dialogue may mention a speed."""
 
 
 def read_srt(path: Path) -> TelemetryTrack | None:
@@ -59,47 +53,24 @@ def read_srt(path: Path) -> TelemetryTrack | None:
     """
     text = read_text(path, TelemetryError, "subtitles in SRT", max_bytes=MAX_SRT_BYTES)
     cues = list(_cues(text))
-    return subtitle_track([time_s for time_s, _ in cues], [content for _, content in cues], str(path), path.name)
+    return _track([content for _, content in cues], [time_s for time_s, _ in cues], path)
 
 
-def subtitle_track(times_s: Sequence[float], texts: Sequence[str], path: str, source: str) -> TelemetryTrack | None:
-    """Telemetry of subtitles; None = they have neither speeds nor positions.
-
-    Args:
-        times_s: (N,) start of each subtitle in seconds from the first frame.
-        texts: their N texts.
-        path: the file, for messages.
-        source: origin of the telemetry, for notes.
-
-    Raises:
-        TelemetryError: the speeds have no unit.
-    """
-    sentences = fixes_in(texts, path)
+def _track(texts: Sequence[str], times_s: Sequence[float], path: Path) -> TelemetryTrack | None:
+    """Telemetry of subtitles with their starts in seconds from the first frame."""
+    sentences = fixes_in(texts, str(path))
     is_nmea = any(fix is not None for fix in sentences)
-    fixes = [fix or Fix() for fix in sentences] if is_nmea else [_fix(text) for text in texts]
-    has_speed = [math.isfinite(fix.speed_mps) for fix in fixes]
-    has_position = [math.isfinite(fix.latitude_deg) for fix in fixes]
-    n_needed = max(1.0, _MIN_FRACTION * len(fixes))
-    if not is_nmea and sum(has_speed) < n_needed and sum(has_position) < n_needed:
-        if sum(bool(_WITHOUT_UNIT.search(text)) for text in texts) >= n_needed:
-            raise TelemetryError(f"{path}: expected a unit such as km/h after each speed, found none.")
-        return None
-    time_s = np.array(times_s, np.float64)
-    latitude_deg = np.array([fix.latitude_deg for fix in fixes])
-    longitude_deg = np.array([fix.longitude_deg for fix in fixes])
-    utc_s = np.array([fix.utc_s for fix in fixes])
-    if not is_nmea and sum(has_speed) < n_needed:
-        return speed_from_positions(time_s, latitude_deg, longitude_deg, utc_s, source=source, clock="video")
-    return TelemetryTrack(
-        time_s=time_s,
-        speed_mps=np.array([fix.speed_mps for fix in fixes]),
-        course_rad=np.array([fix.course_rad for fix in fixes]),
-        latitude_deg=latitude_deg,
-        longitude_deg=longitude_deg,
-        utc_s=utc_s,
-        source=source,
-        clock="video",
-    )
+    samples = [fix or Sample() for fix in sentences] if is_nmea else [_sample(text) for text in texts]
+    samples = [sample.at(time_s) for sample, time_s in zip(samples, times_s, strict=True)]
+    n_needed = max(1.0, _MIN_FRACTION * len(samples))
+    if is_nmea or sum(math.isfinite(sample.speed_mps) for sample in samples) >= n_needed:
+        return plain_track(samples, path.name, "video")
+    if sum(math.isfinite(sample.latitude_deg) for sample in samples) >= n_needed:
+        time_s, utc_s, _, _, latitude_deg, longitude_deg = np.array(samples).T
+        return speed_from_positions(time_s, latitude_deg, longitude_deg, utc_s, source=path.name, clock="video")
+    if sum(bool(_search(_WITHOUT_UNIT, text)) for text in texts) >= n_needed:
+        raise TelemetryError(f"{path}: expected a unit such as km/h after each speed, found none.")
+    return None
 
 
 def _cues(text: str) -> Iterable[tuple[float, str]]:
@@ -119,34 +90,31 @@ def _cues(text: str) -> Iterable[tuple[float, str]]:
         yield start_s, "\n".join(lines)
 
 
-def _fix(text: str) -> Fix:
+def _sample(text: str) -> Sample:
     """Speed and position in the text of a subtitle; NaN = none."""
-    plain = _OTHER_SPEED.sub(" ", _VERTICAL.sub(" ", _TAG.sub(" ", text)))
-    latitude_deg, longitude_deg = _position(plain)
+    for ignored in _IGNORED:
+        text = re.sub(ignored, " ", text, flags=re.IGNORECASE)
     speed_mps = math.nan
-    if horizontal := _HORIZONTAL.search(plain):
-        speed_mps = _number(horizontal.group(1))
-    elif stated := _WITH_UNIT.search(plain):
-        speed_mps = float(stated.group(1).replace(",", ".")) * MPS_PER_UNIT[unit_in(stated.group(2)) or "km/h"]
-    return Fix(speed_mps=speed_mps, latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+    if horizontal := _search(_HORIZONTAL, text):
+        speed_mps = number(horizontal[1])
+    elif stated := _search(_WITH_UNIT, text):
+        speed_mps = float(stated[1].replace(",", ".")) * MPS_PER_UNIT[unit_in(stated[2]) or "km/h"]
+    latitude_deg, longitude_deg = _position(text)
+    return Sample(speed_mps=speed_mps, latitude_deg=latitude_deg, longitude_deg=longitude_deg)
 
 
 def _position(text: str) -> tuple[float, float]:
     """Latitude and longitude in degrees; NaN = none."""
     for latitude, longitude in _POSITION:
-        lat, lon = latitude.search(text), longitude.search(text)
+        lat, lon = _search(latitude, text), _search(longitude, text)
         if lat and lon:
-            return float(lat.group(1)), float(lon.group(1))
-    if dji := _DJI_POSITION.search(text):
-        return float(dji.group(2)), float(dji.group(1))
-    if signed := _HEMISPHERES.search(text):
-        north, lat_deg, east, lon_deg = signed.groups()
-        return float(lat_deg) * (1 if north == "N" else -1), float(lon_deg) * (1 if east == "E" else -1)
+            return float(lat[1]), float(lon[1])
+    if dji := re.search(_DJI_POSITION, text):
+        return float(dji[2]), float(dji[1])
+    if marked := re.search(_HEMISPHERES, text):
+        return signed(float(marked[2]), marked[1]), signed(float(marked[4]), marked[3])
     return math.nan, math.nan
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
+def _search(pattern: str, text: str) -> re.Match[str] | None:
+    return re.search(pattern, text, re.IGNORECASE)

@@ -1,19 +1,19 @@
-"""Samples of speed and position read from a video file, and the TelemetryTrack of a list of them."""
+"""Sample: one record of a receiver with its date, coordinates and unit of speed, and the track of a list of them."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.recording.telemetry.positions import speed_from_positions
-from track_range.recording.telemetry.sidecars.units import MPS_PER_UNIT
-from track_range.recording.telemetry.track import GPS_SPEED_SIGMA_MPS, Clock, TelemetryTrack
+from track_range.recording.telemetry.positions import MPS_PER_UNIT, speed_from_positions, speed_ratio, unit_of_ratio
+from track_range.recording.telemetry.track import Clock, TelemetryTrack
 
 MAX_SAMPLES = 500_000
 """Largest number of samples read from one file: seven hours at 18 Hz, GoPro's rate."""
@@ -21,28 +21,27 @@ MAX_SAMPLES = 500_000
 Unit = Literal["known", "assumed", "unknown"]
 """Whether the unit of a format's speed is documented, assumed from few recordings, or unknown."""
 
-_UNIT_TOLERANCE = 0.06
-"""Largest relative difference of speeds to those from positions at which a unit counts as confirmed; the units are 15 %
-apart or more."""
+_UNIT_TOLERANCE, _MIN_MOVING = 0.06, 5
+"""Largest relative difference of speeds to those from positions, and number of moving samples, that confirm a unit."""
 
 _PACE_TOLERANCE = 0.1
 """Largest relative difference between the pace of a track and that of the receiver's clock."""
 
-_MAX_SPEED_MPS = 120.0
-"""Largest plausible speed, as in the checks of telemetry."""
-
-_MIN_MOVING = 5
-"""Smallest number of moving samples that confirm a unit."""
+_MAX_SPEED_MPS = 120.0  # largest plausible speed, as in the checks of telemetry
 
 _COURSE_AGREEMENT = 0.3
 """Largest relative difference between the speed from positions and the stated one at which the course is used."""
 
-_MOVING_MPS = 3.0
-"""Speed above which a sample is moving: the noise of positions is small against it."""
+_UNITS = (
+    ("km/h", re.compile(r"km\s?/?\s?h|kmph|kph|km\s?/\s?hr", re.IGNORECASE)),
+    ("mph", re.compile(r"mph|mi\s?/\s?h|miles", re.IGNORECASE)),
+    ("m/s", re.compile(r"m\s?/\s?s|mps|m\s?s-1|meters?_?\s?per|metres?_?\s?per", re.IGNORECASE)),
+    ("kn", re.compile(r"knots?|(?<![a-z])k[nt]s?(?![a-z])", re.IGNORECASE)),
+)
+"""Notations of the units, in the order in which they are looked for."""
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(NamedTuple):
     """One record of a receiver; NaN = not stated, or no fix.
 
     Attributes:
@@ -62,7 +61,25 @@ class Sample:
 
     def at(self, time_s: float) -> Sample:
         """This sample with another time."""
-        return replace(self, time_s=time_s)
+        return self._replace(time_s=time_s)
+
+
+def plain_track(samples: Sequence[Sample], source: str, clock: Clock, **given: Any) -> TelemetryTrack:
+    """Telemetry of samples as they are; `given`: other attributes of the track."""
+    time_s, utc_s, speed_mps, course_deg, latitude_deg, longitude_deg = (
+        np.array(samples, np.float64).reshape(-1, 6).T.copy()
+    )
+    return TelemetryTrack(
+        time_s=time_s,
+        speed_mps=speed_mps,
+        course_rad=np.radians(course_deg),
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        utc_s=utc_s,
+        source=source,
+        clock=clock,
+        **given,
+    )
 
 
 def track(
@@ -70,18 +87,16 @@ def track(
     source: str,
     clock: Clock = "video",
     *,
-    speed_sigma_mps: float = GPS_SPEED_SIGMA_MPS,
     has_own_speed: bool = True,
     notes: tuple[str, ...] = (),
+    **given: Any,
 ) -> TelemetryTrack | None:
     """Telemetry of samples; None = no sample has a time, or no two have the positions that are needed.
 
     Numbers that no receiver reports (negative speeds, latitudes beyond 90 degrees) become NaN. Without an own speed,
-    `speed_mps` is derived from the positions.
+    `speed_mps` is derived from the positions; `given`: other attributes of the track.
     """
-    rows = np.array(
-        [(s.time_s, s.utc_s, s.speed_mps, s.course_deg, s.latitude_deg, s.longitude_deg) for s in samples]
-    ).reshape(-1, 6)
+    rows = np.array(samples, np.float64).reshape(-1, 6)
     rows = rows[np.isfinite(rows[:, 0])][:MAX_SAMPLES]
     if not len(rows):
         return None
@@ -104,8 +119,8 @@ def track(
         utc_s=utc_s,
         source=source,
         clock=clock,
-        speed_sigma_mps=speed_sigma_mps,
         notes=notes,
+        **given,
     )
 
 
@@ -126,11 +141,11 @@ def on_receiver_clock(samples: Sequence[Sample]) -> list[Sample]:
 
 def has_plausible_positions(samples: Sequence[Sample]) -> bool:
     """Whether positions are on the Earth and the median of the speeds between them is possible for a vehicle."""
-    rows = np.array([(s.time_s, s.latitude_deg, s.longitude_deg) for s in samples]).reshape(-1, 3)
+    rows = np.array(samples, np.float64).reshape(-1, 6)[:, [0, 4, 5]]
     time_s, latitude_deg, longitude_deg = rows[np.isfinite(rows).all(axis=1)].T
     if ((np.abs(latitude_deg) > 90) | (np.abs(longitude_deg) > 180)).any():
         return False
-    moved = speed_from_positions(time_s, latitude_deg, longitude_deg, time_s, source="", clock="video")
+    moved = speed_from_positions(time_s, latitude_deg, longitude_deg, time_s)
     return moved is None or float(np.percentile(moved.speed_mps, 90)) <= _MAX_SPEED_MPS
 
 
@@ -143,32 +158,17 @@ def in_known_unit(samples: Sequence[Sample], unit: Unit) -> tuple[list[Sample], 
     """
     if unit == "known":
         return list(samples), ()
-    factor = _confirmed_factor(samples)
-    if factor is not None:
-        return [replace(sample, speed_mps=sample.speed_mps * factor) for sample in samples], ()
+    time_s, _, speed_mps, _, latitude_deg, longitude_deg = np.array(samples, np.float64).reshape(-1, 6).T
+    moved = speed_from_positions(time_s, latitude_deg, longitude_deg, time_s)
+    ratio, _ = speed_ratio(moved, time_s, speed_mps, _MIN_MOVING)
+    confirmed = None if ratio is None else unit_of_ratio(ratio * MPS_PER_UNIT["km/h"], _UNIT_TOLERANCE)
+    if confirmed is not None:
+        factor = MPS_PER_UNIT[confirmed] / MPS_PER_UNIT["km/h"]
+        return [sample._replace(speed_mps=sample.speed_mps * factor) for sample in samples], ()
     if unit == "assumed":
         return list(samples), ("The unit of the speed is not documented; km/h is assumed.",)
-    without = [replace(sample, speed_mps=math.nan) for sample in samples]
+    without = [sample._replace(speed_mps=math.nan) for sample in samples]
     return without, ("The unit of the speed is unknown, and the positions are encrypted; it is not used.",)
-
-
-def _confirmed_factor(samples: Sequence[Sample]) -> float | None:
-    """Factor to speeds read as km/h with which they agree with the positions; None = no unit agrees."""
-    rows = np.array([(s.time_s, s.latitude_deg, s.longitude_deg, s.speed_mps) for s in samples]).reshape(-1, 4)
-    moved = speed_from_positions(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 0], source="", clock="video")
-    if moved is None:
-        return None
-    known = np.isfinite(rows[:, 0]) & np.isfinite(rows[:, 3])
-    if known.sum() < _MIN_MOVING:
-        return None
-    order = np.argsort(rows[known, 0], kind="stable")
-    stated_mps = np.interp(moved.time_s, rows[known, 0][order], rows[known, 3][order])
-    is_moving = (moved.speed_mps > _MOVING_MPS) & (stated_mps > 0)
-    if is_moving.sum() < _MIN_MOVING:
-        return None
-    ratio = float(np.median(moved.speed_mps[is_moving] / stated_mps[is_moving]))
-    factors = [factor / MPS_PER_UNIT["km/h"] for factor in MPS_PER_UNIT.values()]
-    return next((factor for factor in factors if abs(ratio / factor - 1) <= _UNIT_TOLERANCE), None)
 
 
 def _course_from_positions(
@@ -176,12 +176,10 @@ def _course_from_positions(
 ) -> FloatArray:
     """(N,) course in degrees from the positions where they agree with the stated speed; NaN elsewhere."""
     course_deg = np.full(len(time_s), np.nan)
-    moved = speed_from_positions(time_s, latitude_deg, longitude_deg, time_s, source="", clock="video")
-    if moved is None or (np.diff(moved.time_s) <= 0).any():
+    moved = speed_from_positions(time_s, latitude_deg, longitude_deg, time_s)
+    if moved is None or (np.diff(moved.time_s) <= 0).any() or not np.isfinite(moved.course_rad).any():
         return course_deg
     is_known = np.isfinite(moved.course_rad)
-    if not is_known.any():
-        return course_deg
     east, north = (np.interp(time_s, moved.time_s[is_known], f(moved.course_rad[is_known])) for f in (np.sin, np.cos))
     speed_of_positions = np.interp(time_s, moved.time_s, moved.speed_mps)
     agrees = (speed_mps > 1) & (np.abs(speed_of_positions - speed_mps) < np.maximum(1, _COURSE_AGREEMENT * speed_mps))
@@ -191,15 +189,12 @@ def _course_from_positions(
 
 def date_s(year: float, month: float, day: float, hour: float, minute: float, second: float) -> float:
     """Seconds since 1970 of a date and time; NaN = it is none. Years below 1980 count from 2000."""
-    if not all(math.isfinite(value) for value in (year, month, day, hour, minute, second)) or not 0 <= second < 61:
-        return math.nan
     try:
-        whole = datetime(
-            int(year) + 2000 if year < 1980 else int(year), int(month), int(day), int(hour), int(minute), tzinfo=UTC
-        )
+        date = int(year) + 2000 if year < 1980 else int(year), int(month), int(day)
+        whole = datetime(*date, int(hour), int(minute), tzinfo=UTC)
     except (ValueError, OverflowError):
         return math.nan
-    return whole.timestamp() + second
+    return whole.timestamp() + second if 0 <= second < 61 else math.nan
 
 
 def degrees(ddmm: float, hemisphere: str = "") -> float:
@@ -207,5 +202,14 @@ def degrees(ddmm: float, hemisphere: str = "") -> float:
     if not math.isfinite(ddmm):
         return math.nan
     whole = math.trunc(ddmm / 100)
-    value = whole + (ddmm - 100 * whole) / 60
+    return signed(whole + (ddmm - 100 * whole) / 60, hemisphere)
+
+
+def signed(value: float, hemisphere: str) -> float:
+    """A coordinate that is negative in the south and west."""
     return -abs(value) if hemisphere in ("S", "W") else value
+
+
+def unit_in(text: str) -> str | None:
+    """The unit of speed that a heading or a text names; None = none."""
+    return next((unit for unit, notation in _UNITS if notation.search(text)), None)
