@@ -55,7 +55,7 @@ from track_range.views.overlay.result_video import ResultVideo
 from track_range.views.writing import video_writer
 
 _STEPS: dict[str, tuple[tuple[Any, str], ...]] = {
-    "decoding": ((video_file._Reading, "__next__"),),
+    "decoding": ((video_file._Reading, "_next_decoded"),),
     "colour conversion, read": ((video_file._YuvImage, "to_bgr"),),
     "rectification": ((Rectifier, "rectify"), (Undistorter, "undistort")),
     "checks of the pair": ((PairMonitor, "add"), (SyncMonitor, "add"), (DriftMonitor, "add")),

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
-import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -54,13 +53,13 @@ class ModelRow:
     state: str
 
 
-def models_folder(environ: Mapping[str, str] = os.environ, *, platform: str = sys.platform) -> Path:
+def models_folder() -> Path:
     """Folder of downloaded models: `models` in $TRACK_RANGE_CACHE, else in the platform's cache folder.
 
     Raises:
         ModelError: the user has no home folder.
     """
-    folder = cache_folder(environ, platform=platform)
+    folder = cache_folder()
     if folder is None:
         raise ModelError("no home folder for downloaded models; set TRACK_RANGE_CACHE to a folder.")
     return folder / "models"

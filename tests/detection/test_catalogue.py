@@ -1,6 +1,7 @@
 """The catalogue of models, the folder of downloaded models, and the lookup of models by name."""
 
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -41,23 +42,24 @@ def test_name_spelling_variants(name):
     assert entry_named(name).name == "yolov4-tiny"
 
 
-def test_models_folder():
-    home = Path.home()
-    assert models_folder({"TRACK_RANGE_CACHE": "/c"}, platform="linux") == Path("/c/models")
-    assert models_folder({"XDG_CACHE_HOME": "/x"}, platform="linux") == Path("/x/track-range/models")
-    assert models_folder({"XDG_CACHE_HOME": "x"}, platform="linux") == home / ".cache/track-range/models"
-    assert models_folder({}, platform="linux") == home / ".cache/track-range/models"
-    assert models_folder({}, platform="darwin") == home / "Library/Caches/track-range/models"
-    assert models_folder({"LOCALAPPDATA": "/l"}, platform="win32") == Path("/l/track-range/models")
+def test_models_folder(monkeypatch):
+    monkeypatch.setenv("TRACK_RANGE_CACHE", "/c")
+    assert models_folder() == Path("/c/models")
+    monkeypatch.delenv("TRACK_RANGE_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/x")
+    if sys.platform == "linux":
+        assert models_folder() == Path("/x/track-range/models")
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert models_folder().is_absolute()
+    assert models_folder().parts[-2:] == ("track-range", "models")
 
 
 def test_models_folder_without_home(monkeypatch):
-    def no_home():
-        raise RuntimeError("no home")
-
-    monkeypatch.setattr(Path, "home", no_home)
+    monkeypatch.setattr("os.path.expanduser", lambda path: path)
+    for name in ("TRACK_RANGE_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
     with pytest.raises(ModelError, match="set TRACK_RANGE_CACHE"):
-        models_folder({}, platform="linux")
+        models_folder()
 
 
 @pytest.fixture

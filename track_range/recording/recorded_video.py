@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -103,6 +103,18 @@ class RecordedVideo(ABC):
             VideoError: it was replaced, shortened or overwritten in the meantime.
         """
 
+    def check_size(self, size_px: Sequence[int], like: str, advice: str, path: Path | None = None) -> None:
+        """Check the width and height of an image of this recording, in `path` if it has several files.
+
+        Raises:
+            VideoError: they differ from those of the other images.
+        """
+        if tuple(size_px) != (self.width_px, self.height_px):
+            raise VideoError(
+                f"{path or self.path}: expected images of {self.width_px}x{self.height_px} px{like}, got "
+                f"{size_px[0]}x{size_px[1]} px; {advice}."
+            )
+
     def close(self) -> None:  # noqa: B027  # not all recordings keep files open
         """Close the file, if it has not been read."""
 
@@ -110,7 +122,12 @@ class RecordedVideo(ABC):
         from_s, until_s = self._part_s or (self.first_time_s, math.inf)
         is_empty = True
         with closing(self.frames(from_s, until_s)) as frames:
-            while (frame := self._timed(frames)) is not None:
+            while True:
+                began_s = _now_s()
+                frame = next(frames, None)
+                self.busy_s += _now_s() - began_s
+                if frame is None:
+                    break
                 is_empty = False
                 yield frame
         self.check_unchanged()
@@ -120,9 +137,3 @@ class RecordedVideo(ABC):
                 f"{self.path}: no frame from {from_s:.2f} s{part}; the video starts at {self.first_time_s:.2f} s, "
                 "choose another start or duration."
             )
-
-    def _timed(self, frames: Iterator[VideoFrame]) -> VideoFrame | None:
-        began_s = _now_s()
-        frame = next(frames, None)
-        self.busy_s += _now_s() - began_s
-        return frame

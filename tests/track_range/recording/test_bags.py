@@ -299,6 +299,7 @@ def test_missing_package_is_named(
 ) -> None:
     bag = write(tmp_path / "drive", kind, ("/cam",), images[:2])
     _ros_reader.cache_clear()
+    monkeypatch.delitem(sys.modules, "track_range.recording.bags.mcap_file", raising=False)
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(VideoError, match=r"pip install 'track-range\[mcap\]'"):
         open_video(bag)

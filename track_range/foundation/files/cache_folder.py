@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 import os
-import sys
-from collections.abc import Mapping
 from pathlib import Path
 
+from platformdirs import user_cache_path
 
-def cache_folder(environ: Mapping[str, str] = os.environ, *, platform: str = sys.platform) -> Path | None:
+
+def cache_folder() -> Path | None:
     """Folder of files that can be created again: $TRACK_RANGE_CACHE, else `track-range` in the platform's caches.
 
     None = the user has no home folder. The folder may not exist yet.
     """
     try:
-        if folder := environ.get("TRACK_RANGE_CACHE"):
-            return Path(folder).expanduser()
-        xdg, local = environ.get("XDG_CACHE_HOME", ""), environ.get("LOCALAPPDATA", "")
-        if platform == "win32":
-            caches = Path(local) if local else Path.home() / "AppData" / "Local"
-        elif platform == "darwin":
-            caches = Path.home() / "Library" / "Caches"
-        else:  # by the XDG specification, relative paths are ignored
-            caches = Path(xdg) if Path(xdg).is_absolute() else Path.home() / ".cache"
+        if given := os.environ.get("TRACK_RANGE_CACHE"):
+            return Path(given).expanduser()
+        folder = user_cache_path("track-range", appauthor=False, opinion=False)
     except RuntimeError:
         return None
-    return caches / "track-range"
+    return folder if folder.is_absolute() else None  # without a home folder, "~" stays in the path
 
 
 def set_matplotlib_folder() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import yaml
@@ -11,8 +12,7 @@ import yaml
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import counted, open_regular, shortened
 from track_range.foundation.files.structured_text import read_yaml
-from track_range.recording.bags.container import ZSTD_MAGIC, Bag, Topic
-from track_range.recording.bags.mcap_file import EXPECTED, McapFile
+from track_range.recording.bags.container import EXPECTED, ZSTD_MAGIC, Bag, Topic, missing_library
 from track_range.recording.bags.ros1_file import MAGIC as ROS1_MAGIC
 from track_range.recording.bags.ros1_file import Ros1File
 from track_range.recording.bags.sqlite_file import SqliteFile
@@ -21,9 +21,6 @@ from track_range.recording.frame import VideoError
 _MCAP_MAGIC, _SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _FOLDER_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 """Suffixes of the files in the folder of a ROS 2 bag."""
-
-_N_LISTED = 4
-"""Largest number of topics in a message."""
 
 
 def is_bag(path: Path) -> bool:
@@ -66,9 +63,9 @@ class SplitBag:
         for bag in bags:
             for name, topic in bag.topics.items():
                 known = self.topics.get(name)
-                counts = None if known is None else (known.n_messages, topic.n_messages)
-                n_messages = topic.n_messages if counts is None else _sum(*counts)
-                self.topics[name] = Topic(name, topic.type, topic.encoding, topic.definition, n_messages)
+                counts = [topic.n_messages] if known is None else [known.n_messages, topic.n_messages]
+                n_messages = None if None in counts else sum(count or 0 for count in counts)
+                self.topics[name] = replace(topic, n_messages=n_messages)
 
     @property
     def end_problem(self) -> str:
@@ -95,18 +92,19 @@ class SplitBag:
 def topic_list(bag: Bag, types: tuple[str, ...] = ()) -> str:
     """The first topics of a bag with their types, those of `types` first, for messages."""
     topics = sorted(bag.topics.values(), key=lambda topic: (topic.type not in types, topic.name))
-    shown = [
-        f"{shortened(topic.name, 40)} ({shortened(topic.type.replace('/msg/', '/'), 30)})"
-        for topic in topics[:_N_LISTED]
-    ]
-    n_others = len(topics) - len(shown)
-    return ", ".join(shown) + (f" and {counted(n_others, 'other')}" if n_others else "") if shown else "no topics"
+    shown = [f"{shortened(topic.name, 40)} ({shortened(topic.type.replace('/msg/', '/'), 30)})" for topic in topics[:4]]
+    others = f" and {counted(len(topics) - 4, 'other')}" if len(topics) > 4 else ""
+    return ", ".join(shown) + others or "no topics"
 
 
 def _open_file(path: Path) -> Bag:
     with open_regular(path, VideoError, EXPECTED) as file:
         start = file.read(16)
     if start.startswith(_MCAP_MAGIC):
+        try:
+            from track_range.recording.bags.mcap_file import McapFile
+        except ImportError as error:
+            missing_library(error)
         return McapFile(path)
     if start.startswith(_SQLITE_MAGIC):
         return SqliteFile(path)
@@ -136,7 +134,3 @@ def _files_in(folder: Path) -> list[Path]:
         return files
     listed = [folder / Path(name).name for name in names]
     return [path for path in listed if path in files] or files
-
-
-def _sum(one: int | None, other: int | None) -> int | None:
-    return None if one is None or other is None else one + other

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Generator
-from pathlib import Path
 
 import numpy as np
 
@@ -27,11 +26,8 @@ from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart
 from track_range.stereo.rig_formats.camera_info import CameraInfo
 
-_N_FIRST = 30
-"""Number of messages from which the frame rate is estimated."""
-
-_FALLBACK_RATE_HZ = 10.0
-"""Frame rate of a topic with a single message."""
+_N_FIRST = 30  # messages from which the frame rate is estimated
+_FALLBACK_RATE_HZ = 10.0  # of a topic with a single message
 
 _MAX_LATENCY_S = 5.0
 """Largest time, s, between the time stamp of an image and its recording."""
@@ -45,8 +41,7 @@ _UTC_UNCERTAINTY_S = 0.1
 _MAX_LEVELS = 3
 """Number of levels above an image topic in which its calibration is searched: /left/image_raw/compressed -> /left."""
 
-_CALIBRATION_NAMES = ("camera_info", "calibration")
-"""Last parts of the names of calibration topics."""
+_CALIBRATION_NAMES = ("camera_info", "calibration")  # last parts of the names of calibration topics
 
 
 class BagVideo(RecordedVideo):
@@ -66,7 +61,8 @@ class BagVideo(RecordedVideo):
     def __init__(self, name: BagTopic) -> None:
         self.path = name
         self._bag = open_bag(name.path)
-        self._states = {file: FileState.of(file) for file in _files_of(name.path)}
+        files = name.path.iterdir() if name.path.is_dir() else [name.path]
+        self._states = {file: FileState.of(file) for file in files if file.is_file()}
         self._topic = self._chosen_topic()
         self._setup_notes: list[str] = []
         self._n_backward = self._n_damaged = 0
@@ -99,16 +95,14 @@ class BagVideo(RecordedVideo):
     @property
     def notes(self) -> tuple[str, ...]:
         """See `RecordedVideo`."""
-        notes = list(self._setup_notes)
-        if self._bag.end_problem:
-            notes.append(f"{self.path}: {self._bag.end_problem}; the images before that were used.")
-        if self._bag.n_damaged:
-            notes.append(f"{self.path}: {counted(self._bag.n_damaged, 'damaged part')} of the file skipped.")
-        if self._n_damaged:
-            notes.append(f"{self.path}: {counted(self._n_damaged, 'damaged image')} skipped.")
-        if self._n_backward:
-            notes.append(f"{self.path}: {counted(self._n_backward, 'image')} with a repeated or backward time skipped.")
-        return tuple(notes)
+        skipped = (
+            (self._bag.n_damaged, "damaged part", "of the file "),
+            (self._n_damaged, "damaged image", ""),
+            (self._n_backward, "image", "with a repeated or backward time "),
+        )
+        end = [f"{self._bag.end_problem}; the images before that were used."] if self._bag.end_problem else []
+        notes = end + [f"{counted(n, noun)} {clause}skipped." for n, noun, clause in skipped if n]
+        return (*self._setup_notes, *(f"{self.path}: {note}" for note in notes))
 
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
         """See `RecordedVideo.frames`; reading ends where the file is cut off."""
@@ -118,8 +112,8 @@ class BagVideo(RecordedVideo):
         recorded_from_s = 0.0 if decoder.is_video else from_s - _MAX_LATENCY_S  # a video is decoded from its start
         for number, recorded_s, data in self._bag.messages(self._topic.name, recorded_from_s):
             try:
-                stamp_s = self._time_s(decoder.stamp_s(data), recorded_s)
-                time_s = strictly_later(stamp_s, last_s, interval_s=1 / self.fps)
+                stamp_s, message = decoder.message(data)
+                time_s = strictly_later(stamp_s if self._uses_headers else recorded_s, last_s, interval_s=1 / self.fps)
                 if time_s is None:
                     self._n_backward += 1
                     continue
@@ -129,44 +123,34 @@ class BagVideo(RecordedVideo):
                 is_before = time_s < from_s - TIME_EPSILON_S
                 if is_before and not decoder.is_video:
                     continue
-                image = decoder.decode(data)[1]
+                image = decoder.image(message)
             except DamagedError:
                 self._n_damaged += 1
                 continue
             if image is not None and not is_before:
-                yield VideoFrame(number, time_s, self._checked(image))
+                self.check_size(image.shape[1::-1], " like the first one", "use --duration")
+                yield VideoFrame(number, time_s, image)
 
     def check_unchanged(self) -> None:
         """See `RecordedVideo`."""
         for file, state in self._states.items():
-            change = state.change_of(file)
-            if change:
-                raise VideoError(f"{file}: the file was {change} while it was read; repeat the run.")
-
-    def _time_s(self, stamp_s: float, recorded_s: float) -> float:
-        return stamp_s if self._uses_headers else recorded_s
+            state.check_unchanged(file)
 
     def _chosen_topic(self) -> Topic:
         """The topic of the name, or the only one with images."""
-        topics = self._bag.topics
-        if self.path.topic is None:
-            images = [topic for topic in topics.values() if topic.type in IMAGE_TYPES]
+        topics, listed = self._bag.topics, topic_list(self._bag, IMAGE_TYPES)
+        name = self.path.topic
+        if name is None:
+            images = [topic.name for topic in topics.values() if topic.type in IMAGE_TYPES]
             if len(images) != 1:
-                problem = (
-                    f"expected --topics with the topics of the images, found {topic_list(self._bag, IMAGE_TYPES)}."
-                )
-                raise VideoError(f"{self.path.path}: {problem}")
-            return self._checked_topic(images[0])
-        if self.path.topic not in topics:
+                raise VideoError(f"{self.path}: expected --topics with the topics of the images, found {listed}.")
+            name = images[0]
+        if name not in topics:
             end = f", {self._bag.end_problem}" if self._bag.end_problem else ""
-            raise VideoError(f"{self.path}: no such topic; found {topic_list(self._bag, IMAGE_TYPES)}{end}.")
-        return self._checked_topic(topics[self.path.topic])
-
-    def _checked_topic(self, topic: Topic) -> Topic:
+            raise VideoError(f"{self.path}: no such topic; found {listed}{end}.")
+        topic = topics[name]
         if topic.type not in IMAGE_TYPES:
-            raise VideoError(
-                f"{self.path}: expected images, found {topic.type}; found {topic_list(self._bag, IMAGE_TYPES)}."
-            )
+            raise VideoError(f"{self.path}: expected images, found {topic.type}; found {listed}.")
         if not is_readable(topic):
             raise VideoError(
                 f"{self.path}: expected messages encoded in CDR, ROS 1 or protobuf, got {shortened(topic.encoding)}; "
@@ -181,9 +165,9 @@ class BagVideo(RecordedVideo):
         problem = "no messages"
         for _, recorded_s, data in itertools.islice(self._bag.messages(self._topic.name, 0.0), _N_FIRST):
             try:
-                if first is None:
-                    _, first = decoder.decode(data)
-                times_s.append((decoder.stamp_s(data), recorded_s))
+                stamp_s, message = decoder.message(data)
+                first = decoder.image(message) if first is None else first
+                times_s.append((stamp_s, recorded_s))
             except DamagedError as error:
                 problem = str(error) if problem == "no messages" else problem
         if first is None:
@@ -191,16 +175,7 @@ class BagVideo(RecordedVideo):
         self._uses_headers = any(stamp_s > 0 for stamp_s, _ in times_s)  # a simulation may begin at 0
         if not self._uses_headers:
             self._setup_notes.append(f"{self.path}: images without time stamps; the times of recording are used.")
-        return first, [self._time_s(*pair) for pair in times_s]
-
-    def _checked(self, image: Image) -> Image:
-        height_px, width_px = image.shape[:2]
-        if (width_px, height_px) != (self.width_px, self.height_px):
-            raise VideoError(
-                f"{self.path}: expected images of {self.width_px}x{self.height_px} px like the first one, got "
-                f"{width_px}x{height_px}; use --duration."
-            )
-        return image
+        return first, [stamp_s if self._uses_headers else recorded_s for stamp_s, recorded_s in times_s]
 
     def _calibration(self) -> CameraInfo | None:
         """The first message of the calibration topic beside the images: /left/image_raw -> /left/camera_info."""
@@ -219,7 +194,3 @@ class BagVideo(RecordedVideo):
                     self._setup_notes.append(f"Using calibration {topic.name} of {self.path.path}.")
                     return camera
         return None
-
-
-def _files_of(path: Path) -> list[Path]:
-    return [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]

@@ -1,52 +1,38 @@
-"""Bag: messages by topic in one file of any of the formats MCAP, ROS 2 (SQLite) and ROS 1."""
+"""Bag: messages by topic in files of the formats MCAP, ROS 2 (SQLite) and ROS 1, and what their readers share.
+
+rosbags' AnyReader refuses MCAP files with Foxglove's messages, files that are cut off and unusual suffixes, and it does
+not see the journal that a killed recorder leaves. So each format has one reader here, for whole files and for cut ones.
+"""
 
 from __future__ import annotations
 
 import bz2
 import sqlite3
 import struct
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import NoReturn, Protocol
+from typing import Any, NoReturn, Protocol
 
 from track_range.foundation.files.input_files import shortened
 from track_range.recording.frame import VideoError
 
+EXPECTED = "an MCAP file or ROS bag"
+
 MAX_RECORD_BYTES = 2**29
 """Size limit, bytes, of a record, compressed or not; chunks usually have 1 to 10 MB, the largest raw image 200 MB."""
 
-_MAX_TYPE = 100
-"""Largest number of characters of the name of a message type."""
-
-SCAN_BYTES = 500_000_000
-"""Number of bytes of a file without an index that are searched for topics."""
-
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-"""First bytes of data compressed with zstd."""
-
-_HOW_TO_INSTALL = "install it with pip install 'track-range[mcap]'"
 
 
-class DamagedError(Exception):
+class DamagedError(ValueError):
     """A record cannot be read; the text gives the reason."""
 
 
 DAMAGE = (
-    DamagedError,
-    ArithmeticError,
-    AttributeError,
-    EOFError,
-    LookupError,
-    MemoryError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    struct.error,
-    sqlite3.DatabaseError,
-    zlib.error,
+    *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError, RuntimeError, TypeError),
+    *(ValueError, struct.error, sqlite3.DatabaseError),
 )
 """Errors of readers and decompressors in damaged files."""
 
@@ -84,24 +70,21 @@ class Bag(Protocol):
     @property
     def end_problem(self) -> str:
         """Reason why reading ended early; empty = it did not."""
-        ...
 
     @property
     def n_damaged(self) -> int:
         """Number of damaged parts that were skipped."""
-        ...
 
     def messages(self, topic: str, from_s: float) -> Iterator[tuple[int, float, bytes]]:
         """Number, from 0, time of recording in s, and content of the messages of a topic in the order of the file.
 
         Messages before `from_s` may be left out, but are counted.
         """
-        ...
 
 
 def ros2_type(name: str) -> str:
     """Name of a message type as ROS 2 writes it, printable: sensor_msgs/Image -> sensor_msgs/msg/Image."""
-    name = shortened(name, _MAX_TYPE)
+    name = shortened(name, 100)
     package, _, short = name.partition("/")
     return f"{package}/msg/{short}" if short and "/" not in short else name
 
@@ -120,50 +103,34 @@ def decompressed(data: bytes, compression: str, n_bytes: int) -> bytes:
     """
     if n_bytes > MAX_RECORD_BYTES:
         raise DamagedError("chunk too large")
-    if compression in ("", "none"):
-        content = data
-    elif compression == "bz2":
+    content = data
+    if compression == "bz2":
         content = bz2.BZ2Decompressor().decompress(data, max_length=n_bytes + 1)
-    elif compression in ("lz4", "zstd"):
-        content = _decompressed_by_library(data, compression, n_bytes)
-    else:
+    elif compression == "lz4":
+        content = library("lz4.frame").LZ4FrameDecompressor().decompress(data, max_length=n_bytes + 1)
+    elif compression == "zstd":
+        zstandard = library("zstandard")
+        try:
+            content = zstandard.ZstdDecompressor().stream_reader(data).read(n_bytes + 1)
+        except zstandard.ZstdError as error:
+            raise DamagedError("compressed chunk") from error
+    elif compression not in ("", "none"):
         raise DamagedError(f"unknown compression {compression[:20]}")
     if len(content) != n_bytes:
         raise DamagedError("size of a chunk")
     return content
 
 
-def _decompressed_by_library(data: bytes, compression: str, n_bytes: int) -> bytes:
-    try:
-        if compression == "lz4":
-            from lz4.frame import LZ4FrameDecompressor
-
-            return bytes(LZ4FrameDecompressor().decompress(data, max_length=n_bytes + 1))
-        import zstandard
-    except ImportError as error:
-        missing_library(error)
-    try:
-        return zstandard.ZstdDecompressor().stream_reader(data).read(n_bytes + 1)
-    except zstandard.ZstdError as error:
-        raise DamagedError("compressed chunk") from error
-
-
-def zstd_content_size(data: bytes) -> int | None:
-    """Size of the content that the header of a zstd frame announces; None = not stated.
+def library(name: str) -> Any:
+    """A module of the extra [mcap].
 
     Raises:
-        DamagedError: no header.
-        VideoError: the library is missing.
+        VideoError: it is not installed.
     """
     try:
-        import zstandard
+        return import_module(name)
     except ImportError as error:
         missing_library(error)
-    try:
-        n_bytes = zstandard.frame_content_size(data)
-    except zstandard.ZstdError as error:
-        raise DamagedError("compressed message") from error
-    return None if n_bytes < 0 else n_bytes
 
 
 def missing_library(error: ImportError) -> NoReturn:
@@ -172,4 +139,6 @@ def missing_library(error: ImportError) -> NoReturn:
     Raises:
         VideoError: always.
     """
-    raise VideoError(f"MCAP files and ROS bags require the package {error.name}: {_HOW_TO_INSTALL}.") from error
+    raise VideoError(
+        f"MCAP files and ROS bags require the package {error.name}: install it with pip install 'track-range[mcap]'."
+    ) from error

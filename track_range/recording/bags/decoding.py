@@ -15,15 +15,7 @@ from av.video.codeccontext import VideoCodecContext
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import MAX_PIXELS, decode_image
 from track_range.foundation.files.input_files import quoted
-from track_range.recording.bags.container import (
-    DAMAGE,
-    ZSTD_MAGIC,
-    DamagedError,
-    Topic,
-    decompressed,
-    missing_library,
-    zstd_content_size,
-)
+from track_range.recording.bags.container import DAMAGE, ZSTD_MAGIC, DamagedError, Topic, decompressed, library
 from track_range.recording.frame import bgr_image
 from track_range.stereo.rig_formats.camera_info import CameraInfo
 
@@ -71,42 +63,36 @@ def is_readable(topic: Topic) -> bool:
 
 
 class ImageDecoder:
-    """Decodes the image messages of one topic, in order.
-
-    Args:
-        topic: the topic, of one of `IMAGE_TYPES`.
-    """
+    """Decodes the image messages of one topic, of one of `IMAGE_TYPES`, in order."""
 
     def __init__(self, topic: Topic) -> None:
         self.is_video = topic.type in VIDEO_TYPES
         self._topic = topic
-        self._message = message_reader(topic)
+        self._parsed = _message_reader(topic)
         self._codec: VideoCodecContext | None = None
 
-    def stamp_s(self, data: bytes) -> float:
-        """Time stamp of a message, seconds since 1970; 0 = none."""
-        return _stamp_s(self._parsed(data))
-
-    def decode(self, data: bytes) -> tuple[float, Image | None]:
-        """Time stamp of a message, and its image as (H, W, 3) uint8 BGR; None = a video frame that yields no image.
+    def message(self, data: bytes) -> tuple[float, Any]:
+        """Time stamp of a message in seconds since 1970, 0 = none, and the parsed message.
 
         Raises:
-            DamagedError: the message or its image cannot be read.
+            DamagedError: it cannot be read.
         """
-        message = self._parsed(data)
         try:
-            return _stamp_s(message), self._image(message)
+            message = self._parsed(data)
+            return _stamp_s(message), message
+        except Exception as error:  # protobuf's and rosbags' errors derive from Exception
+            raise DamagedError(f"no {self._topic.type}") from error
+
+    def image(self, message: Any) -> Image | None:
+        """The image of a message as (H, W, 3) uint8 BGR; None = a video frame that yields no image.
+
+        Raises:
+            DamagedError: it cannot be read.
+        """
+        try:
+            return self._image(message)
         except (*DAMAGE, cv2.error, av.FFmpegError) as error:
             raise DamagedError(str(error)[:80]) from error
-
-    def _parsed(self, data: bytes) -> Any:
-        try:
-            return self._message(data)
-        except DAMAGE as error:
-            raise DamagedError(f"no {self._topic.type}") from error
-        except Exception as error:
-            # google.protobuf.message.DecodeError and rosbags' errors derive from Exception
-            raise DamagedError(f"no {self._topic.type}") from error
 
     def _image(self, message: Any) -> Image | None:
         name = str(message.encoding if self._topic.type in RAW_TYPES else message.format)
@@ -115,9 +101,8 @@ class ImageDecoder:
         if self._topic.type in RAW_TYPES:
             return _raw_image(message)
         content = bytes(message.data)
-        return self._video_image(name, content) if self.is_video else _compressed_image(content)
-
-    def _video_image(self, name: str, content: bytes) -> Image | None:
+        if not self.is_video:
+            return _compressed_image(content)
         if self._codec is None:
             codec = _VIDEO_CODECS.get(name.lower())
             if codec is None:
@@ -129,12 +114,8 @@ class ImageDecoder:
         return bgr_image(frames[-1]) if frames else None
 
 
-def message_reader(topic: Topic) -> Callable[[bytes], Any]:
-    """Function that parses the messages of a topic.
-
-    Raises:
-        VideoError: a library is missing.
-    """
+def _message_reader(topic: Topic) -> Callable[[bytes], Any]:
+    """Function that parses the messages of a topic; a VideoError = a library is missing."""
     if topic.encoding == "protobuf":
         return _protobuf_reader(topic.type, topic.definition)
     return _ros_reader(topic.type, topic.encoding, topic.definition)
@@ -142,15 +123,13 @@ def message_reader(topic: Topic) -> Callable[[bytes], Any]:
 
 @cache
 def _protobuf_reader(name: str, definition: bytes) -> Callable[[bytes], Any]:
-    try:
-        from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-    except ImportError as error:
-        missing_library(error)
+    descriptor_pb2, descriptor_pool, message_factory = (
+        library(f"google.protobuf.{part}") for part in ("descriptor_pb2", "descriptor_pool", "message_factory")
+    )
     pool = descriptor_pool.DescriptorPool()
     try:
-        files = descriptor_pb2.FileDescriptorSet.FromString(definition).file
-        for file in files:
-            pool.Add(file)  # type: ignore[no-untyped-call, unused-ignore]
+        for file in descriptor_pb2.FileDescriptorSet.FromString(definition).file:
+            pool.Add(file)
         parsed: Callable[[bytes], Any] = message_factory.GetMessageClass(pool.FindMessageTypeByName(name)).FromString
     except Exception as error:  # protobuf raises its own errors, TypeError and KeyError
         raise DamagedError(f"schema of {name}") from error
@@ -159,14 +138,12 @@ def _protobuf_reader(name: str, definition: bytes) -> Callable[[bytes], Any]:
 
 @cache
 def _ros_reader(name: str, encoding: str, definition: bytes) -> Callable[[bytes], Any]:
-    try:
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-    except ImportError as error:
-        missing_library(error)
-    store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
+    typesys = library("rosbags.typesys")
+    stores = typesys.Stores
+    store = typesys.get_typestore(stores.ROS1_NOETIC if encoding == "ros1" else stores.ROS2_HUMBLE)
     if name not in store.types:
         try:
-            store.register(get_types_from_msg(definition.decode(), name))
+            store.register(typesys.get_types_from_msg(definition.decode(), name))
         except Exception as error:  # the errors of the parser derive from Exception
             raise DamagedError(f"schema of {name}") from error
     if encoding == "ros1":
@@ -178,8 +155,8 @@ def _uncompressed(data: bytes) -> bytes:
     """A CDR message, which rosbag2 may have compressed (compression mode MESSAGE); CDR starts with a zero byte."""
     if not data.startswith(ZSTD_MAGIC):
         return data
-    n_bytes = zstd_content_size(data)
-    if n_bytes is None:
+    n_bytes = library("zstandard").frame_content_size(data)
+    if n_bytes < 0:
         raise DamagedError("compressed message of unknown size")
     return decompressed(data, "zstd", n_bytes)
 
@@ -230,7 +207,7 @@ def camera_message(topic: Topic, data: bytes) -> CameraInfo:
         DamagedError: it cannot be read.
     """
     try:
-        message = message_reader(topic)(data)
+        message = _message_reader(topic)(data)
         values = {name: getattr(message, name, getattr(message, name.upper(), ())) for name in "dkrp"}
         k, r, p = (np.array([float(value) for value in values[name]]) for name in "krp")
         r, p = r if r.any() else np.eye(3).ravel(), p if p.any() else np.insert(k.reshape(3, 3), 3, 0.0, axis=1).ravel()

@@ -7,30 +7,30 @@ Format: http://wiki.ros.org/Bags/Format/2.0
 
 from __future__ import annotations
 
+import io
 import struct
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
 from track_range.foundation.files.input_files import open_regular
-from track_range.recording.bags.container import DAMAGE, MAX_RECORD_BYTES, DamagedError, Topic, decompressed, ros2_type
-from track_range.recording.bags.mcap_file import EXPECTED
+from track_range.recording.bags.container import (
+    DAMAGE,
+    EXPECTED,
+    MAX_RECORD_BYTES,
+    DamagedError,
+    Topic,
+    decompressed,
+    ros2_type,
+)
 from track_range.recording.frame import VideoError
 
 MAGIC = b"#ROSBAG V2.0\n"
 
-_MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
+_MESSAGE, _CHUNK, _CONNECTION = b"\x02", b"\x05", b"\x07"
 """Operation codes of records."""
-
-
-@dataclass(frozen=True, slots=True)
-class _ChunkInfo:
-    """Place of a chunk, time of its last message in s, and number of messages by connection."""
-
-    offset: int
-    end_s: float
-    counts: dict[int, int]
 
 
 class Ros1File:
@@ -44,7 +44,7 @@ class Ros1File:
         self.path, self.end_problem, self.n_damaged = path, "", 0
         self.topics: dict[str, Topic] = {}
         self._topic_of: dict[int, str] = {}
-        self._chunks: list[_ChunkInfo] = []
+        self._chunks: list[tuple[int, float, dict[int, int]]] = []  # place, last time in s, messages by connection
         with open_regular(path, VideoError, EXPECTED) as file:
             try:
                 self._read_index(file)
@@ -52,7 +52,7 @@ class Ros1File:
                 self._chunks = []
             if not self._chunks:
                 self.topics, self._topic_of = {}, {}
-                for _ in self._in_sequence(file, None):
+                for _ in self._in_sequence(file, ""):
                     pass
                 self.end_problem = ""  # reported when the messages are read
 
@@ -62,25 +62,23 @@ class Ros1File:
         file.seek(_number(header[b"index_pos"]))
         for _ in range(_number(header[b"conn_count"])):
             self._add_connection(*_record(file))
-        chunks, counts = [], dict[str, int]()
+        counts = Counter[str]()
         for _ in range(_number(header[b"chunk_count"])):
             fields, data = _record(file)
             by_connection = dict(struct.iter_unpack("<II", data))
-            chunks.append(_ChunkInfo(_number(fields[b"chunk_pos"]), _time_s(fields[b"end_time"]), by_connection))
+            self._chunks.append((_number(fields[b"chunk_pos"]), _time_s(fields[b"end_time"]), by_connection))
             for connection, n_messages in by_connection.items():
-                name = self._topic_of[connection]
-                counts[name] = counts.get(name, 0) + n_messages
-        for name, topic in self.topics.items():
-            self.topics[name] = replace(topic, n_messages=counts.get(name, 0))
-        self._chunks = sorted(chunks, key=lambda chunk: chunk.offset)
+                counts[self._topic_of[connection]] += n_messages
+        self.topics = {name: replace(topic, n_messages=counts[name]) for name, topic in self.topics.items()}
+        self._chunks.sort(key=lambda chunk: chunk[0])
 
     def _add_connection(self, header: dict[bytes, bytes], data: bytes) -> None:
-        if header[b"op"][0] != _CONNECTION:
+        if header[b"op"] != _CONNECTION:
             raise DamagedError("no connection")
         fields, name = _fields(data), header[b"topic"].decode()
         self._topic_of[_number(header[b"conn"])] = name
-        kind = ros2_type(fields[b"type"].decode())
-        self.topics.setdefault(name, Topic(name, kind, "ros1", fields.get(b"message_definition", b""), None))
+        type_name = ros2_type(fields[b"type"].decode())
+        self.topics.setdefault(name, Topic(name, type_name, "ros1", fields.get(b"message_definition", b""), None))
 
     def messages(self, topic: str, from_s: float) -> Iterator[tuple[int, float, bytes]]:
         """Number, time and content of the messages of a topic; see `Bag.messages`."""
@@ -88,18 +86,17 @@ class Ros1File:
         connections = {connection for connection, name in self._topic_of.items() if name == topic}
         with open_regular(self.path, VideoError, EXPECTED) as file:
             if not self._chunks:
-                for time_s, data in self._in_sequence(file, topic):
+                for number, (time_s, data) in enumerate(self._in_sequence(file, topic)):
                     yield number, time_s, data
-                    number += 1
                 return
-            for chunk in self._chunks:
-                n_messages = sum(chunk.counts.get(connection, 0) for connection in connections)
-                if not n_messages or chunk.end_s < from_s:
+            for offset, end_s, counts in self._chunks:
+                n_messages = sum(counts.get(connection, 0) for connection in connections)
+                if not n_messages or end_s < from_s:
                     number += n_messages
                     continue
                 try:
-                    file.seek(chunk.offset)
-                    messages = list(self._of_chunk(*_record(file), topic))
+                    file.seek(offset)
+                    messages = list(self._messages_in(*_record(file), topic))
                 except DAMAGE:
                     self.n_damaged += 1
                     number += n_messages
@@ -108,29 +105,27 @@ class Ros1File:
                     yield number, time_s, data
                     number += 1
 
-    def _of_chunk(self, header: dict[bytes, bytes], data: bytes, topic: str | None) -> Iterator[tuple[float, bytes]]:
+    def _messages_in(self, header: dict[bytes, bytes], data: bytes, topic: str) -> Iterator[tuple[float, bytes]]:
         """Time and content of the messages of a topic in a chunk; connections are collected."""
-        content = memoryview(decompressed(data, header[b"compression"].decode(), _number(header[b"size"])))
-        position = 0
-        while position < len(content):
-            fields, start, end = _record_in(content, position)
-            position = end
-            if fields[b"op"][0] == _CONNECTION:
-                self._add_connection(fields, bytes(content[start:end]))
-            elif fields[b"op"][0] == _MESSAGE and topic and self._topic_of.get(_number(fields[b"conn"])) == topic:
-                yield _time_s(fields[b"time"]), bytes(content[start:end])
+        content = decompressed(data, header[b"compression"].decode(), _number(header[b"size"]))
+        records = io.BytesIO(content)
+        while records.tell() < len(content):
+            fields, data = _record(records)
+            if fields[b"op"] == _CONNECTION:
+                self._add_connection(fields, data)
+            elif fields[b"op"] == _MESSAGE and topic and self._topic_of.get(_number(fields[b"conn"])) == topic:
+                yield _time_s(fields[b"time"]), data
 
-    def _in_sequence(self, file: BinaryIO, topic: str | None) -> Iterator[tuple[float, bytes]]:
+    def _in_sequence(self, file: BinaryIO, topic: str) -> Iterator[tuple[float, bytes]]:
         """Time and content of the messages of a topic from the beginning to the first damaged record."""
-        file.seek(len(MAGIC))
         n_bytes = file.seek(0, 2)
         file.seek(len(MAGIC))
         try:
             while file.tell() < n_bytes:
                 header, data = _record(file)
-                if header[b"op"][0] == _CHUNK:
-                    yield from self._of_chunk(header, data, topic)
-                elif header[b"op"][0] == _CONNECTION:
+                if header[b"op"] == _CHUNK:
+                    yield from self._messages_in(header, data, topic)
+                elif header[b"op"] == _CONNECTION:
                     self._add_connection(header, data)
         except DAMAGE:
             self.end_problem = f"the file is cut off or damaged after {file.tell() / 1e6:.1f} MB"
@@ -138,8 +133,7 @@ class Ros1File:
 
 def _record(file: BinaryIO) -> tuple[dict[bytes, bytes], bytes]:
     """Header and data of the record at the position of the file."""
-    header = _fields(_block(file))
-    return header, _block(file)
+    return _fields(_block(file)), _block(file)
 
 
 def _block(file: BinaryIO) -> bytes:
@@ -150,16 +144,6 @@ def _block(file: BinaryIO) -> bytes:
     if len(block) < length:
         raise DamagedError("cut off")
     return block
-
-
-def _record_in(content: memoryview, position: int) -> tuple[dict[bytes, bytes], int, int]:
-    """Header of the record at a position of a chunk, and the start and end of its data."""
-    (n_header,) = struct.unpack_from("<I", content, position)
-    start = position + 4 + n_header
-    (n_data,) = struct.unpack_from("<I", content, start)
-    if start + 4 + n_data > len(content):
-        raise DamagedError("record too long")
-    return _fields(bytes(content[position + 4 : start])), start + 4, start + 4 + n_data
 
 
 def _fields(header: bytes) -> dict[bytes, bytes]:

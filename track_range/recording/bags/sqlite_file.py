@@ -9,8 +9,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from track_range.foundation.files.input_files import check_regular
-from track_range.recording.bags.container import DAMAGE, Topic, ros2_type
-from track_range.recording.bags.mcap_file import EXPECTED
+from track_range.recording.bags.container import DAMAGE, EXPECTED, Topic, ros2_type
 from track_range.recording.frame import VideoError
 
 _MESSAGES = "SELECT timestamp, CASE WHEN timestamp >= ? THEN data END FROM messages WHERE topic_id = ? ORDER BY id"
@@ -32,10 +31,10 @@ class SqliteFile:
         try:
             with closing(self._connected()) as database:
                 rows = database.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
-                for number, name, kind, encoding in rows:
-                    self._ids[str(name)] = int(number)
+                for topic_id, name, type_name, encoding in rows:
+                    self._ids[str(name)] = int(topic_id)
                     self.topics[str(name)] = Topic(
-                        str(name), ros2_type(str(kind)), str(encoding), b"", self._count(database, int(number))
+                        str(name), ros2_type(str(type_name)), str(encoding), b"", _count(database, int(topic_id))
                     )
         except DAMAGE as error:
             raise VideoError(
@@ -58,13 +57,6 @@ class SqliteFile:
         database.execute("PRAGMA writable_schema=ON")
         return database
 
-    def _count(self, database: sqlite3.Connection, topic_id: int) -> int | None:
-        try:
-            (count,) = database.execute("SELECT COUNT(*) FROM messages WHERE topic_id = ?", (topic_id,)).fetchone()
-        except sqlite3.DatabaseError:
-            return None
-        return int(count)
-
     def messages(self, topic: str, from_s: float) -> Iterator[tuple[int, float, bytes]]:
         """Number, time and content of the messages of a topic; see `Bag.messages`."""
         self.end_problem, number, from_ns = "", 0, int(max(from_s, 0.0) * 1e9)
@@ -76,3 +68,11 @@ class SqliteFile:
                     number += 1
             except DAMAGE as error:
                 self.end_problem = f"the file is cut off or damaged after {number} messages ({type(error).__name__})"
+
+
+def _count(database: sqlite3.Connection, topic_id: int) -> int | None:
+    try:
+        (count,) = database.execute("SELECT COUNT(*) FROM messages WHERE topic_id = ?", (topic_id,)).fetchone()
+    except sqlite3.DatabaseError:
+        return None
+    return int(count)

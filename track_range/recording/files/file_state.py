@@ -73,6 +73,15 @@ class FileState:
         is_other = n_different > (_N_SAMPLES // 4 if present.n_bytes > self.n_bytes else 0)
         return "replaced or overwritten" if is_other else ""
 
+    def check_unchanged(self, path: Path) -> None:
+        """Check that the file with this path is the same one; see `change_of`.
+
+        Raises:
+            VideoError: it was replaced, shortened or overwritten.
+        """
+        if change := self.change_of(path):
+            raise VideoError(f"{path}: the file was {change} while it was read; repeat the run with the complete file.")
+
     def has_grown(self, path: Path) -> bool:
         """Whether the file with this path is larger than before."""
         try:

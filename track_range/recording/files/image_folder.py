@@ -97,7 +97,7 @@ class ImageFolder(RecordedVideo):
                 continue
             last_s = time_s
             if from_s - TIME_EPSILON_S <= time_s < until_s - TIME_EPSILON_S:
-                yield VideoFrame(number - first_number, time_s, self._checked(path))
+                yield VideoFrame(number - first_number, time_s, self._image(path))
 
     def check_unchanged(self) -> None:
         """See `RecordedVideo.check_unchanged`; an image that was still being written may have grown."""
@@ -109,19 +109,15 @@ class ImageFolder(RecordedVideo):
             if status.st_size < n_bytes or (status.st_size == n_bytes and status.st_mtime_ns != modified_ns):
                 raise VideoError(f"{path}: the image was overwritten while the folder was read; repeat the run.")
 
-    def _checked(self, path: Path) -> Image:
+    def _image(self, path: Path) -> Image:
         first, self._first_image = self._first_image, None
-        if first is None or path != self._images[0][1]:
-            if not path.exists():
-                raise VideoError(f"{path}: the image was deleted or moved while the folder was read; repeat the run.")
-            first = _decoded(path)
-        image = first
-        height_px, width_px = image.shape[:2]
-        if (width_px, height_px) != (self.width_px, self.height_px):
-            raise VideoError(
-                f"{path}: expected {self.width_px}x{self.height_px} px like the first image, got "
-                f"{width_px}x{height_px}; a folder must contain the images of one camera."
-            )
+        if first is not None and path == self._images[0][1]:
+            return first
+        if not path.exists():
+            raise VideoError(f"{path}: the image was deleted or moved while the folder was read; repeat the run.")
+        image = _decoded(path)
+        advice = "a folder must contain the images of one camera"
+        self.check_size(image.shape[1::-1], " like the first image", advice, path)
         return image
 
 

@@ -91,13 +91,13 @@ class VideoFile(RecordedVideo):
         if stream.sample_aspect_ratio not in (None, 0, 1):
             self._file_notes.append(f"{path}: pixels are not square; the images are used as stored.")
 
-        self._first = next(self._reading, None)
+        self._first = next(iter(self._reading), None)
         if self._first is None:
             raise VideoError(
                 f"{path}: no frame can be decoded; the video is damaged or truncated, or its images have more than "
                 f"{MAX_PIXELS // 10**6} megapixels."
             )
-        self.first_time_s = self._first.time_s
+        _, self.first_time_s, frame = self._first
         self.metadata = {**container.metadata, **stream.metadata}
         self._stamps = stamp_in_header(self.metadata), stamp_in_name(path.name)
 
@@ -107,11 +107,11 @@ class VideoFile(RecordedVideo):
         if self.n_total is None and declared_s:
             self.n_total = max(1, round((self._declared_end_s - self.first_time_s) * self.fps))
 
-        self._axes = _display_axes(self._first.frame)
+        self._axes = _display_axes(frame)
         self.is_upright_file = self._axes == _UPRIGHT
         if not self.is_upright_file:
             self._file_notes.append(f"{path}: rotated upright according to its metadata.")
-        image = _YuvImage(self._first.frame, self._axes).to_bgr()
+        image = _YuvImage(frame, self._axes).to_bgr()
         self.height_px, self.width_px = image.shape[:2]
         self.is_grey = is_neutral(image)
 
@@ -141,28 +141,22 @@ class VideoFile(RecordedVideo):
         self._log = reading.log
         with closing(reading):
             reading.skip_to(from_s)
-            for timed in itertools.chain(() if first is None else (first,), reading):
-                if timed.time_s >= until_s - TIME_EPSILON_S:
+            for index, time_s, frame in itertools.chain(() if first is None else (first,), reading):
+                if time_s >= until_s - TIME_EPSILON_S:
                     return
-                if timed.time_s >= from_s - TIME_EPSILON_S:
+                if time_s >= from_s - TIME_EPSILON_S:
                     self._log.n_used += 1
-                    decoded = _YuvImage(timed.frame, self._axes)
-                    self._check_size(decoded)
-                    yield VideoFrame(timed.index, timed.time_s, decoded.to_bgr(), decoded)
+                    decoded = _YuvImage(frame, self._axes)
+                    if decoded.size_px != (self.width_px, self.height_px):
+                        advice = f"cut the video after {counted(self._log.n_used - 1, 'frame')}, or use --duration"
+                        self.check_size(decoded.size_px, "", advice)
+                    yield VideoFrame(index, time_s, decoded.to_bgr(), decoded)
         self._log.note_shortfall(self._declared_end_s, tolerance_s=_SHORTFALL_FRAMES / self.fps)
 
     def check_unchanged(self) -> None:
         """See `RecordedVideo`."""
-        _check_unchanged(self.path, self._state)
+        self._state.check_unchanged(self.path)
         self._has_grown = self._state.has_grown(self.path)
-
-    def _check_size(self, image: _YuvImage) -> None:
-        width_px, height_px = image.size_px
-        if (width_px, height_px) != (self.width_px, self.height_px):
-            raise VideoError(
-                f"{self.path}: expected images of {self.width_px}x{self.height_px} px, got {width_px}x{height_px} "
-                f"after {counted(self._log.n_used - 1, 'frame')}; cut the video there, or use --duration."
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,13 +208,13 @@ def count_packets(path: Path) -> tuple[int, float]:
         VideoError: the file cannot be read.
     """
     with closing(_Reading(path, FileState.of(path))) as reading:
-        n_frames, stamps = 0, list[int]()
+        n_frames, first, last = 0, math.inf, -math.inf
         for packet in reading.packets:
             if packet is not None and packet.size and not packet.is_discard:
                 n_frames += 1
-                stamps = [*stamps, *([] if packet.pts is None else [packet.pts])]
-                stamps = [min(stamps), max(stamps)] if stamps else []
-        span_s = float((stamps[1] - stamps[0]) * reading.time_base) if len(stamps) > 1 else 0.0
+                if packet.pts is not None:
+                    first, last = min(first, packet.pts), max(last, packet.pts)
+        span_s = float(int(last - first) * reading.time_base) if last > first else 0.0
         return n_frames, span_s + 1 / reading.fps
 
 
@@ -242,15 +236,6 @@ def compressed_frames(path: Path, *, last_s: float | None = None) -> Generator[t
         for packet in reading.packets:
             if packet is not None and packet.size and not packet.is_discard and packet.pts is not None:
                 yield float(packet.pts * reading.time_base), bytes(packet)
-
-
-@dataclass(frozen=True, slots=True)
-class _TimedFrame:
-    """A decoded frame with its number in the file and its time."""
-
-    index: int
-    time_s: float
-    frame: av.VideoFrame
 
 
 class _Reading:
@@ -279,7 +264,6 @@ class _Reading:
         self._from_s = math.inf  # damaged frames before the requested part do not count
 
     def close(self) -> None:
-        """Close the file."""
         self.container.close()
 
     def _rate_hz(self) -> float:
@@ -310,13 +294,10 @@ class _Reading:
                 break
         self.packets = itertools.chain(waiting, self.packets)
 
-    def __iter__(self) -> Iterator[_TimedFrame]:
-        return self
-
-    def __next__(self) -> _TimedFrame:
+    def __iter__(self) -> Generator[tuple[int, float, av.VideoFrame], None, None]:
+        """Number, time and image of the frames that were not read yet."""
         interval_s, log = 1 / self.fps, self.log
-        while True:
-            frame = self._next_decoded()
+        while (frame := self._next_decoded()) is not None:
             stamp = (frame.dts if frame.pts is None else frame.pts) if self._is_stamped else None
             index = log.frame_index(stamp)
             stamp_s = None if stamp is None else float(stamp * self.time_base)
@@ -327,18 +308,19 @@ class _Reading:
             duration_s = float(frame.duration * self.time_base) if self._is_stamped else 0.0
             log.decoded(time_s, duration_s=duration_s or interval_s, interval_s=interval_s)
             if not (frame.is_corrupt or log.is_corrupt(stamp)):
-                return _TimedFrame(index, time_s, frame)
-            if time_s >= self._from_s:
+                yield index, time_s, frame
+            elif time_s >= self._from_s:
                 log.n_damaged += 1
 
-    def _next_decoded(self) -> av.VideoFrame:
-        """The next frame that can be decoded; None and an empty packet flush the decoder."""
+    def _next_decoded(self) -> av.VideoFrame | None:
+        """The next frame that can be decoded; None = the end of the file."""
         while not self._decoded:
-            packet = next(self.packets)
             try:
-                self._decoded.extend(self.stream.decode(packet))
+                self._decoded.extend(self.stream.decode(next(self.packets)))  # None flushes the decoder
+            except StopIteration:
+                return None
             except (av.FFmpegError, MemoryError):
-                _check_unchanged(self._path, self._state)
+                self._state.check_unchanged(self._path)
                 self.log.n_damaged += 1
         return self._decoded.popleft()
 
@@ -400,12 +382,6 @@ def _display_axes(frame: av.VideoFrame) -> tuple[int, int, int, int]:
     a, b, _, c, d = (int(sign) for sign in np.sign(np.frombuffer(bytes(side), np.int32)[:5]))
     is_right_angle = (a == d == 0 and b and c) or (b == c == 0 and a and d)
     return (a, b, c, d) if is_right_angle else _UPRIGHT
-
-
-def _check_unchanged(path: Path, state: FileState) -> None:
-    change = state.change_of(path)
-    if change:
-        raise VideoError(f"{path}: the file was {change} while it was read; repeat the run with the complete file.")
 
 
 def _open(path: Path) -> tuple[InputContainer, VideoStream]:

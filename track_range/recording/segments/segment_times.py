@@ -93,15 +93,18 @@ def arranged(
     _check_one_camera([file.path for file in files])
     by_name = sorted(files, key=lambda file: natural_key(file.path.name))
     clock, notes = _clock(by_name)
-    continuing = _continuing(by_name)
-    if continuing is not None:
-        is_agreed = clock is None or [file for file, _ in clock] == continuing
-        if is_agreed:
-            return _by_time_stamps(continuing, notes)
+    ordered, stamps_s = _continuing(by_name), tuple[float, ...]()
+    if ordered is not None and clock is not None and [file for file, _ in clock] != ordered:
+        ordered = None
         notes.append(
             f"{_first_name(by_name)}: the time stamps in the files contradict the dates of the files, which are used."
         )
-    if clock is None:
+    if ordered is not None:
+        pairs = itertools.pairwise(ordered)
+        starts_s = tuple(file.first_s for file in ordered)
+        gaps_s = [after.first_s - before.first_s - before.duration_s for before, after in pairs]
+        utc = start_of(ordered[0].in_header, ordered[0].in_name, ordered[0].duration_s)
+    elif clock is None:
         ordered = list(files) if is_given_order else by_name
         order = "given order" if is_given_order else "order of their names"
         notes.append(
@@ -109,15 +112,19 @@ def arranged(
         )
         gaps_s = [-repeated_s(one, other) for one, other in itertools.pairwise(ordered)]
         steps_s = (file.duration_s + gap_s for file, gap_s in zip(ordered, gaps_s, strict=False))
-        starts_s = itertools.accumulate(steps_s, initial=ordered[0].first_s)
+        starts_s = tuple(itertools.accumulate(steps_s, initial=ordered[0].first_s))
         # equal dates are those of a copy or of the end of an editor's work: they follow the recording
         utc = start_of(ordered[0].in_header, ordered[0].in_name, sum(file.duration_s for file in ordered))
-        return SegmentPlan(tuple(ordered), tuple(starts_s), (), utc, (*notes, *_cut_notes(ordered, gaps_s)))
-    if is_given_order and [file for file, _ in clock] != list(files):
-        notes.append(
-            f"{_first_name(files)}: the files were given in another order than that of their times, which is used."
-        )
-    return _by_clock(clock, notes, repeated_s)
+    else:
+        ordered, stamps_s = [file for file, _ in clock], tuple(stamp.time_s for _, stamp in clock)
+        if is_given_order and ordered != list(files):
+            notes.append(
+                f"{_first_name(files)}: the files were given in another order than that of their times, which is used."
+            )
+        starts_s, gaps_s = _dated_starts_s(ordered, stamps_s, repeated_s)
+        stamp, named = clock[0][1], ordered[0].in_name
+        utc = start_of(None if stamp is named else stamp, named, ordered[0].duration_s)
+    return SegmentPlan(tuple(ordered), starts_s, stamps_s, utc, (*notes, *_cut_notes(ordered, gaps_s)))
 
 
 def paired_starts_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
@@ -143,20 +150,15 @@ def paired_starts_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
         if _continuing(plan.facts) is None:
             return tuple(start_s + file.first_s - other.first_s for file, other, start_s in firsts_s)
     elif _continuing(plan.facts) is None or _continuing(left.facts) is None:
-        _check_equal_durations(plan, left)
+        durations_s = [sum(file.duration_s for file in side.facts) for side in (left, plan)]
+        shortest_s = min(file.duration_s for side in (left, plan) for file in side.facts)
+        if abs(durations_s[0] - durations_s[1]) > min(_EQUAL_DURATION_S, shortest_s / 2):  # a file is missing
+            raise VideoError(
+                f"{plan.facts[0].path.parent}: expected {counted(len(left.facts), 'file')} as in "
+                f"{left.facts[0].path.parent}, found {len(plan.facts)}, and not all have dates in their names or "
+                "headers; give the files that belong together, as in --stereo L1 R1 --stereo L2 R2."
+            )
     return plan.starts_s
-
-
-def _check_equal_durations(plan: SegmentPlan, left: SegmentPlan) -> None:
-    """Check that different numbers of undated left and right files cover the same time, so that no file is missing."""
-    durations_s = [sum(file.duration_s for file in side.facts) for side in (left, plan)]
-    shortest_s = min(file.duration_s for side in (left, plan) for file in side.facts)
-    if abs(durations_s[0] - durations_s[1]) > min(_EQUAL_DURATION_S, shortest_s / 2):
-        raise VideoError(
-            f"{plan.facts[0].path.parent}: expected {counted(len(left.facts), 'file')} as in "
-            f"{left.facts[0].path.parent}, found {len(plan.facts)}, and not all have dates in their names or headers; "
-            "give the files that belong together, as in --stereo L1 R1 --stereo L2 R2."
-        )
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
@@ -164,20 +166,16 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", name) if part]
 
 
-def _by_time_stamps(files: list[SegmentFacts], notes: list[str]) -> SegmentPlan:
-    starts_s = tuple(file.first_s for file in files)
-    gaps_s = [after.first_s - before.first_s - before.duration_s for before, after in itertools.pairwise(files)]
-    utc = start_of(files[0].in_header, files[0].in_name, files[0].duration_s)
-    return SegmentPlan(tuple(files), starts_s, (), utc, (*notes, *_cut_notes(files, gaps_s)))
+def _dated_starts_s(
+    files: Sequence[SegmentFacts], stamps_s: Sequence[float], repeated_s: Repeated
+) -> tuple[tuple[float, ...], list[float]]:
+    """Start times of files, and gaps after them, from dates with a resolution of 1 s.
 
-
-def _by_clock(clock: list[tuple[SegmentFacts, Stamp]], notes: list[str], repeated_s: Repeated) -> SegmentPlan:
-    """The plan from dates with a resolution of 1 s: jumps in time only where the dates or equal frames prove them."""
-    files = [file for file, _ in clock]
-    stamps_s = [stamp.time_s for _, stamp in clock]
-    start_s, starts_s, gaps_s = files[0].first_s, [files[0].first_s], []
+    Time jumps only where the dates or equal frames prove it.
+    """
+    starts_s, gaps_s = [files[0].first_s], list[float]()
     for number, (before, after) in enumerate(itertools.pairwise(files)):
-        end_s = start_s + before.duration_s
+        end_s = starts_s[-1] + before.duration_s
         dated_s = files[0].first_s + stamps_s[number + 1] - stamps_s[0]
         missing_s = stamps_s[number + 1] - stamps_s[number] - before.duration_s
         if missing_s < -_TOLERANCE_S:
@@ -190,30 +188,27 @@ def _by_clock(clock: list[tuple[SegmentFacts, Stamp]], notes: list[str], repeate
             gap_s = dated_s - end_s
         else:
             gap_s = max(0.0, dated_s - STAMP_RESOLUTION_S - end_s)
-        start_s = end_s + gap_s
-        starts_s.append(start_s)
+        starts_s.append(end_s + gap_s)
         gaps_s.append(gap_s)
-    stamp, named = clock[0][1], files[0].in_name
-    utc = start_of(None if stamp is named else stamp, named, files[0].duration_s)
-    return SegmentPlan(tuple(files), tuple(starts_s), tuple(stamps_s), utc, (*notes, *_cut_notes(files, gaps_s)))
+    return tuple(starts_s), gaps_s
 
 
 def _cut_notes(files: Sequence[SegmentFacts], gaps_s: Sequence[float]) -> list[str]:
     """Messages about gaps and overlaps between consecutive files."""
-    gaps = [(gap_s, file.path) for gap_s, file in zip(gaps_s, files, strict=False) if gap_s >= _NOTED_GAP_S]
-    overlaps = [(-gap_s, file.path) for gap_s, file in zip(gaps_s, files, strict=False) if gap_s <= -_NOTED_GAP_S]
+    places = list(zip(gaps_s, (file.path.name for file in files), strict=False))
+    gaps = [(gap_s, name) for gap_s, name in places if gap_s >= _NOTED_GAP_S]
+    overlaps = [(-gap_s, name) for gap_s, name in places if gap_s <= -_NOTED_GAP_S]
     notes = []
     if gaps:
-        longest_s, path = max(gaps)
-        total_s = sum(gap_s for gap_s, _ in gaps)
+        longest_s, name = max(gaps)
         notes.append(
-            f"{counted(len(gaps), 'gap')} between the files, {total_s:.1f} s in all, the longest {longest_s:.1f} s "
-            f"after {path.name}: nothing was recorded there."
+            f"{counted(len(gaps), 'gap')} between the files, {sum(gap_s for gap_s, _ in gaps):.1f} s in all, the "
+            f"longest {longest_s:.1f} s after {name}: nothing was recorded there."
         )
     if overlaps:
-        longest_s, path = max(overlaps)
+        longest_s, name = max(overlaps)
         notes.append(
-            f"{counted(len(overlaps), 'overlap')} between the files, the longest {longest_s:.1f} s after {path.name}: "
+            f"{counted(len(overlaps), 'overlap')} between the files, the longest {longest_s:.1f} s after {name}: "
             "frames that were recorded twice are skipped."
         )
     return notes
@@ -230,44 +225,47 @@ def _continuing(files: Sequence[SegmentFacts]) -> list[SegmentFacts] | None:
     return ordered if is_continuing else None
 
 
-def _clock(files: Sequence[SegmentFacts]) -> tuple[list[tuple[SegmentFacts, Stamp]] | None, list[str]]:
-    """The files with the dates of their starts, sorted by them; None = not all have different ones; and notes."""
-    headers, names = _start_stamps(files), _dated(files, [file.in_name for file in files])
+_Dated = list[tuple[SegmentFacts, Stamp]]
+"""Files with the dates of their starts, sorted by them."""
+
+
+def _clock(files: Sequence[SegmentFacts]) -> tuple[_Dated | None, list[str]]:
+    """The files with their dates; None = not all have different ones; and notes."""
+    headers, names = _header_starts(files), _dated(files, [file.in_name for file in files])
     if headers is None or names is None:
         return headers or names, []
     if [file for file, _ in headers] == [file for file, _ in names]:
         return (headers if _overlap_s(headers) <= _overlap_s(names) + _TOLERANCE_S * len(files) else names), []
     is_by_header = _overlap_s(headers) <= _overlap_s(names)
-    used = "those of the headers are" if is_by_header else "those of the names are"
     note = (
         f"{_first_name(files)}: the creation times in the headers contradict the times in the names of the files; "
-        f"{used} used, since the files overlap less."
+        f"those of the {'headers' if is_by_header else 'names'} are used, since the files overlap less."
     )
     return (headers if is_by_header else names), [note]
 
 
-def _start_stamps(files: Sequence[SegmentFacts]) -> list[tuple[SegmentFacts, Stamp]] | None:
+def _header_starts(files: Sequence[SegmentFacts]) -> _Dated | None:
     """The files with the creation times of their headers; times of the ends are converted to those of the starts."""
     stamps = [file.in_header for file in files]
     dated = _dated(files, stamps)
     if dated is None or dated[0][1].is_start:
         return dated
-    as_ends = [
+    as_starts = [
         Stamp(stamp.time_s - file.duration_s, stamp.source) for file, stamp in zip(files, stamps, strict=True) if stamp
     ]
-    by_end = _dated(files, as_ends)
+    by_end = _dated(files, as_starts)
     is_end = by_end is not None and _overlap_s(dated) > _TOLERANCE_S >= _overlap_s(by_end)
     return by_end if is_end else dated
 
 
-def _dated(files: Sequence[SegmentFacts], stamps: Sequence[Stamp | None]) -> list[tuple[SegmentFacts, Stamp]] | None:
+def _dated(files: Sequence[SegmentFacts], stamps: Sequence[Stamp | None]) -> _Dated | None:
     """The files with these dates, sorted by them; None = a date is missing, or two are equal."""
     dated = [(file, stamp) for file, stamp in zip(files, stamps, strict=True) if stamp is not None]
     is_usable = len(dated) == len(files) == len({stamp.time_s for _, stamp in dated})
     return sorted(dated, key=lambda item: item[1].time_s) if is_usable else None
 
 
-def _overlap_s(dated: Sequence[tuple[SegmentFacts, Stamp]]) -> float:
+def _overlap_s(dated: _Dated) -> float:
     """Sum of the overlaps of consecutive files beyond the tolerance, s."""
     return sum(
         max(0.0, before[0].duration_s - (after[1].time_s - before[1].time_s) - _TOLERANCE_S)
@@ -286,21 +284,18 @@ def _check_one_camera(paths: Sequence[Path]) -> None:
 
 
 def _several_cameras(one: Path, other: Path) -> VideoError:
-    selection = _pattern_of(one, other)
-    return VideoError(
-        f"{one.parent}: expected the files of one camera, found {one.name} and {other.name}, which were recorded at "
-        f"the same time; select one camera, as in --mono '{selection}'."
-    )
-
-
-def _pattern_of(one: Path, other: Path) -> Path:
-    """Pattern for the files of the camera of `one`: the end of its name if that differs, else the beginning."""
+    """The error with a pattern for the camera of `one`: the end of its name if that differs, else the beginning."""
     ends = [re.split(r"\d", path.stem)[-1] for path in (one, other)]
     if ends[0] != ends[1]:
-        return one.parent / f"*{ends[0]}{one.suffix}"
-    n_common = next((n for n, (a, b) in enumerate(zip(one.name, other.name, strict=False)) if a != b), 0)
-    beginning = re.match(r"[A-Za-z0-9]*", one.name[n_common:])
-    return one.parent / f"{one.name[:n_common]}{beginning.group() if beginning else ''}*"
+        pattern = f"*{ends[0]}{one.suffix}"
+    else:
+        n_common = next((n for n, (a, b) in enumerate(zip(one.name, other.name, strict=False)) if a != b), 0)
+        word = re.match(r"[A-Za-z0-9]*", one.name[n_common:])
+        pattern = f"{one.name[:n_common]}{word.group() if word else ''}*"
+    return VideoError(
+        f"{one.parent}: expected the files of one camera, found {one.name} and {other.name}, which were recorded at "
+        f"the same time; select one camera, as in --mono '{one.parent / pattern}'."
+    )
 
 
 def _first_name(files: Sequence[SegmentFacts]) -> str:

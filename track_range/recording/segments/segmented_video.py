@@ -8,7 +8,7 @@ from __future__ import annotations
 import filecmp
 from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,23 +31,17 @@ VIDEO_SUFFIXES = frozenset(
 )
 """Suffixes of the video files in a folder."""
 
-_MAX_FILES = 20_000
-"""Largest number of files of a recording: two weeks in files of a minute."""
-
-_N_NOTES = 5
-"""Largest number of messages about single files of a recording."""
-
-_RESULT_VIDEOS = ("overlay.mp4", "disparity.mp4")
-"""Names of the videos that a run writes."""
+_MAX_FILES = 20_000  # of a recording: two weeks in files of a minute
+_N_NOTES = 5  # messages about single files
+_RESULT_VIDEOS = ("overlay.mp4", "disparity.mp4")  # names of the videos that a run writes
 
 _CUT_STEP_S = 1e-4
 """Frames of two files closer than this, s, are the same one: more than the rounding of time stamps, 1/90000 s."""
 
-_RATE_DIFFERENCE = 0.01
-"""Relative difference up to which frame rates count as equal."""
+_RATE_DIFFERENCE = 0.01  # relative difference up to which frame rates count as equal
+_MAX_OVERLAP_S = 5.0  # longest overlap that is searched; dashcams repeat 1 to 3 s
 
-_MAX_OVERLAP_S = 5.0
-"""Longest overlap, s, that is searched; dashcams repeat 1 to 3 s."""
+_LIKE, _ADVICE = " as in other files", "select files of one camera and setting"  # of messages about other sizes
 
 _MIN_REPEATED_BYTES = 2000
 """Smallest number of bytes of repeated frames; fewer are those of an empty picture, which may be equal by chance."""
@@ -174,7 +168,7 @@ class SegmentedVideo(RecordedVideo):
     def check_unchanged(self) -> None:
         """See `RecordedVideo`."""
         for segment in self._segments:
-            _check_unchanged(segment)
+            segment.state.check_unchanged(segment.path)
 
     def _segments_of(self, paths: Sequence[Path]) -> list[_Segment]:
         """The readable files, each once."""
@@ -191,11 +185,12 @@ class SegmentedVideo(RecordedVideo):
             except VideoError as error:
                 errors.append(error)
                 continue
-            is_known = (state.n_bytes, state.samples) in known
-            other = known.setdefault((state.n_bytes, state.samples), path)
-            if is_known and _have_equal_content(path, other):
-                copies.append((path, other))
-                continue
+            other = known.get((state.n_bytes, state.samples))
+            known.setdefault((state.n_bytes, state.samples), path)
+            with suppress(OSError):
+                if other is not None and filecmp.cmp(path, other, shallow=False):
+                    copies.append((path, other))
+                    continue
             duration_s = header.duration_s or count_packets(path)[1]
             segments.append(_Segment(SegmentFacts(path, header.first_s, duration_s, *header.stamps), header, state))
         if copies:
@@ -209,7 +204,13 @@ class SegmentedVideo(RecordedVideo):
         self._setup_notes += [f"Skipped: {error}" for error in errors[:_N_NOTES]]
         if len(errors) > _N_NOTES:
             self._setup_notes.append(f"{self.path}: {counted(len(errors), 'file')} skipped that cannot be read.")
-        _check_sizes(segments)
+        sizes = Counter(tuple(sorted(segment.header.size_px)) for segment in segments)  # one may be rotated
+        usual = max(sizes, key=lambda size: sizes[size])
+        by_size = {tuple(sorted(segment.header.size_px)): segment for segment in reversed(segments)}
+        self.width_px, self.height_px = by_size[usual].header.size_px
+        for size, segment in by_size.items():
+            if size != usual:
+                self.check_size(segment.header.size_px, _LIKE, _ADVICE, segment.path)
         return segments
 
     def _first_file(self) -> VideoFile:
@@ -234,7 +235,7 @@ class SegmentedVideo(RecordedVideo):
             raise VideoError(
                 f"{segment.path}: the file was deleted or moved while the recording was read; repeat the run."
             )
-        _check_unchanged(segment)
+        segment.state.check_unchanged(segment.path)
         try:
             video = VideoFile(segment.path)
         except VideoError as error:
@@ -242,7 +243,7 @@ class SegmentedVideo(RecordedVideo):
             return None
         if (video.width_px, video.height_px) != (self.width_px, self.height_px):
             video.close()
-            raise _other_size(segment.path, (video.width_px, video.height_px), (self.width_px, self.height_px))
+            self.check_size((video.width_px, video.height_px), _LIKE, _ADVICE, segment.path)
         return video
 
     def _counted_frames(self, segment: _Segment) -> int:
@@ -327,32 +328,3 @@ def _repeated_s(before: SegmentFacts, after: SegmentFacts) -> float:
     if not is_equal or sum(len(content) for _, content in repeated) < _MIN_REPEATED_BYTES:
         return 0.0
     return before.first_s + before.duration_s - repeated[0][0]
-
-
-def _have_equal_content(one: Path, other: Path) -> bool:
-    try:
-        return filecmp.cmp(one, other, shallow=False)
-    except OSError:
-        return False
-
-
-def _check_sizes(segments: Sequence[_Segment]) -> None:
-    sizes = Counter(tuple(sorted(segment.header.size_px)) for segment in segments)  # one may be rotated
-    (usual, _), *others = sizes.most_common()
-    if others:
-        expected = next(segment for segment in segments if tuple(sorted(segment.header.size_px)) == usual)
-        other = next(segment for segment in segments if tuple(sorted(segment.header.size_px)) != usual)
-        raise _other_size(other.path, other.header.size_px, expected.header.size_px)
-
-
-def _other_size(path: Path, size_px: tuple[int, int], expected_px: tuple[int, int]) -> VideoError:
-    return VideoError(
-        f"{path}: expected images of {expected_px[0]}x{expected_px[1]} px as in other files, got "
-        f"{size_px[0]}x{size_px[1]}; select files of one camera and setting."
-    )
-
-
-def _check_unchanged(segment: _Segment) -> None:
-    change = segment.state.change_of(segment.path)
-    if change:
-        raise VideoError(f"{segment.path}: the file was {change} while the recording was read; repeat the run.")
