@@ -109,7 +109,7 @@ class Ros1File:
         """Time and content of the messages of a topic in a chunk; connections are collected."""
         content = decompressed(data, header[b"compression"].decode(), _number(header[b"size"]))
         records = io.BytesIO(content)
-        while records.tell() < len(content):
+        while records.seek(0, io.SEEK_CUR) < len(content):
             fields, data = _record(records)
             if fields[b"op"] == _CONNECTION:
                 self._add_connection(fields, data)
