@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 from filelock import FileLock
 
-from track_range.simulation.drive import Drive, DriveOptions, write_drive
+from track_range.simulation.drive import Drive, write_drive
 from track_range.simulation.render.renderer import kitti_like_rig
+from track_range.simulation.settings import DriveOptions
 
 PROJECT = Path(__file__).resolve().parents[1]
 
@@ -67,7 +68,7 @@ class DriveCache:
                 write_drive(unfinished, seed=seed, seconds=seconds, rig=rig, options=options)
                 unfinished.rename(kept)
         shutil.copytree(kept, target)
-        return Drive.in_folder(target, is_lossless=options.is_lossless)
+        return Drive.in_folder(target, is_lossless=options.lossless)
 
     def _remove_old(self) -> None:
         for other in self._folder.iterdir():

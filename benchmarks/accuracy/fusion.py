@@ -29,8 +29,9 @@ from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.truth import matched_truth, with_truth
 from track_range.run.settings import RunSettings
 from track_range.simulation.camera.drive_files import write_png
-from track_range.simulation.drive import DriveOptions, write_drive
+from track_range.simulation.drive import write_drive
 from track_range.simulation.render.renderer import kitti_like_rig
+from track_range.simulation.settings import DriveOptions
 from track_range.simulation.world.scenarios import SCENARIOS as ALL_SCENARIOS
 
 SCENARIOS = ("town", "highway", "city", "cut-in")
@@ -82,8 +83,8 @@ def _run_on_drive(scenario: str, seed: int, lanes: str) -> Columns:
     """The result columns of a run on a drive, with the true distances."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        options = DriveOptions(scenario=scenario, is_lossless=True)
-        drive = write_drive(folder / "drive", seed=seed, seconds=SECONDS, fps=FPS, options=options)
+        options = DriveOptions(lossless=True)
+        drive = write_drive(folder / "drive", scenario=scenario, seed=seed, seconds=SECONDS, fps=FPS, options=options)
         _blind(drive.right, seed)
         settings = RunSettings(
             stereo=(drive.left, drive.right),

@@ -31,8 +31,8 @@ from track_range.results.columns import Columns
 from track_range.results.truth import matched_truth, with_truth
 from track_range.run.run import Run
 from track_range.run.settings import RunSettings
-from track_range.simulation.drive import Drive, DriveOptions, write_drive
-from track_range.simulation.world.scenario_names import SCENARIO_NAMES
+from track_range.simulation.drive import Drive, write_drive
+from track_range.simulation.settings import SCENARIO_NAMES, DriveOptions
 
 METHODS = ("mono", "ground", "fused")
 """Methods of the tables."""
@@ -102,8 +102,8 @@ def _simulated(options: Namespace, cache: Path, scenario: str, seed: int, known:
     drive = Drive.in_folder(folder)
     speed = folder / "speed" / drive.ego_speed.name
     if not speed.exists():
-        drive_options = DriveOptions(scenario=scenario, car_size=options.car_size, camera_pitch_deg=options.pitch)
-        write_drive(folder, seed=seed, seconds=options.seconds, fps=FPS, options=drive_options)
+        drive_options = DriveOptions(car_size=options.car_size, camera_pitch_deg=options.pitch)
+        write_drive(folder, scenario=scenario, seed=seed, seconds=options.seconds, fps=FPS, options=drive_options)
         speed.parent.mkdir()
         os.replace(drive.ego_speed, speed)  # not beside the video, where a run would find it
     settings = RunSettings(

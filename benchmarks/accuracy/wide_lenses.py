@@ -29,7 +29,8 @@ from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.truth import matched_truth, with_truth
 from track_range.run.settings import RunSettings
 from track_range.simulation.camera.wide_lens import WideLens
-from track_range.simulation.drive import DriveOptions, write_drive
+from track_range.simulation.drive import write_drive
+from track_range.simulation.settings import DriveOptions
 from track_range.simulation.world.scenarios import SCENARIOS as ALL_SCENARIOS
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
@@ -102,9 +103,14 @@ def _run(rig: StereoRig, shown: PinholeCamera, scenario: str, seed: int, options
     """Result columns of a run on a drive with this rig; `shown` is the left camera of the rectified images."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        drive_options = DriveOptions(scenario=scenario, is_lossless=True)
         drive = write_drive(
-            folder / "drive", seed=seed, seconds=options.seconds, fps=FPS, rig=rig, options=drive_options
+            folder / "drive",
+            scenario=scenario,
+            seed=seed,
+            seconds=options.seconds,
+            fps=FPS,
+            rig=rig,
+            options=DriveOptions(lossless=True),
         )
         boxes = {"detections": drive.detections} if options.detector is None else {"detector": options.detector}
         settings = RunSettings(

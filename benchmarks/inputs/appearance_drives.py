@@ -25,6 +25,7 @@ from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.recording.open_video import open_video
 from track_range.simulation.camera.playback import HIDDEN, play_back
 from track_range.simulation.render.renderer import Renderer
+from track_range.simulation.world.road_shape import yaw_rotation
 from track_range.simulation.world.scene import (
     AWAY_RAD,
     SIZE_HWL_M,
@@ -34,7 +35,7 @@ from track_range.simulation.world.scene import (
     Scene,
     make_scene,
 )
-from track_range.simulation.world.truth import box_corners_m, boxes_in_image, label_scene
+from track_range.simulation.world.truth import boxes_in_image, corners_m, label_scene
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -216,7 +217,7 @@ def _warped(image: Image, wide: PinholeCamera, R: FloatArray) -> Image:
 def _rotated(labels: KittiLabels, rotations: FloatArray) -> KittiLabels:
     """The labels in the images of the rotated cameras; objects outside are removed, those largely outside occluded."""
     labels = labels.select(labels.has_3d_box)
-    corners_m = box_corners_m(labels.location_m, size_hwl_m=labels.size_hwl_m, rotation_y_rad=labels.rotation_y_rad)
-    inside, outside = boxes_in_image(corners_m @ rotations[labels.frame].swapaxes(1, 2), CAMERA)
+    corners = corners_m(labels.location_m, labels.size_hwl_m, yaw_rotation(labels.rotation_y_rad))
+    inside, outside = boxes_in_image(corners @ rotations[labels.frame].swapaxes(1, 2), CAMERA)
     occluded = np.where(1 - outside < MIN_FRACTION_INSIDE, HIDDEN, labels.occluded)
     return replace(labels, xyxy_px=inside, occluded=occluded).select(np.isfinite(inside).all(axis=1) & (outside < 1))

@@ -21,7 +21,7 @@ from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.arrays import Image
-from track_range.simulation.drive import Drive, DriveOptions, write_drive
+from track_range.simulation.drive import Drive, write_drive
 from track_range.simulation.render.renderer import kitti_like_rig
 
 COLLISIONS = ("rear-stationary", "rear-slower", "rear-braking", "crossing-adult", "crossing-child", "cut-in")
@@ -76,8 +76,7 @@ def conflict_drive(cache_folder: Path, scenario: str, seed: int, *, width_px: in
     files = Drive.in_folder(folder)
     if not boxes.exists():
         rig = kitti_like_rig(width_px=width_px, height_px=2 * round(width_px * HEIGHT_FRACTION / 2))
-        options = DriveOptions(scenario=scenario)
-        write_drive(folder, seed=seed, seconds=SECONDS, fps=FPS, rig=rig, options=options)
+        write_drive(folder, scenario=scenario, seed=seed, seconds=SECONDS, fps=FPS, rig=rig)
         _store_boxes(files.left, boxes)
     return ConflictDrive(scenario, seed, files, boxes)
 

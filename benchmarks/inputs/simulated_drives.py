@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.simulation.camera.faults import NO_FAULTS, Faults
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.settings import NO_FAULTS, Faults
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.surroundings import SURROUNDINGS
 from track_range.stereo.geometry.frames import Frame

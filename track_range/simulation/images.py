@@ -22,7 +22,6 @@ from track_range.simulation.world.scene import Scene, make_scene
 from track_range.simulation.world.truth import label_scene
 
 WIDTH_PX = 640
-"""Width of the images."""
 
 SECONDS = 6.0
 """Length of a scene, s; its images have equal intervals."""
@@ -30,11 +29,8 @@ SECONDS = 6.0
 MIN_SIDE_PX = 3.0
 """Smallest side of a box in the image, px; smaller objects are ignored."""
 
-_HIDDEN = 2
-"""Value of KITTI's `occluded` of objects that are less than half visible."""
-
-_IGNORED_SCORE = 0.3
-"""Score of a pseudo-label that training ignores."""
+_HIDDEN = 2  # KITTI's `occluded` of objects that are less than half visible
+_IGNORED_SCORE = 0.3  # of a pseudo-label that training ignores
 
 
 def write_image_set(
@@ -45,17 +41,14 @@ def write_image_set(
     make: Callable[[int, float], Scene] = make_scene,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write `n_frames` images of each scene into `folder`; the same seeds give the same images.
+    """Write `n_frames` images of each scene into `folder`; returns data.yaml, which lists all images for training.
 
     Args:
-        folder: folder for images/, labels/, ignored/ and data.yaml, which lists all images for training.
-        seeds: random seed of each scene.
+        folder: folder for images/, labels/, ignored/ and data.yaml.
+        seeds: random seed of each scene; the same seeds give the same images.
         n_frames: number of images per scene.
         make: creates a scene from its seed and length in seconds; default: a road with traffic and few people.
         progress: called after each image with the number of finished images and the total.
-
-    Returns:
-        The path of data.yaml.
 
     Raises:
         OutputError: the folder cannot be written, or contains images or a data.yaml.
@@ -66,27 +59,22 @@ def write_image_set(
         raise OutputError(f"{folder}: the folder already contains a data set; choose another folder.")
     rig = kitti_like_rig()
     times_s = (np.arange(n_frames) * SECONDS / n_frames).tolist()
-    for i, seed in enumerate(seeds):
+    n_written = 0
+    for seed in seeds:
         scene = make(seed, SECONDS)
         renderer, truth = Renderer(scene, rig), label_scene(scene, times_s, camera=rig.left)
         for frame, time_s in enumerate(times_s):
             _write(folder, f"{seed:06}_{frame:02}", renderer.render(time_s), truth.select(truth.frame == frame))
+            n_written += 1
             if progress is not None:
-                progress(i * n_frames + frame + 1, len(seeds) * n_frames)
-    document = {
-        "train": "images",
-        "val": "images",
-        "names": list(ROAD_CLASSES),
-        "labels": "labels",
-        "labels_pseudo": "ignored",
-    }
+                progress(n_written, len(seeds) * n_frames)
+    document = {"train": "images", "val": "images", "names": list(ROAD_CLASSES)}
     path = folder / "data.yaml"
-    write_text(path, yaml_text(document))
+    write_text(path, yaml_text(document | {"labels": "labels", "labels_pseudo": "ignored"}))
     return path
 
 
 def _write(folder: Path, name: str, image: Image, truth: KittiLabels) -> None:
-    """Write one image, its labels and its ignored objects."""
     height, width = image.shape[:2]
     scale = WIDTH_PX / width
     small = cv2.resize(image, (WIDTH_PX, round(height * scale)), interpolation=cv2.INTER_AREA)
@@ -95,12 +83,15 @@ def _write(folder: Path, name: str, image: Image, truth: KittiLabels) -> None:
     boxes = np.clip(truth.xyxy_px + 0.5, 0, [width, height, width, height])
     sizes = boxes[:, 2:] - boxes[:, :2]
     ignored = (truth.occluded >= _HIDDEN) | (scale * sizes.min(axis=1, initial=np.inf) < MIN_SIDE_PX)
-    known = [ROAD_CLASS_OF.get(str(kind).lower()) for kind in truth.kitti_type]
+    names = [ROAD_CLASS_OF.get(str(kitti_type).lower()) for kitti_type in truth.kitti_type]
     fractions = np.concatenate([(boxes[:, :2] + boxes[:, 2:]) / 2, sizes], axis=1) / [width, height, width, height]
-    lines: dict[bool, list[str]] = {False: [], True: []}
-    for kind, row, is_ignored in zip(known, fractions, ignored, strict=True):
-        if kind is not None and row[2:].min() > 0:
-            cells = [str(ROAD_CLASSES.index(kind)), *(f"{fraction:.6f}" for fraction in row)]
-            lines[bool(is_ignored)].append(" ".join([*cells, str(_IGNORED_SCORE)] if is_ignored else cells) + "\n")
-    write_text(folder / "labels" / f"{name}.txt", "".join(lines[False]))
-    write_text(folder / "ignored" / f"{name}.txt", "".join(lines[True]))
+    labels, pseudo_labels = [], []
+    for road_class, row, is_ignored in zip(names, fractions, ignored, strict=True):
+        if road_class is not None and row[2:].min() > 0:
+            line = " ".join([str(ROAD_CLASSES.index(road_class)), *(f"{fraction:.6f}" for fraction in row)])
+            if is_ignored:
+                pseudo_labels.append(f"{line} {_IGNORED_SCORE}\n")
+            else:
+                labels.append(f"{line}\n")
+    write_text(folder / "labels" / f"{name}.txt", "".join(labels))
+    write_text(folder / "ignored" / f"{name}.txt", "".join(pseudo_labels))

@@ -20,7 +20,7 @@ from rich.console import Console
 from benchmarks.inputs.simulated_drives import SimulatedDrive
 from benchmarks.plain_tables import figure_text, plain_table
 from track_range.recording.pairs.auto_alignment import find_alignment
-from track_range.simulation.camera.faults import Faults
+from track_range.simulation.settings import Faults
 from track_range.stereo.geometry.frames import Frame
 
 SCENARIOS = ("town", "highway", "city", "cut-in")

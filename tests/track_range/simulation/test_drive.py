@@ -10,8 +10,10 @@ from track_range.detection.boxes import iou
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.ranging.ego_speed import open_ego_speed
 from track_range.recording.open_video import open_video
-from track_range.simulation.drive import N_THREADS, DriveOptions, kitti_text, write_drive
+from track_range.simulation.camera.tables import kitti_text
+from track_range.simulation.drive import N_THREADS, write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.settings import DriveOptions
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.scene import make_scene
 from track_range.simulation.world.truth import joined, label_scene, visible_objects
@@ -120,7 +122,7 @@ def test_ego_speed_round_trip(drive):
 def test_lossless_folders_contain_the_exact_pixels(tmp_path):
     (tmp_path / "left").mkdir()
     (tmp_path / "left" / "000007.png").write_bytes(b"of an earlier, longer drive")
-    written = write_drive(tmp_path, seed=3, seconds=0.2, rig=SMALL, options=DriveOptions(is_lossless=True))
+    written = write_drive(tmp_path, seed=3, seconds=0.2, rig=SMALL, options=DriveOptions(lossless=True))
     renderer = Renderer(make_scene(3, seconds=0.2), SMALL)
     for folder, side in ((written.left, "left"), (written.right, "right")):
         assert sorted(path.name for path in folder.iterdir()) == ["000000.png", "000001.png"]
@@ -129,7 +131,7 @@ def test_lossless_folders_contain_the_exact_pixels(tmp_path):
 
 
 def test_disparity_map_of_the_road(tmp_path):
-    write_drive(tmp_path, seed=3, seconds=0.1, rig=SMALL, options=DriveOptions(scenario="empty", has_disparity=True))
+    write_drive(tmp_path, seed=3, seconds=0.1, rig=SMALL, scenario="empty", options=DriveOptions(disparity=True))
     truth = cv2.imread(str(tmp_path / "disp_occ_0" / "000000_10.png"), cv2.IMREAD_UNCHANGED)
     assert truth.dtype == np.uint16
     assert truth.shape == (94, 310)
@@ -145,7 +147,7 @@ def test_disparity_map_of_the_road(tmp_path):
 @pytest.mark.slow
 def test_kitti_2015_layout(tmp_path):
     rig = kitti_like_rig(width_px=620, height_px=188)
-    write_drive(tmp_path, seed=1, seconds=0.1, rig=rig, options=DriveOptions(has_disparity=True))
+    write_drive(tmp_path, seed=1, seconds=0.1, rig=rig, options=DriveOptions(disparity=True))
     pair = read_pair(tmp_path, "000000_10", rig=tmp_path / "rig.yaml")
     with (tmp_path / "truth.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if float(row["visible_share"]) > 0.95]

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from track_range.recording.open_video import open_video
-from track_range.simulation.camera.faults import Faults
-from track_range.simulation.drive import DriveOptions, write_drive
+from track_range.simulation.camera.faults import kept_frames, rig_in_file
+from track_range.simulation.drive import write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig, noise_steps
+from track_range.simulation.settings import DriveOptions, Faults
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -91,8 +92,7 @@ def test_standard_deviation_of_noise(sigma):
 
 @pytest.mark.slow
 def test_late_right_camera_keeps_its_timestamps(tmp_path):
-    faults = Faults(late_s=0.5)
-    drive = write_drive(tmp_path, seconds=0.2, rig=SMALL, options=DriveOptions(scenario="highway", faults=faults))
+    drive = write_drive(tmp_path, scenario="highway", seconds=0.2, rig=SMALL, options=DriveOptions(late_s=0.5))
     frames = list(open_video(drive.right))
     assert [frame.time_s for frame in frames] == pytest.approx([0.0, 0.1], abs=1e-4)
     renderer = Renderer(make_scenario("highway", seconds=0.2), SMALL, noise_grey=0)
@@ -103,7 +103,7 @@ def test_late_right_camera_keeps_its_timestamps(tmp_path):
 
 @pytest.mark.slow
 def test_dropped_frames_leave_gaps_in_time(tmp_path):
-    options = DriveOptions(scenario="town", faults=Faults(drop_fraction=0.4), noise_grey=0)
+    options = DriveOptions(drop_fraction=0.4, noise_grey=0)
     drive = write_drive(tmp_path, seed=5, seconds=2.0, rig=SMALL, options=options)
     left_s, right_s = ([frame.time_s for frame in open_video(path)] for path in (drive.left, drive.right))
     assert 6 <= len(left_s) <= 18
@@ -118,16 +118,16 @@ def test_dropped_frames_leave_gaps_in_time(tmp_path):
 
 @pytest.mark.parametrize("fraction", [0.0, 0.1, 0.5])
 def test_share_of_dropped_frames(fraction):
-    kept = Faults(drop_fraction=fraction).kept_frames(4000, 3, is_right=True)
+    left, kept = (kept_frames(Faults(drop_fraction=fraction), 4000, 3, is_right=right) for right in (False, True))
     assert kept[0] == 0
     assert 1 - len(kept) / 4000 == pytest.approx(fraction, abs=0.03)
-    assert kept != Faults(drop_fraction=fraction).kept_frames(4000, 3, is_right=False) or fraction == 0
+    assert kept != left or fraction == 0
 
 
 def test_errors_of_a_wrong_rig():
     rig = StereoRig.rectified(SMALL.left, 0.5)
     baseline, focal, principal, correct = (
-        Faults(wrong_rig=name).rig_in_file(rig) for name in ("baseline", "focal", "principal", None)
+        rig_in_file(rig, Faults(wrong_rig=name)) for name in ("baseline", "focal", "principal", None)
     )
     assert baseline.baseline_m == pytest.approx(0.525)
     assert focal.left.fx_px == pytest.approx(1.04 * rig.left.fx_px)

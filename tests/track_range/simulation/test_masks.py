@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from track_range.simulation.camera.masks import masks_of
-from track_range.simulation.drive import DriveOptions, write_drive
+from track_range.simulation.drive import write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.settings import DriveOptions
 from track_range.simulation.world.bodies.faces import IdentifyingPart
 from track_range.simulation.world.bodies.road_users import BUILDERS
 from track_range.simulation.world.scene import AWAY_RAD, SIZE_HWL_M, TOWARDS_RAD, RoadUser, Scene
@@ -87,9 +88,7 @@ def test_a_pixel_needs_two_samples():
 
 @pytest.mark.slow
 def test_mask_files_have_the_track_ids(tmp_path):
-    write_drive(
-        tmp_path, seconds=0.1, rig=kitti_like_rig(width_px=310, height_px=94), options=DriveOptions(has_masks=True)
-    )
+    write_drive(tmp_path, seconds=0.1, rig=kitti_like_rig(width_px=310, height_px=94), options=DriveOptions(masks=True))
     part = cv2.imread(str(tmp_path / "masks" / "000000.png"), cv2.IMREAD_UNCHANGED)
     number = cv2.imread(str(tmp_path / "mask_ids" / "000000.png"), cv2.IMREAD_UNCHANGED)
     assert (part.dtype, part.shape) == (np.uint8, (94, 310))

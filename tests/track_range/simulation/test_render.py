@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from track_range.ranging.evaluation.box_surface import surface_distance_m
-from track_range.simulation.render.renderer import Renderer, kitti_like_rig, render
+from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.render.street import FAR_M, stretches
 from track_range.simulation.world.scene import AWAY_RAD, RoadUser, Scene, make_scene
 from track_range.simulation.world.truth import label_scene
@@ -154,10 +154,10 @@ def test_rendering_is_deterministic_with_the_given_noise():
     small = kitti_like_rig(width_px=310, height_px=94)
     scene = Scene(seed=2, road_users=(road_user(0),))
     clean = Renderer(scene, small, noise_grey=0).render(0.3)
-    noisy = render(scene, 0.3, rig=small)
+    noisy = Renderer(scene, small).render(0.3)
     assert noisy.shape == (94, 310, 3)
     assert noisy.dtype == np.uint8
-    np.testing.assert_array_equal(noisy, render(scene, 0.3, rig=small))
+    np.testing.assert_array_equal(noisy, Renderer(scene, small).render(0.3))
     error = noisy.astype(float) - clean
     inside = (clean > 10) & (clean < 245)
     assert error[inside].std() == pytest.approx(2.02, abs=0.05)  # 2 grey levels, and 0.29 from rounding

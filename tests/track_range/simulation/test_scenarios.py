@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.settings import SCENARIO_NAMES
 from track_range.simulation.world import scenarios
-from track_range.simulation.world.scenario_names import SCENARIO_NAMES
 from track_range.simulation.world.scenarios import SCENARIOS, make_scenario
 from track_range.simulation.world.scenarios.conflicts import CONFLICTS
 from track_range.simulation.world.surroundings import PERIOD_M, SURROUNDINGS

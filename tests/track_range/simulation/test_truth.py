@@ -8,13 +8,13 @@ from scipy.spatial import ConvexHull
 
 from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.simulation.render.renderer import kitti_like_rig
+from track_range.simulation.world.road_shape import yaw_rotation
 from track_range.simulation.world.scene import AWAY_RAD, RoadUser, Scene, make_scene
 from track_range.simulation.world.truth import (
-    box_corners_m,
     boxes_in_image,
+    corners_m,
     label_scene,
-    projected_boxes_px,
-    visible_shares,
+    visible_fractions,
 )
 
 CAMERA = kitti_like_rig().left
@@ -48,21 +48,26 @@ def test_box_of_a_car_across_the_road():
 
 
 def test_corners_are_on_the_road_and_span_the_size():
-    corners = box_corners_m(
-        np.array([[1.0, 1.65, 9.0]]), size_hwl_m=np.array([[1.5, 2.0, 4.0]]), rotation_y_rad=np.array([np.pi / 2])
-    )[0]
+    rotation = yaw_rotation(np.array([np.pi / 2]))
+    corners = corners_m(np.array([[1.0, 1.65, 9.0]]), np.array([[1.5, 2.0, 4.0]]), rotation)[0]
     np.testing.assert_allclose(np.ptp(corners, axis=0), [2.0, 1.5, 4.0])
     np.testing.assert_allclose(corners[:4, 1], 1.65)
 
 
 def test_box_that_extends_behind_the_camera():
     size, yaw = np.array([[1.5, 2.0, 10.0]]), np.array([AWAY_RAD])
-    corners = box_corners_m(np.array([[3.0, 1.65, 3.0]]), size_hwl_m=size, rotation_y_rad=yaw)
-    left, _, right, _ = projected_boxes_px(corners, CAMERA)[0]
+    corners = corners_m(np.array([[3.0, 1.65, 3.0]]), size, yaw_rotation(yaw))
+    boxes, outside = boxes_in_image(corners, CAMERA)
     # Its left edge is at its far end, z = 8, x = 2; the right one at the near plane, z = 0.1, x = 4.
-    assert left == pytest.approx(CAMERA.cx_px + CAMERA.fx_px * 2 / 8)
-    assert right == pytest.approx(CAMERA.cx_px + CAMERA.fx_px * 4 / 0.1)
-    assert np.isnan(projected_boxes_px(corners - (0, 0, 20), CAMERA)).all()
+    left_px, right_px = CAMERA.cx_px + CAMERA.fx_px * 2 / 8, CAMERA.cx_px + CAMERA.fx_px * 4 / 0.1
+    top_px, bottom_px = (CAMERA.cy_px + CAMERA.fy_px * y / 0.1 for y in (0.15, 1.65))
+    assert boxes[0, 0] == pytest.approx(left_px)
+    assert boxes[0, 2] == CAMERA.width_px - 1
+    assert top_px > CAMERA.height_px  # at the near plane the box is below the image
+    top_px = CAMERA.cy_px + CAMERA.fy_px * 0.15 / 8
+    seen = (CAMERA.width_px - 1 - left_px) * (CAMERA.height_px - 1 - top_px)
+    assert 1 - outside[0] == pytest.approx(seen / ((right_px - left_px) * (bottom_px - top_px)))
+    assert np.isnan(boxes_in_image(corners - (0, 0, 20), CAMERA)[0]).all()
 
 
 def test_box_of_a_car_beside_the_camera_ends_where_it_leaves_the_image():
@@ -104,7 +109,7 @@ def test_visible_boxes_are_those_of_the_points_in_the_image():
     n = 300
     location = np.stack([rng.uniform(-6, 6, n), rng.uniform(0, 3, n), rng.uniform(-2, 9, n)], axis=1)
     size, yaw = rng.uniform(0.5, 6, (n, 3)), rng.uniform(-np.pi, np.pi, n)
-    corners = box_corners_m(location, size_hwl_m=size, rotation_y_rad=yaw)
+    corners = corners_m(location, size, yaw_rotation(yaw))
     boxes, _ = boxes_in_image(corners, CAMERA)
     n_visible = 0
     for box, corners_of_one in zip(boxes, corners, strict=True):
@@ -144,8 +149,8 @@ def test_visible_share_of_a_half_hidden_car():
     near, far = car(0, x=-1.5, z=12.0, size=(2.5, 3.0, 4.0)), car(1, x=0.0, z=30.1, size=(1.5, 2.0, 0.2))
     location = np.array([[-1.5, 1.65, 12.0], [0.0, 1.65, 30.1]])
     size, yaw = np.array([near.size_hwl_m, far.size_hwl_m]), np.array([AWAY_RAD, AWAY_RAD])
-    boxes = projected_boxes_px(box_corners_m(location, size_hwl_m=size, rotation_y_rad=yaw), CAMERA)
-    fractions = visible_shares(boxes, location, size_hwl_m=size, rotation_y_rad=yaw, camera=CAMERA)
+    boxes, _ = boxes_in_image(corners_m(location, size, yaw_rotation(yaw)), CAMERA)
+    fractions = visible_fractions(boxes, location, size_hwl_m=size, rotation_y_rad=yaw, camera=CAMERA)
     np.testing.assert_allclose(fractions, [1.0, 0.5])
     assert labels_of(near, far).occluded.tolist() == [0, 1]
 

@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from track_range.simulation.drive import DriveOptions, write_drive
+from track_range.simulation.drive import write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.render.surface import Surface, centre_depth_m, first_depths_m
 from track_range.simulation.world.bodies.faces import Face
@@ -66,9 +66,7 @@ def test_ray_through_a_hole_is_replaced_by_the_nearest():
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
-    return write_drive(
-        tmp_path_factory.mktemp("table"), seed=2, seconds=0.3, rig=RIG, options=DriveOptions(scenario="city")
-    )
+    return write_drive(tmp_path_factory.mktemp("table"), seed=2, seconds=0.3, rig=RIG, scenario="city")
 
 
 @pytest.fixture(scope="module")

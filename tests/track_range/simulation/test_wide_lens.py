@@ -9,8 +9,9 @@ import pytest
 
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.simulation.camera.wide_lens import WideLens
-from track_range.simulation.drive import DriveOptions, write_drive
+from track_range.simulation.drive import write_drive
 from track_range.simulation.render.renderer import Renderer
+from track_range.simulation.settings import DriveOptions
 from track_range.simulation.world.scene import make_scene
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import whole_image
@@ -99,4 +100,4 @@ def test_what_is_refused(tmp_path):
     with pytest.raises(ValueError, match="equal"):
         WideLens.of(StereoRig(LENS, other, RIG.right_from_left))
     with pytest.raises(ValueError, match="wide"):
-        write_drive(tmp_path, rig=RIG, options=DriveOptions(has_disparity=True))
+        write_drive(tmp_path, rig=RIG, options=DriveOptions(disparity=True))

@@ -19,7 +19,7 @@ from track_range.foundation.options import Options, option
 from track_range.foundation.processes import one_opencv_thread
 from track_range.run.progress import step_progress
 from track_range.run.settings import RunSettings
-from track_range.simulation.drive import DriveOptions, write_drive
+from track_range.simulation.drive import write_drive
 from track_range.views.report.tables import NOTHING, Column, Grid, figure, grid_of
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def _demo(options: DemoOptions) -> None:
                 options.out / "drive",
                 seed=options.seed,
                 seconds=options.seconds,
-                options=DriveOptions(scenario=SCENARIO),
+                scenario=SCENARIO,
                 progress=progress,
             )
         settings = RunSettings(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -31,24 +30,11 @@ SURFACE_MARGIN_M = 0.04
 """Tolerance for drawn points outside an object's 3-D box, and minimum height of its points above the road, m."""
 
 
-class ImageWriter(Protocol):
-    """Receives the images of one camera in order of time."""
-
-    def write(self, image: Image, time_s: float) -> None:
-        """Append an image."""
-
-    def close(self) -> None:
-        """Finish writing."""
-
-
 class PngFolder:
     """Writes images as 000000.png, 000001.png, ... by frame number, with gaps for dropped frames."""
 
     def __init__(self, folder: Path, *, fps: float) -> None:
-        make_folder(folder)
-        for old in folder.glob("*.png"):
-            with suppress(OSError):
-                old.unlink()
+        make_png_folder(folder)
         self._folder, self._fps = folder, fps
 
     def write(self, image: Image, time_s: float) -> None:
@@ -59,7 +45,19 @@ class PngFolder:
         """Do nothing."""
 
 
-def image_writer(path: Path, camera: PinholeCamera, fps: float) -> ImageWriter:
+def make_png_folder(folder: Path) -> None:
+    """Create a folder for PNG images; those of an earlier drive are removed.
+
+    Raises:
+        OutputError: the folder cannot be created.
+    """
+    make_folder(folder)
+    for old in folder.glob("*.png"):
+        with suppress(OSError):
+            old.unlink()
+
+
+def image_writer(path: Path, camera: PinholeCamera, fps: float) -> VideoWriter | PngFolder:
     """A writer of a video if `path` ends in .mp4, else of a folder of PNGs."""
     if path.suffix == ".mp4":
         return VideoWriter(path, width_px=camera.width_px, height_px=camera.height_px, fps=fps, crf=NEAR_LOSSLESS_CRF)
@@ -67,11 +65,7 @@ def image_writer(path: Path, camera: PinholeCamera, fps: float) -> ImageWriter:
 
 
 def write_png(path: Path, image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> None:
-    """Write one image atomically.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write one image atomically; an `OutputError` says why it cannot be written."""
     _, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION])
     write_bytes(path, encoded.tobytes())
 
@@ -79,9 +73,7 @@ def write_png(path: Path, image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16])
 def disparity_map(inverse_depth: FloatArray, rig: StereoRig) -> npt.NDArray[np.uint16]:
     """(H, W) true disparities in KITTI's format: 256 d, with 0 for sky, object edges and d >= 256 px.
 
-    Args:
-        inverse_depth: (2 H, 2 W) inverse depth of the samples, 1/m.
-        rig: the rectified rig of the drive.
+    `inverse_depth` is (2 H, 2 W), that of the samples in 1/m.
     """
     height, width = inverse_depth.shape
     samples = inverse_depth.reshape(height // 2, 2, width // 2, 2) * (rig.left.fx_px * rig.baseline_m)
@@ -97,12 +89,8 @@ def object_map(
     """(H, W) number of the object that each pixel shows: n + 1 for row n of the labels, 0 = none or beyond the 254th.
 
     A pixel shows an object if the point drawn there is within its 3-D box and above the road.
-
-    Args:
-        inverse_depth: (2 H, 2 W) inverse depth of the samples, 1/m.
-        rig: the rectified rig of the drive.
-        visible: the objects of the frame.
-        rotations: (M, 3, 3) of all road users, from the object's frame to the left camera's.
+    `inverse_depth` is (2 H, 2 W), that of the samples in 1/m; `rotations` are (M, 3, 3), of all road users, from the
+    object's frame to the left camera's.
     """
     camera, labels = rig.left, visible.labels
     pixels = inverse_depth[::2, ::2]

@@ -7,17 +7,15 @@ corresponding disparities.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from track_range.foundation.arrays import Image
+from track_range.simulation.settings import Faults
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
-
-WrongRig = Literal["baseline", "focal", "principal"]
 
 BASELINE_FACTOR, FOCAL_FACTOR, PRINCIPAL_PX = 1.05, 1.04, 15.0
 """Errors of a wrong rig file: factors of baseline and focal length, and shift of both principal points to the right."""
@@ -29,69 +27,46 @@ DROP_SPEED_MPS, EXPOSURE_S = 8.0, 0.012
 """Speed of drops and exposure time; together they give streaks of about 10 cm."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Faults:
-    """Faults of a drive's cameras; none by default.
+def right_camera(camera: PinholeCamera, faults: Faults) -> PinholeCamera:
+    """The true right camera, for a rig file with the right camera `camera`."""
+    cx_px, cy_px = camera.cx_px - faults.disparity_offset_px, camera.cy_px + faults.row_offset_px
+    return replace(camera, cx_px=cx_px, cy_px=cy_px)
 
-    Attributes:
-        gain: brightness of the right image relative to the left one.
-        blur_px: standard deviation of an additional Gaussian blur of both images.
-        rain: density of rain, from 0 = dry to 1 = cloudburst.
-        row_offset_px: vertical shift of the right image, positive = down.
-        disparity_offset_px: true disparity minus that of the rig file.
-        drop_fraction: fraction of frames that each camera drops; the timestamps show the gaps.
-        late_s: delay of the right camera that its timestamps do not show.
-        wrong_rig: the wrong parameter in the rig file; None = none.
-    """
 
-    gain: float = 1.0
-    blur_px: float = 0.0
-    rain: float = 0.0
-    row_offset_px: float = 0.0
-    disparity_offset_px: float = 0.0
-    drop_fraction: float = 0.0
-    late_s: float = 0.0
-    wrong_rig: WrongRig | None = None
+def with_blur_and_gain(image: Image, faults: Faults, *, is_right: bool) -> Image:
+    """The image with blur and, if it is the right one, with gain."""
+    if faults.blur_px > 0:
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), faults.blur_px), np.uint8)
+    if is_right and faults.gain != 1.0:
+        image = np.asarray(cv2.convertScaleAbs(image, alpha=faults.gain), np.uint8)
+    return image
 
-    def right_camera(self, camera: PinholeCamera) -> PinholeCamera:
-        """The true right camera, for a rig file with the right camera `camera`."""
-        return replace(camera, cx_px=camera.cx_px - self.disparity_offset_px, cy_px=camera.cy_px + self.row_offset_px)
 
-    def apply(self, image: Image, *, is_right: bool) -> Image:
-        """The image with blur and, if it is the right one, with gain."""
-        if self.blur_px > 0:
-            image = np.asarray(cv2.GaussianBlur(image, (0, 0), self.blur_px), np.uint8)
-        if is_right and self.gain != 1.0:
-            image = np.asarray(cv2.convertScaleAbs(image, alpha=self.gain), np.uint8)
-        return image
+def kept_frames(faults: Faults, n_frames: int, seed: int, *, is_right: bool) -> list[int]:
+    """Numbers of the frames that a camera does not drop; the first one, from which times count, is among them."""
+    is_dropped = np.random.default_rng([seed, 8, int(is_right)]).uniform(size=n_frames) < faults.drop_fraction
+    is_dropped[:1] = False
+    return [int(number) for number in np.flatnonzero(~is_dropped)]
 
-    def kept_frames(self, n_frames: int, seed: int, *, is_right: bool) -> list[int]:
-        """Numbers of the frames that a camera does not drop; the first one, from which times count, is among them."""
-        rng = np.random.default_rng([seed, 8, int(is_right)])
-        is_dropped = rng.uniform(size=n_frames) < self.drop_fraction
-        is_dropped[:1] = False
-        return [int(number) for number in np.flatnonzero(~is_dropped)]
 
-    def rig_in_file(self, rig: StereoRig) -> StereoRig:
-        """The content of the rig file for the true rig `rig`."""
-        left = rig.left
-        if self.wrong_rig == "baseline":
-            return StereoRig.rectified(left, rig.baseline_m * BASELINE_FACTOR)
-        if self.wrong_rig == "focal":
+def rig_in_file(rig: StereoRig, faults: Faults) -> StereoRig:
+    """The content of the rig file for the true rig `rig`."""
+    left, baseline_m = rig.left, rig.baseline_m
+    match faults.wrong_rig:
+        case "baseline":
+            baseline_m *= BASELINE_FACTOR
+        case "focal":
             left = replace(left, fx_px=left.fx_px * FOCAL_FACTOR, fy_px=left.fy_px * FOCAL_FACTOR)
-        if self.wrong_rig == "principal":
+        case "principal":
             left = replace(left, cx_px=left.cx_px + PRINCIPAL_PX)
-        return StereoRig.rectified(left, rig.baseline_m)
-
-
-NO_FAULTS = Faults()
+    return StereoRig.rectified(left, baseline_m)
 
 
 def with_rain(image: Image, rig: StereoRig, seed: list[int], *, rain: float, is_right: bool) -> Image:
-    """A copy of an image with streaks of rain; left and right show the same drops.
+    """A copy of an image (H, W, 3) with streaks of rain; left and right show the same drops.
 
     Args:
-        image: (H, W, 3) image of one camera.
+        image: image of one camera.
         rig: the rectified pair.
         seed: random seed of the drops of this frame.
         rain: density, from 0 to 1.

@@ -1,6 +1,6 @@
 """Masks of a drive: the heads and number plates that are visible in the left images, as lossless PNG images.
 
-masks/000000.png      uint8 by pixel: 0 neither, 1 head, 2 number plate (`faces.Part`)
+masks/000000.png      uint8 by pixel: 0 neither, 1 head, 2 number plate (`faces.IdentifyingPart`)
 mask_ids/000000.png   uint16 by pixel: 1 + track id of the road user (of truth.txt), 0 = neither
 
 A pixel belongs to a part if at least `MIN_SAMPLES` of its four samples show it, without lens blur and noise. Files are
@@ -9,14 +9,12 @@ numbered by frame of the left video, without gaps for dropped frames.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from track_range.foundation.files.output_files import make_folder
-from track_range.simulation.camera.drive_files import write_png
+from track_range.simulation.camera.drive_files import make_png_folder, write_png
 from track_range.simulation.world.scene import Scene
 
 MIN_SAMPLES = 2
@@ -24,14 +22,11 @@ MIN_SAMPLES = 2
 
 
 class MaskFolder:
-    """Writes the masks of the frames in order.
+    """Writes the masks of the frames in order; an `OutputError` says why they cannot be written.
 
     Args:
         folder: folder of the drive; masks of an earlier drive are removed.
         scene: the scene, for the track ids.
-
-    Raises:
-        OutputError: the folders cannot be created.
     """
 
     def __init__(self, folder: Path, scene: Scene) -> None:
@@ -39,17 +34,10 @@ class MaskFolder:
         self._track_id = np.array([user.track_id for user in scene.road_users], np.int64)
         self._n_frames = 0
         for path in self._folders:
-            make_folder(path)
-            for old in path.glob("*.png"):
-                with suppress(OSError):
-                    old.unlink()
+            make_png_folder(path)
 
     def write(self, labels: npt.NDArray[np.uint16]) -> None:
-        """Write the masks of the next frame from `Renderer.render_with_labels`.
-
-        Raises:
-            OutputError: a file cannot be written.
-        """
+        """Write the masks of the next frame from `Renderer.render_with_labels`."""
         part, row = masks_of(labels)
         number = np.where(part > 0, self._track_id[row] + 1, 0) if len(self._track_id) else row
         name = f"{self._n_frames:06}.png"

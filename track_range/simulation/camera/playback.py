@@ -13,6 +13,7 @@ import numpy as np
 
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.simulation.world.truth import joined
 
 DETECTED_TYPES = {
     "Car": "Car",
@@ -62,29 +63,24 @@ class Flaws:
 def play_back(
     truth: KittiLabels, *, seed: int, image_size_px: tuple[int, int], flaws: Flaws | None = None
 ) -> KittiLabels:
-    """Simulated detections for the labels `truth`, sorted by frame; ids are -1 and there are no 3-D boxes.
+    """Simulated detections for labels with each object at most once per frame; the same seed gives the same ones.
 
-    Args:
-        truth: labels, each object at most once per frame.
-        seed: random seed; the same seed gives the same detections.
-        image_size_px: width and height; boxes are clipped to pixel centres.
-        flaws: the error model; None = the defaults.
+    They are sorted by frame, without ids (-1) and 3-D boxes; boxes are clipped to pixel centres of an image of
+    `image_size_px` (width, height).
     """
     flaws = flaws or Flaws()
     rng = np.random.default_rng([seed, 5])
     n_frames = int(truth.frame.max()) + 1 if len(truth) else 0
-    rows = np.flatnonzero(_is_detected(truth, rng, flaws))
-    height_px = truth.xyxy_px[rows, 3] - truth.xyxy_px[rows, 1]
+    truth = truth.select(_is_detected(truth, rng, flaws))
+    height_px = truth.xyxy_px[:, 3] - truth.xyxy_px[:, 1]
     sigma_px = np.clip(flaws.edge_fraction * height_px, flaws.edge_min_px, flaws.edge_max_px)
-    boxes = truth.xyxy_px[rows] + rng.normal(size=(len(rows), 4)) * sigma_px[:, None]
-    score_loss = 0.25 * _smallness(height_px) + 0.15 * (truth.occluded[rows] > 0)
-    score = 0.88 - score_loss + rng.normal(0, 0.06, len(rows))
-    types = np.array([DETECTED_TYPES[name] for name in truth.kitti_type[rows].tolist()], np.str_)
-    true = _as_detections(truth.frame[rows], types, boxes, score=score, image_size_px=image_size_px)
+    boxes = truth.xyxy_px + rng.normal(size=(len(truth), 4)) * sigma_px[:, None]
+    score_loss = 0.25 * _smallness(height_px) + 0.15 * (truth.occluded > 0)
+    score = 0.88 - score_loss + rng.normal(0, 0.06, len(truth))
+    types = np.array([DETECTED_TYPES[name] for name in truth.kitti_type.tolist()], np.str_)
+    true = _as_detections(truth.frame, types, boxes, score=score, image_size_px=image_size_px)
     false = _false_boxes(rng, flaws, n_frames=n_frames, image_size_px=image_size_px)
-    both = KittiLabels(
-        *(np.concatenate([getattr(part, name) for part in (true, false)]) for name in KittiLabels.__dataclass_fields__)
-    )
+    both = joined([true, false])
     return both.select(np.argsort(both.frame, kind="stable"))
 
 

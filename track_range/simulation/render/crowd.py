@@ -18,7 +18,7 @@ from track_range.simulation.world.bodies.faces import Face
 class Crowd:
     """Faces of many bodies, stored in the frame of each body.
 
-    The labels of faces are 2 n + part for body n (`faces.Part`: 1 head, 2 plate), and 0 for other faces.
+    The labels of faces are 2 n + part for body n (`faces.IdentifyingPart`), and 0 for other faces.
 
     Args:
         bodies: the faces of each body.

@@ -22,7 +22,7 @@ class FaceTable:
         texels: (F, 2) rows and columns of the textures.
         two_sided: (F,) whether the back is visible too.
         is_shadow: (F,) whether the face is a shadow.
-        label: (F,) what the masks show at the face: its `Part`, or a number of part and road user (`Crowd`).
+        label: (F,) what the masks show at the face: its `IdentifyingPart`, or a number of part and road user (`Crowd`).
     """
 
     corner: FloatArray
@@ -58,14 +58,33 @@ class FaceTable:
 
     def rotated(self, rotations: FloatArray) -> FaceTable:
         """The faces rotated by one (3, 3) or one rotation per face (F, 3, 3)."""
-        corner, along, down = (
-            np.matmul(rotations, part[:, :, None])[:, :, 0] for part in (self.corner, self.along, self.down)
-        )
+        vectors = (self.corner, self.along, self.down)
+        corner, along, down = (np.matmul(rotations, part[:, :, None])[:, :, 0] for part in vectors)
         return replace(self, corner=corner, along=along, down=down)
 
     def moved(self, by_m: FloatArray) -> FaceTable:
         """The faces translated by (3,) or (F, 3)."""
         return replace(self, corner=self.corner + by_m)
+
+
+def unlabelled_faces(
+    vectors_m: tuple[FloatArray, FloatArray, FloatArray],
+    texture: IntArray,
+    texels: IntArray | tuple[int, ...],
+    *,
+    two_sided: BoolArray | bool = False,
+    is_shadow: bool = False,
+) -> FaceTable:
+    """Faces with label 0; `vectors_m` are corner, along and down, `texels` are (F, 2), or the same for all."""
+    n = len(texture)
+    return FaceTable(
+        *vectors_m,
+        texture,
+        np.broadcast_to(texels, (n, 2)),
+        np.broadcast_to(two_sided, n),
+        np.full(n, is_shadow),
+        np.zeros(n, np.int64),
+    )
 
 
 def joined_tables(tables: Sequence[FaceTable]) -> FaceTable:

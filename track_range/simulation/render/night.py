@@ -47,13 +47,12 @@ class Lamps:
     bgr: FloatArray
     radius_m: FloatArray
 
-    def moved(self, shift_m: FloatArray) -> Lamps:
-        """The lamps translated by (3,)."""
-        return Lamps(self.location_m + shift_m, self.bgr, self.radius_m)
 
+def lamps_of(scene: Scene, time_s: float, *, lamp_heads_m: FloatArray, shift_m: FloatArray) -> Lamps:
+    """The lamps of vehicles and the street lamps in a camera's frame.
 
-def lamps_of(scene: Scene, time_s: float, *, lamp_heads_m: FloatArray) -> Lamps:
-    """The lamps of vehicles and the street lamps at `lamp_heads_m` (N, 3, world axes), in the left camera's frame."""
+    `lamp_heads_m` (N, 3) is in world axes, `shift_m` (3,) the position of the left camera in the camera's frame.
+    """
     pose = scene.pose(time_s)
     rows: list[tuple[float, ...]] = []
     poses = zip(scene.road_users, scene.location_m(time_s), scene.rotations(time_s), strict=True)
@@ -63,7 +62,7 @@ def lamps_of(scene: Scene, time_s: float, *, lamp_heads_m: FloatArray) -> Lamps:
     for head in (lamp_heads_m - pose.position_m) @ pose.camera_from_world.T:
         rows.append((*head.tolist(), *AMBER, 0.22))
     table = np.array(rows, np.float64).reshape(-1, 7)
-    return Lamps(table[:, :3], table[:, 3:6], table[:, 6])
+    return Lamps(table[:, :3] + shift_m, table[:, 3:6], table[:, 6])
 
 
 def _vehicle_lamps(user: RoadUser, location: FloatArray, rotation: FloatArray) -> list[tuple[float, ...]]:
@@ -80,20 +79,16 @@ def _vehicle_lamps(user: RoadUser, location: FloatArray, rotation: FloatArray) -
 def night_image(image: Image, inverse_depth: FloatArray, camera: PinholeCamera, lamps: Lamps) -> Image:
     """A daylight image as lit by the ego headlights and lamps; the sky does not change.
 
-    Args:
-        image: (H, W, 3) uint8.
-        inverse_depth: (H, W) 1/z in 1/m, 0 = sky.
-        camera: the camera of the image.
-        lamps: lamps in this camera's frame.
+    `image` is (H, W, 3) uint8, `inverse_depth` (H, W) 1/z in 1/m with 0 = sky; the lamps are in the camera's frame.
     """
     near = cv2.pow(np.minimum(inverse_depth * np.float32(REACH_M), np.float32(1)), FADING)
     strength = headlights(camera) * near
     light = cv2.merge([strength * beam + ambient for beam, ambient in zip(BEAM, AMBIENT, strict=True)])
     light[inverse_depth <= 0] = 1.0
     night = image * light
-    for location, colour, radius_m in zip(lamps.location_m, lamps.bgr, lamps.radius_m.tolist(), strict=True):
+    for location, bgr, radius_m in zip(lamps.location_m, lamps.bgr, lamps.radius_m.tolist(), strict=True):
         if location[2] > 1.0:
-            _add_glow(night, inverse_depth, camera, (location, colour, radius_m))
+            _add_glow(night, inverse_depth, camera, location, bgr, radius_m)
     return np.asarray(cv2.convertScaleAbs(night), np.uint8)
 
 
@@ -109,10 +104,14 @@ def headlights(camera: PinholeCamera) -> FloatArray:
 
 
 def _add_glow(
-    image: FloatArray, inverse_depth: FloatArray, camera: PinholeCamera, lamp: tuple[FloatArray, FloatArray, float]
+    image: FloatArray,
+    inverse_depth: FloatArray,
+    camera: PinholeCamera,
+    location: FloatArray,
+    bgr: FloatArray,
+    radius_m: float,
 ) -> None:
     """Add the glow of one lamp to `image`, unless a nearer surface hides it."""
-    location, colour, radius_m = lamp
     xy_px = camera.project(location[None])[0]
     column, row = np.rint(xy_px).astype(int).tolist()
     height, width = image.shape[:2]
@@ -126,4 +125,4 @@ def _add_glow(
     columns = np.arange(max(0, column - reach), min(width, column + reach + 1))
     distance2 = ((rows - xy_px[1])[:, None] ** 2 + (columns - xy_px[0])[None, :] ** 2) / core_px**2
     glow = np.exp(-distance2) * 1.2 + 0.25 * np.exp(-distance2 / 8)
-    image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += glow[:, :, None] * colour
+    image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += glow[:, :, None] * bgr

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.simulation.camera.faults import NO_FAULTS, Faults, with_rain
+from track_range.simulation.camera.faults import right_camera, with_blur_and_gain, with_rain
 from track_range.simulation.camera.wide_lens import SideView, WideLens
 from track_range.simulation.render.canvas import Canvas
 from track_range.simulation.render.crowd import Crowd
@@ -24,6 +24,7 @@ from track_range.simulation.render.night import lamps_of, night_image
 from track_range.simulation.render.street import FAR_M, Street
 from track_range.simulation.render.surface import Surface
 from track_range.simulation.render.texture_store import TextureStore
+from track_range.simulation.settings import NO_FAULTS, Faults
 from track_range.simulation.world.bodies.obstacles import body_of_obstacle
 from track_range.simulation.world.bodies.road_users import body_of
 from track_range.simulation.world.road_shape import CameraPose
@@ -45,11 +46,12 @@ LONGEST_HALF_M = 8.0
 LENS_BLUR_SAMPLES = 0.8
 """Standard deviation of the lens blur in samples, about 0.4 px; without blur the image would be aliased."""
 
-NOISE_GREY = 2.0
-"""Default standard deviation of the sensor noise, grey levels."""
-
 SKY_SIZE = (1.7, 1.5)
 """Width and height of the sky relative to the image, for a camera that rotates."""
+
+
+_FROM_HALF = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
+"""Homography from pixels of an image of half the size to pixels of the full size."""
 
 
 def kitti_like_rig(*, width_px: int = 1240, height_px: int = 376, baseline_m: float = 0.54) -> StereoRig:
@@ -57,10 +59,6 @@ def kitti_like_rig(*, width_px: int = 1240, height_px: int = 376, baseline_m: fl
     focal_px = 721.5 * width_px / 1240
     camera = PinholeCamera(focal_px, focal_px, 0.492 * width_px, 0.46 * height_px, width_px, height_px)
     return StereoRig.rectified(camera, baseline_m)
-
-
-_FROM_HALF = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
-"""Homography from pixels of an image of half the size to pixels of the full size."""
 
 
 class Renderer:
@@ -82,7 +80,7 @@ class Renderer:
         scene: Scene,
         rig: StereoRig,
         *,
-        noise_grey: float = NOISE_GREY,
+        noise_grey: float = 2.0,
         faults: Faults = NO_FAULTS,
         wide_lens: WideLens | None = None,
     ) -> None:
@@ -105,7 +103,7 @@ class Renderer:
             Crowd([[face for face in body if face.is_shadow == is_shadow] for body in drawn], self._store)
             for is_shadow in (True, False)
         )
-        self._cameras = {"left": _finer(rig.left), "right": _finer(faults.right_camera(rig.left))}
+        self._cameras = {"left": _finer(rig.left), "right": _finer(right_camera(rig.left, faults))}
         wobble = scene.wobble
         self._rotates = not scene.road.is_straight or any((wobble.pitch_rad, wobble.roll_rad, scene.camera_pitch_rad))
         self._sky = self._sky_picture(rng)
@@ -122,7 +120,7 @@ class Renderer:
     def render_with_labels(self, time_s: float) -> tuple[Image, FloatArray, npt.NDArray[np.uint16]]:
         """The results of `render_with_depth`, and (2 H, 2 W) the visible heads and number plates of the samples.
 
-        A label is 2 n + part (`faces.Part`) for road user n, 0 = neither head nor plate.
+        A label is 2 n + part (`faces.IdentifyingPart`) for road user n, 0 = neither head nor plate.
         """
         canvas = self._drawn(time_s, "left", has_labels=True)
         return self._exposed(canvas, time_s, "left"), np.asarray(canvas.inverse_depth), canvas.drawn_labels
@@ -153,37 +151,36 @@ class Renderer:
             self._surfaces[row] = Surface.of(self.bodies[row])
         return self._surfaces[row]
 
-    @property
-    def _size_px(self) -> tuple[int, int]:
-        return self.rig.left.width_px, self.rig.left.height_px
-
     def _in_pixels(self, canvas: Canvas) -> FloatArray:
         """(H, W) mean 1/z of each pixel's samples."""
-        return np.asarray(cv2.resize(canvas.inverse_depth, self._size_px, interpolation=cv2.INTER_AREA))
+        return np.asarray(cv2.resize(canvas.inverse_depth, _size_px(self.rig.left), interpolation=cv2.INTER_AREA))
+
+    def _shift_m(self, side: Side) -> FloatArray:
+        """Position of the left camera in the frame of a camera."""
+        return np.array([-self.rig.baseline_m if side == "right" else 0.0, 0.0, 0.0])
 
     def _exposed(self, canvas: Canvas, time_s: float, side: Side) -> Image:
         """The image of a drawing after lens, lighting, faults and sensor noise."""
+        scene, faults, is_right = self.scene, self.faults, side == "right"
         samples = np.asarray(cv2.GaussianBlur(canvas.bgra, (3, 3), LENS_BLUR_SAMPLES), np.uint8)
-        is_lit = self.scene.is_night or self.faults.rain > 0  # both are added to the pinhole's pixels
+        is_lit = scene.is_night or faults.rain > 0  # both are added to the pinhole's pixels
         if self.wide_lens is not None and not is_lit:
             beside = [self._drawn(time_s, side, view=view).bgra for view in self.wide_lens.sides]
-            wide = self.wide_lens.recorded(samples, beside)
-            image = np.asarray(cv2.cvtColor(wide, cv2.COLOR_BGRA2BGR), np.uint8)
-            return self._with_noise(self.faults.apply(image, is_right=side == "right"), time_s, side)
-        small = cv2.resize(samples, self._size_px, interpolation=cv2.INTER_AREA)
+            small = self.wide_lens.recorded(samples, beside)
+        else:
+            small = np.asarray(cv2.resize(samples, _size_px(self.rig.left), interpolation=cv2.INTER_AREA), np.uint8)
         image = np.asarray(cv2.cvtColor(small, cv2.COLOR_BGRA2BGR), np.uint8)
-        if self.scene.is_night:
-            camera = self.rig.left if side == "left" else self.faults.right_camera(self.rig.left)
-            lamps = lamps_of(self.scene, time_s, lamp_heads_m=self._street.lamp_heads_m(self.scene.ego_z_m(time_s)))
-            shift_m = np.array([-self.rig.baseline_m if side == "right" else 0.0, 0.0, 0.0])
-            image = night_image(image, self._in_pixels(canvas), camera, lamps.moved(shift_m))
-        is_right = side == "right"
-        if self.faults.rain > 0:
-            drops_seed = [self.scene.seed, 7, round(time_s * 1e6) % 2**32]
-            image = with_rain(image, self.rig, drops_seed, rain=self.faults.rain, is_right=is_right)
-        if self.wide_lens is not None:
+        if scene.is_night:
+            camera = right_camera(self.rig.left, faults) if is_right else self.rig.left
+            heads_m = self._street.roadside.lamp_heads_m(scene.ego_z_m(time_s))
+            lamps = lamps_of(scene, time_s, lamp_heads_m=heads_m, shift_m=self._shift_m(side))
+            image = night_image(image, self._in_pixels(canvas), camera, lamps)
+        if faults.rain > 0:
+            drops_seed = [scene.seed, 7, round(time_s * 1e6) % 2**32]
+            image = with_rain(image, self.rig, drops_seed, rain=faults.rain, is_right=is_right)
+        if self.wide_lens is not None and is_lit:
             image = self.wide_lens.recorded(image)
-        return self._with_noise(self.faults.apply(image, is_right=is_right), time_s, side)
+        return self._with_noise(with_blur_and_gain(image, faults, is_right=is_right), time_s, side)
 
     def _drawn(
         self,
@@ -195,13 +192,11 @@ class Renderer:
         view: SideView | None = None,
     ) -> Canvas:
         """The canvas with the street, the road users, the obstacles and the sky; `view`: to the side, None = ahead."""
-        pose = self.scene.pose(time_s)
+        pose, ego_z_m = self.scene.pose(time_s), self.scene.ego_z_m(time_s)
         camera, turn = (self._cameras[side], np.eye(3)) if view is None else (_finer(view.camera), view.from_camera)
         canvas = Canvas(camera, self._store, has_labels=has_labels)
-        shift_m = np.array([-self.rig.baseline_m if side == "right" else 0.0, 0.0, 0.0])
-        shift_m = turn @ shift_m
-        rotation = turn @ pose.camera_from_world
-        street = self._street.faces(self.scene.ego_z_m(time_s))
+        shift_m, rotation = turn @ self._shift_m(side), turn @ pose.camera_from_world
+        street = self._street.faces(ego_z_m)
         canvas.draw(street.rotated(rotation).moved(shift_m - rotation @ pose.position_m))
         self._draw_bodies(canvas, time_s, shift_m, solids or self._solids, turn)
         if n_rows := canvas.n_sky_rows():
@@ -210,29 +205,20 @@ class Renderer:
 
     def _draw_bodies(self, canvas: Canvas, time_s: float, shift_m: FloatArray, solids: Crowd, turn: FloatArray) -> None:
         """Draw all bodies, whose poses are multiplied by `turn` (3, 3) and then moved by `shift_m` (3,)."""
-        location_m, rotations, size_hwl_m = self._poses(time_s)
-        location_m, rotations = location_m @ turn.T, turn @ rotations
+        scene = self.scene
+        obstacle_location_m, obstacle_rotations = scene.obstacle_poses(time_s)
+        location_m = np.concatenate([scene.location_m(time_s), obstacle_location_m]) @ turn.T
+        rotations = turn @ np.concatenate([scene.rotations(time_s), obstacle_rotations])
+        obstacle_size_hwl_m = np.array([obstacle.size_hwl_m for obstacle in scene.obstacles]).reshape(-1, 3)
+        size_hwl_m = np.concatenate([scene.size_hwl_m(), obstacle_size_hwl_m])
         poses = location_m, rotations = location_m + shift_m, rotations
         in_reach = np.flatnonzero((location_m[:, 2] > -LONGEST_HALF_M) & (location_m[:, 2] < FAR_M))
         nearest_first = in_reach[np.argsort(location_m[in_reach, 2], kind="stable")]
-        boxes_m = corners_m(location_m, size_hwl_m, rotations)[nearest_first]
-        may_be_visible = canvas.may_be_visible(boxes_m)
-        raised = {row for row, user in enumerate(self.scene.road_users) if user.raised_m > 0}
-        has_pole = [row in raised for row in nearest_first.tolist()]  # not part of the box
-        is_visible = (box or pole for box, pole in zip(may_be_visible, has_pole, strict=True))
+        may_be_visible = canvas.may_be_visible(corners_m(location_m, size_hwl_m, rotations)[nearest_first])
+        raised = {row for row, user in enumerate(scene.road_users) if user.raised_m > 0}  # their poles are outside
+        is_visible = (box or row in raised for box, row in zip(may_be_visible, nearest_first.tolist(), strict=True))
         self._shadows.draw(canvas, nearest_first, poses, repeat(True))  # first, since shadows fall only on the road
         solids.draw(canvas, nearest_first, poses, is_visible)
-
-    def _poses(self, time_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Locations, rotations and sizes (height, width, length) of all bodies in the left camera's frame."""
-        scene = self.scene
-        users = scene.location_m(time_s), scene.rotations(time_s), scene.size_hwl_m()
-        if not scene.obstacles:
-            return users
-        sizes = np.array([obstacle.size_hwl_m for obstacle in scene.obstacles], np.float64)
-        obstacles = (*scene.obstacle_poses(time_s), sizes)
-        location_m, rotations, size_hwl_m = (np.concatenate(pair) for pair in zip(users, obstacles, strict=True))
-        return location_m, rotations, size_hwl_m
 
     def _sky_picture(self, rng: np.random.Generator) -> Image:
         """The sky at half the resolution of the canvas; larger than the image if the camera rotates."""
@@ -274,9 +260,8 @@ def noise_steps(sigma_grey: float) -> npt.NDArray[np.int8]:
     return np.asarray(np.clip(np.rint(steps), -128, 127), np.int8)
 
 
-def render(scene: Scene, time_s: float, *, rig: StereoRig, side: Side = "left") -> Image:
-    """(H, W, 3) uint8 BGR image of one camera; for several images use a `Renderer`, which creates textures once."""
-    return Renderer(scene, rig).render(time_s, side=side)
+def _size_px(camera: PinholeCamera) -> tuple[int, int]:
+    return camera.width_px, camera.height_px
 
 
 def _finer(camera: PinholeCamera) -> PinholeCamera:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image, IntArray
-from track_range.simulation.render.face_table import FaceTable
+from track_range.simulation.render.face_table import FaceTable, unlabelled_faces
 from track_range.simulation.render.texture_store import TextureStore
 from track_range.simulation.world.road_shape import RoadShape
 from track_range.simulation.world.surroundings import Row, Surroundings
@@ -21,14 +21,8 @@ VISIBLE_M = 130.0
 N_TREES = 3
 """Number of different tree textures."""
 
-TREE_M = np.array([4.5, 6.5])
-"""Mean width and height of a tree."""
-
-LAMP_M = (2.2, 7.5)
-"""Width and height of a lamp; its head is above the road."""
-
-POST_M = (0.12, 1.0)
-"""Width and height of a post."""
+TREE_M, LAMP_M, POST_M = np.array([4.5, 6.5]), np.array([2.2, 7.5]), np.array([0.12, 1.0])
+"""Mean width and height of a tree, and those of a lamp, whose head is above the road, and of a post."""
 
 _STEEL = (96.0, 98.0, 96.0)
 
@@ -36,10 +30,10 @@ _STEEL = (96.0, 98.0, 96.0)
 class Roadside:
     """The rows of trees, lamps and posts of one street."""
 
-    def __init__(self, rng: np.random.Generator, store: TextureStore, kind: Surroundings, road: RoadShape) -> None:
-        self._rows, self._road = kind.rows, road
-        kinds = {row.kind for row in kind.rows}
-        trees = [tree_picture(rng) for _ in range(N_TREES)] if "tree" in kinds else []
+    def __init__(self, rng: np.random.Generator, store: TextureStore, road_type: Surroundings, road: RoadShape) -> None:
+        self._rows, self._road = road_type.rows, road
+        has_trees = any(row.kind == "tree" for row in self._rows)
+        trees = [tree_picture(rng) for _ in range(N_TREES)] if has_trees else []
         lamp, post = _lamp_picture(rng), _post_picture(rng)
         pictures = {"tree": trees, "lamp": [lamp[:, ::-1], lamp], "post": [post]}
         self._shade = store.add(_leaf_shadow())
@@ -49,60 +43,45 @@ class Roadside:
     def faces(self, ego_z_m: float) -> list[FaceTable]:
         """The faces in front of the camera, in world axes: shadows of trees first, then all objects."""
         shadows = [self._shadows(row, ego_z_m) for row in self._rows if row.kind == "tree"]
-        return [*shadows, *(self._row(row, ego_z_m) for row in self._rows)]
-
-    def _shadows(self, row: Row, ego_z_m: float) -> FaceTable:
-        """The shadows of a row of trees, as wide as the crowns, on the ground to their left, away from the sun."""
-        numbers = _numbers(row, ego_z_m)
-        reach = TREE_M[0] * _growth(row, numbers)
-        z_m = row.first_m + numbers.astype(np.float64) * row.every_m
-        far, near = (self._on_ground_m(row.x_m - 0.3 * reach, z_m + half) for half in (reach / 2, -reach / 2))
-        along, above = np.zeros_like(far), np.array([0.0, -0.02, 0.0])
-        along[:, 0] = 1.3 * reach
-        one_sided, texels = np.zeros(len(numbers), np.bool_), np.tile(_leaf_shadow().shape, (len(numbers), 1))
-        texture = np.full(len(numbers), self._shade)
-        return FaceTable(
-            far - along / 2 + above, along, near - far, texture, texels, one_sided, ~one_sided, 0 * texture
-        )
+        return [*shadows, *(self._objects(row, ego_z_m) for row in self._rows)]
 
     def lamp_heads_m(self, ego_z_m: float) -> FloatArray:
         """(N, 3) positions of the lamp heads in world axes."""
         heads = [
-            self._feet_m(row, _numbers(row, ego_z_m)) + np.array([-np.sign(row.x_m) * 1.6, -LAMP_M[1] + 0.25, 0])
+            self._on_ground_m(row.x_m, _positions_m(row, _numbers(row, ego_z_m)))
+            + np.array([-np.sign(row.x_m) * 1.6, -LAMP_M[1] + 0.25, 0])
             for row in self._rows
             if row.kind == "lamp"
         ]
         return np.concatenate([np.zeros((0, 3)), *heads])
 
-    def _feet_m(self, row: Row, numbers: IntArray) -> FloatArray:
-        """(N, 3) positions on the ground of the given objects of a row."""
-        return self._on_ground_m(np.array(row.x_m), row.first_m + numbers.astype(np.float64) * row.every_m)
-
-    def _on_ground_m(self, across_m: FloatArray, z_m: FloatArray) -> FloatArray:
-        return np.stack([self._road.x_m(z_m) + across_m, self._road.y_m(z_m), z_m], axis=1)
-
-    def _row(self, row: Row, ego_z_m: float) -> FaceTable:
+    def _shadows(self, row: Row, ego_z_m: float) -> FaceTable:
+        """The shadows of a row of trees, as wide as the crowns, on the ground to their left, away from the sun."""
         numbers = _numbers(row, ego_z_m)
-        foot, size_m, which = self._feet_m(row, numbers), np.array(POST_M)[None], 0 * numbers
+        reach = TREE_M[0] * _growth(row, numbers)
+        z_m = _positions_m(row, numbers)
+        far, near = (self._on_ground_m(row.x_m - 0.3 * reach, z_m + half) for half in (reach / 2, -reach / 2))
+        along, above = np.zeros_like(far), np.array([0.0, -0.02, 0.0])
+        along[:, 0] = 1.3 * reach
+        vectors = (far - along / 2 + above, along, near - far)
+        return unlabelled_faces(vectors, np.full(len(numbers), self._shade), _leaf_shadow().shape, is_shadow=True)
+
+    def _objects(self, row: Row, ego_z_m: float) -> FaceTable:
+        numbers = _numbers(row, ego_z_m)
+        foot, size_m, which = self._on_ground_m(row.x_m, _positions_m(row, numbers)), POST_M[None], 0 * numbers
         if row.kind == "tree":
             size_m, which = TREE_M * _growth(row, numbers)[:, None], numbers % N_TREES
         elif row.kind == "lamp":
             foot[:, 0] -= np.sign(row.x_m) * (LAMP_M[0] / 2 - 0.1)
-            size_m, which = np.array(LAMP_M)[None], which + int(row.x_m > 0)
+            size_m, which = LAMP_M[None], which + int(row.x_m > 0)
         along, down = np.zeros_like(foot), np.zeros_like(foot)
         along[:, 0], down[:, 1] = size_m[:, 0], size_m[:, 1]
-        flat = np.zeros(len(numbers), np.bool_)
-        texels = np.tile(np.array(self._texels[row.kind], np.int64), (len(numbers), 1))
-        return FaceTable(
-            foot - along / 2 - down,
-            along,
-            down,
-            self._numbers[row.kind][which],
-            texels,
-            flat,
-            flat,
-            np.zeros(len(foot), np.int64),
-        )
+        vectors = (foot - along / 2 - down, along, down)
+        return unlabelled_faces(vectors, self._numbers[row.kind][which], self._texels[row.kind])
+
+    def _on_ground_m(self, across_m: FloatArray | float, z_m: FloatArray) -> FloatArray:
+        """(N, 3) positions on the ground in world axes."""
+        return np.stack([self._road.x_m(z_m) + across_m, self._road.y_m(z_m), z_m], axis=1)
 
 
 def _numbers(row: Row, ego_z_m: float) -> IntArray:
@@ -110,6 +89,11 @@ def _numbers(row: Row, ego_z_m: float) -> IntArray:
     first = int(np.ceil((ego_z_m + 1.0 - row.first_m) / row.every_m))
     last = int(np.floor((ego_z_m + VISIBLE_M - row.first_m) / row.every_m))
     return np.arange(first, last + 1)
+
+
+def _positions_m(row: Row, numbers: IntArray) -> FloatArray:
+    """(N,) positions along the road of the objects of a row."""
+    return row.first_m + numbers.astype(np.float64) * row.every_m
 
 
 def _growth(row: Row, numbers: IntArray) -> FloatArray:
@@ -141,7 +125,7 @@ def _lamp_picture(rng: np.random.Generator) -> Image:
 
 def _post_picture(rng: np.random.Generator) -> Image:
     """Texture of a white delineator post with a black band and a reflector."""
-    picture = plain(rng, POST_M, (214.0, 216.0, 216.0), contrast=4.0)
+    picture = plain(rng, (POST_M[0], POST_M[1]), (214.0, 216.0, 216.0), contrast=4.0)
     height = picture.shape[0]
     picture[round(0.18 * height) : round(0.42 * height), :, :3] = 30
     picture[round(0.24 * height) : round(0.36 * height), :, :3] = (40, 120, 230)

@@ -9,14 +9,13 @@ depth is given, any drawn surface is nearer.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.box_surface import surface_distance_m
-from track_range.simulation.world.road_shape import yaw_rotation
 from track_range.simulation.world.scene import Scene
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -68,29 +67,17 @@ def label_scene(scene: Scene, times_s: Sequence[float], *, camera: PinholeCamera
 
 def joined(frames: Sequence[KittiLabels]) -> KittiLabels:
     """The labels of several frames, concatenated."""
-    columns = [
-        np.concatenate([getattr(labels, name) for labels in frames]) for name in KittiLabels.__dataclass_fields__
-    ]
-    return KittiLabels(*columns)
-
-
-def box_corners_m(location_m: FloatArray, *, size_hwl_m: FloatArray, rotation_y_rad: FloatArray) -> FloatArray:
-    """(N, 8, 3) corners of 3-D boxes: four on the road, then the four above them in the same order."""
-    return corners_m(location_m, size_hwl_m, yaw_rotation(rotation_y_rad))
+    names = KittiLabels.__dataclass_fields__
+    return KittiLabels(*(np.concatenate([getattr(labels, name) for labels in frames]) for name in names))
 
 
 def corners_m(location_m: FloatArray, size_hwl_m: FloatArray, rotations: FloatArray) -> FloatArray:
-    """(N, 8, 3) corners of 3-D boxes with rotations (N, 3, 3), in the order of `box_corners_m`."""
+    """(N, 8, 3) corners of 3-D boxes with rotations (N, 3, 3): four on the road, then the four above them."""
     height, width, length = size_hwl_m.T[:, :, None]
     x = length / 2 * np.array([1, 1, -1, -1, 1, 1, -1, -1])
     y = -height * np.array([0, 0, 0, 0, 1, 1, 1, 1])
     z = width / 2 * np.array([1, -1, -1, 1, 1, -1, -1, 1])
     return np.asarray(np.stack([x, y, z], axis=2) @ rotations.transpose(0, 2, 1) + location_m[:, None, :])
-
-
-def projected_boxes_px(boxes_m: FloatArray, camera: PinholeCamera) -> FloatArray:
-    """(N, 4) bounding boxes of projected 3-D boxes (N, 8, 3), not clipped to the image; NaN behind the camera."""
-    return _bounds(*_projected_points(boxes_m, camera))
 
 
 def boxes_in_image(boxes_m: FloatArray, camera: PinholeCamera) -> tuple[FloatArray, FloatArray]:
@@ -100,13 +87,9 @@ def boxes_in_image(boxes_m: FloatArray, camera: PinholeCamera) -> tuple[FloatArr
     and the right border, as far as they are rows of the image. The rows of that part are bounded by the points of S
     between the two borders, and by the crossings of segments of S with the borders. The same holds for the columns.
 
-    Args:
-        boxes_m: (N, 8, 3) corners of the 3-D boxes.
-        camera: the camera.
-
     Returns:
-        (N, 4) boxes in pixels, NaN where nothing is in the image; and (N,) fraction of the bounding box of all of S
-        that is outside the image, NaN behind the camera.
+        (N, 4) boxes in pixels of 3-D boxes with corners (N, 8, 3), NaN where nothing is in the image; and (N,) fraction
+        of the bounding box of all of S that is outside the image, NaN behind the camera.
     """
     xy_px, is_in_front = _projected_points(boxes_m, camera)
     boxes = _bounds(xy_px, is_in_front)
@@ -129,9 +112,8 @@ def _clipped_to_image(boxes: FloatArray, xy_px: FloatArray, is_in_front: BoolArr
         for border in (0.0, edge[1 - axis]):
             fraction = (border - inner[:, :, None]) / np.where(is_segment, rise, 1.0)
             crossing = others[:, :, None] + fraction * (others[:, None, :] - others[:, :, None])
-            values.append(
-                np.where(is_segment & (fraction >= 0) & (fraction <= 1), crossing, np.nan).reshape(len(cut), -1)
-            )
+            crosses = is_segment & (fraction >= 0) & (fraction <= 1)
+            values.append(np.where(crosses, crossing, np.nan).reshape(len(cut), -1))
         low, high = _extremes(np.concatenate(values, axis=1))
         is_inside = (high >= 0) & (low <= edge[axis])  # false for NaN
         boxes[cut, axis] = np.where(is_inside, np.clip(low, 0, edge[axis]), np.nan)
@@ -148,9 +130,7 @@ def _projected_points(boxes_m: FloatArray, camera: PinholeCamera) -> tuple[Float
     start, end = boxes_m[:, _EDGES[:, 0]], boxes_m[:, _EDGES[:, 1]]
     rise = end[:, :, 2] - start[:, :, 2]
     fraction = np.clip((NEAR_M - start[:, :, 2]) / np.where(rise == 0, 1.0, rise), 0, 1)
-    cut = start + fraction[:, :, None] * (
-        end - start
-    )  # the intersection of an edge with the near plane, else one of its ends
+    cut = start + fraction[:, :, None] * (end - start)  # where an edge meets the near plane, else one of its ends
     points = np.concatenate([boxes_m, cut], axis=1)
     is_in_front = points[:, :, 2] >= NEAR_M - 1e-9
     xy_px = camera.project(points.reshape(-1, 3)).reshape(*points.shape[:2], 2)
@@ -159,80 +139,58 @@ def _projected_points(boxes_m: FloatArray, camera: PinholeCamera) -> tuple[Float
 
 def _bounds(xy_px: FloatArray, exists: BoolArray) -> FloatArray:
     """(N, 4) bounding boxes of those of the points (N, P, 2) that exist (N, P); NaN if none does."""
-    points = np.where(exists[:, :, None], xy_px, np.nan)
-    return np.concatenate([np.stack(_extremes(points[:, :, axis]), axis=1) for axis in (0, 1)], axis=1)[:, [0, 2, 1, 3]]
+    return np.concatenate(_extremes(np.where(exists[:, :, None], xy_px, np.nan)), axis=1)
 
 
 def _extremes(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(N,) smallest and largest value of each row (N, P), without NaN; NaN if there is no other."""
-    low, high = np.fmin.reduce(values, axis=1), np.fmax.reduce(values, axis=1)
-    return low, high
+    """Smallest and largest values along axis 1, without NaN; NaN if there is no other."""
+    return np.fmin.reduce(values, axis=1), np.fmax.reduce(values, axis=1)
 
 
-def visible_shares(
+def visible_fractions(
     xyxy_px: FloatArray,
     location_m: FloatArray,
     *,
     size_hwl_m: FloatArray,
     rotation_y_rad: FloatArray,
     camera: PinholeCamera,
+    inverse_depth: FloatArray | None = None,
 ) -> FloatArray:
-    """(N,) fraction of the rays through an object's box and 3-D box that no other object's 3-D box blocks."""
-    n = len(xyxy_px)
-    rays = camera.rays(_grid_px(xyxy_px))
-    n_rays = len(rays)
-    distance_m = surface_distance_m(
-        np.tile(rays, (n, 1)),
-        np.repeat(location_m, n_rays, axis=0),
-        size_hwl_m=np.repeat(size_hwl_m, n_rays, axis=0),
-        rotation_y_rad=np.repeat(rotation_y_rad, n_rays),
-    ).reshape(n, n, N_RAYS**2)  # axes: object met by the ray, object of the box, ray
-    first_m = np.where(np.isnan(distance_m), np.inf, distance_m).min(axis=0, initial=np.inf)
-    own_m = distance_m[np.arange(n), np.arange(n)]
-    n_own = np.isfinite(own_m).sum(axis=1)
-    n_visible = (own_m <= first_m).sum(axis=1)
-    return np.asarray(n_visible / np.maximum(n_own, 1), np.float64)
+    """(N,) fraction of the rays through an object's box and 3-D box that nothing nearer blocks.
 
-
-def _drawn_fractions(
-    xyxy_px: FloatArray,
-    boxes: tuple[FloatArray, FloatArray, FloatArray],
-    camera: PinholeCamera,
-    inverse_depth: FloatArray,
-) -> FloatArray:
-    """(N,) result of `visible_shares`, with occlusion by all drawn surfaces; `boxes`: locations, sizes, yaws."""
-    location, size, yaw = (np.repeat(part, N_RAYS**2, axis=0) for part in boxes)
-    grid_px = _grid_px(xyxy_px)
-    own_m = surface_distance_m(camera.rays(grid_px), location, size_hwl_m=size, rotation_y_rad=yaw)
-    samples = inverse_depth.shape[0] / camera.height_px
-    edge = np.array(inverse_depth.shape[::-1]) - 1
-    column, row = np.clip(np.rint((grid_px + 0.5) * samples - 0.5), 0, edge).astype(int).T
-    nearest_m = np.maximum(own_m * (1 - DEPTH_SLACK) - DEPTH_SLACK_M, NEAR_M)
-    is_visible = inverse_depth[row, column] * nearest_m <= 1  # false for NaN
-    n_own = np.isfinite(own_m).reshape(-1, N_RAYS**2).sum(axis=1)
-    return np.asarray(is_visible.reshape(-1, N_RAYS**2).sum(axis=1) / np.maximum(n_own, 1), np.float64)
-
-
-def _grid_px(xyxy_px: FloatArray) -> FloatArray:
-    """(N * N_RAYS^2, 2) pixels of a regular grid over each box."""
-    steps = (np.arange(N_RAYS) + 0.5) / N_RAYS
+    `inverse_depth` (k H, k W) is 1/z of the drawn surfaces, with k samples per pixel and axis; without it, only the 3-D
+    boxes of other objects block rays.
+    """
+    n, n_rays, steps = len(xyxy_px), N_RAYS**2, (np.arange(N_RAYS) + 0.5) / N_RAYS
     x_px = xyxy_px[:, :1] + (xyxy_px[:, 2:3] - xyxy_px[:, :1]) * np.tile(steps, N_RAYS)
     y_px = xyxy_px[:, 1:2] + (xyxy_px[:, 3:] - xyxy_px[:, 1:2]) * np.repeat(steps, N_RAYS)
-    return np.stack([x_px.ravel(), y_px.ravel()], axis=1)
+    grid_px = np.stack([x_px.ravel(), y_px.ravel()], axis=1)
+    n_repeats = n * n_rays if inverse_depth is None else n_rays
+    distance_m = surface_distance_m(
+        np.tile(camera.rays(grid_px), (n if inverse_depth is None else 1, 1)),
+        np.repeat(location_m, n_repeats, axis=0),
+        size_hwl_m=np.repeat(size_hwl_m, n_repeats, axis=0),
+        rotation_y_rad=np.repeat(rotation_y_rad, n_repeats),
+    )
+    if inverse_depth is None:
+        by_object_m = distance_m.reshape(n, n, n_rays)  # axes: object met by the ray, object of the box, ray
+        own_m = by_object_m[np.arange(n), np.arange(n)]
+        is_visible = own_m <= np.where(np.isnan(by_object_m), np.inf, by_object_m).min(axis=0, initial=np.inf)
+    else:
+        own_m = distance_m.reshape(n, n_rays)
+        samples, edge = inverse_depth.shape[0] / camera.height_px, np.array(inverse_depth.shape[::-1]) - 1
+        column, row = np.clip(np.rint((grid_px + 0.5) * samples - 0.5), 0, edge).astype(int).T.reshape(2, n, n_rays)
+        nearest_m = np.maximum(own_m * (1 - DEPTH_SLACK) - DEPTH_SLACK_M, NEAR_M)
+        is_visible = inverse_depth[row, column] * nearest_m <= 1  # false for NaN
+    return np.asarray(is_visible.sum(axis=1) / np.maximum(np.isfinite(own_m).sum(axis=1), 1), np.float64)
 
 
 def visible_objects(
     scene: Scene, time_s: float, *, frame: int, camera: PinholeCamera, inverse_depth: FloatArray | None = None
 ) -> VisibleObjects:
-    """The objects that the left camera sees at a time.
+    """The objects that the left camera sees at a time; for `inverse_depth` see `visible_fractions`.
 
-    Args:
-        scene: the scene.
-        time_s: the time.
-        frame: frame number for the labels.
-        camera: the left camera.
-        inverse_depth: (k H, k W) 1/z of the drawn surfaces in 1/m, with k samples per pixel and axis; None = only road
-            users hide each other.
+    `frame` is the frame number for the labels.
     """
     location, size, yaw = scene.location_m(time_s), scene.size_hwl_m(), scene.rotation_y_rad(time_s)
     inside, outside = boxes_in_image(corners_m(location, size, scene.rotations(time_s)), camera)
@@ -240,18 +198,16 @@ def visible_objects(
     in_view = (_areas(inside) > 0) & (location[:, 2] < FARTHEST_M)  # false for NaN
     rows = nearest_first[in_view[nearest_first]]
     location, size, yaw, inside, outside = (part[rows] for part in (location, size, yaw, inside, outside))
-    if inverse_depth is None:
-        fractions = visible_shares(inside, location, size_hwl_m=size, rotation_y_rad=yaw, camera=camera)
-    else:
-        fractions = _drawn_fractions(inside, (location, size, yaw), camera, inverse_depth)
+    fractions = visible_fractions(
+        inside, location, size_hwl_m=size, rotation_y_rad=yaw, camera=camera, inverse_depth=inverse_depth
+    )
+    occluded = np.where(fractions >= LARGELY_VISIBLE, 0, np.where(fractions >= PARTLY_VISIBLE, 1, 2))
     labels = KittiLabels(
         frame=np.full(len(rows), frame, np.int64),
         track_id=np.array([scene.road_users[row].track_id for row in rows], np.int64),
         kitti_type=np.array([scene.road_users[row].kitti_type for row in rows], np.str_),
         truncated=np.digitize(outside, [UNCUT, HALF_CUT]).astype(np.float64),
-        occluded=np.where(fractions >= LARGELY_VISIBLE, 0, np.where(fractions >= PARTLY_VISIBLE, 1, 2)).astype(
-            np.int64
-        ),
+        occluded=occluded.astype(np.int64),
         xyxy_px=inside,
         size_hwl_m=size,
         location_m=location,
@@ -260,24 +216,21 @@ def visible_objects(
     )
     visible = np.flatnonzero(fractions > 0)
     is_small = (inside[:, 3] - inside[:, 1] < DONT_CARE_BELOW_PX)[visible]
-    visible_share = (fractions * (1 - outside))[visible]
     labels = _with_dont_care(labels.select(visible), is_small)
-    return VisibleObjects(rows[visible].astype(np.int64), labels, visible_share)
+    return VisibleObjects(rows[visible].astype(np.int64), labels, (fractions * (1 - outside))[visible])
 
 
 def _with_dont_care(labels: KittiLabels, is_small: BoolArray) -> KittiLabels:
     """The labels with small objects converted to KITTI's DontCare regions."""
-    return KittiLabels(
-        frame=labels.frame,
+    return replace(
+        labels,
         track_id=np.where(is_small, -1, labels.track_id),
         kitti_type=np.where(is_small, "DontCare", labels.kitti_type),
         truncated=np.where(is_small, -1.0, labels.truncated),
         occluded=np.where(is_small, -1, labels.occluded),
-        xyxy_px=labels.xyxy_px,
         size_hwl_m=np.where(is_small[:, None], -1000.0, labels.size_hwl_m),
         location_m=np.where(is_small[:, None], -1000.0, labels.location_m),
         rotation_y_rad=np.where(is_small, -10.0, labels.rotation_y_rad),
-        score=labels.score,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from track_range.simulation.world.scenario_names import SCENARIO_NAMES, ScenarioName
+from track_range.simulation.settings import SCENARIO_NAMES, ScenarioName
 from track_range.simulation.world.scenarios.conflicts import CONFLICTS, TWINS
 from track_range.simulation.world.scenarios.occlusion import occlusion
 from track_range.simulation.world.scenarios.traffic import TRAFFIC

@@ -20,10 +20,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from track_range.simulation.settings import ScenarioName
 from track_range.simulation.world.contacts import CAMERA_TO_FRONT_M, EGO_HWL_M, first_contact
 from track_range.simulation.world.motion import SpeedChanges, speed_at_mps, travelled_m
 from track_range.simulation.world.road_shape import RoadShape
-from track_range.simulation.world.scenario_names import ScenarioName
 from track_range.simulation.world.scenarios.casting import (
     Flow,
     Part,

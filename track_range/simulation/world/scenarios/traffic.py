@@ -13,8 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from track_range.simulation.settings import ScenarioName
 from track_range.simulation.world.motion import LaneChange, SpeedChanges, travelled_m
-from track_range.simulation.world.scenario_names import ScenarioName
 from track_range.simulation.world.scenarios.casting import (
     Flow,
     Part,
