@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import make_folder, write_text
 from track_range.simulation.camera.drive_files import (
@@ -131,7 +132,8 @@ def write_drive(
     masks = MaskFolder(folder, scene) if options.masks else None
     times_s: list[float] = (np.arange(n_frames) / fps).tolist()
     left_times_s: list[float] = []
-    labels, rows = [], []
+    labels: list[KittiLabels] = []
+    rows: list[str] = []
     with (
         closing(image_writer(drive.left, rig.left, fps)) as left,
         closing(image_writer(drive.right, rig.left, fps)) as right,
