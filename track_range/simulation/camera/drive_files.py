@@ -65,7 +65,7 @@ def image_writer(path: Path, camera: PinholeCamera, fps: float) -> VideoWriter |
 
 
 def write_png(path: Path, image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> None:
-    """Write one image atomically; an `OutputError` says why it cannot be written."""
+    """Write one image atomically; `OutputError` if it cannot be written."""
     _, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION])
     write_bytes(path, encoded.tobytes())
 

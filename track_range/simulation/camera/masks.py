@@ -22,7 +22,7 @@ MIN_SAMPLES = 2
 
 
 class MaskFolder:
-    """Writes the masks of the frames in order; an `OutputError` says why they cannot be written.
+    """Writes the masks of the frames in order; `OutputError` if they cannot be written.
 
     Args:
         folder: folder of the drive; masks of an earlier drive are removed.
