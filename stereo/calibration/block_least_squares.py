@@ -109,8 +109,7 @@ class _NormalEquations:
         )
         steps = _STEP * np.maximum(np.abs(of_views).max(axis=0), 1e-3)
         j_p = np.stack(
-            [(residuals_of(common, of_views + step) - residuals) / step.sum() for step in np.diag(steps)],
-            axis=1,
+            [(residuals_of(common, of_views + step) - residuals) / step.sum() for step in np.diag(steps)], axis=1
         )
         return cls(
             j_c.T @ j_c,

@@ -63,8 +63,7 @@ class FisheyePairFit:
 def fit_fisheye(views: Sequence[BoardView], start: PinholeCamera | None = None) -> FisheyeFit:
     """The camera of all views; `start` = a camera near it, which saves the search for the focal length.
 
-    Raises:
-        CalibrationError: the views do not determine the camera.
+    Raises CalibrationError if the views do not determine the camera.
     """
     starts = _initial_cameras(views) if start is None else [start]
     solutions = [solution for camera in starts if (solution := _solved([views], [camera], None)) is not None]
@@ -80,8 +79,7 @@ def fit_fisheye_pair(
 ) -> FisheyePairFit:
     """Both cameras and their relative pose, from cameras that were fitted alone.
 
-    Raises:
-        CalibrationError: the pairs do not determine the rig.
+    Raises CalibrationError if the pairs do not determine the rig.
     """
     views = [[pair[side] for pair in pairs] for side in (0, 1)]
     in_left, in_right = (
@@ -106,8 +104,7 @@ _UNDETERMINED = (
 def board_pose(camera: PinholeCamera, view: BoardView) -> FloatArray:
     """(4, 4) board to camera, from the directions of the corners that the camera images (direct linear transform).
 
-    Raises:
-        CalibrationError: fewer than four corners have a direction.
+    Raises CalibrationError if fewer than four corners have a direction.
     """
     rays = camera.recorded_rays(view.xy_px)
     known = np.isfinite(rays).all(axis=1)

@@ -211,11 +211,7 @@ def total_rms_px(fits: Sequence[ViewFit]) -> float:
 
 
 def check_views(n_views: int) -> None:
-    """Raise an error if there are too few views.
-
-    Raises:
-        CalibrationError: fewer than `MIN_VIEWS`.
-    """
+    """Raise an error if there are too few views. Raises CalibrationError if fewer than `MIN_VIEWS`."""
     if n_views < MIN_VIEWS:
         raise CalibrationError(
             f"expected the board in at least {MIN_VIEWS} views, found it in {n_views}; add views (15 to 30 are "
@@ -224,11 +220,7 @@ def check_views(n_views: int) -> None:
 
 
 def check_motion(views: Sequence[BoardView]) -> None:
-    """Raise an error if all views are equal.
-
-    Raises:
-        CalibrationError: the board hardly moves.
-    """
+    """Raise an error if all views are equal. Raises CalibrationError if the board hardly moves."""
     if is_static(views):
         raise CalibrationError(
             "expected the board at different positions, found it at the same position in all views; move and tilt it, "
@@ -239,8 +231,7 @@ def check_motion(views: Sequence[BoardView]) -> None:
 def check_determined(std: IntrinsicStd, camera: PinholeCamera) -> None:
     """Raise an error if the focal length is uncertain.
 
-    Raises:
-        CalibrationError: the standard deviation of the focal length is large or NaN.
+    Raises CalibrationError if the standard deviation of the focal length is large or NaN.
     """
     fraction = max(std.fx_px / camera.fx_px, std.fy_px / camera.fy_px)
     if not fraction <= _MAX_FOCAL_STD:

@@ -206,7 +206,7 @@ def _fit_pinholes(
             [pair[1].xy_px.astype(np.float32) for pair in pairs],
             cameras[0].matrix, distortion[0], cameras[1].matrix, distortion[1], pairs[0][0].size_px,
             np.eye(3), np.zeros((3, 1)),
-            flags=cv2.CALIB_USE_INTRINSIC_GUESS | DISTORTION_FLAGS[n_distortion_coefficients], criteria=_CRITERIA,
+            flags=cv2.CALIB_USE_INTRINSIC_GUESS | DISTORTION_FLAGS[n_distortion_coefficients], criteria=_CRITERIA
         )
     )  # fmt: skip
     right_from_left = np.eye(4)

@@ -88,8 +88,7 @@ Fit = Callable[..., Alignment]
 def left_out_alignments(column: MatcherColumn, objects: Objects, fit: Fit, *, seed: int = 0) -> dict[int, Alignment]:
     """Alignment by pair, each fitted to all pairs except those of its fold (cross-validation).
 
-    Raises:
-        RigError: too few objects are outside a fold.
+    Raises RigError if too few objects are outside a fold.
     """
     alignments: dict[int, Alignment] = {}
     for fold in folds(len(objects.cameras)):

@@ -73,8 +73,7 @@ def is_kitti_2015(folder: Path) -> bool:
 def pair_names(folder: Path) -> list[str]:
     """Names of the pairs with true disparities, in order.
 
-    Raises:
-        PairFileError: the folder or one of its four parts is missing, or there are no true disparities.
+    Raises PairFileError if the folder or one of its four parts is missing, or there are no true disparities.
     """
     if not folder.is_dir():
         raise PairFileError(f"{folder}: no such folder; give one with {LEFT}, {RIGHT}, {TRUTH} and {INSTANCES}.")

@@ -103,9 +103,7 @@ class Rectifier:
         """Both images, (H, W) or (H, W, 3), rectified; the same arrays if the rig is already rectified.
 
         A remapped right image is grey and computed only where it is read. Pixels outside a camera's view are black.
-
-        Raises:
-            ValueError: the size of an image differs from that of its camera.
+        Raises ValueError if the size of an image differs from that of its camera.
         """
         _check_size(left, self._left_size_px, "left")
         _check_size(right, self._right_size_px, "right")
@@ -184,8 +182,7 @@ class Undistorter:
     def undistort(self, image: Image) -> Image:
         """The image, (H, W) or (H, W, 3), without distortion; the same array if the camera has none.
 
-        Raises:
-            ValueError: the size of the image differs from that of the camera.
+        Raises ValueError if the size of the image differs from that of the camera.
         """
         _check_size(image, self._size_px, "image")
         return image if self._maps is None else _remapped(image, self._maps)

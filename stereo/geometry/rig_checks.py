@@ -89,8 +89,7 @@ class RigCalibration:
 def check_rig(rig: StereoRig, source: object) -> None:
     """Raise an error for an implausible rig; the message begins with `source`.
 
-    Raises:
-        RigError: focal length, distortion, rotation or baseline are not plausible.
+    Raises RigError if focal length, distortion, rotation or baseline are not plausible.
     """
     check_camera(rig.left, f"{source}: left")
     check_camera(rig.right, f"{source}: right")
@@ -132,11 +131,7 @@ def shared_view(rig: StereoRig) -> float:
 
 
 def shared_view_notes(rig: StereoRig, source: object) -> tuple[str, ...]:
-    """Notes on a right camera that sees only a part of the left image.
-
-    Raises:
-        RigError: it sees hardly any of it.
-    """
+    """Notes on a right camera that sees only a part of the left image. Raises RigError if it sees hardly any of it."""
     fraction = shared_view(rig)
     if fraction < _MIN_SHARED_VIEW:
         raise RigError(
@@ -166,8 +161,7 @@ def _check_baseline(baseline_m: float, source: object) -> None:
 def check_camera(camera: PinholeCamera, source: object) -> None:
     """Raise an error for an implausible camera; the message begins with `source`.
 
-    Raises:
-        RigError: image size, focal length, principal point or distortion are not plausible.
+    Raises RigError if image size, focal length, principal point or distortion are not plausible.
     """
     size_px = (camera.width_px, camera.height_px)
     if size_px != (0, 0) and not all(1 <= side <= MAX_SIDE_PX for side in size_px):
@@ -233,9 +227,7 @@ def fitted_to_size(
 
     The calibrated size may differ by a few rows or columns cropped by a codec; otherwise the camera is scaled if the
     aspect ratio agrees. Without a calibrated size, the principal point must lie in the middle third of the image.
-
-    Raises:
-        RigError: the calibration is for images of a different shape or size.
+    Raises RigError if the calibration is for images of a different shape or size.
     """
     width, height = size_px
     if camera.width_px == 0:

@@ -56,8 +56,7 @@ class DenseMatcher:
 def open_matcher(name: str, rig: StereoRig) -> BoxMatcher:
     """The matcher called `name`, with the settings that a run uses for `rig`.
 
-    Raises:
-        ValueError: the name is unknown.
+    Raises ValueError if the name is unknown.
     """
     if name not in MATCHER_NAMES:
         raise ValueError(f"unknown matcher '{name}': expected one of {', '.join(MATCHER_NAMES)}")

@@ -14,14 +14,7 @@ import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
 from track_range.foundation.arrays import FloatArray32
-from track_range.stereo.matching.tiles import (
-    MARGIN_PX,
-    N_SIDE,
-    N_WINDOWS,
-    BoxTiles,
-    Grey,
-    window_sums,
-)
+from track_range.stereo.matching.tiles import MARGIN_PX, N_SIDE, N_WINDOWS, BoxTiles, Grey, window_sums
 
 Census = npt.NDArray[np.uint32]
 

@@ -33,23 +33,10 @@ from track_range.stereo.matching.census import window_costs
 from track_range.stereo.matching.confidence import match_confidence
 from track_range.stereo.matching.patch_matches import ExpectedDisparity, Outcome, PatchMatches
 from track_range.stereo.matching.subpixel import RefinedSurface, refine_surface
-from track_range.stereo.matching.surface_choice import (
-    OtherBoxes,
-    SurfaceChoice,
-    choose_surface,
-    features,
-)
+from track_range.stereo.matching.surface_choice import OtherBoxes, SurfaceChoice, choose_surface, features
 from track_range.stereo.matching.surface_fit import SurfaceFit
 from track_range.stereo.matching.surfaces import Surfaces, find_surfaces, window_weights
-from track_range.stereo.matching.tiles import (
-    COARSE,
-    FINE,
-    MIN_IMAGE_HW,
-    BoxTiles,
-    TileShape,
-    box_tiles,
-    tile_scale,
-)
+from track_range.stereo.matching.tiles import COARSE, FINE, MIN_IMAGE_HW, BoxTiles, TileShape, box_tiles, tile_scale
 from track_range.stereo.matching.window_sgm import WindowMatches, match_windows
 
 _EXPECTED_SIGMAS, _MIN_EXPECTED_LOG_SIGMA = 2.0, 0.1
@@ -281,12 +268,7 @@ class PatchMatcher:
         expected_px = np.where(np.isfinite(known.track_px), known.track_px, known.by_size.disparity_px)
         others = known.others.windows(known.xyxy_px, expected_px, tiles, tiles.disparity_px(matches.index))
         phi = features(
-            surfaces,
-            tiles,
-            matches.cost,
-            by_size=known.by_size,
-            track_px=known.track_px,
-            others_fraction=others,
+            surfaces, tiles, matches.cost, by_size=known.by_size, track_px=known.track_px, others_fraction=others
         )
         return SurfaceSearch(tiles, cost, matches, weight, surfaces, phi, choose_surface(phi, surfaces))
 

@@ -77,8 +77,7 @@ class SgbmSettings:
     ) -> SgbmSettings:
         """Settings for distances from `nearest_m` with a rectified rig, updated with the user's `chosen` values.
 
-        Raises:
-            ValueError: `chosen` has an unknown name or a wrong value.
+        Raises ValueError if `chosen` has an unknown name or a wrong value.
         """
         disparity_px = min(rig.left.fx_px * rig.baseline_m / nearest_m, rig.left.width_px / 2)
         return cls.of({"n_disparities": max(16 * math.ceil(disparity_px / 16), 16), **(chosen or {})})
@@ -87,8 +86,7 @@ class SgbmSettings:
     def of(cls, chosen: Mapping[str, Any]) -> SgbmSettings:
         """The defaults, updated with `chosen` values by name.
 
-        Raises:
-            ValueError: `chosen` has an unknown name or a wrong value.
+        Raises ValueError if `chosen` has an unknown name or a wrong value.
         """
         known = [field.name for field in fields(cls)]
         for name in chosen:

@@ -99,11 +99,7 @@ class ImageMotionEstimator:
     """
 
     def __init__(
-        self,
-        camera: PinholeCamera,
-        settings: ImageMotionSettings | None = None,
-        *,
-        flow: BackgroundFlow | None = None,
+        self, camera: PinholeCamera, settings: ImageMotionSettings | None = None, *, flow: BackgroundFlow | None = None
     ) -> None:
         self._camera = camera
         self._settings = settings or ImageMotionSettings()

@@ -51,8 +51,7 @@ class CameraInfo:
 def camera_of(message: CameraInfo, path: Path, *, is_rectified: bool) -> PinholeCamera:
     """The camera of a message: P for rectified images, K with distortion for raw ones.
 
-    Raises:
-        RigError: unknown distortion model.
+    Raises RigError if unknown distortion model.
     """
     matrix = message.p[:, :3] if is_rectified else message.k
     width_px, height_px = message.size_px
@@ -73,8 +72,7 @@ def camera_of(message: CameraInfo, path: Path, *, is_rectified: bool) -> Pinhole
 def rig_of(left: CameraInfo, right: CameraInfo, path: Path, *, is_rectified: bool) -> StereoRig:
     """The rig of two messages.
 
-    Raises:
-        RigError: unknown distortion model, the messages contain no baseline, or contradict each other.
+    Raises RigError if unknown distortion model, the messages contain no baseline, or contradict each other.
     """
     if not left.p[0, 0] or not right.p[0, 0]:
         raise RigError(f"{path}: expected projection matrices P in both calibrations, found zeros; give a rig.yaml.")

@@ -82,8 +82,7 @@ def _has_cameras(text: str) -> bool:
 def _read(text: str, source: object) -> RigCalibration:
     """The first two cameras of a chain, the left one first.
 
-    Raises:
-        RigError: the file is not YAML, a value is missing or wrong, or a camera model is not supported.
+    Raises RigError if the file is not YAML, a value is missing or wrong, or a camera model is not supported.
     """
     content = parse_yaml(_OPENCV_HEAD.sub("\n", text), source, RigError, "Kalibr's camchain.yaml")
     if not isinstance(content, dict) or not isinstance(content.get("cam0"), dict):
@@ -132,8 +131,7 @@ def _camera_from_imu(block: _CameraBlock) -> FloatArray | None:
 def _camera(content: object, name: str) -> tuple[PinholeCamera, _CameraBlock]:
     """The camera of a block, and the block.
 
-    Raises:
-        RigError: a value is missing or wrong, or the camera model is not supported.
+    Raises RigError if a value is missing or wrong, or the camera model is not supported.
     """
     block = validated(_CameraBlock, content, name, RigError)
     names = (block.camera_model, block.distortion_model or "none")

@@ -63,8 +63,7 @@ def _nameless(text: str) -> list[str]:
 def _read(text: str, source: object, is_grey: bool) -> RigCalibration:
     """The cameras of a calib.txt: the colour pair, or the grey one if `is_grey` or if it is the only one.
 
-    Raises:
-        RigError: a matrix is not 12 numbers of the form K [I | t], or the left camera's is missing.
+    Raises RigError if a matrix is not 12 numbers of the form K [I | t], or the left camera's is missing.
     """
     if lines := _nameless(text):
         return _read_nameless(lines, source)
@@ -99,8 +98,7 @@ def _read(text: str, source: object, is_grey: bool) -> RigCalibration:
 def _read_nameless(lines: Sequence[str], source: object) -> RigCalibration:
     """The one or two cameras of lines without names; the right camera has the smaller P[0, 3] = -f B.
 
-    Raises:
-        RigError: there are more lines, a line is not of the form K [I | t], or there is no baseline.
+    Raises RigError if there are more lines, a line is not of the form K [I | t], or there is no baseline.
     """
     if len(lines) > 2:
         raise RigError(
@@ -155,8 +153,7 @@ def _calibration(
 def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[str, ...]) -> RigCalibration | None:
     """The cameras of the images before rectification; None if the file lacks values of the left one.
 
-    Raises:
-        RigError: a line has other than its number of numbers, or is not a plausible image size.
+    Raises RigError if a line has other than its number of numbers, or is not a plausible image size.
     """
     values: dict[str, FloatArray] = {}
     for name, line in _RAW_LINE.findall(text):
@@ -193,11 +190,7 @@ def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[
 
 
 def _recorded_size(size: FloatArray, name: str) -> tuple[int, int]:
-    """(width, height) of the images before rectification.
-
-    Raises:
-        RigError: it is not plausible.
-    """
+    """(width, height) of the images before rectification. Raises RigError if it is not plausible."""
     width_px, height_px = (round(side) for side in size.tolist())
     if not (1 <= width_px <= MAX_SIDE_PX and 1 <= height_px <= MAX_SIDE_PX):
         raise RigError(
@@ -246,8 +239,7 @@ def _matrix(values: str, name: str) -> FloatArray:
 def _numbers(values: str, count: int, name: str) -> FloatArray:
     """The (count,) numbers of a line.
 
-    Raises:
-        RigError: a word is not a number of a plausible magnitude, or there are fewer or more.
+    Raises RigError if a word is not a number of a plausible magnitude, or there are fewer or more.
     """
     words = values.split()
     try:
@@ -270,8 +262,7 @@ def _camera(matrix: FloatArray, size_px: tuple[int, int]) -> PinholeCamera:
 def _sizes(text: str, source: object) -> Mapping[int, tuple[int, int]]:
     """(width, height) by camera number, from the raw set's S_rect lines.
 
-    Raises:
-        RigError: a line is not a plausible image size.
+    Raises RigError if a line is not a plausible image size.
     """
     sizes = {}
     for kind, number, values in _LINE.findall(text):

@@ -86,8 +86,7 @@ def _is_file_storage(text: str) -> bool:
 def _read(text: str, path: Path) -> RigCalibration:
     """The cameras of one file, or of intrinsics and extrinsics in one folder; `path` is one of the two.
 
-    Raises:
-        RigError: the file is damaged, a matrix is missing, or only some of the matrices of two cameras are there.
+    Raises RigError if the file is damaged, a matrix is missing, or only some of the matrices of two cameras are there.
     """
     values = dict(_matrices(text, path))
     sibling = _sibling(path, values)
@@ -173,8 +172,7 @@ def _sibling(path: Path, values: Mapping[str, FloatArray]) -> Path | None:
 def _matrices(text: str, path: Path) -> dict[str, FloatArray]:
     """Numbers (N,) by key, those of `_KEYS` that the file has, and "size" for the image size, if any.
 
-    Raises:
-        RigError: the text is damaged, or a value is not a matrix or number.
+    Raises RigError if the text is damaged, or a value is not a matrix or number.
     """
     content = _content(text, path)
     numbers = {key: _numbers(content[key], key, path) for key in _KEYS if key in content}
@@ -192,8 +190,7 @@ def _matrices(text: str, path: Path) -> dict[str, FloatArray]:
 def _content(text: str, path: Path) -> dict[str, Any]:
     """Values by key of a FileStorage in YAML, XML or JSON; numbers in XML are texts with spaces between them.
 
-    Raises:
-        RigError: the text is damaged.
+    Raises RigError if the text is damaged.
     """
     expected = "a calibration of OpenCV"
     start = text.lstrip()[:1]
@@ -235,11 +232,7 @@ def _words(node: ElementTree.Element) -> str | list[str]:
 
 
 def _numbers(value: object, key: str, path: Path) -> FloatArray:
-    """(N,) numbers of a matrix, a list or a number.
-
-    Raises:
-        RigError: it is none of them.
-    """
+    """(N,) numbers of a matrix, a list or a number. Raises RigError if it is none of them."""
     if isinstance(value, dict):
         matrix = validated(_Matrix, value, f"{path}: {key}", RigError)
         if len(matrix.data) != matrix.rows * matrix.cols:
@@ -257,8 +250,7 @@ def _numbers(value: object, key: str, path: Path) -> FloatArray:
 def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
     """Write a rig as OpenCV's stereo_calib sample does, or one camera as calibration.cpp does; lengths in metres.
 
-    Raises:
-        RigError: the cameras are implausible or of different image sizes, or the file cannot be written.
+    Raises RigError if the cameras are implausible or of different image sizes, or the file cannot be written.
     """
     _check_lens(cameras, path)
     if isinstance(cameras, StereoRig):

@@ -62,8 +62,7 @@ def _check_sizes(
 ) -> None:
     """Check that images of unequal sizes are those of the file's cameras, or both reduced by the same factor.
 
-    Raises:
-        RigError: they are not, or the file has no image size.
+    Raises RigError if they are not, or the file has no image size.
     """
     if not left.width_px or abs(right_px[0] * left.width_px / (left_px[0] * right.width_px) - 1) > _SCALE_TOLERANCE:
         expected = f"{left.width_px}x{left.height_px} and {right.width_px}x{right.height_px} px"
@@ -78,10 +77,8 @@ def load_camera(
 ) -> tuple[PinholeCamera, tuple[str, ...]]:
     """The only, or left, camera of a file, for images of `size_px` = (width, height), and notes for the user.
 
-    With `size_px` None, the camera has the file's image size, which may be 0.
-
-    Raises:
-        RigError: the file cannot be read, is not a calibration, is implausible or for other images.
+    With `size_px` None, the camera has the file's image size, which may be 0. Raises RigError if the file cannot be
+    read, is not a calibration, is implausible or for other images.
     """
     calibration = _read(path, is_grey=is_grey, is_pair=False).of_size(size_px)
     check_camera(calibration.left, f"{path}: left")
@@ -118,8 +115,7 @@ def load_calibration(
 def missing_camera(path: Path, *, is_grey: bool = False) -> str:
     """What a file with one camera lacks for a stereo rig, for messages.
 
-    Raises:
-        RigError: the file cannot be read or is not a calibration.
+    Raises RigError if the file cannot be read or is not a calibration.
     """
     text = _text_of(path)
     return _format_of(text, path).missing(text, path, is_grey)
@@ -129,10 +125,8 @@ def left_from_reference_m(path: Path, *, is_grey: bool, size_px: tuple[int, int]
     """(3,) translation from the frame of KITTI's reference camera, which its labels use, to the left camera's frame.
 
     Zeros for other formats, and for KITTI's images before rectification. Labels are moved by it before they are
-    compared with measured distances. `size_px` is the (width, height) of the images; None = rectified.
-
-    Raises:
-        RigError: the file cannot be read or is not a calibration.
+    compared with measured distances. `size_px` is the (width, height) of the images; None = rectified. Raises RigError
+    if the file cannot be read or is not a calibration.
     """
     calibration = _read(path, is_grey=is_grey, is_pair=False).of_size(size_px)
     return np.array(calibration.left_from_reference_m)
@@ -141,8 +135,7 @@ def left_from_reference_m(path: Path, *, is_grey: bool, size_px: tuple[int, int]
 def mounting_of(path: Path) -> Mounting | None:
     """Height and pitch of the single camera of a file, and the uncertainty of its focal length; None = not in it.
 
-    Raises:
-        RigError: the file cannot be read or is not a calibration.
+    Raises RigError if the file cannot be read or is not a calibration.
     """
     return _read(path, is_grey=False, is_pair=False).mounting
 

@@ -34,11 +34,7 @@ class RigFormat:
 
 
 def write_rig_text(path: Path, text: str) -> None:
-    """Write a text file atomically.
-
-    Raises:
-        RigError: the path is a folder, or cannot be written.
-    """
+    """Write a text file atomically. Raises RigError if the path is a folder, or cannot be written."""
     if os.path.isdir(path):
         raise RigError(f"{path}: expected a file to write, found a folder; give a file name.")
     try:

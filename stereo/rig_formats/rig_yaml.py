@@ -87,8 +87,7 @@ class _RigFile(BaseModel):
 def save_rig(rig: StereoRig, path: Path, *, comments: Sequence[str] = ()) -> None:
     """Write a rig as rig.yaml, with `comments` as its first lines.
 
-    Raises:
-        RigError: the rig is implausible, or the file cannot be written.
+    Raises RigError if the rig is implausible, or the file cannot be written.
     """
     check_rig(rig, path)
     motion = {
@@ -109,10 +108,8 @@ def save_camera(
 ) -> None:
     """Write one camera as rig.yaml, with `comments` as its first lines; a calibration for --mono.
 
-    `mounting` is stored too, if it is given.
-
-    Raises:
-        RigError: the camera is implausible, or the file cannot be written.
+    `mounting` is stored too, if it is given. Raises RigError if the camera is implausible, or the file cannot be
+    written.
     """
     check_camera(camera, path)
     content: dict[str, object] = {"track_range_rig": VERSION, "left": _camera_content(camera)}

@@ -115,8 +115,7 @@ def _is_camera_info(text: str) -> bool:
 def _read(text: str, path: Path) -> RigCalibration:
     """The camera, or the two cameras, of one file.
 
-    Raises:
-        RigError: the file is not YAML, a value is missing or wrong, or there are more than two cameras.
+    Raises RigError if the file is not YAML, a value is missing or wrong, or there are more than two cameras.
     """
     cameras = _cameras(text, path)
     return _pair(cameras[0], cameras[1], path) if len(cameras) == 2 else _single(cameras[0])
@@ -133,8 +132,7 @@ def _read_pair(text: str, path: Path) -> RigCalibration:
 def read_folder(folder: Path) -> RigCalibration:
     """The two cameras of the files in a folder.
 
-    Raises:
-        RigError: the folder has not two files with one camera each, or a file cannot be read.
+    Raises RigError if the folder has not two files with one camera each, or a file cannot be read.
     """
     paths = sorted(path for path in folder.iterdir() if path.suffix in _SUFFIXES)[:_MAX_FILES]
     texts = {path: read_text(path, RigError, _EXPECTED) for path in paths}
@@ -169,11 +167,7 @@ def _is_equal(a: CameraInfo, b: CameraInfo) -> bool:
 
 
 def _camera(content: object, path: Path) -> _Camera:
-    """One camera.
-
-    Raises:
-        RigError: a value is missing or wrong, or the camera is not calibrated.
-    """
+    """One camera. Raises RigError if a value is missing or wrong, or the camera is not calibrated."""
     named = (
         {_NAMES.get(str(key), key): value for key, value in content.items()} if isinstance(content, dict) else content
     )
@@ -210,8 +204,7 @@ def _single(camera: _Camera) -> RigCalibration:
 def _pair(first: _Camera, second: _Camera, source: Path) -> RigCalibration:
     """The rig of two cameras in any order.
 
-    Raises:
-        RigError: the files have no baseline or do not describe the same images.
+    Raises RigError if the files have no baseline or do not describe the same images.
     """
     left, right = (first, second) if first.offset_m >= second.offset_m else (second, first)
     if left.is_raw != right.is_raw:

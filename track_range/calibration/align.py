@@ -196,10 +196,7 @@ def _from_reference(reference: Path, settings: AlignmentSettings, progress: Step
 
 
 def _with_row_offsets(
-    pairs: Iterator[StereoPair],
-    rows_px: list[float],
-    rigs: list[StereoRig],
-    advance: Callable[[int, int | None], None],
+    pairs: Iterator[StereoPair], rows_px: list[float], rigs: list[StereoRig], advance: Callable[[int, int | None], None]
 ) -> Iterator[StereoPair]:
     """The pairs; the row offsets of the first ones are appended to `rows_px`, the rectified rig of each to `rigs`."""
     for number, pair in enumerate(pairs):

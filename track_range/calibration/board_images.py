@@ -76,8 +76,7 @@ class VideoShots:
         is_video: True, since many frames of a video may not show the board.
         unpaired: always empty.
 
-    Raises:
-        VideoError: a video cannot be read.
+    Raises VideoError if a video cannot be read.
     """
 
     def __init__(self, paths: Sequence[Path]) -> None:
@@ -113,9 +112,8 @@ BoardImages = ImageFiles | VideoShots  # source of shots, which can be iterated 
 def board_images(sources: Sequence[str]) -> BoardImages:
     """The images of one camera, from one source, or of two cameras, from one source each.
 
-    Raises:
-        ImageFileError: a pattern or folder without images, sources of different kinds, or images that cannot be paired.
-        VideoError: a video cannot be read.
+    Raises ImageFileError if a pattern or folder without images, sources of different kinds, or images that cannot be
+    paired. Raises VideoError if a video cannot be read.
     """
     are_videos = [_is_video(source) for source in sources]
     if all(are_videos):

@@ -55,9 +55,8 @@ class BoardSearch:
 def find_views(images: BoardImages, board: Board, advance: Advance) -> BoardSearch:
     """Search all images for the board; `advance` is called with the numbers of searched and of all shots.
 
-    Raises:
-        CalibrationError: no board in any image, or a board of another size.
-        VideoError: a video cannot be read.
+    Raises CalibrationError if no board in any image, or a board of another size. Raises VideoError if a video cannot be
+    read.
     """
     finder = BoardFinder(board)
     shots: list[Views] = []

@@ -237,8 +237,7 @@ def _known_objects(
 ) -> list[KnownObject]:
     """The measured objects with their classes.
 
-    Raises:
-        UsageError: the detector finds no object in a box without a class.
+    Raises UsageError if the detector finds no object in a box without a class.
     """
     known = []
     for metres in objects:

@@ -39,8 +39,7 @@ class KnownMetres:
 def known_metres(distances: Sequence[str], heights: Sequence[str], widths: Sequence[str]) -> tuple[KnownMetres, ...]:
     """Measurements of objects from the texts of the options; those of equal time and box are of one object.
 
-    Raises:
-        UsageError: a text is not a measurement, or a value is not plausible.
+    Raises UsageError if a text is not a measurement, or a value is not plausible.
     """
     metres_of: dict[str, dict[str, float]] = {}
     for flag, key, texts, limits in (
@@ -60,8 +59,7 @@ def known_metres(distances: Sequence[str], heights: Sequence[str], widths: Seque
 def known_lanes(texts: Sequence[str]) -> tuple[KnownLane, ...]:
     """Lane widths from the texts 'T_S,X1,X2,Y=METRES' of the option.
 
-    Raises:
-        UsageError: a text is not a measurement, or a value is not plausible.
+    Raises UsageError if a text is not a measurement, or a value is not plausible.
     """
     lanes = []
     for text in texts:
