@@ -27,22 +27,13 @@ N_ERRORS = 3  # disparity errors, by their numbers
 _MAX_STEPS = 25  # largest number of Levenberg-Marquardt steps
 _MAX_DAMPING = 1e6  # largest damping, relative to the diagonal; if no step lowers the cost up to it, the iteration ends
 _MIN_RELATIVE_GAIN = 1e-5  # decrease of the cost, relative to the cost, below which the iteration has converged
-
+# Decrease of the cost, relative to the cost, and change of the disparity errors in px, below which the iteration ends:
+# the robust weights then still change the points, but the errors by less than 0.005 px (KITTI, three drives).
 _SETTLED_GAIN, _SETTLED_PX = 2e-3, 1e-3
-"""Decrease of the cost, relative to the cost, and change of the disparity errors in px, below which the iteration ends:
-the robust weights then still change the points, but the errors by less than 0.005 px (KITTI, three drives)."""
-
 _CAUCHY_SIGMAS = 2.0  # scale of the Cauchy loss: length of a residual, in standard deviations, that has half the weight
-
-_NOISE_PX = (0.05, 1.0)
-"""Smallest and largest standard deviation of a tracked point; within them it is estimated from the residuals."""
-
+_NOISE_PX = (0.05, 1.0)  # limits of the standard deviation of a tracked point, estimated from the residuals
 _MEDIAN_NORM = 1.538  # median length of a vector of three standard normal numbers
-
-_POSE_RIDGE = 1e-6
-"""Ridge on poses, for frames without points; negligible compared to the information of points (1e5 per m^2, 1e8 per
-rad^2)."""
-
+_POSE_RIDGE = 1e-6  # for frames without points; small compared to their information (1e5 per m^2, 1e8 per rad^2)
 _ERROR_PRIOR_PX = 5.0  # prior standard deviation of the disparity errors: wide, it only keeps the equations solvable
 
 

@@ -35,16 +35,12 @@ from track_range.stereo.alignment.segments import Segment, combine, segment_of
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 
+# Shortest time and smallest number of frames between two measurements: one takes as long as about 20 frames of a run,
+# and must not slow it by more than 5 %.
 MIN_INTERVAL_S, MIN_INTERVAL_FRAMES = 30.0, 600
-"""Shortest time, and smallest number of frames, between two measurements: one takes as long as about 20 frames of a
-run, and must not slow it by more than 5 %."""
-
 _MIN_SIGMAS = 2.0  # minimum ratio of a change of the offset to its standard deviation at which it is applied
 _MAX_SIGMA_PX = 0.15  # largest standard deviation of a usable window
-
-_DRIFT_SIGMA = 0.004
-"""Standard deviation of the drift before any measurement, px/s: 0.02 degrees per minute at a focal length of 700 px."""
-
+_DRIFT_SIGMA = 0.004  # of the drift before any measurement, px/s: 0.02 degrees per minute at a focal length of 700 px
 _DRIFT_NOISE = 1e-4  # random walk of the drift, px/s per root of a second
 _MAX_AHEAD_S = 90.0  # longest time for which the drift is extrapolated beyond a measurement
 

@@ -27,14 +27,9 @@ _MAX_RETURN_PX = 0.5  # largest error of the forward-backward check, px
 _MAX_ROW_PX = 2.0  # largest difference between the row offset of a right point and the common one, px
 _BORDER_PX = 8  # minimum distance of a point from the image border, px
 _COARSE_RANGE_PX = 80  # number of disparities searched in the half-size images; twice as many in full pixels
-
-_COARSE_MIN_PX = -8
-"""Smallest of them: negative, because a wrong vergence of 0.5 degrees makes the disparities of far points negative."""
-
+_COARSE_MIN_PX = -8  # smallest of them: a wrong vergence of 0.5 degrees makes disparities of far points negative
 _UNKNOWN_PX = 5.0  # initial disparity where the coarse map has none, px
-
-_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 20, 0.01)
-"""Stop criteria of Lucas-Kanade: number of iterations and step in px."""
+_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 20, 0.01)  # iterations of Lucas-Kanade, and step in px
 
 
 class PairPoints(NamedTuple):

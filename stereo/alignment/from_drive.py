@@ -30,20 +30,13 @@ _MAX_FRAMES = 300  # largest number of frames of a drive, in case the vehicle do
 MIN_STEP_S = 0.09  # shortest time between two used frames, seconds
 MAX_GAP_S = 0.5  # longest time between two frames of a segment, seconds
 MIN_FLOW_PX = 0.5  # minimum median flow between frames of a moving vehicle; other frames are not used
-
-MIN_TRACKED_FRACTION = 0.1
-"""Minimum fraction of points tracked between two frames of a segment; a lower value indicates a cut in the video."""
-
+MIN_TRACKED_FRACTION = 0.1  # of the points between two frames of a segment; fewer indicate a cut in the video
 _MIN_TERM_SIGMAS = 3.0  # minimum ratio of curvature or slope to their standard deviations at which they are estimated
 _MAX_SIGMA_PX = 0.25  # largest standard deviation of a usable offset
-
-_SPREADS = 2.0
-"""Remaining error at an object, as a multiple of the spread of the strips: from 36 cars of 16 KITTI 2015 pairs."""
-
+_SPREADS = 2.0  # remaining error at an object / spread of the strips: from 36 cars of 16 KITTI 2015 pairs
+# Common error of subpixel point positions, which the jackknife does not include: on simulated drives the error of the
+# offset is 0.013 px in the median and 0.05 px at most, while estimates from strips and times agree within 0.011 px.
 PIXEL_LOCKING_PX = 0.02
-"""Common error of subpixel point positions, which the jackknife does not include: on simulated drives the error of the
-offset is 0.013 px in the median and 0.05 px at most, while estimates from strips and times agree within 0.011 px."""
-
 _MIN_RESIDUAL_PX = 0.05  # lower limit of the remaining error, px
 
 

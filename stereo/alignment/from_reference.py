@@ -25,10 +25,7 @@ MIN_OBJECTS = 5  # minimum number of objects for a fit
 _N_RESAMPLES = 200  # number of bootstrap samples
 _N_FOLDS = 8  # number of folds of the cross-validation
 _MIN_OBJECTS_FOR_CURVATURE = 60  # minimum number of objects for a fit of the curvature
-
-_MIN_LEVERAGE = 0.08
-"""Minimum standard deviation of u^2 over the objects for the curvature; 0.3 for a uniform distribution."""
-
+_MIN_LEVERAGE = 0.08  # minimum standard deviation of u^2 over the objects for the curvature; uniform: 0.3
 _MAX_MISMATCH = 0.3  # largest relative disparity error due to alignment; larger ones are wrong matches or labels
 _MAX_OFFSET_PX = 3.0  # disparity error that is never a mismatch, however small the disparity
 _MEDIAN_OF_NORMAL = 0.6745  # median of |x| for a standard normal x

@@ -21,20 +21,11 @@ from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry.rig import StereoRig
 
 DISTANCES_M = (10.0, 20.0, 30.0, 50.0)  # distances of the reported errors
-
-REFERENCE_M, MATTERS = 30.0, 0.01
-"""Distance, and relative error of distances there from which an error of the rig matters."""
-
-COLUMNS_U = np.array([-0.5, 0.0, 0.5])
-"""Columns of the reported errors: half-way to the left edge, the middle, half-way to the right edge."""
-
-_MIN_SIGMAS = 3.0
-"""Minimum ratio of a noticed error to its standard deviation; one of 46 windows of true rigs exceeded 2.5."""
-
+REFERENCE_M, MATTERS = 30.0, 0.01  # distance, and relative error of distances there from which an error matters
+COLUMNS_U = np.array([-0.5, 0.0, 0.5])  # columns of the reported errors: the middle, and half-way to the edges
+_MIN_SIGMAS = 3.0  # smallest noticed error in standard deviations; one of 46 windows of true rigs exceeded 2.5
 _MIN_FRACTION = 0.5  # smallest noticed error as a fraction of the one that matters
-
-_MIN_MOVE_SIGMAS = 3.5
-"""Minimum ratio of a movement during a drive to its standard deviation, which is that of the best of several times."""
+_MIN_MOVE_SIGMAS = 3.5  # the same of a movement during a drive, which is that of the best of several times
 
 UNSEEN = (
     "A wrong baseline, or a wrong focal length of both cameras, cannot be seen in the images: it scales all distances "

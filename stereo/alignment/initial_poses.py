@@ -30,23 +30,16 @@ _MIN_DISPARITY_PX = 0.5  # initial disparity of farther points; the bundle adjus
 _FAR_M = 200.0  # largest distance of points used for PnP; farther ones carry no information on the translation
 _N_KEY_STEPS, _N_MOTIONS = 5, 3  # number of steps in which motions are searched, and of the motions of one step
 _GRID = (8, 16)  # rows and columns of the cells by which the spread of a motion's points over the image is counted
-
+# Minimum support of the static scene's motion, relative to the motion with the most: on eight windows of simulated
+# queues and highways (seeds 602 to 611), its support was 0.55 or more, that of fast spurious motions below 0.3.
 _MIN_SUPPORT = 0.4
-"""Minimum support of the static scene's motion, relative to the motion with the most: on eight windows of simulated
-queues and highways (seeds 602 to 611), its support was 0.55 or more, that of fast spurious motions below 0.3."""
-
+# Largest difference of one motion between two steps, relative and in m: a vehicle that brakes with 6 m/s^2 from 8 m/s
+# changes its speed by half of that within 1.6 s.
 _MAX_CHANGE, _MAX_CHANGE_M = 0.25, 0.1
-"""Largest difference of one motion between two steps, relative and in m: a vehicle that brakes with 6 m/s^2 from 8 m/s
-changes its speed by half of that within 1.6 s."""
-
-_MAX_STATIC_ERROR_PX, _MIN_STATIC_STEPS = 4.0, 0.5
-"""Largest reprojection error of a static point, and minimum fraction of the steps in which it is smaller."""
-
-_REFINING_ERRORS_PX = (8.0, 3.0, 2.0)
-"""Largest reprojection errors of the points that agree with a predicted motion, round by round."""
-
-_MIN_DEPTH_FRACTION = 0.3
-"""Minimum ratio of a point's depth in frame 0, where its ray starts, to its first depth; smaller in sharp turns."""
+_MAX_STATIC_ERROR_PX = 4.0  # largest reprojection error of a static point
+_MIN_STATIC_STEPS = 0.5  # minimum fraction of the steps in which it is smaller
+_REFINING_ERRORS_PX = (8.0, 3.0, 2.0)  # largest reprojection errors of the inliers of a predicted motion, by round
+_MIN_DEPTH_FRACTION = 0.3  # minimum ratio of a point's depths in frame 0 and when first seen; smaller in sharp turns
 
 
 class InitialBundle(NamedTuple):

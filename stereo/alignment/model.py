@@ -18,18 +18,14 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 
+# Standard deviation of the disparity error of a calibrated pair without a measured alignment: six matchers agree that
+# the disparities of KITTI's carefully calibrated pairs are about half a pixel too small.
 UNCORRECTED_SIGMA_PX = 0.5
-"""Standard deviation of the disparity error of a calibrated pair without a measured alignment, px.
-
-Six matchers agree that the disparities of KITTI's carefully calibrated pairs are about half a pixel too small.
-"""
-
 MIN_SIGMAS = 2.0  # minimum ratio of an estimate to its standard deviation at which it is applied
 MAX_ROW_OFFSET_PX = 0.3  # largest vertical offset without a warning and a correction
-
+# Largest offset that is only added to disparities. For larger ones the right image is also shifted by whole pixels:
+# otherwise the disparities of far objects would be below those that are searched.
 _MAX_OFFSET_PX = 1.0
-"""Largest offset that is only added to disparities. For larger ones the right image is also shifted by whole pixels:
-otherwise the disparities of far objects would be below those that are searched."""
 
 
 class AlignmentSource(Protocol):
@@ -40,8 +36,8 @@ class AlignmentSource(Protocol):
         ...
 
 
+# Keys in alignment files and JSON of the fields of `Alignment` with other names.
 KEYS = {"curvature_px": "bow_px", "curvature_sigma_px": "bow_sigma_px"}
-"""Keys in alignment files and JSON of the fields of `Alignment` with other names."""
 
 
 def column_from_axis(x_px: FloatArray, camera: PinholeCamera) -> FloatArray:

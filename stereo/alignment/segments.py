@@ -30,28 +30,16 @@ from track_range.stereo.alignment.initial_poses import MIN_POINTS, InitialBundle
 from track_range.stereo.geometry.rig import StereoRig
 
 N_STRIPS = 8  # number of vertical strips of the image
-
-_N_ALL = N_ERRORS + N_STRIPS
-"""Number of errors in the equations: offset, curvature, slope and an additional offset of each strip."""
-
+_N_ALL = N_ERRORS + N_STRIPS  # errors in the equations: offset, curvature, slope and an additional offset per strip
 _N_PARTS = 12  # number of parts of a segment by time; with fewer, leaving one out would leave frames without points
-
-_MIN_PATH_M = 2.0
-"""Shortest path of a segment; on shorter ones, the noise of the poses is not small compared to the parallax."""
-
-_STATIC_WEIGHT = 0.25
-"""Minimum mean Cauchy weight of a static point (about 0.6 for static points, 0.02 for moving objects)."""
-
+_MIN_PATH_M = 2.0  # shortest path of a segment; on shorter ones the noise of poses is not small compared to parallax
+_STATIC_WEIGHT = 0.25  # minimum mean Cauchy weight of a static point (static: about 0.6, moving: 0.02)
 _MIN_STATIC_FRACTION = 0.5  # minimum fraction of static points
 _MAX_ERROR_PX = 15.0  # largest plausible offset, curvature or slope; beyond it, motion and disparities are inconsistent
-
+# Offset, curvature and slope from which a fit starts if it fails from 0: those of a wrong vergence of 0.25 and 0.5
+# degrees at a focal length of 720 px.
 _OTHER_ERRORS_PX = ((-6.0, -4.0, 0.0), (-3.0, -2.0, 0.0), (3.0, 2.0, 0.0), (6.0, 4.0, 0.0))
-"""Offset, curvature and slope from which a fit starts if it fails from 0: those of a wrong vergence of 0.25 and 0.5
-degrees at a focal length of 720 px."""
-
-_MAX_CHANGE_PX = 1.0
-"""Largest change of the errors from the start of a bundle, above which a second one starts from the fitted errors."""
-
+_MAX_CHANGE_PX = 1.0  # largest change of the errors by a fit, above which a second one starts from the fitted errors
 _PRIOR_PX = 5.0  # prior standard deviation of offset, curvature and slope
 _STRIP_PRIOR_PX = 1.0  # prior standard deviation of the additional offset of a strip
 _MAX_STRIP_SIGMA_PX = 0.3  # largest standard deviation of a strip's offset that counts in the spread

@@ -18,14 +18,10 @@ import numpy.typing as npt
 from track_range.foundation.arrays import BoolArray, FloatArray, Image
 
 ViewOrder = Literal["correct", "swapped", "unknown"]
-
 _N_FEATURES = 2000  # number of ORB features per image
 _MAX_RATIO = 0.85  # largest ratio of the distances of the best and the second best match (Lowe 2004)
 _ROW_TOLERANCE_PX = 2.0  # largest difference between the row offset of an inlier and the most frequent one
-
-_CLEAR_DISPARITY_PX = 1.0
-"""Minimum disparity with a meaningful sign; far points and small alignment errors have smaller ones."""
-
+_CLEAR_DISPARITY_PX = 1.0  # minimum disparity with a meaningful sign: far points and misalignments have smaller ones
 _MIN_MATCHES = 30  # minimum number of disparities with a meaningful sign
 _MIN_FRACTION_OF_SIGN = 0.8  # minimum fraction of the disparities with equal sign
 _MIN_FRACTION_IN_ROW = 0.5  # minimum fraction of matches in the same row; of chance matches about 1 % are

@@ -22,10 +22,8 @@ Residuals = Callable[[FloatArray, FloatArray], FloatArray]
 """(R,) residuals of common parameters (C,) and of the views' parameters (V, P), ordered by view."""
 
 _STEP = 1e-6  # relative step of the differences, at least as large as for a parameter of 1e-3
-
-_FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e8
-"""Damping of the first step, and the damping above which the minimum is reached."""
-
+_FIRST_DAMPING = 1e-3
+_LARGEST_DAMPING = 1e8  # above it, the minimum is reached
 _MAX_ITERATIONS = 100
 _TOLERANCE = 1e-9  # relative reduction of the sum of squares below which the minimum is reached
 

@@ -27,12 +27,9 @@ from track_range.stereo.calibration.boards import (
 )
 
 _MIN_CHARUCO_CORNERS = 6  # minimum number of corners of a ChArUco board that determine its pose well enough
-
+# Flags of a slower search for chessboards that the first one misses: in dark images, and curved by a wide lens.
 _THOROUGH = cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE
-"""Flags of a slower search for chessboards that the first one misses: in dark images, and curved by a wide lens."""
-
-_PATCH_FRACTION = 0.35
-"""Half side of the patch around a corner in which the edge width is measured, as a fraction of the corner spacing."""
+_PATCH_FRACTION = 0.35  # half side of the patch in which a corner's edge width is measured / corner spacing
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,10 +22,7 @@ from track_range.stereo.calibration.board_views import BoardView
 
 _THIRDS = (("left", "middle", "right"), ("top", "middle", "bottom"))  # names of the thirds of the image, by axis
 _MIN_FRACTION_OF_THIRD = 0.03  # minimum fraction of all corners in a third of the image
-
-_EDGE_FRACTION = 0.15
-"""Largest distance of the outermost corners from the edges of the image, as a fraction of its side."""
-
+_EDGE_FRACTION = 0.15  # largest distance of the outermost corners from the image's edges / its side
 _SAME_TILT_RAD = math.radians(6.0)  # largest angle between parallel boards
 _TILTED_DEG = 15.0  # minimum tilt of a board that counts as tilted
 _MIN_TILTED_FRACTION = 0.25  # minimum fraction of views with a tilted board

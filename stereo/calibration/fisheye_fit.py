@@ -27,10 +27,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses.kannala_brandt import KANNALA_BRANDT, distorted_angle
 
 N_INTRINSICS = 8  # fx, fy, cx, cy, k1, k2, k3, k4
-
-_FOCAL_PER_WIDTH = np.geomspace(0.18, 3.0, 36)
-"""Focal lengths that are tried, as multiples of the image width: equidistant lenses of 318 to 19 degrees."""
-
+_FOCAL_PER_WIDTH = np.geomspace(0.18, 3.0, 36)  # focal lengths tried / image width: lenses of 318 to 19 degrees
 _LARGEST_RAD = np.pi * 0.98  # largest angle from the axis of a corner at the start
 _N_STARTS = 3  # number of the best focal lengths from which the optimisation starts
 

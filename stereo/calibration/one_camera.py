@@ -31,7 +31,6 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses.registry import PINHOLE
 
 Advance = Callable[[int, int], None]  # progress callback: number of finished steps, and the total
-
 T = TypeVar("T")
 
 
@@ -57,14 +56,11 @@ DISTORTION_FLAGS: dict[int, int] = {
 """OpenCV's flags by number of distortion coefficients: none; k1 k2 p1 p2; with k3; with k3 k4 k5 k6."""
 
 MIN_VIEWS = 5  # minimum number of views of a calibration with an error estimate; 10 to 30 are usual
-
 _OUTLIER_RATIO = 2.0
 _OUTLIER_SIGMAS = 4.0
 """A view is rejected if its residual exceeds both this multiple of the median and the median by this many sigmas."""
 
-_MIN_FRACTION_USED = 2 / 3
-"""Minimum fraction of the views that are used: if more were outliers, the views would not be the cause."""
-
+_MIN_FRACTION_USED = 2 / 3  # of the views: if more were outliers, the views would not be the cause
 _MAX_GROUPS = 20  # largest number of groups of the jackknife
 _MAX_FOCAL_STD = 0.05  # relative standard deviation of the focal length above which it is not determined
 

@@ -52,16 +52,11 @@ ViewPair = tuple[BoardView, BoardView]  # views of the left and the right camera
 Models = tuple[CameraModel, CameraModel]  # models of the left and the right camera
 _UPSIDE_DOWN_DEG = 120.0  # angle between the cameras above which one of them is upside down
 _MAX_ANGLE_DEG = 45.0  # largest angle between the cameras
-
-_CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-7)
-"""Stop criteria of the optimisation: number of iterations and relative change."""
-
+_CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-7)  # iterations, and relative change
+# Ratio of a pair's residual in the joint fit to that in fits of the single cameras above which the board moved between
+# its images. For wide lenses only: their boards are near, so that small movements show.
 _MOVED_RATIO = 2.0
-"""Ratio of a pair's residual in the joint fit to that in fits of the single cameras above which the board moved between
-its images. For wide lenses only: their boards are near, so that small movements show."""
-
-_MAX_RMS_RATIO = 5.0
-"""Largest ratio of the joint fit's residual to the single cameras' residuals; above, the pairs are inconsistent."""
+_MAX_RMS_RATIO = 5.0  # ratio of the residuals of joint and single fits above which the pairs are inconsistent
 
 
 @dataclass(frozen=True, slots=True)

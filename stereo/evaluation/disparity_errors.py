@@ -20,9 +20,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 
-BANDS_M = ((5.0, 15.0), (15.0, 30.0), (30.0, 60.0))
-"""Bands of true distance, metres, with separate metrics; objects outside them count only in the total."""
-
+BANDS_M = ((5.0, 15.0), (15.0, 30.0), (30.0, 60.0))  # bands of true distance with separate metrics
 FAILURE = 0.15  # relative distance error above which a value is a failure
 N_RESAMPLES = 500  # number of bootstrap samples
 
@@ -81,8 +79,7 @@ def folds(n_pairs: int, *, n_left_out: int = 2) -> list[range]:
     return [range(start, min(start + n_left_out, n_pairs)) for start in range(0, n_pairs, n_left_out)]
 
 
-Fit = Callable[..., Alignment]
-"""`stereo.alignment.from_reference.fit_reference`, or a function with the same parameters."""
+Fit = Callable[..., Alignment]  # `stereo.alignment.from_reference.fit_reference`, or one with the same parameters
 
 
 def left_out_alignments(column: MatcherColumn, objects: Objects, fit: Fit, *, seed: int = 0) -> dict[int, Alignment]:

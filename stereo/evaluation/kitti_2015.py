@@ -28,15 +28,11 @@ from track_range.stereo.matching.patches import inner_halves
 from track_range.stereo.rig_formats.reading import load_rig
 
 LEFT, RIGHT, TRUTH, INSTANCES = "image_2", "image_3", "disp_occ_0", "obj_map"  # the four folders of a set
-
-MIN_TRUE_PIXELS, MIN_INNER_PIXELS = 100, 20
-"""Minimum number of pixels with known disparity of an instance, in total and in the inner half of its box."""
-
+MIN_TRUE_PIXELS = 100  # minimum number of pixels with known disparity of an instance
+MIN_INNER_PIXELS = 20  # the same in the inner half of its box
 LABELLED_CLASS = "car"  # road class of all labelled objects of the set
-
+# Files of `track-range simulate --disparity`, which writes objects of all classes in the set's layout.
 _SIMULATED_RIG, _SIMULATED_TRUTH = "rig.yaml", "truth.csv"
-"""Files of `track-range simulate --disparity`, which writes objects of all classes in the set's layout."""
-
 _STEPS_PER_PX = 256.0  # steps of the stored disparities per pixel
 
 

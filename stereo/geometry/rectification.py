@@ -28,21 +28,13 @@ from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS, check_rig
 from track_range.stereo.geometry.virtual_pinhole import axial_focal_px, view_from_camera, virtual_pinhole
 
 Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]  # OpenCV's fixed-point maps: whole pixels and fractions
-
+# Largest rotation between the cameras, and by rectification; beyond it, hardly any of the scene is in both views.
 _MAX_ROTATION_RAD = math.radians(45.0)
-"""Largest rotation between the cameras, and by rectification; beyond it, hardly any of the scene is in both views."""
-
 _MAX_ZOOM = 4.0  # largest factor between the focal lengths before and after rectification in a plausible calibration
-
-
-_FOCAL_SCATTER = 0.1
-"""Relative difference of focal lengths above which cameras are unequal; equal lenses differ by 1 or 2 %."""
-
+_FOCAL_SCATTER = 0.1  # relative difference of focal lengths of unequal cameras; equal lenses differ by 1 or 2 %
 _MIN_REDUCTION = 1.3  # factor by which the right image is reduced above which it is smoothed first, against aliasing
 _N_BOX_STEPS = 4  # number of fixed-point steps of `recorded_boxes`; each reduces the error about ten times
-
-_OUTSIDE_PX = -100.0
-"""Source of the pixels of a remapped image that the lens does not image; black, as everything outside of the image."""
+_OUTSIDE_PX = -100.0  # source of the pixels that the lens does not image; black, as everything outside of the image
 
 
 class Rectifier:

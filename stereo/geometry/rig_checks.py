@@ -22,43 +22,22 @@ from track_range.stereo.geometry.rig import RigError, StereoRig
 BASELINE_M = (0.01, 5.0)  # plausible range of the baseline, metres
 MAX_SIDE_PX = 32768  # largest plausible width or height of an image, pixels; four times that of 8K video
 ImageSide = Annotated[Integer, Field(ge=1, le=MAX_SIDE_PX)]  # width or height of an image in a calibration file, pixels
-
-_FOCAL_PER_WIDTH = (0.1, 20.0)
-"""Plausible focal length as a multiple of the image width: fields of view from 157 to 3 degrees."""
-
+_FOCAL_PER_WIDTH = (0.1, 20.0)  # plausible focal length / image width: fields of view from 157 to 3 degrees
 _ROTATION_TOLERANCE = 1e-3  # largest deviation of R^T R from the identity; calibration files have six digits or more
-
-_MAX_TRANSFORM = 1e6
-"""Largest magnitude of a number in a transform that is compared with the limits; larger ones overflow."""
-
+_MAX_TRANSFORM = 1e6  # largest magnitude of a number in a transform that is compared with the limits
 _CROPPED_PX = 2  # largest number of rows or columns that video codecs crop
-
-_ASPECT_TOLERANCE = 0.01
-"""Largest relative difference of aspect ratios at which a calibration is scaled to another image size."""
-
+_ASPECT_TOLERANCE = 0.01  # largest relative difference of aspect ratios at which a calibration is scaled
 _MAX_DISTORTION = 1e6  # largest plausible magnitude of a distortion coefficient; badly conditioned fits reach thousands
-
-_MAX_PRINCIPAL_POINT_PX = 1e6
-"""Largest plausible magnitude of a principal point in a file without an image size, pixels."""
-
-_MIN_MARGIN = 0.01
-"""Smallest plausible distance of a principal point from the image border, as a fraction of the side; cropped images may
-have one far from the centre."""
-
+_MAX_PRINCIPAL_POINT_PX = 1e6  # largest plausible magnitude of a principal point in a file without an image size
+_MIN_MARGIN = 0.01  # smallest distance of a principal point from the border / side; cropped images have small ones
 _N_DISTORTION_COEFFICIENTS = (0, 4, 5, 8, 12, 14)  # possible numbers of distortion coefficients in OpenCV's model
 _COEFFICIENTS = "0, 4, 5, 8, 12 or 14 finite distortion coefficients"  # description of them for messages
 _MIN_IMAGED = 0.5  # fraction of the image width around the principal point that a plausible wide lens images at least
-
-
-NO_VERTICAL_PAIRS = "mount them side by side, or run on one video with --mono"
-"""Advice for pairs of cameras one above the other."""
-
-
+NO_VERTICAL_PAIRS = "mount them side by side, or run on one video with --mono"  # advice for one above the other
 _N_VIEW_POINTS = 25  # number of points along each side of the image at which the shared view is sampled
-
+# Fractions of the left image in the right camera's view below which a rig is refused, and below which there is a note.
+# Pairs for driving share more than 90 %.
 _MIN_SHARED_VIEW, _FULL_SHARED_VIEW = 0.05, 0.7
-"""Fractions of the left image in the right camera's view below which a rig is refused, and below which there is a note.
-Pairs for driving share more than 90 %."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,13 +19,9 @@ from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 
-FOV_LIMITS_DEG = (20.0, 120.0)
-"""Smallest and largest horizontal field of view of a virtual pinhole, degrees (also in the option --fov-deg); the
-largest one is the default."""
-
+FOV_LIMITS_DEG = (20.0, 120.0)  # smallest, and largest (default) horizontal field of view, also in --fov-deg
+# Largest angle above and below the axis that is shown; a road user that is cut there is nearer than the hood.
 _MAX_HALF_HEIGHT_RAD = math.radians(45.0)
-"""Largest angle above and below the axis that is shown; a road user that is cut there is nearer than the hood."""
-
 _N_ANGLES = 1201  # number of angles at which the reach of a lens is sampled, 0.05 degrees apart
 _MIN_SIDE_PX = 32  # smallest width and height of a virtual pinhole's images
 _SMALL_RAD = 1e-5  # angle from the axis at which the resolution on the axis is measured

@@ -77,8 +77,7 @@ class MatcherResults:
     notes: tuple[str, ...] = ()  # messages for the user, without duplicates
 
 
-Expectation = Callable[[StereoPair], ExpectedDisparity]
-"""Expected disparities of the objects of a pair, for example from the sizes of their classes."""
+Expectation = Callable[[StereoPair], ExpectedDisparity]  # disparities of the objects of a pair by their classes' sizes
 
 
 def measure_pairs(

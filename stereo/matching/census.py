@@ -17,18 +17,13 @@ from track_range.foundation.arrays import FloatArray32
 from track_range.stereo.matching.tiles import MARGIN_PX, N_SIDE, N_WINDOWS, BoxTiles, Grey, window_sums
 
 Census = npt.NDArray[np.uint32]
-
 _REACH_PX = 2  # half the side of the census window, px
-
 _SIDE = 2 * _REACH_PX + 1
 
 _NEIGHBOURS = [(row, column) for row in range(_SIDE) for column in range(_SIDE) if (row, column) != (2, 2)]
-"""Positions of the neighbours in the census window."""
 
 _BITS_PER_BYTE = 8
-
-_WORDS_AT_ONCE = 2**15
-"""Number of words that are compared in one operation: 256 KiB, which fit into the processor's cache."""
+_WORDS_AT_ONCE = 2**15  # words that are compared in one operation: 256 KiB, which fit into the processor's cache
 
 
 def census(grey: Grey) -> Census:

@@ -10,14 +10,11 @@ from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32
 from track_range.stereo.matching.subpixel import RefinedSurface
 from track_range.stereo.matching.tiles import BoxTiles
 
+# Percentile of a box's costs that estimates the cost of a chance match; above the median, because in a search around a
+# prior half of the costs belong to the minimum.
 _CHANCE_PERCENTILE = 75.0
-"""Percentile of a box's costs that estimates the cost of a chance match; above the median, because in a search around a
-prior half of the costs belong to the minimum."""
-
 _PEAK_HALF_WIDTH = 2  # disparities on both sides of the best one that belong to its minimum, px of the tile
-
-_PEAK_HALF_WIDTH_PER_DISPARITY = 20
-"""The half width grows by 1 px with each 20 px of disparity: nearer objects extend over more disparities."""
+_PEAK_HALF_WIDTH_PER_DISPARITY = 20  # px of disparity per px of half width: nearer objects extend over more
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,12 +39,9 @@ from track_range.stereo.matching.surfaces import Surfaces, find_surfaces, window
 from track_range.stereo.matching.tiles import COARSE, FINE, MIN_IMAGE_HW, BoxTiles, TileShape, box_tiles, tile_scale
 from track_range.stereo.matching.window_sgm import WindowMatches, match_windows
 
-_EXPECTED_SIGMAS, _MIN_EXPECTED_LOG_SIGMA = 2.0, 0.1
-"""Largest deviation of an expected disparity from that by size, in standard deviations, and the smallest of these."""
-
-_EXPECTED_SUPPORT = 0.06
-"""Minimum support of a surface at the expected disparity: three of 49 windows, for example between bars."""
-
+_EXPECTED_SIGMAS = 2.0  # largest deviation of an expected disparity from that by size, in standard deviations
+_MIN_EXPECTED_LOG_SIGMA = 0.1  # smallest of these
+_EXPECTED_SUPPORT = 0.06  # minimum support at the expected disparity: three of 49 windows, such as between bars
 _EXPECTED_COST_BITS = 2.0  # cost by which a surface at the expected disparity may exceed the limit, bits per pixel
 
 

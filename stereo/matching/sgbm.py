@@ -22,12 +22,8 @@ from track_range.stereo.matching.patches import Patch, inner_halves
 
 DisparityMap = npt.NDArray[np.float32]
 Mode = Literal["3way", "sgbm", "hh", "hh4"]
-
 _STEPS_PER_PX = 16  # disparity steps per pixel: OpenCV's disparities are multiples of 1/16 px
-
-_MEDIAN_SIGMA_PX = 0.15
-"""Standard deviation of the median of a flat, textured patch: mostly pixel locking (0.14 px on synthetic pairs)."""
-
+_MEDIAN_SIGMA_PX = 0.15  # of the median of a flat, textured patch: mostly pixel locking (0.14 px on synthetic pairs)
 _MAX_COST = 32767  # largest cost: OpenCV sums costs in 16 bits
 
 _ALIASES = {

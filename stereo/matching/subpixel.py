@@ -28,32 +28,18 @@ from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces, su
 from track_range.stereo.matching.surfaces import centre_weights
 from track_range.stereo.matching.tiles import MARGIN_PX, BoxTiles, Grey, window_sums
 
-_N_FIT_ITERATIONS = (2, 3)
-"""Iterations of the fit of the surface, for each iteration of the least squares on grey values."""
-
+_N_FIT_ITERATIONS = (2, 3)  # of the surface, for each iteration of the least squares on grey values
 _MAX_STEP_PX = 0.75  # largest |s| of a confirmed window, px of the tile
-
-_MIN_GAIN = 0.3
-"""Smallest gain a of a confirmed window, and of its inverse: below, the right pixels hardly resemble the left ones."""
-
+_MIN_GAIN = 0.3  # smallest gain a, and 1 / a, of a confirmed window: below, the pixels hardly resemble each other
 _MAX_SIGMA_PX = 0.2  # largest standard deviation of d of a confirmed window, px of the tile
-
-_UNCONFIRMED_SIGMA_PX = 0.2
-"""Standard deviation of a window that is not confirmed and keeps its census disparity, px of the tile."""
-
-_MIN_NOISE_GREY2 = 0.14
-"""Smallest variance of a smoothed grey value: rounding or compression, 1 grey level before smoothing."""
-
+_UNCONFIRMED_SIGMA_PX = 0.2  # of a window that keeps its census disparity, px of the tile
+_MIN_NOISE_GREY2 = 0.14  # smallest variance of a smoothed grey value: rounding or compression, 1 level before smoothing
+# Factor on the variance, because smoothing correlates the noise of neighbours, which least squares assumes to be
+# independent; measured on exact shifts.
 _NOISE_CORRELATION = 3.5
-"""Factor on the variance, because smoothing correlates the noise of neighbours, which least squares assumes to be
-independent; measured on exact shifts."""
-
-_VERTICAL_SIGMA_PX = 0.3
-"""Prior standard deviation of the vertical offset, px of the tile; larger ones are corrected by the alignment."""
-
+_VERTICAL_SIGMA_PX = 0.3  # prior of the vertical offset, px of the tile; the alignment corrects larger ones
+# Lower limit of a window's standard deviation, px of the tile and fraction of its disparity: no object is smooth.
 _FLOOR_PX, _FLOOR_FRACTION = 0.06, 0.01
-"""Lower limit of a window's standard deviation, px of the tile, and as a fraction of its disparity: objects are not
-smooth surfaces."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,19 +22,12 @@ from track_range.stereo.matching.tiles import BoxTiles
 _SIDE_U, _SIDE_V = 0.15, 0.15  # limits of the middle third of a box, in box sizes from its centre
 _CENTRE_SIGMA = 0.175  # standard deviation of the weight of the box's centre, in box sizes
 _MIN_FRACTION = 0.05  # added to fractions before their logarithm
-
-_MIN_LOG_SIGMA = 0.1
-"""Smallest standard deviation of the log disparity by size: visible parts of objects are smaller than objects."""
-
-_MAX_DEVIATION = 4.0
-"""Largest deviation from the expected disparity, in standard deviations; larger ones are as improbable."""
-
+_MIN_LOG_SIGMA = 0.1  # smallest sigma of the log disparity by size: visible parts are smaller than objects
+_MAX_DEVIATION = 4.0  # standard deviations from the expected disparity; larger deviations are as improbable
 _TRACK_LOG_SIGMA = 0.05  # standard deviation of the log disparity in one frame about that of the track's last match
 _NEARER, _FARTHER = 1.03, 0.97  # ratio of disparities from which a surface is in front of or behind another one
 _OTHER_BOX_RATIO = 1.15  # ratio of the expected disparities from which another box is nearer or farther than the box
-
-_OTHER_BOX_FRACTION = 0.12
-"""Largest relative difference between a surface and the expected disparity of another box that it belongs to."""
+_OTHER_BOX_FRACTION = 0.12  # largest relative difference of a surface from the disparity of another box it belongs to
 
 THETA = {
     "area": 0.27,

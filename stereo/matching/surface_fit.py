@@ -19,18 +19,13 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 
+# f: residual below which windows have equal weights, as a fraction of the mean disparity, and its minimum in px.
 _FLOOR_FRACTION, _FLOOR_PX = 0.015, 0.05
-"""f: residual below which windows have equal weights, as a fraction of the mean disparity, and its minimum in px."""
-
 _BOUND_FLOORS = 2.0  # residual, in units of f, at which a window counts half of what it would without the bound
-
-_RIDGE = 4e-3
-"""Ridge on the tilt p1, p2, relative to the total weight: keeps the system solvable where windows nearly coincide."""
-
+_RIDGE = 4e-3  # on the tilt p1, p2, relative to the total weight: for windows that nearly coincide
+# c: prior standard deviation of p3 and p4 as a fraction of the disparity; 1.5 % at the edge of the box's inner half.
+# Fitted on simulated drives (seeds 0-2) and on the accuracy at the centre of KITTI 2015's given pairs.
 _CURVATURE = 0.25
-"""c: prior standard deviation of p3 and p4 as a fraction of the disparity; 1.5 % at the edge of the box's inner half.
-Fitted on simulated drives (seeds 0-2) and on the accuracy at the centre of KITTI 2015's given pairs."""
-
 _OVERLAP = 4.0  # number of windows that contain a pixel: their errors are correlated, so the prior counts as much more
 
 

@@ -17,30 +17,17 @@ from track_range.stereo.matching.tiles import BoxTiles
 from track_range.stereo.matching.window_sgm import WindowMatches
 
 N_SURFACES = 3  # largest number of surfaces per box, S
-
-_SAME_SURFACE_FRACTION, _SAME_SURFACE_PX = 0.15, 0.75
-"""Largest difference of the disparities of one surface, as a fraction of the disparity, and its minimum in px of the
-tile."""
-
+_SAME_SURFACE_FRACTION = 0.15  # largest relative difference of the disparities of one surface
+_SAME_SURFACE_PX = 0.75  # its minimum, px of the tile
 _ON_PLANE = 0.75  # largest distance from the plane, as a fraction of that difference
-
-_MIN_ON_PLANE = 0.8
-"""Minimum number of windows on the plane, as a fraction of those that agree; otherwise the surface is not a plane."""
-
-_N_GROWTHS = 2
-"""Number of times that a plane is fitted to the first surface, and its windows selected: it grows along its plane."""
-
+_MIN_ON_PLANE = 0.8  # minimum fraction of the windows of a surface on its plane; otherwise it is not a plane
+_N_GROWTHS = 2  # times that a plane is fitted to the first surface, and its windows selected: it grows along its plane
 _N_FIT_ITERATIONS = 3  # iterations of each fit of a plane
-
-_CENTRE_SIGMA = 0.2
-"""Standard deviation of the Gaussian weight about the box's centre, in box sizes: the corners of cars are rounded."""
-
+_CENTRE_SIGMA = 0.2  # of the Gaussian weight about the box's centre, in box sizes: the corners of cars are rounded
 _LOWER_MIDDLE = 0.125  # v of the most likely position of the object, in box sizes: objects touch the box's lower edge
 _MIN_WINDOWS = 4  # minimum number of windows that a plane is fitted to, one more than its parameters
-
-_FULL_COST_BITS, _NO_MATCH_BITS = 6.0, 10.0
-"""Cost up to which a window counts fully, and from which it counts as a chance match, bits per pixel of 12 by
-chance."""
+_FULL_COST_BITS = 6.0  # cost up to which a window counts fully, bits per pixel
+_NO_MATCH_BITS = 10.0  # cost from which it counts as a chance match, which has 12
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,23 +23,15 @@ from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, I
 from track_range.stereo.geometry.frames import ImageView
 
 Grey = npt.NDArray[np.uint8]
-
 N_CELLS = 8  # cells per row and per column of a tile
 N_SIDE = N_CELLS - 1  # windows per row and per column of a tile
 N_WINDOWS = N_SIDE**2  # windows per tile, G
 MARGIN_PX = 4  # pixels around a tile that are read as well: for the census (2), smoothing and derivatives (2)
-
-_BOX_FRACTION = 0.65
-"""Fraction of a box's width and height that its tile covers, around its centre; the rest is mostly background."""
-
+_BOX_FRACTION = 0.65  # of a box's sides that its tile covers, around its centre; the rest is mostly background
 _MAX_ASPECT = 4.0  # largest ratio of the scales in x and y: of longer boxes, the tile shows the middle
-
-_OVERHANG = 0.25
-"""Smallest distance of a used window's centre from the box's edges, in window sizes: at most a quarter of the window is
-outside the box."""
-
+_OVERHANG = 0.25  # smallest distance of a used window's centre from the box's edges, in window sizes
+# Possible scales of tiles, px of the image per px of the tile.
 _SCALES = np.concatenate([np.arange(1.0, 2.0, 0.25), np.arange(2.0, 4.0, 0.5), np.arange(4, 8), 2.0 ** np.arange(3, 8)])
-"""Possible scales of tiles, px of the image per px of the tile."""
 
 
 _STEPS_MULTIPLE = 4  # D - 1 is a multiple of this, so that strips end at whole pixels at each scale
@@ -64,9 +56,7 @@ class TileShape(NamedTuple):
 
 FINE = TileShape((4, 6), 1.0)  # tiles for the measurement
 COARSE = TileShape((2, 3), 2.0)  # tiles for the search of the full range of disparities
-
-MIN_IMAGE_HW = (FINE.cell_hw[0] * 2 + 3, FINE.cell_hw[1] * 2 + 1)
-"""Height and width in px of the smallest image that contains a window."""
+MIN_IMAGE_HW = (FINE.cell_hw[0] * 2 + 3, FINE.cell_hw[1] * 2 + 1)  # smallest image that contains a window, px
 
 
 @dataclass(frozen=True, slots=True)

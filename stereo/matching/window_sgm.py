@@ -21,12 +21,8 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray, FloatArray32, IntArray
 
 _P1_BITS = np.float32(1.5)  # P1: cost of a step of one disparity between neighbouring windows, bits per pixel
-
-_P2_BITS = np.float32(6.0)
-"""P2: cost of any larger step, bits per pixel; about the margin between a good minimum and a chance match."""
-
-_UNSEEN_BITS = np.float32(8.0)
-"""Cost of a window that is outside the right image, bits per pixel: neither a match nor a contradiction."""
+_P2_BITS = np.float32(6.0)  # P2: cost of any larger step; about the margin between a good minimum and a chance match
+_UNSEEN_BITS = np.float32(8.0)  # cost of a window outside the right image: neither a match nor a contradiction
 
 
 @dataclass(frozen=True, slots=True)

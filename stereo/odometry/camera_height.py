@@ -20,9 +20,8 @@ from track_range.stereo.odometry.ego_motion import EgoMotion
 _MIN_MPS = 3.0  # speed below which the ratio of two speeds is not precise
 _CORRELATED_S = 1.0  # time over which errors of the speeds are correlated
 _SHARED_SIGMA = 0.02  # relative error that all frames share
-
-_MIN_S, _MAX_RATIOS = 1.0, 600
-"""Seconds of measurements before the first height, and largest number of stored ratios: the last ones."""
+_MIN_S = 1.0  # seconds of measurements before the first height
+_MAX_RATIOS = 600  # largest number of stored ratios: the last ones
 
 
 class CameraHeight:

@@ -38,29 +38,19 @@ from track_range.stereo.odometry.speed_filter import SpeedFilter
 
 _MIN_STRIP_GREY = 1.0  # smallest standard deviation of a strip in grey levels; below it there is only noise
 _MAX_MASKED_FRACTION = 0.05  # largest fraction of a strip under boxes of road users
-
-_MIN_STRIPS, _STRIP_SIGMA_M, _STRIPS_SIGMA_RAD = 4, 0.015, 0.0015
-"""Minimum number of strips for a measurement of the horizon; standard deviations of the shift of one strip, and of the
-horizon by errors that the strips share. Errors are 0.0015 to 0.002 rad on simulated drives, seeds 0-2."""
-
+_MIN_STRIPS = 4  # minimum number of strips for a measurement of the horizon
+_STRIP_SIGMA_M = 0.015  # standard deviation of the shift of one strip
+_STRIPS_SIGMA_RAD = 0.0015  # of the horizon by errors that the strips share: 0.0015 to 0.002 on simulated drives
+# Standard deviation of the row of the epipole as a measurement of the horizon: 0.002 to 0.005 rad on simulated drives,
+# seeds 0-2, correlated over a second, and the camera moves up and down on the springs.
 _EPIPOLE_SIGMA_RAD = 0.012
-"""Standard deviation of the row of the epipole as a measurement of the horizon: 0.002 to 0.005 rad on simulated drives,
-seeds 0-2, correlated over a second, and the camera moves up and down on the springs."""
-
-_SURE_RAD, _TRAVEL_SIGMA_RAD = 0.004, 0.004
-"""Standard deviation of the horizon below which the epipole is expected there, and its deviation from the horizon: the
-camera of a car at 10 m/s moves up and down on the springs by 0.04 m/s."""
-
-_MAX_STRIP_CELLS, _MIN_STRIP_CORRELATION = 6, 0.4
-"""Largest difference of a strip's shift from the common one in cells, that of the farthest strip for an error of 0.012
-rad at 30 m/s, and minimum correlation of the strip."""
-
+_SURE_RAD = 0.004  # standard deviation of the horizon below which the epipole is expected there
+_TRAVEL_SIGMA_RAD = 0.004  # deviation from it: a camera at 10 m/s moves up and down on the springs by 0.04 m/s
+_MAX_STRIP_CELLS = 6  # largest difference of a strip's shift from the common one: far, 0.012 rad too low, at 30 m/s
+_MIN_STRIP_CORRELATION = 0.4  # of the strip there
 _PICTURE_M = 9.0  # distance of the middle of the picture, at which its plane has the slope of the road
-
-_OUTLIER_SIGMA, _MAX_FRAMES = 4.0, 50.0
-"""Innovation of the horizon in standard deviations above which the shifts are wrong, and largest amplification of an
-error of the rotation, by slow motion."""
-
+_OUTLIER_SIGMA = 4.0  # innovation of the horizon in standard deviations above which the shifts are wrong
+_MAX_FRAMES = 50.0  # largest amplification of an error of the rotation, by slow motion
 _UNKNOWN_SIGMA = 0.03  # relative standard deviation of a speed without one
 _TYPICAL_MPS = 10.0  # speed for the curvature of the road until the first speed is known
 _MIN_UNIQUE_M = 0.35  # shifts nearer than this to the maximum belong to it

@@ -26,25 +26,19 @@ from track_range.foundation.sparse_flow import BackgroundFlow, isotropy
 from track_range.stereo.geometry.camera import PinholeCamera
 
 _TUKEY = 4.685  # residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
-
-_N_ROTATION_ROUNDS, _N_ROUNDS = 3, 7
-"""Rounds of Gauss-Newton for the rotation alone, which a wrong direction cannot mislead, and in all."""
-
+_N_ROUNDS = 7  # rounds of Gauss-Newton
+_N_ROTATION_ROUNDS = 3  # the first ones, for the rotation alone, which a wrong direction cannot mislead
 _ROUNDS_OF_NOISE = (1, 3, 5)  # rounds that update the noise of the points, with the rotation so far
 _DIRECTION_SIGMA_RAD = 0.05  # standard deviation of the direction of travel at the start, and the largest one
-
+# Random walk of the direction of travel in the camera's frame, rad per square root of a second: a car that enters a
+# curve of 50 m slips by 0.03 rad at a camera 1.5 m in front of its rear axle, and brakes and bumps pitch it as much.
 _DIRECTION_DRIFT_RAD = 0.03
-"""Random walk of the direction of travel in the camera's frame, rad per square root of a second: a car that enters a
-curve of 50 m slips by 0.03 rad at a camera 1.5 m in front of its rear axle, and brakes and bumps pitch it as much."""
-
+# Standard deviation of the flow, as a fraction of the part that the translation causes; residuals on simulated drives,
+# seeds 0-9, grow by 0.02 to 0.05 of it.
 _FLOW_NOISE = 0.03
-"""Standard deviation of the flow, as a fraction of the part that the translation causes; residuals on simulated drives,
-seeds 0-9, grow by 0.02 to 0.05 of it."""
-
+# Standard deviation of the common error of the flow of distant points, small pixels, which does not average out; the
+# errors of yaw on simulated drives, seeds 0-9, then have a standard deviation of 1 in units of their sigma.
 _BIAS_PX = 0.06
-"""Standard deviation of the common error of the flow of distant points, small pixels, which does not average out; the
-errors of yaw on simulated drives, seeds 0-9, then have a standard deviation of 1 in units of their sigma."""
-
 _MIN_FORWARD = 0.5  # smallest forward part of a unit translation; a smaller one has no epipole near the image
 _MIN_RADIUS = 0.03  # smallest distance of a ray from the epipole, at depth 1, at which its growth is measured
 

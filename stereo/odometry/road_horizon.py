@@ -28,24 +28,15 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 
 _MOUNTING_RAD = 0.03  # standard deviation of the mean angle between the camera's axis and the road at the start
-
-_MOUNTING_DRIFT_RAD = 0.0005
-"""Random walk of the mean angle, rad per square root of a second: load, long phases of braking."""
-
-_SPRINGS_RAD, _SPRINGS_S = 0.0025, 0.3
-"""Standard deviation of a car's pitch on its springs, and the time over which it is correlated."""
-
+_MOUNTING_DRIFT_RAD = 0.0005  # its random walk, rad per square root of a second: load, long phases of braking
+_SPRINGS_RAD, _SPRINGS_S = 0.0025, 0.3  # standard deviation of a car's pitch on its springs, and its correlation time
+# Errors of the pitch between two frames, independent and constant: 0.15 and 0.08 px at KITTI's focal length on
+# simulated drives, seeds 0-2.
 _ROTATION_RAD, _ROTATION_BIAS_RAD = 0.0002, 0.00012
-"""Errors of the pitch between two frames, independent and constant: 0.15 and 0.08 px at KITTI's focal length on
-simulated drives, seeds 0-2."""
-
 _LOST_RAD = 0.003  # standard deviation of the pitch between two frames if it is not measured
-
-_CURVATURE_PER_M, _CURVATURE_LENGTH_M = 0.0003, 80.0
-"""Standard deviation of the vertical curvature (radii of 3 km are usual on roads) and its correlation length."""
-
-_ROLL_S = 0.5
-"""Time constant with which the roll returns to 0: errors of the measured rotation add up to more than a car rolls."""
+_CURVATURE_PER_M = 0.0003  # standard deviation of the vertical curvature (radii of 3 km are usual on roads)
+_CURVATURE_LENGTH_M = 80.0  # its correlation length
+_ROLL_S = 0.5  # time constant to roll 0: errors of the measured rotation add up to more than a car rolls
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

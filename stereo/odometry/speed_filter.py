@@ -14,9 +14,7 @@ import numpy as np
 
 from track_range.foundation.constant_velocity import ConstantVelocity
 
-_JERK_NOISE = 5.0
-"""Random walk of the acceleration, m/s^2 per square root of a second: a car brakes fully within half a second."""
-
+_JERK_NOISE = 5.0  # random walk of the acceleration, m/s^2 per root of a second: a car brakes fully within 0.5 s
 _INITIAL_ACCELERATION_MPS2 = 3.0  # standard deviation of the acceleration at the start
 _MAX_GAP_S = 0.35  # longest time in seconds without a measurement; the speed is unknown after it
 _OUTLIER_SIGMA = 4.0  # innovations beyond this number of standard deviations are ignored

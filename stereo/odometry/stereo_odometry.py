@@ -43,15 +43,9 @@ from track_range.stereo.odometry.speed_filter import SpeedFilter
 
 _TUKEY = 4.685  # residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
 _N_ROUNDS = 5  # rounds of Gauss-Newton; the last one changes the translation by less than 1 mm
-
-_N_TRIPLES = 40
-"""Random triples of corners: with half of them static, one of 40 is all static with a probability of 99.5 %."""
-
+_N_TRIPLES = 40  # random triples of corners: of half static ones, one is all static with a probability of 99.5 %
 _CHI2_MEDIAN = 1.386  # median of the chi-squared distribution with 2 degrees of freedom
-
-_MAX_DISTANCE2 = 9.0
-"""Largest squared Mahalanobis distance of a static corner; 1.1 % of the static ones have a larger one."""
-
+_MAX_DISTANCE2 = 9.0  # largest squared Mahalanobis distance of a static corner, which 1.1 % of them exceed
 _MIN_RATIO = 0.05  # smallest ratio of the depths now and before; a nearer point leaves the image
 _BLOCK_PX = 9  # side of the blocks of the coarse matcher, pixels of the quarter-size image
 _MIN_SIDE_PX = 64  # smallest side of a small image that has room for windows in its halved copy

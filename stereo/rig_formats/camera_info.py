@@ -22,10 +22,8 @@ from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS
 
 _MODELS = ("", "plumb_bob", "rational_polynomial", "pinhole", "none")  # distortion models that are OpenCV's
 _FISHEYE_MODELS = ("equidistant", "fisheye")  # distortion models that are OpenCV's fisheye model
-
-_FOCAL_DIFFERENCE, _ROW_DIFFERENCE_PX = 0.01, 2.0
-"""Largest relative difference of the focal lengths, and difference of the principal rows, of two rectified cameras."""
-
+_FOCAL_DIFFERENCE = 0.01  # largest relative difference of the focal lengths of two rectified cameras
+_ROW_DIFFERENCE_PX = 2.0  # largest difference of their principal rows
 _COEFFICIENTS = (0, 4, 5, 8, 12, 14)  # numbers of coefficients of OpenCV's model
 
 

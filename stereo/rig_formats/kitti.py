@@ -29,18 +29,11 @@ from track_range.stereo.geometry.rig_checks import BASELINE_M, MAX_SIDE_PX, NO_V
 from track_range.stereo.rig_formats.rig_format import RigFormat
 
 _LINE = re.compile(r"^[ \t]*(P|S)(?:_rect_0)?([0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
-
 _NUMBER = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)  # beginning of a word that is a number
-
-_MIN_NAMELESS = 9
-"""Smallest number of words of a line that is meant as a projection matrix; lines of other files have fewer numbers."""
-
+_MIN_NAMELESS = 9  # smallest number of words of a line that is meant as a projection matrix
 _BRACKETS = str.maketrans("[](),;", "      ")  # separators, and the brackets of copied matrices
-
 _RAW_LINE = re.compile(r"^[ \t]*([SKDRT]_0[0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
-_RAW_COUNTS = {"S": 2, "K": 9, "D": 5, "R": 9, "T": 3}
-"""Lines of the images before rectification, and how many numbers each kind has."""
-
+_RAW_COUNTS = {"S": 2, "K": 9, "D": 5, "R": 9, "T": 3}  # numbers in the lines of the images before rectification
 _MAX_VALUE = 1e7  # largest plausible magnitude of a number in a projection; NaN and larger numbers are rejected
 _COLOUR, _GREY = (2, 3), (0, 1)  # numbers of the left and right camera of each pair
 

@@ -40,15 +40,10 @@ from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
 
 _NONE: FloatArray = np.zeros(0)  # the numbers of a missing key
 _EXTRINSIC = ("R", "T")  # keys of the extrinsics
-
-_FISHEYE_MATRICES = {"K1": "M1", "K2": "M2"}
-"""Names of camera matrices in files of cv::fisheye, and those in files of stereo_calib."""
-
+_FISHEYE_MATRICES = {"K1": "M1", "K2": "M2"}  # camera matrices in files of cv::fisheye, and of stereo_calib
 _OF_PAIR = ("M2", "D2", *_EXTRINSIC)  # keys of two cameras; a file without all of them describes one camera
 _SIBLING_SUFFIXES = (".yml", ".yaml", ".xml", ".json")  # suffixes of the file with the other half of a calibration
-
-_YAML_HEAD = re.compile(r"\A\s*%YAML[^\n]*\n|!!opencv-[a-z-]+")
-"""What OpenCV's YAML has and YAML has not: its first line `%YAML:1.0`, and tags."""
+_YAML_HEAD = re.compile(r"\A\s*%YAML[^\n]*\n|!!opencv-[a-z-]+")  # what OpenCV's YAML has and YAML has not
 
 _KEYS = (
     *("M1", "D1", "M2", "D2", *_EXTRINSIC, "camera_matrix", "distortion_coefficients"),
@@ -58,7 +53,6 @@ _KEYS = (
 """Keys that are read."""
 
 _MAX_SIDE = 14  # largest number of rows or columns; OpenCV has at most 14 distortion coefficients
-
 _Side = Annotated[Integer, Field(ge=1, le=_MAX_SIDE)]
 
 

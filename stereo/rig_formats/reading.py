@@ -23,8 +23,7 @@ from track_range.stereo.rig_formats.registry import FORMAT_TITLES, RIG_FORMATS
 from track_range.stereo.rig_formats.rig_format import RigFormat
 from track_range.stereo.rig_formats.ros import read_folder
 
-_SCALE_TOLERANCE = 0.01
-"""Largest relative difference between the factors by which left and right images of unequal size are scaled."""
+_SCALE_TOLERANCE = 0.01  # largest relative difference of the factors by which left and right images are scaled
 
 
 def load_rig(

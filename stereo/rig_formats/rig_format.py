@@ -12,8 +12,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import RigCalibration
 
-RigWriter = Callable[[StereoRig | PinholeCamera, Path, Sequence[str]], None]
-"""Writes a rig or one camera to a path, with comment lines; raises RigError."""
+RigWriter = Callable[[StereoRig | PinholeCamera, Path, Sequence[str]], None]  # path, comment lines; raises RigError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

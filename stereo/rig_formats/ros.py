@@ -28,18 +28,13 @@ from track_range.stereo.rig_formats.rig_format import RigFormat
 
 _TITLE = "ROS's camera_info"
 _EXPECTED = "a camera_info of ROS"
-
+# Keys at the start of a line, one of which every camera_info has.
 _RECOGNISED = re.compile(r"^(?:(?:camera|projection)_matrix|[kKpP])[ \t]*:", re.MULTILINE)
-"""Keys at the start of a line, one of which every camera_info has."""
-
 _SEPARATOR = re.compile(r"^---[^\n]*$", re.MULTILINE)  # line between two YAML documents
-
 _SIDE = re.compile("left|right", re.IGNORECASE)
 _OTHER_SIDE = {"left": "right", "right": "left", "Left": "Right", "Right": "Left", "LEFT": "RIGHT", "RIGHT": "LEFT"}
-"""Sides in file names."""
 
 _SUFFIXES = (".yaml", ".yml")
-
 _MAX_FILES = 50  # largest number of YAML files in a folder that are searched for cameras
 
 

@@ -28,17 +28,10 @@ from track_range.stereo.calibration.coverage import most_different
 Advance = Callable[[int, int], None]
 Views = tuple[BoardView, ...]
 Size = tuple[int, int]
-
 MAX_VIEWS = 60  # largest number of views for a calibration; more cost time without improving accuracy
-
-_MAX_CROP_PX = 2
-"""Difference in image size, px, up to which images count as from one camera, rounded or cropped by other software."""
-
+_MAX_CROP_PX = 2  # difference in size up to which images are from one camera, rounded or cropped by other software
 _BLURRED_PX = 4.0  # edge width, px, above which an image may be blurred; see `_BLURRED_RATIO`
-
-_BLURRED_RATIO = 2.5
-"""Edge width of a blurred image relative to the 25th percentile of all images; `_BLURRED_PX` must be exceeded too."""
-
+_BLURRED_RATIO = 2.5  # the same relative to the 25th percentile of all images; both must be exceeded
 _N_SAMPLES = 6  # number of images from which the size of the board is determined if the given board is not found
 
 

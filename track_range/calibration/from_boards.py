@@ -29,10 +29,7 @@ from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
 LENS_NAMES = {"pinhole": PINHOLE, "fisheye": KANNALA_BRANDT.name}  # names of the lens models by value of --lens
-
-_REACH_DEG = 5.0
-"""Angle by which images may reach farther from the optical axis than the corners of the boards, degrees."""
-
+_REACH_DEG = 5.0  # angle by which images may reach farther from the optical axis than the corners of the boards
 _BOARD_M = (0.1, 20.0)  # plausible range of the median distance of the board, m; outside, --square-mm is probably wrong
 _OUT_OF_FOCUS_PX = 6.0  # median edge width of the views, px, above which the images count as out of focus
 

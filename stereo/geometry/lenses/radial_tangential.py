@@ -17,8 +17,8 @@ from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.lenses.lens import Lens
 
 _IDENTITY = np.eye(3)
+# Stop criteria of the iterative inversion: number of iterations and error.
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-12)
-"""Stop criteria of the iterative inversion: number of iterations and error."""
 
 
 def _distort(xyz: FloatArray, coefficients: Sequence[float]) -> FloatArray:

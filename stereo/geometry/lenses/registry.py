@@ -9,6 +9,4 @@ from track_range.stereo.geometry.lenses.radial_tangential import RADIAL_TANGENTI
 from track_range.stereo.geometry.lenses.unified import UNIFIED
 
 PINHOLE = RADIAL_TANGENTIAL.name  # name of the pinhole with OpenCV's distortion, the default
-
 LENSES: dict[str, Lens] = {lens.name: lens for lens in (RADIAL_TANGENTIAL, KANNALA_BRANDT, DOUBLE_SPHERE, UNIFIED)}
-"""The lens models by name."""

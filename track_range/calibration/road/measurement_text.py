@@ -11,8 +11,8 @@ from track_range.foundation.files.input_files import quoted
 from track_range.ranging.fitting.camera.measurements import KnownLane
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
+# Plausible known distances, heights and widths of objects, and lane widths, m.
 DISTANCE_M, SIZE_M, LANE_M = (1.0, 200.0), (0.2, 6.0), (1.5, 30.0)
-"""Plausible known distances, heights and widths of objects, and lane widths, m."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
