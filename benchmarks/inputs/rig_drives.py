@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.inputs.simulated_drives import SimulatedDrive
 from track_range.foundation.arrays import FloatArray
 from track_range.simulation.render.renderer import kitti_like_rig
-from track_range.stereo.alignment.feature_tracks import FeatureTracks, PairPoints, TrackedFrame, grey
+from track_range.stereo.alignment.feature_tracks import FeatureTracks, PairPoints, TrackedFrame
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rectification import Rectifier
@@ -93,8 +93,7 @@ def tracked(frames: Iterable[Frame]) -> Iterator[TrackedFrame]:
     tracks = FeatureTracks()
     for frame in frames:
         if frame.right is not None:
-            points = tracks.add(grey(frame.left), grey(whole_image(frame.right)))
-            yield TrackedFrame(frame.time_s, points, tracks.flow_px, tracks.fraction_tracked)
+            yield tracks.add(frame.left, whole_image(frame.right), frame.time_s)
 
 
 def simulated_drive(scenario: str, *, seed: int, seconds: float, cache: Path | None) -> TrackedDrive:

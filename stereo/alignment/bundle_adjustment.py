@@ -106,30 +106,34 @@ class Equations(NamedTuple):
 
 
 class _PointBlocks(NamedTuple):
-    """Blocks of the points in the normal equations, V = L L^T."""
+    """Blocks of the points in the normal equations, V = L L^T; the points are y = V^-1 (b_y - W x)."""
 
     l_inverse: FloatArray  # (P, 3, 3) L^-1
     whitened: FloatArray  # (P, 3, C) L^-1 W
     right_side: FloatArray  # (P, 3) L^-1 b_y
 
 
-class _Elimination(NamedTuple):
-    """Equations S x = b without the points, and the blocks that give the points y = V^-1 (b_y - W x) afterwards."""
-
-    equations: Equations
-    blocks: _PointBlocks
-
-
 def fit_bundle(observed: Observations, start: Bundle, rig: StereoRig) -> BundleFit:
-    """The bundle with the minimum robust cost, from a start within a few pixels of it; `rig` is rectified."""
-    bundle, damping = start, 1e-4
+    """The bundle with the minimum robust cost, from a start within a few pixels of it; `rig` is rectified.
+
+    The points are eliminated; the first frame's pose is fixed. With damping of the diagonals of U and V,
+
+    [ U  W^T ] [x]   [b_x]       x: poses and errors       U = Jx^T L Jx,  W = Jy^T L Jx,  V = Jy^T L Jy
+    [ W  V   ] [y] = [b_y]       y: points                 b_x = Jx^T L r, b_y = Jy^T L r, L = diag(weight)
+
+    S = U - W^T V^-1 W,  b = b_x - W^T V^-1 b_y,  V block diagonal (3 x 3)
+    """
+    bundle, damping, n_frames = start, 1e-4, len(start.rotation)
     linear = linearize(observed, bundle, rig)
     for _ in range(_MAX_STEPS):
         noise_px = _noise_px(linear.residual)
         cost = _cost(linear.residual, noise_px)
         weight = _cauchy(linear.residual, noise_px) / noise_px**2
+        poses = _pose_equations(observed.frame, linear, weight, n_frames)
         while damping < _MAX_DAMPING:
-            trial = _updated(bundle, _eliminate_points(observed, linear, weight, len(bundle.rotation), damping))
+            points = _point_blocks(observed, linear, weight, n_frames, damping)
+            damped = poses._replace(s=poses.s + damping * np.diag(np.diag(poses.s)))
+            trial = _updated(bundle, damped.without(points.whitened, points.right_side), points)
             trial_linear = linearize(observed, trial, rig)
             trial_cost = _cost(trial_linear.residual, noise_px)
             if trial_cost <= cost:  # False for NaN too
@@ -173,9 +177,8 @@ def linearize(observed: Observations, bundle: Bundle, rig: StereoRig, *, extra: 
     u_per_px = 2 / camera.width_px
     u = x * camera.fx_px * u_per_px
     columns = error_columns(u)
-    magnification = (
-        1 + (2 * bundle.error_px[1] * u + bundle.error_px[2]) * u_per_px
-    )  # derivative of the right x, without disparity, by left x
+    # derivative of the right x, without disparity, by left x
+    magnification = 1 + (2 * bundle.error_px[1] * u + bundle.error_px[2]) * u_per_px
     right_x = left_x - disparity_px + columns @ bundle.error_px
     expected = np.stack([left_x, camera.fy_px * y + camera.cy_px, right_x], axis=1)
     by_q = np.zeros((len(x), 3, 3))
@@ -196,22 +199,6 @@ def linearize(observed: Observations, bundle: Bundle, rig: StereoRig, *, extra: 
 def error_columns(u: FloatArray) -> FloatArray:
     """(N, 3) derivatives of the right x by offset, curvature and slope, at the columns `u` (N,) from the axis."""
     return np.stack([np.ones_like(u), u**2, u], axis=1)
-
-
-def _eliminate_points(
-    observed: Observations, linear: Linear, weight: FloatArray, n_frames: int, damping: float
-) -> _Elimination:
-    """The Schur complement of the points in the normal equations; the first frame's pose is fixed.
-
-    [ U  W^T ] [x]   [b_x]       x: poses and errors       U = Jx^T L Jx,  W = Jy^T L Jx,  V = Jy^T L Jy
-    [ W  V   ] [y] = [b_y]       y: points                 b_x = Jx^T L r, b_y = Jy^T L r, L = diag(weight)
-
-    S = U - W^T V^-1 W,  b = b_x - W^T V^-1 b_y,  with V block diagonal (3 x 3); damping scales the diagonals
-    """
-    blocks = _point_blocks(observed, linear, weight, n_frames, damping)
-    poses = _pose_equations(observed.frame, linear, weight, n_frames)
-    damped = poses._replace(s=poses.s + damping * np.diag(np.diag(poses.s)))
-    return _Elimination(damped.without(blocks.whitened, blocks.right_side), blocks)
 
 
 def _point_blocks(
@@ -248,16 +235,15 @@ def _pose_equations(frame: IntArray, linear: Linear, weight: FloatArray, n_frame
     return Equations(u[6:, 6:], b[6:], n_poses - 6)
 
 
-def _updated(bundle: Bundle, elimination: _Elimination) -> Bundle:
-    """The bundle after a Gauss-Newton step: (S + prior) x = b for poses and errors, y = V^-1 (b_y - W x) for points."""
-    equations, n = elimination.equations, elimination.equations.n_pose_unknowns
+def _updated(bundle: Bundle, equations: Equations, points: _PointBlocks) -> Bundle:
+    """The bundle after a Gauss-Newton step: (S + prior) x = b for poses and errors, then the points y."""
+    n = equations.n_pose_unknowns
     prior = np.zeros(len(equations.b))
     prior[n:] = _ERROR_PRIOR_PX**-2
     b = equations.b.copy()
     b[n:] -= bundle.error_px * prior[n:]
     x = np.linalg.solve(equations.s + np.diag(prior), b)
-    blocks = elimination.blocks
-    y = blocks.l_inverse.transpose(0, 2, 1) @ (blocks.right_side - blocks.whitened @ x)[:, :, None]
+    y = points.l_inverse.transpose(0, 2, 1) @ (points.right_side - points.whitened @ x)[:, :, None]
     poses = np.concatenate([np.zeros((1, 6)), x[:n].reshape(-1, 6)])
     rotations = np.stack([cv2.Rodrigues(vector)[0] for vector in poses[:, :3]])
     return Bundle(

@@ -17,21 +17,21 @@ from dataclasses import replace
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.alignment.bundle_adjustment import CURVATURE, OFFSET, SLOPE
-from track_range.stereo.alignment.feature_tracks import FeatureTracks, TrackedFrame, grey
+from track_range.stereo.alignment.bundle_adjustment import CURVATURE, SLOPE
+from track_range.stereo.alignment.feature_tracks import FeatureTracks, TrackedFrame
 from track_range.stereo.alignment.from_drive import (
     MAX_GAP_S,
     MIN_FLOW_PX,
     MIN_STEP_S,
     MIN_TRACKED_FRACTION,
     N_FRAMES,
-    PIXEL_LOCKING_PX,
     observations_of,
+    offset_of,
 )
 from track_range.stereo.alignment.health import Window
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.alignment.right_view import RightView
-from track_range.stereo.alignment.segments import Segment, combine, segment_of
+from track_range.stereo.alignment.segments import Segment, segment_of
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -48,15 +48,12 @@ _MAX_AHEAD_S = 90.0  # longest time for which the drift is extrapolated beyond a
 class DriftingAlignment:
     """The alignment of a run at each time, from the one of its start and later measurements of the offset.
 
-    Attributes:
-        start: the alignment of the first frames, for images with the right one shifted by `Alignment.shift_px`.
-        windows: measurements, in order of time, the first ones from the start.
+    It starts with the applied and the measured alignment, and the windows from which they were estimated.
     """
 
     def __init__(self, applied: Alignment, measured: Alignment, windows: Sequence[Window]) -> None:
-        """Start with the applied and the measured alignment, and the windows from which they were estimated."""
-        self.start = applied.after_shift()
-        self.windows = tuple(windows)
+        self.start = applied.after_shift()  # for images with the right one shifted by `Alignment.shift_px`
+        self.windows = tuple(windows)  # measurements, in order of time, the first ones from the start
         self._base_px = measured.offset_px
         time_s = float(np.mean([(window.from_s + window.to_s) / 2 for window in windows])) if windows else 0.0
         covariance = np.diag([measured.offset_sigma_px**2, _DRIFT_SIGMA**2])
@@ -79,16 +76,15 @@ class DriftingAlignment:
         number = bisect_left(self._times_s, time_s) - 1
         if number < 1:
             return self.start
-        state, covariance = self._predicted(self._states[number], time_s)
-        change_px, sigma_px = float(state[0]), math.sqrt(covariance[0, 0])
-        last_px, last_sigma_px = float(self._states[number][1][0]), math.sqrt(self._states[number][2][0, 0])
-        if abs(last_px) <= _MIN_SIGMAS * math.hypot(last_sigma_px, math.sqrt(self._states[0][2][0, 0])):
+        _, last, last_covariance = self._states[number]
+        last_sigma_px, first_sigma_px = (math.sqrt(c[0, 0]) for c in (last_covariance, self._states[0][2]))
+        if abs(float(last[0])) <= _MIN_SIGMAS * math.hypot(last_sigma_px, first_sigma_px):
             return self.start
-        residual_px = math.hypot(self.start.residual_px, sigma_px)
-        return replace(self.start, offset_px=self.start.offset_px + change_px, residual_px=residual_px)
+        state, covariance = self._predicted(self._states[number], time_s)
+        residual_px = math.hypot(self.start.residual_px, math.sqrt(covariance[0, 0]))
+        return replace(self.start, offset_px=self.start.offset_px + float(state[0]), residual_px=residual_px)
 
     def _predicted(self, last: tuple[float, FloatArray, FloatArray], time_s: float) -> tuple[FloatArray, FloatArray]:
-        """State and covariance at a later time."""
         last_s, state, covariance = last
         dt = min(max(time_s - last_s, 0.0), _MAX_AHEAD_S)
         step = np.array([[1.0, dt], [0.0, 1.0]])
@@ -97,20 +93,15 @@ class DriftingAlignment:
 
 
 class DriftMonitor:
-    """Measures the offset again from time to time, and adds it to a `DriftingAlignment`.
+    """Measures the offset of a rectified pair again from time to time, and adds it to `drifting`.
 
-    Args:
-        rig: the rectified pair.
-        drifting: receives the measurements.
-        measured: the alignment that was estimated from the first frames.
-        shift_px: shift of the right images, see `Alignment.shift_px`.
+    `measured` was estimated from the first frames; the right images are shifted by `shift_px` (`Alignment.shift_px`).
     """
 
     def __init__(
         self, rig: StereoRig, drifting: DriftingAlignment, measured: Alignment, *, shift_px: float = 0.0
     ) -> None:
-        self._rig, self._drifting, self._measured = rig, drifting, measured
-        self._shift_px = shift_px
+        self._rig, self._drifting, self._measured, self._shift_px = rig, drifting, measured, shift_px
         self._last_s = drifting.windows[-1].to_s if drifting.windows else 0.0
         self._n_frames, self._added_s = 0, -math.inf
         self._tracks: FeatureTracks | None = None
@@ -130,8 +121,7 @@ class DriftMonitor:
         if self._tracks is None or frame.time_s - self._added_s > MAX_GAP_S:
             self._tracks, self._points = FeatureTracks(), []
         self._added_s = frame.time_s
-        points = self._tracks.add(grey(frame.left), grey(whole_image(frame.right)))
-        self.add_points(TrackedFrame(frame.time_s, points, self._tracks.flow_px, self._tracks.fraction_tracked))
+        self.add_points(self._tracks.add(frame.left, whole_image(frame.right), frame.time_s))
 
     def add_points(self, frame: TrackedFrame) -> None:
         """Use the points of the next frame of a measurement; it ends with the last frame, or if the vehicle stops."""
@@ -140,9 +130,7 @@ class DriftMonitor:
             return
         self._points.append(frame)
         if len(self._points) == N_FRAMES:
-            window = self._window()
-            if window is not None:
-                self._drifting.add(window)
+            self._measure()
             self._end(frame.time_s)
 
     def _end(self, time_s: float) -> None:
@@ -152,16 +140,12 @@ class DriftMonitor:
         self._n_frames = 0 if has_all else round(0.8 * MIN_INTERVAL_FRAMES)
         self._tracks, self._points = None, []
 
-    def _window(self) -> Window | None:
-        observed = observations_of([frame.points for frame in self._points], RightView(), self._rig)
-        segment = segment_of(observed, self._rig)
-        if not isinstance(segment, Segment):
-            return None
-        known_px = np.zeros(3)
-        known_px[[CURVATURE, SLOPE]] = self._measured.curvature_px, self._measured.slope_px
-        estimate = combine([segment], (OFFSET,), known_px)
-        sigma_px = math.hypot(float(estimate.sigma_px[OFFSET]), PIXEL_LOCKING_PX)
-        if not sigma_px <= _MAX_SIGMA_PX:
-            return None
-        offset_px = float(estimate.error_px[OFFSET]) + self._shift_px
-        return Window(0, self._points[0].time_s, self._points[-1].time_s, offset_px, sigma_px)
+    def _measure(self) -> None:
+        segment = segment_of(observations_of(self._points, RightView(), self._rig), self._rig)
+        if isinstance(segment, Segment):
+            known_px = np.zeros(3)
+            known_px[[CURVATURE, SLOPE]] = self._measured.curvature_px, self._measured.slope_px
+            offset_px, sigma_px = offset_of(segment, known_px)
+            if sigma_px <= _MAX_SIGMA_PX:  # False for NaN
+                from_s, to_s = self._points[0].time_s, self._points[-1].time_s
+                self._drifting.add(Window(0, from_s, to_s, offset_px + self._shift_px, sigma_px))

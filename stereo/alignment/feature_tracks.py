@@ -9,7 +9,7 @@ over time from the last position.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -55,36 +55,40 @@ class TrackedFrame(NamedTuple):
 
 
 class FeatureTracks:
-    """Tracks corners through the frames of a drive.
-
-    Attributes:
-        flow_px: median flow since the previous frame; 0 for the first frame.
-        fraction_tracked: fraction of the points tracked from the previous frame; 1 for the first frame.
-    """
+    """Tracks corners through the frames of a drive."""
 
     def __init__(self) -> None:
-        self.flow_px, self.fraction_tracked = 0.0, 1.0
         self._before: Image | None = None
         self._left_px: FloatArray32 = np.zeros((0, 2), np.float32)
         self._number: IntArray = np.zeros(0, np.int64)
         self._next_number = 0
-        self._coarse = _coarse_matcher()
+        self._coarse = cv2.StereoSGBM.create(
+            minDisparity=_COARSE_MIN_PX,
+            numDisparities=_COARSE_RANGE_PX,
+            blockSize=5,
+            P1=8 * 25,
+            P2=32 * 25,
+            disp12MaxDiff=1,
+            preFilterCap=63,
+            uniquenessRatio=10,
+            speckleWindowSize=100,
+            speckleRange=2,
+            mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+        )
 
-    def add(self, left: Image, right: Image) -> PairPoints:
-        """Track the points into the next frame, (H, W) uint8 grey and rectified, and add new corners."""
-        self.flow_px, self.fraction_tracked = 0.0, 1.0
+    def add(self, left: Image, right: Image, time_s: float = 0.0) -> TrackedFrame:
+        """Track the points into the next frame, rectified (H, W) grey or (H, W, 3) BGR, and add new corners."""
+        left, right = grey(left), grey(right)
+        flow_px, fraction_tracked = 0.0, 1.0
         if self._before is not None and len(self._left_px):
-            self._track(self._before, left)
+            moved, is_tracked = _flow(self._before, left, self._left_px, self._left_px, _LEVELS)
+            step_px = np.linalg.norm(moved - self._left_px, axis=1)[is_tracked]
+            flow_px = float(np.median(step_px)) if len(step_px) else float("inf")
+            fraction_tracked = float(is_tracked.mean())
+            self._left_px, self._number = moved[is_tracked], self._number[is_tracked]
         self._add_corners(left)
         self._before = left
-        return self._match_right(left, right)
-
-    def _track(self, before: Image, left: Image) -> None:
-        moved, is_tracked = _flow(before, left, self._left_px, self._left_px, _LEVELS)
-        step_px = np.linalg.norm(moved - self._left_px, axis=1)[is_tracked]
-        self.flow_px = float(np.median(step_px)) if len(step_px) else float("inf")
-        self.fraction_tracked = float(is_tracked.mean())
-        self._left_px, self._number = moved[is_tracked], self._number[is_tracked]
+        return TrackedFrame(time_s, self._match_right(left, right), flow_px, fraction_tracked)
 
     def _add_corners(self, left: Image) -> None:
         n_missing = _N_POINTS - len(self._left_px)
@@ -103,7 +107,7 @@ class FeatureTracks:
         """The points that are also visible in the right image."""
         if not len(self._left_px):
             return PairPoints(self._number, np.zeros((0, 2)), np.zeros((0, 2)))
-        coarse = _coarse_disparity(self._coarse, left, right)
+        coarse = self._coarse_disparity(left, right)
         height, width = coarse.shape
         column = np.clip(self._left_px[:, 0] / 2, 0, width - 1).astype(int)
         row = np.clip(self._left_px[:, 1] / 2, 0, height - 1).astype(int)
@@ -118,41 +122,24 @@ class FeatureTracks:
         left_px = self._left_px[is_matched].astype(float)
         return PairPoints(self._number[is_matched], left_px, right_px[is_matched].astype(float))
 
+    def _coarse_disparity(self, left: Image, right: Image) -> FloatArray32:
+        """(H / 2, W / 2) disparities in full pixels; NaN where unknown."""
+        halves = [cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for image in (left, right)]
+        border = (0, 0, _COARSE_RANGE_PX, -_COARSE_MIN_PX)
+        padded = [cv2.copyMakeBorder(half, *border, cv2.BORDER_REPLICATE) for half in halves]
+        steps = self._coarse.compute(padded[0], padded[1])[:, _COARSE_RANGE_PX:_COARSE_MIN_PX]
+        return np.where(steps >= 16 * _COARSE_MIN_PX, steps.astype(np.float32) * (2 / 16), np.float32(np.nan))
+
 
 def row_offset_px(left: Image, right: Image) -> float | None:
     """Median y_right - y_left of the points of a pair, (H, W) or (H, W, 3) each; None with too few points."""
-    rows_px = FeatureTracks().add(grey(left), grey(right)).row_offsets_px
+    rows_px = FeatureTracks().add(left, right).points.row_offsets_px
     return float(np.median(rows_px)) if len(rows_px) >= MIN_ROWS else None
 
 
 def grey(image: Image) -> Image:
     """An image (H, W) or (H, W, 3) BGR in grey."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
-
-
-def _coarse_matcher() -> cv2.StereoSGBM:
-    return cv2.StereoSGBM.create(
-        minDisparity=_COARSE_MIN_PX,
-        numDisparities=_COARSE_RANGE_PX,
-        blockSize=5,
-        P1=8 * 25,
-        P2=32 * 25,
-        disp12MaxDiff=1,
-        preFilterCap=63,
-        uniquenessRatio=10,
-        speckleWindowSize=100,
-        speckleRange=2,
-        mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
-    )
-
-
-def _coarse_disparity(matcher: cv2.StereoSGBM, left: Image, right: Image) -> FloatArray32:
-    """(H / 2, W / 2) disparities in full pixels; NaN where unknown."""
-    halves = [cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for image in (left, right)]
-    border = (0, 0, _COARSE_RANGE_PX, -_COARSE_MIN_PX)
-    padded = [cv2.copyMakeBorder(half, *border, cv2.BORDER_REPLICATE) for half in halves]
-    steps = matcher.compute(padded[0], padded[1])[:, _COARSE_RANGE_PX:_COARSE_MIN_PX]
-    return np.where(steps >= 16 * _COARSE_MIN_PX, steps.astype(np.float32) * (2 / 16), np.float32(np.nan))
 
 
 def _new_corners(left: Image, free: Image, n_corners: int) -> list[FloatArray32]:
@@ -177,25 +164,18 @@ def _flow(
     source: Image, target: Image, points: FloatArray32, start: FloatArray32, levels: int
 ) -> tuple[FloatArray32, BoolArray]:
     """Positions in another image of points (N, 2), and (N,) whether they pass the forward-backward check."""
-    moved, is_tracked = _lucas_kanade(source, target, points, start.copy(), levels)
-    returned, has_returned = _lucas_kanade(target, source, moved, points.copy(), levels)
+
+    def lucas_kanade(
+        first: Image, second: Image, xy: FloatArray32, start: FloatArray32
+    ) -> tuple[FloatArray32, BoolArray]:
+        settings: dict[str, Any] = {"winSize": _WINDOW_PX, "maxLevel": levels, "criteria": _STOP}
+        flags = cv2.OPTFLOW_USE_INITIAL_FLOW
+        moved, status, _ = cv2.calcOpticalFlowPyrLK(first, second, xy, start.copy(), flags=flags, **settings)
+        return np.asarray(moved, np.float32), status.reshape(-1) > 0
+
+    moved, is_tracked = lucas_kanade(source, target, points, start)
+    returned, has_returned = lucas_kanade(target, source, moved, points)
     height, width = target.shape
     is_inside = (moved >= _BORDER_PX).all(axis=1) & (moved < np.array([width, height]) - 1 - _BORDER_PX).all(axis=1)
     is_consistent = np.abs(returned - points).max(axis=1) < _MAX_RETURN_PX
     return moved, np.asarray(is_tracked & has_returned & is_inside & is_consistent)
-
-
-def _lucas_kanade(
-    source: Image, target: Image, points: FloatArray32, start: FloatArray32, levels: int
-) -> tuple[FloatArray32, BoolArray]:
-    moved, status, _ = cv2.calcOpticalFlowPyrLK(
-        source,
-        target,
-        points,
-        start,
-        winSize=_WINDOW_PX,
-        maxLevel=levels,
-        criteria=_STOP,
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )
-    return np.asarray(moved, np.float32), status.reshape(-1) > 0

@@ -9,13 +9,15 @@ three segments of another drive agree within 0.03 px.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 
 import numpy as np
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.alignment.bundle_adjustment import CURVATURE, N_ERRORS, OFFSET, SLOPE, Observations
-from track_range.stereo.alignment.feature_tracks import MIN_ROWS, FeatureTracks, PairPoints, TrackedFrame, grey
+from track_range.stereo.alignment.feature_tracks import MIN_ROWS, FeatureTracks, PairPoints, TrackedFrame
 from track_range.stereo.alignment.health import Window
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.alignment.right_view import RightView, fit_right_view
@@ -44,8 +46,7 @@ class DriveAlignment:
     """Estimates the alignment of a rig from the frames of one or several drives."""
 
     def __init__(self, rig: StereoRig) -> None:
-        """Start an estimate from frames rectified to `rig`."""
-        self._rig = rig
+        self._rig = rig  # of the rectified frames
         self._segments: list[tuple[int, tuple[float, float], Segment]] = []
         self._reasons: list[str] = []
         self._matched: list[PairPoints] = []
@@ -86,8 +87,7 @@ class DriveAlignment:
         if step_s > MAX_GAP_S:
             self._close()
             self._tracks = FeatureTracks()
-        points = self._tracks.add(grey(frame.left), grey(whole_image(frame.right)))
-        self.add_points(TrackedFrame(frame.time_s, points, self._tracks.flow_px, self._tracks.fraction_tracked))
+        self.add_points(self._tracks.add(frame.left, whole_image(frame.right), frame.time_s))
 
     def add_points(self, frame: TrackedFrame) -> None:
         """Add the points of the next frame; `add` without the images."""
@@ -114,20 +114,21 @@ class DriveAlignment:
         view = self._measured_view()
         rows = Alignment(row_offset_px=view.row_offset_px, roll_deg=view.roll_deg, focal_ratio=view.focal_ratio)
         if not self._segments:
-            return replace(rows, source=f"not enough data in this drive ({self._reason()})")
-        combined = estimated_errors([segment for *_, segment in self._segments])
-        offset_sigma_px = float(combined.sigma_px[0])
-        if not offset_sigma_px <= _MAX_SIGMA_PX:
-            reason = f"offset {combined.error_px[0]:+.2f} px with a standard deviation of {offset_sigma_px:.2f} px"
+            reason = max(self._reasons, key=self._reasons.count) if self._reasons else "no stereo frames"
             return replace(rows, source=f"not enough data in this drive ({reason})")
+        combined = estimated_errors([segment for *_, segment in self._segments])
         offset_px, curvature_px, slope_px = combined.error_px.tolist()
-        _, curvature_sigma_px, slope_sigma_px = combined.sigma_px.tolist()
+        offset_sigma_px, curvature_sigma_px, slope_sigma_px = combined.sigma_px.tolist()
+        if not offset_sigma_px <= _MAX_SIGMA_PX:
+            reason = f"offset {offset_px:+.2f} px with a standard deviation of {offset_sigma_px:.2f} px"
+            return replace(rows, source=f"not enough data in this drive ({reason})")
+        spread_px = combined.spread_px if np.isfinite(combined.spread_px) else UNCORRECTED_SIGMA_PX / _SPREADS
         return replace(
             rows,
             offset_px=offset_px,
             curvature_px=curvature_px,
             slope_px=slope_px,
-            residual_px=_residual_px(combined),
+            residual_px=float(max(_MIN_RESIDUAL_PX, np.hypot(offset_sigma_px, _SPREADS * spread_px))),
             offset_sigma_px=offset_sigma_px,
             curvature_sigma_px=curvature_sigma_px,
             slope_sigma_px=slope_sigma_px,
@@ -140,12 +141,7 @@ class DriveAlignment:
         if not self._segments:
             return ()
         known_px = estimated_errors([segment for *_, segment in self._segments]).error_px
-        windows = []
-        for drive, (from_s, to_s), segment in self._segments:
-            own = combine([segment], (OFFSET,), known_px)
-            sigma_px = math.hypot(float(own.sigma_px[OFFSET]), PIXEL_LOCKING_PX)
-            windows.append(Window(drive, from_s, to_s, float(own.error_px[OFFSET]), sigma_px))
-        return tuple(windows)
+        return tuple(Window(drive, *span_s, *offset_of(segment, known_px)) for drive, span_s, segment in self._segments)
 
     def _begin_drive(self) -> None:
         self._n_segments_left, self._n_frames_left, self._n_static = _MAX_SEGMENTS, _MAX_FRAMES, 0
@@ -163,15 +159,12 @@ class DriveAlignment:
             return
         if not self._segments:
             self._view = self._measured_view().if_needed(self._rig.left)
-        segment = segment_of(observations_of([frame.points for frame in points], self._view, self._rig), self._rig)
+        segment = segment_of(observations_of(points, self._view, self._rig), self._rig)
         if isinstance(segment, str):
             self._reasons.append(segment)
             return
         self._n_segments_left -= 1
         self._segments.append((self._drive, (points[0].time_s, points[-1].time_s), segment))
-
-    def _reason(self) -> str:
-        return max(self._reasons, key=self._reasons.count) if self._reasons else "no stereo frames"
 
     def _measured_view(self) -> RightView:
         left_px = np.concatenate([np.zeros((0, 2)), *(points.left_px for points in self._matched)])
@@ -192,15 +185,15 @@ def estimated_errors(segments: list[Segment]) -> CombinedEstimate:
     return combined._replace(covariance_px2=covariance_px2)
 
 
-def observations_of(frames: list[PairPoints], view: RightView, rig: StereoRig) -> Observations:
+def offset_of(segment: Segment, known_px: FloatArray) -> tuple[float, float]:
+    """Offset in one segment and its standard deviation, with known curvature and slope in the errors (3,)."""
+    own = combine([segment], (OFFSET,), known_px)
+    return float(own.error_px[OFFSET]), math.hypot(float(own.sigma_px[OFFSET]), PIXEL_LOCKING_PX)
+
+
+def observations_of(frames: Sequence[TrackedFrame], view: RightView, rig: StereoRig) -> Observations:
     """The observations of the points of consecutive frames, with the right points corrected by `view`."""
-    frame = np.concatenate([np.full(len(points.number), index) for index, points in enumerate(frames)])
-    number = np.concatenate([points.number for points in frames])
-    left_px = np.concatenate([points.left_px for points in frames])
-    right_px = view.corrected(np.concatenate([points.right_px for points in frames]), rig.left)
-    return Observations(frame, number, np.column_stack([left_px, right_px[:, 0]]))
-
-
-def _residual_px(combined: CombinedEstimate) -> float:
-    spread_px = combined.spread_px if np.isfinite(combined.spread_px) else UNCORRECTED_SIGMA_PX / _SPREADS
-    return float(max(_MIN_RESIDUAL_PX, np.hypot(combined.sigma_px[0], _SPREADS * spread_px)))
+    frame = np.concatenate([np.full(len(tracked.points.number), index) for index, tracked in enumerate(frames)])
+    number, left_px, right_px = (np.concatenate(part) for part in zip(*(f.points for f in frames), strict=True))
+    corrected_px = view.corrected(right_px, rig.left)
+    return Observations(frame, number, np.column_stack([left_px, corrected_px[:, 0]]))

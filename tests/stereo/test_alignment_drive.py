@@ -125,10 +125,11 @@ def test_number_of_frames_is_limited() -> None:
 
 def test_feature_tracks() -> None:
     tracks = FeatureTracks()
-    first, second = (tracks.add(*(cv2.cvtColor(img, cv2.COLOR_BGR2GRAY) for img in pair)) for pair in rendered()[:2])
+    first, second_frame = tracks.add(*rendered()[0]).points, tracks.add(*rendered()[1])
+    second = second_frame.points
     both = np.intersect1d(first.number, second.number)
     assert len(both) > 0.3 * len(first.number) > 50
-    assert 0.5 < tracks.flow_px < 20
+    assert 0.5 < second_frame.flow_px < 20
     assert len(set(second.number.tolist())) == len(second.number)
     assert ((first.left_px - first.right_px)[:, 0] > -0.5).mean() > 0.99
     assert np.abs(first.row_offsets_px).max() < 2.0
