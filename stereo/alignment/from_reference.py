@@ -48,7 +48,7 @@ class _Known(NamedTuple):
         return int(self.group.max()) + 1
 
     def select(self, rows: BoolArray | IntArray) -> _Known:
-        return _Known(self.error_px[rows], self.weight[rows], self.u2[rows], self.group[rows], self.sigma_px[rows])
+        return _Known._make(column[rows] for column in self)
 
 
 def fit_reference(
@@ -63,6 +63,8 @@ def fit_reference(
 ) -> Alignment:
     """The alignment from known disparities; NaN rows and mismatches are ignored.
 
+    Raises RigError if fewer than five objects are usable.
+
     Args:
         measured_px: (N,) disparities of a matcher.
         true_px: (N,) true disparities.
@@ -71,11 +73,10 @@ def fit_reference(
         groups: (N,) frame, pair or object; errors within a group may be correlated.
         sigma_px: (N,) standard deviations of the matcher, excluded from the residual; None = zeros.
         seed: random seed of the resampling.
-
-    Raises:
-        RigError: fewer than five objects are usable.
     """
-    rows = _usable(measured_px, true_px)
+    with np.errstate(invalid="ignore"):  # NaN compares as False: not usable
+        is_match = np.abs(true_px - measured_px) <= np.maximum(_MAX_OFFSET_PX, _MAX_MISMATCH * true_px)
+        rows = (measured_px > 0) & (true_px > 0) & is_match
     if rows.sum() < MIN_OBJECTS:
         raise RigError(
             f"expected at least {MIN_OBJECTS} matched objects with known distances for the alignment, found "
@@ -106,19 +107,10 @@ def fit_reference(
     )
 
 
-def _usable(measured_px: FloatArray, true_px: FloatArray) -> BoolArray:
-    with np.errstate(invalid="ignore"):  # NaN compares as False: not usable
-        error_px = np.abs(true_px - measured_px)
-        is_match = error_px <= np.maximum(_MAX_OFFSET_PX, _MAX_MISMATCH * true_px)
-        return np.asarray((measured_px > 0) & (true_px > 0) & is_match)
-
-
 def _fit(known: _Known, *, has_curvature: bool) -> tuple[float, float]:
-    return _offset_and_curvature(known) if has_curvature else (weighted_median(known.error_px, known.weight), 0.0)
-
-
-def _offset_and_curvature(known: _Known) -> tuple[float, float]:
     """Offset and curvature with the minimum weighted absolute error, by reweighted least squares."""
+    if not has_curvature:
+        return weighted_median(known.error_px, known.weight), 0.0
     design = np.stack([np.ones_like(known.u2), known.u2], axis=1)
     reweighted, solution = known.weight, np.zeros(2)
     for _ in range(_N_REWEIGHTINGS):

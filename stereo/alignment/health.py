@@ -27,11 +27,11 @@ _MIN_SIGMAS = 3.0  # smallest noticed error in standard deviations; one of 46 wi
 _MIN_FRACTION = 0.5  # smallest noticed error as a fraction of the one that matters
 _MIN_MOVE_SIGMAS = 3.5  # the same of a movement during a drive, which is that of the best of several times
 
+# Errors of a rig that no estimate from images contains.
 UNSEEN = (
     "A wrong baseline, or a wrong focal length of both cameras, cannot be seen in the images: it scales all distances "
     "alike (1 % of the baseline: 1 % of every distance). Check one known distance."
 )
-"""Errors of a rig that no estimate from images contains."""
 
 State = Literal["good", "off", "unknown"]
 
@@ -40,10 +40,10 @@ class Window(NamedTuple):
     """The offset in a part of a drive."""
 
     drive: int  # number of the drive, from 0
-    from_s: float  # time of the first frame
-    to_s: float  # time of the last frame
-    offset_px: float  # offset with the slope and the curvature of the whole estimate
-    sigma_px: float  # its standard deviation
+    from_s: float
+    to_s: float
+    offset_px: float  # with the slope and the curvature of the whole estimate
+    sigma_px: float
 
 
 class Move(NamedTuple):
@@ -51,7 +51,7 @@ class Move(NamedTuple):
 
     time_s: float  # middle of the time between them
     change_px: float  # offset after minus offset before
-    sigma_px: float  # its standard deviation
+    sigma_px: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +59,8 @@ class RigHealth:
     """State of a rig in terms of distances."""
 
     rig: StereoRig  # the rectified pair
-    measured: Alignment  # the alignment as measured
-    applied: Alignment  # the alignment that is applied
+    measured: Alignment
+    applied: Alignment
     windows: tuple[Window, ...] = ()  # offsets of the parts of the drive, in order of time; empty = not from a drive
 
     @property
@@ -83,7 +83,9 @@ class RigHealth:
         """Whether the error of the disparities is significant, and of a size that matters."""
         if not self.measured.is_measured:
             return False
-        error_px, sigma_px = np.abs(self.measured.error_px(COLUMNS_U)), self._sigma_px
+        m, u = self.measured, COLUMNS_U
+        error_px = np.abs(m.error_px(u))
+        sigma_px = np.sqrt(m.offset_sigma_px**2 + (m.slope_sigma_px * u) ** 2 + (m.curvature_sigma_px * u**2) ** 2)
         return bool(((error_px > _MIN_SIGMAS * sigma_px) & (error_px > _MIN_FRACTION * self.matters_px)).any())
 
     @property
@@ -96,10 +98,16 @@ class RigHealth:
     @property
     def move(self) -> Move | None:
         """The time at which the offset changed most, if the windows do not agree within their sigmas."""
-        moves = [move for drive in {window.drive for window in self.windows} for move in self._moves(drive)]
-        significant = [move for move in moves if abs(move.change_px) > _MIN_MOVE_SIGMAS * move.sigma_px]
-        of_size = [move for move in significant if abs(move.change_px) > _MIN_FRACTION * self.matters_px]
-        return max(of_size, key=lambda move: abs(move.change_px) / move.sigma_px, default=None)
+        moves = []
+        for drive in {window.drive for window in self.windows}:
+            windows = [window for window in self.windows if window.drive == drive]
+            for n in range(1, len(windows)):
+                (first_px, first_sigma_px), (last_px, last_sigma_px) = _mean(windows[:n]), _mean(windows[n:])
+                time_s = (windows[n - 1].to_s + windows[n].from_s) / 2
+                move = Move(time_s, last_px - first_px, math.hypot(first_sigma_px, last_sigma_px))
+                if abs(move.change_px) > max(_MIN_MOVE_SIGMAS * move.sigma_px, _MIN_FRACTION * self.matters_px):
+                    moves.append(move)
+        return max(moves, key=lambda move: abs(move.change_px) / move.sigma_px, default=None)
 
     def before_pct(self, distance_m: float) -> FloatArray:
         """(3,) expected error in per cent at `COLUMNS_U` as calibrated, positive = too far; NaN = not measurable."""
@@ -172,12 +180,6 @@ class RigHealth:
     def _fb(self) -> float:
         return self.rig.left.fx_px * self.rig.baseline_m
 
-    @property
-    def _sigma_px(self) -> FloatArray:
-        """(3,) standard deviations of the error at `COLUMNS_U`."""
-        m, u = self.measured, COLUMNS_U
-        return np.sqrt(m.offset_sigma_px**2 + (m.slope_sigma_px * u) ** 2 + (m.curvature_sigma_px * u**2) ** 2)
-
     def _row(self, distance_m: float) -> dict[str, float | None]:
         before_pct = self.before_pct(distance_m) if self.measured.is_measured else np.full(3, np.nan)
         left, middle, right = (round(float(v), 3) if math.isfinite(v) else None for v in before_pct)
@@ -189,16 +191,6 @@ class RigHealth:
             "before_sigma_pct": round(self.sigma_pct(distance_m), 3),
             "after_sigma_pct": round(self.after_pct(distance_m), 3),
         }
-
-    def _moves(self, drive: int) -> list[Move]:
-        windows = [window for window in self.windows if window.drive == drive]
-        return [_move(windows[:n], windows[n:]) for n in range(1, len(windows))]
-
-
-def _move(before: Sequence[Window], after: Sequence[Window]) -> Move:
-    (first_px, first_sigma_px), (last_px, last_sigma_px) = _mean(before), _mean(after)
-    time_s = (before[-1].to_s + after[0].from_s) / 2
-    return Move(time_s, last_px - first_px, math.hypot(first_sigma_px, last_sigma_px))
 
 
 def _mean(windows: Sequence[Window]) -> tuple[float, float]:

@@ -16,9 +16,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.stereo.alignment.bundle_adjustment import N_ERRORS, Bundle, Observations, error_columns
 from track_range.stereo.alignment.model import column_from_axis
+from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
 MIN_OBSERVATIONS = 4  # minimum number of observations of a point; points with fewer carry little information
@@ -50,6 +51,21 @@ class InitialBundle(NamedTuple):
     support: float
 
 
+class _Step(NamedTuple):
+    """Points of one frame in metres (N, 3), their pixels in the next one (N, 2), and their cells (N,) of the image."""
+
+    points_m: FloatArray
+    xy_px: FloatArray
+    cell: IntArray
+
+
+class _Motion(NamedTuple):
+    """Frame from the previous one: (3, 3) rotation and (3,) translation."""
+
+    rotation: FloatArray
+    translation_m: FloatArray
+
+
 def initial_bundle(
     observed: Observations, rig: StereoRig, *, error_px: FloatArray | None = None
 ) -> InitialBundle | None:
@@ -57,17 +73,23 @@ def initial_bundle(
 
     The error contains offset, curvature and slope, see `stereo.alignment.bundle_adjustment`.
     """
-    error_px = np.zeros(N_ERRORS) if error_px is None else error_px
-    observed = _often_observed(observed)
+    error_px, camera = np.zeros(N_ERRORS) if error_px is None else error_px, rig.left
+    points, index, count = np.unique(observed.point, return_inverse=True, return_counts=True)
+    if not len(points):
+        return None
+    observed = only_points(observed._replace(point=index), count >= MIN_OBSERVATIONS)
     if not len(observed.point) or observed.point.max() + 1 < MIN_POINTS:
         return None
-    points_m = _triangulated(observed, rig, error_px)
-    steps, pairs = _steps(observed, points_m, rig)
-    static = _static_motions(steps, rig)
+    x_px = observed.xyx_px[:, 0]
+    corrections_px = error_columns(column_from_axis(x_px, camera)) @ error_px
+    disparity_px = np.maximum(x_px - observed.xyx_px[:, 2] + corrections_px, _MIN_DISPARITY_PX)
+    points_m = camera.rays(observed.xyx_px[:, :2]) * rig.distance_m(disparity_px)[:, None]
+    steps, pairs = _steps(observed, points_m, camera)
+    static = _static_motions(steps, camera)
     if static is None:
         return None
     motions, support = static
-    is_static = _static_mask(observed, points_m, pairs, motions, rig)
+    is_static = _static_mask(observed, points_m, pairs, motions, camera)
     if is_static.sum() >= MIN_POINTS:
         points_m = points_m[is_static[observed.point]]
         observed = only_points(observed, is_static)
@@ -91,136 +113,83 @@ def initial_bundle(
     return InitialBundle(only_points(observed, is_ahead), bundle, support)
 
 
-def _often_observed(observed: Observations) -> Observations:
-    points, index, count = np.unique(observed.point, return_inverse=True, return_counts=True)
-    if not len(points):
-        return observed
-    return only_points(Observations(observed.frame, index, observed.xyx_px), count >= MIN_OBSERVATIONS)
-
-
-def only_points(observed: Observations, is_used: npt.NDArray[np.bool_]) -> Observations:
+def only_points(observed: Observations, is_used: BoolArray) -> Observations:
     """The observations of the points in the mask (P,), with points renumbered."""
     rows, number = is_used[observed.point], np.cumsum(is_used) - 1
     return Observations(observed.frame[rows], number[observed.point[rows]], observed.xyx_px[rows])
 
 
-def _triangulated(observed: Observations, rig: StereoRig, error_px: FloatArray) -> FloatArray:
-    x_px = observed.xyx_px[:, 0]
-    corrections_px = error_columns(column_from_axis(x_px, rig.left)) @ error_px
-    disparity_px = np.maximum(x_px - observed.xyx_px[:, 2] + corrections_px, _MIN_DISPARITY_PX)
-    return rig.left.rays(observed.xyx_px[:, :2]) * rig.distance_m(disparity_px)[:, None]
-
-
-class _Step(NamedTuple):
-    """Points of one frame in metres (N, 3), their pixels in the next one (N, 2), and their cells (N,) of the image."""
-
-    points_m: FloatArray
-    xy_px: FloatArray
-    cell: IntArray
-
-    def part(self, rows: npt.NDArray[np.bool_]) -> _Step:
-        """The step with the points in the mask (N,)."""
-        return _Step(self.points_m[rows], self.xy_px[rows], self.cell[rows])
-
-
-class _Motion(NamedTuple):
-    """Frame from the previous one: (3, 3) rotation and (3,) translation."""
-
-    rotation: FloatArray
-    translation_m: FloatArray
-
-
-class _Candidate(NamedTuple):
-    """A motion that was found in the step with a number, and its support."""
-
-    step: int
-    motion: _Motion
-    support: float
-
-
 def _steps(
-    observed: Observations, points_m: FloatArray, rig: StereoRig
+    observed: Observations, points_m: FloatArray, camera: PinholeCamera
 ) -> tuple[list[_Step], list[tuple[IntArray, IntArray]]]:
     """The steps between consecutive frames, without far points, and for each the rows of all points in both frames."""
-    rows_of = [np.flatnonzero(observed.frame == frame) for frame in range(int(observed.frame.max()) + 1)]
+    frame_rows = [np.flatnonzero(observed.frame == frame) for frame in range(int(observed.frame.max()) + 1)]
     steps, pairs = [], []
-    for before, now in pairwise(rows_of):
+    for before, now in pairwise(frame_rows):
         _, first, second = np.intersect1d(observed.point[before], observed.point[now], return_indices=True)
         first, second = before[first], now[second]
         pairs.append((first, second))
         near = points_m[first, 2] < _FAR_M
         xy_px = observed.xyx_px[first[near], :2]
-        size_px = np.array([rig.left.width_px, rig.left.height_px])
+        size_px = np.array([camera.width_px, camera.height_px])
         column, row = np.clip(xy_px / size_px * _GRID[::-1], 0, np.array(_GRID[::-1]) - 1).astype(np.int64).T
         steps.append(_Step(points_m[first[near]], observed.xyx_px[second[near], :2], row * _GRID[1] + column))
     return steps, pairs
 
 
-def _static_motions(steps: Sequence[_Step], rig: StereoRig) -> tuple[list[_Motion], float] | None:
+def _static_motions(steps: Sequence[_Step], camera: PinholeCamera) -> tuple[list[_Motion], float] | None:
     """The motion of the static scene in each step, and its support; None if no motion has enough inliers."""
-    numbers = sorted(set(np.linspace(0, len(steps) - 1, _N_KEY_STEPS).round().astype(int).tolist()))
-    candidates = [candidate for number in numbers for candidate in _candidates(number, steps[number], rig)]
-    if not candidates:
+    key_steps, found, support = list[int](), list[_Motion](), list[float]()
+    for number in sorted(set(np.linspace(0, len(steps) - 1, _N_KEY_STEPS).round().astype(int).tolist())):
+        rest = steps[number]
+        for _ in range(_N_MOTIONS):  # that with the most inliers, then those of the remaining points
+            motion = _motion(rest, camera)
+            if motion is None:
+                break
+            key_steps.append(number)
+            found.append(motion)
+            support.append(_support(steps[number], motion, camera))
+            is_outlier = ~_agrees(rest.points_m, rest.xy_px, motion, camera, _MAX_ERROR_PX)
+            rest = _Step(*(column[is_outlier] for column in rest))
+    if not found:
         return None
-    groups = [_group(candidate, candidates) for candidate in candidates]
-    supports = np.array([sum(member.support for member in group) for group in groups])
-    usual = np.flatnonzero(supports >= _MIN_SUPPORT * supports.max())
-    fastest = candidates[max(usual.tolist(), key=lambda index: float(_speed_m(candidates[index])))]
-    alike = [index for index in usual.tolist() if _is_alike(candidates[index], fastest)]
-    best = max(alike, key=lambda index: float(supports[index]))
-    known = groups[best]
+    translation_m = np.array([motion.translation_m for motion in found])
+    length_m = np.linalg.norm(translation_m, axis=1)
+    difference_m = np.linalg.norm(translation_m[:, None] - translation_m, axis=2)
+    is_alike = difference_m <= _MAX_CHANGE * np.maximum(length_m[:, None], length_m) + _MAX_CHANGE_M
+    groups = []  # of motions like each one, that with the most support in each step
+    for alike in is_alike:
+        group: dict[int, int] = {}
+        for other in np.flatnonzero(alike).tolist():
+            step = key_steps[other]
+            if step not in group or support[other] > support[group[step]]:
+                group[step] = other
+        groups.append(list(group.values()))
+    supports = np.array([sum(support[member] for member in group) for group in groups])
+    is_usual = supports >= _MIN_SUPPORT * supports.max()
+    fastest = int(np.where(is_usual, length_m, -1.0).argmax())
+    best = int(np.where(is_usual & is_alike[fastest], supports, -1.0).argmax())
     motions = []
-    for number, step in enumerate(steps):
-        nearest = min(known, key=lambda candidate, number=number: abs(candidate.step - number))  # type: ignore[misc]
-        motions.append(_refined(step, rig, nearest.motion) or nearest.motion)
+    for number, step_points in enumerate(steps):
+        nearest = found[min(groups[best], key=lambda member, number=number: abs(key_steps[member] - number))]  # type: ignore[misc]
+        motions.append(_refined(step_points, camera, nearest) or nearest)
     return motions, float(supports[best])
 
 
-def _candidates(number: int, step: _Step, rig: StereoRig) -> list[_Candidate]:
-    """Motions of a step: that with the most inliers, then those of the remaining points."""
-    candidates, rest = list[_Candidate](), step
-    while len(candidates) < _N_MOTIONS:
-        motion = _motion(rest, rig)
-        if motion is None:
-            break
-        candidates.append(_Candidate(number, motion, _support(step, motion, rig)))
-        rest = rest.part(~_agrees(rest, motion, rig, _MAX_ERROR_PX))
-    return candidates
-
-
-def _group(seed: _Candidate, candidates: Sequence[_Candidate]) -> list[_Candidate]:
-    """The candidates like `seed`, that with the most support in each step."""
-    best = dict[int, _Candidate]()
-    for candidate in candidates:
-        if _is_alike(candidate, seed) and (
-            candidate.step not in best or candidate.support > best[candidate.step].support
-        ):
-            best[candidate.step] = candidate
-    return list(best.values())
-
-
-def _is_alike(one: _Candidate, other: _Candidate) -> bool:
-    difference_m = float(np.linalg.norm(one.motion.translation_m - other.motion.translation_m))
-    return difference_m <= _MAX_CHANGE * max(_speed_m(one), _speed_m(other)) + _MAX_CHANGE_M
-
-
-def _speed_m(candidate: _Candidate) -> float:
-    """The length of a step, m."""
-    return float(np.linalg.norm(candidate.motion.translation_m))
-
-
-def _support(step: _Step, motion: _Motion, rig: StereoRig) -> float:
+def _support(step: _Step, motion: _Motion, camera: PinholeCamera) -> float:
     """Sum over the cells of the image of the fraction of points that agree with the motion."""
-    agrees = _agrees(step, motion, rig, _MAX_ERROR_PX)
+    agrees = _agrees(step.points_m, step.xy_px, motion, camera, _MAX_ERROR_PX)
     n_points = np.bincount(step.cell, minlength=_GRID[0] * _GRID[1])
     return float((np.bincount(step.cell, agrees, len(n_points)) / np.maximum(n_points, 1)).sum())
 
 
-def _agrees(step: _Step, motion: _Motion, rig: StereoRig, max_error_px: float) -> npt.NDArray[np.bool_]:
-    """(N,) whether the points follow the motion."""
-    moved_px = rig.left.project(step.points_m @ motion.rotation.T + motion.translation_m)
+def _agrees(
+    points_m: FloatArray, xy_px: FloatArray, motion: _Motion, camera: PinholeCamera, max_error_px: float
+) -> BoolArray:
+    """(N,) whether points (N, 3) move to pixels (N, 2) of the next frame."""
+    moved_px = camera.project(points_m @ motion.rotation.T + motion.translation_m)
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.linalg.norm(moved_px - step.xy_px, axis=1) < max_error_px)
+        return np.asarray(np.linalg.norm(moved_px - xy_px, axis=1) < max_error_px)
 
 
 def _static_mask(
@@ -228,26 +197,26 @@ def _static_mask(
     points_m: FloatArray,
     pairs: Sequence[tuple[IntArray, IntArray]],
     motions: Sequence[_Motion],
-    rig: StereoRig,
-) -> npt.NDArray[np.bool_]:
+    camera: PinholeCamera,
+) -> BoolArray:
     """(P,) whether the points follow the motions in at least half of their steps."""
     n_points = int(observed.point.max()) + 1
     n_steps, n_agreeing = np.zeros(n_points), np.zeros(n_points)
     for (first, second), motion in zip(pairs, motions, strict=True):
-        step = _Step(points_m[first], observed.xyx_px[second, :2], np.zeros(len(first), np.int64))
+        agrees = _agrees(points_m[first], observed.xyx_px[second, :2], motion, camera, _MAX_STATIC_ERROR_PX)
         n_steps[observed.point[first]] += 1
-        n_agreeing[observed.point[first]] += _agrees(step, motion, rig, _MAX_STATIC_ERROR_PX)
+        n_agreeing[observed.point[first]] += agrees
     return np.asarray((n_agreeing >= _MIN_STATIC_STEPS * n_steps) & (n_steps > 0))
 
 
-def _motion(step: _Step, rig: StereoRig) -> _Motion | None:
+def _motion(step: _Step, camera: PinholeCamera) -> _Motion | None:
     """The motion with the most inliers; None with too few."""
     if len(step.points_m) < _MIN_INLIERS:
         return None
     is_solved, rvec, tvec, inliers = cv2.solvePnPRansac(
         step.points_m,
         step.xy_px,
-        rig.left.matrix,
+        camera.matrix,
         np.zeros(5),
         flags=cv2.SOLVEPNP_AP3P,  # of the smallest samples, so that many of them have no outlier
         iterationsCount=_N_TRIALS,
@@ -255,34 +224,28 @@ def _motion(step: _Step, rig: StereoRig) -> _Motion | None:
     )
     if not is_solved or inliers is None or len(inliers) < _MIN_INLIERS:
         return None
-    if refined := _refined(step, rig, _pose(rvec, tvec), (_MAX_ERROR_PX,)):
+    if refined := _refined(step, camera, _pose(rvec, tvec), (_MAX_ERROR_PX,)):
         return refined
     # OpenCV's last step, EPnP on all inliers, may end far from the pose that has them.
     rows = inliers.ravel()
     is_solved, rvec, tvec = cv2.solvePnP(
-        step.points_m[rows], step.xy_px[rows], rig.left.matrix, np.zeros(5), flags=cv2.SOLVEPNP_SQPNP
+        step.points_m[rows], step.xy_px[rows], camera.matrix, np.zeros(5), flags=cv2.SOLVEPNP_SQPNP
     )
-    return _refined(step, rig, _pose(rvec, tvec), (_MAX_ERROR_PX,)) if is_solved else None
+    return _refined(step, camera, _pose(rvec, tvec), (_MAX_ERROR_PX,)) if is_solved else None
 
 
 def _refined(
-    step: _Step, rig: StereoRig, start: _Motion, max_errors_px: Sequence[float] = _REFINING_ERRORS_PX
+    step: _Step, camera: PinholeCamera, motion: _Motion, max_errors_px: Sequence[float] = _REFINING_ERRORS_PX
 ) -> _Motion | None:
-    """The motion of the points that agree with `start`; None if they are too few."""
-    motion = start
+    """The motion of the points that agree with `motion`; None if they are too few."""
     for max_error_px in max_errors_px:
-        agrees = _agrees(step, motion, rig, max_error_px)
+        agrees = _agrees(step.points_m, step.xy_px, motion, camera, max_error_px)
         if agrees.sum() < _MIN_INLIERS:
             return None
-        rvec, tvec = cv2.solvePnPRefineLM(
-            step.points_m[agrees],
-            step.xy_px[agrees],
-            rig.left.matrix,
-            np.zeros(5),
-            cv2.Rodrigues(motion.rotation)[0],
-            motion.translation_m.reshape(3, 1).copy(),
+        start = cv2.Rodrigues(motion.rotation)[0], motion.translation_m.reshape(3, 1).copy()
+        motion = _pose(
+            *cv2.solvePnPRefineLM(step.points_m[agrees], step.xy_px[agrees], camera.matrix, np.zeros(5), *start)
         )
-        motion = _pose(rvec, tvec)
     return motion
 
 

@@ -66,10 +66,7 @@ class Alignment:
     def corrected(
         self, disparity_px: FloatArray, sigma_px: FloatArray, *, x_px: FloatArray, camera: PinholeCamera
     ) -> tuple[FloatArray, FloatArray]:
-        """(N,) corrected disparities, measured at the columns x_px (N,) of the left image, and (N,) their sigmas.
-
-        `camera` is the rectified left camera. NaN stays NaN.
-        """
+        """(N,) corrected disparities at the columns x_px (N,) of the rectified left image, and (N,) their sigmas."""
         u = column_from_axis(x_px, camera)
         return disparity_px + self.error_px(u), np.hypot(sigma_px, self.residual_px)
 
@@ -98,11 +95,9 @@ class Alignment:
     @property
     def is_clear(self) -> bool:
         """Whether offset, slope or curvature are significantly different from 0."""
-        return (
-            abs(self.offset_px) > MIN_SIGMAS * self.offset_sigma_px
-            or abs(self.curvature_px) > MIN_SIGMAS * self.curvature_sigma_px
-            or abs(self.slope_px) > MIN_SIGMAS * self.slope_sigma_px
-        )
+        offset, slope = (self.offset_px, self.offset_sigma_px), (self.slope_px, self.slope_sigma_px)
+        curvature = self.curvature_px, self.curvature_sigma_px
+        return any(abs(px) > MIN_SIGMAS * sigma_px for px, sigma_px in (offset, slope, curvature))
 
     @property
     def row_correction_px(self) -> float:
@@ -128,16 +123,12 @@ class Alignment:
         return {KEYS.get(name, name): value for name, value in asdict(self).items()}
 
     def sentence(self, *, correction: str = "corrected") -> str:
-        """The alignment and its effect, as one sentence for users.
-
-        Args:
-            correction: what happens to the disparities where the alignment corrects them.
-        """
+        """The alignment and its effect, as one sentence for users, with what happens where it corrects disparities."""
         if self.is_correcting:
-            error = f"{abs(self.offset_px):.2f} ± {self.offset_sigma_px:.2f} px {_direction(self.offset_px)}"
+            offset, curvature = ("too small" if px >= 0 else "too large" for px in (self.offset_px, self.curvature_px))
+            error = f"{abs(self.offset_px):.2f} ± {self.offset_sigma_px:.2f} px {offset}"
             if self.curvature_px:
-                edge_error = f"{abs(self.curvature_px):.2f} px {_direction(self.curvature_px)}"
-                error += f", and another {edge_error} at the image edges"
+                error += f", and another {abs(self.curvature_px):.2f} px {curvature} at the image edges"
             return f"Alignment: disparities {error} (source: {self.source}); {correction}."
         if self.is_measured:
             return (
@@ -145,7 +136,3 @@ class Alignment:
                 "not corrected."
             )
         return f"Alignment: {self.source}; disparities not corrected, uncertainty ± {self.residual_px:.2f} px."
-
-
-def _direction(correction_px: float) -> str:
-    return "too small" if correction_px >= 0 else "too large"

@@ -61,24 +61,21 @@ class RightView:
         """(N, 2) corrected points of the rectified right image."""
         if self == RightView():
             return right_px
-        directions = camera.rays(right_px) @ self.matrix(camera).T
-        return camera.project(directions)
+        return camera.project(camera.rays(right_px) @ self.matrix(camera).T)
 
 
 def fit_right_view(left_px: FloatArray, right_px: FloatArray, camera: PinholeCamera) -> RightView:
     """The right view from matched points (N, 2) of one or several rectified pairs."""
     rows_px = right_px[:, 1] - left_px[:, 1]
     step = len(rows_px) // _MAX_POINTS + 1
-    rows_px, left_px, right_px = rows_px[::step], left_px[::step], right_px[::step]
+    rows_px, right_px = rows_px[::step], right_px[::step]
     median_px = float(np.median(rows_px)) if len(rows_px) else 0.0
-    min_span_px = _MIN_SPAN * camera.width_px / math.sqrt(12)
-    if len(rows_px) < _MIN_POINTS or right_px[:, 0].std() < min_span_px:
+    if len(rows_px) < _MIN_POINTS or right_px[:, 0].std() < _MIN_SPAN * camera.width_px / math.sqrt(12):
         return RightView(median_px)
     x, y = camera.rays(right_px)[:, :2].T
     f = camera.fx_px
     design = np.stack([f * (1 + y**2), -f * x, f * y, -f * x * y], axis=1)
     weight = np.ones(len(rows_px))
-    solution = np.zeros(design.shape[1])
     for _ in range(_N_ROUNDS):
         root = np.sqrt(weight)
         solution = np.linalg.lstsq(design * root[:, None], rows_px * root, rcond=None)[0]

@@ -132,14 +132,11 @@ def _static_points(observed: Observations, start: Bundle, rig: StereoRig) -> tup
 def combine(
     segments: Sequence[Segment], estimated: Collection[int] = range(N_ERRORS), known_px: FloatArray | None = None
 ) -> CombinedEstimate:
-    """The least-squares disparity error of one or more segments.
+    """The least-squares disparity error of one or more segments of one or several drives.
 
     covariance = jackknife over the strips (of all segments) + jackknife over the parts of the time
 
-    Args:
-        segments: segments of one or several drives.
-        estimated: numbers of the errors that are estimated: 0 = offset, 1 = curvature, 2 = slope.
-        known_px: (3,) values of the others; None = 0.
+    `estimated` are the numbers of the errors that are estimated; the others have the values `known_px` (3,), None = 0.
     """
     chosen, known_px = np.array(sorted(estimated)), np.zeros(N_ERRORS) if known_px is None else known_px
     whole = [segment.whole for segment in segments]
@@ -192,6 +189,10 @@ def _strip(x_px: FloatArray, rig: StereoRig) -> IntArray:
     return np.clip((x_px * N_STRIPS / rig.left.width_px).astype(np.int64), 0, N_STRIPS - 1)
 
 
+def _summed(parts: Sequence[Information]) -> tuple[FloatArray, FloatArray]:
+    return tuple(np.sum(part, axis=0) for part in zip(*parts, strict=True))
+
+
 def _solve(parts: Sequence[Information], estimated: IntArray, known_px: FloatArray) -> FloatArray:
     """(3,) errors, those that are not estimated as known, from I and I e of the segments."""
     information, rhs = _summed(parts)
@@ -203,17 +204,10 @@ def _solve(parts: Sequence[Information], estimated: IntArray, known_px: FloatArr
     return errors_px
 
 
-def _summed(parts: Sequence[Information]) -> Information:
-    return Information(
-        np.sum([part.matrix for part in parts], axis=0), np.sum([part.product for part in parts], axis=0)
-    )
-
-
 def _spread_px(parts: Sequence[Information]) -> float:
     information, rhs = _summed(parts)
     prior = np.diag([_PRIOR_PX**-2] * N_ERRORS + [_STRIP_PRIOR_PX**-2] * N_STRIPS)
     strip_offset_px = np.linalg.solve(information + prior, rhs)[N_ERRORS:]
     is_determined = np.diag(information)[N_ERRORS:] > _MAX_STRIP_SIGMA_PX**-2
-    if is_determined.sum() < _MIN_STRIPS:
-        return float("nan")
-    return float(np.sqrt((strip_offset_px[is_determined] ** 2).mean()))
+    has_spread = is_determined.sum() >= _MIN_STRIPS
+    return float(np.sqrt((strip_offset_px[is_determined] ** 2).mean())) if has_spread else float("nan")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from track_range.foundation.arrays import Image
-from track_range.stereo.alignment.swap_check import check_pair
+from track_range.stereo.alignment.pair_checks import check_pair
 
 
 def wall(*, disparity_px: int, row_offset_px: int = 0) -> tuple[Image, Image]:

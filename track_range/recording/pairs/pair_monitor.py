@@ -6,8 +6,7 @@ from collections import Counter, deque
 from typing import Protocol
 
 from track_range.foundation.arrays import Image
-from track_range.stereo.alignment.swap_check import check_pair
-from track_range.stereo.alignment.sync_check import Sync, check_sync
+from track_range.stereo.alignment.pair_checks import Sync, check_pair, check_sync
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import RigError
 
