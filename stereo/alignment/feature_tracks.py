@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
+from track_range.stereo.geometry.frames import grey
 
 MIN_ROWS = 30  # minimum number of points for a row offset
 _N_POINTS = 1100  # number of points that are tracked
@@ -135,11 +136,6 @@ def row_offset_px(left: Image, right: Image) -> float | None:
     """Median y_right - y_left of the points of a pair, (H, W) or (H, W, 3) each; None with too few points."""
     rows_px = FeatureTracks().add(left, right).points.row_offsets_px
     return float(np.median(rows_px)) if len(rows_px) >= MIN_ROWS else None
-
-
-def grey(image: Image) -> Image:
-    """An image (H, W) or (H, W, 3) BGR in grey."""
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
 
 
 def _new_corners(left: Image, free: Image, n_corners: int) -> list[FloatArray32]:

@@ -139,7 +139,7 @@ def _steps(
 
 def _static_motions(steps: Sequence[_Step], camera: PinholeCamera) -> tuple[list[_Motion], float] | None:
     """The motion of the static scene in each step, and its support; None if no motion has enough inliers."""
-    key_steps, found, support = list[int](), list[_Motion](), list[float]()
+    key_steps, candidates, support = list[int](), list[_Motion](), list[float]()
     for number in sorted(set(np.linspace(0, len(steps) - 1, _N_KEY_STEPS).round().astype(int).tolist())):
         rest = steps[number]
         for _ in range(_N_MOTIONS):  # that with the most inliers, then those of the remaining points
@@ -147,13 +147,13 @@ def _static_motions(steps: Sequence[_Step], camera: PinholeCamera) -> tuple[list
             if motion is None:
                 break
             key_steps.append(number)
-            found.append(motion)
+            candidates.append(motion)
             support.append(_support(steps[number], motion, camera))
             is_outlier = ~_agrees(rest.points_m, rest.xy_px, motion, camera, _MAX_ERROR_PX)
             rest = _Step(*(column[is_outlier] for column in rest))
-    if not found:
+    if not candidates:
         return None
-    translation_m = np.array([motion.translation_m for motion in found])
+    translation_m = np.array([motion.translation_m for motion in candidates])
     length_m = np.linalg.norm(translation_m, axis=1)
     difference_m = np.linalg.norm(translation_m[:, None] - translation_m, axis=2)
     is_alike = difference_m <= _MAX_CHANGE * np.maximum(length_m[:, None], length_m) + _MAX_CHANGE_M
@@ -171,7 +171,7 @@ def _static_motions(steps: Sequence[_Step], camera: PinholeCamera) -> tuple[list
     best = int(np.where(is_usual & is_alike[fastest], supports, -1.0).argmax())
     motions = []
     for number, step_points in enumerate(steps):
-        nearest = found[min(groups[best], key=lambda member, number=number: abs(key_steps[member] - number))]  # type: ignore[misc]
+        nearest = candidates[min(groups[best], key=lambda member, number=number: abs(key_steps[member] - number))]  # type: ignore[misc]
         motions.append(_refined(step_points, camera, nearest) or nearest)
     return motions, float(supports[best])
 

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import BoolArray, FloatArray, Image
-from track_range.stereo.alignment.feature_tracks import grey
+from track_range.stereo.geometry.frames import grey
 
 ViewOrder = Literal["correct", "swapped", "unknown"]
 Sync = Literal["synchronised", "right lags", "left lags", "unknown"]

@@ -25,11 +25,13 @@ from track_range.stereo.calibration.boards import (
     dictionaries,
     dictionary_of,
 )
+from track_range.stereo.geometry.frames import grey
 
 _MIN_CHARUCO_CORNERS = 6  # minimum number of corners of a ChArUco board that determine its pose well enough
 # Flags of a slower search for chessboards that the first one misses: in dark images, and curved by a wide lens.
 _THOROUGH = cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE
 _PATCH_FRACTION = 0.35  # half side of the patch in which a corner's edge width is measured / corner spacing
+_NO_CORNERS: tuple[IntArray, FloatArray] = (np.zeros(0, np.int64), np.zeros((0, 2)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,42 +69,45 @@ class BoardFinder:
 
     def find(self, image: Image, name: str) -> BoardView | RejectedView:
         """The board in an image (H, W) or (H, W, 3) BGR."""
-        grey = _grey(image)
-        corner_id, xy_px = self._chess_corners(grey) if not self._charuco else self._charuco_corners(grey)
+        image = grey(image)
+        corner_id, xy_px = self._charuco_corners(image) if self._charuco else self._chess_corners(image)
         if not len(corner_id) and not self._charuco:
-            corner_id, xy_px = self._chess_corners(grey, flags=_THOROUGH)
+            corner_id, xy_px = self._chess_corners(image, flags=_THOROUGH)
         if not len(corner_id):
             return RejectedView(name, "no complete board found")
-        if len(corner_id) < _MIN_CHARUCO_CORNERS or _is_in_line(self._corners_m[corner_id]):
+        xyz_m = self._corners_m[corner_id]
+        # corners on one line determine no pose
+        spread = np.linalg.svd(xyz_m[:, :2] - xyz_m[:, :2].mean(axis=0), compute_uv=False)
+        if len(corner_id) < _MIN_CHARUCO_CORNERS or spread[1] < 1e-6 * max(spread[0], 1e-12):
             return RejectedView(name, f"only {len(corner_id)} corners of the board found")
-        size_px = (grey.shape[1], grey.shape[0])
-        return BoardView(name, size_px, corner_id, xy_px, self._corners_m[corner_id], _edge_px(grey, xy_px))
+        size_px = (image.shape[1], image.shape[0])
+        return BoardView(name, size_px, corner_id, xy_px, xyz_m, _edge_px(image, xy_px))
 
     def may_contain_board(self, image: Image) -> bool:
         """Whether a fast search finds a board: for videos, in which most frames show none."""
-        grey = _grey(image)
+        image = grey(image)
         if self._charuco:
-            return self._charuco[0].detectBoard(grey)[3] is not None
-        scale = min(1.0, 640 / max(grey.shape))
-        small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            return self._charuco[0].detectBoard(image)[3] is not None
+        scale = min(1.0, 640 / max(image.shape))
+        small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         return len(self._chess_corners(np.asarray(small, np.uint8), flags=0)[0]) > 0
 
-    def _chess_corners(self, grey: Image, *, flags: int = cv2.CALIB_CB_ACCURACY) -> tuple[IntArray, FloatArray]:
+    def _chess_corners(self, image: Image, *, flags: int = cv2.CALIB_CB_ACCURACY) -> tuple[IntArray, FloatArray]:
         try:
-            is_found, xy_px = cv2.findChessboardCornersSB(grey, self.board.grid, flags=flags)
+            is_found, xy_px = cv2.findChessboardCornersSB(image, self.board.grid, flags=flags)
         except cv2.error:  # fewer pixels than the board has corners
-            is_found, xy_px = False, np.zeros((0, 2))
+            return _NO_CORNERS
         if not is_found:
-            return np.zeros(0, np.int64), np.zeros((0, 2))
+            return _NO_CORNERS
         return np.arange(len(self._corners_m)), np.asarray(xy_px, np.float64).reshape(-1, 2)
 
-    def _charuco_corners(self, grey: Image) -> tuple[IntArray, FloatArray]:
+    def _charuco_corners(self, image: Image) -> tuple[IntArray, FloatArray]:
         """Corners of the board in its current pattern, else in the pattern of OpenCV before 4.6."""
         for detector in self._charuco:
-            xy_px, corner_id, *_ = detector.detectBoard(grey)
+            xy_px, corner_id, *_ = detector.detectBoard(image)
             if corner_id is not None and len(corner_id):
                 return np.asarray(corner_id, np.int64).ravel(), np.asarray(xy_px, np.float64).reshape(-1, 2)
-        return np.zeros(0, np.int64), np.zeros((0, 2))
+        return _NO_CORNERS
 
 
 def common_corners(left: BoardView, right: BoardView, board: Board) -> tuple[BoardView, BoardView]:
@@ -114,7 +119,16 @@ def common_corners(left: BoardView, right: BoardView, board: Board) -> tuple[Boa
     common = np.intersect1d(left.corner_id, right.corner_id)
     left, right = left.of_corners(common), right.of_corners(common)
     if isinstance(board, ChessBoard) and sum(board.grid) % 2 == 0 and len(common):
-        right = min(_symmetric_views(right, board), key=lambda view: _disagreement(left, view))
+        ids = np.arange(len(right.corner_id)).reshape(board.n_rows, board.n_columns)
+        quarters = (0, 1, 2, 3) if board.n_rows == board.n_columns else (0, 2)
+        rotated = [replace(right, xy_px=right.xy_px[np.rot90(ids, quarter).ravel()]) for quarter in quarters]
+
+        def disagreement(view: BoardView) -> float:
+            """Distance between the corners in the two images, after aligning their means."""
+            shapes = [one.xy_px - one.xy_px.mean(axis=0) for one in (left, view)]
+            return float(np.linalg.norm(shapes[0] - shapes[1]))
+
+        right = min(rotated, key=disagreement)
     return left, right
 
 
@@ -123,7 +137,7 @@ def count_board_sizes(images: Sequence[Image]) -> Counter[tuple[int, int]]:
     counts: Counter[tuple[int, int]] = Counter()
     for image in images:
         flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_ACCURACY
-        is_found, _, cells = cv2.findChessboardCornersSBWithMeta(_grey(image), (3, 3), flags)
+        is_found, _, cells = cv2.findChessboardCornersSBWithMeta(grey(image), (3, 3), flags)
         if is_found and cells is not None:
             rows, columns = cells.shape[:2]
             counts[max(rows, columns), min(rows, columns)] += 1
@@ -136,43 +150,26 @@ def count_markers(images: Sequence[Image]) -> Counter[str]:
     In a family such as 4X4_50 .. 4X4_1000, the smaller dictionaries are the start of the largest, which is detected.
     """
     counts: Counter[str] = Counter()
-    greys = [_grey(image) for image in images]
+    greys = [grey(image) for image in images]
     n_markers = {name: len(dictionary_of(name).bytesList) for name in dictionaries()}
     families = {name: re.sub(r"_\d+$", "", name) for name in n_markers}
     for family in set(families.values()):
         members = [name for name, other in families.items() if other == family]
         detector = cv2.aruco.ArucoDetector(dictionary_of(max(members, key=n_markers.__getitem__)))
-        detected = [ids.ravel() for ids in (detector.detectMarkers(grey)[1] for grey in greys) if ids is not None]
+        detected = [ids.ravel() for ids in (detector.detectMarkers(image)[1] for image in greys) if ids is not None]
         ids = np.concatenate([np.zeros(0, np.int32), *detected])
         counts.update({name: int((ids < n_markers[name]).sum()) for name in members})
     return counts
 
 
-def _symmetric_views(view: BoardView, board: ChessBoard) -> list[BoardView]:
-    """The view with its corners counted from each equivalent end of the board."""
-    ids = np.arange(len(view.corner_id)).reshape(board.n_rows, board.n_columns)
-    quarters = (0, 1, 2, 3) if board.n_rows == board.n_columns else (0, 2)
-    return [replace(view, xy_px=view.xy_px[np.rot90(ids, quarter).ravel()]) for quarter in quarters]
-
-
-def _disagreement(left: BoardView, right: BoardView) -> float:
-    """Distance between the corners in the two images, after aligning their means."""
-    shapes = [view.xy_px - view.xy_px.mean(axis=0) for view in (left, right)]
-    return float(np.linalg.norm(shapes[0] - shapes[1]))
-
-
-def _is_in_line(xyz_m: FloatArray) -> bool:
-    """Whether all corners lie on one line, which determines no pose."""
-    spread = np.linalg.svd(xyz_m[:, :2] - xyz_m[:, :2].mean(axis=0), compute_uv=False)
-    return bool(spread[1] < 1e-6 * max(spread[0], 1e-12))
-
-
-def _edge_px(grey: Image, xy_px: FloatArray) -> float:
+def _edge_px(image: Image, xy_px: FloatArray) -> float:
     """Median over the corners of the width of their edges, contrast / steepest slope."""
-    half = int(np.clip(_PATCH_FRACTION * _spacing_px(xy_px), 2, 20))
+    spacing_px = np.linalg.norm(xy_px[:, None] - xy_px[None], axis=2)
+    np.fill_diagonal(spacing_px, np.inf)
+    half = int(np.clip(_PATCH_FRACTION * float(spacing_px.min()), 2, 20))
     widths = []
     for x, y in xy_px.round().astype(int):
-        patch = grey[max(y - half, 0) : y + half + 1, max(x - half, 0) : x + half + 1]
+        patch = image[max(y - half, 0) : y + half + 1, max(x - half, 0) : x + half + 1]
         if min(patch.shape) < 3:
             continue
         slope = np.hypot(
@@ -181,14 +178,3 @@ def _edge_px(grey: Image, xy_px: FloatArray) -> float:
         dark, bright = np.percentile(patch, [5, 95])
         widths.append((bright - dark) / max(float(np.percentile(slope, 95)), 1e-3))
     return float(np.median(widths)) if widths else np.inf
-
-
-def _spacing_px(xy_px: FloatArray) -> float:
-    """Smallest distance between two corners."""
-    steps = np.linalg.norm(xy_px[:, None] - xy_px[None], axis=2)
-    np.fill_diagonal(steps, np.inf)
-    return float(steps.min())
-
-
-def _grey(image: Image) -> Image:
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)

@@ -46,24 +46,19 @@ class Coverage:
 
 def coverage_of(views: Sequence[BoardView], board_to_camera: FloatArray) -> Coverage:
     """Coverage by V views with board poses (V, 4, 4)."""
-    fraction = _fractions(views)
+    fraction = np.concatenate([view.xy_px / np.array(view.size_px) for view in views])
     sizes = np.array([view_shape(view)[2] for view in views])
     normals = board_to_camera[:, :3, 2]
     tilts_deg = np.degrees(np.arccos(np.clip(np.abs(normals[:, 2]), 0, 1)))
     angle_rad = np.arccos(np.clip(np.abs(normals @ normals.T), 0, 1))
-    warnings = [
-        *_few_views(len(views)),
-        *_uncovered_parts(fraction),
-        *_sizes_missing(sizes),
-        *_tilts_missing(tilts_deg, normals),
-    ]
+    few = [f"only {len(views)} views: 15 to 30 are recommended."] if len(views) < _FEW_VIEWS else []
     return Coverage(
         _range(fraction[:, 0]),
         _range(fraction[:, 1]),
         _range(sizes),
         _range(tilts_deg),
         bool(angle_rad.max() < _SAME_TILT_RAD),
-        tuple(warnings),
+        (*few, *_uncovered_parts(fraction), *_sizes_missing(sizes), *_tilts_missing(tilts_deg, normals)),
     )
 
 
@@ -72,13 +67,19 @@ def view_shape(view: BoardView) -> FloatArray:
 
     Skew is the deviation of the board's image from right angles and equal sides.
     """
-    size_px = np.array(view.size_px)
+    size_px, on_board = np.array(view.size_px), view.xyz_m[:, :2] / np.ptp(view.xyz_m[:, :2])
     x, y = view.xy_px.mean(axis=0) / size_px
     hull = cv2.convexHull(view.xy_px.astype(np.float32))
     size = math.sqrt(float(cv2.contourArea(hull)) / float(size_px.prod()))
-    square = cv2.findHomography(view.xyz_m[:, :2] / np.ptp(view.xyz_m[:, :2]), view.xy_px)[0]
-    skew = 0.0 if square is None else _skew(np.asarray(square, np.float64), view)
-    return np.array([x, y, size, skew])
+    homography = cv2.findHomography(on_board, view.xy_px)[0]
+    if homography is None:
+        return np.array([x, y, size, 0.0])
+    # |cos| of the angle between the board's axes in the image, plus 1 - the ratio of their lengths
+    point = homography @ np.array([*on_board.mean(axis=0), 1.0])
+    axes = [(homography[:2, i] - point[:2] / point[2] * homography[2, i]) / point[2] for i in (0, 1)]
+    lengths = [float(np.linalg.norm(axis)) for axis in axes]
+    cosine = abs(float(axes[0] @ axes[1])) / max(lengths[0] * lengths[1], 1e-12)
+    return np.array([x, y, size, cosine + 1 - min(lengths) / max(*lengths, 1e-12)])
 
 
 def most_different(views: Sequence[BoardView], n_views: int) -> list[int]:
@@ -107,27 +108,8 @@ def is_static(views: Sequence[BoardView]) -> bool:
     return True
 
 
-def _skew(homography: FloatArray, view: BoardView) -> float:
-    """|cos| of the angle between the board's axes in the image, plus 1 - the ratio of their lengths."""
-    x, y = (view.xyz_m[:, :2] / np.ptp(view.xyz_m[:, :2])).mean(axis=0)
-    point = homography @ np.array([x, y, 1.0])
-    axes = [(homography[:2, i] - point[:2] / point[2] * homography[2, i]) / point[2] for i in (0, 1)]
-    lengths = [float(np.linalg.norm(axis)) for axis in axes]
-    cosine = abs(float(axes[0] @ axes[1])) / max(lengths[0] * lengths[1], 1e-12)
-    return cosine + 1 - min(lengths) / max(*lengths, 1e-12)
-
-
-def _fractions(views: Sequence[BoardView]) -> FloatArray:
-    """(N, 2) all corners as fractions of the image width and height."""
-    return np.concatenate([view.xy_px / np.array(view.size_px) for view in views])
-
-
 def _range(values: FloatArray) -> tuple[float, float]:
     return float(values.min()), float(values.max())
-
-
-def _few_views(n_views: int) -> list[str]:
-    return [f"only {n_views} views: 15 to 30 are recommended."] if n_views < _FEW_VIEWS else []
 
 
 def _uncovered_parts(fraction: FloatArray) -> list[str]:

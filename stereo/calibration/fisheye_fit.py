@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -36,25 +37,19 @@ _N_STARTS = 3  # number of the best focal lengths from which the optimisation st
 class FisheyeFit:
     """The least-squares camera of some views."""
 
-    camera: PinholeCamera  # the camera
+    camera: PinholeCamera
     poses: FloatArray  # (V, 4, 4) board to camera
     std: FloatArray  # (8,) standard deviations of the parameters for independent errors of the corners
 
 
 @dataclass(frozen=True, slots=True)
 class FisheyePairFit:
-    """The least-squares cameras of some pairs of views.
-
-    Attributes:
-        left, right: the cameras.
-        right_from_left: (4, 4) transform, metres.
-        poses: (V, 4, 4) board to left camera.
-    """
+    """The least-squares cameras of some pairs of views."""
 
     left: PinholeCamera
     right: PinholeCamera
-    right_from_left: FloatArray
-    poses: FloatArray
+    right_from_left: FloatArray  # (4, 4) transform, metres
+    poses: FloatArray  # (V, 4, 4) board to left camera
 
 
 def fit_fisheye(views: Sequence[BoardView], start: PinholeCamera | None = None) -> FisheyeFit:
@@ -65,10 +60,10 @@ def fit_fisheye(views: Sequence[BoardView], start: PinholeCamera | None = None) 
     starts = _initial_cameras(views) if start is None else [start]
     solutions = [solution for camera in starts if (solution := _solved([views], [camera], None)) is not None]
     if not solutions:
-        raise CalibrationError(_UNDETERMINED)
+        raise CalibrationError(UNDETERMINED)
     best = min(solutions, key=lambda solution: float(solution.residuals @ solution.residuals))
     camera = _camera(best.common, views[0].size_px)
-    return FisheyeFit(camera, _matrices(best.of_views), np.sqrt(np.maximum(np.diag(best.covariance), 0.0)))
+    return FisheyeFit(camera, _matrices(best.view_parameters), np.sqrt(np.maximum(np.diag(best.covariance), 0.0)))
 
 
 def fit_fisheye_pair(
@@ -86,16 +81,14 @@ def fit_fisheye_pair(
     middle = int(np.argsort(relative[:, 0, 3])[len(relative) // 2])
     solution = _solved(views, starts, relative[middle])
     if solution is None:
-        raise CalibrationError(_UNDETERMINED)
+        raise CalibrationError(UNDETERMINED)
     left, right = (_camera(solution.common[side * N_INTRINSICS :], views[side][0].size_px) for side in (0, 1))
     return FisheyePairFit(
-        left, right, _matrices(solution.common[None, 2 * N_INTRINSICS :])[0], _matrices(solution.of_views)
+        left, right, _matrices(solution.common[None, 2 * N_INTRINSICS :])[0], _matrices(solution.view_parameters)
     )
 
 
-_UNDETERMINED = (
-    "the views do not determine the camera; add views with the board tilted and in other parts of the image."
-)
+UNDETERMINED = "the views do not determine the camera; add views with the board tilted and in other parts of the image."
 
 
 def board_pose(camera: PinholeCamera, view: BoardView) -> FloatArray:
@@ -106,7 +99,7 @@ def board_pose(camera: PinholeCamera, view: BoardView) -> FloatArray:
     rays = camera.recorded_rays(view.xy_px)
     known = np.isfinite(rays).all(axis=1)
     if known.sum() < 4:
-        raise CalibrationError(_UNDETERMINED)
+        raise CalibrationError(UNDETERMINED)
     rays, board_m = rays[known], view.xyz_m[known, :2]
     centre_m, scale_m = board_m.mean(axis=0), float(np.ptp(board_m))
     plane = np.concatenate([(board_m - centre_m) / scale_m, np.ones((len(board_m), 1))], axis=1)
@@ -134,31 +127,27 @@ def _initial_cameras(views: Sequence[BoardView]) -> list[PinholeCamera]:
         PinholeCamera(float(f), float(f), *centre_px, width_px, height_px, (0.0,) * 4, KANNALA_BRANDT.name)
         for f in focal_px
     ]
-    errors_px = [float(np.median([_pose_error_px(camera, view) for view in views])) for camera in cameras]
+
+    def error_px(camera: PinholeCamera, view: BoardView) -> float:
+        """Root mean square residual of the linear pose of a view."""
+        pose = board_pose(camera, view)
+        projected = camera.recorded_px(view.xyz_m @ pose[:3, :3].T + pose[:3, 3])
+        squared = ((projected - view.xy_px) ** 2).sum(axis=1)
+        return float(np.sqrt(np.where(np.isfinite(squared), squared, width_px**2).mean()))
+
+    errors_px = [float(np.median([error_px(camera, view) for view in views])) for camera in cameras]
     return [cameras[i] for i in np.argsort(errors_px)[:_N_STARTS]]
-
-
-def _pose_error_px(camera: PinholeCamera, view: BoardView) -> float:
-    """Root mean square residual of the linear pose of a view."""
-    pose = board_pose(camera, view)
-    projected = camera.recorded_px(view.xyz_m @ pose[:3, :3].T + pose[:3, 3])
-    squared = ((projected - view.xy_px) ** 2).sum(axis=1)
-    return float(np.sqrt(np.where(np.isfinite(squared), squared, camera.width_px**2).mean()))
 
 
 def _solved(
     views: Sequence[Sequence[BoardView]], cameras: Sequence[PinholeCamera], right_from_left: FloatArray | None
 ) -> BlockSolution | None:
-    """The optimum of one camera, or of two with their relative pose, from these values; None = undetermined.
-
-    Args:
-        views: the views of each camera.
-        cameras: initial cameras.
-        right_from_left: (4, 4) initial relative pose; None = one camera.
-    """
+    """The optimum for the views of one camera, or of two with their relative pose (4, 4); None = undetermined."""
     sides = [_Corners.of(side) for side in views]
-    order = np.argsort(np.concatenate([corners.rows_view for corners in sides]), kind="stable")
-    common = np.concatenate([_parameters(camera) for camera in cameras])
+    order = np.argsort(np.concatenate([np.repeat(corners.view, 2) for corners in sides]), kind="stable")
+    common = np.concatenate(
+        [(camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion) for camera in cameras]
+    )
     if right_from_left is not None:
         common = np.concatenate([common, _vectors(right_from_left[None])[0]])
 
@@ -172,14 +161,13 @@ def _solved(
 
     try:
         poses = _vectors(np.stack([board_pose(cameras[0], view) for view in views[0]]))
-        n_residuals = np.sum([corners.n_residuals for corners in sides], axis=0)
+        n_residuals = np.sum([2 * np.bincount(corners.view) for corners in sides], axis=0)
         return solve_blocks(residuals_of, n_residuals, common, poses)
     except (np.linalg.LinAlgError, CalibrationError):
         return None
 
 
-@dataclass(frozen=True, slots=True)
-class _Corners:
+class _Corners(NamedTuple):
     """Corners of all views of one camera: view (N,), positions on the board (N, 3), metres, and in the image (N, 2)."""
 
     view: IntArray
@@ -188,21 +176,10 @@ class _Corners:
 
     @classmethod
     def of(cls, views: Sequence[BoardView]) -> _Corners:
-        """The corners of these views, in their order."""
         index = np.repeat(np.arange(len(views)), [len(view.xy_px) for view in views])
         return cls(
             index, np.concatenate([view.xyz_m for view in views]), np.concatenate([view.xy_px for view in views])
         )
-
-    @property
-    def rows_view(self) -> IntArray:
-        """(2 N,) view of each residual."""
-        return np.repeat(self.view, 2)
-
-    @property
-    def n_residuals(self) -> IntArray:
-        """(V,) number of residuals of each view."""
-        return 2 * np.bincount(self.view)
 
     def residuals_px(self, intrinsics: FloatArray, board_to_camera: FloatArray) -> FloatArray:
         """(N, 2) projected minus measured corners for intrinsics (8 or more,) and poses (V, 4, 4).
@@ -215,11 +192,6 @@ class _Corners:
         r = np.maximum(np.hypot(x, y), 1e-12)
         scale = distorted_angle(np.arctan2(r, z), k) / r
         return np.stack([fx * x * scale + cx, fy * y * scale + cy], axis=1) - self.xy_px
-
-
-def _parameters(camera: PinholeCamera) -> FloatArray:
-    """(8,) fx, fy, cx, cy, k1 .. k4."""
-    return np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion])
 
 
 def _camera(parameters: FloatArray, size_px: tuple[int, int]) -> PinholeCamera:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -26,7 +26,7 @@ from track_range.foundation.robust_statistics import jackknife_sigma, mad_sigma
 from track_range.stereo.calibration.board_views import BoardView, RejectedView
 from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.calibration.coverage import Coverage, coverage_of, is_static
-from track_range.stereo.calibration.fisheye_fit import fit_fisheye
+from track_range.stereo.calibration.fisheye_fit import UNDETERMINED, fit_fisheye
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses.registry import PINHOLE
 
@@ -56,10 +56,8 @@ DISTORTION_FLAGS: dict[int, int] = {
 """OpenCV's flags by number of distortion coefficients: none; k1 k2 p1 p2; with k3; with k3 k4 k5 k6."""
 
 MIN_VIEWS = 5  # minimum number of views of a calibration with an error estimate; 10 to 30 are usual
-_OUTLIER_RATIO = 2.0
-_OUTLIER_SIGMAS = 4.0
-"""A view is rejected if its residual exceeds both this multiple of the median and the median by this many sigmas."""
-
+# A view is rejected if its residual exceeds both this multiple of the median and the median by this many sigmas.
+_OUTLIER_RATIO, _OUTLIER_SIGMAS = 2.0, 4.0
 _MIN_FRACTION_USED = 2 / 3  # of the views: if more were outliers, the views would not be the cause
 _MAX_GROUPS = 20  # largest number of groups of the jackknife
 _MAX_FOCAL_STD = 0.05  # relative standard deviation of the focal length above which it is not determined
@@ -69,7 +67,7 @@ _MAX_FOCAL_STD = 0.05  # relative standard deviation of the focal length above w
 class ViewFit:
     """Residuals and board pose of one view."""
 
-    view: BoardView  # the view
+    view: BoardView
     residual_px: FloatArray  # (N, 2) measured minus projected corners
     board_to_camera: FloatArray  # (4, 4) transform from the board's frame to the camera's, metres
 
@@ -105,10 +103,8 @@ class IntrinsicStd:
 class CameraCalibration:
     """One calibrated camera with its accuracy."""
 
-    camera: PinholeCamera  # the camera
-    # standard deviations of its parameters: from leaving out views, or from the scatter of the corners if that is
-    # larger
-    std: IntrinsicStd
+    camera: PinholeCamera
+    std: IntrinsicStd  # of its parameters: from leaving out views, or the scatter of the corners if that is larger
     rms_px: float  # root mean square residual of all corners
     fits: tuple[ViewFit, ...]  # the views used
     rejected: tuple[RejectedView, ...]  # the views not used
@@ -122,16 +118,9 @@ def calibrate_camera(
     lens: str = PINHOLE,
     advance: Advance | None = None,
 ) -> CameraCalibration:
-    """Calibrate a camera from views of a board, all of the first view's image size.
+    """Calibrate a camera from views of a board, all of the first view's image size; see `CameraModel`.
 
-    Args:
-        views: views of one board by one camera.
-        n_distortion_coefficients: number of distortion coefficients of a pinhole: 0, 4, 5 or 8.
-        lens: name of the lens model, pinhole or kannala-brandt.
-        advance: progress callback.
-
-    Raises:
-        CalibrationError: there are too few views, or they do not determine the camera.
+    Raises CalibrationError if there are too few views, or they do not determine the camera.
     """
     check_views(len(views))
     check_motion(views)
@@ -141,7 +130,7 @@ def calibrate_camera(
     coverage = coverage_of(used, np.stack([fit.board_to_camera for fit in fits]))
     if coverage.is_parallel:
         raise CalibrationError(PARALLEL)
-    sampled = leave_out_groups(used, lambda subset: _intrinsics(fit_camera(subset, model)[0]), advance)
+    sampled = leave_out_groups(used, lambda subset: intrinsics(fit_camera(subset, model)[0]), advance)
     # With few views the jackknife is uncertain itself; the scatter of the corners is a lower limit.
     std = IntrinsicStd(*np.maximum(jackknife_sigma(sampled), _corner_std(used, model)).tolist())
     check_determined(std, camera)
@@ -152,7 +141,6 @@ PARALLEL = (
     "the board has the same tilt in all views, which does not determine the focal length; "
     "tilt it by 20 to 45 degrees, to the left, right, top and bottom."
 )
-"""Message about views without different tilts."""
 
 
 def fit_camera(views: Sequence[BoardView], model: CameraModel) -> tuple[PinholeCamera, tuple[ViewFit, ...]]:
@@ -160,23 +148,25 @@ def fit_camera(views: Sequence[BoardView], model: CameraModel) -> tuple[PinholeC
     if model.lens != PINHOLE:
         fit = fit_fisheye(views, model.start)
         return fit.camera, _view_fits(views, fit.poses, fit.camera)
-    size_px, n_distortion_coefficients = views[0].size_px, model.n_distortion_coefficients
-    with_points = ([view.xyz_m.astype(np.float32) for view in views], [view.xy_px.astype(np.float32) for view in views])
     try:
-        _, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(
-            *with_points,
-            size_px,
-            np.eye(3),
-            np.zeros(max(n_distortion_coefficients, 5)),
-            flags=DISTORTION_FLAGS[n_distortion_coefficients],
-        )
+        _, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(**_problem(views, model))
     except cv2.error as error:
-        raise CalibrationError(
-            "the views do not determine the camera; add views with the board tilted and in other parts of the image."
-        ) from error
-    camera = camera_of(matrix, distortion, size_px, n_distortion_coefficients)
+        raise CalibrationError(UNDETERMINED) from error
+    camera = camera_of(matrix, distortion, views[0].size_px, model.n_distortion_coefficients)
     poses = [pose_of(rvec, tvec) for rvec, tvec in zip(rvecs, tvecs, strict=True)]
     return camera, _view_fits(views, poses, camera)
+
+
+def _problem(views: Sequence[BoardView], model: CameraModel) -> dict[str, Any]:
+    """Arguments of OpenCV's calibrations of a pinhole."""
+    return {
+        "objectPoints": [view.xyz_m.astype(np.float32) for view in views],
+        "imagePoints": [view.xy_px.astype(np.float32) for view in views],
+        "imageSize": views[0].size_px,
+        "cameraMatrix": np.eye(3),
+        "distCoeffs": np.zeros(max(model.n_distortion_coefficients, 5)),
+        "flags": DISTORTION_FLAGS[model.n_distortion_coefficients],
+    }
 
 
 def _view_fits(
@@ -207,7 +197,7 @@ def total_rms_px(fits: Sequence[ViewFit]) -> float:
 
 
 def check_views(n_views: int) -> None:
-    """Raise an error if there are too few views. Raises CalibrationError if fewer than `MIN_VIEWS`."""
+    """Raise CalibrationError for fewer views than `MIN_VIEWS`."""
     if n_views < MIN_VIEWS:
         raise CalibrationError(
             f"expected the board in at least {MIN_VIEWS} views, found it in {n_views}; add views (15 to 30 are "
@@ -216,7 +206,7 @@ def check_views(n_views: int) -> None:
 
 
 def check_motion(views: Sequence[BoardView]) -> None:
-    """Raise an error if all views are equal. Raises CalibrationError if the board hardly moves."""
+    """Raise CalibrationError if the board hardly moves between the views."""
     if is_static(views):
         raise CalibrationError(
             "expected the board at different positions, found it at the same position in all views; move and tilt it, "
@@ -225,10 +215,7 @@ def check_motion(views: Sequence[BoardView]) -> None:
 
 
 def check_determined(std: IntrinsicStd, camera: PinholeCamera) -> None:
-    """Raise an error if the focal length is uncertain.
-
-    Raises CalibrationError if the standard deviation of the focal length is large or NaN.
-    """
+    """Raise CalibrationError if the standard deviation of the focal length is large or NaN."""
     fraction = max(std.fx_px / camera.fx_px, std.fy_px / camera.fy_px)
     if not fraction <= _MAX_FOCAL_STD:
         raise CalibrationError(
@@ -241,21 +228,13 @@ def check_determined(std: IntrinsicStd, camera: PinholeCamera) -> None:
 def without_outliers(
     views: list[T], fitted: Callable[[list[T]], Sequence[Fit]]
 ) -> tuple[list[T], tuple[RejectedView, ...]]:
-    """The views without outliers, and the outliers, worst first, with the reason.
-
-    Args:
-        views: views, or pairs of views.
-        fitted: gives the fits of some views, in their order.
-    """
+    """The views (or pairs) without outliers, and these, worst first; `fitted` gives fits of some, in their order."""
     used, rejected = list(views), []
-    n_min = min_used(len(views))
-    while len(used) > n_min:
+    while len(used) > min_used(len(views)):
         fits = fitted(used)
         rms_px = np.array([fit.rms_px for fit in fits])
-        median_px = float(np.median(rms_px))
-        sigma_px = mad_sigma(rms_px)
-        worst = int(rms_px.argmax())
-        if rms_px[worst] <= max(_OUTLIER_RATIO * median_px, median_px + _OUTLIER_SIGMAS * sigma_px):
+        median_px, worst = float(np.median(rms_px)), int(rms_px.argmax())
+        if rms_px[worst] <= max(_OUTLIER_RATIO * median_px, median_px + _OUTLIER_SIGMAS * mad_sigma(rms_px)):
             break
         used.pop(worst)
         reason = f"outlier: residual {rms_px[worst]:.2f} px, median of the views {median_px:.2f} px"
@@ -285,14 +264,11 @@ def _corner_std(views: Sequence[BoardView], model: CameraModel) -> FloatArray:
     """(4,) standard deviations of fx, fy, cx, cy for independent errors of the corners."""
     if model.lens != PINHOLE:
         return fit_fisheye(views, model.start).std[:4]
-    n_distortion_coefficients = model.n_distortion_coefficients
-    corners = ([view.xyz_m.astype(np.float32) for view in views], [view.xy_px.astype(np.float32) for view in views])
-    distortion, flags = np.zeros(max(n_distortion_coefficients, 5)), DISTORTION_FLAGS[n_distortion_coefficients]
-    std = cv2.calibrateCameraExtended(*corners, views[0].size_px, np.eye(3), distortion, flags=flags)[5]
-    return np.asarray(std, np.float64).ravel()[:4]
+    return np.asarray(cv2.calibrateCameraExtended(**_problem(views, model))[5], np.float64).ravel()[:4]
 
 
-def _intrinsics(camera: PinholeCamera) -> FloatArray:
+def intrinsics(camera: PinholeCamera) -> FloatArray:
+    """(4,) fx, fy, cx, cy."""
     return np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])
 
 

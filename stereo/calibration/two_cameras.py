@@ -35,6 +35,7 @@ from track_range.stereo.calibration.one_camera import (
     check_motion,
     check_views,
     fit_camera,
+    intrinsics,
     leave_out_groups,
     min_used,
     pose_of,
@@ -44,7 +45,12 @@ from track_range.stereo.calibration.one_camera import (
 )
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses.registry import PINHOLE
-from track_range.stereo.geometry.rectification import Rectifier, rectified_points, stereo_rectification
+from track_range.stereo.geometry.rectification import (
+    Rectifier,
+    rectified_points,
+    rotation_angle_rad,
+    stereo_rectification,
+)
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import BASELINE_M
 
@@ -80,31 +86,20 @@ class PairFit:
 
 @dataclass(frozen=True, slots=True)
 class PairCalibration:
-    """A calibrated rig with its accuracy.
-
-    Attributes:
-        rig: the rig.
-        left, right: its cameras, from the common fit.
-        baseline_std_m: standard deviation of the baseline, from leaving out pairs.
-        rms_px: root mean square residual of all corners.
-        single_rms_px: the same of the left and of the right camera fitted alone; the difference to `rms_px` is due to
-            boards or cameras that moved between the two images of a pair.
-        row_error_px: mean |dy| after rectification, of the pairs that the rig was fitted to.
-        held_out_row_error_px: mean |dy| after rectification, of pairs held out of the fit.
-        fits: the pairs used.
-        rejected: the pairs not used.
-    """
+    """A calibrated rig with its accuracy."""
 
     rig: StereoRig
-    left: CameraCalibration
+    left: CameraCalibration  # from the common fit, like `right`
     right: CameraCalibration
-    baseline_std_m: float
-    rms_px: float
+    baseline_std_m: float  # standard deviation of the baseline, from leaving out pairs
+    rms_px: float  # root mean square residual of all corners
+    # the same of the left and of the right camera fitted alone; the difference to `rms_px` is due to boards or cameras
+    # that moved between the two images of a pair
     single_rms_px: tuple[float, float]
-    row_error_px: float
-    held_out_row_error_px: float
-    fits: tuple[PairFit, ...]
-    rejected: tuple[RejectedView, ...]
+    row_error_px: float  # mean |dy| after rectification, of the pairs that the rig was fitted to
+    held_out_row_error_px: float  # mean |dy| after rectification, of pairs held out of the fit
+    fits: tuple[PairFit, ...]  # the pairs used
+    rejected: tuple[RejectedView, ...]  # the pairs not used
 
 
 def calibrate_pair(
@@ -114,47 +109,40 @@ def calibrate_pair(
     lens: str = PINHOLE,
     advance: Advance | None = None,
 ) -> PairCalibration:
-    """Calibrate a rig from pairs of views.
+    """Calibrate a rig from pairs of views with the same corners, in simultaneous images; see `CameraModel`.
 
-    Args:
-        pairs: the same corners of one board in simultaneous images of the left and the right camera.
-        n_distortion_coefficients: number of distortion coefficients of a pinhole: 0, 4, 5 or 8.
-        lens: name of the lens model, pinhole or kannala-brandt.
-        advance: progress callback.
-
-    Raises:
-        CalibrationError: there are too few pairs, they do not determine the rig, or the cameras are swapped or upside
-            down.
+    Raises CalibrationError if there are too few pairs, they do not determine the rig, or the cameras are swapped or
+    upside down.
     """
     check_views(len(pairs))
     for side in (0, 1):
         check_motion([pair[side] for pair in pairs])
-    models = _models(CameraModel(lens, n_distortion_coefficients), pairs)
+    model = CameraModel(lens, n_distortion_coefficients)
+    models = model.started([pair[0] for pair in pairs]), model.started([pair[1] for pair in pairs])
     used, rejected = without_outliers(list(pairs), lambda subset: _fit(subset, models)[1])
     used, moved = _without_moved_boards(used, min_used(len(pairs)), models) if lens != PINHOLE else (used, ())
     rig, fits = _fit(used, models)
-    single_px = _single_rms_px(used, models)
-    _check_consistency(single_px, fits)
+    left_px, right_px = (total_rms_px(fits) for _, fits in _single_fits(used, models))
+    _check_consistency(max(left_px, right_px), fits)
     _check_relative_pose(rig)
     held_out_px: list[float] = []
 
     def parameters_of(subset: list[ViewPair]) -> FloatArray:
         partial, _ = _fit(subset, models)
         held_out_px.extend(row_error_px(partial, pair) for pair in used if not any(pair is member for member in subset))
-        return _parameters(partial)
+        baseline_m = np.linalg.norm(partial.right_from_left[:3, 3])
+        return np.array([*intrinsics(partial.left), *intrinsics(partial.right), baseline_m])
 
     std = jackknife_sigma(leave_out_groups(used, parameters_of, advance))
-    left, right = (
-        _camera_calibration(camera, [(fit.left, fit.right)[i] for fit in fits], std[4 * i : 4 * i + 4])
-        for i, camera in enumerate((rig.left, rig.right))
-    )
+    left = _camera_calibration(rig.left, [fit.left for fit in fits], std[:4])
+    right = _camera_calibration(rig.right, [fit.right for fit in fits], std[4:8])
     return PairCalibration(
         rig,
         left,
         right,
         baseline_std_m=float(std[8]),
         rms_px=math.sqrt((left.rms_px**2 + right.rms_px**2) / 2),
-        single_rms_px=single_px,
+        single_rms_px=(left_px, right_px),
         row_error_px=float(np.mean([fit.row_error_px for fit in fits])),
         held_out_row_error_px=float(np.mean(held_out_px)),
         fits=fits,
@@ -172,10 +160,9 @@ def row_error_px(rig: StereoRig, pair: ViewPair) -> float:
     return float(np.abs(y_left - y_right).mean())
 
 
-def _models(model: CameraModel, pairs: Sequence[ViewPair]) -> Models:
-    """The model with the start of each camera."""
-    left, right = (model.started([pair[side] for pair in pairs]) for side in (0, 1))
-    return left, right
+def _single_fits(pairs: Sequence[ViewPair], models: Models) -> list[tuple[PinholeCamera, tuple[ViewFit, ...]]]:
+    """The left and the right camera fitted alone."""
+    return [fit_camera([pair[side] for pair in pairs], models[side]) for side in (0, 1)]
 
 
 def _fit(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoRig, tuple[PairFit, ...]]:
@@ -183,16 +170,24 @@ def _fit(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoRig, tuple[Pa
     starts = [model.start for model in models if model.start is not None]
     if len(starts) == 2:
         fit = fit_fisheye_pair(pairs, (starts[0], starts[1]))
-        rig = StereoRig(fit.left, fit.right, fit.right_from_left)
-        return rig, tuple(_pair_fit(rig, pair, pose) for pair, pose in zip(pairs, fit.poses, strict=True))
-    left, right = (fit_camera([pair[side] for pair in pairs], models[side])[0] for side in (0, 1))
-    return _fit_pinholes(pairs, (left, right), models[0].n_distortion_coefficients)
+        rig, poses = StereoRig(fit.left, fit.right, fit.right_from_left), list(fit.poses)
+    else:
+        rig, poses = _fitted_pinholes(pairs, models)
+    fits = []
+    for pair, board_to_left in zip(pairs, poses, strict=True):
+        board_to_right = rig.right_from_left @ board_to_left
+        left = ViewFit(pair[0], residuals_px(pair[0], board_to_left, rig.left), board_to_left)
+        right = ViewFit(pair[1], residuals_px(pair[1], board_to_right, rig.right), board_to_right)
+        fits.append(PairFit(left, right, row_error_px(rig, pair)))
+    return rig, tuple(fits)
 
 
-def _fit_pinholes(
-    pairs: Sequence[ViewPair], cameras: tuple[PinholeCamera, PinholeCamera], n_distortion_coefficients: int
-) -> tuple[StereoRig, tuple[PairFit, ...]]:
-    """The least-squares rig of pinholes, starting from the cameras calibrated alone."""
+def _fitted_pinholes(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoRig, list[FloatArray]]:
+    """The least-squares rig of pinholes, starting from the cameras calibrated alone, and the boards' poses in it."""
+    cameras, n_distortion_coefficients = (
+        [fit[0] for fit in _single_fits(pairs, models)],
+        models[0].n_distortion_coefficients,
+    )
     distortion = [np.array(camera.distortion or (0.0,) * 5) for camera in cameras]
     _, m1, d1, m2, d2, r, t, _, _, rvecs, tvecs, _ = (
         cv2.stereoCalibrateExtended(
@@ -209,15 +204,7 @@ def _fit_pinholes(
     left = camera_of(m1, d1, pairs[0][0].size_px, n_distortion_coefficients)
     right = camera_of(m2, d2, pairs[0][1].size_px, n_distortion_coefficients)
     rig = StereoRig(left, right, right_from_left)
-    poses = [pose_of(rvec, tvec) for rvec, tvec in zip(rvecs, tvecs, strict=True)]
-    return rig, tuple(_pair_fit(rig, pair, pose) for pair, pose in zip(pairs, poses, strict=True))
-
-
-def _pair_fit(rig: StereoRig, pair: ViewPair, board_to_left: FloatArray) -> PairFit:
-    board_to_right = rig.right_from_left @ board_to_left
-    left = ViewFit(pair[0], residuals_px(pair[0], board_to_left, rig.left), board_to_left)
-    right = ViewFit(pair[1], residuals_px(pair[1], board_to_right, rig.right), board_to_right)
-    return PairFit(left, right, row_error_px(rig, pair))
+    return rig, [pose_of(rvec, tvec) for rvec, tvec in zip(rvecs, tvecs, strict=True)]
 
 
 def _camera_calibration(camera: PinholeCamera, fits: Sequence[ViewFit], std: FloatArray) -> CameraCalibration:
@@ -234,7 +221,7 @@ def _without_moved_boards(
     pairs: list[ViewPair], n_min: int, models: Models
 ) -> tuple[list[ViewPair], tuple[RejectedView, ...]]:
     """At least `n_min` pairs, without those in which the board moved between the images, and these, worst first."""
-    alone = [fit_camera([pair[side] for pair in pairs], models[side])[1] for side in (0, 1)]
+    alone = [fits for _, fits in _single_fits(pairs, models)]
     alone_px = np.sqrt([(left.rms_px**2 + right.rms_px**2) / 2 for left, right in zip(*alone, strict=True)])
     used, rejected = list(range(len(pairs))), []
     while len(used) > n_min:
@@ -249,27 +236,20 @@ def _without_moved_boards(
     return [pairs[i] for i in used], tuple(rejected)
 
 
-def _single_rms_px(pairs: Sequence[ViewPair], models: Models) -> tuple[float, float]:
-    """Residuals of the cameras fitted alone."""
-    left, right = (total_rms_px(fit_camera([pair[side] for pair in pairs], models[side])[1]) for side in (0, 1))
-    return left, right
-
-
-def _check_consistency(single_px: tuple[float, float], fits: Sequence[PairFit]) -> None:
+def _check_consistency(single_px: float, fits: Sequence[PairFit]) -> None:
     """Raise an error if the images of pairs are not simultaneous: they fit each camera alone, but not both."""
     common_px = math.sqrt(np.mean([fit.rms_px**2 for fit in fits]))
-    if common_px > max(_MAX_RMS_RATIO * max(single_px), 1.0):
+    if common_px > max(_MAX_RMS_RATIO * single_px, 1.0):
         raise CalibrationError(
             f"left and right images do not match: expected a residual similar to that of the single cameras, "
-            f"{max(single_px):.2f} px, got {common_px:.2f} px; check that the images of a pair are simultaneous and "
+            f"{single_px:.2f} px, got {common_px:.2f} px; check that the images of a pair are simultaneous and "
             "that neither camera is upside down."
         )
 
 
 def _check_relative_pose(rig: StereoRig) -> None:
     """Raise an error if the cameras are swapped, upside down or one above the other."""
-    rotation = rig.right_from_left[:3, :3]
-    angle_deg = math.degrees(math.acos(float(np.clip((np.trace(rotation) - 1) / 2, -1, 1))))
+    angle_deg = math.degrees(rotation_angle_rad(rig.right_from_left[:3, :3]))
     if angle_deg > _UPSIDE_DOWN_DEG:
         raise CalibrationError(
             f"one camera is upside down relative to the other (rotated by {angle_deg:.0f} degrees); rotate its images "
@@ -296,9 +276,3 @@ def _check_relative_pose(rig: StereoRig) -> None:
         Rectifier(rig)
     except RigError as error:
         raise CalibrationError(str(error)) from error
-
-
-def _parameters(rig: StereoRig) -> FloatArray:
-    """(9,) fx, fy, cx, cy of both cameras, and the baseline."""
-    left, right = ((camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px) for camera in (rig.left, rig.right))
-    return np.array([*left, *right, np.linalg.norm(rig.right_from_left[:3, 3])])

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
+import cv2
 import numpy as np
 
 from track_range.foundation.arrays import Image
@@ -27,6 +28,11 @@ class ImageView(Protocol):
 def whole_image(view: ImageView) -> Image:
     """The entire image, (H, W) or (H, W, 3)."""
     return view if isinstance(view, np.ndarray) else view[:, :]
+
+
+def grey(image: Image) -> Image:
+    """An image (H, W) or (H, W, 3) BGR in grey."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.frames import ImageView
+from track_range.stereo.geometry.frames import ImageView, grey
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS, check_rig
 from track_range.stereo.geometry.virtual_pinhole import axial_focal_px, view_from_camera, virtual_pinhole
@@ -131,7 +131,7 @@ class RemappedView:
 
     def __init__(self, image: Image, maps: Maps) -> None:
         """The view of `image`, (H, W) or (H, W, 3) BGR, through `maps`."""
-        self._image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
+        self._image = grey(image)
         self._maps = maps
         self._whole: Image | None = None
 
@@ -356,7 +356,7 @@ def _rectified(rig: StereoRig, fov_deg: float | None, source: object) -> _Views:
 
 
 def _check_relative_rotation(right_from_left: FloatArray, source: object) -> None:
-    angle_rad = _angle_rad(right_from_left)
+    angle_rad = rotation_angle_rad(right_from_left)
     if angle_rad > _MAX_ROTATION_RAD:
         raise RigError(
             f"{source}: expected cameras that point in similar directions, found a rotation of "
@@ -364,7 +364,8 @@ def _check_relative_rotation(right_from_left: FloatArray, source: object) -> Non
         )
 
 
-def _angle_rad(rotation: cv2.typing.MatLike) -> float:
+def rotation_angle_rad(rotation: cv2.typing.MatLike) -> float:
+    """Angle of a rotation (3, 3)."""
     return math.acos(float(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0)))
 
 
@@ -374,10 +375,10 @@ def _check_rectifying_rotations(
     if abs(float(p2[1, 3])) > abs(float(p2[0, 3])):
         raise RigError(f"{source}: expected cameras side by side, found one above the other; {NO_VERTICAL_PAIRS}.")
     for side, rotation in (("left", r1), ("right", r2)):
-        if _angle_rad(rotation) > _MAX_ROTATION_RAD:
+        if rotation_angle_rad(rotation) > _MAX_ROTATION_RAD:
             raise RigError(
                 f"{source}: expected a baseline perpendicular to the viewing direction, but rectification would rotate "
-                f"the {side} camera by {math.degrees(_angle_rad(rotation)):.0f} degrees; check the translation."
+                f"the {side} camera by {math.degrees(rotation_angle_rad(rotation)):.0f} degrees; check the translation."
             )
 
 

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.robust_statistics import mad_sigma
+from track_range.stereo.geometry.frames import grey
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patches import Patch, inner_halves
 
@@ -231,5 +232,4 @@ def _median_and_sigma(
 
 def _padded(image: Image, n_columns: int) -> Image:
     """The grey image with `n_columns` additional columns on the left."""
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-    return np.asarray(cv2.copyMakeBorder(grey, 0, 0, n_columns, 0, cv2.BORDER_REPLICATE), np.uint8)
+    return np.asarray(cv2.copyMakeBorder(grey(image), 0, 0, n_columns, 0, cv2.BORDER_REPLICATE), np.uint8)

@@ -137,7 +137,7 @@ def test_block_solver_against_scipy():
     )
     solution = solve_blocks(residuals_of, np.full(5, 9), np.full(2, 0.1), np.full((5, 2), 0.1))
     assert np.allclose(solution.common, expected.x[:2], atol=1e-5)
-    assert np.allclose(solution.of_views.ravel(), expected.x[2:], atol=1e-5)
+    assert np.allclose(solution.view_parameters.ravel(), expected.x[2:], atol=1e-5)
     covariance = np.linalg.inv(expected.jac.T @ expected.jac)[:2, :2] * (2 * expected.cost) / (45 - 12)
     assert np.allclose(solution.covariance, covariance, rtol=1e-2)
 
