@@ -186,9 +186,7 @@ def camera_of(
     matrix: npt.ArrayLike, distortion: npt.ArrayLike, size_px: tuple[int, int], n_distortion_coefficients: int
 ) -> PinholeCamera:
     """The camera with OpenCV's (3, 3) matrix and distortion coefficients."""
-    (fx, _, cx), (_, fy, cy) = np.asarray(matrix, np.float64)[:2].tolist()
-    coefficients = np.asarray(distortion, np.float64).ravel()[:n_distortion_coefficients]
-    return PinholeCamera(fx, fy, cx, cy, *size_px, tuple(coefficients.tolist()))
+    return PinholeCamera.of_matrix(matrix, size_px, np.asarray(distortion).ravel()[:n_distortion_coefficients])
 
 
 def total_rms_px(fits: Sequence[ViewFit]) -> float:

@@ -7,9 +7,11 @@ virtual pinhole of `virtual_pinhole.py`.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.lenses.registry import LENSES, PINHOLE
@@ -41,6 +43,14 @@ class PinholeCamera:
         """A camera with square pixels and its principal point at the image centre; `size_px` is (width, height)."""
         width_px, height_px = size_px
         return cls(focal_px, focal_px, (width_px - 1) / 2, (height_px - 1) / 2, width_px, height_px)
+
+    @classmethod
+    def of_matrix(
+        cls, k: npt.ArrayLike, size_px: tuple[int, int], distortion: Iterable[float] = (), lens: str = PINHOLE
+    ) -> PinholeCamera:
+        """The camera with a matrix K (3, 3), or (3, 4) as in a projection; `size_px` is (width, height)."""
+        (fx_px, _, cx_px), (_, fy_px, cy_px) = np.asarray(k, np.float64)[:2, :3].tolist()
+        return cls(fx_px, fy_px, cx_px, cy_px, *size_px, tuple(map(float, distortion)), lens)
 
     @property
     def matrix(self) -> FloatArray:

@@ -21,6 +21,14 @@ class RigError(UserError):
     """A rig or calibration file that cannot be used; the message gives the reason and what to do."""
 
 
+def inverse_motion(motion: FloatArray) -> FloatArray:
+    """(4, 4) inverse of a rigid transform by its transpose, also of a rotation that has few digits in a file."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = motion[:3, :3].T
+    inverse[:3, 3] = -motion[:3, :3].T @ motion[:3, 3]
+    return inverse
+
+
 @dataclass(frozen=True, slots=True)
 class StereoRig:
     """A calibrated pair of cameras.

@@ -29,48 +29,44 @@ _COEFFICIENTS = (0, 4, 5, 8, 12, 14)  # numbers of coefficients of OpenCV's mode
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """Calibration of one camera.
+    """Calibration of one camera."""
 
-    Attributes:
-        size_px: width and height of the images.
-        model: name of the distortion model.
-        distortion: its coefficients.
-        k, r, p: camera matrix (3, 3), rotation to the rectified frame (3, 3), and projection matrix (3, 4).
-    """
+    size_px: tuple[int, int]  # (width, height) of the images
+    model: str  # name of the distortion model
+    distortion: tuple[float, ...]  # its coefficients
+    k: FloatArray  # (3, 3) camera matrix
+    r: FloatArray  # (3, 3) rotation to the rectified frame
+    p: FloatArray  # (3, 4) projection matrix
 
-    size_px: tuple[int, int]
-    model: str
-    distortion: tuple[float, ...]
-    k: FloatArray
-    r: FloatArray
-    p: FloatArray
+    @property
+    def is_fisheye(self) -> bool:
+        """Whether the distortion is OpenCV's fisheye model."""
+        return self.model in _FISHEYE_MODELS
 
 
 def camera_of(message: CameraInfo, path: Path, *, is_rectified: bool) -> PinholeCamera:
     """The camera of a message: P for rectified images, K with distortion for raw ones.
 
-    Raises RigError if unknown distortion model.
+    Raises RigError for an unknown distortion model.
     """
-    matrix = message.p[:, :3] if is_rectified else message.k
-    width_px, height_px = message.size_px
-    distortion = () if is_rectified else _distortion(message, path)
-    is_fisheye = message.model in _FISHEYE_MODELS and not is_rectified
-    return PinholeCamera(
-        float(matrix[0, 0]),
-        float(matrix[1, 1]),
-        float(matrix[0, 2]),
-        float(matrix[1, 2]),
-        width_px,
-        height_px,
-        distortion,
-        KANNALA_BRANDT.name if is_fisheye else PINHOLE,
-    )
+    if is_rectified:
+        return PinholeCamera.of_matrix(message.p, message.size_px)
+    n_coefficients = len(message.distortion)
+    has_distortion = any(message.distortion) or (message.is_fisheye and n_coefficients == 4)
+    is_known = n_coefficients == 4 if message.is_fisheye else message.model in _MODELS
+    if has_distortion and not (is_known and n_coefficients in _COEFFICIENTS):
+        raise RigError(
+            f"{path}: expected a distortion model plumb_bob, rational_polynomial or equidistant, found "
+            f"{quoted(message.model)} with {n_coefficients} coefficients; use rectified images, or give a rig.yaml."
+        )
+    lens = KANNALA_BRANDT.name if message.is_fisheye else PINHOLE
+    return PinholeCamera.of_matrix(message.k, message.size_px, message.distortion if has_distortion else (), lens)
 
 
 def rig_of(left: CameraInfo, right: CameraInfo, path: Path, *, is_rectified: bool) -> StereoRig:
     """The rig of two messages.
 
-    Raises RigError if unknown distortion model, the messages contain no baseline, or contradict each other.
+    Raises RigError if a distortion model is unknown, the messages contain no baseline, or contradict each other.
     """
     if not left.p[0, 0] or not right.p[0, 0]:
         raise RigError(f"{path}: expected projection matrices P in both calibrations, found zeros; give a rig.yaml.")
@@ -86,52 +82,29 @@ def rig_of(left: CameraInfo, right: CameraInfo, path: Path, *, is_rectified: boo
             f"{path}: expected a baseline, P[0, 3] = -f B of the right camera, found 0 in both matrices P; calibrate "
             "the cameras as a pair, or give a rig.yaml."
         )
-    if is_rectified:
-        _check_equal_projection(left, right, path)
+    left_focal_px, right_focal_px = ((message.p[0, 0], message.p[1, 1]) for message in (left, right))
+    left_row_px, right_row_px = left.p[1, 2], right.p[1, 2]
+    is_equal = np.allclose(left_focal_px, right_focal_px, rtol=_FOCAL_DIFFERENCE)
+    if is_rectified and not (is_equal and abs(left_row_px - right_row_px) <= _ROW_DIFFERENCE_PX):
+        raise RigError(
+            f"{path}: expected equal focal lengths and principal rows in the matrices P of rectified images, found "
+            f"{left_focal_px[0]:.6g} and {right_focal_px[0]:.6g} px, rows {left_row_px:.6g} and {right_row_px:.6g}; "
+            "give a rig.yaml."
+        )
     right_from_left = np.eye(4)
     right_from_left[0, 3] = offset_m
     if not is_rectified:
-        rotation: FloatArray = right.r.T @ left.r
-        right_from_left[:3, :3] = rotation
+        right_from_left[:3, :3] = right.r.T @ left.r
         right_from_left[:3, 3] = right.r.T @ np.array([offset_m, 0.0, 0.0])
     cameras = [camera_of(message, path, is_rectified=is_rectified) for message in (left, right)]
     return StereoRig(cameras[0], cameras[1], right_from_left)
-
-
-def _check_equal_projection(left: CameraInfo, right: CameraInfo, path: Path) -> None:
-    """Check that rectified images have equal focal lengths and rows."""
-    focal_px = [(message.p[0, 0], message.p[1, 1]) for message in (left, right)]
-    row_px = [message.p[1, 2] for message in (left, right)]
-    if (
-        not np.allclose(focal_px[0], focal_px[1], rtol=_FOCAL_DIFFERENCE)
-        or abs(row_px[0] - row_px[1]) > _ROW_DIFFERENCE_PX
-    ):
-        raise RigError(
-            f"{path}: expected equal focal lengths and principal rows in the matrices P of rectified images, found "
-            f"{focal_px[0][0]:.6g} and {focal_px[1][0]:.6g} px, rows {row_px[0]:.6g} and {row_px[1]:.6g}; give a "
-            "rig.yaml."
-        )
 
 
 def is_undistorted(message: CameraInfo) -> bool:
     """Whether the message describes rectified images: no distortion, and P equals K."""
     return (
         not any(message.distortion)
-        and message.model not in _FISHEYE_MODELS
+        and not message.is_fisheye
         and np.allclose(message.r, np.eye(3))
         and np.allclose(message.p[:, :3], message.k)
     )
-
-
-def _distortion(message: CameraInfo, path: Path) -> tuple[float, ...]:
-    if message.model in _FISHEYE_MODELS and len(message.distortion) == 4:
-        return message.distortion
-    if not any(message.distortion):
-        return ()
-    if message.model not in _MODELS or len(message.distortion) not in _COEFFICIENTS:
-        raise RigError(
-            f"{path}: expected a distortion model plumb_bob, rational_polynomial or equidistant, found "
-            f"{quoted(message.model)} with {len(message.distortion)} coefficients; use rectified images, or give a "
-            "rig.yaml."
-        )
-    return message.distortion

@@ -28,11 +28,11 @@ from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.structured_text import parse_yaml
 from track_range.foundation.validation import Number, validated
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.geometry.rig import RigError, inverse_motion
 from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration
 from track_range.stereo.rig_formats.rig_format import RigFormat
 
-_CAMERA = re.compile(r"^cam\d+\s*:", re.MULTILINE)
+_CAMERA = re.compile(r"^cam\d+\s*:", re.MULTILINE)  # blocks at the top level
 _HINT = "give Kalibr's camchain.yaml unchanged"
 
 _OPENCV_HEAD = re.compile(r"\A\s*%YAML:[^\n]*\n")  # first line of OpenCV's YAML, which YAML does not have
@@ -52,6 +52,13 @@ class _CameraBlock(BaseModel):
     T_cn_cnm1: _Transform | None = None
     T_cam_imu: _Transform | None = None
     T_imu_cam: _Transform | None = None
+
+    @property
+    def camera_from_imu(self) -> FloatArray | None:
+        """(4, 4) transform from the IMU's frame to the camera's; None = not in the file."""
+        if self.T_cam_imu is not None:
+            return np.array(self.T_cam_imu)
+        return None if self.T_imu_cam is None else inverse_motion(np.array(self.T_imu_cam))
 
 
 class _Model(NamedTuple):
@@ -74,16 +81,8 @@ _MODELS = (
 """Models that are read; a missing distortion_model is none."""
 
 
-def _has_cameras(text: str) -> bool:
-    """Whether a file has blocks cam0, cam1, ... at its top level."""
-    return _CAMERA.search(text) is not None
-
-
 def _read(text: str, source: object) -> RigCalibration:
-    """The first two cameras of a chain, the left one first.
-
-    Raises RigError if the file is not YAML, a value is missing or wrong, or a camera model is not supported.
-    """
+    """The first two cameras of a chain, the left one first."""
     content = parse_yaml(_OPENCV_HEAD.sub("\n", text), source, RigError, "Kalibr's camchain.yaml")
     if not isinstance(content, dict) or not isinstance(content.get("cam0"), dict):
         raise RigError(f"{source}: expected a block cam0, found none; {_HINT}.")
@@ -99,40 +98,21 @@ def _read(text: str, source: object) -> RigCalibration:
         )
     if second_from_first[0, 3] > abs(second_from_first[1, 3]):
         notes.append(f"{source}: cam1 is to the left of cam0, so cam1 is used as the left camera.")
-        return RigCalibration(second, first, _inverse(second_from_first), notes=tuple(notes))
+        return RigCalibration(second, first, inverse_motion(second_from_first), notes=tuple(notes))
     return RigCalibration(first, second, second_from_first, notes=tuple(notes))
-
-
-def _inverse(transform: FloatArray) -> FloatArray:
-    """(4, 4) inverse of a rigid transform, which `rig_checks` verifies later."""
-    inverse = np.eye(4)
-    inverse[:3, :3] = transform[:3, :3].T
-    inverse[:3, 3] = -transform[:3, :3].T @ transform[:3, 3]
-    return inverse
 
 
 def _second_from_first(first: _CameraBlock, second: _CameraBlock) -> FloatArray | None:
     """(4, 4) transform from the first camera's frame to the second's, if needed by way of the IMU; None = unknown."""
     if second.T_cn_cnm1 is not None:
         return np.array(second.T_cn_cnm1)
-    first_from_imu, second_from_imu = _camera_from_imu(first), _camera_from_imu(second)
-    if first_from_imu is None or second_from_imu is None:
+    if first.camera_from_imu is None or second.camera_from_imu is None:
         return None
-    return np.asarray(second_from_imu @ _inverse(first_from_imu))
-
-
-def _camera_from_imu(block: _CameraBlock) -> FloatArray | None:
-    """(4, 4) transform from the IMU's frame to the camera's; None = not in the file."""
-    if block.T_cam_imu is not None:
-        return np.array(block.T_cam_imu)
-    return None if block.T_imu_cam is None else _inverse(np.array(block.T_imu_cam))
+    return np.asarray(second.camera_from_imu @ inverse_motion(first.camera_from_imu))
 
 
 def _camera(content: object, name: str) -> tuple[PinholeCamera, _CameraBlock]:
-    """The camera of a block, and the block.
-
-    Raises RigError if a value is missing or wrong, or the camera model is not supported.
-    """
+    """The camera of a block, and the block."""
     block = validated(_CameraBlock, content, name, RigError)
     names = (block.camera_model, block.distortion_model or "none")
     model = next((model for model in _MODELS if (model.camera, model.distortion) == names), None)
@@ -161,7 +141,7 @@ def _camera(content: object, name: str) -> tuple[PinholeCamera, _CameraBlock]:
 KALIBR = RigFormat(
     name="kalibr",
     title="Kalibr's camchain.yaml",
-    recognises=_has_cameras,
+    recognises=lambda text: _CAMERA.search(text) is not None,
     read=lambda text, path, _is_grey: _read(text, path),
     missing=lambda _text, _path, _is_grey: "a block cam1",
 )

@@ -16,7 +16,7 @@ lines of 12 numbers without names. The raw set's calib_cam_to_cam.txt has rectif
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +24,7 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.geometry.rig import RigError, inverse_motion
 from track_range.stereo.geometry.rig_checks import BASELINE_M, MAX_SIDE_PX, NO_VERTICAL_PAIRS, RigCalibration
 from track_range.stereo.rig_formats.rig_format import RigFormat
 
@@ -33,14 +33,19 @@ _NUMBER = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)  # beginning of 
 _MIN_NAMELESS = 9  # smallest number of words of a line that is meant as a projection matrix
 _BRACKETS = str.maketrans("[](),;", "      ")  # separators, and the brackets of copied matrices
 _RAW_LINE = re.compile(r"^[ \t]*([SKDRT]_0[0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
-_RAW_COUNTS = {"S": 2, "K": 9, "D": 5, "R": 9, "T": 3}  # numbers in the lines of the images before rectification
+_RAW_COUNTS = {"K": 9, "D": 5, "R": 9, "T": 3}  # numbers in the lines of the images before rectification
 _MAX_VALUE = 1e7  # largest plausible magnitude of a number in a projection; NaN and larger numbers are rejected
 _COLOUR, _GREY = (2, 3), (0, 1)  # numbers of the left and right camera of each pair
 
 
 def _has_projections(text: str) -> bool:
     """Whether a line of a file is one of KITTI's, or all are numbers."""
-    return any(kind == "P" for kind, _, _ in _LINE.findall(text)) or bool(_RAW_LINE.search(text) or _nameless(text))
+    return bool(_lines(text, "P") or _RAW_LINE.search(text) or _nameless(text))
+
+
+def _lines(text: str, kind: str) -> dict[int, str]:
+    """The values of the lines P or S of rectified images by number of the camera."""
+    return {int(number): values for name, number, values in _LINE.findall(text) if name == kind}
 
 
 def _nameless(text: str) -> list[str]:
@@ -54,13 +59,11 @@ def _nameless(text: str) -> list[str]:
 
 
 def _read(text: str, source: object, is_grey: bool) -> RigCalibration:
-    """The cameras of a calib.txt: the colour pair, or the grey one if `is_grey` or if it is the only one.
-
-    Raises RigError if a matrix is not 12 numbers of the form K [I | t], or the left camera's is missing.
-    """
+    """The cameras of a calib.txt: the colour pair, or the grey one if `is_grey` or if it is the only one."""
     if lines := _nameless(text):
         return _read_nameless(lines, source)
-    matrix, size = _matrices(text, source), _sizes(text, source)
+    matrix = {number: _matrix(values, f"{source}: P{number}") for number, values in _lines(text, "P").items()}
+    size = {number: _size(values, f"{source}: S_rect_0{number}") for number, values in _lines(text, "S").items()}
     if not matrix:
         raise RigError(
             f"{source}: expected the projection matrices P_rect_02 and P_rect_03, found none; give the complete "
@@ -71,87 +74,69 @@ def _read(text: str, source: object, is_grey: bool) -> RigCalibration:
     if left not in matrix:
         raise RigError(f"{source}: expected P{left} of the left camera, found only P{right}; give the complete file.")
     notes = () if (left, right) == pairs[0] else (f"{source}: using cameras {left} and {right}, the only ones.",)
-    if right in matrix and _is_vertical(matrix[left], matrix[right]):
-        raise RigError(f"{source}: expected cameras side by side, found one above the other; {NO_VERTICAL_PAIRS}.")
-    left_camera = _camera(matrix[left], size.get(left, (0, 0)))
-    right_camera = _camera(matrix[right], size.get(right, (0, 0))) if right in matrix else None
-    rectified = _calibration(matrix[left], matrix.get(right), left_camera, right_camera, notes)
+    projections = [(matrix[number], size.get(number, (0, 0))) for number in (left, right) if number in matrix]
+    rectified = _calibration(projections, source, notes)
     unrectified = _unrectified(text, source, (left, right), notes)
     if unrectified is None or not rectified.left.width_px:
         return rectified
-    names, width_px, height_px = (
-        f"P_rect_0{left} and P_rect_0{right}",
-        rectified.left.width_px,
-        rectified.left.height_px,
-    )
-    note = f"{source}: {names}, for KITTI's rectified images of {width_px}x{height_px} px."
+    size_text = f"{rectified.left.width_px}x{rectified.left.height_px}"
+    note = f"{source}: P_rect_0{left} and P_rect_0{right}, for KITTI's rectified images of {size_text} px."
     return replace(rectified, notes=(*notes, note), unrectified=unrectified)
 
 
 def _read_nameless(lines: Sequence[str], source: object) -> RigCalibration:
-    """The one or two cameras of lines without names; the right camera has the smaller P[0, 3] = -f B.
-
-    Raises RigError if there are more lines, a line is not of the form K [I | t], or there is no baseline.
-    """
+    """The one or two cameras of lines without names; the right camera has the smaller P[0, 3] = -f B."""
     if len(lines) > 2:
         raise RigError(
             f"{source}: expected one or two lines of 12 numbers, the projection matrices of the left and right camera, "
             f"found {len(lines)}; give KITTI's calib.txt with its names P0 to P3."
         )
     matrices = [_matrix(line, f"{source}: line {n}") for n, line in enumerate(lines, 1)]
-    offsets_m = [float(matrix[0, 3] / matrix[0, 0]) for matrix in matrices]
     if len(lines) == 1:
         note = f"{source}: a line without a name is taken as the projection matrix P of rectified images."
-        return _calibration(matrices[0], None, _camera(matrices[0], (0, 0)), None, (note,))
-    if _is_vertical(matrices[0], matrices[1]):
-        raise RigError(f"{source}: expected cameras side by side, found one above the other; {NO_VERTICAL_PAIRS}.")
-    if offsets_m[0] == offsets_m[1]:
-        raise RigError(
-            f"{source}: expected a baseline, P[0, 3] = -f B of the right camera, found {matrices[0][0, 3]:g} in both "
-            "lines; give the lines of the left and of the right camera."
-        )
+        return _calibration([(matrices[0], (0, 0))], source, (note,))
+    offsets_m = [float(matrix[0, 3] / matrix[0, 0]) for matrix in matrices]
     left, right = (0, 1) if offsets_m[0] > offsets_m[1] else (1, 0)
     note = (
         f"{source}: two lines without names are taken as projection matrices P of rectified images; line {left + 1} is "
         f"the left camera, by P[0, 3] = -f B."
     )
-    cameras = [_camera(matrices[n], (0, 0)) for n in (left, right)]
-    return _calibration(matrices[left], matrices[right], cameras[0], cameras[1], (note,))
-
-
-def _is_vertical(a: FloatArray, b: FloatArray) -> bool:
-    """Whether one camera of two (3, 4) projection matrices is above the other, not beside it."""
-    x, y = (abs(float(a[row, 3] / a[row, row] - b[row, 3] / b[row, row])) for row in (0, 1))
-    return y > max(x, BASELINE_M[0])
+    calibration = _calibration([(matrices[left], (0, 0)), (matrices[right], (0, 0))], source, (note,))
+    if offsets_m[0] == offsets_m[1]:
+        raise RigError(
+            f"{source}: expected a baseline, P[0, 3] = -f B of the right camera, found {matrices[0][0, 3]:g} in both "
+            "lines; give the lines of the left and of the right camera."
+        )
+    return calibration
 
 
 def _calibration(
-    left_matrix: FloatArray,
-    right_matrix: FloatArray | None,
-    left: PinholeCamera,
-    right: PinholeCamera | None,
-    notes: tuple[str, ...],
+    projections: Sequence[tuple[FloatArray, tuple[int, int]]], source: object, notes: tuple[str, ...]
 ) -> RigCalibration:
-    """The rectified cameras of (3, 4) projection matrices."""
-    x_m, y_m, z_m = np.linalg.solve(left_matrix[:, :3], left_matrix[:, 3]).tolist()
-    right_from_left = None
-    if right_matrix is not None:
-        right_from_left = np.eye(4)
-        right_from_left[0, 3] = (
-            right_matrix[0, 3] * (left_matrix[0, 0] / right_matrix[0, 0]) - left_matrix[0, 3]
-        ) / left.fx_px
-    return RigCalibration(left, right, right_from_left, (x_m, y_m, z_m), notes)
+    """The rectified left, and right, camera of (3, 4) projection matrices and image sizes."""
+    left, *others = [PinholeCamera.of_matrix(matrix, size_px) for matrix, size_px in projections]
+    p_left = projections[0][0]
+    x_m, y_m, z_m = np.linalg.solve(p_left[:, :3], p_left[:, 3]).tolist()
+    if not others:
+        return RigCalibration(left, None, None, (x_m, y_m, z_m), notes)
+    p_right = projections[1][0]
+    x, y = (abs(float(p_left[row, 3] / p_left[row, row] - p_right[row, 3] / p_right[row, row])) for row in (0, 1))
+    if y > max(x, BASELINE_M[0]):
+        raise RigError(f"{source}: expected cameras side by side, found one above the other; {NO_VERTICAL_PAIRS}.")
+    right_from_left = np.eye(4)
+    right_from_left[0, 3] = (p_right[0, 3] * (p_left[0, 0] / p_right[0, 0]) - p_left[0, 3]) / left.fx_px
+    return RigCalibration(left, others[0], right_from_left, (x_m, y_m, z_m), notes)
 
 
 def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[str, ...]) -> RigCalibration | None:
-    """The cameras of the images before rectification; None if the file lacks values of the left one.
-
-    Raises RigError if a line has other than its number of numbers, or is not a plausible image size.
-    """
+    """The cameras of the images before rectification; None if the file lacks values of the left one."""
     values: dict[str, FloatArray] = {}
+    sizes: dict[str, tuple[int, int]] = {}
     for name, line in _RAW_LINE.findall(text):
-        if name[:1] in _RAW_COUNTS:
-            values[name] = _numbers(line, _RAW_COUNTS[name[:1]], f"{source}: {name}")
+        if name[0] == "S":
+            sizes[name] = _size(line, f"{source}: {name}")
+        else:
+            values[name] = _numbers(line, _RAW_COUNTS[name[0]], f"{source}: {name}")
             if not np.abs(values[name]).max() <= _MAX_VALUE:  # also NaN
                 raise RigError(
                     f"{source}: {name}: expected numbers up to {_MAX_VALUE:g}, found others; correct the line."
@@ -159,12 +144,10 @@ def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[
     cameras, motions = [], []
     for number in pair:
         names = [f"{kind}_0{number}" for kind in _RAW_COUNTS]
-        if not all(name in values for name in names):
+        if f"S_0{number}" not in sizes or not all(name in values for name in names):
             break
-        size, k, distortion, r, t = (values[name] for name in names)
-        width_px, height_px = _recorded_size(size, f"{source}: S_0{number}")
-        fx_px, fy_px, cx_px, cy_px = k[[0, 4, 2, 5]].tolist()
-        cameras.append(PinholeCamera(fx_px, fy_px, cx_px, cy_px, width_px, height_px, tuple(distortion.tolist())))
+        k, distortion, r, t = (values[name] for name in names)
+        cameras.append(PinholeCamera.of_matrix(k.reshape(3, 3), sizes[f"S_0{number}"], distortion))
         motions.append(np.vstack([np.column_stack([r.reshape(3, 3), t]), [0.0, 0.0, 0.0, 1.0]]))
     if not cameras:
         return None
@@ -175,48 +158,24 @@ def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[
     )
     if len(cameras) == 1:
         return RigCalibration(cameras[0], None, None, notes=(*notes, note))
-    # a rotation of six digits is inverted by its transpose; rig_checks verifies the product
-    reference_from_left = np.eye(4)
-    reference_from_left[:3, :3] = motions[0][:3, :3].T
-    reference_from_left[:3, 3] = -motions[0][:3, :3].T @ motions[0][:3, 3]
-    return RigCalibration(cameras[0], cameras[1], motions[1] @ reference_from_left, notes=(*notes, note))
-
-
-def _recorded_size(size: FloatArray, name: str) -> tuple[int, int]:
-    """(width, height) of the images before rectification. Raises RigError if it is not plausible."""
-    width_px, height_px = (round(side) for side in size.tolist())
-    if not (1 <= width_px <= MAX_SIDE_PX and 1 <= height_px <= MAX_SIDE_PX):
-        raise RigError(
-            f"{name}: expected a width and height of 1 to {MAX_SIDE_PX} px, found {width_px} and {height_px}; correct "
-            "the line."
-        )
-    return width_px, height_px
+    right_from_left = motions[1] @ inverse_motion(motions[0])
+    return RigCalibration(cameras[0], cameras[1], right_from_left, notes=(*notes, note))
 
 
 def _missing(text: str, _path: object, is_grey: bool) -> str:
     """The matrix that a file with one camera lacks."""
     if _nameless(text):
         return "a second line of 12 numbers with the projection matrix of the right camera"
-    numbers = {int(number) for kind, number, _ in _LINE.findall(text) if kind == "P"}
+    numbers = set(_lines(text, "P"))
     left, right = _GREY if 0 in numbers and (is_grey or 2 not in numbers) else _COLOUR
     if {left, right} <= numbers:
         return f"S_0{right}, K_0{right}, D_0{right}, R_0{right} and T_0{right} of the right camera before rectification"
     return f"P{right} of the right camera"
 
 
-def _matrices(text: str, source: object) -> Mapping[int, FloatArray]:
-    """The (3, 4) projection matrices by camera number."""
-    matrices = {}
-    for kind, number, values in _LINE.findall(text):
-        if kind == "P":
-            matrices[int(number)] = _matrix(values, f"{source}: P{number}")
-    return matrices
-
-
 def _matrix(values: str, name: str) -> FloatArray:
     """The (3, 4) projection matrix of a line."""
-    matrix = _numbers(values, 12, name)
-    matrix = matrix.reshape(3, 4)
+    matrix = _numbers(values, 12, name).reshape(3, 4)
     if not np.isfinite(matrix).all():
         words = quoted(values.strip())
         raise RigError(f"{name}: expected a projection matrix of 12 finite numbers, found {words}; correct the line.")
@@ -230,47 +189,29 @@ def _matrix(values: str, name: str) -> FloatArray:
 
 
 def _numbers(values: str, count: int, name: str) -> FloatArray:
-    """The (count,) numbers of a line.
-
-    Raises RigError if a word is not a number of a plausible magnitude, or there are fewer or more.
-    """
-    words = values.split()
+    """The (count,) numbers of a line."""
     try:
-        numbers = np.array([float(word) for word in words])
+        numbers = np.array([float(word) for word in values.split()])
     except ValueError as error:
-        raise RigError(
-            f"{name}: expected {count} numbers, found {quoted(values.strip())}; correct the line."
-        ) from error
-    if len(words) != count:
-        raise RigError(f"{name}: expected {count} numbers, found {len(words)}; give the complete file.")
+        words = quoted(values.strip())
+        raise RigError(f"{name}: expected {count} numbers, found {words}; correct the line.") from error
+    if len(numbers) != count:
+        raise RigError(f"{name}: expected {count} numbers, found {len(numbers)}; give the complete file.")
     return numbers
 
 
-def _camera(matrix: FloatArray, size_px: tuple[int, int]) -> PinholeCamera:
-    return PinholeCamera(
-        float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2]), size_px[0], size_px[1]
-    )
-
-
-def _sizes(text: str, source: object) -> Mapping[int, tuple[int, int]]:
-    """(width, height) by camera number, from the raw set's S_rect lines.
-
-    Raises RigError if a line is not a plausible image size.
-    """
-    sizes = {}
-    for kind, number, values in _LINE.findall(text):
-        if kind == "S":
-            try:
-                width, height = (float(word) for word in values.split())
-            except ValueError:
-                width = height = 0.0
-            if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
-                raise RigError(
-                    f"{source}: S_rect_0{number}: expected a width and height of 1 to {MAX_SIDE_PX} px, found "
-                    f"{quoted(values.strip())}; correct the line."
-                )
-            sizes[int(number)] = (round(width), round(height))
-    return sizes
+def _size(values: str, name: str) -> tuple[int, int]:
+    """(width, height) of a line."""
+    try:
+        width, height = (float(word) for word in values.split())
+    except ValueError:
+        width = height = 0.0
+    if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
+        raise RigError(
+            f"{name}: expected a width and height of 1 to {MAX_SIDE_PX} px, found {quoted(values.strip())}; correct "
+            "the line."
+        )
+    return round(width), round(height)
 
 
 KITTI = RigFormat(name="kitti", title="KITTI's calib.txt", recognises=_has_projections, read=_read, missing=_missing)

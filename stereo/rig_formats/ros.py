@@ -87,8 +87,8 @@ _NAMES = {
 class _Camera(NamedTuple):
     """One camera of a file."""
 
-    info: CameraInfo  # its calibration
-    path: Path  # the file
+    info: CameraInfo
+    path: Path
     is_raw: bool  # whether K and D describe raw images; False = the file only has P, of rectified images
 
     @property
@@ -96,24 +96,20 @@ class _Camera(NamedTuple):
         """Whether the images are rectified, according to the file."""
         return not self.is_raw or is_undistorted(self.info)
 
-    @property
-    def offset_m(self) -> float:
-        """Position of the origin of the rectified frames in that of the camera: -B for the right camera."""
-        return float(self.info.p[0, 3] / self.info.p[0, 0])
-
 
 def _is_camera_info(text: str) -> bool:
-    """Whether a file has keys of a camera_info at its top level."""
     return _RECOGNISED.search(text) is not None
 
 
 def _read(text: str, path: Path) -> RigCalibration:
-    """The camera, or the two cameras, of one file.
-
-    Raises RigError if the file is not YAML, a value is missing or wrong, or there are more than two cameras.
-    """
+    """The camera, or the two cameras, of one file."""
     cameras = _cameras(text, path)
-    return _pair(cameras[0], cameras[1], path) if len(cameras) == 2 else _single(cameras[0])
+    if len(cameras) == 2:
+        return _pair(cameras[0], cameras[1], path)
+    info, path, _ = cameras[0]
+    only = camera_of(info, path, is_rectified=cameras[0].is_rectified)
+    note = f"{path}: {_TITLE} of one camera; {_assumption(is_rectified=cameras[0].is_rectified)}."
+    return RigCalibration(only, None, None, notes=(note,))
 
 
 def _read_pair(text: str, path: Path) -> RigCalibration:
@@ -121,7 +117,7 @@ def _read_pair(text: str, path: Path) -> RigCalibration:
     cameras = _cameras(text, path)
     if len(cameras) == 1 and (partner := _partner(path)) is not None:
         cameras += _cameras(read_text(partner, RigError, _EXPECTED), partner)
-    return _pair(cameras[0], cameras[1], path) if len(cameras) == 2 else _single(cameras[0])
+    return _pair(cameras[0], cameras[1], path) if len(cameras) == 2 else _read(text, path)
 
 
 def read_folder(folder: Path) -> RigCalibration:
@@ -141,37 +137,31 @@ def read_folder(folder: Path) -> RigCalibration:
 
 def _cameras(text: str, path: Path) -> list[_Camera]:
     """The different cameras of a file, in its order; repeated messages count once."""
-    cameras: list[_Camera] = []
+    cameras: dict[tuple[object, ...], _Camera] = {}
     start = 0
     for end in [*(match.start() for match in _SEPARATOR.finditer(text)), len(text)]:
         lines_before = "\n" * text.count("\n", 0, start)  # so that errors have the line of the file
         content = parse_yaml(lines_before + _SEPARATOR.sub("", text[start:end]), path, RigError, _EXPECTED)
         start = end
-        if content is None:
-            continue
-        camera = _camera(content, path)
-        if not any(_is_equal(camera.info, other.info) for other in cameras):
-            cameras.append(camera)
+        if content is not None:
+            camera = _camera(content, path)
+            k, r, p = (tuple(part.ravel().tolist()) for part in (camera.info.k, camera.info.r, camera.info.p))
+            cameras.setdefault((camera.info.size_px, k, r, p), camera)
     if not 1 <= len(cameras) <= 2:
         raise RigError(f"{path}: expected {_TITLE} of one or two cameras, found {len(cameras)}; give one per camera.")
-    return cameras
-
-
-def _is_equal(a: CameraInfo, b: CameraInfo) -> bool:
-    return a.size_px == b.size_px and all(np.array_equal(getattr(a, key), getattr(b, key)) for key in "krp")
+    return list(cameras.values())
 
 
 def _camera(content: object, path: Path) -> _Camera:
-    """One camera. Raises RigError if a value is missing or wrong, or the camera is not calibrated."""
-    named = (
-        {_NAMES.get(str(key), key): value for key, value in content.items()} if isinstance(content, dict) else content
-    )
-    file = validated(_CameraFile, named, path, RigError)
-    has_full_size = (file.roi.width, file.roi.height) in ((0, 0), (file.image_width, file.image_height))
-    if not has_full_size or file.roi.x_offset or file.roi.y_offset:
+    """The camera of a document."""
+    if isinstance(content, dict):
+        content = {_NAMES.get(str(key), key): value for key, value in content.items()}
+    file = validated(_CameraFile, content, path, RigError)
+    size_px, roi = (file.image_width, file.image_height), file.roi
+    if (roi.width, roi.height) not in ((0, 0), size_px) or roi.x_offset or roi.y_offset:
         raise RigError(
-            f"{path}: expected the calibration of whole images, found a region of interest of {file.roi.width}x"
-            f"{file.roi.height} px; give a rig.yaml of the cropped images."
+            f"{path}: expected the calibration of whole images, found a region of interest of {roi.width}x{roi.height} "
+            "px; give a rig.yaml of the cropped images."
         )
     k, r, p = (
         np.reshape(numbers or np.zeros(size), (3, -1))
@@ -184,33 +174,24 @@ def _camera(content: object, path: Path) -> _Camera:
         raise RigError(f"{path}: expected a calibrated camera, found focal lengths below 1 px; calibrate it.")
     if is_raw and file.distortion_coefficients is None:
         raise RigError(f"{path}: expected distortion coefficients, found none; write zeros for undistorted images.")
-    size_px, distortion = (file.image_width, file.image_height), tuple(file.distortion_coefficients or ())
+    distortion = tuple(file.distortion_coefficients or ())
     info = CameraInfo(size_px, file.distortion_model, distortion, k, r if r.any() else np.eye(3), p)
     return _Camera(info, path, bool(is_raw))
 
 
-def _single(camera: _Camera) -> RigCalibration:
-    """The calibration of one camera."""
-    only = camera_of(camera.info, camera.path, is_rectified=camera.is_rectified)
-    note = f"{camera.path}: {_TITLE} of one camera; {_assumption(is_rectified=camera.is_rectified)}."
-    return RigCalibration(only, None, None, notes=(note,))
-
-
 def _pair(first: _Camera, second: _Camera, source: Path) -> RigCalibration:
-    """The rig of two cameras in any order.
-
-    Raises RigError if the files have no baseline or do not describe the same images.
-    """
-    left, right = (first, second) if first.offset_m >= second.offset_m else (second, first)
+    """The rig of two cameras in any order: the right one has the smaller P[0, 3] / P[0, 0], -B."""
+    offset_m, other_offset_m = (float(camera.info.p[0, 3] / camera.info.p[0, 0]) for camera in (first, second))
+    left, right = (first, second) if offset_m >= other_offset_m else (second, first)
     if left.is_raw != right.is_raw:
         raise RigError(
             f"{source}: expected K and D of both cameras or of none, found those of one; add or remove them."
         )
     is_rectified = left.is_rectified and right.is_rectified
     rig = rig_of(left.info, right.info, source, is_rectified=is_rectified)
-    names = "the first document is the {}" if first.path == second.path else f"{first.path.name} is the {{}}"
+    name = "the first document" if first.path == second.path else first.path.name
     note = (
-        f"{source}: {_TITLE}, {names.format('left' if left is first else 'right')} camera by P[0, 3] = -f B; "
+        f"{source}: {_TITLE}, {name} is the {'left' if left is first else 'right'} camera by P[0, 3] = -f B; "
         f"{_assumption(is_rectified=is_rectified)}."
     )
     return RigCalibration(rig.left, rig.right, rig.right_from_left, notes=(note,))
@@ -226,24 +207,25 @@ def _assumption(*, is_rectified: bool) -> str:
 def _partner(path: Path) -> Path | None:
     """The file of the other camera: the same name, or the same name in the folder, of the other side; None = none."""
     names = [(path.parent, path.name), (path.parent.parent, f"{path.parent.name}/{path.name}")]
-    swapped = [(folder / _SIDE.sub(_other_side, name)) for folder, name in names if _SIDE.search(name)]
+    swapped = [folder / _other_side(name) for folder, name in names]
     return next((candidate for candidate in swapped if candidate != path and candidate.is_file()), None)
 
 
-def _other_side(match: re.Match[str]) -> str:
-    return _OTHER_SIDE.get(match[0], match[0])
+def _other_side(name: str) -> str:
+    """A file name of the other side; the same name without one."""
+    return _SIDE.sub(lambda match: _OTHER_SIDE.get(match[0], match[0]), name)
 
 
 def _missing(_text: str, path: Path, _is_grey: bool) -> str:
     """The file of the other camera, for messages."""
-    partner = _SIDE.sub(_other_side, path.name)
+    partner = _other_side(path.name)
     place = "in a second file beside it (left.yaml, right.yaml)" if partner == path.name else f"in {partner} beside it"
     return f"{_TITLE} of the other camera {place} or after a line --- in this file"
 
 
 ROS = RigFormat(
     name="ros",
-    title=f"{_TITLE}",
+    title=_TITLE,
     recognises=_is_camera_info,
     read=lambda text, path, _is_grey: _read(text, path),
     read_pair=lambda text, path, _is_grey: _read_pair(text, path),
