@@ -29,7 +29,7 @@ from track_range.foundation.track_state import TrackState
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.odometry.camera_step import CameraStep
+from track_range.stereo.odometry.ego_motion import CameraStep
 from track_range.tracking.tracks import Tracks
 
 _STATIC_CLASSES = ("car", "truck", "bus", "van", "motorcycle", "traffic light", "traffic sign")

@@ -11,7 +11,7 @@ from track_range.foundation.arrays import FloatArray32
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.odometry.camera_step import CameraStep
+from track_range.stereo.odometry.ego_motion import CameraStep
 from track_range.stereo.odometry.road_horizon import RoadView
 from track_range.tracking.tracks import Tracks
 

@@ -19,7 +19,7 @@ from track_range.ranging.size_models.drive_state import DriveState
 from track_range.ranging.size_models.size_model import BORDER_PX, BoxNoise, SizeModel, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.odometry.camera_step import CameraStep
+from track_range.stereo.odometry.ego_motion import CameraStep
 from track_range.tracking.tracks import Tracks
 
 _MIN_HEIGHT_PX = 4.0

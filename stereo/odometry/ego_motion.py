@@ -1,4 +1,4 @@
-"""EgoMotion: speed and yaw rate of the camera in one frame; Odometry: measures them from the images."""
+"""Motion of the camera: EgoMotion, its speed and yaw rate; CameraStep, with images; Odometry measures it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.sparse_flow import FlowFrame
 from track_range.stereo.geometry.frames import Frame
 
 
@@ -20,6 +21,20 @@ class EgoMotion:
     is_still: bool = False  # whether the camera is at rest; False if unknown
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraStep:
+    """Motion of the camera since the previous frame."""
+
+    time_s: float  # time of the frame
+    dt_s: float  # time since the previous frame
+    rotation: FloatArray  # (3, 3) rotation `now_from_before` of the static scene
+    rotation_sigma_rad: float  # standard deviation of the yaw between the frames, which does not average out
+    travel: FloatArray  # (2,) x, y of the ray at depth 1 along the direction of travel, in this frame
+    travelled_m: float  # distance travelled
+    travelled_sigma: float  # relative standard deviation of `travelled_m`, the same in all frames
+    now: FlowFrame  # the images of this frame
+
+
 class Odometry(Protocol):
     """Measures the motion of the camera from the frames of one stream, in order."""
 
@@ -29,10 +44,5 @@ class Odometry(Protocol):
         ...
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
-        """Motion since the previous frame; unknown for the first one.
-
-        Args:
-            frame: the images.
-            xyxy_px: (N, 4) boxes of road users in the left image, which are not static.
-        """
+        """Motion since the previous frame, with boxes (N, 4) of road users, which are not static; unknown at first."""
         ...

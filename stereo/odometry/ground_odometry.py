@@ -20,7 +20,6 @@ An error of the camera height is an equal relative error of the speed. The road 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -30,92 +29,60 @@ from track_range.foundation.arrays import FloatArray, FloatArray32, Image, check
 from track_range.foundation.sparse_flow import BackgroundFlow, small_grey
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.odometry.camera_step import CameraStep
-from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.stereo.odometry.ego_motion import CameraStep, EgoMotion
 from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEstimator
 from track_range.stereo.odometry.road_horizon import RoadHorizon, RoadView
 from track_range.stereo.odometry.speed_filter import SpeedFilter
 
+# The picture from above, and the search of the shift:
+_HALF_WIDTH_M = 1.5  # half the width of the picture
+_NEAREST_M = 4.5  # nearest road in the picture, if the image shows it
+_FARTHEST_M = 15.0  # farthest road in the picture; beyond it, a pixel of the camera covers 0.2 m
+_STEP_X_M, _STEP_Z_M = 0.15, 0.1  # size of a cell of the picture
+_STRIP_M = 2.0  # length of a strip
+_PICTURE_M = 9.0  # distance of the middle of the picture, at which its plane has the slope of the road
+_MAX_SPEED_MPS = 45.0
 _MIN_STRIP_GREY = 1.0  # smallest standard deviation of a strip in grey levels; below it there is only noise
 _MAX_MASKED_FRACTION = 0.05  # largest fraction of a strip under boxes of road users
-_MIN_STRIPS = 4  # minimum number of strips for a measurement of the horizon
+_MIN_CORRELATION = 0.25  # smallest mean correlation of a reliable shift
+_MIN_UNIQUENESS = 0.05  # smallest difference of it from the second best maximum
+_MIN_UNIQUE_M = 0.35  # shifts nearer than this to the maximum belong to it
+_SHIFT_SIGMA_M = 0.02  # standard deviation of a shift; assumed, a fifth of a cell
+# Relative error of all speeds, from a road that is not plane and the camera height; the errors on simulated drives,
+# seeds 0-9, then have a standard deviation of 0.6 in units of their sigma.
+_SCALE_SIGMA = 0.03
+
+# The horizon from the shifts of the strips:
+_MIN_STRIPS = 4  # minimum number of strips for a measurement
+_MAX_STRIP_CELLS = 6  # largest difference of a strip's shift from the common one: far, 0.012 rad too low, at 30 m/s
+_MIN_STRIP_CORRELATION = 0.4  # of the strip there
 _STRIP_SIGMA_M = 0.015  # standard deviation of the shift of one strip
 _STRIPS_SIGMA_RAD = 0.0015  # of the horizon by errors that the strips share: 0.0015 to 0.002 on simulated drives
+_OUTLIER_SIGMA = 4.0  # innovation of the horizon in standard deviations above which the shifts are wrong
+_MAX_FRAMES = 50.0  # largest amplification of an error of the rotation, by slow motion
+
+# The direction of travel:
 # Standard deviation of the row of the epipole as a measurement of the horizon: 0.002 to 0.005 rad on simulated drives,
 # seeds 0-2, correlated over a second, and the camera moves up and down on the springs.
 _EPIPOLE_SIGMA_RAD = 0.012
 _SURE_RAD = 0.004  # standard deviation of the horizon below which the epipole is expected there
 _TRAVEL_SIGMA_RAD = 0.004  # deviation from it: a camera at 10 m/s moves up and down on the springs by 0.04 m/s
-_MAX_STRIP_CELLS = 6  # largest difference of a strip's shift from the common one: far, 0.012 rad too low, at 30 m/s
-_MIN_STRIP_CORRELATION = 0.4  # of the strip there
-_PICTURE_M = 9.0  # distance of the middle of the picture, at which its plane has the slope of the road
-_OUTLIER_SIGMA = 4.0  # innovation of the horizon in standard deviations above which the shifts are wrong
-_MAX_FRAMES = 50.0  # largest amplification of an error of the rotation, by slow motion
+_TRAVEL_TIME_S = 1.0  # time constant with which the direction to the side follows the epipole
 _UNKNOWN_SIGMA = 0.03  # relative standard deviation of a speed without one
 _TYPICAL_MPS = 10.0  # speed for the curvature of the road until the first speed is known
-_MIN_UNIQUE_M = 0.35  # shifts nearer than this to the maximum belong to it
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GroundOdometrySettings:
-    """Settings of the picture from above and of the search.
-
-    Attributes:
-        half_width_m: half the width of the picture.
-        nearest_m: nearest road in the picture, if the image shows it.
-        farthest_m: farthest road in the picture; beyond it, a pixel of the camera covers 0.2 m.
-        step_x_m, step_z_m: size of a cell of the picture.
-        strip_m: length of a strip.
-        max_speed_mps: largest speed that is searched.
-        min_correlation: smallest mean correlation of a reliable shift.
-        min_uniqueness: smallest difference from the second best maximum.
-        shift_sigma_m: standard deviation of a shift; assumed, a fifth of a cell.
-        scale_sigma: relative error of all speeds, from a road that is not plane and the camera height; the errors on
-            simulated drives, seeds 0-9, then have a standard deviation of 0.6 in units of their sigma.
-        travel_time_s: time constant with which the direction to the side follows the epipole.
-    """
-
-    half_width_m: float = 1.5
-    nearest_m: float = 4.5
-    farthest_m: float = 15.0
-    step_x_m: float = 0.15
-    step_z_m: float = 0.1
-    strip_m: float = 2.0
-    max_speed_mps: float = 45.0
-    min_correlation: float = 0.25
-    min_uniqueness: float = 0.05
-    shift_sigma_m: float = 0.02
-    scale_sigma: float = 0.03
-    travel_time_s: float = 1.0
 
 
 class GroundOdometry:
-    """Measures the speed of one camera and the horizon; the state belongs to the instance.
+    """Measures the speed of one camera without distortion, and the horizon; the state belongs to the instance.
 
-    Args:
-        camera: the camera without distortion.
-        height_m: its height above the road; a wrong one only scales the lengths.
-        settings: None = the defaults.
-        flow: flow of the background, which other estimators of the same stream may use too; None = a separate one.
-
-    Attributes:
-        height_m: the assumed height.
-        motion: motion between the last two frames.
-        has_horizon: whether the horizon was measured so far.
+    A wrong `height_m` of the camera above the road only scales the lengths. Other estimators of the same stream may use
+    the same `flow` of the background; None = a separate one.
     """
 
     source = "the motion of the road in the images"
 
-    def __init__(
-        self,
-        camera: PinholeCamera,
-        height_m: float,
-        settings: GroundOdometrySettings | None = None,
-        *,
-        flow: BackgroundFlow | None = None,
-    ) -> None:
+    def __init__(self, camera: PinholeCamera, height_m: float, *, flow: BackgroundFlow | None = None) -> None:
         self._camera, self.height_m = camera, height_m
-        self._settings = settings or GroundOdometrySettings()
         self._flow = flow or BackgroundFlow()
         self._image_motion = ImageMotionEstimator(camera, flow=self._flow)
         self._filter = SpeedFilter()
@@ -125,8 +92,8 @@ class GroundOdometry:
         self._before: Image | None = None
         self._boxes_before: FloatArray = np.zeros((0, 4))
         self._last = math.nan, EgoMotion()
-        self.motion = ImageMotion(time_s=math.nan)
-        self.has_horizon = False
+        self.motion = ImageMotion(time_s=math.nan)  # between the last two frames
+        self.has_horizon = False  # whether the horizon was measured so far
 
     @property
     def ego(self) -> EgoMotion:
@@ -139,16 +106,9 @@ class GroundOdometry:
         return self._horizon.view
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
-        """Motion since the previous frame; the speed is unknown for the first one, and where it is not reliable.
+        """Motion since the previous frame, with boxes (N, 4) of road users; NaN where it is not reliable.
 
         A second call for the same frame returns the same motion.
-
-        Args:
-            frame: the image.
-            xyxy_px: (N, 4) boxes of road users.
-
-        Raises:
-            ValueError: an argument has another shape.
         """
         check_shape("xyxy_px", xyxy_px, (None, 4))
         if frame.time_s == self._last[0]:
@@ -170,87 +130,69 @@ class GroundOdometry:
         is_known = motion.is_known and not motion.is_still and math.isfinite(ego.speed_mps)
         if not is_known or now is None or math.isnan(self._side) or ego.speed_mps <= 0:
             return None
-        turn = np.array([-motion.pitch_rad_s, -motion.yaw_rad_s, -motion.roll_rad_s]) * motion.dt_s
+        has_sigma = math.isfinite(ego.speed_sigma_mps)
         return CameraStep(
             time_s=motion.time_s,
             dt_s=motion.dt_s,
-            rotation=np.asarray(cv2.Rodrigues(turn)[0], np.float64),
+            rotation=motion.rotation,
             rotation_sigma_rad=motion.yaw_sigma_rad_s * motion.dt_s,
             travel=np.array([self._side, self.view.horizon]),
             travelled_m=ego.speed_mps * motion.dt_s,
-            travelled_sigma=ego.speed_sigma_mps / ego.speed_mps
-            if math.isfinite(ego.speed_sigma_mps)
-            else _UNKNOWN_SIGMA,
+            travelled_sigma=ego.speed_sigma_mps / ego.speed_mps if has_sigma else _UNKNOWN_SIGMA,
             now=now,
         )
 
     def _moved(self, motion: ImageMotion, before: Image, now: Image, boxes: tuple[FloatArray, FloatArray]) -> EgoMotion:
         """The filtered speed; moves the horizon on to this frame."""
-        settings, dt_s = self._settings, motion.dt_s
-        is_moving = motion.is_known and not motion.is_still
+        dt_s, is_moving = motion.dt_s, motion.is_known and not motion.is_still
+        side, row = (
+            (motion.epipole_px[0] - self._camera.cx_px) / self._camera.fx_px,
+            (motion.epipole_px[1] - self._camera.cy_px) / self._camera.fy_px,
+        )
         shift_m = 0.0 if motion.is_still else math.nan
         if is_moving:
-            self._follow_side(motion)
+            if math.isfinite(side):
+                fraction = 1.0 if math.isnan(self._side) else min(1.0, dt_s / _TRAVEL_TIME_S)
+                self._side = side if fraction == 1.0 else self._side + fraction * (side - self._side)
             if math.isfinite(self._side):
                 shift_m = self._shift_m(motion, before, now, boxes)
-        independent_mps, common_mps = settings.shift_sigma_m / dt_s, settings.scale_sigma * abs(shift_m / dt_s)
+        independent_mps, common_mps = _SHIFT_SIGMA_M / dt_s, _SCALE_SIGMA * abs(shift_m / dt_s)
         speed = self._filter.update(motion.time_s, dt_s, shift_m / dt_s, independent_mps, common_mps)
         if math.isfinite(speed[0]):
             self._speed_mps = speed[0]
-        self._horizon.predict(
-            dt_s,
-            pitch_rad=motion.pitch_rad_s * dt_s,
-            roll_rad=motion.roll_rad_s * dt_s,
-            travelled_m=self._speed_mps * dt_s,
-        )
+        pitch_rad, roll_rad = motion.pitch_rad_s * dt_s, motion.roll_rad_s * dt_s
+        self._horizon.predict(dt_s, pitch_rad=pitch_rad, roll_rad=roll_rad, travelled_m=self._speed_mps * dt_s)
         if is_moving:
-            self._measure_epipole(motion)
+            if math.isfinite(row):
+                self._horizon.measure(row, _EPIPOLE_SIGMA_RAD**2)
+                self.has_horizon = True
+            view = self._horizon.view
+            if view.horizon_variance < _SURE_RAD**2:
+                self._image_motion.expect_travel(view.horizon, view.horizon_variance + _TRAVEL_SIGMA_RAD**2)
         return EgoMotion(*speed, motion.yaw_rad_s, motion.is_still)
 
-    def _measure_epipole(self, motion: ImageMotion) -> None:
-        """Add the row of the epipole to the horizon, and expect the next one there."""
-        row = (motion.epipole_px[1] - self._camera.cy_px) / self._camera.fy_px
-        if math.isfinite(row):
-            self._horizon.measure(row, _EPIPOLE_SIGMA_RAD**2)
-            self.has_horizon = True
-        view = self._horizon.view
-        if view.horizon_variance < _SURE_RAD**2:
-            self._image_motion.expect_travel(view.horizon, view.horizon_variance + _TRAVEL_SIGMA_RAD**2)
-
-    def _follow_side(self, motion: ImageMotion) -> None:
-        """Update the direction of travel to the side."""
-        side = (motion.epipole_px[0] - self._camera.cx_px) / self._camera.fx_px
-        if math.isfinite(side):
-            fraction = 1.0 if math.isnan(self._side) else min(1.0, motion.dt_s / self._settings.travel_time_s)
-            self._side = side if fraction == 1.0 else self._side + fraction * (side - self._side)
-
     def _shift_m(self, motion: ImageMotion, before: Image, now: Image, boxes: tuple[FloatArray, FloatArray]) -> float:
-        """Way between two frames; NaN = not reliable. The shifts of the strips are added to the horizon before."""
-        settings = self._settings
-        view = self._horizon.view
+        """Distance travelled; NaN = not reliable. The shifts of the strips are added to the horizon before."""
+        view, camera = self._horizon.view, self._camera
         horizon = view.horizon - view.curvature_per_m * _PICTURE_M / 2
-        nearest_m = max(
-            settings.nearest_m,
-            self.height_m / ((self._camera.height_px - 2 - self._camera.cy_px) / self._camera.fy_px - horizon),
-        )
-        if not 0 < nearest_m < settings.farthest_m - 2 * settings.strip_m:
+        lowest = (camera.height_px - 2 - camera.cy_px) / camera.fy_px
+        nearest_m = max(_NEAREST_M, self.height_m / (lowest - horizon))
+        if not 0 < nearest_m < _FARTHEST_M - 2 * _STRIP_M:
             return math.nan
-        turn = np.array([-motion.pitch_rad_s, -motion.yaw_rad_s, -motion.roll_rad_s]) * motion.dt_s
+        # the road at all cells in both images, from far to near
         level = cv2.Rodrigues(np.array([-horizon, self._side, 0.0]))[0]
-        Z = np.arange(settings.farthest_m, nearest_m, -settings.step_z_m)
-        X = np.arange(-settings.half_width_m, settings.half_width_m, settings.step_x_m)
+        Z = np.arange(_FARTHEST_M, nearest_m, -_STEP_Z_M)
+        X = np.arange(-_HALF_WIDTH_M, _HALF_WIDTH_M, _STEP_X_M)
         road = np.stack([np.tile(X, len(Z)), np.full(len(X) * len(Z), self.height_m), np.repeat(Z, len(X))], axis=1)
-        before_px = self._camera.project(road @ level.T)
-        now_px = self._camera.project(road @ (cv2.Rodrigues(turn)[0] @ level).T)
+        before_px, now_px = camera.project(road @ level.T), camera.project(road @ (motion.rotation @ level).T)
         hw = len(Z), len(X)
         masked_fraction = np.maximum(_inside(before_px, boxes[0]), _inside(now_px, boxes[1])).reshape(hw).mean(axis=1)
         pictures = _sampled(before, before_px, hw), _sampled(now, now_px, hw)
-        distance_m, scores = self._strips(*pictures, masked_fraction, motion.dt_s)
-        best = self._best_shift(scores)
+        distance_m, scores = _strip_correlations(*pictures, masked_fraction, motion.dt_s)
+        best = _best_shift(scores)
         if best is None or (len(scores) < _MIN_STRIPS and math.isnan(self._last[1].speed_mps)):
             return math.nan  # two strips only confirm a speed
-        shift_m = settings.step_z_m * best
-        shifts_m = settings.step_z_m * _peaks_near(scores, round(best))
+        shift_m, shifts_m = _STEP_Z_M * best, _STEP_Z_M * _peaks_near(scores, round(best))
         slope = horizon_error(shift_m, distance_m - shift_m / 2, shifts_m, self.height_m)
         if slope is None:
             return shift_m
@@ -269,44 +211,38 @@ class GroundOdometry:
         error = horizon - view.horizon + view.curvature_per_m * ahead_m / 2
         return shift_m * (1 - 2 * slope.distance_m * error / self.height_m)
 
-    def _strips(
-        self, before: FloatArray32, now: FloatArray32, masked_fraction: FloatArray, dt_s: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Usable strips of two pictures, whose rows run from far to near.
 
-        Returns:
-            (K,) distances of their centres, and (K, M) their correlations with all shifts; NaN = outside the picture.
-        """
-        settings = self._settings
-        n_strip = round(settings.strip_m / settings.step_z_m)
-        n_shifts = min(round(settings.max_speed_mps * dt_s / settings.step_z_m), len(before) - n_strip) + 1
-        distances_m, scores = [], []
-        for top in range(0, len(before) - n_strip + 1, n_strip // 2):
-            strip = before[top : top + n_strip]
-            if masked_fraction[top : top + n_strip].mean() > _MAX_MASKED_FRACTION or strip.std() < _MIN_STRIP_GREY:
-                continue
-            score = np.full(n_shifts, np.nan)
-            known = cv2.matchTemplate(now[top:], strip, cv2.TM_CCOEFF_NORMED)[:n_shifts, 0]
-            score[: len(known)] = known
-            distances_m.append(settings.farthest_m - settings.step_z_m * (top + (n_strip - 1) / 2))
-            scores.append(score)
-        return np.array(distances_m), np.array(scores)
+def _strip_correlations(
+    before: FloatArray32, now: FloatArray32, masked_fraction: FloatArray, dt_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """(K,) distances of the usable strips of two pictures, (K, M) their correlations; NaN = outside the picture."""
+    n_strip = round(_STRIP_M / _STEP_Z_M)
+    n_shifts = min(round(_MAX_SPEED_MPS * dt_s / _STEP_Z_M), len(before) - n_strip) + 1
+    distances_m, scores = [], []
+    for top in range(0, len(before) - n_strip + 1, n_strip // 2):
+        strip = before[top : top + n_strip]
+        if masked_fraction[top : top + n_strip].mean() > _MAX_MASKED_FRACTION or strip.std() < _MIN_STRIP_GREY:
+            continue
+        score = np.full(n_shifts, np.nan)
+        known = cv2.matchTemplate(now[top:], strip, cv2.TM_CCOEFF_NORMED)[:n_shifts, 0]
+        score[: len(known)] = known
+        distances_m.append(_FARTHEST_M - _STEP_Z_M * (top + (n_strip - 1) / 2))
+        scores.append(score)
+    return np.array(distances_m), np.array(scores)
 
-    def _best_shift(self, scores: FloatArray) -> float | None:
-        """Shift of strips with correlations (K, M), in cells; None = not reliable."""
-        settings = self._settings
-        if len(scores) < 2:
-            return None
-        count = np.isfinite(scores).sum(axis=0)
-        score = np.where(count >= 2, np.nansum(scores, axis=0) / np.maximum(count, 1), -1.0)
-        best = int(score.argmax())
-        if best in (0, len(score) - 1) or score[best] < settings.min_correlation:
-            return None
-        n_near = round(_MIN_UNIQUE_M / settings.step_z_m)
-        others = np.concatenate([score[: max(best - n_near, 0)], score[best + n_near :]])
-        if score[best] - others.max(initial=-1.0) < settings.min_uniqueness:
-            return None
-        return _vertex(score, best)
+
+def _best_shift(scores: FloatArray) -> float | None:
+    """Shift of strips with correlations (K, M), in cells; None = not reliable."""
+    if len(scores) < 2:
+        return None
+    count = np.isfinite(scores).sum(axis=0)
+    score = np.where(count >= 2, np.nansum(scores, axis=0) / np.maximum(count, 1), -1.0)
+    best = int(score.argmax())
+    if best in (0, len(score) - 1) or score[best] < _MIN_CORRELATION:
+        return None
+    n_near = round(_MIN_UNIQUE_M / _STEP_Z_M)
+    others = np.concatenate([score[: max(best - n_near, 0)], score[best + n_near :]])
+    return None if score[best] - others.max(initial=-1.0) < _MIN_UNIQUENESS else _vertex(score, best)
 
 
 class HorizonError(NamedTuple):

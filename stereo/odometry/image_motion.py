@@ -82,6 +82,12 @@ class ImageMotion:
         """Whether the motion was measured."""
         return math.isfinite(self.yaw_rad_s)
 
+    @property
+    def rotation(self) -> FloatArray:
+        """(3, 3) rotation `now_from_before` of the static scene, against which the camera turns."""
+        turn = np.array([-self.pitch_rad_s, -self.yaw_rad_s, -self.roll_rad_s]) * self.dt_s
+        return np.asarray(cv2.Rodrigues(turn)[0], np.float64)
+
 
 class ImageMotionEstimator:
     """Measures the motion of one camera, one frame after another.

@@ -39,6 +39,7 @@ from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX, RigCalibration, 
 from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
 
 _NONE: FloatArray = np.zeros(0)  # the numbers of a missing key
+_EXPECTED = "a calibration of OpenCV"
 _EXTRINSIC = ("R", "T")  # keys of the extrinsics
 _FISHEYE_MATRICES = {"K1": "M1", "K2": "M2"}  # camera matrices in files of cv::fisheye, and of stereo_calib
 _OF_PAIR = ("M2", "D2", *_EXTRINSIC)  # keys of two cameras; a file without all of them describes one camera
@@ -50,7 +51,6 @@ _KEYS = (
     *("image_width", "image_height", "imageSize"),
     *("fisheye_model", *_FISHEYE_MATRICES),
 )
-"""Keys that are read."""
 
 _MAX_SIDE = 14  # largest number of rows or columns; OpenCV has at most 14 distortion coefficients
 _Side = Annotated[Integer, Field(ge=1, le=_MAX_SIDE)]
@@ -64,28 +64,16 @@ class _Matrix(BaseModel):
     dt: Literal["d", "f", "i", "u", "w", "s", "c"]
     data: Annotated[list[Number], Field(max_length=_MAX_SIDE**2)]
 
-    def values(self) -> FloatArray:
-        """(N,) the numbers, rounded as OpenCV rounds them."""
-        return np.array(self.data, np.float32 if self.dt == "f" else np.float64).astype(np.float64)
-
 
 _NUMBERS: TypeAdapter[list[float]] = TypeAdapter(Annotated[list[Number], Field(max_length=_MAX_SIDE)])
 
 
-def _is_file_storage(text: str) -> bool:
-    """Whether a file is OpenCV's FileStorage, recognised by the tag of its matrices."""
-    return "opencv-matrix" in text or "<opencv_storage>" in text
-
-
 def _read(text: str, path: Path) -> RigCalibration:
-    """The cameras of one file, or of intrinsics and extrinsics in one folder; `path` is one of the two.
-
-    Raises RigError if the file is damaged, a matrix is missing, or only some of the matrices of two cameras are there.
-    """
-    values = dict(_matrices(text, path))
+    """The cameras of one file, or of intrinsics and extrinsics in one folder; `path` is one of the two."""
+    values = _matrices(text, path)
     sibling = _sibling(path, values)
     if sibling is not None:
-        values = {**_matrices(read_text(sibling, RigError, "a calibration of OpenCV"), sibling), **values}
+        values = {**_matrices(read_text(sibling, RigError, _EXPECTED), sibling), **values}
     if "camera_matrix" in values:
         values.setdefault("M1", values["camera_matrix"])
         values.setdefault("D1", values.get("distortion_coefficients", _NONE))
@@ -94,7 +82,12 @@ def _read(text: str, path: Path) -> RigCalibration:
             f"{path}: expected the matrix M1 in this file or in an intrinsics file in its folder, found none; give "
             "stereo_calib's intrinsics.yml."
         )
-    is_fisheye, fisheye_notes = _fisheye(values, path)
+    fisheye_notes: tuple[str, ...] = ()
+    if "fisheye_model" in values:
+        is_fisheye = bool(values["fisheye_model"].any())
+    elif is_fisheye := "K1" in values and values.get("D1", _NONE).size == 4:
+        note = "read as OpenCV's fisheye model, since it has K1 and four coefficients; else add fisheye_model: 0."
+        fisheye_notes = (f"{path}: {note}",)
     left = _camera(values, "1", path, is_fisheye=is_fisheye)
     missing = [key for key in _OF_PAIR if key not in values]
     if len(missing) == len(_OF_PAIR):
@@ -114,15 +107,6 @@ def _read(text: str, path: Path) -> RigCalibration:
     return RigCalibration(left, right, right_from_left, notes=(note, *fisheye_notes))
 
 
-def _fisheye(values: Mapping[str, FloatArray], path: Path) -> tuple[bool, tuple[str, ...]]:
-    """Whether the distortion is that of cv::fisheye, and a note if only the names of the matrices show it."""
-    if "fisheye_model" in values:
-        return bool(values["fisheye_model"].any()), ()
-    is_fisheye = "K1" in values and values.get("D1", _NONE).size == 4
-    note = f"{path}: read as OpenCV's fisheye model, since it has K1 and four coefficients; else add fisheye_model: 0."
-    return is_fisheye, (note,) if is_fisheye else ()
-
-
 def _camera(values: Mapping[str, FloatArray], number: str, path: Path, *, is_fisheye: bool) -> PinholeCamera:
     matrix = _shaped(values[f"M{number}"], (3, 3), f"M{number}", path)
     if not np.array_equal(matrix[2], (0.0, 0.0, 1.0)):
@@ -136,10 +120,9 @@ def _camera(values: Mapping[str, FloatArray], number: str, path: Path, *, is_fis
             f"{path}: expected the distortion coefficients D{number} of the camera M{number}, found none; write zeros "
             "for undistorted images."
         )
-    width, height = (round(side) for side in values.get("size", np.zeros(2)).tolist())
-    fx, fy, cx, cy = (float(matrix[index]) for index in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    width_px, height_px = (round(side) for side in values.get("size", np.zeros(2)).tolist())
     lens = KANNALA_BRANDT.name if is_fisheye else PINHOLE
-    return PinholeCamera(fx, fy, cx, cy, width, height, tuple(distortion.tolist()), lens)
+    return PinholeCamera.of_matrix(matrix, (width_px, height_px), distortion, lens)
 
 
 def _shaped(values: FloatArray, shape: tuple[int, ...], name: str, path: Path) -> FloatArray:
@@ -164,10 +147,7 @@ def _sibling(path: Path, values: Mapping[str, FloatArray]) -> Path | None:
 
 
 def _matrices(text: str, path: Path) -> dict[str, FloatArray]:
-    """Numbers (N,) by key, those of `_KEYS` that the file has, and "size" for the image size, if any.
-
-    Raises RigError if the text is damaged, or a value is not a matrix or number.
-    """
+    """Numbers (N,) by key, those of `_KEYS` that the file has, and "size" for the image size, if any."""
     content = _content(text, path)
     numbers = {key: _numbers(content[key], key, path) for key in _KEYS if key in content}
     numbers |= {name: numbers[key] for key, name in _FISHEYE_MATRICES.items() if key in numbers and name not in numbers}
@@ -182,51 +162,41 @@ def _matrices(text: str, path: Path) -> dict[str, FloatArray]:
 
 
 def _content(text: str, path: Path) -> dict[str, Any]:
-    """Values by key of a FileStorage in YAML, XML or JSON; numbers in XML are texts with spaces between them.
-
-    Raises RigError if the text is damaged.
-    """
-    expected = "a calibration of OpenCV"
+    """Values by key of a FileStorage in YAML, XML or JSON; numbers in XML are texts with spaces between them."""
     start = text.lstrip()[:1]
     if start == "<":
         return _xml_content(text, path)
-    content = (
-        parse_json(text, path, RigError, expected)
-        if start == "{"
-        else parse_yaml(_YAML_HEAD.sub("", text), path, RigError, expected)
-    )
+    if start == "{":
+        content = parse_json(text, path, RigError, _EXPECTED)
+    else:
+        content = parse_yaml(_YAML_HEAD.sub("", text), path, RigError, _EXPECTED)
     if not isinstance(content, dict):
-        raise RigError(f"{path}: expected {expected}, found {quoted(content)}; calibrate again.")
+        raise RigError(f"{path}: expected {_EXPECTED}, found {quoted(content)}; calibrate again.")
     return content
 
 
 def _xml_content(text: str, path: Path) -> dict[str, Any]:
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise RigError(f"{path}: expected a calibration of OpenCV, found a document type; remove it.")
+        raise RigError(f"{path}: expected {_EXPECTED}, found a document type; remove it.")
     try:
         root = ElementTree.fromstring(text)  # noqa: S314 - without entities, the size is limited by that of the file
     except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise RigError(
-            f"{path}: expected a calibration of OpenCV in XML, found an error: {shortened(str(error))}."
-        ) from error
+        raise RigError(f"{path}: expected {_EXPECTED} in XML, found an error: {shortened(str(error))}.") from error
     names = [node.tag for node in root]
     if duplicate := next((key for key in _KEYS if names.count(key) > 1), None):
         raise RigError(f"{path}: expected the key {duplicate} once, found it {names.count(duplicate)} times.")
-    return {
-        node.tag: {part.tag: _words(part) for part in node} if len(node) else _words(node)
-        for node in root
-        if node.tag in _KEYS
-    }
 
+    def words(node: ElementTree.Element) -> str | list[str]:
+        """The words of an element: a list for data and sizes."""
+        words = (node.text or "").split()
+        return words[0] if len(words) == 1 and node.tag != "data" else words
 
-def _words(node: ElementTree.Element) -> str | list[str]:
-    """The words of an element: a list for data and sizes."""
-    words = (node.text or "").split()
-    return words[0] if len(words) == 1 and node.tag != "data" else words
+    nodes = (node for node in root if node.tag in _KEYS)
+    return {node.tag: {part.tag: words(part) for part in node} if len(node) else words(node) for node in nodes}
 
 
 def _numbers(value: object, key: str, path: Path) -> FloatArray:
-    """(N,) numbers of a matrix, a list or a number. Raises RigError if it is none of them."""
+    """(N,) numbers of a matrix, a list or a number; those of a matrix are rounded as OpenCV rounds them."""
     if isinstance(value, dict):
         matrix = validated(_Matrix, value, f"{path}: {key}", RigError)
         if len(matrix.data) != matrix.rows * matrix.cols:
@@ -234,7 +204,7 @@ def _numbers(value: object, key: str, path: Path) -> FloatArray:
                 f"{path}: {key}: expected {matrix.rows} x {matrix.cols} numbers, found {len(matrix.data)}; calibrate "
                 "again."
             )
-        return matrix.values()
+        return np.array(matrix.data, np.float32 if matrix.dt == "f" else np.float64).astype(np.float64)
     try:
         return np.array(_NUMBERS.validate_python(value if isinstance(value, list) else [value]))
     except ValidationError as error:
@@ -246,20 +216,29 @@ def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
 
     Raises RigError if the cameras are implausible or of different image sizes, or the file cannot be written.
     """
-    _check_lens(cameras, path)
+    left, right = (cameras.left, cameras.right) if isinstance(cameras, StereoRig) else (cameras, cameras)
+    if left.lens != right.lens or left.lens not in (PINHOLE, KANNALA_BRANDT.name):
+        raise RigError(
+            f"{path}: expected the lens {PINHOLE} or {KANNALA_BRANDT.name} for OpenCV's format, the same of both "
+            f"cameras, got {' and '.join(sorted({left.lens, right.lens}))}; write a rig.yaml."
+        )
+    matrices: dict[str, npt.ArrayLike]
     if isinstance(cameras, StereoRig):
         check_rig(cameras, path)
-        left, right = cameras.left, cameras.right
         if (left.width_px, left.height_px) != (right.width_px, right.height_px):
             raise RigError(
                 f"{path}: expected cameras of equal image size for OpenCV's format, got "
                 f"{left.width_px}x{left.height_px} and {right.width_px}x{right.height_px} px; write a rig.yaml."
             )
-        matrices = _rig_matrices(cameras)
+        r1, r2, p1, p2, q = stereo_rectification(cameras)
+        matrices = {
+            "M1": left.matrix, "D1": _distortion_row(left), "M2": right.matrix, "D2": _distortion_row(right),
+            "R": cameras.right_from_left[:3, :3], "T": cameras.right_from_left[:3, 3:],
+            "R1": r1, "R2": r2, "P1": p1, "P2": p2, "Q": q,
+        }  # fmt: skip
     else:
         check_camera(cameras, path)
         matrices = {"camera_matrix": cameras.matrix, "distortion_coefficients": _distortion_row(cameras)}
-        left = cameras
     storage = cv2.FileStorage(path.suffix or ".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     storage.write("image_width", left.width_px)
     storage.write("image_height", left.height_px)
@@ -270,28 +249,6 @@ def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
     write_rig_text(path, storage.releaseAndGetString())
 
 
-def _check_lens(cameras: StereoRig | PinholeCamera, path: Path) -> None:
-    """Raise an error for lenses that OpenCV's files cannot describe."""
-    lenses = {
-        camera.lens for camera in ((cameras.left, cameras.right) if isinstance(cameras, StereoRig) else (cameras,))
-    }
-    if len(lenses) > 1 or not lenses <= {PINHOLE, KANNALA_BRANDT.name}:
-        raise RigError(
-            f"{path}: expected the lens {PINHOLE} or {KANNALA_BRANDT.name} for OpenCV's format, the same of both "
-            f"cameras, got {' and '.join(sorted(lenses))}; write a rig.yaml."
-        )
-
-
-def _rig_matrices(rig: StereoRig) -> Mapping[str, npt.ArrayLike]:
-    r, t = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3:]
-    d1, d2 = _distortion_row(rig.left), _distortion_row(rig.right)
-    r1, r2, p1, p2, q = stereo_rectification(rig)
-    return {
-        "M1": rig.left.matrix, "D1": d1, "M2": rig.right.matrix, "D2": d2, "R": r, "T": t,
-        "R1": r1, "R2": r2, "P1": p1, "P2": p2, "Q": q,
-    }  # fmt: skip
-
-
 def _distortion_row(camera: PinholeCamera) -> FloatArray:
     return np.array(camera.distortion)[None] if camera.is_wide else distortion_coefficients(camera)[None]
 
@@ -299,7 +256,7 @@ def _distortion_row(camera: PinholeCamera) -> FloatArray:
 OPENCV = RigFormat(
     name="opencv",
     title="the files of OpenCV's stereo_calib",
-    recognises=_is_file_storage,
+    recognises=lambda text: "opencv-matrix" in text or "<opencv_storage>" in text,  # the tags of matrices
     read=lambda text, path, _is_grey: _read(text, path),
     missing=lambda _text, path, _is_grey: (
         f"M2, D2, R and T in this file or in intrinsics/extrinsics{path.suffix} in its folder"

@@ -31,14 +31,13 @@ def load_rig(
 ) -> tuple[StereoRig, tuple[str, ...]]:
     """The rig of a file, for images of `size_px` = (width, height), and notes for the user.
 
+    Raises RigError if the file cannot be read, is not a rig, has only one camera, is implausible or for other images.
+
     Args:
         path: a file in any of the formats, or a folder with ROS's camera_info of two cameras.
         size_px: (width, height) of the images.
         right_size_px: the same of the right images; None = `size_px`.
         is_grey: whether to use the grey pair of a KITTI file that also has the colour pair.
-
-    Raises:
-        RigError: the file cannot be read, is not a rig, has only one camera, is implausible or for other images.
     """
     calibration = _read(path, is_grey=is_grey, is_pair=True).of_size(size_px)
     if calibration.right is None or calibration.right_from_left is None:
@@ -47,27 +46,26 @@ def load_rig(
             "cameras, or run on one video with --mono."
         )
     check_rig(StereoRig(calibration.left, calibration.right, calibration.right_from_left), path)
-    if right_size_px is not None and right_size_px != size_px:
-        _check_sizes(calibration.left, calibration.right, size_px, right_size_px, path)
+    right_size_px = right_size_px or size_px
+    if right_size_px != size_px:
+        _check_sizes((calibration.left, calibration.right), (size_px, right_size_px), path)
     left, left_notes = fitted_to_size(calibration.left, size_px, f"{path} (left)")
-    right, right_notes = fitted_to_size(calibration.right, right_size_px or size_px, f"{path} (right)")
+    right, right_notes = fitted_to_size(calibration.right, right_size_px, f"{path} (right)")
     rig = StereoRig(left, right, calibration.right_from_left)
     check_rig(rig, path)
     return rig, (*calibration.notes, *left_notes, *right_notes, *shared_view_notes(rig, path))
 
 
 def _check_sizes(
-    left: PinholeCamera, right: PinholeCamera, left_px: tuple[int, int], right_px: tuple[int, int], path: Path
+    cameras: tuple[PinholeCamera, PinholeCamera], sizes_px: tuple[tuple[int, int], tuple[int, int]], path: Path
 ) -> None:
-    """Check that images of unequal sizes are those of the file's cameras, or both reduced by the same factor.
-
-    Raises RigError if they are not, or the file has no image size.
-    """
-    if not left.width_px or abs(right_px[0] * left.width_px / (left_px[0] * right.width_px) - 1) > _SCALE_TOLERANCE:
-        expected = f"{left.width_px}x{left.height_px} and {right.width_px}x{right.height_px} px"
+    """Check that images of unequal sizes are those of the file's cameras, or both reduced by the same factor."""
+    scales = [size_px[0] / max(camera.width_px, 1) for camera, size_px in zip(cameras, sizes_px, strict=True)]
+    if not cameras[0].width_px or abs(scales[1] / scales[0] - 1) > _SCALE_TOLERANCE:
+        expected = " and ".join(f"{camera.width_px}x{camera.height_px}" for camera in cameras) + " px"
         raise RigError(
-            f"{path}: expected left and right images of {expected if left.width_px else 'equal size'}, found "
-            f"{left_px[0]}x{left_px[1]} and {right_px[0]}x{right_px[1]} px; give a rig of these images."
+            f"{path}: expected left and right images of {expected if cameras[0].width_px else 'equal size'}, found "
+            f"{' and '.join(f'{width}x{height}' for width, height in sizes_px)} px; give a rig of these images."
         )
 
 
@@ -91,16 +89,7 @@ def load_camera(
 def load_calibration(
     path: Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False
 ) -> tuple[PinholeCamera | StereoRig, tuple[str, ...]]:
-    """The rig of a file, or its camera if there is only one, and notes for the user.
-
-    Args:
-        path: a file in any of the formats.
-        size_px: (width, height) of the images; None = the file's image size, which may be 0.
-        is_grey: whether to use the grey pair of a KITTI file that also has the colour pair.
-
-    Raises:
-        RigError: the file cannot be read, is not a calibration, is implausible or for other images.
-    """
+    """The rig of a file, or its only camera, and notes for the user; see `load_rig` and `load_camera`."""
     calibration = _read(path, is_grey=is_grey, is_pair=True).of_size(size_px)
     if calibration.right is None or calibration.right_from_left is None:
         return load_camera(path, size_px=size_px, is_grey=is_grey)
@@ -116,8 +105,8 @@ def missing_camera(path: Path, *, is_grey: bool = False) -> str:
 
     Raises RigError if the file cannot be read or is not a calibration.
     """
-    text = _text_of(path)
-    return _format_of(text, path).missing(text, path, is_grey)
+    rig_format, text = _format_of(path)
+    return rig_format.missing(text, path, is_grey)
 
 
 def left_from_reference_m(path: Path, *, is_grey: bool, size_px: tuple[int, int] | None = None) -> FloatArray:
@@ -146,15 +135,12 @@ def find_rig(left_video: Path) -> Path | None:
     return next((candidate for candidate in candidates if candidate.is_file()), None)
 
 
-def _text_of(path: Path) -> str:
-    return read_text(path, RigError, f"a rig ({FORMAT_TITLES})")
-
-
-def _format_of(text: str, path: Path) -> RigFormat:
-    """The format that recognises the text."""
+def _format_of(path: Path) -> tuple[RigFormat, str]:
+    """The format that recognises a file, and the file's text."""
+    text = read_text(path, RigError, f"a rig ({FORMAT_TITLES})")
     for rig_format in RIG_FORMATS:
         if rig_format.recognises(text):
-            return rig_format
+            return rig_format, text
     raise RigError(
         f"{path}: expected a rig in a known format, found no key 'track_range_rig' or similar; give {FORMAT_TITLES}."
     )
@@ -164,7 +150,6 @@ def _read(path: Path, *, is_grey: bool, is_pair: bool) -> RigCalibration:
     """Content of a file, or of the two camera_info of ROS in a folder, for two cameras or one."""
     if os.path.isdir(path):
         return read_folder(path)
-    text = _text_of(path)
-    rig_format = _format_of(text, path)
+    rig_format, text = _format_of(path)
     read = (rig_format.read_pair or rig_format.read) if is_pair else rig_format.read
     return read(text, path, is_grey)

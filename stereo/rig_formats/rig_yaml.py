@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -33,7 +33,6 @@ from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration, ch
 from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
 
 VERSION = 1  # version of the format, the value of its key `track_range_rig`
-
 
 _Row = Annotated[list[Number], Field(min_length=3, max_length=3)]
 _Strict = ConfigDict(extra="forbid", frozen=True)
@@ -90,17 +89,13 @@ def save_rig(rig: StereoRig, path: Path, *, comments: Sequence[str] = ()) -> Non
     Raises RigError if the rig is implausible, or the file cannot be written.
     """
     check_rig(rig, path)
-    motion = {
-        "rotation": rig.right_from_left[:3, :3].tolist(),
-        "translation_m": rig.right_from_left[:3, 3].tolist(),
-    }
+    rotation, translation_m = rig.right_from_left[:3, :3].tolist(), rig.right_from_left[:3, 3].tolist()
     content = {
-        "track_range_rig": VERSION,
         "left": _camera_content(rig.left),
         "right": _camera_content(rig.right),
-        "right_from_left": motion,
+        "right_from_left": {"rotation": rotation, "translation_m": translation_m},
     }
-    write_rig_text(path, _commented(comments) + _yaml(content))
+    _save(content, path, comments)
 
 
 def save_camera(
@@ -112,10 +107,8 @@ def save_camera(
     written.
     """
     check_camera(camera, path)
-    content: dict[str, object] = {"track_range_rig": VERSION, "left": _camera_content(camera)}
-    if mounting is not None:
-        content["mounting"] = asdict(mounting)
-    write_rig_text(path, _commented(comments) + _yaml(content))
+    mounted = {} if mounting is None else {"mounting": asdict(mounting)}
+    _save({"left": _camera_content(camera), **mounted}, path, comments)
 
 
 def _write(cameras: StereoRig | PinholeCamera, path: Path, comments: Sequence[str]) -> None:
@@ -125,25 +118,15 @@ def _write(cameras: StereoRig | PinholeCamera, path: Path, comments: Sequence[st
         save_camera(cameras, path, comments=comments)
 
 
-def _camera_content(camera: PinholeCamera) -> dict[str, float | list[float] | str]:
-    return {
-        "fx_px": camera.fx_px,
-        "fy_px": camera.fy_px,
-        "cx_px": camera.cx_px,
-        "cy_px": camera.cy_px,
-        "width_px": camera.width_px,
-        "height_px": camera.height_px,
-        "distortion": list(camera.distortion),
-        **({"lens": camera.lens} if camera.is_wide else {}),
-    }
+def _camera_content(camera: PinholeCamera) -> dict[str, Any]:
+    content = asdict(camera) | {"distortion": list(camera.distortion)}
+    return content if camera.is_wide else {key: value for key, value in content.items() if key != "lens"}
 
 
-def _yaml(content: Mapping[str, object]) -> str:
-    return yaml_text(content, default_flow_style=None, width=120)
-
-
-def _commented(lines: Sequence[str]) -> str:
-    return "".join(f"# {part}\n" for line in lines for part in line.splitlines())
+def _save(content: Mapping[str, object], path: Path, comments: Sequence[str]) -> None:
+    head = "".join(f"# {part}\n" for line in comments for part in line.splitlines())
+    text = yaml_text({"track_range_rig": VERSION, **content}, default_flow_style=None, width=120)
+    write_rig_text(path, head + text)
 
 
 def _read(text: str, path: Path, _is_grey: bool) -> RigCalibration:
@@ -151,9 +134,8 @@ def _read(text: str, path: Path, _is_grey: bool) -> RigCalibration:
     left = rig.left.camera()
     if rig.right is None or rig.right_from_left is None:
         mounting = None if rig.mounting is None else Mounting(**rig.mounting.model_dump())
-        return RigCalibration(
-            left, None, None, mounting=mounting, notes=() if mounting is None else (mounting.sentence,)
-        )
+        notes = () if mounting is None else (mounting.sentence,)
+        return RigCalibration(left, None, None, mounting=mounting, notes=notes)
     return RigCalibration(left, rig.right.camera(), rig.right_from_left.matrix())
 
 

@@ -206,8 +206,8 @@ def _assumption(*, is_rectified: bool) -> str:
 
 def _partner(path: Path) -> Path | None:
     """The file of the other camera: the same name, or the same name in the folder, of the other side; None = none."""
-    names = [(path.parent, path.name), (path.parent.parent, f"{path.parent.name}/{path.name}")]
-    swapped = [folder / _other_side(name) for folder, name in names]
+    name = _other_side(path.name)
+    swapped = (path.with_name(name), path.parent.parent / _other_side(path.parent.name) / name)
     return next((candidate for candidate in swapped if candidate != path and candidate.is_file()), None)
 
 

@@ -8,7 +8,7 @@ from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.ranging.parallax import Parallax
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.odometry.camera_step import CameraStep
+from track_range.stereo.odometry.ego_motion import CameraStep
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(500.0, 500.0, 320.0, 120.0, 640, 240)

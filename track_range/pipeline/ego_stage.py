@@ -11,8 +11,7 @@ from track_range.pipeline.stage_clock import StageClock
 from track_range.ranging.ego_speed import EgoSpeed
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.camera_height import CameraHeight
-from track_range.stereo.odometry.camera_step import CameraStep
-from track_range.stereo.odometry.ego_motion import EgoMotion, Odometry
+from track_range.stereo.odometry.ego_motion import CameraStep, EgoMotion, Odometry
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.stereo.odometry.road_horizon import RoadView
