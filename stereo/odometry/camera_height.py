@@ -25,11 +25,7 @@ _MAX_RATIOS = 600  # largest number of stored ratios: the last ones
 
 
 class CameraHeight:
-    """Estimator of the camera height; the state belongs to the instance.
-
-    Args:
-        assumed_m: height that the speeds of the road's motion were measured with.
-    """
+    """Estimator of the camera height from speeds that were measured with `assumed_m`; the state is the instance's."""
 
     def __init__(self, assumed_m: float) -> None:
         self._assumed_m = assumed_m
@@ -41,10 +37,9 @@ class CameraHeight:
         """Add a frame with a known speed, and the speed of the motion of the road with the assumed height."""
         step_s, self._last_s = time_s - self._last_s, time_s
         is_known = known.speed_mps >= _MIN_MPS and road.speed_mps >= _MIN_MPS  # False for NaN
-        if not is_known or not 0 < step_s <= _CORRELATED_S:
-            return
-        self._measured_s += step_s
-        self._log_ratios = [*self._log_ratios[1 - _MAX_RATIOS :], math.log(known.speed_mps / road.speed_mps)]
+        if is_known and 0 < step_s <= _CORRELATED_S:
+            self._measured_s += step_s
+            self._log_ratios = [*self._log_ratios[1 - _MAX_RATIOS :], math.log(known.speed_mps / road.speed_mps)]
 
     @property
     def height_m(self) -> tuple[float, float] | None:

@@ -39,23 +39,18 @@ _FLOW_NOISE = 0.03
 # Standard deviation of the common error of the flow of distant points, small pixels, which does not average out; the
 # errors of yaw on simulated drives, seeds 0-9, then have a standard deviation of 1 in units of their sigma.
 _BIAS_PX = 0.06
+# Corners, and limits of plausible motions, in pixels of the small image:
+_N_FEATURES = 200  # largest number of corners
+_MIN_QUALITY = 0.003  # minimum quality of a corner, as a fraction of the best corner's
+_MIN_ISOTROPY = 0.1  # minimum ratio of the eigenvalues of a corner's structure tensor
+_NOISE_PX = 0.1  # standard deviation of a tracked corner
+_MAX_RESIDUAL_PX = 0.5  # largest distance of a static point from its epipolar line
+_MIN_FEATURES = 16  # minimum number of static points
+_MIN_STATIC_FRACTION = 0.4  # minimum fraction of static points among the tracked ones
+_MAX_STILL_PX = 0.1  # largest median motion of the static points of a camera at rest
+_MAX_GAP_S = 0.6  # longest time between two frames
 _MIN_FORWARD = 0.5  # smallest forward part of a unit translation; a smaller one has no epipole near the image
 _MIN_RADIUS = 0.03  # smallest distance of a ray from the epipole, at depth 1, at which its growth is measured
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImageMotionSettings:
-    """Numbers of corners, and limits of plausible motions, in pixels of the small image."""
-
-    n_features: int = 200  # largest number of corners
-    min_quality: float = 0.003  # minimum quality of a corner, as a fraction of the best corner's
-    min_isotropy: float = 0.1  # minimum ratio of the eigenvalues of a corner's structure tensor
-    noise_px: float = 0.1  # standard deviation of a tracked corner
-    max_residual_px: float = 0.5  # largest distance of a static point from its epipolar line
-    min_features: int = 16  # minimum number of static points
-    min_static_fraction: float = 0.4  # minimum fraction of static points among the tracked ones
-    max_still_px: float = 0.1  # largest median motion of the static points of a camera at rest
-    max_gap_s: float = 0.6  # longest time between two frames
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,30 +85,23 @@ class ImageMotion:
 
 
 class ImageMotionEstimator:
-    """Measures the motion of one camera, one frame after another.
+    """Measures the motion of one camera without distortion, one frame after another.
 
-    Args:
-        camera: the camera without distortion; an approximate focal length suffices for correlations.
-        settings: None = the defaults.
-        flow: flow of the background, which other estimators of the same stream may use too; None = a separate one.
+    An approximate focal length suffices for correlations. Other estimators of the same stream may use the same `flow`
+    of the background; None = a separate one.
     """
 
-    def __init__(
-        self, camera: PinholeCamera, settings: ImageMotionSettings | None = None, *, flow: BackgroundFlow | None = None
-    ) -> None:
+    def __init__(self, camera: PinholeCamera, *, flow: BackgroundFlow | None = None) -> None:
         self._camera = camera
-        self._settings = settings or ImageMotionSettings()
         self._flow = flow or BackgroundFlow()
         self._last_s = math.nan
         self._direction = np.array([0.0, 0.0, -1.0])
         self._direction_variance = np.full(2, _DIRECTION_SIGMA_RAD**2)
 
     def expect_travel(self, row: float, variance: float) -> None:
-        """Combine the direction of travel with its expected row in the next frame.
+        """Combine the direction of travel with its expected row in the next frame, from the horizon of the road.
 
-        Args:
-            row: tangent of the direction below the camera's axis, from the horizon of the road.
-            variance: variance of `row`.
+        `row` is the tangent of the direction below the camera's axis.
         """
         forward = self._direction[2]
         if abs(forward) < _MIN_FORWARD:
@@ -131,9 +119,6 @@ class ImageMotionEstimator:
             image: (H, W, 3) BGR or (H, W) grey, of the size of the camera.
             time_s: time of the frame.
             xyxy_px: (N, 4) boxes of road users, which are not static; None = none known.
-
-        Raises:
-            ValueError: an argument has another shape.
         """
         image_hw = self._camera.height_px, self._camera.width_px
         check_shape("image", image[:, :, 0] if image.ndim == 3 else image, image_hw)
@@ -141,11 +126,11 @@ class ImageMotionEstimator:
         check_shape("xyxy_px", boxes, (None, 4))
         self._flow.add(image, boxes, time_s)
         dt_s, self._last_s = time_s - self._last_s, time_s
-        if self._flow.now is None or self._flow.before is None or not 0 < dt_s <= self._settings.max_gap_s:
+        if self._flow.now is None or self._flow.before is None or not 0 < dt_s <= _MAX_GAP_S:
             return ImageMotion(time_s=time_s)
-        corners, points = self._flow.tracked(self._settings.n_features, self._settings.min_quality)
+        corners, points = self._flow.tracked(_N_FEATURES, _MIN_QUALITY)
         if len(corners):
-            is_corner = isotropy(self._flow.before.small, corners) >= self._settings.min_isotropy
+            is_corner = isotropy(self._flow.before.small, corners) >= _MIN_ISOTROPY
             corners, points = corners[is_corner], points[is_corner]
         return self._motion((corners, points), time_s, dt_s, self._flow.now.n_halved)
 
@@ -153,35 +138,35 @@ class ImageMotionEstimator:
         self, pair_px: tuple[FloatArray32, FloatArray32], time_s: float, dt_s: float, n_halved: int
     ) -> ImageMotion:
         """Motion from corners (N, 2) of the small image before and now."""
-        settings, camera, (corners, points) = self._settings, self._camera, pair_px
-        n_features = len(points)
-        if n_features < settings.min_features:
+        camera, factor, n_features = self._camera, 1 << n_halved, len(pair_px[0])
+        if n_features < _MIN_FEATURES:
             return ImageMotion(time_s=time_s, dt_s=dt_s, n_features=n_features)
-        focal_px = camera.fx_px / (1 << n_halved)
-        pair = self._rays(corners, n_halved), self._rays(points, n_halved)
+        focal_px = camera.fx_px / factor
+        before, now = (camera.rays(factor * points.astype(np.float64) + (factor - 1) / 2) for points in pair_px)
         self._direction_variance = np.minimum(
             self._direction_variance + _DIRECTION_DRIFT_RAD**2 * dt_s, _DIRECTION_SIGMA_RAD**2
         )
         fit = fit_epipolar(
-            *pair,
+            before,
+            now,
             direction=self._direction,
             direction_variance=self._direction_variance,
-            noise=settings.noise_px / focal_px,
-            max_residual=settings.max_residual_px / focal_px,
+            noise=_NOISE_PX / focal_px,
+            max_residual=_MAX_RESIDUAL_PX / focal_px,
         )
         static_fraction = float(fit.is_static.mean())
-        if fit.is_static.sum() < settings.min_features or static_fraction < settings.min_static_fraction:
+        if fit.is_static.sum() < _MIN_FEATURES or static_fraction < _MIN_STATIC_FRACTION:
             return ImageMotion(time_s=time_s, dt_s=dt_s, n_features=n_features, static_fraction=static_fraction)
-        turned = _turned(pair[0], np.asarray(cv2.Rodrigues(fit.rotation)[0], np.float64))
-        motion_px = focal_px * np.linalg.norm((pair[1] - turned)[fit.is_static], axis=1)
-        is_still = bool(median_of(motion_px) <= settings.max_still_px)
+        turned = _turned(before, np.asarray(cv2.Rodrigues(fit.rotation)[0], np.float64))
+        motion_px = focal_px * np.linalg.norm((now - turned)[fit.is_static], axis=1)
+        is_still = bool(median_of(motion_px) <= _MAX_STILL_PX)
         epipole_px = math.nan, math.nan
         if not is_still:
             self._direction, self._direction_variance = fit.direction, fit.direction_variance
             if abs(fit.direction[2]) >= _MIN_FORWARD:
                 x, y = (fit.direction[:2] / fit.direction[2]).tolist()
                 epipole_px = camera.fx_px * x + camera.cx_px, camera.fy_px * y + camera.cy_px
-        growth, growth_sigma = _growth(turned[fit.is_static], pair[1][fit.is_static], fit.direction)
+        growth, growth_sigma = _growth(turned[fit.is_static], now[fit.is_static], fit.direction)
         pitch, yaw, roll = (-fit.rotation / dt_s).tolist()  # the camera turns against the scene
         return ImageMotion(
             time_s=time_s,
@@ -197,11 +182,6 @@ class ImageMotionEstimator:
             n_features=n_features,
             is_still=is_still,
         )
-
-    def _rays(self, points: FloatArray32, n_halved: int) -> FloatArray:
-        """(N, 3) rays of points (N, 2) of the image halved `n_halved` times."""
-        factor = 1 << n_halved
-        return self._camera.rays(factor * points.astype(np.float64) + (factor - 1) / 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,10 +242,13 @@ def fit_epipolar(
             t = t / np.linalg.norm(t)
     residual = _sampson(*pair, rotation, t)[0]
     covariance = np.linalg.inv(information)
+    # The epipolar lines of t and -t are the same, but the points move as by one of them.
+    flow = now - _turned(before, rotation)  # (t - p' t_z) / z for a point at depth z
+    is_backward = median_of((flow * (t - now * t[2])).sum(axis=1)) < 0
     return EpipolarFit(
         rotation=np.asarray(cv2.Rodrigues(rotation)[0], np.float64).reshape(3),
         rotation_sigma=np.sqrt(np.diag(covariance)[:3]),
-        direction=t * _sign(before, now, rotation, t),
+        direction=-t if is_backward else t,
         direction_variance=np.asarray(np.diag(across.T @ covariance[3:, 3:] @ across), np.float64),
         is_static=np.asarray(np.abs(residual) <= max_residual),
     )
@@ -299,12 +282,6 @@ def _sampson(
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """(3, N) cross products of columns; `np.cross` takes five times as long for so few."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-def _sign(before: FloatArray, now: FloatArray, rotation: FloatArray, t: FloatArray) -> float:
-    """1 if the points move as by the translation t, -1 if as by -t: the epipolar lines of both are the same."""
-    flow = now - _turned(before, rotation)  # (t - p' t_z) / z for a point at depth z
-    return -1.0 if median_of((flow * (t - now * t[2])).sum(axis=1)) < 0 else 1.0
 
 
 def _growth(turned: FloatArray, now: FloatArray, direction: FloatArray) -> tuple[float, float]:

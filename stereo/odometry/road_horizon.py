@@ -95,22 +95,16 @@ class RoadHorizon:
         )
 
     def predict(self, dt_s: float, *, pitch_rad: float, roll_rad: float, travelled_m: float) -> None:
-        """Move on to the next frame.
+        """Move on to the next frame, with the pitch (positive = upwards), roll (clockwise) and distance since the last.
 
-        Args:
-            dt_s: time since the previous frame.
-            pitch_rad: measured pitch between the frames, positive = upwards; NaN = unknown.
-            roll_rad: measured roll, positive = clockwise as the driver sees it; NaN = unknown.
-            travelled_m: way between the frames; NaN = unknown.
+        NaN = unknown.
         """
         is_known = math.isfinite(pitch_rad)
         travelled_m = abs(travelled_m) if math.isfinite(travelled_m) else 0.0
         stays = math.exp(-travelled_m / _CURVATURE_LENGTH_M)
         F = np.eye(4)
-        F[0, 2:] = -travelled_m, -1.0
+        F[0, 2:] = (-travelled_m, -1.0) if is_known else 0.0
         F[2, 2] = stays
-        if not is_known:
-            F[0, 2:] = 0.0
         noise_rad = _ROTATION_RAD if is_known else _LOST_RAD
         Q = [noise_rad**2, _MOUNTING_DRIFT_RAD**2 * dt_s, _CURVATURE_PER_M**2 * (1 - stays**2), 0.0]
         self._x = F @ self._x
@@ -124,7 +118,7 @@ class RoadHorizon:
     def measure(
         self, horizon: float, variance: float, *, ahead_m: float = 0.0, frames: float = 0.0, max_sigma: float = math.inf
     ) -> bool:
-        """Add a measurement of the horizon, as a tangent; False = not added, an outlier.
+        """Add a measurement of the horizon, as a tangent, and its variance; False = not added, an outlier.
 
         Args:
             horizon: the measurement.

@@ -35,12 +35,8 @@ class SpeedFilter:
     ) -> tuple[float, float]:
         """Speed at `time_s` and its standard deviation, NaN = unknown.
 
-        Args:
-            time_s: time of the frame.
-            dt_s: time since the previous frame.
-            speed_mps: mean speed over `dt_s`, NaN = not measured.
-            sigma_mps: its independent standard deviation.
-            systematic_mps: standard deviation of an error that is the same in all frames.
+        `speed_mps` is the mean speed over `dt_s`, NaN = not measured; `sigma_mps` its independent standard deviation,
+        `systematic_mps` that of an error that is the same in all frames.
         """
         middle_s = time_s - dt_s / 2
         if middle_s - self._measured_s > _MAX_GAP_S:

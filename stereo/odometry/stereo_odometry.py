@@ -19,7 +19,6 @@ The static scene is assumed to have the most corners outside the boxes.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -50,31 +49,29 @@ _MIN_RATIO = 0.05  # smallest ratio of the depths now and before; a nearer point
 _BLOCK_PX = 9  # side of the blocks of the coarse matcher, pixels of the quarter-size image
 _MIN_SIDE_PX = 64  # smallest side of a small image that has room for windows in its halved copy
 
+# Tracking of corners; pixels are those of the small image:
+_N_FEATURES = 300  # largest number of corners
+_MIN_QUALITY = 0.001  # minimum quality of a corner, as a fraction of the best corner's
+_WINDOW_PX = 9  # side of the tracked window
+_N_LEVELS = 4  # pyramid levels above the small image for tracking over time
+_N_LEVELS_PREDICTED = 2  # the same with a predicted motion
+_NOISE_PX = 0.15  # standard deviation of a corner tracked over time; larger residuals raise both
+# Standard deviation of a disparity; with both and an exact alignment, the rms error of the speed on simulated drives is
+# 0.7 (seeds 0-9) and 0.6 (20-29) of its sigma.
+_DISPARITY_NOISE_PX = 0.15
+_MAX_ROW_PX = 0.75  # largest difference of rows between left and right
+_MIN_DISPARITY_PX = 0.5
+_NEAREST_M = 3.2  # nearest point of the scene; sets the largest disparity
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StereoOdometrySettings:
-    """Settings of feature tracking, noise, and limits of reliable motions; pixels are those of the small image."""
-
-    n_features: int = 300  # largest number of corners
-    min_quality: float = 0.001  # minimum quality of a corner, as a fraction of the best corner's
-    window_px: int = 9  # side of the tracked window
-    n_levels: int = 4  # pyramid levels above the small image for tracking over time
-    n_levels_predicted: int = 2  # the same with a predicted motion
-    noise_px: float = 0.15  # standard deviation of a corner tracked over time; larger residuals raise both
-    # standard deviation of a disparity; with both and an exact alignment, the rms error of the speed on simulated
-    # drives is 0.7 (seeds 0-9) and 0.6 (20-29) of its sigma
-    disparity_noise_px: float = 0.15
-    max_row_px: float = 0.75  # largest difference of rows between left and right
-    min_disparity_px: float = 0.5  # smallest disparity
-    nearest_m: float = 3.2  # nearest point of the scene; sets the largest disparity
-    min_features: int = 20  # minimum number of static corners
-    min_static_fraction: float = 0.35  # minimum fraction of static corners among those tracked with a disparity
-    max_noise_factor: float = 5.0  # largest ratio of the residuals to those expected
-    max_sigma_mps: float = 0.5  # largest standard deviation of a reliable speed
-    max_relative_sigma: float = 0.05  # the same as a fraction of the speed; one of the two suffices
-    scale_sigma: float = 0.005  # relative error of all speeds, from calibration and subpixel bias
-    max_still_mps: float = 0.15  # largest speed of a camera at rest
-    max_gap_s: float = 0.6  # longest time between two frames
+# Limits of reliable motions:
+_MIN_FEATURES = 20  # minimum number of static corners
+_MIN_STATIC_FRACTION = 0.35  # minimum fraction of static corners among those tracked with a disparity
+_MAX_NOISE_FACTOR = 5.0  # largest ratio of the residuals to those expected
+_MAX_SIGMA_MPS = 0.5  # largest standard deviation of a reliable speed
+_MAX_RELATIVE_SIGMA = 0.05  # the same as a fraction of the speed; one of the two suffices
+_SCALE_SIGMA = 0.005  # relative error of all speeds, from calibration and subpixel bias
+_MAX_STILL_MPS = 0.15  # largest speed of a camera at rest
+_MAX_GAP_S = 0.6  # longest time between two frames
 
 
 class _View(NamedTuple):
@@ -113,50 +110,38 @@ class MotionFit(NamedTuple):
 class StereoOdometry:
     """Measures the motion of a rectified pair; the state belongs to the instance.
 
-    Args:
-        rig: the rectified pair.
-        alignment: correction of its disparities; None = not measured.
-        settings: None = the defaults.
-        flow: flow of the background in the left images, which other estimators may use too; None = a separate one.
-
-    Raises:
-        ValueError: the rig is not rectified.
+    `alignment` corrects its disparities; None = not measured. Other estimators may use the same `flow` of the
+    background in the left images; None = a separate one. Raises ValueError if the rig is not rectified.
     """
 
     source = "stereo odometry"
 
     def __init__(
-        self,
-        rig: StereoRig,
-        alignment: AlignmentSource | None = None,
-        settings: StereoOdometrySettings | None = None,
-        *,
-        flow: BackgroundFlow | None = None,
+        self, rig: StereoRig, alignment: AlignmentSource | None = None, *, flow: BackgroundFlow | None = None
     ) -> None:
         if not rig.is_rectified:
             raise ValueError("rig: expected a rectified pair")
         self._rig = rig
         self._alignment: AlignmentSource = alignment or Alignment()
-        self._settings = settings or StereoOdometrySettings()
         self._image_hw = rig.left.height_px, rig.left.width_px
         self._flow = flow or BackgroundFlow()
         self._n_halved = self._flow.n_halvings(self._image_hw)
         self._focal_px = rig.left.fx_px / (1 << self._n_halved)
-        self._coarse = _CoarseMatcher(self._focal_px * rig.baseline_m / self._settings.nearest_m / 2)
+        self._focal_baseline_m = self._focal_px * rig.baseline_m
+        # block matching on the halved small images, for the start of Lucas-Kanade
+        self._n_disparities = 16 * max(1, math.ceil(self._focal_baseline_m / _NEAREST_M / 2 / 16))
+        self._coarse = cv2.StereoBM.create(self._n_disparities, _BLOCK_PX)
+        self._coarse.setTextureThreshold(5)
+        self._coarse.setUniquenessRatio(5)
         self._before: _View | None = None
         self._filter = SpeedFilter()
         self._motion = AT_REST
         self._rng = np.random.default_rng(0)
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
-        """Motion since the previous frame; unknown for the first one, after a gap, and where it is not reliable.
+        """Motion since the previous frame, with boxes (N, 4) of road users in the rectified left image.
 
-        Args:
-            frame: the rectified images.
-            xyxy_px: (N, 4) boxes of road users in the left image.
-
-        Raises:
-            ValueError: an argument has another shape.
+        Unknown for the first frame, after a gap, and where it is not reliable. Raises ValueError for one image.
         """
         check_shape("xyxy_px", xyxy_px, (None, 4))
         if frame.right is None:
@@ -168,84 +153,84 @@ class StereoOdometry:
         if now is None or min(now.small.shape) < _MIN_SIDE_PX:
             return EgoMotion()
         self._before = self._view(frame.time_s, now, small_grey(whole_image(frame.right), self._n_halved))
-        if before is None or not 0 < frame.time_s - before.time_s <= self._settings.max_gap_s:
+        if before is None or not 0 < frame.time_s - before.time_s <= _MAX_GAP_S:
             return EgoMotion()
-        return self._ego_motion(before, self._before, now.is_masked)
+        time_s, dt_s = frame.time_s, frame.time_s - before.time_s
+        fit = self._fit(before, self._before.left, now.is_masked)
+        if fit is not None:
+            speed_mps, sigma_mps, systematic_mps = self._speed(fit, time_s, dt_s)
+            if sigma_mps <= max(_MAX_SIGMA_MPS, _MAX_RELATIVE_SIGMA * abs(speed_mps)):
+                self._motion = fit.motion
+                filtered = self._filter.update(time_s, dt_s, speed_mps, sigma_mps, systematic_mps)
+                yaw_rad = -float(cv2.Rodrigues(fit.motion.rotation)[0][1, 0])
+                return EgoMotion(*filtered, yaw_rad / dt_s, abs(speed_mps) <= _MAX_STILL_MPS)
+        # without a measurement: the predicted speed, for a short time
+        return EgoMotion(*self._filter.update(time_s, dt_s, math.nan, math.nan, math.nan))
 
     def _view(self, time_s: float, frame: FlowFrame, right: Image) -> _View:
         """Corners of the left image that are also found in the right one."""
-        settings, left = self._settings, frame.small
-        corners = frame.corners.points[: frame.corners.n_good(settings.n_features, settings.min_quality)]
-        coarse_px = self._coarse.disparities(left, right, corners)
+        left = frame.small
+        corners = frame.corners.points[: frame.corners.n_good(_N_FEATURES, _MIN_QUALITY)]
+        coarse_px = self._coarse_disparities(left, right, corners)
         is_known = np.isfinite(coarse_px)
         corners = corners[is_known]
         start = corners - np.stack([coarse_px[is_known], np.zeros(len(corners))], axis=1).astype(np.float32)
-        matches, is_matched = tracked_corners(
-            left, right, corners, window_px=settings.window_px, n_levels=1, start=start
-        )
+        matches, is_matched = tracked_corners(left, right, corners, window_px=_WINDOW_PX, n_levels=1, start=start)
         disparity_px, row_px = (corners - matches).astype(np.float64).T
-        is_matched &= (np.abs(row_px) <= settings.max_row_px) & (disparity_px >= settings.min_disparity_px)
-        corners = corners[is_matched]
-        disparity_px = self._aligned(corners, disparity_px[is_matched], self._alignment.at(time_s))
-        return _View(time_s, left, corners, disparity_px)
-
-    def _aligned(self, corners: FloatArray32, disparity_px: FloatArray, alignment: Alignment) -> FloatArray:
-        """(N,) disparities corrected by the alignment, which counts in full pixels."""
+        is_matched &= (np.abs(row_px) <= _MAX_ROW_PX) & (disparity_px >= _MIN_DISPARITY_PX)
+        corners, disparity_px = corners[is_matched], disparity_px[is_matched]
+        # the alignment counts in full pixels
         factor = 1 << self._n_halved
         x_px, sigma_px = factor * corners[:, 0].astype(np.float64) + (factor - 1) / 2, np.zeros(len(corners))
+        alignment = self._alignment.at(time_s)
         full_px, _ = alignment.corrected(disparity_px * factor, sigma_px, x_px=x_px, camera=self._rig.left)
-        return full_px / factor
+        return _View(time_s, left, corners, full_px / factor)
 
-    def _ego_motion(self, before: _View, now: _View, is_masked: BoolArray) -> EgoMotion:
-        settings, dt_s = self._settings, now.time_s - before.time_s
+    def _coarse_disparities(self, left: Image, right: Image, corners: FloatArray32) -> FloatArray:
+        """(N,) disparities of corners (N, 2) of the small left image, small pixels; NaN = unknown."""
+        pad = self._n_disparities
+        images = [cv2.copyMakeBorder(halved(image), 0, 0, pad, 0, cv2.BORDER_REPLICATE) for image in (left, right)]
+        steps = self._coarse.compute(*images)[:, pad:]
+        column = np.clip((corners[:, 0] - 0.5) / 2 + 0.5, 0, steps.shape[1] - 1).astype(int)
+        row = np.clip((corners[:, 1] - 0.5) / 2 + 0.5, 0, steps.shape[0] - 1).astype(int)
+        disparity_px = steps[row, column] / 8.0  # sixteenths of pixels of half the size
+        return np.where(disparity_px >= 0, disparity_px, np.nan)
+
+    def _fit(self, before: _View, left: Image, is_masked: BoolArray) -> MotionFit | None:
+        """The motion from the corners of the previous frame; None if too few are static, or they do not fit."""
         rays = self._rays(before.corners)
-        inverse_depth = before.disparity_px / (self._focal_px * self._rig.baseline_m)
+        inverse_depth = before.disparity_px / self._focal_baseline_m
         predicted = self._pixels(self._motion.moved(rays, inverse_depth)).astype(np.float32)
         points, is_tracked = tracked_corners(
             before.left,
-            now.left,
+            left,
             before.corners,
-            window_px=settings.window_px,
-            n_levels=settings.n_levels if self._motion is AT_REST else settings.n_levels_predicted,
+            window_px=_WINDOW_PX,
+            n_levels=_N_LEVELS if self._motion is AT_REST else _N_LEVELS_PREDICTED,
             start=np.where(np.isfinite(predicted), predicted, before.corners),
         )
         is_tracked[is_tracked] = ~are_masked(points[is_tracked], is_masked)
         self._motion = AT_REST
-        if is_tracked.sum() < settings.min_features:
-            return self._unknown(now.time_s, dt_s)
+        if is_tracked.sum() < _MIN_FEATURES:
+            return None
         fit = fit_motion(
             rays[is_tracked],
             inverse_depth[is_tracked],
             self._rays(points[is_tracked]),
-            noise=settings.noise_px / self._focal_px,
-            inverse_depth_noise=settings.disparity_noise_px / (self._focal_px * self._rig.baseline_m),
+            noise=_NOISE_PX / self._focal_px,
+            inverse_depth_noise=_DISPARITY_NOISE_PX / self._focal_baseline_m,
             rng=self._rng,
         )
-        if fit.is_static.sum() < settings.min_features or fit.is_static.mean() < settings.min_static_fraction:
-            return self._unknown(now.time_s, dt_s)
-        return self._checked(fit, now.time_s, dt_s)
+        has_static = fit.is_static.sum() >= _MIN_FEATURES and fit.is_static.mean() >= _MIN_STATIC_FRACTION
+        return fit if has_static and fit.noise_factor <= _MAX_NOISE_FACTOR else None
 
-    def _checked(self, fit: MotionFit, time_s: float, dt_s: float) -> EgoMotion:
-        """Filtered speed and yaw rate of a motion; unknown if it is uncertain."""
-        settings = self._settings
+    def _speed(self, fit: MotionFit, time_s: float, dt_s: float) -> tuple[float, float, float]:
+        """Speed along the optical axis, its independent standard deviation, and the one common to all frames."""
         forward_m = -float(fit.motion.rotation[:, 2] @ fit.motion.translation_m)  # z of the displacement -R^T t
         speed_mps, sigma_mps = forward_m / dt_s, math.sqrt(fit.covariance[5, 5]) / dt_s
         alignment_sigma_px = self._alignment.at(time_s).residual_px / (1 << self._n_halved)
-        offset = alignment_sigma_px / (self._focal_px * self._rig.baseline_m)
-        systematic_mps = math.hypot(fit.by_offset[5] * offset / dt_s, settings.scale_sigma * speed_mps)
-        if fit.noise_factor > settings.max_noise_factor:
-            return self._unknown(time_s, dt_s)
-        if not sigma_mps <= max(settings.max_sigma_mps, settings.max_relative_sigma * abs(speed_mps)):
-            return self._unknown(time_s, dt_s)
-        self._motion = fit.motion
-        filtered_mps, filtered_sigma_mps = self._filter.update(time_s, dt_s, speed_mps, sigma_mps, systematic_mps)
-        yaw_rad = -float(cv2.Rodrigues(fit.motion.rotation)[0][1, 0])
-        is_still = abs(speed_mps) <= settings.max_still_mps
-        return EgoMotion(filtered_mps, filtered_sigma_mps, yaw_rad / dt_s, is_still)
-
-    def _unknown(self, time_s: float, dt_s: float) -> EgoMotion:
-        """The motion after an interval without a measurement: the predicted speed, for a short time."""
-        return EgoMotion(*self._filter.update(time_s, dt_s, math.nan, math.nan, math.nan))
+        offset = alignment_sigma_px / self._focal_baseline_m
+        return speed_mps, sigma_mps, math.hypot(fit.by_offset[5] * offset / dt_s, _SCALE_SIGMA * speed_mps)
 
     def _rays(self, points: FloatArray32) -> FloatArray:
         """(N, 3) rays of points (N, 2) of the small image."""
@@ -256,27 +241,6 @@ class StereoOdometry:
         """(N, 2) points of the small image, NaN behind the camera."""
         factor = 1 << self._n_halved
         return (self._rig.left.project(xyz) - (factor - 1) / 2) / factor
-
-
-class _CoarseMatcher:
-    """Disparities by block matching on the halved small images (OpenCV's StereoBM), for the start of Lucas-Kanade."""
-
-    def __init__(self, max_disparity_px: float) -> None:
-        """The matcher for disparities up to `max_disparity_px` of the halved images."""
-        self._n_disparities = 16 * max(1, math.ceil(max_disparity_px / 16))
-        self._matcher = cv2.StereoBM.create(self._n_disparities, _BLOCK_PX)
-        self._matcher.setTextureThreshold(5)
-        self._matcher.setUniquenessRatio(5)
-
-    def disparities(self, left: Image, right: Image, corners: FloatArray32) -> FloatArray:
-        """(N,) disparities of corners (N, 2) of the small left image, small pixels; NaN = unknown."""
-        pad = self._n_disparities
-        images = [cv2.copyMakeBorder(halved(image), 0, 0, pad, 0, cv2.BORDER_REPLICATE) for image in (left, right)]
-        steps = self._matcher.compute(*images)[:, pad:]
-        column = np.clip((corners[:, 0] - 0.5) / 2 + 0.5, 0, steps.shape[1] - 1).astype(int)
-        row = np.clip((corners[:, 1] - 0.5) / 2 + 0.5, 0, steps.shape[0] - 1).astype(int)
-        disparity_px = steps[row, column] / 8.0  # sixteenths of pixels of half the size
-        return np.where(disparity_px >= 0, disparity_px, np.nan)
 
 
 def fit_motion(
