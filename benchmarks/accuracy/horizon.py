@@ -28,7 +28,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.evaluation.errors import MethodColumn, score_rows
 from track_range.ranging.evaluation.truth import read_truth
 from track_range.results.columns import Columns
-from track_range.results.truth import matched_truth, with_truth
+from track_range.results.summary import matched_truth, with_truth
 from track_range.run.run import Run
 from track_range.run.settings import RunSettings
 from track_range.simulation.drive import Drive, write_drive

@@ -7,10 +7,10 @@ first columns is fixed for readers of tracks.csv; the columns of further ranging
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +22,14 @@ from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.warning.warnings import Warnings
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 Columns = Mapping[str, npt.NDArray[Any]]
 """Rows by column: `class` as str, all others float64 with NaN = not measured."""
+
+FrameValues = list[npt.NDArray[Any]]
+"""Values of the rows of one frame, not rounded: one (N,) array per column."""
 
 MAX_COLUMNS = 1000
 """Largest number of columns that is read; runs with all methods have fewer than 100, and pyarrow is slow with more."""
@@ -33,6 +39,8 @@ MAX_CLASS = 200
 
 NOT_METHODS = ("truth", "scored_truth", "x", "y", "path_offset")
 """Names NAME of columns NAME_m that are not the distance of a method."""
+
+_TYPES = {"whole": np.int64, "number": np.float64, "flag": np.bool_, "class": np.int8}
 
 ColumnKind = Literal["number", "whole", "flag", "class"]
 
@@ -44,10 +52,10 @@ class ResultColumn:
     Attributes:
         name: heading.
         unit: unit of the values; "" = none.
+        read: returns the (N,) values of the N tracks of a frame.
         kind: type of the values: number = float64, NaN = not measured; whole = int64; flag = bool; class = index of
             `ROAD_CLASSES`, written as its name.
         decimals: decimals of numbers, to which values are rounded in files and tables.
-        read: returns the (N,) values of the N tracks of a frame.
     """
 
     name: str
@@ -79,23 +87,17 @@ def result_columns() -> tuple[ResultColumn, ...]:
         ResultColumn("class", "", attrgetter("tracks.class_id"), "class"),
         ResultColumn("score", "", attrgetter("tracks.score"), decimals=4),
         ResultColumn("observed", "", attrgetter("tracks.observed"), "flag"),
-        ResultColumn("x1_px", "px", _axis("tracks.xyxy_px", 0)),
-        ResultColumn("y1_px", "px", _axis("tracks.xyxy_px", 1)),
-        ResultColumn("x2_px", "px", _axis("tracks.xyxy_px", 2)),
-        ResultColumn("y2_px", "px", _axis("tracks.xyxy_px", 3)),
-        *(_distance("mono"), _sigma("mono")),
-        *(_distance("lane"), _sigma("lane")),
-        *(_distance("stereo"), _sigma("stereo")),
-        *(_distance("sgbm"), _sigma("sgbm")),
-        *(_distance("fused"), _sigma("fused")),
+        *(
+            ResultColumn(f"{edge}_px", "px", _axis("tracks.xyxy_px", i))
+            for i, edge in enumerate(("x1", "y1", "x2", "y2"))
+        ),
+        *(_of_method(name, part) for name in ("mono", "lane", "stereo", "sgbm", "fused") for part in ("m", "sigma_m")),
         ResultColumn("closing_mps", "m/s", attrgetter("closing_mps")),
         ResultColumn("ttc_s", "s", attrgetter("ttc_s")),
-        *(_distance("mono_kf"), _distance("stereo_kf"), _distance("fused_kf")),
-        _distance("ground"),
+        *(_of_method(name, "m") for name in ("mono_kf", "stereo_kf", "fused_kf", "ground")),
         ResultColumn("x_m", "m", _axis("xyz_m", 0)),
         ResultColumn("y_m", "m", _axis("xyz_m", 1)),
-        *(_sigma("mono_kf"), _sigma("stereo_kf"), _sigma("fused_kf")),
-        _sigma("ground"),
+        *(_of_method(name, "sigma_m") for name in ("mono_kf", "stereo_kf", "fused_kf", "ground")),
         ResultColumn("closing_sigma_mps", "m/s", attrgetter("closing_sigma_mps")),
         ResultColumn("ttc_sigma_s", "s", attrgetter("ttc_sigma_s")),
         ResultColumn("utc", "s", _of_frame("utc_s"), decimals=6),
@@ -106,6 +108,43 @@ def result_columns() -> tuple[ResultColumn, ...]:
     )
     names = {column.name for column in columns}
     return (*columns, *(column for column in _method_columns() if column.name not in names))
+
+
+def _method_columns() -> Iterator[ResultColumn]:
+    """Columns NAME_m and NAME_sigma_m of every ranging method and of its filter if it has one, and NAME_DETAIL."""
+    for method in methods():
+        for name in (method.name, *([f"{method.name}_kf"] if method.is_filtered else [])):
+            yield _of_method(name, "m")
+            yield _of_method(name, "sigma_m")
+        for detail in method.details:
+            yield _of_method(method.name, detail)
+
+
+def _of_method(method: str, part: str) -> ResultColumn:
+    """Column METHOD_PART of a method: m = its distance, sigma_m, else one of its details; NaN without these."""
+    attribute = {"m": "distance_m", "sigma_m": "sigma_m"}.get(part)
+
+    def read(result: FrameResult) -> FloatArray:
+        ranges: Ranges | None = result.ranges.get(method)
+        known = None if ranges is None else getattr(ranges, attribute) if attribute else ranges.details.get(part)
+        return np.full(len(result.tracks), np.nan) if known is None else known
+
+    return ResultColumn(f"{method}_{part}", "m" if attribute else "", read)
+
+
+def _of_frame(name: str) -> Callable[[FrameResult], Any]:
+    """Reads an attribute of the frame, the same for all tracks."""
+    return lambda result: np.full(len(result.tracks), getattr(result, name))
+
+
+def _axis(name: str, axis: int) -> Callable[[FrameResult], Any]:
+    """Reads one column of an (N, ...) attribute."""
+    values = attrgetter(name)
+    return lambda result: values(result)[:, axis]
+
+
+def _of_warnings(name: str) -> Callable[[FrameResult], Any]:
+    return lambda result: getattr(result.warnings or Warnings.unknown(len(result.tracks)), name)
 
 
 def column_names() -> list[str]:
@@ -132,54 +171,62 @@ def rounded(columns: Columns) -> dict[str, npt.NDArray[Any]]:
 
 
 def no_rows() -> dict[str, npt.NDArray[Any]]:
-    """Columns of a run without tracks: zero rows."""
+    """Columns of a run without tracks."""
     return {name: np.zeros(0, np.str_ if name == "class" else np.float64) for name in column_names()}
 
 
-def _method_columns() -> Iterator[ResultColumn]:
-    """Columns NAME_m and NAME_sigma_m of every ranging method and of its filter if it has one, and NAME_DETAIL."""
-    for method in methods():
-        for name in (method.name, *([f"{method.name}_kf"] if method.is_filtered else [])):
-            yield _distance(name)
-            yield _sigma(name)
-        for detail in method.details:
-            yield _detail(method.name, detail)
+def boxes_px(columns: Columns) -> FloatArray:
+    """(N, 4) boxes x1, y1, x2, y2 in pixels."""
+    return np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)
 
 
-def _of_frame(name: str) -> Callable[[FrameResult], Any]:
-    """Reads an attribute of the frame, the same for all tracks."""
-    return lambda result: np.full(len(result.tracks), getattr(result, name))
+# -- Apache Arrow, for the table in memory and tracks.parquet -------------------------------------------------------
 
 
-def _axis(name: str, axis: int) -> Callable[[FrameResult], Any]:
-    """Reads one column of an (N, ...) attribute."""
-    values = attrgetter(name)
-    return lambda result: values(result)[:, axis]
+def rows_schema(columns: Sequence[ResultColumn], metadata: Mapping[str, str] | None = None) -> pa.Schema:
+    """Schema of the rows: `class` is a dictionary of names, and the metadata of a field contains its unit."""
+    import pyarrow as pa
+
+    fields = [
+        pa.field(
+            column.name,
+            pa.dictionary(pa.int8(), pa.string())
+            if column.kind == "class"
+            else pa.from_numpy_dtype(np.dtype(_TYPES[column.kind])),
+            metadata={"unit": column.unit} if column.unit else None,
+        )
+        for column in columns
+    ]
+    return pa.schema(fields, metadata=None if metadata is None else dict(metadata))
 
 
-def _of_warnings(name: str) -> Callable[[FrameResult], Any]:
-    """Reads an attribute of the warnings."""
-    values = attrgetter(name)
-    return lambda result: values(result.warnings or Warnings.unknown(len(result.tracks)))
+def record_batch(frames: Sequence[FrameValues], columns: Sequence[ResultColumn], schema: pa.Schema) -> pa.RecordBatch:
+    """Rows of some frames, of none as well, in full precision and with the `rows_schema`; null = not measured."""
+    import pyarrow as pa
+
+    arrays = []
+    for column, parts in zip(columns, zip(*frames, strict=True) if frames else [()] * len(columns), strict=True):
+        dtype = _TYPES[column.kind]
+        values: npt.NDArray[Any]
+        if len(parts) == 1:
+            values = np.ascontiguousarray(parts[0], dtype)
+        else:
+            values = np.concatenate([*parts, np.zeros(0, dtype)], dtype=dtype, casting="unsafe")
+        if column.kind == "class":
+            arrays.append(pa.DictionaryArray.from_arrays(pa.array(values), pa.array(ROAD_CLASSES)))
+        else:
+            arrays.append(pa.array(values, from_pandas=True))  # NaN becomes null
+    return pa.record_batch(arrays, schema=schema)
 
 
-def _distance(method: str) -> ResultColumn:
-    return ResultColumn(f"{method}_m", "m", _of_method(method, attrgetter("distance_m")))
+def rounded_batch(batch: pa.RecordBatch, columns: Sequence[ResultColumn]) -> pa.RecordBatch:
+    """Rows with numbers rounded to the decimals of tracks.csv."""
+    import pyarrow as pa
 
-
-def _sigma(method: str) -> ResultColumn:
-    return ResultColumn(f"{method}_sigma_m", "m", _of_method(method, attrgetter("sigma_m")))
-
-
-def _detail(method: str, detail: str) -> ResultColumn:
-    return ResultColumn(f"{method}_{detail}", "", _of_method(method, lambda ranges: ranges.details.get(detail)))
-
-
-def _of_method(method: str, values: Callable[[Ranges], FloatArray | None]) -> Callable[[FrameResult], FloatArray]:
-    """Reads values of the ranges of a method; NaN without these."""
-
-    def read(result: FrameResult) -> FloatArray:
-        known = values(result.ranges[method]) if method in result.ranges else None
-        return np.full(len(result.tracks), np.nan) if known is None else known
-
-    return read
+    arrays = [
+        pa.array(column.rounded(values.to_numpy(zero_copy_only=False)), from_pandas=True)
+        if column.kind == "number"
+        else values
+        for values, column in zip(batch.columns, columns, strict=True)
+    ]
+    return pa.record_batch(arrays, schema=batch.schema)

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel
 
 from track_range.detection.formats.errors import LabelFileError
@@ -24,19 +23,24 @@ from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_json, read_yaml
 from track_range.foundation.validation import Number, PositiveNumber, validated
 from track_range.ranging.evaluation.truth import Truth, read_truth
-from track_range.results.columns import Columns, column_names, methods_measured, no_rows, rounded
+from track_range.results.columns import Columns, boxes_px, column_names, methods_measured, no_rows, rounded
 from track_range.results.events.event import Event
 from track_range.results.events.files import EVENTS_FILE, EventFileError, read_events
-from track_range.results.events.finder import EventFinder
-from track_range.results.events.summary import events_section
+from track_range.results.events.finder import events_of
 from track_range.results.formats.csv_file import TABLE_FILE, read_tracks_csv
 from track_range.results.formats.parquet_file import PARQUET_FILE, STREAM_FILE, read_tracks_arrows, read_tracks_parquet
 from track_range.results.progress_note import describe_progress
 from track_range.results.provenance import Provenance, settings_hash
 from track_range.results.replay import frames_of_rows
-from track_range.results.summary import range_scores, track_scores
+from track_range.results.summary import (
+    MatchedTruth,
+    events_section,
+    matched_truth,
+    range_scores,
+    track_scores,
+    with_truth,
+)
 from track_range.results.summary_shape import valid_summary
-from track_range.results.truth import MatchedTruth, matched_truth, with_truth
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.geometry.rig_checks import ImageSide
@@ -47,29 +51,15 @@ Sections = Mapping[str, Any]
 _NEEDED_COLUMNS = frozenset(("frame", "time_s", "track_id", "class", "x1_px", "y1_px", "x2_px", "y2_px"))
 """Required columns; files of earlier versions may lack others."""
 
-_MAX_FRAME = 1e9
-"""Largest plausible frame number: a year at 30 Hz."""
-
-_MAX_VALUE = 1e10
-"""Largest plausible absolute value of a distance, speed or score."""
-
-_LATEST = {"time_s": 1e9, "utc": 4e9}
-"""Largest plausible times in seconds: 30 years of video, and the year 2096."""
-
+_MAX_FRAME = 1e9  # a year at 30 Hz
+_MAX_VALUE = 1e10  # absolute value of a distance, speed or score
+_LATEST = {"time_s": 1e9, "utc": 4e9}  # seconds: 30 years of video, and the year 2096
 _MAX_EDGE_PX = 1e6
-"""Largest plausible pixel coordinate."""
+_MAX_TRACK_ID = 2.0**53  # up to which all integers are exact in float64
 
-_LARGEST = 2.0**53
-"""Largest integer up to which all integers are exact in float64."""
-
-_MAX_SUMMARY_BYTES = 50_000_000
-"""Size limit of a summary.json, bytes; that of a long run has less than 1 MB."""
-
-_MOST_NAMED = 5
-"""Maximum number of values of wrong types that a note names."""
-
-_MAX_BEYOND_S = 1.0
-"""Tolerance for events after the last row or the end of the video, s."""
+_MAX_SUMMARY_BYTES = 50_000_000  # that of a long run has less than 1 MB
+_MAX_NAMED = 5  # values of wrong types that a note names
+_MAX_BEYOND_S = 1.0  # tolerance for events after the last row or the end of the video
 
 _DEFAULT_FPS, _MAX_FPS = 10.0, 10_000.0
 """Frame rate where settings.yaml has none, as for folders of images, and largest plausible one."""
@@ -86,12 +76,12 @@ class RunFolder:
         folder: folder of the results.
         summary: content of summary.json, or what can be computed from the rows; its notes begin with `missing`.
         columns: rows by column, with `truth_m` and `scored_truth_m` if the ground truth can be read.
+        settings: section `run` of settings.yaml; empty without that file.
+        missing: messages about files that are missing or cannot be read.
         events: events of the run; those of a killed run, or of one with a damaged events.csv, are found again from
             the rows.
         are_events_replayed: whether the events were found again from the rows.
         provenance: software, model, calibration and settings of the results.
-        settings: section `run` of settings.yaml; empty without that file.
-        missing: messages about files that are missing or cannot be read.
     """
 
     folder: Path
@@ -102,163 +92,6 @@ class RunFolder:
     events: tuple[Event, ...] = ()
     are_events_replayed: bool = False
     provenance: Provenance = field(default_factory=Provenance)
-
-
-def read_run_folder(folder: Path, *, is_rounded: bool = True, has_events: bool = True) -> RunFolder:
-    """Read the files of a run.
-
-    Args:
-        folder: folder of the results.
-        is_rounded: whether numbers are rounded as in tracks.csv; False = full precision, if the run wrote
-            tracks.parquet.
-        has_events: whether the events are read; False = none.
-
-    Raises:
-        OutputError: the folder does not contain a run, or the file of its rows has other columns.
-    """
-    if not folder.is_dir():
-        raise OutputError(f"{folder}: expected the result folder of a run, found no such folder.")
-    missing: list[str] = []
-    summary, settings = _summary_of(folder, missing), _settings_of(folder, missing)
-    columns = _columns_of(folder, missing, is_rounded=is_rounded)
-    if summary is None and columns is None:
-        if (progress := describe_progress(folder)) is not None:
-            raise OutputError(f"{folder}: no frames yet: {progress}.")
-        raise OutputError(
-            f"{folder}: expected the result folder of a run, found neither rows (tracks.csv, tracks.parquet) nor "
-            "summary.json in it."
-        )
-    run = _section(settings, "run")
-    rows = no_rows() if columns is None else columns
-    truth = _truth_of(run, _section(settings, "found"), missing)
-    matched = None if truth is None else matched_truth(rows, truth)
-    if matched is not None:
-        rows = with_truth(rows, matched)
-    events = _events_of(folder, rows, summary, missing) if has_events and summary is not None else None
-    replayed = has_events and events is None
-    summary = _summary_from_rows(rows, matched, run) if summary is None else summary
-    if replayed:
-        events = _replayed_events(folder, rows, settings)
-        summary["events"] = events_section(events, _seconds(rows, settings))
-    summary = _checked_summary(folder, summary, settings, missing)
-    return RunFolder(
-        folder=folder,
-        summary=summary,
-        columns=rows,
-        settings=run,
-        missing=tuple(missing),
-        events=events or (),
-        are_events_replayed=replayed,
-        provenance=Provenance.of_inputs(_section(settings, "found"), settings_hash(run)),
-    )
-
-
-def _section(document: Sections, name: str) -> dict[str, Any]:
-    section = document.get(name)
-    return dict(section) if isinstance(section, dict) else {}
-
-
-def _summary_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
-    file = folder / "summary.json"
-    if not file.exists():
-        missing.append(
-            f"summary.json is missing: {describe_progress(folder) or 'the run was killed'}. Stage times, alignment and "
-            "notes are unknown; the other results are computed from the rows."
-        )
-        return None
-    try:
-        summary = read_json(file, OutputError, "the summary of a run", max_bytes=_MAX_SUMMARY_BYTES)
-    except OutputError:
-        summary = None
-    if not isinstance(summary, dict):
-        missing.append("summary.json cannot be read: results are computed from the rows.")
-        return None
-    return summary
-
-
-def _settings_of(folder: Path, missing: list[str]) -> dict[str, Any]:
-    try:
-        settings = read_yaml(folder / "settings.yaml", OutputError, "the settings of a run")
-    except OutputError:
-        missing.append("settings.yaml is missing or cannot be read: the settings of the run are unknown.")
-        return {}
-    return settings if isinstance(settings, dict) else {}
-
-
-def _columns_of(folder: Path, missing: list[str], *, is_rounded: bool) -> dict[str, Any] | None:
-    in_full = (PARQUET_FILE, STREAM_FILE)  # the stream of a run in progress, or of one that was killed
-    for name in (TABLE_FILE, *in_full) if is_rounded else (*in_full, TABLE_FILE):
-        if (folder / name).is_file():
-            columns = read_run_rows(folder / name, missing)
-            return rounded(columns) if is_rounded and name in in_full else columns
-    missing.append(f"{TABLE_FILE} is missing, and so is {PARQUET_FILE}: there are no charts of tracks.")
-    return None
-
-
-def _events_of(folder: Path, rows: Columns, summary: Sections, missing: list[str]) -> tuple[Event, ...] | None:
-    """Events of a finished run; none of a run of an earlier version, None if the file is missing or damaged."""
-    path = folder / EVENTS_FILE
-    section = _section(summary, "events")
-    if not path.exists() and not section:
-        return ()
-    try:
-        events = read_events(path)
-    except EventFileError as error:
-        missing.append(f"{EVENTS_FILE} cannot be read, so events were found again from the rows ({error})")
-        return None
-    hours, starts_s = (
-        value if isinstance(value, int | float) else 0.0 for value in (section.get("hours"), summary.get("starts_s"))
-    )
-    last_s = max(float(np.max(rows["time_s"], initial=0.0)), starts_s + 3600 * hours)
-    inside = tuple(event for event in events if event.start_s <= last_s + _MAX_BEYOND_S)
-    if n_beyond := len(events) - len(inside):
-        missing.append(
-            f"{n_beyond} of {len(events)} events of {EVENTS_FILE} start after the end of the video at {last_s:.1f} s "
-            "and were ignored."
-        )
-    return inside
-
-
-def _replayed_events(folder: Path, rows: Columns, settings: Sections) -> tuple[Event, ...]:
-    """Events found again from the rows, in full precision if the folder contains a file with them."""
-    path = next((folder / name for name in (PARQUET_FILE, STREAM_FILE) if (folder / name).is_file()), None)
-    if path is not None:
-        with suppress(OutputError):  # the rounded rows are used
-            rows = read_run_rows(path, [])
-    order = np.argsort(rows["frame"], kind="stable")
-    rows = {name: values[order] for name, values in rows.items()}
-    finder = EventFinder()
-    frames = np.unique(rows["frame"]).astype(np.int64).tolist()
-    for result in frames_of_rows(rows, frames, methods_measured(rows), _fps(settings)):
-        finder.update(result)
-    return finder.finish()
-
-
-def _fps(settings: Sections) -> float:
-    """Nominal frame rate from settings.yaml; that of folders of images if it is unknown."""
-    fps = _section(settings, "found").get("fps")
-    return float(fps) if isinstance(fps, int | float) and 0 < fps <= _MAX_FPS else _DEFAULT_FPS
-
-
-def _seconds(rows: Columns, settings: Sections) -> float:
-    """Duration of the video in which there are rows, in seconds."""
-    time_s = rows["time_s"]
-    return float(np.ptp(time_s)) + 1 / _fps(settings) if len(time_s) else 0.0
-
-
-def _truth_of(run: Sections, detected: Sections, missing: list[str]) -> Truth | None:
-    """Ground truth of the run; None if there was none or it can no longer be read."""
-    if not run.get("truth"):
-        return None
-    try:
-        facts = validated(DetectedCamera, detected, "settings.yaml, found", OutputError)
-        shift_m = np.zeros(3)
-        if facts.rig:
-            shift_m = left_from_reference_m(facts.rig, is_grey=False, size_px=facts.image_size_px)
-        return read_truth(Path(str(run["truth"])), facts.camera(), shift_m)
-    except (LabelFileError, RigError, OutputError) as error:
-        missing.append(f"The ground truth cannot be read, so charts do not show it ({str(error).rstrip('.')}).")
-        return None
 
 
 class DetectedCamera(BaseModel):
@@ -276,47 +109,196 @@ class DetectedCamera(BaseModel):
         return PinholeCamera(self.focal_px, focal_y_px, *self.principal_point_px, *self.image_size_px)
 
 
-def _summary_from_rows(columns: Columns, matched: MatchedTruth | None, run: Sections) -> dict[str, Any]:
-    """Sections of a summary that can be computed from the rows."""
-    truth = None if matched is None else matched.truth
-    frame = columns["frame"].astype(np.int64)
-    first, last = (int(frame.min()), int(frame.max())) if len(frame) else (0, -1)
-    labelled = np.zeros(0, np.int64) if truth is None else np.unique(truth.frame)
-    methods = tuple(name for name in methods_measured(columns) if f"{name}_sigma_m" in columns)
-    inputs = {key: run[key] for key in _INPUTS if key in run}
-    if isinstance(run.get("stereo"), list) and len(run["stereo"]) == 2:
-        inputs = {"left": run["stereo"][0], "right": run["stereo"][1], **inputs}
-    return {
-        "frames": last - first + 1,
-        **range_scores(columns, matched, methods),
-        "tracks": track_scores(columns, truth, labelled[(labelled >= first) & (labelled <= last)]),
-        "truth": truth.protocol if truth is not None else None,
-        "inputs": inputs,
-        "files": {"overlay": "overlay.mp4"} if run.get("overlay", True) else {},
-    }
+def read_run_folder(folder: Path, *, is_rounded: bool = True, has_events: bool = True) -> RunFolder:
+    """Read the files of a run.
 
+    Args:
+        folder: folder of the results.
+        is_rounded: whether numbers are rounded as in tracks.csv; False = full precision, if the run wrote
+            tracks.parquet.
+        has_events: whether the events are read; False = none.
 
-def _checked_summary(folder: Path, summary: Sections, settings: Sections, missing: list[str]) -> dict[str, Any]:
-    """Summary with the camera and the settings from settings.yaml, without files that do not exist.
-
-    Values of wrong types are omitted; missing files and omitted values are added to the notes.
+    Raises:
+        OutputError: the folder does not contain a run, or the file of its rows has other columns.
     """
-    files = _section(summary, "files")
-    absent = [name for name in files.values() if not os.path.isfile(folder / str(name))]
-    missing += [f"{name} is missing and cannot be shown." for name in absent]
-    detected = _section(settings, "found")
-    camera = {key: detected[key] for key in ("focal_px", "baseline_m", "versions") if detected.get(key) is not None}
-    run = {key: value for key, value in _section(settings, "run").items() if value not in ([], {})}
-    merged = {**camera, "settings": run, "starts_s": run.get("start_s", 0.0), **summary}
-    merged["files"] = {key: name for key, name in files.items() if name not in absent}
-    checked, invalid = valid_summary(merged)
-    if invalid:
-        more = "" if len(invalid) <= _MOST_NAMED else f" and {len(invalid) - _MOST_NAMED} more"
-        missing.append(
-            f"summary.json and settings.yaml contain values of unexpected types, which are ignored: "
-            f"{', '.join(invalid[:_MOST_NAMED])}{more}."
+    if not folder.is_dir():
+        raise OutputError(f"{folder}: expected the result folder of a run, found no such folder.")
+    return _Reader(folder).run(is_rounded=is_rounded, has_events=has_events)
+
+
+class _Reader:
+    """Reader of one folder; what is missing in it is collected as messages for the user."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.missing: list[str] = []
+        self.summary = self._read_summary()
+        settings: Any = None
+        try:
+            settings = read_yaml(folder / "settings.yaml", OutputError, "the settings of a run")
+        except OutputError:
+            self.missing.append("settings.yaml is missing or cannot be read: the settings of the run are unknown.")
+        settings = settings if isinstance(settings, dict) else {}
+        self.settings, self.found = _section(settings, "run"), _section(settings, "found")
+
+    def _read_summary(self) -> dict[str, Any] | None:
+        file = self.folder / "summary.json"
+        if not file.exists():
+            self.missing.append(
+                f"summary.json is missing: {describe_progress(self.folder) or 'the run was killed'}. Stage times, "
+                "alignment and notes are unknown; the other results are computed from the rows."
+            )
+            return None
+        with suppress(OutputError):
+            summary = read_json(file, OutputError, "the summary of a run", max_bytes=_MAX_SUMMARY_BYTES)
+            if isinstance(summary, dict):
+                return summary
+        self.missing.append("summary.json cannot be read: results are computed from the rows.")
+        return None
+
+    def run(self, *, is_rounded: bool, has_events: bool) -> RunFolder:
+        """The run; see `read_run_folder`."""
+        columns = self._columns(is_rounded=is_rounded)
+        if self.summary is None and columns is None:
+            progress = describe_progress(self.folder)
+            raise OutputError(
+                f"{self.folder}: no frames yet: {progress}."
+                if progress is not None
+                else f"{self.folder}: expected the result folder of a run, found neither rows (tracks.csv, "
+                "tracks.parquet) nor summary.json in it."
+            )
+        rows = no_rows() if columns is None else columns
+        truth = self._truth()
+        matched = None if truth is None else matched_truth(rows, truth)
+        if matched is not None:
+            rows = with_truth(rows, matched)
+        events = self._events(rows, self.summary) if has_events and self.summary is not None else None
+        is_replayed = has_events and events is None
+        summary = self._summary_from_rows(rows, matched) if self.summary is None else self.summary
+        if is_replayed:
+            fps = self.found.get("fps")
+            fps = float(fps) if isinstance(fps, int | float) and 0 < fps <= _MAX_FPS else _DEFAULT_FPS
+            events = self._replayed_events(rows, fps)
+            seconds = float(np.ptp(rows["time_s"])) + 1 / fps if len(rows["time_s"]) else 0.0
+            summary["events"] = events_section(events, seconds)
+        summary = self._checked(summary)
+        return RunFolder(
+            folder=self.folder,
+            summary=summary,
+            columns=rows,
+            settings=self.settings,
+            missing=tuple(self.missing),
+            events=events or (),
+            are_events_replayed=is_replayed,
+            provenance=Provenance.of_inputs(self.found, settings_hash(self.settings)),
         )
-    return {**checked, "notes": [*missing, *(checked.get("notes") or [])]}
+
+    def _columns(self, *, is_rounded: bool) -> dict[str, Any] | None:
+        in_full = (PARQUET_FILE, STREAM_FILE)  # the stream of a run in progress, or of one that was killed
+        for name in (TABLE_FILE, *in_full) if is_rounded else (*in_full, TABLE_FILE):
+            if (self.folder / name).is_file():
+                columns = read_run_rows(self.folder / name, self.missing)
+                return rounded(columns) if is_rounded and name in in_full else columns
+        self.missing.append(f"{TABLE_FILE} is missing, and so is {PARQUET_FILE}: there are no charts of tracks.")
+        return None
+
+    def _truth(self) -> Truth | None:
+        """Ground truth of the run; None if there was none or it can no longer be read."""
+        if not self.settings.get("truth"):
+            return None
+        try:
+            facts = validated(DetectedCamera, self.found, "settings.yaml, found", OutputError)
+            shift_m = np.zeros(3)
+            if facts.rig:
+                shift_m = left_from_reference_m(facts.rig, is_grey=False, size_px=facts.image_size_px)
+            return read_truth(Path(str(self.settings["truth"])), facts.camera(), shift_m)
+        except (LabelFileError, RigError, OutputError) as error:
+            reason = str(error).rstrip(".")
+            self.missing.append(f"The ground truth cannot be read, so charts do not show it ({reason}).")
+            return None
+
+    def _events(self, rows: Columns, summary: Sections) -> tuple[Event, ...] | None:
+        """Events of a finished run; none of a run of an earlier version, None if the file is missing or damaged."""
+        path = self.folder / EVENTS_FILE
+        section = _section(summary, "events")
+        if not path.exists() and not section:
+            return ()
+        try:
+            events = read_events(path)
+        except EventFileError as error:
+            self.missing.append(f"{EVENTS_FILE} cannot be read, so events were found again from the rows ({error})")
+            return None
+        hours, starts_s = (
+            value if isinstance(value, int | float) else 0.0
+            for value in (section.get("hours"), summary.get("starts_s"))
+        )
+        last_s = max(float(np.max(rows["time_s"], initial=0.0)), starts_s + 3600 * hours)
+        inside = tuple(event for event in events if event.start_s <= last_s + _MAX_BEYOND_S)
+        if n_beyond := len(events) - len(inside):
+            self.missing.append(
+                f"{n_beyond} of {len(events)} events of {EVENTS_FILE} start after the end of the video at "
+                f"{last_s:.1f} s and were ignored."
+            )
+        return inside
+
+    def _replayed_events(self, rows: Columns, fps: float) -> tuple[Event, ...]:
+        """Events found again from the rows, in full precision if the folder contains a file with them."""
+        path = next((path for name in (PARQUET_FILE, STREAM_FILE) if (path := self.folder / name).is_file()), None)
+        if path is not None:
+            with suppress(OutputError):  # the rounded rows are used
+                rows = read_run_rows(path, [])
+        order = np.argsort(rows["frame"], kind="stable")
+        rows = {name: values[order] for name, values in rows.items()}
+        frames = np.unique(rows["frame"]).astype(np.int64).tolist()
+        return events_of(frames_of_rows(rows, frames, methods_measured(rows), fps))
+
+    def _summary_from_rows(self, columns: Columns, matched: MatchedTruth | None) -> dict[str, Any]:
+        """Sections of a summary that can be computed from the rows."""
+        truth = None if matched is None else matched.truth
+        frame = columns["frame"].astype(np.int64)
+        first, last = (int(frame.min()), int(frame.max())) if len(frame) else (0, -1)
+        labelled = np.zeros(0, np.int64) if truth is None else np.unique(truth.frame)
+        methods = tuple(name for name in methods_measured(columns) if f"{name}_sigma_m" in columns)
+        inputs = {key: self.settings[key] for key in _INPUTS if key in self.settings}
+        stereo = self.settings.get("stereo")
+        if isinstance(stereo, list) and len(stereo) == 2:
+            inputs = {"left": stereo[0], "right": stereo[1], **inputs}
+        return {
+            "frames": last - first + 1,
+            **range_scores(columns, matched, methods),
+            "tracks": track_scores(columns, truth, labelled[(labelled >= first) & (labelled <= last)]),
+            "truth": truth.protocol if truth is not None else None,
+            "inputs": inputs,
+            "files": {"overlay": "overlay.mp4"} if self.settings.get("overlay", True) else {},
+        }
+
+    def _checked(self, summary: Sections) -> dict[str, Any]:
+        """Summary with the camera and the settings from settings.yaml, without files that do not exist.
+
+        Values of wrong types are omitted; missing files and omitted values are added to the notes.
+        """
+        files = _section(summary, "files")
+        absent = [name for name in files.values() if not os.path.isfile(self.folder / str(name))]
+        self.missing += [f"{name} is missing and cannot be shown." for name in absent]
+        camera = {
+            key: self.found[key] for key in ("focal_px", "baseline_m", "versions") if self.found.get(key) is not None
+        }
+        settings = {key: value for key, value in self.settings.items() if value not in ([], {})}
+        merged = {**camera, "settings": settings, "starts_s": settings.get("start_s", 0.0), **summary}
+        merged["files"] = {key: name for key, name in files.items() if name not in absent}
+        checked, invalid = valid_summary(merged)
+        if invalid:
+            more = "" if len(invalid) <= _MAX_NAMED else f" and {len(invalid) - _MAX_NAMED} more"
+            self.missing.append(
+                f"summary.json and settings.yaml contain values of unexpected types, which are ignored: "
+                f"{', '.join(invalid[:_MAX_NAMED])}{more}."
+            )
+        return {**checked, "notes": [*self.missing, *(checked.get("notes") or [])]}
+
+
+def _section(document: Sections, name: str) -> dict[str, Any]:
+    section = document.get(name)
+    return dict(section) if isinstance(section, dict) else {}
 
 
 def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
@@ -329,15 +311,24 @@ def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
     Raises:
         OutputError: the file cannot be read, is not of a run, or all of its rows are malformed.
     """
-    columns, is_cut = _read_rows(path)
+    if path.suffix == ".arrows":
+        columns, is_cut = read_tracks_arrows(path)
+    elif path.suffix == ".parquet":
+        columns, is_cut = read_tracks_parquet(path), False
+    else:
+        columns = read_tracks_csv(path)
+        with path.open("rb") as file:
+            file.seek(-1, os.SEEK_END)  # the file contains at least a header
+            is_cut = file.read() != b"\n"
     if not columns.keys() >= _NEEDED_COLUMNS:
         raise OutputError(
             f"{path}: expected the {path.name} of a run, but columns are missing: "
             f"{', '.join(sorted(_NEEDED_COLUMNS - columns.keys()))}."
         )
     is_valid = valid_rows(columns)
-    n_invalid = int(np.sum(~is_valid))
-    if n_invalid and n_invalid == len(is_valid):
+    n_rows = int(np.sum(is_valid))
+    n_invalid = len(is_valid) - n_rows
+    if n_invalid and not n_rows:
         raise OutputError(
             f"{path}: expected rows with frame numbers, times, track IDs and boxes, found only malformed ones "
             f"({n_invalid}); repeat the run or restore the file."
@@ -346,41 +337,22 @@ def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
         missing.append(f"{n_invalid} of {len(is_valid)} rows of {path.name} are malformed and were ignored.")
     if is_cut:
         missing.append(f"{path.name} ends in the middle of a row, so later rows are missing.")
-    n_rows = int(np.sum(is_valid))
     # Columns that an earlier version did not write are empty, except sigmas, which mark the methods to be scored.
-    empty = {name: np.full(n_rows, np.nan) for name in column_names() if not name.endswith("_sigma_m")}
-    return empty | {name: _finite(values[is_valid]) for name, values in columns.items()}
-
-
-def _finite(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Values with NaN, not measured, for infinite ones."""
-    return values if values.dtype.kind == "U" else np.where(np.isinf(values), np.nan, values)
-
-
-def _read_rows(path: Path) -> tuple[Columns, bool]:
-    """Columns of a file of rows, and whether it ends within a row or frame."""
-    if path.suffix == ".parquet":
-        return read_tracks_parquet(path), False
-    if path.suffix == ".arrows":
-        return read_tracks_arrows(path)
-    return read_tracks_csv(path), _ends_within_a_row(path)
-
-
-def _ends_within_a_row(path: Path) -> bool:
-    with path.open("rb") as file:
-        file.seek(-1, os.SEEK_END)  # the file contains at least a header
-        return file.read() != b"\n"
+    rows: dict[str, Any] = {name: np.full(n_rows, np.nan) for name in column_names() if not name.endswith("_sigma_m")}
+    for name, values in columns.items():
+        rows[name] = values[is_valid]
+        if name != "class":
+            rows[name] = np.where(np.isinf(rows[name]), np.nan, rows[name])
+    return rows
 
 
 def valid_rows(columns: Columns) -> BoolArray:
     """(N,) mask of rows with a frame number, a time, a track ID that is unique in the frame, and a box."""
-    frame, track_id = columns["frame"], columns["track_id"]
-    edges = np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)
-    is_valid: BoolArray = np.isfinite(columns["time_s"]) & np.isfinite(edges).all(axis=1)
-    is_valid &= (np.abs(edges) <= _MAX_EDGE_PX).all(axis=1)
+    frame, track_id, edges_px = columns["frame"], columns["track_id"], boxes_px(columns)
+    is_valid: BoolArray = np.isfinite(columns["time_s"]) & (np.abs(edges_px) <= _MAX_EDGE_PX).all(axis=1)
     for name in columns.keys() - {"frame", "track_id", "class"}:
         is_valid &= ~np.isfinite(columns[name]) | (np.abs(columns[name]) <= _LATEST.get(name, _MAX_VALUE))
-    for number, lowest, highest in ((frame, 0, _MAX_FRAME), (track_id, 1, _LARGEST)):
+    for number, lowest, highest in ((frame, 0, _MAX_FRAME), (track_id, 1, _MAX_TRACK_ID)):
         is_valid &= (number >= lowest) & (number <= highest) & (number == np.floor(number))
     rows = np.flatnonzero(is_valid)
     _, first = np.unique(np.stack([frame, track_id], axis=1)[rows], axis=0, return_index=True)

@@ -39,11 +39,7 @@ class ProgressNote:
     frames: int = 0
 
     def write(self, folder: Path) -> None:
-        """Write progress.json so that a reader sees the complete old or new note.
-
-        Raises:
-            OutputError: the file cannot be written.
-        """
+        """Write progress.json atomically; OutputError if it cannot be written."""
         path = folder / PROGRESS_FILE
         try:
             # Not flushed to the disk: the note is of use after a kill, not after a power failure.

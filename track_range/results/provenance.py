@@ -18,16 +18,8 @@ from track_range.foundation.schema_version import METADATA_PREFIX, SCHEMA_VERSIO
 
 _NOT_HASHED = frozenset(
     (
-        "out",
-        "table",
-        "write",
-        "mcap_profile",
-        "mcap_images",
-        "overlay",
-        "clips",
-        "keep_gps",
-        "disparity",
-        "overlay_disparity",
+        *("out", "table", "write", "mcap_profile", "mcap_images", "overlay", "clips", "keep_gps"),
+        *("disparity", "overlay_disparity"),
     )
 )
 """Settings of the output files, which do not affect the rows."""
@@ -59,17 +51,12 @@ class Provenance:
 
     @classmethod
     def of_inputs(cls, detected: Mapping[str, Any], settings_hash: str) -> Self:
-        """Origin of the results of a run, from section `found` of its settings.yaml.
-
-        Args:
-            detected: properties of the opened inputs; a file of an earlier version may lack some.
-            settings_hash: hash of the settings.
-        """
+        """Origin of a run's results, from section `found` of its settings.yaml, which may lack values."""
         versions, file, utc = detected.get("versions"), detected.get("rig"), detected.get("utc")
-        of_run = versions.get("track-range") if isinstance(versions, Mapping) else None
+        run_version = versions.get("track-range") if isinstance(versions, Mapping) else None
         rig = {"calibration": detected.get("calibration"), "file": os.path.basename(str(file)) if file else None}
         return cls(
-            version=of_run if isinstance(of_run, str) else version("track-range"),
+            version=run_version if isinstance(run_version, str) else version("track-range"),
             model={key: detected[key] for key in _MODEL if key in detected},
             rig={**rig, **{key: detected[key] for key in _RIG if key in detected}},
             settings_hash=settings_hash,
@@ -104,12 +91,12 @@ def settings_hash(run: Mapping[str, Any]) -> str:
 
 def _canonical(section: Mapping[str, Any]) -> str:
     """JSON with sorted keys; dates and other values that only YAML has are written as text."""
-    return json.dumps(_plain(section), sort_keys=True, separators=(",", ":"), ensure_ascii=True)
 
+    def plain(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {str(key): plain(part) for key, part in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(part) for part in value]
+        return value if value is None or isinstance(value, str | int | float) else str(value)
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(part) for part in value]
-    return value if value is None or isinstance(value, str | int | float) else str(value)
+    return json.dumps(plain(section), sort_keys=True, separators=(",", ":"), ensure_ascii=True)

@@ -12,8 +12,7 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods as ranging_methods
 from track_range.ranging.warning.warnings import Warnings
-from track_range.results.columns import Columns, methods_with_sigma
-from track_range.results.truth import boxes_px
+from track_range.results.columns import Columns, boxes_px, methods_with_sigma
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
@@ -31,11 +30,17 @@ def frames_of_rows(
         methods: names of the distances that were measured.
         fps: nominal frame rate.
     """
-    time_s = _Times(columns, fps)
-    utc_s = columns.get("utc", np.full(len(columns["frame"]), np.nan))  # files of earlier versions have none
-    ego_mps = columns.get("ego_mps", np.full(len(columns["frame"]), np.nan))
-    warnings = _warnings(columns)
-    measured = [name for name in methods_with_sigma() if name in set(methods)]
+    frame = columns["frame"]
+    known_frame, first_row = np.unique(frame, return_index=True)
+    known_s = columns["time_s"][first_row]
+    unknown = np.full(len(frame), np.nan)  # files of earlier versions lack some columns
+    utc_s, ego_mps = columns.get("utc", unknown), columns.get("ego_mps", unknown)
+    warnings = None
+    if "contact_probability" in columns and "warning" in columns:
+        path_offset_m = columns.get("path_offset_m", unknown)
+        warnings = Warnings(columns["contact_probability"], columns["warning"] > 0, path_offset_m)
+    methods = set(methods)
+    measured = [name for name in methods_with_sigma() if name in methods]
     details = {
         method.name: [key for key in method.details if f"{method.name}_{key}" in columns]
         for method in ranging_methods()
@@ -44,11 +49,15 @@ def frames_of_rows(
     track_id, boxes = columns["track_id"].astype(np.int64), boxes_px(columns)
     observed = columns["observed"] > 0
     for index in frame_index:
-        first, last = np.searchsorted(columns["frame"], [index, index + 1]).tolist()
+        time_s = index / fps
+        if len(known_frame):  # between the frames with rows interpolated, beyond them at the frame rate
+            nearest = np.clip(index, known_frame[0], known_frame[-1])
+            time_s = max(float(np.interp(nearest, known_frame, known_s) + (index - nearest) / fps), 0.0)
+        first, last = np.searchsorted(frame, [index, index + 1]).tolist()
         rows = slice(first, last)
         ids = track_id[rows]
         yield FrameResult(
-            frame=Frame(index, time_s.at(index), _NO_IMAGE, None, float(utc_s[first]) if last > first else math.nan),
+            frame=Frame(index, time_s, _NO_IMAGE, None, float(utc_s[first]) if last > first else math.nan),
             tracks=Tracks(ids, boxes[rows], class_id[rows], columns["score"][rows], observed[rows]),
             ranges={
                 name: Ranges(
@@ -67,33 +76,3 @@ def frames_of_rows(
             ego_mps=float(ego_mps[first]) if last > first else math.nan,
             warnings=None if warnings is None else warnings.select(rows),
         )
-
-
-def _warnings(columns: Columns) -> Warnings | None:
-    """Warnings of all rows; None in files of earlier versions, which have none."""
-    if "contact_probability" not in columns or "warning" not in columns:
-        return None
-    path_offset_m = columns.get("path_offset_m", np.full(len(columns["frame"]), np.nan))
-    return Warnings(columns["contact_probability"], columns["warning"] > 0, path_offset_m)
-
-
-class _Times:
-    """Times of the frames of a run: those of the rows, interpolated or at the frame rate where there are none.
-
-    Args:
-        columns: rows in the order of their frames.
-        fps: nominal frame rate.
-    """
-
-    def __init__(self, columns: Columns, fps: float) -> None:
-        self._frame, rows = np.unique(columns["frame"], return_index=True)
-        self._time_s = columns["time_s"][rows]
-        self._fps = fps
-
-    def at(self, index: int) -> float:
-        """Time of a frame in seconds."""
-        if not len(self._frame):
-            return index / self._fps
-        nearest = np.clip(index, self._frame[0], self._frame[-1])
-        time_s = np.interp(nearest, self._frame, self._time_s) + (index - nearest) / self._fps
-        return max(float(time_s), 0.0)

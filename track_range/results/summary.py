@@ -1,4 +1,4 @@
-"""summary.json: coverage and errors of the methods, tracking metrics and run times.
+"""Sections of summary.json: coverage and errors of the methods, tracking metrics, events, run times.
 
 Figures without `_pct` are fractions 0..1, except MOT metrics, which are in per cent, and counts.
 """
@@ -6,29 +6,75 @@ Figures without `_pct` are fractions 0..1, except MOT metrics, which are in per 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
-from dataclasses import asdict
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
-from track_range.foundation.arrays import IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.files.output_files import write_text
 from track_range.ranging.evaluation.errors import (
     BANDS_M,
     MethodColumn,
     coverage_only,
+    match_truth,
     score_closing,
     score_methods,
 )
 from track_range.ranging.evaluation.truth import Truth
-from track_range.results.columns import Columns, methods_with_sigma
-from track_range.results.truth import MatchedTruth, boxes_px
+from track_range.results.columns import Columns, boxes_px, methods_with_sigma
+from track_range.results.events.event import EVENT_KINDS, Event, severity_key
+from track_range.results.events.files import rounded_values
 from track_range.tracking.evaluation.benchmark_rules import MIN_HEIGHT_PX
 from track_range.tracking.evaluation.scores import evaluate_tracks
 from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, TrackedBoxes
+
+
+@dataclass(frozen=True, slots=True)
+class MatchedTruth:
+    """Ground truth of N rows (a track in a frame each).
+
+    Attributes:
+        truth: the labels.
+        row: (N,) index of the matching label in `truth`; -1 = no match.
+    """
+
+    truth: Truth
+    row: IntArray
+
+    @property
+    def distance_m(self) -> FloatArray:
+        """(N,) true distances; NaN = no match."""
+        return self.of_labels(self.truth.distance_m, np.nan)
+
+    @property
+    def is_scored(self) -> BoolArray:
+        """(N,) mask of the rows that match a label of a road class at a distance in `BANDS_M`."""
+        return self.is_road_class & (self.distance_m >= BANDS_M[0]) & (self.distance_m <= BANDS_M[-1])
+
+    @property
+    def is_road_class(self) -> BoolArray:
+        """(N,) mask of the rows that match a label of a road class, not a van or tram."""
+        return self.of_labels(self.truth.class_id, -1) >= 0
+
+    def of_labels(self, values: npt.NDArray[Any], unmatched: Any) -> npt.NDArray[Any]:
+        """(N,) values of the matching labels, from those of all labels; `unmatched` for rows without a match."""
+        return np.where(self.row >= 0, np.append(values, unmatched)[self.row], unmatched)
+
+
+def matched_truth(columns: Columns, truth: Truth) -> MatchedTruth:
+    """Ground truth matched to the rows of a run by frame and box overlap."""
+    return MatchedTruth(truth, match_truth(columns["frame"].astype(np.int64), boxes_px(columns), truth))
+
+
+def with_truth(columns: Columns, matched: MatchedTruth) -> dict[str, Any]:
+    """Columns with `truth_m`, the true distance, and `scored_truth_m`, only of objects that count for the errors."""
+    truth_m = matched.distance_m
+    return {**columns, "truth_m": truth_m, "scored_truth_m": np.where(matched.is_scored, truth_m, np.nan)}
 
 
 def range_scores(columns: Columns, matched: MatchedTruth | None, methods: Collection[str]) -> dict[str, Any]:
@@ -38,12 +84,10 @@ def range_scores(columns: Columns, matched: MatchedTruth | None, methods: Collec
     by_name = {name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"]) for name in names}
     if matched is None:
         return {"methods": coverage_only(by_name), "common": {}}
-    true_m, is_road_class = matched.distance_m, matched.is_road_class
     kitti_type = matched.of_labels(matched.truth.kitti_type, "")
-    own, common = score_methods(by_name, true_m, is_road_class=is_road_class, kitti_type=kitti_type)
-    in_range = is_road_class & (true_m >= BANDS_M[0]) & (true_m <= BANDS_M[-1])
-    true_closing_mps = np.where(in_range, matched.of_labels(matched.truth.closing_mps, np.nan), np.nan)
-    closing = score_closing(columns["closing_mps"], columns["closing_sigma_mps"], true_closing_mps)
+    own, common = score_methods(by_name, matched.distance_m, is_road_class=matched.is_road_class, kitti_type=kitti_type)
+    true_mps = np.where(matched.is_scored, matched.of_labels(matched.truth.closing_mps, np.nan), np.nan)
+    closing = score_closing(columns["closing_mps"], columns["closing_sigma_mps"], true_mps)
     return {"methods": own, "common": common, **({} if closing is None else {"closing": closing})}
 
 
@@ -71,18 +115,24 @@ def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dic
         tracks.select(np.isin(class_id, labels.class_id)),
         ignore=IgnoreRegions(ignored_frame, ignored_px),
     )
-    figures = {name: _json_number(value) for name, value in asdict(scores).items() if name != "n"}
-    return {
-        **counts,
-        **figures,
-        "n_truth_boxes": scores.n,
-        "classes": [ROAD_CLASSES[class_id] for class_id in np.unique(labels.class_id)],
+    figures = {
+        name: None if np.isnan(value) else round(value, 4)  # NaN = a ratio with denominator 0
+        for name, value in asdict(scores).items()
+        if name != "n"
     }
+    classes = [ROAD_CLASSES[class_id] for class_id in np.unique(labels.class_id)]
+    return {**counts, **figures, "n_truth_boxes": scores.n, "classes": classes}
 
 
-def _json_number(value: float) -> float | None:
-    """Value for JSON; None for NaN (a ratio with denominator 0)."""
-    return None if np.isnan(value) else round(value, 4)
+def events_section(events: Sequence[Event], seconds: float) -> dict[str, Any]:
+    """Section `events`: number of events by kind, the most severe one, and the hours of processed video."""
+    worst = min(events, key=severity_key, default=None)
+    return {
+        "n": len(events),
+        "by_kind": {kind: sum(event.kind == kind for event in events) for kind in EVENT_KINDS},
+        "worst": None if worst is None else rounded_values(worst),
+        "hours": round(seconds / 3600, 6),
+    }
 
 
 def stage_times_ms(busy_s: Mapping[str, float], n_frames: int) -> dict[str, float]:

@@ -5,11 +5,12 @@ Values of wrong types are omitted, and the rest is used; keys that are not liste
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+Number = Annotated[float, Field(strict=True)]
 Figure = Annotated[float, Field(strict=True, gt=-1e15, lt=1e15, allow_inf_nan=False)] | None
 """Finite number, or null = unknown; the limits are larger than any value of a run."""
 Text = Annotated[str, Field(strict=True)] | None
@@ -26,8 +27,8 @@ class _Figures(_Section):
 
 
 class _Band(_Figures):
-    from_m: Annotated[float, Field(strict=True)]
-    to_m: Annotated[float, Field(strict=True)]
+    from_m: Number
+    to_m: Number
 
 
 class _Method(_Figures):
@@ -40,7 +41,7 @@ class _Tracks(_Figures):
 
 
 class _RigDistance(_Figures):
-    distance_m: Annotated[float, Field(strict=True)]
+    distance_m: Number
 
 
 class _Health(_Section):
@@ -79,10 +80,10 @@ class _EgoSpeed(_Section):
 
 
 class _LearntScale(_Figures):
-    n_tracks: Annotated[float, Field(strict=True)]
-    baseline_m: Annotated[float, Field(strict=True)]
-    focal_px: Annotated[float, Field(strict=True)]
-    relative_sigma: Annotated[float, Field(strict=True)]
+    n_tracks: Number
+    baseline_m: Number
+    focal_px: Number
+    relative_sigma: Number
 
 
 class _Summary(_Section):
@@ -124,13 +125,16 @@ def valid_summary(summary: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]
             _Summary.model_validate(valid)
         except ValidationError as error:
             # A section without a required key is omitted as a whole.
-            places = {e["loc"][:-1] if e["type"] == "missing" else e["loc"] for e in error.errors()}
+            paths = {e["loc"][:-1] if e["type"] == "missing" else e["loc"] for e in error.errors()}
             ordered = sorted(
-                places, key=lambda place: [(-1, part) if isinstance(part, str) else (part, "") for part in place]
+                paths, key=lambda path: [(-1, part) if isinstance(part, str) else (part, "") for part in path]
             )
-            invalid += [".".join(str(part) for part in place) for place in ordered]
-            for place in reversed(ordered):  # the last item of a list first
-                _remove(valid, place)
+            invalid += [".".join(map(str, path)) for path in ordered]
+            for *sections, name in reversed(ordered):  # the last item of a list first
+                container = valid
+                for part in sections:
+                    container = container[part]
+                del container[name]
         else:
             return valid, invalid
 
@@ -140,9 +144,3 @@ def _copied(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): _copied(part) for key, part in value.items()}
     return [_copied(part) for part in value] if isinstance(value, list) else value
-
-
-def _remove(container: Any, place: Sequence[int | str]) -> None:
-    for part in place[:-1]:
-        container = container[part]
-    del container[place[-1]]

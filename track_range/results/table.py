@@ -1,20 +1,15 @@
-"""RunTable: rows of a run in Apache Arrow's columnar format, collected during the run.
-
-frame results --> buffer --> record batches in one temporary file (Arrow IPC stream) --> pyarrow.Table, memory-mapped
-
-Only the buffer is held in memory, so that memory use does not grow over hours; a run that is shorter than one batch
-writes no file. The file is deleted with the `RunTable`.
-"""
+"""Rows and events of a run in memory: `RunTable` (rows), `RunRows` (of a run), `RecentRows` (of an endless drive)."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
 import weakref
+from collections import deque
 from contextlib import suppress
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -24,8 +19,9 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.frame_result import FrameResult
-from track_range.results.arrow_rows import FrameValues, frame_values, record_batch, rounded_batch, rows_schema
-from track_range.results.columns import ResultColumn, result_columns
+from track_range.results.columns import FrameValues, record_batch, result_columns, rounded_batch, rows_schema
+from track_range.results.events.event import Event
+from track_range.results.events.finder import EventFinder
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -38,7 +34,12 @@ FRAMES_PER_BATCH = 512
 
 
 class RunTable:
-    """Rows of a run, one per track and frame; also a context manager.
+    """Rows of a run in Apache Arrow's columnar format, one per track and frame; also a context manager.
+
+        frame results --> buffer --> record batches in one temporary file (Arrow IPC stream) --> memory-mapped table
+
+    Only the buffer is held in memory, so that memory use does not grow over hours; a run that is shorter than one batch
+    writes no file. The file is deleted with the `RunTable`.
 
     Args:
         rows_per_batch: number of rows that are held in memory before they are written to disk.
@@ -54,7 +55,7 @@ class RunTable:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
     def append(self, result: FrameResult) -> None:
@@ -66,21 +67,19 @@ class RunTable:
         if not len(result.tracks):
             return
         # copies, since the caller may change the arrays of the result
-        self._buffer.append(list(map(np.array, frame_values(result, self.columns))))
+        self._buffer.append([np.array(column.read(result)) for column in self.columns])
         self._n_buffered += len(result.tracks)
         if self._n_buffered >= self._rows_per_batch or len(self._buffer) >= FRAMES_PER_BATCH:
             try:
-                self._store(self._buffered())
+                batch = self._buffered()
+                if self._file is None:
+                    self._file = _BatchFile(batch.schema)
+                self._file.write(batch)
             except BaseException:
                 self._buffer.pop()  # the caller discards this frame
                 self._n_buffered -= len(result.tracks)
                 raise
             self._buffer, self._n_buffered = [], 0
-
-    def _store(self, batch: pa.RecordBatch) -> None:
-        if self._file is None:
-            self._file = _BatchFile(batch.schema)
-        self._file.write(batch)
 
     def to_arrow(self, *, is_rounded: bool = True) -> pa.Table:
         """Rows so far as a `pyarrow.Table`.
@@ -97,11 +96,7 @@ class RunTable:
         return pa.Table.from_batches([rounded_batch(b, self.columns) for b in batches] if is_rounded else batches)
 
     def to_pandas(self) -> Any:
-        """Rows so far as a `pandas.DataFrame`.
-
-        Raises:
-            ImportError: pandas is not installed.
-        """
+        """Rows so far as a `pandas.DataFrame`; ImportError without pandas."""
         return self.to_arrow().to_pandas()
 
     def to_columns(self, *, is_rounded: bool = True) -> dict[str, npt.NDArray[Any]]:
@@ -111,9 +106,15 @@ class RunTable:
             is_rounded: whether they equal those read from tracks.csv; False = full precision.
         """
         table = self.to_arrow(is_rounded=False)
-        columns = {column.name: _as_numpy(table.column(column.name), column) for column in self.columns}
-        if is_rounded:
-            return {column.name: column.rounded(columns[column.name]) for column in self.columns}
+        columns: dict[str, npt.NDArray[Any]] = {}
+        for column in self.columns:
+            values = table.column(column.name)
+            if column.kind == "class":
+                names = np.array(ROAD_CLASSES)
+                columns[column.name] = np.concatenate([names[chunk.indices.to_numpy()] for chunk in values.chunks])
+            else:
+                numbers = np.asarray(values.to_numpy(), np.float64)
+                columns[column.name] = column.rounded(numbers) if is_rounded else numbers
         return columns
 
     def close(self) -> None:
@@ -127,29 +128,16 @@ class RunTable:
         return record_batch(self._buffer, self.columns, rows_schema(self.columns))
 
 
-def _as_numpy(values: pa.ChunkedArray, column: ResultColumn) -> npt.NDArray[Any]:
-    if column.kind == "class":
-        names = np.array(ROAD_CLASSES)
-        chunks = [names[chunk.indices.to_numpy()] for chunk in values.chunks]
-        return np.concatenate(chunks) if chunks else np.zeros(0, np.str_)
-    return np.asarray(values.to_numpy(), np.float64)
-
-
 class _BatchFile:
-    """File of record batches in a temporary folder, readable while it grows.
-
-    Raises:
-        OutputError: the file cannot be created.
-    """
+    """File of record batches in a temporary folder, readable while it grows; OutputError if it cannot be written."""
 
     def __init__(self, schema: pa.Schema) -> None:
         import pyarrow as pa
 
         try:
             folder = tempfile.mkdtemp(prefix="track-range-")
-            self._remove = weakref.finalize(
-                self, shutil.rmtree, folder, ignore_errors=True
-            )  # also when garbage-collected
+            # also when garbage-collected
+            self._remove = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
             self._path = Path(folder) / "rows.arrows"
             self._file = pa.OSFile(str(self._path), "wb")
             self._writer = pa.ipc.new_stream(self._file, schema)
@@ -158,11 +146,6 @@ class _BatchFile:
             raise _not_stored(Path(tempfile.gettempdir()), error) from error
 
     def write(self, batch: pa.RecordBatch) -> None:
-        """Add a batch.
-
-        Raises:
-            OutputError: the batch cannot be written.
-        """
         try:
             self._writer.write_batch(batch)
         except OSError as error:
@@ -177,12 +160,98 @@ class _BatchFile:
             return list(islice(reader, self._n_batches))
 
     def close(self) -> None:
-        """Delete the file."""
         with suppress(OSError):  # a full disk has been reported by `write`
             self._writer.close()
             self._file.close()
         self._remove()
 
 
-def _not_stored(place: Path, error: OSError) -> OutputError:
-    return OutputError(f"{place}: rows of the run cannot be stored ({describe(error)}).")
+def _not_stored(path: Path, error: OSError) -> OutputError:
+    return OutputError(f"{path}: rows of the run cannot be stored ({describe(error)}).")
+
+
+@dataclass(slots=True, kw_only=True)
+class RunRows:
+    """Rows and events of the finished frames of a run, or of any other sequence of frame results.
+
+    Attributes:
+        fps: nominal frame rate, for the duration of the last frame; 0 = unknown.
+        finder: finds the events.
+        table: the rows.
+        events: events that have ended; after `finish` all events, in the order of their starts.
+        frame_index: numbers of the frames.
+        ego_mps: ego speed at the frames, NaN = unknown.
+        methods: names of the distances that were measured in any frame.
+        starts_s, last_s: times of the first and of the last frame.
+    """
+
+    fps: float = 0.0
+    finder: EventFinder = field(default_factory=EventFinder)
+    table: RunTable = field(default_factory=RunTable)
+    events: tuple[Event, ...] = ()
+    frame_index: list[int] = field(default_factory=list)
+    ego_mps: list[float] = field(default_factory=list)
+    methods: set[str] = field(default_factory=set)
+    starts_s: float = 0.0
+    last_s: float = 0.0
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.frame_index)
+
+    def add(self, result: FrameResult) -> tuple[Event, ...]:
+        """Add a finished frame, and return the events that ended before it.
+
+        Raises:
+            OutputError: its rows cannot be stored; they are not added.
+        """
+        self.table.append(result)
+        ended = self.finder.update(result)
+        self.events += ended
+        self.last_s = result.time_s
+        if not self.frame_index:
+            self.starts_s = result.time_s
+        self.frame_index.append(result.index)
+        self.ego_mps.append(result.ego_mps)
+        self.methods.update(result.ranges)
+        return ended
+
+    def finish(self) -> None:
+        """End the search for events after the last frame: `events` then contains those in progress as well."""
+        self.events = self.finder.finish()
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the frames in seconds, that of the last one included."""
+        return self.last_s - self.starts_s + (1 / self.fps if self.fps else 0.0) if self.frame_index else 0.0
+
+
+class RecentRows:
+    """Rows and events of the last `keep_s` seconds of a drive without an end, in bounded memory."""
+
+    def __init__(self, keep_s: float, finder: EventFinder | None = None) -> None:
+        self._keep_s, self._finder = keep_s, finder or EventFinder()
+        self._columns = result_columns()
+        self._rows: deque[tuple[float, FrameValues]] = deque()
+
+    def add(self, result: FrameResult) -> None:
+        """Add a frame, and forget what is older than `keep_s`."""
+        self._finder.update(result)
+        if len(result.tracks):
+            # copies, since the caller may change the arrays of the result
+            self._rows.append((result.time_s, [np.array(column.read(result)) for column in self._columns]))
+        first_s = result.time_s - self._keep_s
+        self._finder.forget(first_s)
+        while self._rows and self._rows[0][0] < first_s:
+            self._rows.popleft()
+
+    def events(self) -> tuple[Event, ...]:
+        """Events so far, in the order of their starts; of those in progress, what is known."""
+        return self._finder.so_far()
+
+    def to_arrow(self) -> pa.Table:
+        """The rows, rounded as in tracks.csv."""
+        import pyarrow as pa
+
+        batch = record_batch([values for _, values in self._rows], self._columns, rows_schema(self._columns))
+        return pa.Table.from_batches([rounded_batch(batch, self._columns)])

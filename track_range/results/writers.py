@@ -9,9 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path, PureWindowsPath
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from track_range.foundation.errors import UserError, call_all
@@ -51,16 +49,6 @@ class WriterError(UserError):
     """There is no such writer, or it cannot be used."""
 
 
-def left_image(result: FrameResult) -> Image | None:
-    """The left image of a frame, (H, W, 3) uint8 BGR; None for frames that were reconstructed from rows."""
-    return result.frame.left if result.frame.left.size else None
-
-
-def same_boxes(xyxy_px: FloatArray) -> FloatArray:
-    """The boxes themselves: those of a video that is not rectified."""
-    return xyxy_px
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunInfo:
     """Properties of a run that are known before its first frame.
@@ -74,8 +62,8 @@ class RunInfo:
         provenance: software, model, calibration and settings of the results.
         notes: messages for the user before the first frame.
         overlay: annotated video of the run, finished before `close`; None = not written.
-        shown_image: returns the (H, W, 3) uint8 BGR image of a frame that files may show, None if there is none.
-            Writers take images from nowhere else.
+        shown_image: returns the (H, W, 3) uint8 BGR image of a frame that files may show, None if there is none, as for
+            frames reconstructed from rows. Writers take images from nowhere else.
         recorded_boxes: function from boxes (N, 4) in pixels of the left images to boxes in pixels of the left video.
     """
 
@@ -87,8 +75,10 @@ class RunInfo:
     provenance: Provenance = field(default_factory=Provenance)
     notes: tuple[str, ...] = ()
     overlay: Path | None = None
-    shown_image: Callable[[FrameResult], Image | None] = left_image
-    recorded_boxes: Callable[[FloatArray], FloatArray] = same_boxes
+    shown_image: Callable[[FrameResult], Image | None] = lambda frame: (
+        frame.frame.left if frame.frame.left.size else None
+    )
+    recorded_boxes: Callable[[FloatArray], FloatArray] = lambda boxes: boxes
 
 
 class ResultWriter(Protocol):
@@ -134,10 +124,10 @@ WRITERS: Registry[WriterFactory | str] = Registry(
     "track_range.result_writers",
     {
         "csv": "track_range.results.formats.csv_file:CsvWriter",
-        "mot": "track_range.results.formats.mot_file:MotWriter",
+        "mot": "track_range.results.formats.box_files:MotWriter",
         "parquet": "track_range.results.formats.parquet_file:ParquetWriter",
-        "kitti": "track_range.results.formats.kitti_file:KittiWriter",
-        "recorded": "track_range.results.formats.recorded_boxes_file:RecordedBoxesWriter",
+        "kitti": "track_range.results.formats.box_files:KittiWriter",
+        "recorded": "track_range.results.formats.box_files:RecordedBoxesWriter",
         "mcap": "track_range.results.formats.mcap.writer:McapWriter",
         "rrd": "track_range.results.formats.rerun_file:RerunWriter",
     },
@@ -174,8 +164,33 @@ def create_writer(name: str) -> ResultWriter:
     except Exception as error:  # other packages may raise anything; runs without this writer are not affected
         reason = f"{type(error).__name__}: {error}"
         raise WriterError(f"the writer '{name}' ({factory}) cannot be used: {reason}.") from error
-    _check_writer(name, writer)
+    problem = _problem(writer)
+    if problem:
+        raise WriterError(f"the writer '{name}': expected {problem}.")
     return writer
+
+
+def _problem(writer: Any) -> str:
+    """What an object lacks to be a `ResultWriter` whose files are in the folder and not files of the run; "" = none."""
+    for method in ("open", "write", "close"):
+        if not callable(getattr(writer, method, None)):
+            return f"a method {method}, found none"
+    for attribute, default in (("files", None), ("temporary_files", ())):
+        files = getattr(writer, attribute, default)
+        if not isinstance(files, tuple | list) or not all(isinstance(file, str) for file in files):
+            return f"`{attribute}`, a tuple of file names, got {files!r}"
+    files = _all_files(writer)
+    for file in files:
+        # PureWindowsPath recognises drives and the separators of all systems
+        if file in ("", ".", "..") or PureWindowsPath(file).name != file or not file.isprintable():
+            return f"file names without a folder, got {file!r}"
+        if file.casefold() in _RUN_FILES:
+            return f"file names that the run does not already use, got {file}"
+    return f"each file once, got {', '.join(files)}" if len(set(map(str.casefold, files))) < len(files) else ""
+
+
+def _all_files(writer: ResultWriter) -> tuple[str, ...]:
+    return (*writer.files, *getattr(writer, "temporary_files", ()))
 
 
 def create_writers(names: Sequence[str]) -> tuple[ResultWriter, ...]:
@@ -188,10 +203,10 @@ def create_writers(names: Sequence[str]) -> tuple[ResultWriter, ...]:
     writers = {name: create_writer(name) for name in dict.fromkeys(names)}
     for writer in writers.values():
         getattr(writer, "check_requirements", lambda: None)()
-    writer_of: dict[str, str] = {}
+    names_by_file: dict[str, str] = {}
     for name, writer in writers.items():
         for file in _all_files(writer):
-            if (other := writer_of.setdefault(file.casefold(), name)) != name:
+            if (other := names_by_file.setdefault(file.casefold(), name)) != name:
                 raise WriterError(f"the writers '{other}' and '{name}' both write {file}; choose one of them.")
     return tuple(writers.values())
 
@@ -208,48 +223,6 @@ def result_names() -> tuple[str, ...]:
     return (*names, *_RUN_FILES)
 
 
-def _all_files(writer: ResultWriter) -> tuple[str, ...]:
-    """Names of the files of a writer, including temporary ones."""
-    return (*writer.files, *_temporary_files(writer))
-
-
-def _temporary_files(writer: ResultWriter) -> Any:
-    return getattr(writer, "temporary_files", ())
-
-
-def _check_writer(name: str, writer: Any) -> None:
-    """Check that an object implements `ResultWriter`, and that its files are in the folder and not files of the run.
-
-    Raises:
-        WriterError: the writer cannot be used.
-    """
-    for method in ("open", "write", "close"):
-        if not callable(getattr(writer, method, None)):
-            raise WriterError(f"the writer '{name}': expected a method {method}, found none.")
-    for attribute, files in (("files", getattr(writer, "files", None)), ("temporary_files", _temporary_files(writer))):
-        if not isinstance(files, tuple | list) or not all(isinstance(file, str) for file in files):
-            raise WriterError(f"the writer '{name}': expected `{attribute}`, a tuple of file names, got {files!r}.")
-    _check_names(name, _all_files(writer))
-
-
-def _check_names(name: str, files: Sequence[str]) -> None:
-    """Check the names of the files of a writer.
-
-    Raises:
-        WriterError: a file is not in the folder, belongs to the run, or is named twice.
-    """
-    for file in files:
-        # PureWindowsPath recognises drives and the separators of all systems
-        if file in ("", ".", "..") or PureWindowsPath(file).name != file or not file.isprintable():
-            raise WriterError(f"the writer '{name}': expected file names without a folder, got {file!r}.")
-        if file.casefold() in _RUN_FILES:
-            raise WriterError(
-                f"the writer '{name}': expected file names that the run does not already use, got {file}."
-            )
-    if len({file.casefold() for file in files}) < len(files):
-        raise WriterError(f"the writer '{name}': expected each file once, got {', '.join(files)}.")
-
-
 class OpenWriters:
     """Writers of a run in progress; a context manager that closes those that `close` did not.
 
@@ -263,7 +236,7 @@ class OpenWriters:
 
     Raises:
         WriterError: a writer cannot be used, or two writers write the same file.
-        OutputError: a file cannot be created.
+        OutputError: a file cannot be created; also raised by `write` and `close`, with the name of the file.
     """
 
     def __init__(self, names: Sequence[str], info: RunInfo, folder: Path) -> None:
@@ -284,18 +257,14 @@ class OpenWriters:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close(None)
 
     def write(self, result: FrameResult) -> None:
-        """Add one frame to all files; if one of them fails, the others are cut back to the frame before.
-
-        Raises:
-            OutputError: a file cannot be written; the message names the file.
-        """
+        """Add one frame to all files; if one of them fails, the others are cut back to the frame before."""
         for number, writer in enumerate(self._open):
             try:
-                with self._errors_of(writer, "writing failed"):
+                with self._errors_of(writer):
                     writer.write(result)
             except BaseException:
                 self.discard_last(number)
@@ -308,21 +277,17 @@ class OpenWriters:
                 getattr(writer, "discard_last", lambda: None)()
 
     def close(self, summary: Mapping[str, Any] | None) -> None:
-        """Finish all files; a second call does nothing.
+        """Finish all files; a second call does nothing. A writer whose `write` has failed is not reported again."""
 
-        Raises:
-            OutputError: a file cannot be finished, unless `write` has already raised for it.
-        """
-        # each is removed before it is closed: after an unexpected error, a second call closes those that are left
-        call_all(partial(self._close, self._open.pop(0), summary) for _ in range(len(self._open)))
+        def close_next() -> None:
+            writer = self._open.pop(0)  # after an unexpected error, a second call closes those that are left
+            with suppress(OutputError) if writer is self._failed else nullcontext(), self._errors_of(writer):
+                writer.close(summary)
 
-    def _close(self, writer: ResultWriter, summary: Mapping[str, Any] | None) -> None:
-        is_reported = suppress(OutputError) if writer is self._failed else nullcontext()
-        with is_reported, self._errors_of(writer, "writing failed"):
-            writer.close(summary)
+        call_all([close_next] * len(self._open))
 
     @contextmanager
-    def _errors_of(self, writer: ResultWriter, problem: str) -> Iterator[None]:
+    def _errors_of(self, writer: ResultWriter, problem: str = "writing failed") -> Iterator[None]:
         try:
             yield
         except OSError as error:

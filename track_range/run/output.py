@@ -20,8 +20,7 @@ from track_range.foundation.files.output_files import OutputError, check_outputs
 from track_range.pipeline.frame_result import FrameResult
 from track_range.recording.telemetry.position_file import TELEMETRY_FILE, write_positions
 from track_range.results.columns import Columns
-from track_range.results.events.clip_names import CLIPS_FOLDER
-from track_range.results.events.event import Event
+from track_range.results.events.event import CLIPS_FOLDER, Event
 from track_range.results.events.files import EventFiles
 from track_range.results.progress_note import OPENING, PROCESSING, PROGRESS_FILE, ProgressNote
 from track_range.results.summary import write_summary

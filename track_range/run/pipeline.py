@@ -33,7 +33,7 @@ from track_range.recording.pairs.pair_monitor import PairMonitor
 from track_range.recording.pairs.stepwise_alignment import StepwiseAlignment
 from track_range.results.events.event import Event
 from track_range.results.events.finder import EventFinder
-from track_range.results.recent_rows import RecentRows
+from track_range.results.table import RecentRows
 from track_range.run.box_source import boxes_of, network_source
 from track_range.run.build import open_pipeline
 from track_range.run.options.opened import open_detector

@@ -28,14 +28,19 @@ from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.recording.names import BagTopic
 from track_range.recording.telemetry.speed_source import AUTO, open_speed
-from track_range.results.columns import Columns
+from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.finder import EventFinder
-from track_range.results.events.summary import events_section
 from track_range.results.progress_note import LOADING
 from track_range.results.provenance import Provenance, settings_hash
-from track_range.results.run_rows import RunRows
-from track_range.results.summary import range_scores, stage_times_ms, track_scores
-from track_range.results.truth import boxes_px, matched_truth, with_truth
+from track_range.results.summary import (
+    events_section,
+    matched_truth,
+    range_scores,
+    stage_times_ms,
+    track_scores,
+    with_truth,
+)
+from track_range.results.table import RunRows
 from track_range.results.writers import RunInfo
 from track_range.run.box_source import boxes_of, open_box_source
 from track_range.run.build import open_input, open_pipeline

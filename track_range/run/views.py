@@ -18,7 +18,7 @@ from track_range.detection.boxes import fraction_inside
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.output_files import OutputError, write_text
-from track_range.results.formats.recorded_boxes_file import COLUMNS, FILE
+from track_range.results.formats.box_files import RECORDED_BOXES_COLUMNS, RECORDED_BOXES_FILE
 from track_range.run.build import open_input
 from track_range.run.settings import RunSettings
 
@@ -69,7 +69,7 @@ def directions_deg(text: str, settings: RunSettings) -> tuple[float, ...]:
 
 def joined_text(views_deg: Sequence[float], folders: Sequence[Path]) -> str:
     """Content of `VIEWS_FILE` from the runs of the views: rows by frame, each object once."""
-    tables = [read_csv_table(folder / FILE, OutputError, "the boxes of a view") for folder in folders]
+    tables = [read_csv_table(folder / RECORDED_BOXES_FILE, OutputError, "the boxes of a view") for folder in folders]
     rows = [row for table in tables for row in table.rows]
     view_deg = np.repeat(np.array(views_deg, np.float64), [len(table) for table in tables])
     columns = {name: np.concatenate([table.numbers(name) for table in tables]) for name in _NUMBERS}
@@ -85,4 +85,4 @@ def joined_text(views_deg: Sequence[float], folders: Sequence[Path]) -> str:
         is_worse = np.greater.outer(off_axis_deg[i], off_axis_deg[i])
         kept += i[~(is_same & is_worse).any(axis=1)].tolist()
     lines = (",".join((f"{view_deg[i]:g}", *rows[i])) for i in kept)
-    return "\n".join([",".join(("view_deg", *COLUMNS)), *lines]) + "\n"
+    return "\n".join([",".join(("view_deg", *RECORDED_BOXES_COLUMNS)), *lines]) + "\n"

@@ -10,8 +10,7 @@ import pytest
 from tests.track_range.results.events.event_builder import SeenFinder
 from tests.track_range.results.test_results import result
 from track_range.foundation.files.output_files import OutputError
-from track_range.results.run_rows import RunRows
-from track_range.results.table import RunTable
+from track_range.results.table import RunRows, RunTable
 
 
 def at(index: int):

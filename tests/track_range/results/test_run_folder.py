@@ -16,7 +16,7 @@ from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import column_names
 from track_range.results.folder import read_run_folder
-from track_range.results.truth import matched_truth, with_truth
+from track_range.results.summary import matched_truth, with_truth
 from track_range.views.report.run_folders import report, short_names
 
 N_FRAMES = 6

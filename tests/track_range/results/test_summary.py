@@ -6,8 +6,7 @@ import pytest
 
 from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import column_names
-from track_range.results.summary import range_scores, stage_times_ms, track_scores, write_summary
-from track_range.results.truth import matched_truth
+from track_range.results.summary import matched_truth, range_scores, stage_times_ms, track_scores, write_summary
 
 BOX = np.array([10.0, 10.0, 40.0, 40.0])
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 
-from track_range.results.formats.recorded_boxes_file import COLUMNS, FILE
+from track_range.results.formats.box_files import RECORDED_BOXES_COLUMNS, RECORDED_BOXES_FILE
 from track_range.run.views import joined_text
 
 
@@ -14,8 +14,8 @@ def row(frame, track_id, name, box, azimuth_deg):
 
 def written(folder, rows):
     folder.mkdir()
-    with (folder / FILE).open("w", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([COLUMNS, *rows])
+    with (folder / RECORDED_BOXES_FILE).open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([RECORDED_BOXES_COLUMNS, *rows])
     return folder
 
 
@@ -45,4 +45,4 @@ def test_rows_of_the_nearer_axis_remain(tmp_path):
 def test_views_without_tracks(tmp_path):
     empty = written(tmp_path / "a", [])
     text = joined_text((0, 60), (empty, written(tmp_path / "b", [])))
-    assert text == ",".join(("view_deg", *COLUMNS)) + "\n"
+    assert text == ",".join(("view_deg", *RECORDED_BOXES_COLUMNS)) + "\n"

@@ -12,8 +12,7 @@ from track_range.evaluation.events.objects import LabelledBoxes
 from track_range.foundation.arrays import IntArray
 from track_range.ranging.evaluation.errors import match_truth, score_closing
 from track_range.ranging.evaluation.truth import Truth
-from track_range.results.columns import Columns
-from track_range.results.truth import boxes_px
+from track_range.results.columns import Columns, boxes_px
 
 NEAREST_M, FARTHEST_M = 10.0, 40.0
 """True distances at which closing speeds are scored, m: nearer, boxes are cut; farther, warnings hardly use them."""

@@ -22,9 +22,8 @@ from track_range.detection.formats.video_labels.csv_labels import has_label_colu
 from track_range.evaluation.events.contacts import Contact
 from track_range.evaluation.events.scores import are_same_class, is_warning
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.results.columns import Columns
+from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.event import Event
-from track_range.results.truth import boxes_px
 
 MIN_IOU = 0.3
 """Smallest overlap of a track with its object: boxes that the image border cuts, near a contact, fit badly."""

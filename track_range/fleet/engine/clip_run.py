@@ -43,7 +43,7 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import printable
 from track_range.foundation.keywords import flags_in_errors
 from track_range.foundation.processes import tuned_process
-from track_range.results.events.clip_names import CLIPS_FOLDER
+from track_range.results.events.event import CLIPS_FOLDER
 from track_range.results.events.files import EVENTS_PARQUET, write_events_parquet
 from track_range.run.options.opened import OpenedDetectors
 from track_range.run.run import Run

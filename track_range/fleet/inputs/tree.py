@@ -10,7 +10,7 @@ from track_range.fleet.storage.entry import Entry, is_hidden
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.recording.segments.segmented_video import VIDEO_SUFFIXES
-from track_range.results.events.clip_names import CLIPS_FOLDER, is_clip_name
+from track_range.results.events.event import CLIPS_FOLDER, is_clip_name
 
 _VIDEO_SUFFIXES, _IMAGE_SUFFIXES = tuple(sorted(VIDEO_SUFFIXES)), tuple(sorted(IMAGE_SUFFIXES))
 """Suffixes as `str.endswith` needs them, which is called for every file."""

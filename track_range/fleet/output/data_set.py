@@ -32,7 +32,7 @@ from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.input_files import shortened
 from track_range.foundation.files.structured_text import parse_json
-from track_range.results.events.clip_names import CLIPS_FOLDER
+from track_range.results.events.event import CLIPS_FOLDER
 from track_range.results.events.files import EVENTS_PARQUET
 
 if TYPE_CHECKING:

@@ -10,10 +10,8 @@ from dataclasses import dataclass, field
 
 from track_range.fleet.report.clip_figures import Figures
 from track_range.fleet.report.track_figures import N_RANKED
-from track_range.results.events.clip_names import CLIPS_FOLDER, clip_name
-from track_range.results.events.event import EVENT_KINDS, Event
+from track_range.results.events.event import CLIPS_FOLDER, EVENT_KINDS, Event, clip_name, severity_key
 from track_range.results.events.files import rounded_values
-from track_range.results.events.summary import severity_key
 
 
 @dataclass(frozen=True, slots=True)

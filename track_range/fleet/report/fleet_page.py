@@ -12,7 +12,7 @@ from track_range.fleet.report.fleet_figures import FleetFigures
 from track_range.fleet.report.fleet_grids import DRIFT_TITLES, Links, fleet_sections, utc_text
 from track_range.fleet.storage.location import Location
 from track_range.pipeline.colours import FUSED_COLOUR, OTHER_COLOURS, method_colours
-from track_range.results.events.clip_names import CLIPS_FOLDER, clip_name
+from track_range.results.events.event import CLIPS_FOLDER, clip_name
 from track_range.views.report.content.series import thinned
 from track_range.views.report.page import embedded, rendered
 from track_range.views.report.sentences import address, card

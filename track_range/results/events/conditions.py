@@ -18,7 +18,6 @@ _HALF_WIDTH_M = np.array([0.3, 0.3, 0.9, 0.4, 1.25, 1.25, 0.0, 0.0])
 """(road classes,) half of the typical width of each class, m."""
 
 _EGO_HALF_WIDTH_M = 0.9
-"""Half the width of the ego vehicle, m."""
 
 _MARGIN_M = 0.3
 """Distance from the edge of the ego path at which an object is clearly in it or beside it, m."""
@@ -26,20 +25,11 @@ _MARGIN_M = 0.3
 _PERSON = ROAD_CLASSES.index("person")
 _IS_VEHICLE = np.array([name in ("bicycle", "car", "motorcycle", "bus", "truck") for name in ROAD_CLASSES])
 
-_MIN_ALONG_MPS = 2.0
-"""Smallest speed of a vehicle that moves in the direction of the ego vehicle, m/s."""
-
-_MAX_CUT_IN_M = 40.0
-"""Largest distance of a cut-in, m; farther away, the lateral position is too uncertain."""
-
-_MIN_CLOSING_MPS = 2.0
-"""Smallest closing speed of a hard approach, m/s; below, a touch at walking speed."""
-
-_MAX_SPEED_MPS = 70.0
-"""Largest speed of a road user, m/s; above, the track is wrong."""
-
-_MAX_BRAKING_MPS2 = 15.0
-"""Largest needed deceleration of a hard approach, m/s^2: more than tyres allow; above, it was a contact, or wrong."""
+_MIN_ALONG_MPS = 2.0  # of a vehicle that moves in the direction of the ego vehicle
+_MAX_CUT_IN_M = 40.0  # farther away, the lateral position is too uncertain
+_MIN_CLOSING_MPS = 2.0  # of a hard approach; below, a touch at walking speed
+_MAX_SPEED_MPS = 70.0  # of a road user; above, the track is wrong
+_MAX_BRAKING_MPS2 = 15.0  # of a hard approach, more than tyres allow; above, it was a contact, or wrong
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +61,19 @@ class Situation:
     @classmethod
     def of(cls, result: FrameResult, settings: EventSettings) -> Situation:
         """The situation in a frame."""
-        distance_m, sigma_m = _distances(result)
+        unknown = np.full(len(result.tracks), np.nan)
+        distance_m = sigma_m = unknown
+        first = result.ranges.get("fused_kf", result.ranges.get("fused"))
+        if first is not None:
+            last = result.ranges.get("fused", first)
+            is_known = np.isfinite(first.distance_m)
+            distance_m = np.where(is_known, first.distance_m, last.distance_m)
+            sigma_m = np.where(is_known, first.sigma_m, last.sigma_m)
         gap_m = np.maximum(distance_m - settings.front_m, 0.0)
         closing_mps = result.closing_mps
         ttc_s = gap_m / np.where(closing_mps > 0.5, closing_mps, np.nan)
-        headway_s = gap_m / result.ego_mps if result.ego_mps >= settings.min_ego_mps else np.full_like(gap_m, np.nan)
+        headway_s = gap_m / result.ego_mps if result.ego_mps >= settings.min_ego_mps else unknown
         if result.warnings is None:
-            unknown = np.full_like(gap_m, np.nan)
             return cls(distance_m, sigma_m, gap_m, closing_mps, ttc_s, headway_s, unknown, unknown, unknown)
         offset_m, probability = result.warnings.path_offset_m, result.warnings.probability
         apart_m = np.abs(offset_m) - (_EGO_HALF_WIDTH_M + _HALF_WIDTH_M[result.tracks.class_id])
@@ -130,14 +126,3 @@ class Conditions:
             & (needed_mps2 < _MAX_BRAKING_MPS2),
             "near_miss": is_critical & (now.ttc_s < settings.near_miss_ttc_s) & (is_vehicle | (classes == _PERSON)),
         }
-
-
-def _distances(result: FrameResult) -> tuple[FloatArray, FloatArray]:
-    """(N,) filtered distances and their sigmas, else the measured ones."""
-    first = result.ranges.get("fused_kf", result.ranges.get("fused"))
-    if first is None:
-        unknown = np.full(len(result.tracks), math.nan)
-        return unknown, unknown
-    last = result.ranges.get("fused", first)
-    is_known = np.isfinite(first.distance_m)
-    return np.where(is_known, first.distance_m, last.distance_m), np.where(is_known, first.sigma_m, last.sigma_m)

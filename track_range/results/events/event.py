@@ -1,7 +1,9 @@
-"""Event: something that happened on a drive, and the settings of its detection."""
+"""Event: something that happened on a drive; the settings of its detection, and the name of its clip."""
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -14,6 +16,11 @@ EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
 
 WARNING_KINDS: tuple[EventKind, ...] = ("forward_collision", "cut_in", "pedestrian_on_path")
 """Kinds of events that can contain a collision warning."""
+
+CLIPS_FOLDER = "clips"
+"""Folder of the clips of events in that of a run."""
+
+_CLIP_NAME = re.compile(rf"\d{{2,}}-(?:{'|'.join(EVENT_KINDS)})-\d+\.mp4", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,3 +103,28 @@ class EventSettings:
     near_miss_ttc_s: float = 1.0
     near_miss_probability: float = 0.5
     near_miss_gap_m: float = 0.5
+
+
+def severity_key(event: Event) -> tuple[bool, float, float, float, float]:
+    """Sort key of events, the most severe first.
+
+    Events with a collision warning come before others; then the larger probability of contact, the shorter time to
+    collision, the smaller distance, and the earlier peak. Unknown values come last.
+    """
+    return (
+        math.isnan(event.warning_s),
+        0.0 if math.isnan(event.probability) else -event.probability,
+        math.inf if math.isnan(event.min_ttc_s) else event.min_ttc_s,
+        math.inf if math.isnan(event.min_distance_m) else event.min_distance_m,
+        event.peak_s,
+    )
+
+
+def clip_name(number: int, kind: str, track_id: int) -> str:
+    """File name of the clip of the event in row `number` of events.csv, counted from 1: "02-cut_in-17.mp4"."""
+    return f"{number:02}-{kind}-{track_id}.mp4"
+
+
+def is_clip_name(name: str) -> bool:
+    """Whether a file name is that of a clip."""
+    return _CLIP_NAME.fullmatch(name) is not None

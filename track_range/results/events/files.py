@@ -31,14 +31,9 @@ EVENTS_FILE, EVENTS_PARQUET = "events.csv", "events.parquet"
 NEEDED_COLUMNS = ("kind", "start_s", "end_s")
 """Columns that every file of events has; those written by other programs may lack the others."""
 
-_MAX_TIME_S = 1e9
-"""Largest plausible time, 30 years of video."""
-
+_MAX_TIME_S = 1e9  # 30 years of video
 _MAX_TEXT = 2000
-"""Largest number of characters of a text in a file of events."""
-
-_MAX_ROWS = 1_000_000
-"""Largest number of events of a file that is read: one per second for 11 days."""
+_MAX_ROWS = 1_000_000  # one event per second for 11 days
 
 
 class EventFileError(UserError):
@@ -47,14 +42,7 @@ class EventFileError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class _Number:
-    """A column of numbers.
-
-    Attributes:
-        unit: unit of the values; "" = none.
-        low, high: limits of plausible values.
-        decimals: decimals in events.csv.
-        is_integer: whether values are integers.
-    """
+    """A column of numbers: unit, limits of plausible values, decimals in events.csv."""
 
     unit: str
     low: float
@@ -65,6 +53,7 @@ class _Number:
 
 _TIME = _Number("s", 0.0, _MAX_TIME_S)
 _SPEED = _Number("m/s", -1e4, 1e4)
+_DISTANCE = _Number("m", 0.0, 1e6)
 
 _NUMBERS: Mapping[str, _Number] = {
     "start_s": _TIME,
@@ -73,13 +62,13 @@ _NUMBERS: Mapping[str, _Number] = {
     "warning_s": _TIME,
     "frame": _Number("", 0, 1e9, is_integer=True),
     "track_id": _Number("", 0, 2.0**53, is_integer=True),
-    "min_distance_m": _Number("m", 0.0, 1e6),
-    "min_distance_sigma_m": _Number("m", 0.0, 1e6),
-    "min_ttc_s": _Number("s", 0.0, _MAX_TIME_S),
+    "min_distance_m": _DISTANCE,
+    "min_distance_sigma_m": _DISTANCE,
+    "min_ttc_s": _TIME,
     "closing_mps": _SPEED,
     "ego_mps": _SPEED,
     "probability": _Number("", 0.0, 1.0, decimals=4),
-    "headway_s": _Number("s", 0.0, _MAX_TIME_S),
+    "headway_s": _TIME,
 }
 """Columns of numbers; all others are texts."""
 
@@ -92,7 +81,7 @@ class EventFiles:
         metadata: metadata of events.parquet (`Provenance.metadata`).
 
     Raises:
-        OutputError: events.csv cannot be created.
+        OutputError: events.csv cannot be created; also raised by `add` and `finish` if a file cannot be written.
     """
 
     files = (EVENTS_FILE, EVENTS_PARQUET)
@@ -111,11 +100,7 @@ class EventFiles:
         self._rows.close()
 
     def add(self, events: Sequence[Event]) -> None:
-        """Add events that have ended to events.csv.
-
-        Raises:
-            OutputError: they cannot be written; the file is as before.
-        """
+        """Add events that have ended to events.csv; if that fails, the file is as before."""
         if not events:
             return
         try:
@@ -124,21 +109,13 @@ class EventFiles:
             raise OutputError(f"{self._folder / EVENTS_FILE}: writing failed ({describe(error)}).") from error
 
     def finish(self, events: Sequence[Event]) -> None:
-        """Write both files with all events of the run.
-
-        Raises:
-            OutputError: a file cannot be written.
-        """
+        """Write both files with all events of the run."""
         self._rows.close()
         write_event_files(self._folder, events, self._metadata)
 
 
 def write_event_files(folder: Path, events: Sequence[Event], metadata: Mapping[str, str]) -> None:
-    """Write events.csv and events.parquet into a folder.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
+    """Write events.csv and events.parquet into a folder; OutputError if a file cannot be written."""
     write_text(folder / EVENTS_FILE, events_text(events))
     write_events_parquet(folder / EVENTS_PARQUET, events, metadata)
 
@@ -163,18 +140,29 @@ def events_text(events: Iterable[Event]) -> str:
     return csv_text([EVENT_COLUMNS]) + _rows_text(events)
 
 
+def _rows_text(events: Iterable[Event]) -> str:
+    def text(name: str, value: Any) -> str:
+        column = _NUMBERS.get(name)
+        if value is None:
+            return ""
+        if column is None:
+            return " ".join(str(value).split())  # one line per event
+        return str(value) if column.is_integer else f"{value:.{column.decimals}f}"
+
+    return csv_text([text(name, value) for name, value in event_values(event).items()] for event in events)
+
+
 def events_table(events: Sequence[Event], metadata: Mapping[str, str] | None = None) -> pa.Table:
     """Events as a table in full precision; null = unknown or none, and the metadata of a field contains its unit."""
     import pyarrow as pa
 
-    rows = [event_values(event) for event in events]
-    arrays, fields = [], []
+    fields = []
     for name in EVENT_COLUMNS:
         column = _NUMBERS.get(name)
         kind = pa.string() if column is None else pa.int64() if column.is_integer else pa.float64()
-        arrays.append(pa.array([row[name] for row in rows], kind))
         fields.append(pa.field(name, kind, metadata={"unit": column.unit} if column and column.unit else None))
-    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=dict(metadata or {})))
+    schema = pa.schema(fields, metadata=dict(metadata or {}))
+    return pa.Table.from_pylist([event_values(event) for event in events], schema=schema)
 
 
 def event_values(event: Event) -> dict[str, Any]:
@@ -189,19 +177,6 @@ def rounded_values(event: Event) -> dict[str, Any]:
         name: round(value, _NUMBERS[name].decimals) if isinstance(value, float) else value
         for name, value in event_values(event).items()
     }
-
-
-def _rows_text(events: Iterable[Event]) -> str:
-    return csv_text([_text(name, value) for name, value in event_values(event).items()] for event in events)
-
-
-def _text(name: str, value: Any) -> str:
-    if value is None:
-        return ""
-    column = _NUMBERS.get(name)
-    if column is None:
-        return " ".join(str(value).split())  # one line per event
-    return str(value) if column.is_integer else f"{value:.{column.decimals}f}"
 
 
 # -- reading ----------------------------------------------------------------------------------------------------------
@@ -225,11 +200,19 @@ def read_events(path: str | Path, *, needed: Sequence[str] = NEEDED_COLUMNS) -> 
     if path.suffix.lower() == ".parquet":
         check_regular(path, EventFileError, "the events.parquet of a run", max_bytes=MAX_TABLE_BYTES)
         return events_in_parquet(path, path, needed=needed)
-    return _events(path, *_csv_cells(path), needed)
+    expected = f"events with the columns {','.join(EVENT_COLUMNS)}"
+    if not first_line(path, EventFileError, expected):
+        raise EventFileError(f"{path}: expected {expected}, found an empty file.")
+    table = read_csv_table(path, EventFileError, "events")
+    if len(table) > _MAX_ROWS:
+        raise EventFileError(f"{path}: expected at most {_MAX_ROWS} events, found {len(table)}.")
+    table.refuse_duplicates(EVENT_COLUMNS)
+    cells = {name: cast(list[Any], table.texts(name)) for name in EVENT_COLUMNS if name in table}
+    return _events(path, cells, lambda row: f"{path}, line {table.lines[row]}", needed)
 
 
 def events_in_parquet(source: Any, name: object, *, needed: Sequence[str] = NEEDED_COLUMNS) -> tuple[Event, ...]:
-    """Events of an events.parquet; see `read_events`.
+    """Events of an events.parquet, as `read_events`.
 
     Args:
         source: path, or open file of pyarrow.
@@ -239,66 +222,63 @@ def events_in_parquet(source: Any, name: object, *, needed: Sequence[str] = NEED
     Raises:
         EventFileError: as in `read_events`.
     """
-    return _events(name, *_parquet_cells(source, name), needed)
-
-
-def _events(
-    path: object, cells: Mapping[str, list[Any]], place_of: Callable[[int], str], needed: Sequence[str]
-) -> tuple[Event, ...]:
-    """Events in the cells of a file by column; `place_of` returns the file and row of a row's number, for messages."""
-    if missing := [name for name in needed if name not in cells]:
-        raise EventFileError(f"{path}: expected events with the columns {','.join(needed)}, found no {missing[0]}.")
-    rows = range(len(cells["kind"]))
-    return tuple(_event({name: values[row] for name, values in cells.items()}, place_of(row)) for row in rows)
-
-
-def _csv_cells(path: Path) -> tuple[dict[str, list[Any]], Callable[[int], str]]:
-    """Texts of an events.csv by column, and the place of each row."""
-    expected = f"events with the columns {','.join(EVENT_COLUMNS)}"
-    if not first_line(path, EventFileError, expected):
-        raise EventFileError(f"{path}: expected {expected}, found an empty file.")
-    table = read_csv_table(path, EventFileError, "events")
-    if len(table) > _MAX_ROWS:
-        raise EventFileError(f"{path}: expected at most {_MAX_ROWS} events, found {len(table)}.")
-    table.refuse_duplicates(EVENT_COLUMNS)
-    cells = {name: cast(list[Any], table.texts(name)) for name in EVENT_COLUMNS if name in table}
-    return cells, lambda row: f"{path}, line {table.lines[row]}"
-
-
-def _parquet_cells(source: Any, path: object) -> tuple[dict[str, list[Any]], Callable[[int], str]]:
-    """Values of an events.parquet by column, and the place of each row."""
     from pyarrow import ArrowException, parquet
 
     try:
         with parquet.ParquetFile(source) as file:
-            check_schema_version(path, file.schema_arrow.metadata, EventFileError)
+            check_schema_version(name, file.schema_arrow.metadata, EventFileError)
             if file.metadata.num_rows > _MAX_ROWS:
                 raise ValueError(f"{file.metadata.num_rows} events, more than {_MAX_ROWS}")
             names = file.schema_arrow.names
             if len(set(names)) < len(names):
                 raise ValueError("two columns of the same name")
-            table = file.read(columns=[name for name in EVENT_COLUMNS if name in names], use_threads=False)
+            table = file.read(columns=[column for column in EVENT_COLUMNS if column in names], use_threads=False)
         table.validate(full=True)
-        cells = {name: table.column(name).to_pylist() for name in table.column_names}
+        cells = {column: table.column(column).to_pylist() for column in table.column_names}
     except (ArrowException, OSError, ValueError, LookupError, MemoryError) as error:
         raise EventFileError(
-            f"{path}: expected the events.parquet of a run, found a damaged file ({shortened(str(error))}); repeat the "
+            f"{name}: expected the events.parquet of a run, found a damaged file ({shortened(str(error))}); repeat the "
             "run or restore the file."
         ) from error
-    return cells, lambda row: f"{path}, row {row + 1}"
+    return _events(name, cells, lambda row: f"{name}, row {row + 1}", needed)
 
 
-def _value(name: str, cell: Any, place: str) -> Any:
-    """Value of a cell; NaN = unknown, for integers 0.
+def _events(
+    path: object, cells: Mapping[str, list[Any]], row_name: Callable[[int], str], needed: Sequence[str]
+) -> tuple[Event, ...]:
+    """Events in the cells of a file by column; `row_name` returns file and row of a row's number, for messages."""
+    if missing := [name for name in needed if name not in cells]:
+        raise EventFileError(f"{path}: expected events with the columns {','.join(needed)}, found no {missing[0]}.")
+    rows = range(len(cells["kind"]))
+    return tuple(_event({name: values[row] for name, values in cells.items()}, row_name(row)) for row in rows)
 
-    Raises:
-        EventFileError: the value is not plausible.
-    """
+
+def _event(cells: Mapping[str, Any], row_name: str) -> Event:
+    """The event in the cells of a row by column, those of CSV as text."""
+    values = {name: _value(name, cells.get(name), row_name) for name in EVENT_COLUMNS}
+    kind = values["kind"].lower()
+    problem = ""
+    if kind not in EVENT_KINDS:
+        problem = f"one of the kinds {', '.join(EVENT_KINDS)}, got {quoted(values['kind'])}"
+    elif math.isnan(values["start_s"]) or math.isnan(values["end_s"]):
+        problem = f"a time in seconds for {'start_s' if math.isnan(values['start_s']) else 'end_s'}, got none"
+    elif values["end_s"] < values["start_s"]:
+        problem = f"an end after the start at {values['start_s']:g} s, got end_s {values['end_s']:g}"
+    if problem:
+        raise EventFileError(f"{row_name}: expected {problem}.")
+    if math.isnan(values["peak_s"]):
+        values["peak_s"] = values["start_s"]
+    class_name = values.pop("class")
+    return Event(**{**values, "kind": cast(EventKind, kind)}, class_name=class_name)
+
+
+def _value(name: str, cell: Any, row_name: str) -> Any:
+    """Value of a cell; NaN = unknown, for integers 0. EventFileError if it is not plausible."""
     column = _NUMBERS.get(name)
     if column is None:
         text = "" if cell is None else cell
         if not isinstance(text, str) or len(text) > _MAX_TEXT:
-            raise EventFileError(f"{place}: expected a text of at most {_MAX_TEXT} characters for {name}.")
+            raise EventFileError(f"{row_name}: expected a text of at most {_MAX_TEXT} characters for {name}.")
         return text
     if cell is None or cell == "":
         return 0 if column.is_integer else math.nan
@@ -307,35 +287,6 @@ def _value(name: str, cell: Any, place: str) -> Any:
     if not column.low <= value <= column.high or (column.is_integer and value != round(value)):
         kind = "an integer" if column.is_integer else "a number"
         raise EventFileError(
-            f"{place}: expected {kind} from {column.low:g} to {column.high:g} for {name}, got {quoted(cell)}."
+            f"{row_name}: expected {kind} from {column.low:g} to {column.high:g} for {name}, got {quoted(cell)}."
         )
     return int(value) if column.is_integer else value
-
-
-def _event(cells: Mapping[str, Any], place: str) -> Event:
-    """The event in the cells of a row.
-
-    Args:
-        cells: values by column, those of CSV as text.
-        place: file and row, for messages.
-
-    Raises:
-        EventFileError: a value is not plausible, the kind is unknown, or the event ends before its start.
-    """
-    values = {name: _value(name, cells.get(name), place) for name in EVENT_COLUMNS}
-    kind = values["kind"].lower()
-    if kind not in EVENT_KINDS:
-        raise EventFileError(
-            f"{place}: expected one of the kinds {', '.join(EVENT_KINDS)}, got {quoted(values['kind'])}."
-        )
-    for name in ("start_s", "end_s"):
-        if math.isnan(values[name]):
-            raise EventFileError(f"{place}: expected a time in seconds for {name}, got none.")
-    if values["end_s"] < values["start_s"]:
-        raise EventFileError(
-            f"{place}: expected an end after the start at {values['start_s']:g} s, got end_s {values['end_s']:g}."
-        )
-    if math.isnan(values["peak_s"]):
-        values["peak_s"] = values["start_s"]
-    class_name = values.pop("class")
-    return Event(**{**values, "kind": cast(EventKind, kind)}, class_name=class_name)

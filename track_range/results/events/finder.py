@@ -18,7 +18,6 @@ from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.events.conditions import Conditions, Situation
 from track_range.results.events.event import WARNING_KINDS, Event, EventKind, EventSettings
-from track_range.results.events.reasons import reason
 
 _NEAR_M, _NEAR_FRACTION = 2.0, 0.15
 """Largest difference in distance between two tracks of one object: metres, plus a fraction of the distance."""
@@ -26,25 +25,33 @@ _NEAR_M, _NEAR_FRACTION = 2.0, 0.15
 _NEAR_ACROSS_M = 1.5
 """Largest lateral difference between two tracks of one object, m."""
 
+_SITUATION = ("distance_m", "sigma_m", "gap_m", "closing_mps", "ttc_s", "headway_s", "probability")
+
 
 @dataclass(slots=True)
 class _Open:
-    """An event in progress; the attributes are those of `Event`, with the last position of the object.
+    """An event in progress.
 
-    `last_seen` is where the object of a near miss was last seen: `time_s`, `gap_m`, `closing_mps`, `apart_m`.
+    Attributes:
+        group: object group of its class.
+        track_ids: all tracks of its object, of which `track_id` is the last one.
+        distance_m, offset_m: where the object was last in the condition.
+        extremes: least distances and times, largest speeds.
+        first, peak: values of the first and of the most critical frame.
+        last_seen: where the object of a near miss was last seen: `time_s`, `gap_m`, `closing_mps`, `apart_m`.
     """
 
     kind: EventKind
     group: int
     start_s: float
-    last_s: float
-    track_id: int
-    track_ids: set[int]
-    distance_m: float
-    offset_m: float
+    last_s: float = math.nan
+    track_id: int = 0
+    track_ids: set[int] = field(default_factory=set)
+    distance_m: float = math.nan
+    offset_m: float = math.nan
     warning_s: float = math.nan
     criticality: float = -math.inf
-    values: dict[str, float] = field(default_factory=dict)
+    extremes: dict[str, float] = field(default_factory=dict)
     first: dict[str, float] = field(default_factory=dict)
     peak: dict[str, float] = field(default_factory=dict)
     last_seen: dict[str, float] = field(default_factory=dict)
@@ -56,7 +63,6 @@ class EventFinder:
     """Finds the events of a drive from its frames in order, live or from the rows of a run."""
 
     def __init__(self, settings: EventSettings | None = None) -> None:
-        """Start without events; None = default settings."""
         self.settings = settings or EventSettings()
         self._conditions = Conditions(self.settings)
         self._open: list[_Open] = []
@@ -70,7 +76,9 @@ class EventFinder:
         for kind, holds in self._conditions.update(result, now).items():
             for row in np.flatnonzero(holds).tolist():
                 self._extend(kind, result, now, row)
-        self._follow_near_misses(result, now)
+        for event in self._open:
+            if event.kind == "near_miss":  # also after its condition has ended
+                _follow(event, result, now)
         return ended
 
     def finish(self) -> tuple[Event, ...]:
@@ -80,7 +88,7 @@ class EventFinder:
 
     def so_far(self) -> tuple[Event, ...]:
         """Events that have ended and those in progress that count, in the order of their starts."""
-        in_progress = (self._event(event) for event in self._open if self._counts(event))
+        in_progress = (_event(event) for event in self._open if self._counts(event))
         return tuple(sorted((*self._ended, *in_progress), key=lambda event: event.start_s))
 
     def forget(self, before_s: float) -> None:
@@ -95,86 +103,70 @@ class EventFinder:
             return ()
         self._open = [event for event in self._open if time_s - event.last_s <= self.settings.max_gap_s]
         self._alarms += [event for event in over if math.isfinite(event.warning_s)]
-        events = tuple(self._event(event) for event in over if self._counts(event))
+        events = tuple(_event(event) for event in over if self._counts(event))
         self._ended += events
         return events
 
     def _counts(self, event: _Open) -> bool:
-        """Whether an event that is over counts: it was long enough, and is not part of an alarm."""
-        settings = self.settings
+        """Whether an event that is over counts: it was long enough, and is not part of an alarm or a contact."""
+        settings, duration_s = self.settings, event.last_s - event.start_s
         if event.kind == "close_following":
-            return event.last_s - event.start_s >= settings.min_following_s
-        if (
-            event.kind in ("hard_approach", "near_miss")
-            and event.last_s - event.start_s < settings.min_critical_s - 1e-9
-        ):
+            return duration_s >= settings.min_following_s
+        if event.kind not in ("hard_approach", "near_miss"):
+            return True
+        if duration_s < settings.min_critical_s - 1e-9:
             return False
         if event.kind == "hard_approach":
             alarms = (*self._alarms, *(alarm for alarm in self._open if math.isfinite(alarm.warning_s)))
-            return not any(_overlap(event, alarm) for alarm in alarms)
-        if event.kind == "near_miss":
-            return self._was_avoided(event)
-        return True
-
-    def _was_avoided(self, event: _Open) -> bool:
-        """Whether no contact followed a near miss, from where its object was last seen until the event was over.
-
-        It was beside the ego path, or the gap that was left, closed at the last known speed, is large enough.
-        """
+            return all(
+                event.track_ids.isdisjoint(alarm.track_ids)
+                or event.start_s > alarm.last_s
+                or alarm.start_s > event.last_s
+                for alarm in alarms
+            )
+        # A near miss was without contact, from where its object was last seen until the event was over, if the object
+        # was beside the ego path, or if the gap that was left, closed at the last known speed, is large enough.
         seen = event.last_seen
-        unseen_s = event.last_s + self.settings.max_gap_s - seen["time_s"]
-        speeds_mps = (seen["closing_mps"], event.values["closing_mps"])
+        unseen_s = event.last_s + settings.max_gap_s - seen["time_s"]
+        speeds_mps = (seen["closing_mps"], event.extremes["closing_mps"])
         closing_mps = next((speed for speed in speeds_mps if math.isfinite(speed)), 0.0)
         left_m = seen["gap_m"] - max(closing_mps * unseen_s, 0.0)
-        return seen["apart_m"] > 0 or left_m > self.settings.near_miss_gap_m
-
-    def _follow_near_misses(self, result: FrameResult, now: Situation) -> None:
-        """Store where the objects of near misses are, also after the condition of the near miss has ended."""
-        for event in self._open:
-            if event.kind != "near_miss":
-                continue
-            for row in np.flatnonzero(np.isin(result.tracks.track_id, list(event.track_ids)) & np.isfinite(now.gap_m)):
-                event.last_seen = {
-                    "time_s": result.time_s,
-                    "gap_m": float(now.gap_m[row]),
-                    "closing_mps": float(now.closing_mps[row]),
-                    "apart_m": float(now.apart_m[row]),
-                }
+        return seen["apart_m"] > 0 or left_m > settings.near_miss_gap_m
 
     def _extend(self, kind: EventKind, result: FrameResult, now: Situation, row: int) -> None:
         """Continue the event of this kind that the track in this row belongs to, or start one."""
         track_id, class_id = int(result.tracks.track_id[row]), int(result.tracks.class_id[row])
-        distance_m, offset_m = float(now.distance_m[row]), float(now.offset_m[row])
-        event = self._same(kind, track_id, result, (distance_m, offset_m), int(SAME_OBJECT_GROUP[class_id]))
-        time_s = result.time_s
+        values = {name: float(getattr(now, name)[row]) for name in _SITUATION} | {"ego_mps": result.ego_mps}
+        distance_m, offset_m, time_s = values["distance_m"], float(now.offset_m[row]), result.time_s
+        group = int(SAME_OBJECT_GROUP[class_id])
+        event = self._same(kind, track_id, result, distance_m, offset_m, group)
         if event is None:
-            group = int(SAME_OBJECT_GROUP[class_id])
-            event = _Open(kind, group, time_s, time_s, track_id, {track_id}, distance_m, offset_m)
+            event = _Open(kind, group, start_s=time_s, first=values)
             self._open.append(event)
         event.last_s, event.track_id, event.distance_m, event.offset_m = time_s, track_id, distance_m, offset_m
         event.track_ids.add(track_id)
         is_active = result.warnings is not None and bool(result.warnings.active[row])
         if is_active and kind in WARNING_KINDS and math.isnan(event.warning_s):
             event.warning_s = time_s
-        values = {
-            "distance_m": distance_m,
-            "sigma_m": float(now.sigma_m[row]),
-            "gap_m": float(now.gap_m[row]),
-            "closing_mps": float(now.closing_mps[row]),
-            "ttc_s": float(now.ttc_s[row]),
-            "headway_s": float(now.headway_s[row]),
-            "probability": float(now.probability[row]),
-            "ego_mps": result.ego_mps,
-        }
-        event.first = event.first or values
-        _collect(event.values, values)
-        criticality = _criticality(kind, values)
+        extremes = event.extremes
+        if not distance_m >= extremes.get("distance_m", math.inf):
+            extremes["distance_m"], extremes["sigma_m"] = distance_m, values["sigma_m"]
+        for name in ("ttc_s", "headway_s"):
+            extremes[name] = float(np.fmin(extremes.get(name, math.nan), values[name]))
+        for name in ("closing_mps", "probability"):
+            extremes[name] = float(np.fmax(extremes.get(name, math.nan), values[name]))
+        if kind in ("close_following", "cut_in") and math.isfinite(values["headway_s"]):
+            criticality = -values["headway_s"]
+        elif math.isfinite(values["ttc_s"]):
+            criticality = -values["ttc_s"]
+        else:
+            criticality = -1e3 - float(np.nan_to_num(values["gap_m"]))
         if not event.peak or criticality > event.criticality:
             event.criticality, event.peak_track_id, event.peak_class = criticality, track_id, class_id
             event.peak = {**values, "time_s": time_s, "frame": result.index}
 
     def _same(
-        self, kind: EventKind, track_id: int, result: FrameResult, place_m: tuple[float, float], group: int
+        self, kind: EventKind, track_id: int, result: FrameResult, distance_m: float, offset_m: float, group: int
     ) -> _Open | None:
         """The event in progress of this kind and object; of one of its earlier tracks if that is gone."""
         same_kind = [event for event in self._open if event.kind == kind]
@@ -182,61 +174,70 @@ class EventFinder:
         if same is not None or not same_kind:
             return same
         present = set(result.tracks.track_id.tolist())
-        distance_m, offset_m = place_m
         for event in same_kind:
             elapsed_s = result.time_s - event.last_s
-            moved_m = elapsed_s * np.nan_to_num(event.values["closing_mps"])
+            moved_m = elapsed_s * np.nan_to_num(event.extremes["closing_mps"])
             is_near = abs(event.distance_m - moved_m - distance_m) < _NEAR_M + _NEAR_FRACTION * distance_m
             is_near &= not abs(event.offset_m - offset_m) > _NEAR_ACROSS_M  # unknown offsets may be the same
             if event.group == group and event.track_id not in present and is_near:
                 return event
         return None
 
-    def _event(self, event: _Open) -> Event:
-        values, class_name = event.values, ROAD_CLASSES[event.peak_class]
-        return Event(
-            kind=event.kind,
-            start_s=event.start_s,
-            peak_s=event.peak["time_s"],
-            end_s=event.last_s,
-            warning_s=event.warning_s,
-            frame=int(event.peak["frame"]),
-            track_id=event.peak_track_id,
-            class_name=class_name,
-            min_distance_m=values["distance_m"],
-            min_distance_sigma_m=values["sigma_m"],
-            min_ttc_s=values["ttc_s"],
-            closing_mps=values["closing_mps"],
-            ego_mps=event.peak["ego_mps"],
-            probability=values["probability"],
-            reason=reason(
-                event.kind, class_name, event.first, event.peak, values, duration_s=event.last_s - event.start_s
-            ),
-            headway_s=values["headway_s"],
+
+def _follow(event: _Open, result: FrameResult, now: Situation) -> None:
+    """Store where the object of a near miss is."""
+    for row in np.flatnonzero(np.isin(result.tracks.track_id, list(event.track_ids)) & np.isfinite(now.gap_m)):
+        places = {name: float(getattr(now, name)[row]) for name in ("gap_m", "closing_mps", "apart_m")}
+        event.last_seen = {"time_s": result.time_s, **places}
+
+
+def _event(event: _Open) -> Event:
+    extremes = event.extremes
+    return Event(
+        kind=event.kind,
+        start_s=event.start_s,
+        peak_s=event.peak["time_s"],
+        end_s=event.last_s,
+        warning_s=event.warning_s,
+        frame=int(event.peak["frame"]),
+        track_id=event.peak_track_id,
+        class_name=ROAD_CLASSES[event.peak_class],
+        min_distance_m=extremes["distance_m"],
+        min_distance_sigma_m=extremes["sigma_m"],
+        min_ttc_s=extremes["ttc_s"],
+        closing_mps=extremes["closing_mps"],
+        ego_mps=event.peak["ego_mps"],
+        probability=extremes["probability"],
+        reason=_reason(event),
+        headway_s=extremes["headway_s"],
+    )
+
+
+def _reason(event: _Open) -> str:
+    """What happened, in one sentence without line breaks."""
+    class_name, first, peak, extremes = ROAD_CLASSES[event.peak_class], event.first, event.peak, event.extremes
+    name = class_name[:1].upper() + class_name[1:]
+    if event.kind in ("forward_collision", "pedestrian_on_path"):
+        where = "on the path" if event.kind == "pedestrian_on_path" else "ahead"
+        when = f": contact in {first['ttc_s']:.1f} s without braking" if math.isfinite(first["ttc_s"]) else ""
+        return f"{name} {where} at {first['distance_m']:.0f} m{_closing(first)}{when}."
+    if event.kind == "cut_in":
+        headway = f", at a headway of {peak['headway_s']:.1f} s" if math.isfinite(peak["headway_s"]) else ""
+        return f"{name} cut in {peak['distance_m']:.0f} m ahead{headway}{_closing(peak)}."
+    if event.kind == "close_following":
+        return (
+            f"Headway down to {extremes['headway_s']:.1f} s behind a {class_name} at {3.6 * peak['ego_mps']:.0f} km/h "
+            f"for {event.last_s - event.start_s:.0f} s."
         )
+    if event.kind == "hard_approach":
+        needed_mps2 = peak["closing_mps"] ** 2 / (2 * max(peak["gap_m"], 0.1))
+        return f"{name} ahead at {peak['distance_m']:.0f} m{_closing(peak)}: needed braking at {needed_mps2:.1f} m/s²."
+    return f"{name} at {peak['distance_m']:.0f} m: contact was {extremes['ttc_s']:.1f} s away and did not happen."
 
 
-def _collect(extremes: dict[str, float], values: dict[str, float]) -> None:
-    """Update the extremes of an event with the values of a frame: least distances and times, largest speeds."""
-    if not values["distance_m"] >= extremes.get("distance_m", math.inf):
-        extremes["distance_m"], extremes["sigma_m"] = values["distance_m"], values["sigma_m"]
-    for name in ("ttc_s", "headway_s"):
-        extremes[name] = float(np.fmin(extremes.get(name, math.nan), values[name]))
-    for name in ("closing_mps", "probability"):
-        extremes[name] = float(np.fmax(extremes.get(name, math.nan), values[name]))
-
-
-def _criticality(kind: EventKind, values: dict[str, float]) -> float:
-    """Number that is largest in the most critical frame of an event."""
-    if kind in ("close_following", "cut_in") and math.isfinite(values["headway_s"]):
-        return -values["headway_s"]
-    return -values["ttc_s"] if math.isfinite(values["ttc_s"]) else -1e3 - float(np.nan_to_num(values["gap_m"]))
-
-
-def _overlap(first: _Open, second: _Open) -> bool:
-    """Whether two events have a track in common and overlap in time."""
-    is_same = not first.track_ids.isdisjoint(second.track_ids)
-    return is_same and first.start_s <= second.last_s and second.start_s <= first.last_s
+def _closing(values: dict[str, float]) -> str:
+    closing_mps = values["closing_mps"]
+    return f", closing at {closing_mps:.1f} m/s" if closing_mps > 0.5 else ""  # False for NaN
 
 
 def events_of(results: Iterable[FrameResult], settings: EventSettings | None = None) -> tuple[Event, ...]:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Mapping
 from operator import methodcaller
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,8 +13,7 @@ from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, re
 from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.columns import MAX_CLASS, MAX_COLUMNS, Columns, result_columns
-from track_range.results.formats.row_file import RowFile, csv_text
-from track_range.results.writers import RunInfo
+from track_range.results.formats.row_file import RowWriter, csv_text
 
 TABLE_FILE = "tracks.csv"
 
@@ -27,27 +24,19 @@ _MAX_PROBLEM = 150
 """Largest number of characters of the description of a problem."""
 
 
-class CsvWriter:
-    """Writer of tracks.csv, frame by frame (see `RowFile`). An empty cell = not measured."""
+class CsvWriter(RowWriter):
+    """Writer of tracks.csv, frame by frame. An empty cell = not measured."""
 
     files = (TABLE_FILE,)
 
-    def open(self, info: RunInfo, folder: Path) -> None:
-        """Create the file with its header."""
+    def header(self) -> str:
+        """Names of the columns."""
         self._columns = result_columns()
-        self._file = RowFile(folder / TABLE_FILE, csv_text([[column.name for column in self._columns]]))
+        return csv_text([[column.name for column in self._columns]])
 
-    def write(self, result: FrameResult) -> None:
-        """Add the rows of a frame."""
-        self._file.write(csv_text(zip(*map(methodcaller("text", result), self._columns), strict=True)))
-
-    def discard_last(self) -> None:
-        """Remove the rows of the last frame."""
-        self._file.discard_last()
-
-    def close(self, summary: Mapping[str, Any] | None) -> None:
-        """Close the file."""
-        self._file.close()
+    def rows(self, result: FrameResult) -> str:
+        """The rows of a frame."""
+        return csv_text(zip(*map(methodcaller("text", result), self._columns), strict=True))
 
 
 def read_tracks_csv(path: Path) -> Columns:
@@ -90,20 +79,16 @@ def read_tracks_csv(path: Path) -> Columns:
         if not len(table) and (len(n_cells) > 1 or (n_cells and text.endswith("\n"))):
             raise ValueError(f"{len(n_cells)} rows, none with the {len(header)} cells of the header")
     except (ValueError, LookupError, StopIteration, csv.Error, ArrowException) as error:
-        problem = shortened(_problem(str(error), header), _MAX_PROBLEM)
+        problem = str(error) or "no header"
+        invalid = _INVALID_NUMBER.search(problem)
+        if invalid is not None and int(invalid[1]) < len(header):
+            column, line, value = invalid.groups()
+            problem = f"{quoted(value)} in the column {header[int(column)]} in line {line}"
         raise OutputError(
-            f"{path}: expected the tracks.csv of a run, found {problem}; repeat the run or restore the file."
+            f"{path}: expected the tracks.csv of a run, found {shortened(problem, _MAX_PROBLEM)}; repeat the run or "
+            "restore the file."
         ) from error
     return {
         name: np.asarray(values.to_pylist(), np.str_) if name == "class" else np.asarray(values.to_numpy(), np.float64)
         for name, values in columns.items()
     }
-
-
-def _problem(reason: str, header: list[str]) -> str:
-    """What was found instead of rows, from an error of reading."""
-    invalid = _INVALID_NUMBER.search(reason)
-    if invalid is not None and int(invalid[1]) < len(header):
-        column, line, value = invalid.groups()
-        return f"{quoted(value)} in the column {header[int(column)]} in line {line}"
-    return reason or "no header"

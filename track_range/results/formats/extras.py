@@ -14,12 +14,7 @@ class ExtraError(UserError):
 
 
 def check_extra(format_name: str, extra: str, *packages: str) -> None:
-    """Check that packages can be imported, and disable their telemetry.
-
-    Args:
-        format_name: name of the result format.
-        extra: extra of track-range that installs the packages.
-        packages: import names.
+    """Import packages of a format, which `extra` of track-range installs, and disable their telemetry.
 
     Raises:
         ExtraError: one of them is not installed.
@@ -30,12 +25,11 @@ def check_extra(format_name: str, extra: str, *packages: str) -> None:
         try:
             import_module(package)
         except ImportError as error:
-            if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] == top_level:
-                raise ExtraError(
-                    f"the format {format_name} requires the package {top_level}: install it with "
-                    f"pip install 'track-range[{extra}]'."
-                ) from error
+            is_missing = isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] == top_level
             raise ExtraError(
-                f"the format {format_name}: the package {top_level} cannot be imported ({shortened(str(error))}); "
+                f"the format {format_name} requires the package {top_level}: install it with "
+                f"pip install 'track-range[{extra}]'."
+                if is_missing
+                else f"the format {format_name}: the package {top_level} cannot be imported ({shortened(str(error))}); "
                 f"reinstall it with pip install --force-reinstall 'track-range[{extra}]'."
             ) from error

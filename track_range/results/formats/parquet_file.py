@@ -10,8 +10,7 @@ import io
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,9 +19,16 @@ from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regu
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.schema_version import check_schema_version
 from track_range.pipeline.frame_result import FrameResult
-from track_range.results.arrow_rows import FrameValues, frame_values, record_batch, rows_schema
-from track_range.results.columns import MAX_CLASS, MAX_COLUMNS, Columns, result_columns
-from track_range.results.formats.row_file import FrameFile
+from track_range.results.columns import (
+    MAX_CLASS,
+    MAX_COLUMNS,
+    Columns,
+    FrameValues,
+    record_batch,
+    result_columns,
+    rows_schema,
+)
+from track_range.results.formats.row_file import RowFile
 from track_range.results.writers import RunInfo
 
 if TYPE_CHECKING:
@@ -50,11 +56,12 @@ class ParquetWriter:
         self._messages = io.BytesIO()
         self._stream = pa.ipc.new_stream(self._messages, self._schema)
         # the batch without rows contains the class names, which later batches refer to
-        self._file = FrameFile(self._stream_path, self._message([]))
+        self._file = RowFile(self._stream_path, self._message([]))
 
     def write(self, result: FrameResult) -> None:
         """Add the rows of a frame to tracks.arrows."""
-        self._file.add(self._message([frame_values(result, self._columns)]) if len(result.tracks) else b"")
+        rows = [[np.asarray(column.read(result)) for column in self._columns]]
+        self._file.write(self._message(rows) if len(result.tracks) else b"")
 
     def _message(self, frames: list[FrameValues]) -> bytes:
         """Rows of frames as a message of an Arrow IPC stream; before the first one, the schema."""
@@ -71,36 +78,13 @@ class ParquetWriter:
     def close(self, summary: Mapping[str, Any] | None) -> None:
         """Convert tracks.arrows to tracks.parquet, and remove it; if that fails, it remains."""
         self._file.close()
-        _convert(self._stream_path, self._path)
+        with _stream(self._stream_path) as reader, atomic_path(self._path) as partial:
+            _write_batches(partial, reader.schema, _complete_batches(reader))
         self._stream_path.unlink()
 
 
-def _convert(stream_path: Path, path: Path) -> None:
-    """Write the rows of a tracks.arrows as Parquet, one row group in memory at a time.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    with _Stream(stream_path) as stream, atomic_path(path) as partial:
-        _write_batches(partial, stream.schema, stream)
-
-
-def _write_batches(path: Path, schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> None:
-    from pyarrow import parquet
-
-    # other numbers hardly repeat
-    coded = [name for name in ("frame", "time_s", "track_id", "class") if name in schema.names]
-    with parquet.ParquetWriter(path, schema, compression="zstd", use_dictionary=coded) as writer:
-        for table in _grouped(schema, batches):
-            writer.write_table(table)
-
-
 def write_table(path: Path, table: pa.Table) -> None:
-    """Write rows as Parquet, as for tracks.parquet: the same rows give the same bytes.
-
-    Args:
-        path: the file.
-        table: rows in full precision; the metadata of its schema are those of the file.
+    """Write rows in full precision as for tracks.parquet, with the metadata of their schema: the same bytes.
 
     Raises:
         OutputError: the file cannot be written.
@@ -112,66 +96,53 @@ def write_table(path: Path, table: pa.Table) -> None:
         raise OutputError(f"{path}: cannot be written ({describe(error)}).") from error
 
 
-def _grouped(schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.Table]:
-    """Tables of about `_ROWS_PER_GROUP` rows, each in contiguous memory."""
+def _write_batches(path: Path, schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> None:
+    """Write Parquet with groups of about `_ROWS_PER_GROUP` rows, one of which is in memory at a time."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    # other numbers hardly repeat
+    coded = [name for name in ("frame", "time_s", "track_id", "class") if name in schema.names]
+    with parquet.ParquetWriter(path, schema, compression="zstd", use_dictionary=coded) as writer:
+        group: list[pa.RecordBatch] = []
+        n_rows = 0
+        for batch in batches:
+            group.append(batch)
+            n_rows += batch.num_rows
+            if n_rows >= _ROWS_PER_GROUP:
+                writer.write_table(pa.Table.from_batches(group, schema).combine_chunks())
+                group, n_rows = [], 0
+        if n_rows:
+            writer.write_table(pa.Table.from_batches(group, schema).combine_chunks())
+
+
+@contextmanager
+def _stream(path: Path) -> Iterator[pa.RecordBatchStreamReader]:
+    """Reader of a tracks.arrows."""
     import pyarrow as pa
 
-    group: list[pa.RecordBatch] = []
-    n_rows = 0
-    for batch in batches:
-        group.append(batch)
-        n_rows += batch.num_rows
-        if n_rows >= _ROWS_PER_GROUP:
-            yield pa.Table.from_batches(group, schema).combine_chunks()
-            group, n_rows = [], 0
-    if n_rows:
-        yield pa.Table.from_batches(group, schema).combine_chunks()
+    with pa.OSFile(str(path)) as file, pa.ipc.open_stream(file) as reader:
+        yield reader
 
 
-class _Stream:
-    """Complete batches of a tracks.arrows, to be iterated once; the last one may be incomplete.
+def _complete_batches(
+    reader: pa.RecordBatchStreamReader, errors: list[Exception] | None = None
+) -> Iterator[pa.RecordBatch]:
+    """Batches with rows; the error of a last one that is incomplete is added to `errors`."""
+    from pyarrow import ArrowException
 
-    Attributes:
-        schema: schema of the batches.
-        is_cut: whether the file ends within a batch, as found by the iteration.
-
-    Raises:
-        ArrowException, OSError: the file is not an Arrow IPC stream.
-    """
-
-    def __init__(self, path: Path) -> None:
-        import pyarrow as pa
-
-        self._file = pa.OSFile(str(path))
+    while True:
         try:
-            self._reader = pa.ipc.open_stream(self._file)
-        except BaseException:
-            self._file.close()
-            raise
-        self.schema = self._reader.schema
-        self.is_cut = False
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._reader.close()
-        self._file.close()
-
-    def __iter__(self) -> Iterator[pa.RecordBatch]:
-        from pyarrow import ArrowException
-
-        while True:
-            try:
-                batch = self._reader.read_next_batch()
-                batch.validate(full=True)
-            except StopIteration:
-                return
-            except (ArrowException, OSError):
-                self.is_cut = True
-                return
-            if batch.num_rows:
-                yield batch
+            batch = reader.read_next_batch()
+            batch.validate(full=True)
+        except StopIteration:
+            return
+        except (ArrowException, OSError) as error:
+            if errors is not None:
+                errors.append(error)
+            return
+        if batch.num_rows:
+            yield batch
 
 
 def read_tracks_parquet(path: Path) -> Columns:
@@ -182,8 +153,19 @@ def read_tracks_parquet(path: Path) -> Columns:
     Raises:
         OutputError: the file cannot be read, is not of a run, or was written by a newer version.
     """
-    with _errors_of(path):
-        return _columns(_parquet_table(path))
+    from pyarrow import parquet
+
+    with _errors_of(path), parquet.ParquetFile(path) as file:
+        names = _usable_columns(path, file.schema_arrow)
+        n_bytes = 8 * len(names) * file.metadata.num_rows
+        if n_bytes > MAX_TABLE_BYTES:
+            raise OutputError(
+                f"{path}: expected at most {MAX_TABLE_BYTES / 1e9:.0f} GB of rows, found {n_bytes / 1e9:.3g} GB; "
+                "read it with pyarrow or DuckDB."
+            )
+        table = file.read(columns=names, use_threads=False)
+        table.validate(full=True)
+        return _columns(table)
 
 
 def read_tracks_arrows(path: Path) -> tuple[Columns, bool]:
@@ -194,9 +176,11 @@ def read_tracks_arrows(path: Path) -> tuple[Columns, bool]:
     """
     import pyarrow as pa
 
-    with _errors_of(path), _Stream(path) as stream:
-        names = _usable_columns(path, stream.schema)
-        return _columns(pa.Table.from_batches(list(stream), stream.schema).select(names)), stream.is_cut
+    errors: list[Exception] = []
+    with _errors_of(path), _stream(path) as reader:
+        names = _usable_columns(path, reader.schema)
+        table = pa.Table.from_batches(list(_complete_batches(reader, errors)), reader.schema)
+        return _columns(table.select(names)), bool(errors)
 
 
 @contextmanager
@@ -214,22 +198,6 @@ def _errors_of(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _parquet_table(path: Path) -> pa.Table:
-    from pyarrow import parquet
-
-    with parquet.ParquetFile(path) as file:
-        names = _usable_columns(path, file.schema_arrow)
-        n_bytes = 8 * len(names) * file.metadata.num_rows
-        if n_bytes > MAX_TABLE_BYTES:
-            raise OutputError(
-                f"{path}: expected at most {MAX_TABLE_BYTES / 1e9:.0f} GB of rows, found {n_bytes / 1e9:.3g} GB; "
-                "read it with pyarrow or DuckDB."
-            )
-        table = file.read(columns=names, use_threads=False)
-    table.validate(full=True)
-    return table
-
-
 def _usable_columns(path: Path, schema: pa.Schema) -> list[str]:
     """Names of the columns that can be read.
 
@@ -242,30 +210,28 @@ def _usable_columns(path: Path, schema: pa.Schema) -> list[str]:
     check_schema_version(path, schema.metadata, OutputError)
     if len(schema) > MAX_COLUMNS or len(set(schema.names)) < len(schema):
         raise ValueError("columns")
-
-    def is_usable(field: pa.Field) -> bool:
+    names = []
+    for field in schema:
+        kind = field.type.value_type if types.is_dictionary(field.type) and field.name == "class" else field.type
         if field.name == "class":
-            kind = field.type.value_type if types.is_dictionary(field.type) else field.type
-            return bool(types.is_string(kind) or types.is_large_string(kind))
-        return bool(types.is_integer(field.type) or types.is_floating(field.type) or types.is_boolean(field.type))
-
-    return [field.name for field in schema if is_usable(field)]
+            is_usable = types.is_string(kind) or types.is_large_string(kind)
+        else:
+            is_usable = types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind)
+        names += [field.name] if is_usable else []
+    return names
 
 
 def _columns(table: pa.Table) -> Columns:
-    return {name: _values(name, table.column(name)) for name in table.column_names}
-
-
-def _values(name: str, values: pa.ChunkedArray) -> np.ndarray[Any, Any]:
-    """Values of a column as NumPy array.
-
-    Raises:
-        ValueError: a class name is too long.
-    """
-    if name != "class":
-        return np.asarray(values.to_numpy(), np.float64)
-    for chunk in values.chunks:  # each name of a dictionary once
-        names = chunk.dictionary if hasattr(chunk, "dictionary") else chunk
-        if names.nbytes > MAX_CLASS * (len(names) + 1) and max(map(len, names.drop_null().to_pylist())) > MAX_CLASS:
-            raise ValueError("class name too long")
-    return np.asarray([str(name) for name in values.to_pylist()], np.str_)
+    """Columns as NumPy arrays; ValueError if a class name is too long."""
+    columns: dict[str, Any] = {}
+    for name in table.column_names:
+        values = table.column(name)
+        if name != "class":
+            columns[name] = np.asarray(values.to_numpy(), np.float64)
+            continue
+        for chunk in values.chunks:  # each name of a dictionary once
+            names = chunk.dictionary if hasattr(chunk, "dictionary") else chunk
+            if names.nbytes > MAX_CLASS * (len(names) + 1) and max(map(len, names.drop_null().to_pylist())) > MAX_CLASS:
+                raise ValueError("class name too long")
+        columns[name] = np.asarray([str(value) for value in values.to_pylist()], np.str_)
+    return columns

@@ -48,11 +48,7 @@ class RerunWriter:
     files = (RERUN_FILE,)
 
     def check_requirements(self) -> None:
-        """Check that rerun-sdk is installed.
-
-        Raises:
-            ExtraError: it is missing.
-        """
+        """Raise ExtraError unless rerun-sdk is installed."""
         check_extra("rrd", "rerun", "rerun")
 
     def open(self, info: RunInfo, folder: Path) -> None:
@@ -64,10 +60,18 @@ class RerunWriter:
         self._recording = rr.RecordingStream(APPLICATION)
         self._stream = rr.binary_stream(self._recording)
         self._recording.send_blueprint(_blueprint(has_video=info.overlay is not None))
-        self._recording.send_property(
-            "provenance", rr.AnyValues(drop_untyped_nones=True, **_plain(info.provenance.metadata()))
+        metadata = {key.rpartition(".")[2]: value for key, value in info.provenance.metadata().items()}
+        self._recording.send_property("provenance", rr.AnyValues(drop_untyped_nones=True, **metadata))
+        pinhole = rr.Pinhole(
+            resolution=[info.camera.width_px, info.camera.height_px],
+            focal_length=[info.camera.fx_px, info.camera.fy_px],
+            principal_point=[info.camera.cx_px, info.camera.cy_px],
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=3.0,
         )
-        self._log_camera()
+        self._recording.log("world", rr.ViewCoordinates.RDF, static=True)
+        self._recording.log("world/camera", pinhole, static=True)
+        self._recording.log("birds_eye/camera", rr.Points2D([[0.0, 0.0]], labels=["camera"], radii=0.5), static=True)
         self._held: FrameResult | None = None
         self._frames: list[int] = []
         self._times_s: list[float] = []
@@ -88,9 +92,8 @@ class RerunWriter:
         """Log the last frame, the notes of the run and the video, and write the file."""
         try:
             self._release()
-            self._log_first_notes()
             notes = (summary or {}).get("notes") or ()
-            self._log_notes(note for note in notes if note not in self._info.notes)
+            self._log_notes((*self._first_notes, *(note for note in notes if note not in self._info.notes)))
             self._log_video()
             atomic_files.write_bytes(self._path, self._stream.read() or b"")
         finally:
@@ -107,70 +110,46 @@ class RerunWriter:
         self._last_s = max(self._last_s, time_s)
         self._frames.append(result.index)
         self._times_s.append(self._last_s)
-        self._set_time(result.index, self._last_s)
-        self._log_first_notes()
-        self._log_objects(list(track_objects(result, self._info.camera)))
-
-    def _set_time(self, frame: int, time_s: float) -> None:
-        self._recording.set_time("frame", sequence=frame)
+        self._recording.set_time("frame", sequence=result.index)
         if self._info.start_utc_s is None:
-            self._recording.set_time("time", duration=time_s)
+            self._recording.set_time("time", duration=self._last_s)
         else:
-            self._recording.set_time("time", timestamp=time_s)
-
-    def _log_camera(self) -> None:
-        import rerun as rr
-
-        camera = self._info.camera
-        pinhole = rr.Pinhole(
-            resolution=[camera.width_px, camera.height_px],
-            focal_length=[camera.fx_px, camera.fy_px],
-            principal_point=[camera.cx_px, camera.cy_px],
-            camera_xyz=rr.ViewCoordinates.RDF,
-            image_plane_distance=3.0,
-        )
-        self._recording.log("world", rr.ViewCoordinates.RDF, static=True)
-        self._recording.log("world/camera", pinhole, static=True)
-        self._recording.log("birds_eye/camera", rr.Points2D([[0.0, 0.0]], labels=["camera"], radii=0.5), static=True)
+            self._recording.set_time("time", timestamp=self._last_s)
+        self._log_notes(self._first_notes)
+        self._first_notes = ()
+        self._log_objects(list(track_objects(result, self._info.camera)))
 
     def _log_objects(self, objects: Sequence[TrackObject]) -> None:
         import rerun as rr
 
-        colours = [_rgba(shown) for shown in objects]
-        labels = [shown.label for shown in objects]
-        edges = np.array([shown.xyxy_px for shown in objects]).reshape(-1, 4)
-        boxes = rr.Boxes2D(array=edges + 0.5, array_format=rr.Box2DFormat.XYXY, colors=colours, labels=labels)
-        self._recording.log(_BOXES, boxes)  # rerun's pixels have their centres at 0.5
+        boxes = rr.Boxes2D(
+            array=np.array([shown.xyxy_px for shown in objects]).reshape(-1, 4) + 0.5,  # pixel centres of rerun
+            array_format=rr.Box2DFormat.XYXY,
+            colors=[_rgba(shown) for shown in objects],
+            labels=[shown.label for shown in objects],
+        )
+        self._recording.log(_BOXES, boxes)
         ranged = [shown for shown in objects if shown.is_ranged]
         centres = np.array([shown.centre_m for shown in ranged]).reshape(-1, 3)
         sizes = np.array([shown.size_m for shown in ranged]).reshape(-1, 3)
-        of_ranged: dict[str, Any] = {
+        style: dict[str, Any] = {
             "colors": [_rgba(shown) for shown in ranged],
             "labels": [shown.label for shown in ranged],
         }
-        self._recording.log(_TRACKS, rr.Boxes3D(centers=centres, sizes=sizes, **of_ranged))
+        self._recording.log(_TRACKS, rr.Boxes3D(centers=centres, sizes=sizes, **style))
         above = np.stack([centres[:, 0], -centres[:, 2]], axis=1)
-        self._recording.log(_TOP_VIEW, rr.Points2D(above, radii=0.8, **of_ranged))
+        self._recording.log(_TOP_VIEW, rr.Points2D(above, radii=0.8, **style))
         for shown in objects:
-            self._log_scalars(shown)
-
-    def _log_scalars(self, shown: TrackObject) -> None:
-        import rerun as rr
-
-        paths = [f"{place}/track_{shown.track_id}" for place in (_DISTANCE, _CLOSING)]
-        if shown.track_id not in self._named:
-            self._named.add(shown.track_id)
-            style = rr.SeriesLines(colors=[shown.rgb], names=[f"{shown.class_name} {shown.track_id}"])
-            for path in paths:
-                self._recording.log(path, style, static=True)
-        for path, value in zip(paths, (shown.distance_m, shown.closing_mps), strict=True):
-            if math.isfinite(value):
-                self._recording.log(path, rr.Scalars(value))
-
-    def _log_first_notes(self) -> None:
-        """Log the notes that precede the first frame, at its time."""
-        self._log_notes(self._first_notes)
-        self._first_notes = ()
+            values = {_DISTANCE: shown.distance_m, _CLOSING: shown.closing_mps}
+            paths = {f"{plot}/track_{shown.track_id}": value for plot, value in values.items()}
+            if shown.track_id not in self._named:
+                self._named.add(shown.track_id)
+                line = rr.SeriesLines(colors=[shown.rgb], names=[f"{shown.class_name} {shown.track_id}"])
+                for path in paths:
+                    self._recording.log(path, line, static=True)
+            for path, value in paths.items():
+                if math.isfinite(value):
+                    self._recording.log(path, rr.Scalars(value))
 
     def _log_notes(self, notes: Iterable[str]) -> None:
         import rerun as rr
@@ -203,11 +182,6 @@ class RerunWriter:
             indexes=[rr.TimeColumn("frame", sequence=self._frames[:n]), by_time],
             columns=rr.VideoFrameReference.columns_nanos(shown_ns[:n]),
         )
-
-
-def _plain(metadata: Mapping[str, str]) -> dict[str, Any]:
-    """Metadata with keys that are names of components."""
-    return {key.rpartition(".")[2]: value for key, value in metadata.items()}
 
 
 def _rgba(shown: TrackObject) -> tuple[int, int, int, int]:

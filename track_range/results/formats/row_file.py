@@ -1,17 +1,21 @@
-"""FrameFile, RowFile: files of a run in progress with whole frames only, also after a failed write or a kill."""
+"""RowFile, RowWriter: files of a run in progress with whole frames only, also after a failed write or a kill."""
 
 from __future__ import annotations
 
 import csv
 import io
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
+
+from track_range.pipeline.frame_result import FrameResult
+from track_range.results.writers import RunInfo
 
 
-class FrameFile:
-    """File to which the content of one frame after the other is added with one system call.
+class RowFile:
+    """File, text as UTF-8, to which the content of one frame after the other is added with one system call.
 
     If writing fails, such as on a full disk, the file is cut back to the last whole frame.
 
@@ -23,23 +27,23 @@ class FrameFile:
         OSError: the file cannot be created.
     """
 
-    def __init__(self, path: Path, header: bytes = b"") -> None:
+    def __init__(self, path: Path, header: str | bytes = b"") -> None:
         self._file = path.open("wb", buffering=0)
         self._end = self._previous_end = 0  # size in bytes with and without the last frame
         try:
-            self.add(header)
+            self.write(header)
         except OSError:
             self._file.close()
             raise
         self._previous_end = self._end
 
-    def add(self, frame: bytes) -> None:
-        """Add the content of a frame; may be empty.
+    def write(self, rows: str | bytes) -> None:
+        """Add the content of a frame, whole lines of text; may be empty.
 
         Raises:
             OSError: it cannot be written; the file is as before.
         """
-        content = memoryview(frame)
+        content = memoryview(rows.encode("utf-8") if isinstance(rows, str) else rows)
         end = self._end + len(content)
         try:
             while content:
@@ -65,30 +69,35 @@ class FrameFile:
             self._file.seek(size)
 
 
-class RowFile(FrameFile):
-    """Text file, UTF-8, to which the rows of one frame after the other are added (see `FrameFile`).
+class RowWriter:
+    """Base of the writers of one text file (see `RowFile`), which implement `rows` and, for a header, `header`."""
 
-    Args:
-        path: the file; replaced if it exists.
-        header: text before the rows of the first frame.
+    files: tuple[str, ...]
 
-    Raises:
-        OSError: the file cannot be created.
-    """
+    def header(self) -> str:
+        """Text before the first frame."""
+        return ""
 
-    def __init__(self, path: Path, header: str = "") -> None:
-        super().__init__(path, header.encode("utf-8"))
+    def rows(self, result: FrameResult) -> str:
+        """Whole lines of a frame."""
+        raise NotImplementedError
 
-    def write(self, rows: str) -> None:
-        """Add the rows of a frame.
+    def open(self, info: RunInfo, folder: Path) -> None:
+        """Create the file with its header."""
+        self.info = info
+        self._file = RowFile(folder / self.files[0], self.header())
 
-        Args:
-            rows: whole lines; empty if the frame has none.
+    def write(self, result: FrameResult) -> None:
+        """Add the rows of a frame."""
+        self._file.write(self.rows(result))
 
-        Raises:
-            OSError: they cannot be written; the file is as before.
-        """
-        self.add(rows.encode("utf-8"))
+    def discard_last(self) -> None:
+        """Remove the rows of the last frame."""
+        self._file.discard_last()
+
+    def close(self, summary: Mapping[str, Any] | None) -> None:
+        """Close the file."""
+        self._file.close()
 
 
 def csv_text(rows: Iterable[Iterable[str]]) -> str:

@@ -23,21 +23,18 @@ _LENGTH_M = dict(zip(ROAD_CLASSES, (0.5, 1.7, 4.2, 2.1, 11.0, 8.0, 0.3, 0.1), st
 """Nominal length of each class, m, since an image shows only width and height; typical sizes."""
 
 
+FIGURES = ("distance_m", "sigma_m", "closing_mps", "closing_sigma_mps", "ttc_s")
+"""Numbers of a track that may be unknown."""
+
+
 @dataclass(frozen=True, slots=True)
 class TrackObject:
     """A track of one frame; NaN = unknown.
 
     Attributes:
-        track_id: identity.
-        class_name: road class.
-        score: confidence of the detection.
         is_observed: False for a predicted box.
         xyxy_px: edges of the box in px, pixel centres at integers.
-        distance_m: fused distance along z.
-        sigma_m: its standard deviation.
-        closing_mps: closing speed.
-        closing_sigma_mps: its standard deviation.
-        ttc_s: time to collision.
+        distance_m: fused distance (z); `sigma_m` is its standard deviation.
         centre_m: centre of the cuboid in the camera frame.
         size_m: width (x), height (y) and nominal length (z) of the cuboid.
         rgb: colour, 0 to 255; red and amber shortly before a predicted collision.
@@ -74,13 +71,7 @@ class TrackObject:
     @property
     def figures(self) -> dict[str, float]:
         """Known distance, closing speed and time to collision with their sigmas, by name with unit."""
-        values = {
-            "distance_m": self.distance_m,
-            "sigma_m": self.sigma_m,
-            "closing_mps": self.closing_mps,
-            "closing_sigma_mps": self.closing_sigma_mps,
-            "ttc_s": self.ttc_s,
-        }
+        values = {name: getattr(self, name) for name in FIGURES}
         return {name: value for name, value in values.items() if math.isfinite(value)}
 
 
@@ -95,22 +86,21 @@ def track_objects(result: FrameResult, camera: PinholeCamera) -> Iterator[TrackO
     centre_y_m = ((y1 + y2) / 2 - camera.cy_px) / camera.fy_px * distance_m
     width_m, height_m = (x2 - x1) / camera.fx_px * distance_m, (y2 - y1) / camera.fy_px * distance_m
     for i in range(n):
-        name, track_id, ttc_s = ROAD_CLASSES[int(tracks.class_id[i])], int(tracks.track_id[i]), float(result.ttc_s[i])
+        name, track_id = ROAD_CLASSES[int(tracks.class_id[i])], int(tracks.track_id[i])
         length_m = _LENGTH_M[name]
         blue, green, red = warning_colour(result, i) or track_colour(track_id)
-        z_m = float(distance_m[i])
         yield TrackObject(
             track_id,
             name,
             float(tracks.score[i]),
             bool(tracks.observed[i]),
             (float(x1[i]), float(y1[i]), float(x2[i]), float(y2[i])),
-            z_m,
+            float(distance_m[i]),
             float(sigma_m[i]),
             float(result.closing_mps[i]),
             float(result.closing_sigma_mps[i]),
-            ttc_s,
-            (float(centre_x_m[i]), float(centre_y_m[i]), z_m + length_m / 2),
+            float(result.ttc_s[i]),
+            (float(centre_x_m[i]), float(centre_y_m[i]), float(distance_m[i]) + length_m / 2),
             (float(width_m[i]), float(height_m[i]), length_m),
             (red, green, blue),
         )

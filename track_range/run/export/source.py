@@ -21,7 +21,7 @@ from track_range.foundation.validation import validated
 from track_range.recording.live.address import live_address
 from track_range.recording.open_video import open_video
 from track_range.results.folder import DetectedCamera, RunFolder, read_run_folder
-from track_range.results.formats.run_boxes import table_of_rows
+from track_range.results.formats.box_files import table_of_rows
 from track_range.results.provenance import Provenance, settings_hash
 from track_range.run.build import open_input
 from track_range.run.settings_files import settings_from

@@ -15,9 +15,8 @@ import numpy as np
 
 from track_range.detection.boxes import iou
 from track_range.foundation.arrays import FloatArray
-from track_range.results.columns import Columns
+from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.event import EVENT_KINDS, Event
-from track_range.results.truth import boxes_px
 from track_range.views.report.content.events import event_details, kind_words, object_words, time_words
 from track_range.views.report.tables import Cell, Column, Grid, grid_of
 

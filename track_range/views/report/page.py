@@ -24,8 +24,7 @@ from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import write_text
 from track_range.pipeline.colours import colour_of_each
 from track_range.results.columns import Columns, methods_measured
-from track_range.results.events.clip_names import is_clip_name
-from track_range.results.events.event import Event
+from track_range.results.events.event import Event, is_clip_name
 from track_range.views.report import tables
 from track_range.views.report.comparison import (
     ComparedRun,
@@ -86,7 +85,7 @@ def write_report(
     Args:
         path: file to write, usually report.html in the folder of overlay.mp4.
         summary: content of summary.json.
-        columns: tracks.csv by column, NaN = empty, with the ground truth (`results.truth`) where there is one; zero
+        columns: tracks.csv by column, NaN = empty, with the ground truth (`results.summary`) where there is one; zero
             rows without tracks.
         events: events of the run, in the order of events.csv; None = unknown, the page is then without them.
         clips: folder of their clips, to which the page links; it may be missing. None = no links.

@@ -10,8 +10,7 @@ from pathlib import Path
 from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.files.input_files import counted, real_path
 from track_range.foundation.files.output_files import OutputError, check_outputs
-from track_range.results.events.clip_names import CLIPS_FOLDER
-from track_range.results.events.event import Event
+from track_range.results.events.event import CLIPS_FOLDER, Event
 from track_range.results.events.files import EVENTS_FILE, EVENTS_PARQUET, write_event_files
 from track_range.results.folder import RunFolder, read_run_folder
 from track_range.results.writers import result_names

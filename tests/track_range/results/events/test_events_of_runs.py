@@ -9,10 +9,11 @@ import track_range as tr
 from tests.track_range.results.events.event_builder import SeenFinder, event
 from tests.track_range.results.test_run_folder import N_FRAMES, write_run
 from track_range.foundation.files.output_files import OutputError
-from track_range.results import folder as folders
+from track_range.results.events import finder
+from track_range.results.events.event import severity_key
 from track_range.results.events.files import read_events, write_event_files
-from track_range.results.events.summary import events_section, severity_key
 from track_range.results.folder import read_run_folder
+from track_range.results.summary import events_section
 from track_range.views.report.run_folders import report
 
 
@@ -62,7 +63,7 @@ def test_run_without_events_has_both_files(small_drive, tmp_path):
 
 
 def test_killed_run_gets_its_events_back(tmp_path, monkeypatch):
-    monkeypatch.setattr(folders, "EventFinder", SeenFinder)
+    monkeypatch.setattr(finder, "EventFinder", SeenFinder)
     run = write_run(tmp_path / "run")
     (run / "summary.json").unlink()
     (run / "events.csv").write_text("kind,start_s,end_s\n")
@@ -78,7 +79,7 @@ def test_killed_run_gets_its_events_back(tmp_path, monkeypatch):
 
 
 def test_damaged_events_are_found_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(folders, "EventFinder", SeenFinder)
+    monkeypatch.setattr(finder, "EventFinder", SeenFinder)
     run = write_run(tmp_path / "run")
     (run / "events.csv").write_text("kind,start_s,end_s\ncrash,1,2\n")
     read = read_run_folder(run)

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from track_range.stereo.geometry.camera import PinholeCamera
+
 LAYOUT = Path(__file__).with_name("foxglove_layout.json")
 """Layout for Foxglove: image with boxes, 3-D scene, plots of distance and closing speed, notes."""
 
@@ -10,4 +12,22 @@ PROFILES: Mapping[str, str] = {
     "foxglove": "track_range.results.formats.mcap.foxglove_profile:FoxgloveProfile",
     "ros2": "track_range.results.formats.mcap.ros2_profile:Ros2Profile",
 }
-"""Profiles by name, imported when one is used, since their packages are optional."""
+"""Message types of a family of readers by name, imported when one is used, since their packages are optional."""
+
+ANNOTATIONS, DETECTIONS_2D = "/camera/annotations", "/camera/detections"
+SCENE, DETECTIONS_3D, RANGES = "/tracks/scene", "/tracks/detections", "/tracks/ranges"
+TRANSFORMS = "/tf"
+
+NANOSECONDS = 1_000_000_000
+"""Nanoseconds per second."""
+
+Message = tuple[str, bytes]
+"""Topic and encoded message."""
+
+
+def calibration_matrices(camera: PinholeCamera) -> tuple[list[float], list[float], list[float]]:
+    """K, R and P of a rectified camera, row by row."""
+    fx, fy, cx, cy = camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
+    k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+    r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    return k, r, [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]

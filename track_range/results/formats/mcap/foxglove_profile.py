@@ -6,29 +6,32 @@ Foxglove's image coordinates have their origin at the corner of the first pixel,
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any
 
 from foxglove import messages as fox
 from foxglove.messages import Timestamp
 
-from track_range.results.formats.mcap.messages import (
+from track_range.results.formats.mcap import (
     ANNOTATIONS,
-    CALIBRATION,
-    IMAGE,
     NANOSECONDS,
     RANGES,
     SCENE,
     TRANSFORMS,
     Message,
-    SchemaText,
     calibration_matrices,
 )
-from track_range.results.formats.scene import CAMERA_FRAME, VEHICLE_FRAME, VEHICLE_FROM_CAMERA_XYZW, TrackObject
+from track_range.results.formats.scene import (
+    CAMERA_FRAME,
+    FIGURES,
+    VEHICLE_FRAME,
+    VEHICLE_FROM_CAMERA_XYZW,
+    TrackObject,
+)
 from track_range.stereo.geometry.camera import PinholeCamera
 
-LOG = "/log"
+CALIBRATION, IMAGE, LOG = "/camera/calibration", "/camera/image", "/log"
 
 _CORNER_PX = 0.5
 """Foxglove's coordinates of the centre of the first pixel."""
@@ -36,7 +39,7 @@ _CORNER_PX = 0.5
 _PREDICTED_ALPHA = 0.4
 """Opacity of predicted boxes."""
 
-_MESSAGES: dict[str, Any] = {
+_MESSAGES: Mapping[str, Any] = {
     CALIBRATION: fox.CameraCalibration,
     IMAGE: fox.CompressedImage,
     ANNOTATIONS: fox.ImageAnnotations,
@@ -45,7 +48,7 @@ _MESSAGES: dict[str, Any] = {
     LOG: fox.Log,
 }
 
-_NUMBERS = ("distance_m", "sigma_m", "closing_mps", "closing_sigma_mps", "ttc_s")
+_TRACK_TYPES = {"id": "integer", "class": "string", "observed": "boolean", **dict.fromkeys(FIGURES, "number")}
 
 _RANGES_SCHEMA = {
     "type": "object",
@@ -55,15 +58,7 @@ _RANGES_SCHEMA = {
         "frame_time_ns": {"type": "integer", "description": "time of the frame"},
         "tracks": {
             "type": "array",
-            "items": {
-                "type": "object",
-                "properties": {
-                    "id": {"type": "integer"},
-                    "class": {"type": "string"},
-                    "observed": {"type": "boolean"},
-                    **{name: {"type": "number"} for name in _NUMBERS},
-                },
-            },
+            "items": {"type": "object", "properties": {name: {"type": kind} for name, kind in _TRACK_TYPES.items()}},
         },
     },
 }
@@ -79,36 +74,32 @@ class FoxgloveProfile:
         self._matrices = calibration_matrices(camera)
         self._shown: set[int] = set()
 
-    def schema(self, topic: str) -> SchemaText:
-        """Schema of the messages of a topic."""
+    def schema(self, topic: str) -> tuple[str, str, bytes, str]:
+        """Name, encoding and text of the schema of a topic, and the encoding of its messages."""
         if topic == RANGES:
-            return SchemaText("track_range.Ranges", "jsonschema", json.dumps(_RANGES_SCHEMA).encode())
+            return "track_range.Ranges", "jsonschema", json.dumps(_RANGES_SCHEMA).encode(), "json"
         schema = _MESSAGES[topic].get_schema()
-        return SchemaText(schema.name, schema.encoding, schema.data)
-
-    def encoding(self, topic: str) -> str:
-        """Encoding of the messages of a topic."""
-        return "json" if topic == RANGES else "protobuf"
+        return schema.name, schema.encoding, schema.data, "protobuf"
 
     def frame(self, objects: Sequence[TrackObject], time_ns: int) -> Iterator[Message]:
         """Messages of a frame, without its image."""
         time = _timestamp(time_ns)
-        yield Message(CALIBRATION, self._calibration(time))
-        yield Message(TRANSFORMS, _transforms(time))
-        yield Message(ANNOTATIONS, _annotations(objects, time))
-        yield Message(SCENE, self._scene(objects, time))
+        yield (CALIBRATION, self._calibration(time))
+        yield (TRANSFORMS, _transforms(time))
+        yield (ANNOTATIONS, _annotations(objects, time))
+        yield (SCENE, self._scene(objects, time))
         rows = [{"id": o.track_id, "class": o.class_name, "observed": o.is_observed, **o.figures} for o in objects]
-        yield Message(RANGES, json.dumps({"frame_time_ns": time_ns, "tracks": rows}).encode())
+        yield (RANGES, json.dumps({"frame_time_ns": time_ns, "tracks": rows}).encode())
 
     def image(self, jpeg: bytes, time_ns: int) -> Message:
         """Message of an image."""
         image = fox.CompressedImage(timestamp=_timestamp(time_ns), frame_id=CAMERA_FRAME, data=jpeg, format="jpeg")
-        return Message(IMAGE, image.encode())
+        return (IMAGE, image.encode())
 
     def note(self, text: str, time_ns: int) -> Message:
         """Message of a note of the run."""
         note = fox.Log(timestamp=_timestamp(time_ns), level=fox.LogLevel.Info, message=text, name="track-range")
-        return Message(LOG, note.encode())
+        return (LOG, note.encode())
 
     def _calibration(self, time: Timestamp) -> bytes:
         k, r, p = self._matrices

@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from track_range.results.formats.mcap.messages import (
+from track_range.results.formats.mcap import (
     DETECTIONS_2D,
     DETECTIONS_3D,
     NANOSECONDS,
     RANGES,
     TRANSFORMS,
     Message,
-    SchemaText,
     calibration_matrices,
 )
 from track_range.results.formats.scene import CAMERA_FRAME, VEHICLE_FRAME, VEHICLE_FROM_CAMERA_XYZW, TrackObject
@@ -29,6 +28,8 @@ from track_range.stereo.geometry.camera import PinholeCamera
 CALIBRATION, IMAGE, LOG = "/camera/camera_info", "/camera/image/compressed", "/rosout"
 """Topics where image_transport, RViz and other nodes of ROS expect them."""
 
+_DETECTION = "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/{} bbox\nstring id"
+
 _VISION_MESSAGES = {
     "Point2D": "float64 x\nfloat64 y",
     "Pose2D": "vision_msgs/Point2D position\nfloat64 theta",
@@ -36,14 +37,8 @@ _VISION_MESSAGES = {
     "BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size",
     "ObjectHypothesis": "string class_id\nfloat64 score",
     "ObjectHypothesisWithPose": "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose",
-    "Detection2D": (
-        "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox2D bbox\n"
-        "string id"
-    ),
-    "Detection3D": (
-        "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox3D bbox\n"
-        "string id"
-    ),
+    "Detection2D": _DETECTION.format("BoundingBox2D"),
+    "Detection3D": _DETECTION.format("BoundingBox3D"),
     "Detection2DArray": "std_msgs/Header header\nvision_msgs/Detection2D[] detections",
     "Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections",
 }
@@ -59,11 +54,8 @@ _TYPES = {
     LOG: "rcl_interfaces/msg/Log",
 }
 
-_INFO = 20
-"""Level of information in rcl_interfaces/Log."""
-
-_UNKNOWN_VARIANCE = -1.0
-"""Variance of a pose that is not known, as ROS drivers mark it."""
+_INFO = 20  # level of information in rcl_interfaces/Log
+_UNKNOWN_VARIANCE = -1.0  # of a pose, as ROS drivers mark it
 
 
 class Ros2Profile:
@@ -77,43 +69,37 @@ class Ros2Profile:
         for name, text in _VISION_MESSAGES.items():
             self._store.register(get_types_from_msg(text, f"vision_msgs/msg/{name}"))
 
-    def schema(self, topic: str) -> SchemaText:
-        """Schema of the messages of a topic."""
+    def schema(self, topic: str) -> tuple[str, str, bytes, str]:
+        """Name, encoding and text of the schema of a topic, and the encoding of its messages."""
         text, _ = self._store.generate_msgdef(_TYPES[topic], ros_version=2)
-        return SchemaText(_TYPES[topic], "ros2msg", text.encode())
-
-    def encoding(self, topic: str) -> str:
-        """Encoding of the messages of a topic."""
-        return "cdr"
+        return _TYPES[topic], "ros2msg", text.encode(), "cdr"
 
     def frame(self, objects: Sequence[TrackObject], time_ns: int) -> Iterator[Message]:
         """Messages of a frame, without its image."""
         header = self._header(time_ns)
-        yield self._message(CALIBRATION, self._calibration(header))
-        yield self._message(TRANSFORMS, self._transforms(time_ns))
+        yield self._message(CALIBRATION, header=header, **self._calibration())
+        yield self._message(TRANSFORMS, transforms=[self._transform(time_ns)])
         in_image = [self._detection_2d(shown, header) for shown in objects]
-        yield self._message(DETECTIONS_2D, self._new(_TYPES[DETECTIONS_2D], header=header, detections=in_image))
+        yield self._message(DETECTIONS_2D, header=header, detections=in_image)
         in_space = [self._detection_3d(shown, header) for shown in objects if shown.is_ranged]
-        yield self._message(DETECTIONS_3D, self._new(_TYPES[DETECTIONS_3D], header=header, detections=in_space))
-        statuses = [self._status(shown) for shown in objects]
-        yield self._message(RANGES, self._new(_TYPES[RANGES], header=header, status=statuses))
+        yield self._message(DETECTIONS_3D, header=header, detections=in_space)
+        yield self._message(RANGES, header=header, status=[self._status(shown) for shown in objects])
 
     def image(self, jpeg: bytes, time_ns: int) -> Message:
         """Message of an image."""
-        data = np.frombuffer(jpeg, np.uint8)
-        return self._message(IMAGE, self._new(_TYPES[IMAGE], header=self._header(time_ns), format="jpeg", data=data))
+        return self._message(IMAGE, header=self._header(time_ns), format="jpeg", data=np.frombuffer(jpeg, np.uint8))
 
     def note(self, text: str, time_ns: int) -> Message:
         """Message of a note of the run."""
-        stamp = self._stamp(time_ns)
         values = {"level": _INFO, "name": "track_range", "msg": text, "file": "", "function": "", "line": 0}
-        return self._message(LOG, self._new(_TYPES[LOG], stamp=stamp, **values))
+        return self._message(LOG, stamp=self._stamp(time_ns), **values)
 
     def _new(self, message_type: str, **values: Any) -> Any:
         return self._store.types[message_type](**values)
 
-    def _message(self, topic: str, message: Any) -> Message:
-        return Message(topic, bytes(self._store.serialize_cdr(message, _TYPES[topic])))
+    def _message(self, topic: str, **values: Any) -> Message:
+        message = self._new(_TYPES[topic], **values)
+        return topic, bytes(self._store.serialize_cdr(message, _TYPES[topic]))
 
     def _stamp(self, time_ns: int) -> Any:
         sec, nanosec = divmod(time_ns, NANOSECONDS)
@@ -128,51 +114,39 @@ class Ros2Profile:
     def _rotation(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, w: float = 1.0) -> Any:
         return self._new("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
-    def _calibration(self, header: Any) -> Any:
-        k, r, p = (np.array(matrix) for matrix in calibration_matrices(self._camera))
-        region = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
+    def _pose(self, x: float, y: float, z: float) -> Any:
+        """Pose without rotation."""
         return self._new(
-            _TYPES[CALIBRATION],
-            header=header,
-            height=self._camera.height_px,
-            width=self._camera.width_px,
-            distortion_model="plumb_bob",
-            d=np.zeros(5),
-            k=k,
-            r=r,
-            p=p,
-            binning_x=0,
-            binning_y=0,
-            roi=self._new("sensor_msgs/msg/RegionOfInterest", **region),
+            "geometry_msgs/msg/Pose", position=self._vector("Point", x, y, z), orientation=self._rotation()
         )
 
-    def _transforms(self, time_ns: int) -> Any:
+    def _calibration(self) -> dict[str, Any]:
+        k, r, p = (np.array(matrix) for matrix in calibration_matrices(self._camera))
+        region = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
+        return {
+            "height": self._camera.height_px,
+            "width": self._camera.width_px,
+            "distortion_model": "plumb_bob",
+            "d": np.zeros(5),
+            "k": k,
+            "r": r,
+            "p": p,
+            "binning_x": 0,
+            "binning_y": 0,
+            "roi": self._new("sensor_msgs/msg/RegionOfInterest", **region),
+        }
+
+    def _transform(self, time_ns: int) -> Any:
         transform = self._new(
             "geometry_msgs/msg/Transform",
             translation=self._vector("Vector3", 0.0, 0.0, 0.0),
             rotation=self._rotation(*VEHICLE_FROM_CAMERA_XYZW),
         )
-        stamped = self._new(
+        return self._new(
             "geometry_msgs/msg/TransformStamped",
             header=self._header(time_ns, VEHICLE_FRAME),
             child_frame_id=CAMERA_FRAME,
             transform=transform,
-        )
-        return self._new(_TYPES[TRANSFORMS], transforms=[stamped])
-
-    def _hypothesis(self, shown: TrackObject) -> Any:
-        """Class and score, with the cuboid's centre and the variance of the distance."""
-        centre = shown.centre_m if shown.is_ranged else (0.0, 0.0, 0.0)
-        covariance = np.zeros(36)
-        covariance[14] = shown.sigma_m**2 if "sigma_m" in shown.figures else _UNKNOWN_VARIANCE  # z, z
-        pose = self._new(
-            "geometry_msgs/msg/Pose", position=self._vector("Point", *centre), orientation=self._rotation()
-        )
-        hypothesis = self._new("vision_msgs/msg/ObjectHypothesis", class_id=shown.class_name, score=shown.score)
-        return self._new(
-            "vision_msgs/msg/ObjectHypothesisWithPose",
-            hypothesis=hypothesis,
-            pose=self._new("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance),
         )
 
     def _detection_2d(self, shown: TrackObject, header: Any) -> Any:
@@ -183,15 +157,21 @@ class Ros2Profile:
         return self._detection("Detection2D", shown, header, box)
 
     def _detection_3d(self, shown: TrackObject, header: Any) -> Any:
-        pose = self._new(
-            "geometry_msgs/msg/Pose", position=self._vector("Point", *shown.centre_m), orientation=self._rotation()
-        )
-        box = self._new("vision_msgs/msg/BoundingBox3D", center=pose, size=self._vector("Vector3", *shown.size_m))
+        size = self._vector("Vector3", *shown.size_m)
+        box = self._new("vision_msgs/msg/BoundingBox3D", center=self._pose(*shown.centre_m), size=size)
         return self._detection("Detection3D", shown, header, box)
 
     def _detection(self, kind: str, shown: TrackObject, header: Any, box: Any) -> Any:
-        results = [self._hypothesis(shown)]
-        return self._new(f"vision_msgs/msg/{kind}", header=header, results=results, bbox=box, id=str(shown.track_id))
+        """Box with its class and score, the cuboid's centre and the variance of the distance."""
+        covariance = np.zeros(36)
+        covariance[14] = shown.sigma_m**2 if "sigma_m" in shown.figures else _UNKNOWN_VARIANCE  # z, z
+        pose = self._pose(*(shown.centre_m if shown.is_ranged else (0.0, 0.0, 0.0)))
+        result = self._new(
+            "vision_msgs/msg/ObjectHypothesisWithPose",
+            hypothesis=self._new("vision_msgs/msg/ObjectHypothesis", class_id=shown.class_name, score=shown.score),
+            pose=self._new("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance),
+        )
+        return self._new(f"vision_msgs/msg/{kind}", header=header, results=[result], bbox=box, id=str(shown.track_id))
 
     def _status(self, shown: TrackObject) -> Any:
         """Figures of a track as text, which PlotJuggler converts to curves."""

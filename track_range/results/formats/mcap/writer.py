@@ -13,19 +13,26 @@ import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any, BinaryIO, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
+
+import cv2
+import numpy as np
 
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.formats.extras import check_extra
-from track_range.results.formats.mcap import PROFILES
-from track_range.results.formats.mcap.messages import NANOSECONDS, Message, Profile, jpeg
-from track_range.results.formats.row_file import FrameFile
+from track_range.results.formats.mcap import NANOSECONDS, PROFILES, Message
+from track_range.results.formats.row_file import RowFile
 from track_range.results.formats.scene import track_objects
 from track_range.results.writers import RunInfo
 
+if TYPE_CHECKING:
+    from track_range.results.formats.mcap.foxglove_profile import FoxgloveProfile
+    from track_range.results.formats.mcap.ros2_profile import Ros2Profile
+
 MCAP_FILE = "run.mcap"
 
-_EXTRA = "mcap"
+_JPEG_QUALITY = 85
+"""Quality of images, 0 to 100: about a tenth of a byte per pixel."""
 
 _MAX_TIME_NS = (2**31 - 1) * NANOSECONDS
 """Latest time of ROS, in 2038; times are from 1970 to this one."""
@@ -40,12 +47,8 @@ class McapWriter:
     files = (MCAP_FILE,)
 
     def check_requirements(self) -> None:
-        """Check that the required packages are installed.
-
-        Raises:
-            ExtraError: one is missing.
-        """
-        check_extra("mcap", _EXTRA, "foxglove", "rosbags.typesys")
+        """Raise ExtraError unless the required packages are installed."""
+        check_extra("mcap", "mcap", "foxglove", "rosbags.typesys")
 
     def open(self, info: RunInfo, folder: Path) -> None:
         """Create the file with its header."""
@@ -56,7 +59,7 @@ class McapWriter:
         self._info = info
         self._has_images = bool(info.settings.get("mcap_images", False))
         profile = resolve_name(PROFILES.get(str(info.settings.get("mcap_profile")), PROFILES["foxglove"]))
-        self._profile: Profile = profile(info.camera)
+        self._profile: FoxgloveProfile | Ros2Profile = profile(info.camera)
         start_us = round((info.start_utc_s or 0.0) * 1e6)  # float64 holds microseconds since 1970
         self._start_ns = min(max(start_us * 1000, 0), _MAX_TIME_NS)
         self._held: tuple[int, list[Message]] | None = None
@@ -71,7 +74,7 @@ class McapWriter:
         self._mcap = foxglove.open_mcap(cast(BinaryIO, self._sink), context=self._context, writer_options=options)
         self._mcap.write_metadata("track_range", info.provenance.metadata())
         self._mcap.flush()
-        self._file = FrameFile(folder / MCAP_FILE, self._sink.pop())
+        self._file = RowFile(folder / MCAP_FILE, self._sink.pop())
         self._has_gap = False
         self._first_notes = info.notes
 
@@ -82,7 +85,8 @@ class McapWriter:
         messages = list(self._profile.frame(list(track_objects(result, self._info.camera)), time_ns))
         image = self._info.shown_image(result) if self._has_images else None
         if image is not None:
-            messages.append(self._profile.image(jpeg(image), time_ns))
+            _, jpeg = cv2.imencode(".jpg", np.ascontiguousarray(image), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+            messages.append(self._profile.image(jpeg.tobytes(), time_ns))
         self._held = (time_ns, messages)
 
     def discard_last(self) -> None:
@@ -93,13 +97,13 @@ class McapWriter:
         """Write the last frame, the notes of the run and the index."""
         try:
             self._release()
-            self._last_ns = self._last_ns or self._start_ns  # a run without frames
-            self._log_first_notes(self._last_ns)
             notes = (summary or {}).get("notes") or ()
-            self._log_notes((note for note in notes if note not in self._info.notes), self._last_ns)
+            later = (note for note in notes if note not in self._info.notes)
+            self._last_ns = self._last_ns or self._start_ns  # a run without frames
+            self._log_notes((*self._first_notes, *later), self._last_ns)
             self._mcap.close()
             if not self._has_gap:  # otherwise the positions in the index are wrong
-                self._file.add(self._sink.pop())
+                self._file.write(self._sink.pop())
         finally:
             for channel in self._channels.values():
                 channel.close()
@@ -123,45 +127,28 @@ class McapWriter:
         if is_due or time.monotonic() - self._chunk_began_s >= _CHUNK_S:
             self._mcap.flush()
             self._chunk_ns, self._chunk_began_s = time_ns, time.monotonic()
-            self._add(self._sink.pop())
-        self._log_first_notes(time_ns)
+            chunk = self._sink.pop()
+            if not self._has_gap:  # later chunks may need the schemas of one that is missing
+                self._has_gap = True
+                self._file.write(chunk)
+                self._has_gap = False
+        self._log_notes(self._first_notes, time_ns)
+        self._first_notes = ()
         self._log(messages, time_ns)
         self._held = None
 
-    def _add(self, chunk: bytes) -> None:
-        if self._has_gap:  # later chunks may need the schemas of the one that is missing
-            return
-        try:
-            self._file.add(chunk)
-        except OSError:
-            self._has_gap = True
-            raise
-
-    def _log_first_notes(self, time_ns: int) -> None:
-        """Log the notes that precede the first frame, at its time."""
-        self._log_notes(self._first_notes, time_ns)
-        self._first_notes = ()
-
     def _log_notes(self, notes: Iterable[str], time_ns: int) -> None:
-        for note in notes:
-            self._log([self._profile.note(note, time_ns)], time_ns)
+        self._log((self._profile.note(note, time_ns) for note in notes), time_ns)
 
-    def _log(self, messages: list[Message], time_ns: int) -> None:
-        for topic, data in messages:
-            if topic not in self._channels:
-                self._channels[topic] = self._channel(topic)
-            self._channels[topic].log(data, log_time=time_ns)
-
-    def _channel(self, topic: str) -> Any:
+    def _log(self, messages: Iterable[Message], time_ns: int) -> None:
         from foxglove import Channel, Schema
 
-        name, encoding, data = self._profile.schema(topic)
-        return Channel(
-            topic,
-            schema=Schema(name=name, encoding=encoding, data=data),
-            message_encoding=self._profile.encoding(topic),
-            context=self._context,
-        )
+        for topic, data in messages:
+            if topic not in self._channels:
+                name, schema_encoding, text, encoding = self._profile.schema(topic)
+                schema = Schema(name=name, encoding=schema_encoding, data=text)
+                self._channels[topic] = Channel(topic, schema=schema, message_encoding=encoding, context=self._context)
+            self._channels[topic].log(data, log_time=time_ns)
 
 
 class _Sink:

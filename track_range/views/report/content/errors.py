@@ -58,7 +58,7 @@ def _errors_pct(columns: Columns, method: str) -> tuple[FloatArray, FloatArray]:
 
 
 def _scored_truth_m(columns: Columns) -> FloatArray:
-    """(N,) true distances that the tables' errors refer to, in metres; see `results.truth`."""
+    """(N,) true distances that the tables' errors refer to, in metres; see `results.summary`."""
     return column(columns, "scored_truth_m" if "scored_truth_m" in columns else "truth_m")
 
 

@@ -6,9 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from track_range.results.events.clip_names import clip_name
-from track_range.results.events.event import EVENT_KINDS, Event
-from track_range.results.events.summary import severity_key
+from track_range.results.events.event import EVENT_KINDS, Event, clip_name, severity_key
 
 KIND_WORDS: Mapping[str, str] = {
     "forward_collision": "forward collision warning",

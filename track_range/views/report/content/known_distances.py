@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from track_range.foundation.arrays import FloatArray
-from track_range.results.columns import Columns
-from track_range.results.truth import boxes_px
+from track_range.results.columns import Columns, boxes_px
 
 
 def uncalibrated_video(summary: Mapping[str, Any]) -> str | None:

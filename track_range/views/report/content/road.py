@@ -18,8 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.results.columns import Columns
-from track_range.results.truth import boxes_px
+from track_range.results.columns import Columns, boxes_px
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.views.report.content.series import column, rows_by_track
 
