@@ -12,7 +12,6 @@ import sys
 import threading
 import webbrowser
 from collections.abc import Callable
-from types import TracebackType
 from typing import Self
 
 import cv2
@@ -39,9 +38,6 @@ class LiveView:
         opens_browser: whether to open a browser, if there is a screen.
         n_viewers: largest number of streams at a time.
 
-    Attributes:
-        page: server of the page.
-
     Raises:
         PageError: the page cannot be served at this address.
     """
@@ -59,7 +55,7 @@ class LiveView:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_error: object) -> None:
         with self._changed:
             self._is_over = True
             self._changed.notify_all()
@@ -110,10 +106,7 @@ class LiveView:
             return b""
         tracks = newest.tracks
         boxes = [
-            {
-                "name": ROAD_CLASSES[int(tracks.class_id[row])],
-                "xyxy": [round(side) for side in tracks.xyxy_px[row].tolist()],
-            }
+            {"name": ROAD_CLASSES[tracks.class_id[row]], "xyxy": [round(edge) for edge in tracks.xyxy_px[row].tolist()]}
             for row in np.flatnonzero(tracks.observed)
         ]
         return json.dumps({"video": self._video, "time_s": round(newest.time_s, 3), "boxes": boxes}).encode()
