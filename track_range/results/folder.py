@@ -139,7 +139,7 @@ class _Reader:
         except OutputError:
             self.missing.append("settings.yaml is missing or cannot be read: the settings of the run are unknown.")
         settings = settings if isinstance(settings, dict) else {}
-        self.settings, self.found = _section(settings, "run"), _section(settings, "found")
+        self.settings, self.detected = _section(settings, "run"), _section(settings, "found")
 
     def _read_summary(self) -> dict[str, Any] | None:
         file = self.folder / "summary.json"
@@ -176,7 +176,7 @@ class _Reader:
         is_replayed = has_events and events is None
         summary = self._summary_from_rows(rows, matched) if self.summary is None else self.summary
         if is_replayed:
-            fps = self.found.get("fps")
+            fps = self.detected.get("fps")
             fps = float(fps) if isinstance(fps, int | float) and 0 < fps <= _MAX_FPS else _DEFAULT_FPS
             events = self._replayed_events(rows, fps)
             seconds = float(np.ptp(rows["time_s"])) + 1 / fps if len(rows["time_s"]) else 0.0
@@ -190,7 +190,7 @@ class _Reader:
             missing=tuple(self.missing),
             events=events or (),
             are_events_replayed=is_replayed,
-            provenance=Provenance.of_inputs(self.found, settings_hash(self.settings)),
+            provenance=Provenance.of_inputs(self.detected, settings_hash(self.settings)),
         )
 
     def _columns(self, *, is_rounded: bool) -> dict[str, Any] | None:
@@ -207,7 +207,7 @@ class _Reader:
         if not self.settings.get("truth"):
             return None
         try:
-            facts = validated(DetectedCamera, self.found, "settings.yaml, found", OutputError)
+            facts = validated(DetectedCamera, self.detected, "settings.yaml, found", OutputError)
             shift_m = np.zeros(3)
             if facts.rig:
                 shift_m = left_from_reference_m(facts.rig, is_grey=False, size_px=facts.image_size_px)
@@ -281,7 +281,9 @@ class _Reader:
         absent = [name for name in files.values() if not os.path.isfile(self.folder / str(name))]
         self.missing += [f"{name} is missing and cannot be shown." for name in absent]
         camera = {
-            key: self.found[key] for key in ("focal_px", "baseline_m", "versions") if self.found.get(key) is not None
+            key: self.detected[key]
+            for key in ("focal_px", "baseline_m", "versions")
+            if self.detected.get(key) is not None
         }
         settings = {key: value for key, value in self.settings.items() if value not in ([], {})}
         merged = {**camera, "settings": settings, "starts_s": settings.get("start_s", 0.0), **summary}

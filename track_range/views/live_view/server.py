@@ -238,7 +238,7 @@ class _Handler(BaseHTTPRequestHandler):
             case _:
                 self.send_error(HTTPStatus.NOT_FOUND)
 
-    do_HEAD = do_GET  # `_send` and `_send_stream` omit the body
+    do_HEAD = do_GET  # noqa: N815 - `_send` and `_send_stream` omit the body
 
     def log_message(self, *_: object) -> None:
         """Log nothing, because the run uses the terminal."""
