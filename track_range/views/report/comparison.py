@@ -1,38 +1,65 @@
-"""Comparison of runs: events that differ, a row per run with its results, and settings that differ."""
+"""Comparison of runs: events that differ, a row per run with its results, and settings that differ.
+
+Events of two runs match if they are of the same kind, if their times overlap within `TIME_TOLERANCE_S`, and if the
+boxes of their tracks overlap in the frames that both tracks have (median IoU), or if their distances are similar where
+there are none. The pairs with the nearest peaks are matched first.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
+from track_range.detection.boxes import iou
+from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.colours import OTHER_COLOURS, method_colours
-from track_range.results.columns import Columns
-from track_range.results.events.event import Event
+from track_range.results.columns import Columns, boxes_px
+from track_range.results.events.event import EVENT_KINDS, Event
 from track_range.views.report import tables
 from track_range.views.report.content.errors import band_line
-from track_range.views.report.event_comparison import count_grid, difference_grid, event_differences
+from track_range.views.report.content.events import event_details, kind_words, object_words, time_words
 from track_range.views.report.sentences import address, flattened, run_name
-from track_range.views.report.tables import Cell, Column, Cost, Grid, figure, grid_of
+from track_range.views.report.tables import Cell, Column, ColumnSpec, Grid, columns_of, figure, grid_of, largest
 
-_RUN_COLUMNS: tuple[tuple[str, str, str, str, Cost | None], ...] = (
-    ("frames", "", "frames", "{:.0f}", None),
-    ("frames/s", "", "frames_per_s", "{:.1f}", lambda value: -value),
-    ("tracks", "tracks", "n", "{:.0f}", None),
-    ("HOTA %", "tracks", "hota", "{:.1f}", lambda value: -value),
-    ("MOTA %", "tracks", "mota", "{:.1f}", lambda value: -value),
-    ("IDF1 %", "tracks", "idf1", "{:.1f}", lambda value: -value),
-    ("ID switches", "tracks", "idsw", "{:.0f}", lambda value: value),
+TIME_TOLERANCE_S = 0.5
+"""Largest gap in s between the times of matching events."""
+
+MIN_IOU = 0.3
+"""Smallest median IoU of the boxes of matching events."""
+
+_DISTANCE_FRACTION, _DISTANCE_M = 0.2, 2.0
+"""Largest difference of the distances of matching events without common frames: relative, and in metres."""
+
+_CHANGED_S, _CHANGED_SIGMA = 0.2, 1.0
+"""Differences that are listed: times in s, and distances in their joint standard deviation."""
+
+_CHANGED_FRACTION = 0.1
+"""Relative difference of distances without a standard deviation that is listed."""
+
+_ARROW = "\N{RIGHTWARDS ARROW}"
+
+_RUN_COLUMNS: tuple[ColumnSpec, ...] = (
+    ("frames", "frames", "{:.0f}"),
+    ("frames/s", "frames_per_s", "{:.1f}", 1, largest),
 )
-"""Heading, section of the summary ("" = top level), key, format and cost of each column."""
 
-_MethodFigure = tuple[str, str, str, float, Cost]
+_TRACK_COLUMNS: tuple[ColumnSpec, ...] = (
+    ("tracks", "n", "{:.0f}"),
+    ("HOTA %", "hota", "{:.1f}", 1, largest),
+    ("MOTA %", "mota", "{:.1f}", 1, largest),
+    ("IDF1 %", "idf1", "{:.1f}", 1, largest),
+    ("ID switches", "idsw", "{:.0f}", 1, float),
+)
 
-_METHOD_GRIDS: tuple[_MethodFigure, ...] = (
+_METHOD_GRIDS = (
     ("Median distance error on own coverage, %", "median_relative_error_pct", "{:.2f}", 1.0, abs),
     ("Mean distance error, %", "mean_relative_error_pct", "{:.2f}", 1.0, abs),
     ("Bias, %", "bias_pct", "{:+.2f}", 1.0, abs),
-    ("Coverage, %", "coverage", "{:.1f}", 100.0, lambda value: -value),
+    ("Coverage, %", "coverage", "{:.1f}", 100.0, largest),
     (
         f"Errors within one {tables.SIGMA}, % (expected: 68)",
         "within_1_sigma",
@@ -69,80 +96,31 @@ class ComparedRun:
     events: tuple[Event, ...] | None = None
     rows: Columns = field(default_factory=dict)
 
-
-def event_grids(runs: Sequence[ComparedRun]) -> list[Grid]:
-    """Events of each further run that differ from those of the first, then the number of events by kind.
-
-    Runs of different videos, and those without events, are not compared; equal events have no table.
-    """
-    first, grids = runs[0], []
-    for other in _comparable(runs):
-        differences = event_differences(first.events or (), first.rows, other.events or (), other.rows)
-        links = (_address(first.link), _address(other.link))
-        grids.append(difference_grid(differences, (first.name, other.name), links))
-    grids.append(count_grid([run.name for run in runs], [run.events for run in runs]))
-    return [grid for grid in grids if grid.rows]
-
-
-def _comparable(runs: Sequence[ComparedRun]) -> list[ComparedRun]:
-    """Runs with events on the same video as the first."""
-    first = runs[0]
-    if first.events is None:
-        return []
-    return [run for run in runs[1:] if run.events is not None and run_name(run.summary) == run_name(first.summary)]
-
-
-def _address(path: str | None) -> str | None:
-    return None if path is None else address(path)
-
-
-def event_sentence(runs: Sequence[ComparedRun]) -> str:
-    """Why there is no table of events that differ; "" if there is one."""
-    if runs[0].events is None:
-        return "The events of the first run are unknown."
-    others = _comparable(runs)
-    if not others:
-        return "The events were not compared: no other run is of the same video and has events."
-    if any(event_differences(runs[0].events, runs[0].rows, run.events or (), run.rows) for run in others):
-        return ""
-    return "The runs have the same events." if any(run.events for run in others) else "The runs have no events."
+    def section(self, name: str) -> Mapping[str, Any]:
+        """A section of the summary; empty without it."""
+        return self.summary.get(name) or {}
 
 
 def comparison_grids(runs: Sequence[ComparedRun]) -> list[Grid]:
     """Tables with a row per run: main results, results of each method, run time of each stage."""
-    grids = [_run_grid(runs), *(_method_grid(runs, spec) for spec in _METHOD_GRIDS), _stage_grid(runs)]
+    names = [run.name for run in runs]
+    columns = columns_of((run.summary for run in runs), _RUN_COLUMNS)
+    columns += columns_of((run.section("tracks") for run in runs), _TRACK_COLUMNS)
+    grids = [grid_of("Runs", "run", names, columns)]
+    methods = [run.section("methods") for run in runs]
+    for title, key, pattern, scale, cost in _METHOD_GRIDS:
+        columns = [
+            Column(method, [figure(rows.get(method) or {}, key) for rows in methods], pattern, scale, cost)
+            for method in dict.fromkeys(method for rows in methods for method in rows)
+        ]
+        grids.append(grid_of(title, "run", names, columns))
+    stages = [run.section("stages_ms") for run in runs]
+    columns = [
+        Column(stage, [figure(times, stage) or None for times in stages], cost=abs)
+        for stage in dict.fromkeys(stage for times in stages for stage in times)
+    ]
+    grids.append(grid_of("Run time by stage in ms per frame (stages overlap)", "run", names, columns))
     return [grid for grid in grids if grid.rows and len(grid.columns) > 1]
-
-
-def _run_grid(runs: Sequence[ComparedRun]) -> Grid:
-    columns = [
-        Column(heading, [figure(_section(run, part), key) for run in runs], pattern, cost=cost)
-        for heading, part, key, pattern, cost in _RUN_COLUMNS
-    ]
-    return grid_of("Runs", "run", [run.name for run in runs], columns)
-
-
-def _section(run: ComparedRun, name: str) -> Mapping[str, Any]:
-    return (run.summary.get(name) or {}) if name else run.summary
-
-
-def _method_grid(runs: Sequence[ComparedRun], spec: _MethodFigure) -> Grid:
-    title, key, pattern, scale, cost = spec
-    methods = [_section(run, "methods") for run in runs]
-    columns = [
-        Column(name, [figure(of_run.get(name) or {}, key) for of_run in methods], pattern, scale, cost)
-        for name in dict.fromkeys(name for of_run in methods for name in of_run)
-    ]
-    return grid_of(title, "run", [run.name for run in runs], columns)
-
-
-def _stage_grid(runs: Sequence[ComparedRun]) -> Grid:
-    stages = [_section(run, "stages_ms") for run in runs]
-    columns = [
-        Column(name, [figure(of_run, name) or None for of_run in stages], "{:.1f}", cost=abs)
-        for name in dict.fromkeys(name for of_run in stages for name in of_run)
-    ]
-    return grid_of("Run time by stage in ms per frame (stages overlap)", "run", [run.name for run in runs], columns)
 
 
 def settings_grid(runs: Sequence[ComparedRun]) -> Grid:
@@ -159,8 +137,7 @@ def comparison_notes(runs: Sequence[ComparedRun]) -> list[str]:
     notes = []
     if len({run_name(run.summary) for run in runs}) > 1:
         notes.append("The runs are of different videos, so their errors are not directly comparable.")
-    truths = {str(run.summary.get("truth")) for run in runs}
-    if len(truths) > 1:
+    if len({str(run.summary.get("truth")) for run in runs}) > 1:
         notes.append("The runs were not evaluated against the same kind of ground truth, or some had none.")
     if len({run.summary.get("frames") for run in runs}) > 1:
         notes.append("The runs have different numbers of frames.")
@@ -172,8 +149,168 @@ def error_lines(runs: Sequence[ComparedRun]) -> list[dict[str, Any]]:
     palette = (*dict.fromkeys([*reversed(method_colours().values()), *OTHER_COLOURS]),)
     lines = []
     for i, run in enumerate(runs):
-        known = band_line(_section(run, "methods").get("fused") or {})
+        known = band_line(run.section("methods").get("fused") or {})
         if known:
             x, y = zip(*known, strict=True)
             lines.append({"name": run.name, "colour": palette[i % len(palette)], "x": x, "y": y})
     return lines
+
+
+# -- events -----------------------------------------------------------------------------------------------------------
+
+
+def event_grids(runs: Sequence[ComparedRun]) -> list[Grid]:
+    """Events of each further run that differ from those of the first, then the number of events by kind.
+
+    Runs of different videos, and those without events, are not compared; equal events have no table.
+    """
+    grids = [_difference_grid(runs[0], other) for other in _comparable(runs)] + [_count_grid(runs)]
+    return [grid for grid in grids if grid.rows]
+
+
+def _comparable(runs: Sequence[ComparedRun]) -> list[ComparedRun]:
+    """Runs with events on the same video as the first."""
+    first = runs[0]
+    if first.events is None:
+        return []
+    return [run for run in runs[1:] if run.events is not None and run_name(run.summary) == run_name(first.summary)]
+
+
+def event_sentence(runs: Sequence[ComparedRun]) -> str:
+    """Why there is no table of events that differ; "" if there is one."""
+    if runs[0].events is None:
+        return "The events of the first run are unknown."
+    others = _comparable(runs)
+    if not others:
+        return "The events were not compared: no other run is of the same video and has events."
+    if any(event_differences(runs[0].events, runs[0].rows, run.events or (), run.rows) for run in others):
+        return ""
+    return "The runs have the same events." if any(run.events for run in others) else "The runs have no events."
+
+
+def _difference_grid(first: ComparedRun, second: ComparedRun) -> Grid:
+    """One row per differing event: time, with a link to that moment in the report of its run, kind, and difference."""
+    rows = []
+    for difference in event_differences(first.events or (), first.rows, second.events or (), second.rows):
+        event, run = difference.event, first if difference.first else second
+        time = Cell(time_words(event.start_s), link=f"{address(run.link)}#t={event.start_s:.3f}" if run.link else "")
+        objects = dict.fromkeys(object_words(one) for one in (difference.first, difference.second) if one)
+        state = "changed" if difference.changes else f"only in {run.name}"
+        details = "; ".join(difference.changes) or event_details(event)
+        texts = (state, kind_words(event.kind), " / ".join(objects), details)
+        rows.append((time, *map(Cell, texts)))
+    columns = ("time", "difference", "event", "object", "details")
+    return Grid(f"Events that differ: {first.name} and {second.name}", columns, tuple(rows), has_sentences=True)
+
+
+def _count_grid(runs: Sequence[ComparedRun]) -> Grid:
+    """One row per run: number of events of each kind that occurs in a run, and of warnings; unknown ones are empty."""
+    counts: list[dict[str, float] | None] = [
+        None
+        if run.events is None
+        else {kind: sum(event.kind == kind for event in run.events) for kind in EVENT_KINDS}
+        | {"warnings": sum(math.isfinite(event.warning_s) for event in run.events)}
+        for run in runs
+    ]
+    kinds = [kind for kind in EVENT_KINDS if any(count and count[kind] for count in counts)]
+    if not kinds:
+        return Grid("Number of events", (), ())
+    columns = columns_of(
+        (count or {} for count in counts),
+        [*((kind_words(kind), kind, "{:.0f}") for kind in kinds), ("with a warning", "warnings", "{:.0f}")],
+    )
+    return grid_of("Number of events", "run", [run.name for run in runs], columns)
+
+
+@dataclass(frozen=True, slots=True)
+class EventDifference:
+    """Events of two runs that differ; None = it is only in the other run. `changes`: what differs between the two."""
+
+    first: Event | None
+    second: Event | None
+    changes: tuple[str, ...] = ()
+
+    @property
+    def event(self) -> Event:
+        """The event of the first run that has one."""
+        event = self.first or self.second
+        if event is None:
+            raise ValueError("a difference without events")
+        return event
+
+
+def event_differences(
+    first: Sequence[Event], first_rows: Columns, second: Sequence[Event], second_rows: Columns
+) -> list[EventDifference]:
+    """Events of two runs that differ, in the order of time; the rows are those of the runs, for the places."""
+    first_boxes, second_boxes = _boxes_by_track(first_rows), _boxes_by_track(second_rows)
+    candidates = sorted(
+        (abs(a.peak_s - b.peak_s), i, j)
+        for i, a in enumerate(first)
+        for j, b in enumerate(second)
+        if a.kind == b.kind
+        and a.start_s <= b.end_s + TIME_TOLERANCE_S
+        and b.start_s <= a.end_s + TIME_TOLERANCE_S
+        and _is_same_place(a, first_boxes.get(a.track_id, {}), b, second_boxes.get(b.track_id, {}))
+    )
+    pairs: dict[int, int] = {}
+    matched: set[int] = set()
+    for _, i, j in candidates:
+        if i not in pairs and j not in matched:
+            pairs[i] = j
+            matched.add(j)
+    differences = [EventDifference(event, None) for i, event in enumerate(first) if i not in pairs]
+    differences += [EventDifference(None, event) for j, event in enumerate(second) if j not in matched]
+    for i, j in pairs.items():
+        changes = tuple(_changes(first[i], second[j]))
+        differences += [EventDifference(first[i], second[j], changes)] if changes else []
+    return sorted(differences, key=lambda difference: difference.event.start_s)
+
+
+_BoxByFrame = dict[int, FloatArray]
+
+
+def _boxes_by_track(rows: Columns) -> dict[int, _BoxByFrame]:
+    boxes: dict[int, _BoxByFrame] = {}
+    if {"frame", "track_id", "x1_px", "y1_px", "x2_px", "y2_px"} <= rows.keys():
+        for track_id, frame, box in zip(rows["track_id"].tolist(), rows["frame"].tolist(), boxes_px(rows), strict=True):
+            boxes.setdefault(int(track_id), {})[int(frame)] = box
+    return boxes
+
+
+def _is_same_place(a: Event, a_boxes: _BoxByFrame, b: Event, b_boxes: _BoxByFrame) -> bool:
+    low, high = sorted((a.frame, b.frame))
+    margin = max(10, high - low)
+    frames = [frame for frame in a_boxes if frame in b_boxes and low - margin <= frame <= high + margin]
+    if frames:
+        overlaps = [float(iou(a_boxes[frame][None], b_boxes[frame][None])[0, 0]) for frame in frames]
+        return float(np.median(overlaps)) >= MIN_IOU
+    difference_m = abs(a.min_distance_m - b.min_distance_m)  # NaN = unknown
+    largest_m = max(_DISTANCE_M, _DISTANCE_FRACTION * max(a.min_distance_m, b.min_distance_m))
+    return not difference_m > largest_m
+
+
+def _changes(a: Event, b: Event) -> Iterator[str]:
+    """What differs between matching events, in words."""
+    if a.class_name != b.class_name:
+        yield f"class {a.class_name} {_ARROW} {b.class_name}"
+    yield from _changed_time("warning", a.warning_s, b.warning_s)
+    yield from _changed_time("start", a.start_s, b.start_s)
+    yield from _changed_time("end", a.end_s, b.end_s)
+    tolerance_m = _CHANGED_SIGMA * math.hypot(a.min_distance_sigma_m, b.min_distance_sigma_m)
+    if not math.isfinite(tolerance_m):
+        tolerance_m = _CHANGED_FRACTION * max(a.min_distance_m, b.min_distance_m)
+    if abs(a.min_distance_m - b.min_distance_m) > tolerance_m:
+        yield f"smallest distance {a.min_distance_m:.1f} {_ARROW} {b.min_distance_m:.1f} m"
+    yield from _changed_time("time to collision", a.min_ttc_s, b.min_ttc_s, is_duration=True)
+
+
+def _changed_time(name: str, a_s: float, b_s: float, *, is_duration: bool = False) -> Iterator[str]:
+    """A difference of times in the video, or of durations."""
+    if math.isnan(a_s) != math.isnan(b_s):
+        first, second = ("none" if math.isnan(value) else time_words(value) for value in (a_s, b_s))
+        yield f"{name} {first} {_ARROW} {second}"
+    elif abs(a_s - b_s) > _CHANGED_S and not is_duration:
+        yield f"{name} {abs(a_s - b_s):.1f} s {'later' if b_s > a_s else 'earlier'}"
+    elif abs(a_s - b_s) > _CHANGED_S:
+        yield f"{name} {a_s:.1f} {_ARROW} {b_s:.1f} s"

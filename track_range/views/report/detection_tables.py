@@ -2,56 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.evaluation.matching import SizeMeasure
-from track_range.views.report.tables import Column, Cost, Grid, figure, grid_of
+from track_range.views.report.tables import Column, ColumnSpec, Grid, columns_of, figure, grid_of, largest
 
-
-def _more(value: float) -> float:
-    return -value
-
-
-def _less(value: float) -> float:
-    return value
-
-
-_ACCURACY: tuple[tuple[str, str], ...] = (
-    ("mAP50 %", "ap50"),
-    ("mAP50-95 %", "ap50_95"),
-    ("precision %", "precision"),
-    ("recall %", "recall"),
+_ACCURACY = (("mAP50 %", "ap50"), ("mAP50-95 %", "ap50_95"), ("precision %", "precision"), ("recall %", "recall"))
+_CLASS_ACCURACY: tuple[ColumnSpec, ...] = tuple((head.removeprefix("m"), key, "{:.1f}", 100) for head, key in _ACCURACY)
+_SPEED: tuple[ColumnSpec, ...] = (
+    ("pre ms", "pre_ms", "{:.2f}", 1, float),
+    ("inference ms", "inference_ms", "{:.1f}", 1, float),
+    ("post ms", "post_ms", "{:.2f}", 1, float),
+    ("total ms", "total_ms", "{:.1f}", 1, float),
+    ("fps", "fps", "{:.1f}", 1, largest),
 )
-_SPEED: tuple[tuple[str, str, str, Cost], ...] = (
-    ("pre ms", "pre_ms", "{:.2f}", _less),
-    ("inference ms", "inference_ms", "{:.1f}", _less),
-    ("post ms", "post_ms", "{:.2f}", _less),
-    ("total ms", "total_ms", "{:.1f}", _less),
-    ("fps", "fps", "{:.1f}", _more),
+_CALIBRATION: tuple[ColumnSpec, ...] = (
+    ("detections", "n", "{:.0f}"),
+    ("score %", "mean_score", "{:.1f}", 100),
+    ("precision %", "precision", "{:.1f}", 100),
+    ("ECE %", "ece", "{:.1f}", 100, float),
+    ("chance %", "ece_if_calibrated", "{:.1f}", 100),
+    ("MCE %", "mce", "{:.1f}", 100, float),
 )
 
 
 def accuracy_grid(figures: Mapping[str, Any]) -> Grid:
     """One row per model: file size, and means over its averaged classes and the classes averaged for all models."""
     rows = list(figures["models"].values())
-    columns = [Column("MB", [row["size_mb"] for row in rows], cost=_less)]
-    columns += [Column(head, [figure(row, key) for row in rows], scale=100, cost=_more) for head, key in _ACCURACY]
+    columns = [Column("MB", [row["size_mb"] for row in rows], cost=float)]
+    columns += columns_of(rows, ((head, key, "{:.1f}", 100, largest) for head, key in _ACCURACY))
     if len({tuple(row["averaged_classes"]) for row in rows}) > 1:
-        common = [figure(row["common"], "ap50") for row in rows]
-        columns.append(Column("mAP50 common %", common, scale=100, cost=_more))
+        common = [row["common"] for row in rows]
+        columns += columns_of(common, [("mAP50 common %", "ap50", "{:.1f}", 100, largest)])
     return grid_of(f"Detection, {figures['n_images']} images", "model", list(figures["models"]), columns)
 
 
 def speed_grid(figures: Mapping[str, Any]) -> Grid:
     """One row per model with its input size: median time per image of each stage, in ms."""
-    columns = [
-        Column(head, [figure(row["speed"], key) for row in figures["models"].values()], pattern, cost=cost)
-        for head, key, pattern, cost in _SPEED
-    ]
-    names = [f"{name}, {row['input']}" for name, row in figures["models"].items()]
-    return grid_of("Speed per image", "model, input", names, columns)
+    models = figures["models"]
+    names = [f"{name}, {row['input']}" for name, row in models.items()]
+    return grid_of(
+        "Speed per image", "model, input", names, columns_of((row["speed"] for row in models.values()), _SPEED)
+    )
 
 
 def class_grid(figures: Mapping[str, Any]) -> Grid:
@@ -67,13 +61,7 @@ def class_grid(figures: Mapping[str, Any]) -> Grid:
     for model, row in models.items():
         by_class = [row["classes"].get(name, {}) for name in names]
         known = [scores if scores.get("is_known") else {} for scores in by_class]
-        if len(models) > 1:
-            columns.append(Column(model, [figure(scores, "ap50") for scores in known], scale=100))
-        else:
-            columns += [
-                Column(head.removeprefix("m"), [figure(scores, key) for scores in known], scale=100)
-                for head, key in _ACCURACY
-            ]
+        columns += columns_of(known, [(model, "ap50", "{:.1f}", 100)] if len(models) > 1 else _CLASS_ACCURACY)
     return grid_of("AP50 % by class" if len(models) > 1 else "By class", "class", names, columns)
 
 
@@ -84,35 +72,21 @@ def size_grids(figures: Mapping[str, Any], measure: SizeMeasure) -> list[Grid]:
         figures: results.
         measure: "area" or "height", the measure of the bins.
     """
-    return [_size_grid(name, row["by_size"][measure], measure) for name, row in figures["models"].items()]
-
-
-def _size_grid(model: str, bins: Sequence[Mapping[str, Any]], measure: SizeMeasure) -> Grid:
-    rows = {
-        f"{name}, {one['name']}": scores
-        for name in ROAD_CLASSES
-        for one in bins
-        if (scores := one["classes"].get(name, {})).get("n_boxes")
-    }
-    rows |= {f"mean, {one['name']}": one for one in bins if one["averaged_classes"]}
-    columns = [Column("boxes", [row["n_boxes"] for row in rows.values()], "{:.0f}")]
-    columns += [
-        Column(head.removeprefix("m"), [figure(row, key) for row in rows.values()], scale=100)
-        for head, key in _ACCURACY
-        if key != "precision"
-    ]
-    return grid_of(f"{model}: by {measure} of the box in the image", f"class, {measure}", list(rows), columns)
-
-
-_CALIBRATION: tuple[tuple[str, str, str, float, Cost | None], ...] = (
-    ("detections", "n", "{:.0f}", 1.0, None),
-    ("score %", "mean_score", "{:.1f}", 100.0, None),
-    ("precision %", "precision", "{:.1f}", 100.0, None),
-    ("ECE %", "ece", "{:.1f}", 100.0, _less),
-    ("chance %", "ece_if_calibrated", "{:.1f}", 100.0, None),
-    ("MCE %", "mce", "{:.1f}", 100.0, _less),
-)
-"""Heading, key, format, scale and cost of each column of a table of calibration."""
+    grids = []
+    for model, model_figures in figures["models"].items():
+        bins = model_figures["by_size"][measure]
+        rows = {
+            f"{name}, {one['name']}": scores
+            for name in ROAD_CLASSES
+            for one in bins
+            if (scores := one["classes"].get(name, {})).get("n_boxes")
+        }
+        rows |= {f"mean, {one['name']}": one for one in bins if one["averaged_classes"]}
+        columns = [Column("boxes", [row["n_boxes"] for row in rows.values()], "{:.0f}")]
+        columns += columns_of(rows.values(), (spec for spec in _CLASS_ACCURACY if spec[1] != "precision"))
+        title = f"{model}: by {measure} of the box in the image"
+        grids.append(grid_of(title, f"class, {measure}", list(rows), columns))
+    return grids
 
 
 def calibration_grids(figures: Mapping[str, Any]) -> list[Grid]:
@@ -125,20 +99,14 @@ def calibration_grids(figures: Mapping[str, Any]) -> list[Grid]:
     title = "Calibration of scores"
     if len(models) == 1:
         (row,) = models.values()
-        return [_calibration_grid(title, "class", {"all": row["all"], **{c: row["classes"][c] for c in classes}})]
+        rows = {"all": row["all"], **{name: row["classes"][name] for name in classes}}
+        unmarked = (spec[:4] for spec in _CALIBRATION)
+        return [grid_of(title, "class", list(rows), columns_of(rows.values(), unmarked))]
     columns = [
         Column(name, [figure(row["classes"].get(c, {}), "ece") for c in classes], scale=100)
         for name, row in models.items()
     ]
     return [
-        _calibration_grid(title, "model", {name: row["all"] for name, row in models.items()}),
+        grid_of(title, "model", list(models), columns_of((row["all"] for row in models.values()), _CALIBRATION)),
         grid_of("ECE % by class", "class", classes, columns),
     ]
-
-
-def _calibration_grid(title: str, corner: str, rows: Mapping[str, Mapping[str, Any]]) -> Grid:
-    columns = [
-        Column(head, [figure(row, key) for row in rows.values()], pattern, scale, cost if corner == "model" else None)
-        for head, key, pattern, scale, cost in _CALIBRATION
-    ]
-    return grid_of(title, corner, list(rows), columns)

@@ -22,22 +22,26 @@ from track_range.ranging.evaluation.curve_comparison import CurveFit
 SCATTER_PATHS = 3000
 """Maximum number of points of a scatter plot; more are thinned."""
 
+_MODELS_PER_ROW = 4
+"""Maximum number of reliability diagrams beside each other."""
+
+RELIABLE_BIN = 10
+"""Minimum number of detections of a class in a bin that is drawn."""
+
+_INTERVAL_Z = 1.96
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
+
+_STROKE = {"dia": ":", "hei": "--"}
+"""Line style of a family of size curves, by the first letters of its name."""
+
 
 def training_chart(history: Sequence[Mapping[str, float]], path: Path) -> None:
     """Draw losses and average precision over the epochs of a training run as a PNG; no file without an epoch.
 
-    Args:
-        history: rows of results.csv.
-        path: file to write.
-
-    Raises:
-        OutputError: it cannot be written.
+    `history`: rows of results.csv. OutputError if the file cannot be written, as for all charts.
     """
-    if not history:
-        return
-    stream = io.BytesIO()
-    training_figure(history).savefig(stream, format="png", dpi=110)
-    write_bytes(path, stream.getvalue())
+    if history:
+        _write_chart(training_figure(history), path)
 
 
 def training_figure(history: Sequence[Mapping[str, float]]) -> Figure:
@@ -64,28 +68,18 @@ def training_figure(history: Sequence[Mapping[str, float]]) -> Figure:
     return figure
 
 
-_STROKE = {"dia": ":", "hei": "--"}
-"""Line style of a family of size curves, by the first letters of its name."""
-
-
 def curve_picture(classes: Mapping[str, tuple[FloatArray, FloatArray, Sequence[CurveFit]]], path: Path) -> None:
     """Draw size curves over the boxes that they were fitted to as a PNG, one panel per class.
 
-    Args:
-        classes: by class (N, 2) box width and height divided by the focal length, (N,) true distances in m, and curves.
-        path: file to write.
-
-    Raises:
-        OutputError: it cannot be written.
+    `classes`: by class (N, 2) box width and height divided by the focal length, (N,) true distances in m, and curves.
     """
     figure = Figure(figsize=(9.5, 4.2 * len(classes)), layout="constrained")
     panels = figure.subplots(len(classes), 1, squeeze=False)[:, 0]
     for axes, (name, (wh_over_f, distance_m, fits)) in zip(panels, classes.items(), strict=True):
         height, step = wh_over_f[:, 1], 1 + len(distance_m) // SCATTER_PATHS
         axes.scatter(100 * height[::step], distance_m[::step], s=7, color="#6b747c", alpha=0.5, lw=0)
-        grid = np.linspace(
-            0.8 * height.min(), 1.3 * height.max(), 300
-        )  # beyond the boxes, to show how polynomials extrapolate
+        # beyond the boxes, to show how polynomials extrapolate
+        grid = np.linspace(0.8 * height.min(), 1.3 * height.max(), 300)
         median_shape = np.stack([grid * np.median(wh_over_f[:, 0] / height), grid], axis=1)
         for fit in fits:
             fitted_m = fit.predict(median_shape, np.zeros(len(grid)))
@@ -96,20 +90,13 @@ def curve_picture(classes: Mapping[str, tuple[FloatArray, FloatArray, Sequence[C
         axes.set_xlabel("box height / focal length, %")
         axes.grid(True, alpha=0.25)
         axes.legend(frameon=False, ncols=2)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=110)
-    write_bytes(path, stream.getvalue())
+    _write_chart(figure, path)
 
 
 def risk_coverage_chart(curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) -> None:
-    """Draw failures, mean and 95th percentile of the error against the fraction of answered boxes.
+    """Draw failures, mean and 95th percentile of the error against the fraction of answered boxes, as SVG or PNG.
 
-    Args:
-        curves: by name the rows of a curve, as from `risk_coverage`.
-        path: SVG or PNG file to write.
-
-    Raises:
-        OutputError: it cannot be written.
+    `curves`: by name the rows of a curve, as from `risk_coverage`.
     """
     panels = (
         ("failures_pct", "failures, %"),
@@ -139,26 +126,8 @@ def _write_chart(figure: Figure, path: Path) -> None:
     write_bytes(path, stream.getvalue())
 
 
-_MODELS_PER_ROW = 4
-"""Maximum number of reliability diagrams beside each other."""
-
-RELIABLE_BIN = 10
-"""Minimum number of detections of a class in a bin that is drawn."""
-
-_INTERVAL_Z = 1.96
-"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
-
-
 def reliability_chart(calibrations: Mapping[str, Mapping[str, Any]], path: Path) -> None:
-    """Draw the reliability diagram of each detector.
-
-    Args:
-        calibrations: `ScoreCalibration.as_dict()` of the detectors by name.
-        path: SVG or PNG file to write.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """Draw the reliability diagram of each detector from its `ScoreCalibration.as_dict()`, as SVG or PNG."""
     _write_chart(reliability_figure(calibrations), path)
 
 
@@ -171,7 +140,8 @@ def reliability_figure(calibrations: Mapping[str, Mapping[str, Any]]) -> Figure:
     n_columns = min(len(calibrations), _MODELS_PER_ROW)
     n_rows = -(-len(calibrations) // n_columns)
     figure = Figure(figsize=(0.4 + 4.4 * n_columns, 0.6 + 5.4 * n_rows), layout="constrained")
-    colours = _class_colours(calibrations)
+    names = dict.fromkeys(name for calibration in calibrations.values() for name in calibration["classes"])
+    colours = {name: f"C{number}" for number, name in enumerate(names)}
     cells = figure.subfigures(n_rows, n_columns, squeeze=False).ravel()
     for cell, (name, calibration) in zip(cells, calibrations.items(), strict=False):
         diagram, histogram = cell.subplots(2, 1, sharex=True, height_ratios=(3, 1))
@@ -181,12 +151,6 @@ def reliability_figure(calibrations: Mapping[str, Mapping[str, Any]]) -> Figure:
     lines = {str(line.get_label()): line for axes in figure.axes for line in axes.lines}
     figure.legend(handles=lines.values(), loc="outside lower center", frameon=False, ncols=3 * n_columns)
     return figure
-
-
-def _class_colours(calibrations: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
-    """Colour of each class that any of the detectors is evaluated on."""
-    names = dict.fromkeys(name for calibration in calibrations.values() for name in calibration["classes"])
-    return {name: f"C{number}" for number, name in enumerate(names)}
 
 
 def _draw_reliability(axes: Axes, calibration: Mapping[str, Any], colours: Mapping[str, str]) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray
+from track_range.foundation.files.input_files import counted
 from track_range.results.columns import Columns
 from track_range.results.events.event import Event
 from track_range.views.report import tables
@@ -41,20 +43,24 @@ def _headline(figure: str, words: str, time_s: float | None = None) -> dict[str,
     return {"figure": figure, "words": words, "time_s": None if time_s is None else round(time_s, 3)}
 
 
+def _row_headline(columns: Columns, row: int, figure: str, words: str) -> dict[str, Any]:
+    """Headline about the object and the moment of a row."""
+    time_s = float(columns["time_s"][row])
+    name = f"{columns['class'][row]} {columns['track_id'][row]:.0f}"
+    return _headline(figure, f"{words}: {name} at {time_words(time_s)}", time_s)
+
+
 def _event_headline(events: Sequence[Event]) -> dict[str, Any]:
     if not events:
         return _headline("No event", "no collision warning, close following, hard approach, cut-in or near miss")
     warnings = sorted((event for event in events if np.isfinite(event.warning_s)), key=lambda event: event.warning_s)
+    n_events = counted(len(events), "event")
     if not warnings:
-        return _headline(_counted(len(events), "event"), f"no warning; {', '.join(kind_counts(events))}")
+        return _headline(n_events, f"no warning; {', '.join(kind_counts(events))}")
     first = warnings[0]
     order = "the first" if len(warnings) > 1 else "it is"
-    text = f"in {_counted(len(events), 'event')}; {order} of {object_words(first)} at {time_words(first.warning_s)}"
-    return _headline(_counted(len(warnings), "warning"), text, first.warning_s)
-
-
-def _counted(n: int, noun: str) -> str:
-    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+    text = f"in {n_events}; {order} of {object_words(first)} at {time_words(first.warning_s)}"
+    return _headline(counted(len(warnings), "warning"), text, first.warning_s)
 
 
 def _user_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
@@ -62,9 +68,9 @@ def _user_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
     names = dict(zip(columns["track_id"][is_user].tolist(), columns["class"][is_user].tolist(), strict=True))
     if not names:
         return _headline("No road user", "no track was confirmed in this run")
-    counts = {name: list(names.values()).count(name) for name in sorted(set(names.values()))}
-    text = ", ".join(f"{n} \N{MULTIPLICATION SIGN} {name}" for name, n in counts.items())
-    return _headline(_counted(len(names), "road user"), f"tracked: {text}")
+    counts = sorted(Counter(names.values()).items())
+    text = ", ".join(f"{n} \N{MULTIPLICATION SIGN} {name}" for name, n in counts)
+    return _headline(counted(len(names), "road user"), f"tracked: {text}")
 
 
 def _nearest_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
@@ -75,47 +81,22 @@ def _nearest_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
     row = int(rows[np.argmin(distance_m[rows])])
     sigma_m = column(columns, "fused_sigma_m")[row]
     uncertainty = f" (± {sigma_words(sigma_m)} m)" if np.isfinite(sigma_m) else ""
-    return _headline(
-        f"{distance_m[row]:.1f} m", f"smallest distance{uncertainty}: {_moment(columns, row)}", _time_s(columns, row)
-    )
+    return _row_headline(columns, row, f"{distance_m[row]:.1f} m", f"smallest distance{uncertainty}")
 
 
 def _collision_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
-    ttc_s = column(columns, "ttc_s")
-    rows = np.flatnonzero(is_user & np.isfinite(ttc_s) & is_on_course(columns) & _is_closing(columns))
-    if not len(rows):
-        return _contact_headline(columns, is_user)
-    row = int(rows[np.argmin(ttc_s[rows])])
-    return _headline(
-        f"{ttc_s[row]:.1f} s", f"shortest time to collision: {_moment(columns, row)}", _time_s(columns, row)
-    )
-
-
-def _contact_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
-    """Largest probability of contact, for runs in which no road user closes in on a collision course."""
+    """Shortest time to collision; without one, the largest probability of contact."""
+    ttc_s, speed_mps = column(columns, "ttc_s"), column(columns, "closing_mps")
+    is_slow = speed_mps < _MIN_SIGNIFICANCE * column(columns, "closing_sigma_mps")  # False where sigma is unknown
+    rows = np.flatnonzero(is_user & np.isfinite(ttc_s) & is_on_course(columns) & ~is_slow)
+    if len(rows):
+        row = int(rows[np.argmin(ttc_s[rows])])
+        return _row_headline(columns, row, f"{ttc_s[row]:.1f} s", "shortest time to collision")
     probability = np.where(is_user, column(columns, "contact_probability"), np.nan)
     row = int(np.nanargmax(probability)) if np.isfinite(probability).any() else -1
     if row < 0 or probability[row] < _MIN_PROBABILITY:
         return _headline("No collision course", "no road user approached the path of the camera's vehicle")
-    return _headline(
-        f"{100 * probability[row]:.0f} %",
-        f"largest probability of contact: {_moment(columns, row)}",
-        _time_s(columns, row),
-    )
-
-
-def _is_closing(columns: Columns) -> BoolArray:
-    """(N,) whether the closing speed is significant; True where its standard deviation is unknown."""
-    speed_mps, sigma_mps = column(columns, "closing_mps"), column(columns, "closing_sigma_mps")
-    return ~(speed_mps < _MIN_SIGNIFICANCE * sigma_mps)
-
-
-def _moment(columns: Columns, row: int) -> str:
-    return f"{columns['class'][row]} {columns['track_id'][row]:.0f} at {time_words(_time_s(columns, row))}"
-
-
-def _time_s(columns: Columns, row: int) -> float:
-    return float(columns["time_s"][row])
+    return _row_headline(columns, row, f"{100 * probability[row]:.0f} %", "largest probability of contact")
 
 
 def run_line(summary: Mapping[str, Any], columns: Columns, duration_s: float) -> str:
@@ -124,7 +105,7 @@ def run_line(summary: Mapping[str, Any], columns: Columns, duration_s: float) ->
     frames = tables.figure(summary, "frames")
     parts = [
         f"{time_words(duration_s)} of video" if duration_s > 0 else "",
-        _counted(int(frames), "frame") if frames is not None else "",
-        _counted(n, "road user"),
+        counted(int(frames), "frame") if frames is not None else "",
+        counted(n, "road user"),
     ]
     return ", ".join(part for part in parts if part)

@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -37,12 +38,9 @@ from track_range.views.report.comparison import (
 )
 from track_range.views.report.content.errors import calibration_curves, error_curves
 from track_range.views.report.content.events import clips_of, event_records, hidden_events_note, shown_events
-from track_range.views.report.content.known_distances import box_columns, uncalibrated_video
-from track_range.views.report.content.road import camera_of_rows, road_columns
-from track_range.views.report.content.series import track_records
-from track_range.views.report.content.timeline import timeline
+from track_range.views.report.content.road import box_columns, camera_of_rows, road_columns, uncalibrated_video
+from track_range.views.report.content.series import timeline, track_records
 from track_range.views.report.content.warning_curve import curve_figure, packaged_curve
-from track_range.views.report.grids import accuracy_grids, mot_grid, speed_grids, stage_bars
 from track_range.views.report.headlines import headlines, run_line
 from track_range.views.report.sentences import (
     address,
@@ -52,22 +50,11 @@ from track_range.views.report.sentences import (
     settings_groups,
     sigma_sentences,
 )
-
-_FILTERED = "_kf"
-"""Ending of the names of filtered methods, which are hidden at first where the unfiltered method is shown."""
-
+from track_range.views.report.tables import accuracy_grids, mot_grid, speed_grids, stage_bars
 
 _SCRIPTS = (
-    "elements",
-    "theme_and_tables",
-    "drawing",
-    "tracks",
-    "birds_eye",
-    "timeline",
-    "playback",
-    "known_distances",
-    "run_charts",
-    "start",
+    *("elements", "theme_and_tables", "drawing", "tracks", "birds_eye"),
+    *("timeline", "playback", "known_distances", "run_charts", "start"),
 )
 """Parts of the script of all pages, in the order of their execution."""
 
@@ -93,26 +80,17 @@ def write_report(
     Raises:
         OutputError: the file cannot be written.
     """
-    addresses = {} if clips is None else _clip_addresses(clips, path.parent)
+    addresses = {}
+    with suppress(OSError):  # the folder of the clips is missing
+        if clips is not None:
+            names = [entry.name for entry in clips.iterdir() if is_clip_name(entry.name)]
+            start = Path(os.path.relpath(real_path(clips), real_path(path.parent))).as_posix()
+            addresses = {name: address(f"{start}/{name}") for name in names}
     _write_page(path, report_page(summary, columns, events, clips=addresses))
 
 
-def _clip_addresses(folder: Path, start: Path) -> dict[str, str]:
-    """Addresses of the clips in a folder, relative to `start`, by file name."""
-    try:
-        names = [entry.name for entry in folder.iterdir() if is_clip_name(entry.name)]
-    except OSError:
-        return {}
-    place = Path(os.path.relpath(real_path(folder), real_path(start))).as_posix()
-    return {name: address(f"{place}/{name}") for name in names}
-
-
 def write_comparison(path: Path, runs: Sequence[ComparedRun]) -> None:
-    """Write the page that compares several runs, atomically.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write the page that compares several runs, atomically; OutputError if the file cannot be written."""
     _write_page(path, comparison_page(runs))
 
 
@@ -130,9 +108,11 @@ def report_page(
 ) -> str:
     """HTML of the report of a run; `events`: see `write_report`; `clips`: addresses by file name."""
     columns = {**columns, **road_columns(columns), **box_columns(columns, summary)}
+    tracks = summary.get("tracks") or {}
+    overlay = (summary.get("files") or {}).get("overlay")
     shown = None if events is None else shown_events(events)
     content = run_content(summary, columns, shown or ())
-    accuracy, mot = accuracy_grids(summary), mot_grid(summary.get("tracks") or {})
+    accuracy, mot = accuracy_grids(summary), mot_grid(tracks)
     speed, geometry = speed_grids(summary), geometry_sentences(summary)
     curve = packaged_curve() if content["has_warnings"] else None
     sections = {
@@ -159,14 +139,14 @@ def report_page(
         has_road=any("x" in track for track in content["tracks"]),
         cards=list(cards(summary)),
         notes=summary.get("notes") or [],
-        video=video_link(summary),
+        video=address(str(overlay)) if overlay else None,
         has_known_distances=content["known_distances"] is not None and bool(content["tracks"]),
         truth=summary.get("truth"),
         accuracy=accuracy,
         speed=speed,
         stages=stage_bars(summary),
         mot=mot,
-        mot_classes=(summary.get("tracks") or {}).get("classes") or [],
+        mot_classes=tracks.get("classes") or [],
         sigma_sentences=sigma_sentences(summary),
         geometry=geometry,
         rig=tables.rig_grid((summary.get("alignment") or {}).get("health") or {}),
@@ -199,43 +179,28 @@ def run_content(summary: Mapping[str, Any], columns: Columns, events: Sequence[E
     errors, calibration = error_curves(columns, summary), calibration_curves(columns, summary)
     names = [*dict.fromkeys([*methods_measured(columns), *errors, *calibration])]
     colours = colour_of_each(names)
+    camera = camera_of_rows(columns)
+    view = None  # focal length in px, and slopes x / z of the left and the right edge of the image
+    if camera is not None:
+        left, right = (round((edge_px - camera.cx_px) / camera.fx_px, 4) for edge_px in (0, camera.width_px - 1))
+        view = {"focal_px": round(camera.fx_px, 1), "left": left, "right": right}
     return {
-        "methods": [{"name": name, "colour": colours[name], "shown": _is_shown_first(name, names)} for name in names],
+        # filtered methods are hidden at first where the unfiltered method is shown
+        "methods": [
+            {"name": name, "colour": colours[name], "shown": not (name.endswith("_kf") and name[:-3] in names)}
+            for name in names
+        ],
         "tracks": list(track_records(columns)),
         "errors": errors,
         "signed": any(curve["points"][0] for curve in errors.values()),
         "calibration": calibration,
-        "starts_s": video_starts_s(summary),
+        "starts_s": round(tables.figure(summary, "starts_s") or 0.0, 6),  # time of the overlay's first frame
         "timeline": timeline(columns, summary),
         "events": event_records(events),
-        "camera": _camera(columns),
+        "camera": view,
         "known_distances": uncalibrated_video(summary),
         "has_warnings": "contact_probability" in columns and bool(np.isfinite(columns["contact_probability"]).any()),
     }
-
-
-def _camera(columns: Columns) -> dict[str, float] | None:
-    """Focal length in px, and slopes x / z of the left and the right edge of the image; None = unknown."""
-    camera = camera_of_rows(columns)
-    if camera is None:
-        return None
-    left, right = (round((edge_px - camera.cx_px) / camera.fx_px, 4) for edge_px in (0, camera.width_px - 1))
-    return {"focal_px": round(camera.fx_px, 1), "left": left, "right": right}
-
-
-def _is_shown_first(name: str, names: Sequence[str]) -> bool:
-    return not name.endswith(_FILTERED) or name.removesuffix(_FILTERED) not in names
-
-
-def video_starts_s(summary: Mapping[str, Any]) -> float:
-    """Time of the overlay's first frame in seconds, from the summary; 0 if the summary lacks it."""
-    return round(tables.figure(summary, "starts_s") or 0.0, 6)
-
-
-def video_link(summary: Mapping[str, Any]) -> str | None:
-    """Address of the overlay video relative to the page; None without an overlay."""
-    name = (summary.get("files") or {}).get("overlay")
-    return address(str(name)) if name else None
 
 
 def embedded(content: Mapping[str, Any]) -> str:
@@ -253,7 +218,6 @@ def rendered(template: str, **values: Any) -> str:
 
 @cache
 def _templates() -> jinja2.Environment:
-    """The templates of assets/, which are compiled once."""
     # Autoescape is set explicitly: jinja2's choice by file suffix does not cover `.j2`.
     return jinja2.Environment(
         loader=jinja2.PackageLoader("track_range.views.report", "assets"),

@@ -64,23 +64,33 @@ def report(folders: Sequence[Path], out: Path | None = None, *, has_clips: bool 
         inputs = (run.folder / name for run in runs for name in result_names() if name != "report.html")
         check_outputs([*pages, out], inputs)
     missing = tuple(f"{run.folder}: {sentence}" for run in runs for sentence in (*run.missing, *restore_events(run)))
-    clips = tuple(clip for run in runs for clip in _clips(run)) if has_clips else ()
+    clips: list[Path] = []
+    for run in runs if has_clips else ():
+        starts_s = float(run.summary.get("starts_s") or 0.0)
+        clips += write_clips(run.folder / "overlay.mp4", run.events, run.folder / CLIPS_FOLDER, starts_s=starts_s)
     if len(runs) == 1:
         page = out or runs[0].folder / "report.html"
         _write(page, runs[0])
-        return WrittenReport(page, (), missing, (), clips)
+        return WrittenReport(page, (), missing, (), tuple(clips))
     page = out or Path("comparison.html")
-    compared = _compare(runs, page)
-    grids = [*event_grids(compared), *comparison_grids(compared), settings_grid(compared)]
-    return WrittenReport(
-        page, tuple(grid for grid in grids if grid.rows), missing, tuple(comparison_notes(compared)), clips
-    )
-
-
-def _clips(run: RunFolder) -> tuple[Path, ...]:
-    """Write a clip of each event of a run."""
-    starts_s = float(run.summary.get("starts_s") or 0.0)
-    return write_clips(run.folder / "overlay.mp4", run.events, run.folder / CLIPS_FOLDER, starts_s=starts_s)
+    for run in runs:
+        _write(run.folder / "report.html", run)
+    compared = [
+        ComparedRun(
+            name=name,
+            summary=run.summary,
+            settings=run.settings,
+            link=_relative(run.folder / "report.html", page.parent),
+            notes=run.missing,
+            events=known_events(run),
+            rows=run.columns,
+        )
+        for name, run in zip(short_names([run.folder for run in runs]), runs, strict=True)
+    ]
+    write_comparison(page, compared)
+    grids = (*event_grids(compared), *comparison_grids(compared), settings_grid(compared))
+    notes = tuple(comparison_notes(compared))
+    return WrittenReport(page, tuple(grid for grid in grids if grid.rows), missing, notes, tuple(clips))
 
 
 def restore_events(run: RunFolder) -> Iterator[str]:
@@ -118,26 +128,6 @@ def known_events(run: RunFolder) -> tuple[Event, ...] | None:
 
 def _relative(path: Path, start: Path) -> str:
     return Path(os.path.relpath(real_path(path), real_path(start))).as_posix()
-
-
-def _compare(runs: Sequence[RunFolder], page: Path) -> list[ComparedRun]:
-    """Write the report of each run and the comparison page."""
-    for run in runs:
-        _write(run.folder / "report.html", run)
-    compared = [
-        ComparedRun(
-            name=name,
-            summary=run.summary,
-            settings=run.settings,
-            link=_relative(run.folder / "report.html", page.parent),
-            notes=run.missing,
-            events=known_events(run),
-            rows=run.columns,
-        )
-        for name, run in zip(short_names([run.folder for run in runs]), runs, strict=True)
-    ]
-    write_comparison(page, compared)
-    return compared
 
 
 def short_names(folders: Sequence[Path]) -> list[str]:

@@ -16,25 +16,20 @@ from track_range.views.report import tables
 
 Summary = Mapping[str, Any]
 
-SETTINGS_GROUPS = {"inputs": "Inputs", "settings": "Settings", "versions": "Versions"}
-"""Sections of a summary that the report lists in full, with their headings."""
-
 _FAR_M = 50.0
 """Distance in metres at which the effect of the remaining disparity error is given."""
 
 
 def run_name(summary: Summary) -> str:
-    """Name of a run: the names of its videos, each with its folder."""
+    """Name of a run: the names of its videos, each with its folder; of several files, the first and their number."""
     inputs = summary.get("inputs") or {}
-    named = [_recording_name(inputs[key]) for key in ("left", "right", "video", "mono") if inputs.get(key)]
-    return " + ".join(named) or "A run"
-
-
-def _recording_name(value: Any) -> str:
-    """Name of a video with its folder; of several files, that of the first with the number of the others."""
-    files = value if isinstance(value, list) else [value]
-    name = "/".join(Path(str(files[0])).parts[-2:])
-    return name if len(files) == 1 else f"{name} and {len(files) - 1} more"
+    names = []
+    for key in ("left", "right", "video", "mono"):
+        if inputs.get(key):
+            files = inputs[key] if isinstance(inputs[key], list) else [inputs[key]]
+            name = "/".join(Path(str(files[0])).parts[-2:])
+            names.append(name if len(files) == 1 else f"{name} and {len(files) - 1} more")
+    return " + ".join(names) or "A run"
 
 
 def address(path: str) -> str:
@@ -50,26 +45,20 @@ def cards(summary: Summary) -> Iterator[dict[str, str]]:
     if fps is not None:
         yield card("frames per second", f"{fps:.1f}", "all stages, wall clock")
     yield card("tracks", tracks.get("n"), "confirmed road users")
-    yield from _error_cards(summary)
+    best = best_method(summary)
+    if best is not None:
+        name, error_pct, where = best
+        fused = (summary.get("methods") or {}).get("fused") or {}
+        fused_pct, n = (tables.figure(fused, key) for key in ("median_relative_error_pct", "n"))
+        detail = f"{name}, the best method {where}"
+        if fused_pct is not None and name != "fused":
+            rows = "" if n is None else f" in {n:.0f} track-frames"
+            error_pct, detail = fused_pct, f"fused{rows}; best: {name} {error_pct:.1f} % {where}"
+        yield card("median distance error", f"{error_pct:.1f} %", detail)
     hota, idsw = tables.figure(tracks, "hota"), tables.figure(tracks, "idsw")
     if hota is not None:
         switches = "" if idsw is None else f"{idsw:.0f} identity switch{'' if idsw == 1 else 'es'}"
         yield card("HOTA", f"{hota:.1f} %", switches)
-
-
-def _error_cards(summary: Summary) -> Iterator[dict[str, str]]:
-    """Median error of `fused`, and of the best method if it is a different one."""
-    best = best_method(summary)
-    if best is None:
-        return
-    name, error_pct, where = best
-    fused = (summary.get("methods") or {}).get("fused") or {}
-    fused_pct, n = (tables.figure(fused, key) for key in ("median_relative_error_pct", "n"))
-    if fused_pct is None or name == "fused":
-        yield card("median distance error", f"{error_pct:.1f} %", f"{name}, the best method {where}")
-        return
-    of = "" if n is None else f" in {n:.0f} track-frames"
-    yield card("median distance error", f"{fused_pct:.1f} %", f"fused{of}; best: {name} {error_pct:.1f} % {where}")
 
 
 def card(name: str, value: object, detail: str) -> dict[str, str]:
@@ -96,7 +85,19 @@ def best_method(summary: Summary) -> tuple[str, float, str] | None:
 
 def geometry_sentences(summary: Summary) -> list[str]:
     """Sentences about the calibration and the alignment of the two cameras."""
-    sentences = [_calibration(summary), _estimated_scale(summary.get("learnt_scale") or {})]
+    rig = (summary.get("inputs") or {}).get("rig")
+    calibrations = {
+        "rig": f"Calibrated: {rig or 'calibration file in the folder of the video'}.",
+        "focal length": "Focal length given by the user; lens distortion is not corrected.",
+        "estimated": "Uncalibrated: the scale is estimated from the sizes of road users; distances are approximate.",
+    }
+    sentences = [calibrations.get(str(summary.get("calibration")), "")]
+    if scale := summary.get("learnt_scale"):
+        sentences.append(
+            f"Baseline estimated from the sizes of {scale['n_tracks']} tracks: {scale['baseline_m']:.2f} m at a focal "
+            f"length of {scale['focal_px']:.0f} px; all distances share a relative error of "
+            f"{100 * scale['relative_sigma']:.0f} % (1 {tables.SIGMA})."
+        )
     alignment = summary.get("alignment")
     if alignment:
         sentences += [_vertical_offset(alignment), _disparities(alignment), _residual(alignment, summary)]
@@ -105,35 +106,17 @@ def geometry_sentences(summary: Summary) -> list[str]:
     return [sentence for sentence in sentences if sentence]
 
 
-def _calibration(summary: Summary) -> str:
-    rig = (summary.get("inputs") or {}).get("rig")
-    return {
-        "rig": f"Calibrated: {rig or 'calibration file in the folder of the video'}.",
-        "focal length": "Focal length given by the user; lens distortion is not corrected.",
-        "estimated": "Uncalibrated: the scale is estimated from the sizes of road users; distances are approximate.",
-    }.get(str(summary.get("calibration")), "")
-
-
-def _estimated_scale(scale: Mapping[str, Any]) -> str:
-    if not scale:
-        return ""
-    return (
-        f"Baseline estimated from the sizes of {scale['n_tracks']} tracks: {scale['baseline_m']:.2f} m at a focal "
-        f"length of {scale['focal_px']:.0f} px; all distances share a relative error of "
-        f"{100 * scale['relative_sigma']:.0f} % (1 {tables.SIGMA})."
-    )
-
-
 def _vertical_offset(alignment: Mapping[str, Any]) -> str:
     offset_px = tables.figure(alignment, "row_offset_px")
     if offset_px is None:
         return ""
     offset_px = round(offset_px, 2) + 0.0  # not -0.00
+    sentence = f"Vertical offset between left and right {offset_px:+.2f} px"
     if abs(offset_px) <= MAX_ROW_OFFSET_PX:
-        return f"Vertical offset between left and right {offset_px:+.2f} px: the calibration fits these images."
+        return f"{sentence}: the calibration fits these images."
     return (
-        f"Vertical offset between left and right {offset_px:+.2f} px, more than {MAX_ROW_OFFSET_PX:g} px: the "
-        "calibration does not fit these images well; the right image was shifted, but a new calibration is recommended."
+        f"{sentence}, more than {MAX_ROW_OFFSET_PX:g} px: the calibration does not fit these images well; the right "
+        "image was shifted, but a new calibration is recommended."
     )
 
 
@@ -143,11 +126,10 @@ def _disparities(alignment: Mapping[str, Any]) -> str:
     if not offset_px and not curvature_px:
         return f"Disparity error: {source}."
     sign = "too small" if offset_px > 0 else "too large"
-    edges = (
-        f", and {abs(curvature_px):.2f} px {'less' if curvature_px < 0 else 'more'} at the left and right image edges"
-        if curvature_px
-        else ""
-    )
+    edges = ""
+    if curvature_px:
+        more = "less" if curvature_px < 0 else "more"
+        edges = f", and {abs(curvature_px):.2f} px {more} at the left and right image edges"
     state = "corrected" if alignment.get("is_applied") else "not significant; not applied"
     return f"Disparities {abs(offset_px):.2f} px {sign}{edges} (source: {source}): {state}."
 
@@ -158,11 +140,10 @@ def _residual(alignment: Mapping[str, Any], summary: Summary) -> str:
     focal_px, baseline_m = tables.figure(summary, "focal_px"), tables.figure(summary, "baseline_m")
     if residual_px is None:
         return ""
-    uncertainty = f"Residual disparity uncertainty {residual_px:.2f} px"
-    if not focal_px or not baseline_m:
-        return f"{uncertainty}, included in every sigma."
-    far_m = _FAR_M**2 * residual_px / (focal_px * baseline_m)
-    return f"{uncertainty} ({far_m:.2f} m at {_FAR_M:.0f} m), included in every sigma."
+    metres = ""
+    if focal_px and baseline_m:
+        metres = f" ({_FAR_M**2 * residual_px / (focal_px * baseline_m):.2f} m at {_FAR_M:.0f} m)"
+    return f"Residual disparity uncertainty {residual_px:.2f} px{metres}, included in every sigma."
 
 
 def sigma_sentences(summary: Summary) -> list[str]:
@@ -187,10 +168,10 @@ def sigma_sentences(summary: Summary) -> list[str]:
 
 def settings_groups(summary: Summary) -> Iterator[dict[str, Any]]:
     """Inputs, settings and versions of a run as rows of dotted names and values."""
-    for key, name in SETTINGS_GROUPS.items():
+    for key in ("inputs", "settings", "versions"):
         rows = list(flattened(summary.get(key) or {}))
         if rows:
-            yield {"name": name, "rows": rows}
+            yield {"name": key.capitalize(), "rows": rows}
 
 
 def flattened(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

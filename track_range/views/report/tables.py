@@ -9,7 +9,7 @@ the smallest error, the bias nearest 0, and the fraction within k sigma nearest 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +26,8 @@ WITHIN_1_HEADING, WITHIN_2_HEADING = (f"\N{LESS-THAN OR EQUAL TO}{k}{SIGMA} %" f
 
 Cost = Callable[[float], float]
 """Function of a value that is smallest for the best value of a column."""
+
+Summary = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,139 +84,14 @@ class Column:
         return [Cell(text, text == best) for text in texts]
 
 
-def figure(section: Mapping[str, Any], key: str) -> float | None:
-    """A number of a section of a summary; None where it is missing, null or NaN."""
-    value = section.get(key)
-    return None if value is None or math.isnan(value) else float(value)
+ColumnSpec = tuple[Any, ...]
+"""Heading and key of a column of figures, then `pattern`, `scale` and `cost` of `Column`, which may be left out."""
 
 
-def from_normal(expected: float) -> Cost:
-    """Cost of an observed fraction: its distance from the expected one."""
-    return lambda value: abs(value - expected)
-
-
-METHOD_COLUMNS: tuple[tuple[str, str, str, float, Cost | None], ...] = (
-    ("coverage %", "coverage", "{:.0f}", 100.0, lambda value: -value),
-    ("n", "n", "{:.0f}", 1.0, None),
-    ("mean %", "mean_relative_error_pct", "{:.1f}", 1.0, abs),
-    ("median %", "median_relative_error_pct", "{:.1f}", 1.0, abs),
-    ("bias %", "bias_pct", "{:+.1f}", 1.0, abs),
-    (WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0, from_normal(WITHIN_1_SIGMA)),
-    (WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0, from_normal(WITHIN_2_SIGMA)),
-)
-"""Heading, key in a method's row of the summary, format, scale and cost of each column."""
-
-
-STAGE_OF = {"fused": "fuse"}
-"""Stage that measures a method's run time, if their names differ; filtered methods are part of the fusion stage."""
-
-
-def grids(summary: Mapping[str, Any]) -> list[Grid]:
-    """Non-empty tables of a summary: methods, common coverage, closing speed, rig, sigma, run time, tracks."""
-    methods, common = summary.get("methods") or {}, summary.get("common") or {}
-    n_common = max((figure(row, "n") or 0 for row in common.values()), default=0)
-    tables = [
-        method_grid(
-            "Distance error of each method on its own coverage" if common else "Coverage of each method", methods
-        ),
-        method_grid(f"Distance error on common coverage ({n_common:.0f} track-frames measured by all methods)", common),
-        closing_grid(summary.get("closing") or {}),
-        rig_grid((summary.get("alignment") or {}).get("health") or {}),
-        uncertainty_grid(summary),
-        speed_grid(summary),
-        track_grid(summary.get("tracks") or {}),
-    ]
-    return [grid for grid in tables if grid.rows]
-
-
-def rig_grid(health: Mapping[str, Any]) -> Grid:
-    """Expected distance errors of a rig, by distance, before and after its alignment, from `RigHealth.to_dict()`."""
-    rows = health.get("distances") or []
-    columns = [
-        Column("calibrated middle %", [figure(row, "before_pct") for row in rows], "{:+.1f}"),
-        Column(f"{SIGMA} %", [figure(row, "before_sigma_pct") for row in rows], "{:.1f}"),
-        Column("calibrated left %", [figure(row, "before_left_pct") for row in rows], "{:+.1f}"),
-        Column("calibrated right %", [figure(row, "before_right_pct") for row in rows], "{:+.1f}"),
-        Column(f"corrected {SIGMA} %", [figure(row, "after_sigma_pct") for row in rows], "{:.1f}"),
-    ]
-    names = [f"{figure(row, 'distance_m') or 0:.0f} m" for row in rows]
-    return grid_of("Expected distance error of the rig", "distance", names, columns)
-
-
-def method_grid(title: str, methods: Mapping[str, Mapping[str, Any]]) -> Grid:
-    """One row per method: coverage, errors, calibration of sigma, mean error by distance band."""
-    rows = list(methods.values())
-    columns = [
-        Column(heading, [figure(row, key) for row in rows], pattern, scale, cost)
-        for heading, key, pattern, scale, cost in METHOD_COLUMNS
-    ]
-    bands = {(band["from_m"], band["to_m"]): None for row in rows for band in row.get("bands") or []}
-    for band in sorted(bands):
-        columns.append(Column(f"{band[0]:g}-{band[1]:g} m", [band_error_pct(row, band) for row in rows], cost=abs))
-    return grid_of(title, "method", list(methods), columns)
-
-
-def closing_grid(closing: Mapping[str, Any]) -> Grid:
-    """One row: errors of the closing speeds against ground truth that contains them, in m/s."""
-    columns = [
-        Column("coverage %", [figure(closing, "coverage")], "{:.0f}", 100.0),
-        Column("n", [figure(closing, "n")], "{:.0f}"),
-        Column("mean m/s", [figure(closing, "mean_error_mps")], "{:.2f}"),
-        Column("median m/s", [figure(closing, "median_error_mps")], "{:.2f}"),
-        Column("bias m/s", [figure(closing, "bias_mps")], "{:+.2f}"),
-        Column(WITHIN_1_HEADING, [figure(closing, "within_1_sigma")], "{:.0f}", 100.0),
-        Column(WITHIN_2_HEADING, [figure(closing, "within_2_sigma")], "{:.0f}", 100.0),
-        Column(f"{SIGMA} m/s", [figure(closing, "median_sigma_mps")], "{:.2f}"),
-    ]
-    return grid_of("Error of the closing speed", "method", ["fused_kf"] if closing else [], columns)
-
-
-def uncertainty_grid(summary: Mapping[str, Any]) -> Grid:
-    """One row per method: median relative sigma (known without ground truth) and run time."""
-    methods, stages_ms = summary.get("methods") or {}, summary.get("stages_ms") or {}
-    columns = [
-        Column(f"{SIGMA} %", [figure(row, "median_sigma_pct") for row in methods.values()]),
-        Column("ms/frame", [figure(stages_ms, STAGE_OF.get(name, name)) or None for name in methods], "{:.2f}"),
-    ]
-    return grid_of("Reported uncertainty (median relative sigma) and run time", "method", list(methods), columns)
-
-
-def band_error_pct(row: Mapping[str, Any], band: tuple[float, float]) -> float | None:
-    """Mean relative error of a method in one distance band, in per cent; None where it measured nothing."""
-    sections = [section for section in row.get("bands") or [] if (section["from_m"], section["to_m"]) == band]
-    return figure(sections[0], "mean_relative_error_pct") if sections else None
-
-
-def speed_grid(summary: Mapping[str, Any]) -> Grid:
-    """One row per stage that ran, and one for the whole run (wall clock).
-
-    Stages overlap in threads; detection and background work are measured in wall-clock time, the others in processor
-    time.
-    """
-    stages_ms = summary.get("stages_ms") or {}
-    stages = {name: ms for name in stages_ms if (ms := figure(stages_ms, name))}
-    fps = frames_per_s(summary)
-    names = list(stages) + (["whole run"] if fps else [])
-    values = [*stages.values(), 1000.0 / fps] if fps else list(stages.values())
-    columns = [Column("ms/frame", values, "{:.2f}"), Column("frames/s", [1000.0 / ms for ms in values])]
-    return grid_of("Run time by stage (stages overlap)", "stage", names, columns)
-
-
-def frames_per_s(summary: Mapping[str, Any]) -> float | None:
-    """Frame rate of the whole run; computed from frames and wall time where the summary lacks it."""
-    stored, wall_s = figure(summary, "frames_per_s"), figure(summary, "wall_s")
-    return stored or (summary.get("frames", 0) / wall_s if wall_s and wall_s > 1e-6 else 0.0) or None
-
-
-def track_grid(tracks: Mapping[str, Any]) -> Grid:
-    """One row: number of tracks and MOT metrics."""
-    columns = [
-        Column("n", [figure(tracks, "n")], "{:.0f}"),
-        Column("MOTA %", [figure(tracks, "mota")]),
-        Column("IDF1 %", [figure(tracks, "idf1")]),
-        Column("ID switches", [figure(tracks, "idsw")], "{:.0f}"),
-    ]
-    return grid_of("Tracks", "", ["all"] if tracks else [], columns)
+def columns_of(rows: Iterable[Mapping[str, Any]], specs: Iterable[ColumnSpec]) -> list[Column]:
+    """Columns of the figures of some rows."""
+    rows = list(rows)
+    return [Column(heading, [figure(row, key) for row in rows], *rest) for heading, key, *rest in specs]
 
 
 def grid_of(title: str, corner: str, names: Sequence[str], columns: Sequence[Column]) -> Grid:
@@ -225,7 +102,226 @@ def grid_of(title: str, corner: str, names: Sequence[str], columns: Sequence[Col
     return Grid(title, headings, tuple(zip(*cells, strict=True)) if kept else ())
 
 
-def markdown(summary: Mapping[str, Any]) -> str:
+def figure(section: Mapping[str, Any], key: str) -> float | None:
+    """A number of a section of a summary; None where it is missing, null or NaN."""
+    value = section.get(key)
+    return None if value is None or math.isnan(value) else float(value)
+
+
+def largest(value: float) -> float:
+    """Cost of a column whose largest value is the best."""
+    return -value
+
+
+def from_normal(expected: float) -> Cost:
+    """Cost of an observed fraction: its distance from the expected one."""
+    return lambda value: abs(value - expected)
+
+
+METHOD_COLUMNS: tuple[tuple[str, str, str, float, Cost | None], ...] = (
+    ("coverage %", "coverage", "{:.0f}", 100.0, largest),
+    ("n", "n", "{:.0f}", 1.0, None),
+    ("mean %", "mean_relative_error_pct", "{:.1f}", 1.0, abs),
+    ("median %", "median_relative_error_pct", "{:.1f}", 1.0, abs),
+    ("bias %", "bias_pct", "{:+.1f}", 1.0, abs),
+    (WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0, from_normal(WITHIN_1_SIGMA)),
+    (WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0, from_normal(WITHIN_2_SIGMA)),
+)
+
+_CLOSING_COLUMNS: tuple[ColumnSpec, ...] = (
+    ("coverage %", "coverage", "{:.0f}", 100.0),
+    ("n", "n", "{:.0f}"),
+    ("mean m/s", "mean_error_mps", "{:.2f}"),
+    ("median m/s", "median_error_mps", "{:.2f}"),
+    ("bias m/s", "bias_mps", "{:+.2f}"),
+    (WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0),
+    (WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0),
+    (f"{SIGMA} m/s", "median_sigma_mps", "{:.2f}"),
+)
+
+_RIG_COLUMNS: tuple[ColumnSpec, ...] = (
+    ("calibrated middle %", "before_pct", "{:+.1f}"),
+    (f"{SIGMA} %", "before_sigma_pct"),
+    ("calibrated left %", "before_left_pct", "{:+.1f}"),
+    ("calibrated right %", "before_right_pct", "{:+.1f}"),
+    (f"corrected {SIGMA} %", "after_sigma_pct"),
+)
+
+_TRACK_COLUMNS: tuple[ColumnSpec, ...] = (
+    ("n", "n", "{:.0f}"),
+    ("MOTA %", "mota"),
+    ("IDF1 %", "idf1"),
+    ("ID switches", "idsw", "{:.0f}"),
+)
+
+MOT_COLUMNS: tuple[tuple[str, str, str], ...] = (
+    ("HOTA %", "hota", "{:.1f}"),
+    ("DetA %", "deta", "{:.1f}"),
+    ("AssA %", "assa", "{:.1f}"),
+    ("LocA %", "loca", "{:.1f}"),
+    ("MOTA %", "mota", "{:.1f}"),
+    ("MOTP %", "motp", "{:.1f}"),
+    ("IDF1 %", "idf1", "{:.1f}"),
+    ("ID precision %", "idp", "{:.1f}"),
+    ("ID recall %", "idr", "{:.1f}"),
+    ("ID switches", "idsw", "{:.0f}"),
+    ("fragments", "frag", "{:.0f}"),
+    ("false positives", "fp", "{:.0f}"),
+    ("false negatives", "fn", "{:.0f}"),
+    ("true boxes", "n_truth_boxes", "{:.0f}"),
+    ("mostly tracked", "mt", "{:.0f}"),
+    ("partly tracked", "pt", "{:.0f}"),
+    ("mostly lost", "ml", "{:.0f}"),
+)
+"""Heading, key in the section `tracks` of the summary, and format; MOT metrics are in per cent already."""
+
+STAGE_OF = {"fused": "fuse"}
+"""Stage that measures a method's run time, if their names differ; filtered methods are part of the fusion stage."""
+
+
+def grids(summary: Summary) -> list[Grid]:
+    """Non-empty tables of a summary: methods, common coverage, closing speed, rig, sigma, run time, tracks."""
+    title = "Distance error of each method on its own coverage" if summary.get("common") else "Coverage of each method"
+    tables = [
+        method_grid(title, summary.get("methods") or {}),
+        _common_grid(summary),
+        closing_grid(summary.get("closing") or {}),
+        rig_grid((summary.get("alignment") or {}).get("health") or {}),
+        uncertainty_grid(summary),
+        speed_grid(summary),
+        track_grid(summary.get("tracks") or {}),
+    ]
+    return [grid for grid in tables if grid.rows]
+
+
+def accuracy_grids(summary: Summary) -> list[Grid]:
+    """Distance errors of each method on its own coverage, on common coverage and by class; closing-speed errors."""
+    methods = summary.get("methods") or {}
+    has_errors = any(figure(row, "median_relative_error_pct") is not None for row in methods.values())
+    title = "Distance error of each method on its own coverage" if has_errors else "Coverage of each method"
+    tables = [
+        method_grid(title, methods),
+        _common_grid(summary),
+        class_grid(methods),
+        closing_grid(summary.get("closing") or {}),
+    ]
+    return [grid for grid in tables if grid.rows]
+
+
+def method_grid(title: str, methods: Mapping[str, Mapping[str, Any]]) -> Grid:
+    """One row per method: coverage, errors, calibration of sigma, mean error by distance band."""
+    rows = list(methods.values())
+    columns = columns_of(rows, METHOD_COLUMNS)
+    for low_m, high_m in sorted({(band["from_m"], band["to_m"]) for row in rows for band in row.get("bands") or []}):
+        errors_pct = [band_error_pct(row, (low_m, high_m)) for row in rows]
+        columns.append(Column(f"{low_m:g}-{high_m:g} m", errors_pct, cost=abs))
+    return grid_of(title, "method", list(methods), columns)
+
+
+def band_error_pct(row: Mapping[str, Any], limits_m: tuple[float, float]) -> float | None:
+    """Mean relative error of a method in one distance band, in per cent; None where it measured nothing."""
+    bands = [band for band in row.get("bands") or [] if (band["from_m"], band["to_m"]) == limits_m]
+    return figure(bands[0], "mean_relative_error_pct") if bands else None
+
+
+def _common_grid(summary: Summary) -> Grid:
+    common = summary.get("common") or {}
+    n = max((figure(row, "n") or 0 for row in common.values()), default=0)
+    return method_grid(f"Distance error on common coverage ({n:.0f} track-frames measured by all methods)", common)
+
+
+def class_grid(methods: Mapping[str, Mapping[str, Any]]) -> Grid:
+    """Median error of each method by the class in the ground truth."""
+    scores = [row.get("by_class") or {} for row in methods.values()]
+    columns = [
+        Column(f"{name} %", [figure(row.get(name) or {}, "median_relative_error_pct") for row in scores], cost=abs)
+        for name in sorted({name for row in scores for name in row})
+    ]
+    return grid_of("Median distance error by class", "method", list(methods), columns)
+
+
+def closing_grid(closing: Mapping[str, Any]) -> Grid:
+    """One row: errors of the closing speeds against ground truth that contains them, in m/s."""
+    columns = columns_of([closing], _CLOSING_COLUMNS)
+    return grid_of("Error of the closing speed", "method", ["fused_kf"] if closing else [], columns)
+
+
+def rig_grid(health: Mapping[str, Any]) -> Grid:
+    """Expected distance errors of a rig, by distance, before and after its alignment, from `RigHealth.to_dict()`."""
+    rows = health.get("distances") or []
+    names = [f"{figure(row, 'distance_m') or 0:.0f} m" for row in rows]
+    return grid_of("Expected distance error of the rig", "distance", names, columns_of(rows, _RIG_COLUMNS))
+
+
+def uncertainty_grid(summary: Summary) -> Grid:
+    """One row per method: median relative sigma (known without ground truth) and run time."""
+    methods, stages_ms = summary.get("methods") or {}, summary.get("stages_ms") or {}
+    columns = [
+        Column(f"{SIGMA} %", [figure(row, "median_sigma_pct") for row in methods.values()]),
+        Column("ms/frame", [figure(stages_ms, STAGE_OF.get(name, name)) or None for name in methods], "{:.2f}"),
+    ]
+    return grid_of("Reported uncertainty (median relative sigma) and run time", "method", list(methods), columns)
+
+
+def speed_grids(summary: Summary) -> list[Grid]:
+    """Run time of the stages, and reported uncertainty and run time of the methods."""
+    return [grid for grid in (speed_grid(summary), uncertainty_grid(summary)) if len(grid.columns) > 1]
+
+
+def speed_grid(summary: Summary) -> Grid:
+    """One row per stage that ran, and one for the whole run (wall clock).
+
+    Stages overlap in threads; detection and background work are measured in wall-clock time, the others in processor
+    time.
+    """
+    stages = stages_that_ran(summary)
+    fps = frames_per_s(summary)
+    if fps:
+        stages["whole run"] = 1000.0 / fps
+    columns = [
+        Column("ms/frame", list(stages.values()), "{:.2f}"),
+        Column("frames/s", [1000.0 / ms for ms in stages.values()]),
+    ]
+    return grid_of("Run time by stage (stages overlap)", "stage", list(stages), columns)
+
+
+def stages_that_ran(summary: Summary) -> dict[str, float]:
+    """Run time of each stage that ran, in ms per frame."""
+    stages_ms = summary.get("stages_ms") or {}
+    return {name: ms for name in stages_ms if (ms := figure(stages_ms, name))}
+
+
+def stage_bars(summary: Summary) -> list[dict[str, Any]]:
+    """Run time of each stage in ms per frame, and in per cent of the longest stage."""
+    stages = stages_that_ran(summary)
+    longest = max(stages.values(), default=1.0)
+    return [
+        {"name": name, "text": f"{ms:.1f}", "fraction_pct": round(100 * ms / longest, 1)} for name, ms in stages.items()
+    ]
+
+
+def frames_per_s(summary: Summary) -> float | None:
+    """Frame rate of the whole run; computed from frames and wall time where the summary lacks it."""
+    stored, wall_s = figure(summary, "frames_per_s"), figure(summary, "wall_s")
+    return stored or (summary.get("frames", 0) / wall_s if wall_s and wall_s > 1e-6 else 0.0) or None
+
+
+def track_grid(tracks: Mapping[str, Any]) -> Grid:
+    """One row: number of tracks and MOT metrics."""
+    return grid_of("Tracks", "", ["all"] if tracks else [], columns_of([tracks], _TRACK_COLUMNS))
+
+
+def mot_grid(tracks: Mapping[str, Any]) -> Grid:
+    """One row per tracking metric that was measured."""
+    rows = [
+        (Cell(name), Cell(pattern.format(value)))
+        for name, key, pattern in MOT_COLUMNS
+        if (value := figure(tracks, key)) is not None
+    ]
+    return Grid("Tracking metrics", ("metric", "value"), tuple(rows))
+
+
+def markdown(summary: Summary) -> str:
     """The tables of a summary as Markdown, best values in bold, with the source of the ground truth and the notes."""
     parts = [markdown_table(grid) for grid in grids(summary)]
     if summary.get("truth"):
@@ -236,14 +332,10 @@ def markdown(summary: Mapping[str, Any]) -> str:
 
 def markdown_table(grid: Grid) -> str:
     """A grid as a pipe table under its title."""
-    lines = [[escape_markdown(heading) for heading in grid.columns]]
-    lines.append([":--"] + ["--:"] * (len(grid.columns) - 1))
-    for row in grid.rows:
-        texts = [escape_markdown(cell.text) for cell in row]
-        lines.append([f"**{text}**" if cell.best else text for text, cell in zip(texts, row, strict=True)])
-    return f"**{escape_markdown(grid.title)}**\n\n" + "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    lines = [[_escaped(heading) for heading in grid.columns], [":--"] + ["--:"] * (len(grid.columns) - 1)]
+    lines += [[f"**{_escaped(cell.text)}**" if cell.best else _escaped(cell.text) for cell in row] for row in grid.rows]
+    return f"**{_escaped(grid.title)}**\n\n" + "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def escape_markdown(text: str) -> str:
-    """Text escaped for a pipe table."""
+def _escaped(text: str) -> str:
     return text.replace("\\", "\\\\").replace("|", "\\|")

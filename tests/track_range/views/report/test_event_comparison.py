@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from track_range.results.events.event import Event
-from track_range.views.report.comparison import ComparedRun, event_grids, event_sentence
+from track_range.views.report.comparison import ComparedRun, event_differences, event_grids, event_sentence
 from track_range.views.report.content.events import (
     clips_of,
     event_details,
@@ -18,7 +18,6 @@ from track_range.views.report.content.events import (
     sigma_words,
     time_words,
 )
-from track_range.views.report.event_comparison import event_differences
 from track_range.views.report.headlines import headlines
 
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from track_range.views.report.grids import accuracy_grids, mot_grid, speed_grids, stage_bars
 from track_range.views.report.sentences import (
     best_method,
     cards,
@@ -15,6 +14,7 @@ from track_range.views.report.sentences import (
     run_name,
     sigma_sentences,
 )
+from track_range.views.report.tables import accuracy_grids, mot_grid, speed_grids, stage_bars
 
 
 def row(median_pct: float | None, **more: Any) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from track_range.views.report.content.road import camera_of_rows, is_on_course, road_columns
-from track_range.views.report.content.timeline import MAX_BINS, timeline
+from track_range.views.report.content.series import MAX_BINS, timeline
 
 F_PX, CX_PX = 1000.0, 600.0
 

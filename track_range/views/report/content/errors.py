@@ -28,9 +28,6 @@ MIN_IN_BAND = 3
 EXPECTED_FRACTIONS = np.arange(0.05, 1.0, 0.05)
 """Fractions of errors expected within k sigma at which the calibration curve is sampled."""
 
-_FRACTION_KEYS = ((WITHIN_1_SIGMA, "within_1_sigma"), (WITHIN_2_SIGMA, "within_2_sigma"))
-"""Expected fraction, and key of the observed one in a method's row of the summary."""
-
 
 def error_curves(columns: Columns, summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Points (x: true distance in m, y: signed error in %) and a line of medians by distance band, per method.
@@ -38,37 +35,31 @@ def error_curves(columns: Columns, summary: Mapping[str, Any]) -> dict[str, dict
     Without truth in the columns, the line holds the mean absolute error of each distance band in the summary.
     """
     curves = {}
+    truth_m = _scored_truth_m(columns)
     for method in methods_measured(columns):
-        truth_m, error_pct = _errors_pct(columns, method)
-        if len(truth_m):
-            shown = thinned(len(truth_m), SCATTER_POINTS) if not method.endswith("_kf") else slice(0)
+        distance_m = column(columns, f"{method}_m")
+        known = np.flatnonzero(np.isfinite(distance_m) & (truth_m > 0))
+        known = known[np.argsort(truth_m[known], kind="stable")]
+        error_pct = 100.0 * (distance_m[known] / truth_m[known] - 1.0)
+        if len(known):
+            shown = thinned(len(known), SCATTER_POINTS) if not method.endswith("_kf") else slice(0)
             curves[method] = {
-                "points": [_rounded(truth_m[shown]), _rounded(error_pct[shown])],
-                "line": [_rounded(part) for part in median_by_distance(truth_m, error_pct)],
+                "points": [_rounded(truth_m[known][shown]), _rounded(error_pct[shown])],
+                "line": [_rounded(part) for part in median_by_distance(truth_m[known], error_pct)],
             }
-    return curves or _curves_of_bands(summary)
-
-
-def _errors_pct(columns: Columns, method: str) -> tuple[FloatArray, FloatArray]:
-    truth_m, distance_m = _scored_truth_m(columns), column(columns, f"{method}_m")
-    known = np.isfinite(distance_m) & (truth_m > 0)
-    order = np.argsort(truth_m[known], kind="stable")
-    truth_m, distance_m = truth_m[known][order], distance_m[known][order]
-    return truth_m, 100.0 * (distance_m / truth_m - 1.0)
+    if curves:
+        return curves
+    lines = {method: band_line(row) for method, row in (summary.get("methods") or {}).items()}
+    return {
+        method: {"points": [[], []], "line": [list(part) for part in zip(*line, strict=True)]}
+        for method, line in lines.items()
+        if line
+    }
 
 
 def _scored_truth_m(columns: Columns) -> FloatArray:
-    """(N,) true distances that the tables' errors refer to, in metres; see `results.summary`."""
+    """(N,) true distances that the tables' errors refer to; see `results.summary`."""
     return column(columns, "scored_truth_m" if "scored_truth_m" in columns else "truth_m")
-
-
-def _curves_of_bands(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    curves = {}
-    for method, row in (summary.get("methods") or {}).items():
-        line = band_line(row)
-        if line:
-            curves[method] = {"points": [[], []], "line": [list(part) for part in zip(*line, strict=True)]}
-    return curves
 
 
 def band_line(row: Mapping[str, Any]) -> list[tuple[float, float]]:
@@ -99,32 +90,24 @@ def calibration_curves(columns: Columns, summary: Mapping[str, Any]) -> dict[str
     Without truth in the columns, the line holds the summary's fractions within one and two sigma.
     """
     k = np.sqrt(2.0) * erfinv(EXPECTED_FRACTIONS)
-    curves = {}
+    curves: dict[str, dict[str, Any]] = {}
+    truth_m = _scored_truth_m(columns)
     for method in methods_measured(columns):
-        z = _errors_in_sigmas(columns, method)
+        sigma_m = column(columns, f"{method}_sigma_m")
+        error_m = np.abs(column(columns, f"{method}_m") - truth_m)
+        known = np.isfinite(error_m) & (sigma_m > 0) & (truth_m > 0)
+        z = np.sort(error_m[known] / sigma_m[known])
         if len(z):
-            observed = np.searchsorted(np.sort(z), k, side="right") / len(z)
+            observed = np.searchsorted(z, k, side="right") / len(z)
             curves[method] = {"line": [_rounded(100.0 * EXPECTED_FRACTIONS), _rounded(100.0 * observed)], "n": len(z)}
-    return curves or _curves_of_fractions(summary)
-
-
-def _errors_in_sigmas(columns: Columns, method: str) -> FloatArray:
-    truth_m, sigma_m = _scored_truth_m(columns), column(columns, f"{method}_sigma_m")
-    error_m = np.abs(column(columns, f"{method}_m") - truth_m)
-    known = np.isfinite(error_m) & (sigma_m > 0) & (truth_m > 0)
-    return error_m[known] / sigma_m[known]
-
-
-def _curves_of_fractions(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    curves = {}
+    if curves:
+        return curves
     for method, row in (summary.get("methods") or {}).items():
-        known = [
-            (100 * expected, 100 * fraction)
-            for expected, key in _FRACTION_KEYS
-            if (fraction := figure(row, key)) is not None
-        ]
-        if known:
-            curves[method] = {"line": [list(part) for part in zip(*known, strict=True)], "n": row.get("n")}
+        observed_at = {WITHIN_1_SIGMA: figure(row, "within_1_sigma"), WITHIN_2_SIGMA: figure(row, "within_2_sigma")}
+        fractions = {expected: fraction for expected, fraction in observed_at.items() if fraction is not None}
+        if fractions:
+            x, y = [100 * expected for expected in fractions], [100 * fraction for fraction in fractions.values()]
+            curves[method] = {"line": [x, y], "n": row.get("n")}
     return curves
 
 

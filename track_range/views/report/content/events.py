@@ -16,7 +16,6 @@ KIND_WORDS: Mapping[str, str] = {
     "pedestrian_on_path": "pedestrian on path",
     "near_miss": "near miss",
 }
-"""Kinds of events in words."""
 
 MAX_EVENTS = 500
 """Maximum number of events in a page; the most severe ones of a longer run."""
@@ -45,20 +44,17 @@ def event_details(event: Event) -> str:
 
 def measurements(event: Event) -> list[str]:
     """Measurements of an event in words; unknown ones are omitted."""
-    distance = ""
-    if math.isfinite(event.min_distance_m):
-        sigma_m = event.min_distance_sigma_m
-        sigma = f" ± {sigma_words(sigma_m)}" if math.isfinite(sigma_m) else ""
-        distance = f"{event.min_distance_m:.1f}{sigma} m"
-    parts = [
-        distance,
-        f"collision in {event.min_ttc_s:.1f} s" if math.isfinite(event.min_ttc_s) else "",
-        f"closing {event.closing_mps:.1f} m/s" if math.isfinite(event.closing_mps) else "",
-        f"headway {event.headway_s:.1f} s" if math.isfinite(event.headway_s) else "",
-        f"ego {3.6 * event.ego_mps:.0f} km/h" if math.isfinite(event.ego_mps) else "",
-        f"contact {100 * event.probability:.0f} %" if math.isfinite(event.probability) else "",
-    ]
-    return [part for part in parts if part]
+    sigma_m = event.min_distance_sigma_m
+    sigma = f" ± {sigma_words(sigma_m)}" if math.isfinite(sigma_m) else ""
+    texts = (
+        (event.min_distance_m, f"{event.min_distance_m:.1f}{sigma} m"),
+        (event.min_ttc_s, f"collision in {event.min_ttc_s:.1f} s"),
+        (event.closing_mps, f"closing {event.closing_mps:.1f} m/s"),
+        (event.headway_s, f"headway {event.headway_s:.1f} s"),
+        (event.ego_mps, f"ego {3.6 * event.ego_mps:.0f} km/h"),
+        (event.probability, f"contact {100 * event.probability:.0f} %"),
+    )
+    return [text for value, text in texts if math.isfinite(value)]
 
 
 def sigma_words(sigma_m: float) -> str:

@@ -15,6 +15,9 @@ with t = 0 now, n positions with the standard deviation s, and the standard devi
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
@@ -34,11 +37,8 @@ WINDOW_S = 0.8
 FILTERED_WINDOW_S = 0.5
 """The same for the offsets of the collision warning in s, which are filtered: their slope is the lateral speed."""
 
-_LIKELY = 0.5
-"""Smallest probability of contact of an object that is more likely to hit than to pass."""
-
-_MIN_POSITIONS = 4
-"""Minimum number of positions of a course."""
+_LIKELY = 0.5  # smallest probability of contact of an object that is more likely to hit than to pass
+_MIN_POSITIONS = 4  # of a course
 
 _LATERAL_ACCELERATION_MPS2 = 0.25
 """Standard deviation a of the lateral acceleration in m/s^2, as in `ranging`'s collision course."""
@@ -54,6 +54,24 @@ _MIN_ROWS = 3
 
 _MAX_RESIDUAL = 0.02
 """Largest median residual of x / z, about 1 degree; the rows of one camera have less than 1e-4, from rounding."""
+
+
+def uncalibrated_video(summary: Mapping[str, Any]) -> str | None:
+    """Name of the one video of a run without a calibration by a board; None = calibrated, a pair, or several files."""
+    video = (summary.get("inputs") or {}).get("mono")
+    is_known = summary.get("calibration") == "rig" and not summary.get("focal_sigma")
+    return None if is_known or not isinstance(video, str) else video
+
+
+def box_columns(columns: Columns, summary: Mapping[str, Any]) -> dict[str, FloatArray]:
+    """Boxes of such a run in px, for the command that calibrates the camera by known distances; (N,) each.
+
+    Keys: `box_left`, `box_top`, `box_right`, `box_bottom`.
+    """
+    if uncalibrated_video(summary) is None or "x1_px" not in columns:
+        return {}
+    names = ("box_left", "box_top", "box_right", "box_bottom")
+    return dict(zip(names, boxes_px(columns).T, strict=True))
 
 
 def road_columns(columns: Columns) -> dict[str, FloatArray]:
@@ -143,11 +161,15 @@ def _courses(
 ) -> tuple[FloatArray, FloatArray]:
     """(N,) lateral offsets of one track at its times to collision, and their standard deviations; NaN = unknown."""
     first: IntArray = np.searchsorted(time_s, time_s - window_s - 1e-6)
+
+    def sum_of_window(values: FloatArray) -> FloatArray:
+        """(N,) sums of the measured values from row `first` up to each row."""
+        total = np.concatenate([[0.0], np.cumsum(np.where(is_measured, values, 0.0))])
+        return np.asarray(total[1:] - total[first])
+
     t = time_s - time_s[0]
     x = np.where(is_measured, x_m, 0.0)
-    n, sum_t, sum_x, sum_tt, sum_tx = (
-        _sum_of_window(np.where(is_measured, values, 0.0), first) for values in (np.ones_like(t), t, x, t * t, t * x)
-    )
+    n, sum_t, sum_x, sum_tt, sum_tx = map(sum_of_window, (np.ones_like(t), t, x, t * t, t * x))
     known = (n >= _MIN_POSITIONS) & np.isfinite(ttc_s)
     mean_t = sum_t / np.maximum(n, 1)
     spread = sum_tt - n * mean_t**2
@@ -158,10 +180,3 @@ def _courses(
     offset_m = sum_x / np.maximum(n, 1) + v * ahead_s
     variance = sigma_m**2 * (1 / np.maximum(n, 1) + ahead_s**2 / spread)
     return offset_m, np.sqrt(variance + (_LATERAL_ACCELERATION_MPS2 * ttc_s**2 / 2) ** 2)
-
-
-def _sum_of_window(values: FloatArray, first: IntArray) -> FloatArray:
-    """(N,) sums of the values from row `first` up to each row."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    sums: FloatArray = total[1:] - total[first]
-    return sums

@@ -1,4 +1,4 @@
-"""Compact text encoding of a run's tracks for its report: integers, delta-coded.
+"""Compact text encoding of a run's tracks and timeline for its report: integers, delta-coded.
 
     25.261 m, NaN, 25.102 m  ->  2526 cm, -, 2510 cm  ->  "2526,,-16"
 
@@ -8,14 +8,15 @@ decodes a track when its chart comes into view. If all tracks together have too 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.colours import track_colour
 from track_range.results.columns import Columns, methods_measured
+from track_range.views.report.tables import figure
 
 LINE_POINTS = 1200
 """Maximum number of points of a line; longer ones are thinned. A page shows about one point per pixel."""
@@ -23,9 +24,14 @@ LINE_POINTS = 1200
 MOST_CELLS = 1_800_000
 """Maximum count of numbers in a page, at three to four bytes each; 2,000 tracks of 30 frames have 0.9 million."""
 
+MAX_BINS = 600
+"""Maximum number of points of the timeline; a page shows about one per two pixels."""
+
+_DEFAULT_FRAME_S = 0.1
+"""Duration of a frame in s if the rows do not determine it."""
+
 TICKS_PER_S, TICKS_PER_M, TICKS_PER_MPS, TICKS_PER_TTC_S = 1000.0, 100.0, 10.0, 100.0
 """Resolution of times, distances, speeds and times to collision."""
-
 
 _SERIES = (
     ("truth_m", "truth", TICKS_PER_M),
@@ -46,11 +52,11 @@ _SERIES = (
 """Column, key in the page and resolution of the series of a track besides its distances."""
 
 
-def column(columns: Columns, name: str, rows: BoolArray | IntArray | slice = slice(None)) -> FloatArray:
-    """Rows of a column as float64; all NaN where the run has no such column."""
+def column(columns: Columns, name: str) -> FloatArray:
+    """A column as float64; all NaN where the run has no such column."""
     if name in columns:
-        return np.asarray(columns[name][rows], np.float64)
-    return np.full(len(columns["time_s"][rows]), np.nan)
+        return np.asarray(columns[name], np.float64)
+    return np.full(len(columns["time_s"]), np.nan)
 
 
 def packed(values: FloatArray, ticks_per_unit: float) -> str:
@@ -62,20 +68,9 @@ def packed(values: FloatArray, ticks_per_unit: float) -> str:
     return ",".join(cells)
 
 
-def track_records(columns: Columns) -> Iterator[dict[str, Any]]:
-    """Data of each track for the page, longest track first; series without values are omitted.
-
-    Keys: id, name (class), colour, n (frames), from_s, to_s; near_m, ttc_s, error_pct (None = unknown); t, and the
-    keys of `_SERIES`; observed ("1101": the third box was predicted; missing = all observed); m and s: distance and
-    sigma by method.
-    """
-    row_sets = rows_by_track(columns)
-    limit = _longest_line([len(rows) for rows in row_sets], n_series=_n_series(columns))
-    methods = methods_measured(columns)
-    for rows in row_sets:
-        track = {name: values[rows] for name, values in columns.items()}
-        shown = thinned(len(rows), limit)
-        yield {**_properties(track), **_series({name: values[shown] for name, values in track.items()}, methods)}
+def thinned(n: int, limit: int) -> IntArray:
+    """At most `limit` of n rows, evenly spaced, including the first and the last."""
+    return np.arange(n) if n <= limit else np.unique(np.linspace(0, n - 1, limit).round().astype(np.int64))
 
 
 def rows_by_track(columns: Columns) -> list[IntArray]:
@@ -88,63 +83,96 @@ def rows_by_track(columns: Columns) -> list[IntArray]:
     return sorted(np.split(order, starts), key=len, reverse=True)
 
 
-def _n_series(columns: Columns) -> int:
-    return (
-        3
-        + sum(name in columns for name, _, _ in _SERIES)
-        + sum(name in columns for method in methods_measured(columns) for name in (f"{method}_m", _sigma(method)))
-    )
+def track_records(columns: Columns) -> Iterator[dict[str, Any]]:
+    """Data of each track for the page, longest track first; series without values are omitted.
 
-
-def _sigma(method: str) -> str:
-    return f"{method}_sigma_m"
-
-
-def _longest_line(lengths: list[int], *, n_series: int) -> int:
-    """Maximum number of points per line with which all lines fit into a page."""
-    limit = LINE_POINTS
-    while limit > 8 and n_series * sum(min(length, limit) for length in lengths) > MOST_CELLS:
+    Keys: id, name (class), colour, n (frames), from_s, to_s; near_m, ttc_s, error_pct (None = unknown); t, and the
+    keys of `_SERIES`; observed ("1101": the third box was predicted; missing = all observed); m and s: distance and
+    sigma by method.
+    """
+    row_sets, methods = rows_by_track(columns), methods_measured(columns)
+    names = [name for name, _, _ in _SERIES]
+    names += [f"{method}_{part}" for method in methods for part in ("m", "sigma_m")]
+    n_series = 3 + sum(name in columns for name in names)
+    limit = LINE_POINTS  # of points per line with which all lines fit into a page
+    while limit > 8 and n_series * sum(min(len(rows), limit) for rows in row_sets) > MOST_CELLS:
         limit = int(0.9 * limit)
-    return limit
-
-
-def thinned(n: int, limit: int) -> IntArray:
-    """At most `limit` of n rows, evenly spaced, including the first and the last."""
-    return np.arange(n) if n <= limit else np.unique(np.linspace(0, n - 1, limit).round().astype(np.int64))
+    for rows in row_sets:
+        track = {name: values[rows] for name, values in columns.items()}
+        shown = thinned(len(rows), limit)
+        yield {**_properties(track), **_series({name: values[shown] for name, values in track.items()}, methods)}
 
 
 def _properties(track: Columns) -> dict[str, Any]:
-    time_s, fused_m = column(track, "time_s"), column(track, "fused_m")
-    truth_m = column(track, "truth_m")
+    def reduced(values: FloatArray, reduce: Callable[[FloatArray], Any]) -> float | None:
+        known = values[np.isfinite(values)]
+        return round(float(reduce(known)), 2) if len(known) else None
+
+    time_s, fused_m, truth_m = column(track, "time_s"), column(track, "fused_m"), column(track, "truth_m")
     error = np.abs(fused_m / np.where(truth_m > 0, truth_m, np.nan) - 1.0)
     names, counts = np.unique(track["class"], return_counts=True)
+    track_id = int(track["track_id"][0])
     return {
-        "id": int(track["track_id"][0]),
+        "id": track_id,
         "name": str(names[np.argmax(counts)]),
-        "colour": "#{2:02x}{1:02x}{0:02x}".format(*track_colour(int(track["track_id"][0]))),
+        "colour": "#{2:02x}{1:02x}{0:02x}".format(*track_colour(track_id)),
         "n": len(time_s),
         "from_s": round(float(time_s[0]), 3),
         "to_s": round(float(time_s[-1]), 3),
-        "near_m": _rounded(fused_m, np.min),
-        "ttc_s": _rounded(column(track, "ttc_s"), np.min),
-        "error_pct": _rounded(100.0 * error, np.median),
+        "near_m": reduced(fused_m, np.min),
+        "ttc_s": reduced(column(track, "ttc_s"), np.min),
+        "error_pct": reduced(100.0 * error, np.median),
     }
 
 
-def _rounded(values: FloatArray, reduce: Any) -> float | None:
-    known = values[np.isfinite(values)]
-    return round(float(reduce(known)), 2) if len(known) else None
-
-
 def _series(track: Columns, methods: list[str]) -> dict[str, Any]:
-    series: dict[str, Any] = {"t": packed(column(track, "time_s"), TICKS_PER_S), "m": {}, "s": {}}
-    for name, key, ticks in _SERIES:
+    def series(name: str, key: str, ticks: float) -> dict[str, str]:
         values = column(track, name)
-        series |= {key: packed(values, ticks)} if np.isfinite(values).any() else {}
+        return {key: packed(values, ticks)} if np.isfinite(values).any() else {}
+
+    record: dict[str, Any] = {"t": packed(column(track, "time_s"), TICKS_PER_S), "m": {}, "s": {}}
+    for name, key, ticks in _SERIES:
+        record |= series(name, key, ticks)
     observed = column(track, "observed") != 0
-    series |= {} if observed.all() else {"observed": "".join("1" if flag else "0" for flag in observed)}
+    record |= {} if observed.all() else {"observed": "".join("1" if flag else "0" for flag in observed)}
     for method in methods:
-        for key, name in (("m", f"{method}_m"), ("s", _sigma(method))):
-            values = column(track, name)
-            series[key] |= {method: packed(values, TICKS_PER_M)} if np.isfinite(values).any() else {}
-    return series
+        record["m"] |= series(f"{method}_m", method, TICKS_PER_M)
+        record["s"] |= series(f"{method}_sigma_m", method, TICKS_PER_M)
+    return record
+
+
+def timeline(columns: Columns, summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Data of the timeline: number of road users and ego speed over the time of a run.
+
+    Keys: `from_s`, `to_s`, `frame_s` (duration of a frame); `t`, `n`: packed times and largest numbers of road users;
+    `ego`: ego speed, if known. Times are the starts of equal bins. The time span covers the frames of the summary and
+    the rows.
+    """
+    time_s, frame = column(columns, "time_s"), column(columns, "frame")
+    first_s, n_frames = figure(summary, "starts_s") or 0.0, figure(summary, "frames") or 0.0
+    frame_s = _DEFAULT_FRAME_S
+    last_s = first_s + n_frames * frame_s
+    if len(time_s):
+        between, span = float(np.ptp(frame)), float(np.ptp(time_s))
+        frame_s = span / between if between and span / between > 0 else _DEFAULT_FRAME_S
+        first_s = min(first_s, float(time_s.min()))
+        last_s = max(float(time_s.max()) + frame_s, first_s + n_frames * frame_s)
+    span_s = max(last_s - first_s, frame_s)
+    n_bins = int(np.clip(round(span_s / frame_s), 1, MAX_BINS))
+    width_s = span_s / n_bins
+    row_bin = np.clip((time_s - first_s + 1e-6) // width_s, 0, n_bins - 1).astype(np.int64)
+    _, row, count = np.unique(frame, return_index=True, return_counts=True)
+    n_users = np.zeros(n_bins)
+    np.maximum.at(n_users, row_bin[row], count)
+    ego_mps = column(columns, "ego_mps")
+    known = np.isfinite(ego_mps)
+    ego = np.full(n_bins, np.nan)
+    ego[row_bin[known]] = ego_mps[known]
+    return {
+        "from_s": round(first_s, 3),
+        "to_s": round(first_s + span_s, 3),
+        "frame_s": round(frame_s, 4),
+        "t": packed(first_s + width_s * np.arange(n_bins, dtype=np.float64), TICKS_PER_S),
+        "n": packed(n_users, 1.0),
+        **({"ego": packed(ego, TICKS_PER_MPS)} if known.any() else {}),
+    }

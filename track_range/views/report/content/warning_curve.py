@@ -28,8 +28,6 @@ _LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 44, 22, 12, 40
 _MIN_PER_HOUR = 0.1
 """Smallest rate of the logarithmic axis, 1/h; curves without a false alarm start there."""
 
-_Point = Sequence[float | None]
-
 
 @cache
 def packaged_curve() -> Mapping[str, Any] | None:
@@ -47,8 +45,15 @@ def curve_figure(content: Mapping[str, Any]) -> dict[str, Any]:
     Keys: `width`, `height`, `protocol`, `alternative` (the curves in words), `x_ticks` and `y_ticks` ({at, text}),
     `inner` (edges of the axes), and `lines` ({name, colour, path, dots}), all in px.
     """
-    methods: Mapping[str, Sequence[_Point]] = content["methods"]
-    curves = {name: _known(points) for name, points in methods.items()}
+    methods: Mapping[str, Sequence[Sequence[float | None]]] = content["methods"]
+    curves = {  # points with a rate and a lead time; the fraction of contacts is 0 where it is unknown
+        name: sorted(
+            (float(per_hour), float(lead_s), float((rest[0] if rest else None) or 0.0))
+            for per_hour, lead_s, *rest in points
+            if per_hour is not None and lead_s is not None
+        )
+        for name, points in methods.items()
+    }
     points = [point for curve in curves.values() for point in curve]
     last_decade = math.ceil(math.log10(max([1.0, *(per_hour for per_hour, _, _ in points)])))
     highest_s = max(1.0, math.ceil(1.1 * max([0.0, *(lead_s for _, lead_s, _ in points)])))
@@ -62,34 +67,21 @@ def curve_figure(content: Mapping[str, Any]) -> dict[str, Any]:
         return round(_TOP_PX + (1 - lead_s / highest_s) * (_HEIGHT_PX - _TOP_PX - _BOTTOM_PX), 1)
 
     colours = colour_of_each(list(curves))
-    lines = []
+    lines, words = [], []
     for name, curve in curves.items():
         at = [(x_px(per_hour), y_px(lead_s), fraction) for per_hour, lead_s, fraction in curve]
         path = "M" + "L".join(f"{x} {y}" for x, y, _ in at) if at else ""
         dots = [{"x": x, "y": y, "r": round(1.5 + 4 * fraction, 1)} for x, y, fraction in at]
         lines.append({"name": name, "colour": colours[name], "path": path, "dots": dots})
+        texts = [f"{per_hour:.1f} per hour with {lead_s:.1f} s" for per_hour, lead_s, _ in curve]
+        words.append(f"{name}: {', '.join(texts) or 'no values'}")
     return {
         "width": _WIDTH_PX,
         "height": _HEIGHT_PX,
         "inner": {"left": _LEFT_PX, "right": _WIDTH_PX - _RIGHT_PX, "top": _TOP_PX, "bottom": _HEIGHT_PX - _BOTTOM_PX},
         "protocol": str(content.get("protocol", "")),
-        "alternative": "; ".join(_words(name, curve) for name, curve in curves.items()),
+        "alternative": "; ".join(words),
         "x_ticks": [{"at": x_px(10.0**k), "text": f"{10.0**k:g}"} for k in range(first_decade, last_decade + 1)],
         "y_ticks": [{"at": y_px(value), "text": f"{value} s"} for value in range(int(highest_s) + 1)],
         "lines": lines,
     }
-
-
-def _known(points: Sequence[_Point]) -> list[tuple[float, float, float]]:
-    """Points with a rate and a lead time by rate; the fraction of contacts is 0 where it is unknown."""
-    known = [
-        (float(point[0]), float(point[1]), float((point[2] if len(point) > 2 else None) or 0.0))
-        for point in points
-        if point[0] is not None and point[1] is not None
-    ]
-    return sorted(known)
-
-
-def _words(name: str, curve: Sequence[tuple[float, float, float]]) -> str:
-    texts = [f"{per_hour:.1f} per hour with {lead_s:.1f} s" for per_hour, lead_s, _ in curve]
-    return f"{name}: {', '.join(texts)}" if texts else f"{name}: no values"
