@@ -54,10 +54,7 @@ class DenseMatcher:
 
 
 def open_matcher(name: str, rig: StereoRig) -> BoxMatcher:
-    """The matcher called `name`, with the settings that a run uses for `rig`.
-
-    Raises ValueError if the name is unknown.
-    """
+    """The matcher called `name`, with the settings that a run uses for `rig`; ValueError for unknown names."""
     if name not in MATCHER_NAMES:
         raise ValueError(f"unknown matcher '{name}': expected one of {', '.join(MATCHER_NAMES)}")
     if name == "patch":
@@ -71,8 +68,8 @@ def open_matcher(name: str, rig: StereoRig) -> BoxMatcher:
 class MatcherResults:
     """Disparities of the objects of all pairs by several matchers."""
 
-    objects: Objects  # N objects with their true disparities
-    columns: dict[str, MatcherColumn]  # disparities of the N objects, by name of the matcher
+    objects: Objects
+    columns: dict[str, MatcherColumn]  # by name of the matcher
     ms_per_frame: dict[str, float]  # median time per pair on one thread, milliseconds, by name of the matcher
     notes: tuple[str, ...] = ()  # messages for the user, without duplicates
 
@@ -83,79 +80,47 @@ Expectation = Callable[[StereoPair], ExpectedDisparity]  # disparities of the ob
 def measure_pairs(
     pairs: Iterable[StereoPair], names: Sequence[str], *, expected: Expectation | None = None
 ) -> MatcherResults:
-    """Run several matchers on the same pairs.
+    """Run several matchers, by their names (`MATCHER_NAMES`), on the same pairs, which are read one by one.
 
     As in a run, the last disparity of a track (`StereoPair.track_id`) is the prior in the next pair; other objects are
-    searched in the full range.
-
-    Args:
-        pairs: pairs, read one by one.
-        names: names of the matchers, see `MATCHER_NAMES`.
-        expected: expected disparities of the objects of a pair; None = unknown.
-
-    Raises:
-        ValueError: a name is unknown.
+    searched in the full range. `expected` gives the expected disparities of the objects of a pair; None = unknown.
+    Raises ValueError for unknown names.
     """
-    parts, notes = _Parts(names, expected), dict[str, None]()
-    for pair in pairs:
+    notes = dict[str, None]()
+    cameras = list[PinholeCamera]()
+    none = np.zeros(0)
+    columns: dict[str, list[Any]] = {
+        "true_px": [none],
+        "focal_baseline_m": [none],
+        "x_px": [none],
+        "pair": [none.astype(np.int64)],
+        "group": [none.astype(np.int64)],
+    }
+    measured: dict[str, list[tuple[FloatArray, FloatArray]]] = {name: [(none, none)] for name in names}
+    times_ms: dict[str, list[float]] = {name: [] for name in names}
+    last_px: dict[str, dict[int, float]] = {name: {} for name in names}
+    for number, pair in enumerate(pairs):
         notes |= dict.fromkeys(pair.notes)
-        parts.add(pair)
-    return parts.measured(tuple(notes))
-
-
-class _Parts:
-    """Results of all matchers, collected pair by pair."""
-
-    def __init__(self, names: Sequence[str], expected: Expectation | None) -> None:
-        self._expected = expected
-        self._objects = [_no_objects()]
-        self._cameras: list[PinholeCamera] = []
-        self._results: dict[str, list[tuple[FloatArray, FloatArray]]] = {name: [_EMPTY] for name in names}
-        self._ms: dict[str, list[float]] = {name: [] for name in names}
-        self._last: dict[str, dict[int, float]] = {name: {} for name in names}
-
-    def add(self, pair: StereoPair) -> None:
-        ids = pair.track_id.tolist() or [-1] * len(pair.true_px)
-        for name in self._results:
-            matcher, last = open_matcher(name, pair.rig), self._last[name]
-            prior_px = np.array([last.get(number, np.nan) for number in ids])
-            by_size = None if self._expected is None else self._expected(pair)
+        n_objects = len(pair.true_px)
+        ids = pair.track_id.tolist() or [-1] * n_objects
+        for name in measured:
+            matcher, last = open_matcher(name, pair.rig), last_px[name]
+            prior_px = np.array([last.get(track, np.nan) for track in ids])
+            by_size = None if expected is None else expected(pair)
             start_s = time.perf_counter()
             matches = matcher.match(pair.left, pair.right, pair.xyxy_px, prior_px, by_size)
-            self._ms[name].append(1e3 * (time.perf_counter() - start_s))
-            self._results[name].append((matches.disparity_px, matches.sigma_px))
-            self._last[name] = {n: d for n, d in zip(ids, matches.disparity_px.tolist(), strict=True) if n >= 0}
-        self._objects.append(_objects_of(pair, number=len(self._cameras)))
-        self._cameras.append(pair.rig.left)
-
-    def measured(self, notes: tuple[str, ...]) -> MatcherResults:
-        columns = {
-            name: MatcherColumn(*(np.concatenate([part[i] for part in parts]) for i in (0, 1)))
-            for name, parts in self._results.items()
-        }
-        arrays = {
-            part: np.concatenate([getattr(objects, part) for objects in self._objects])
-            for part in ("true_px", "focal_baseline_m", "x_px", "pair", "group")
-        }
-        ms = {name: float(np.median(times)) for name, times in self._ms.items() if times}
-        return MatcherResults(Objects(**arrays, cameras=tuple(self._cameras)), columns, ms, notes)
-
-
-_EMPTY = (np.zeros(0), np.zeros(0))
-
-
-def _no_objects() -> Objects:
-    none = np.zeros(0, np.int64)
-    return Objects(np.zeros(0), np.zeros(0), np.zeros(0), pair=none, group=none, cameras=())
-
-
-def _objects_of(pair: StereoPair, *, number: int) -> Objects:
-    n = len(pair.true_px)
-    return Objects(
-        true_px=pair.true_px,
-        focal_baseline_m=np.full(n, pair.rig.left.fx_px * pair.rig.baseline_m),
-        x_px=pair.x_px,
-        pair=np.full(n, number),
-        group=pair.track_id if len(pair.track_id) else np.full(n, number),
-        cameras=(pair.rig.left,),
+            times_ms[name].append(1e3 * (time.perf_counter() - start_s))
+            measured[name].append((matches.disparity_px, matches.sigma_px))
+            last_px[name] = {n: d for n, d in zip(ids, matches.disparity_px.tolist(), strict=True) if n >= 0}
+        cameras.append(pair.rig.left)
+        columns["true_px"].append(pair.true_px)
+        columns["focal_baseline_m"].append(np.full(n_objects, pair.rig.left.fx_px * pair.rig.baseline_m))
+        columns["x_px"].append(pair.x_px)
+        columns["pair"].append(np.full(n_objects, number))
+        columns["group"].append(pair.track_id if len(pair.track_id) else np.full(n_objects, number))
+    return MatcherResults(
+        Objects(**{name: np.concatenate(parts) for name, parts in columns.items()}, cameras=tuple(cameras)),
+        {name: MatcherColumn(*map(np.concatenate, zip(*parts, strict=True))) for name, parts in measured.items()},
+        {name: float(np.median(times)) for name, times in times_ms.items() if times},
+        tuple(notes),
     )

@@ -95,19 +95,18 @@ class KnownBoxes(NamedTuple):
 
     def select(self, rows: IntArray) -> KnownBoxes:
         """The boxes in rows (M,)."""
-        return KnownBoxes(
-            self.xyxy_px[rows], self.track_px[rows], self.by_size.select(rows), self.limit_px[rows], self.others
-        )
+        xyxy_px, track_px, by_size, limit_px, others = self
+        return KnownBoxes(xyxy_px[rows], track_px[rows], by_size.select(rows), limit_px[rows], others)
 
 
 class SurfaceSearch(NamedTuple):
     """The surfaces of N boxes in a range of disparities."""
 
-    tiles: BoxTiles  # tiles and strips
+    tiles: BoxTiles
     cost: FloatArray32  # (D, G, N) costs of the windows
-    matches: WindowMatches  # matches of the windows
+    matches: WindowMatches
     weight: FloatArray  # (N, G) weights of the windows
-    surfaces: Surfaces  # surfaces
+    surfaces: Surfaces
     phi: dict[str, FloatArray]  # features of the surfaces, (S, N) by name
     choice: SurfaceChoice  # their probabilities
 
@@ -115,6 +114,12 @@ class SurfaceSearch(NamedTuple):
     def disparity_px(self) -> FloatArray:
         """(S, N) disparities of the surfaces at the boxes' centres, px of the image; NaN = no surface."""
         return self.tiles.disparity_px(self.surfaces.centre.T).T
+
+    @property
+    def chosen(self) -> tuple[BoolArray, SurfaceFit]:
+        """Windows (N, G) and planes of the chosen surfaces."""
+        chosen, rows = self.choice.chosen, np.arange(len(self.choice.chosen))
+        return self.surfaces.is_member[chosen, rows], SurfaceFit(self.surfaces.planes.p[chosen, rows])
 
 
 class PatchMatcher:
@@ -131,18 +136,10 @@ class PatchMatcher:
         prior_px: FloatArray,
         by_size: ExpectedDisparity | None = None,
     ) -> PatchMatches:
-        """The disparities of boxes in the left image, with the reasons of failures.
+        """As `BoxMatcher.match`, for rectified images of equal size; any boxes, including NaN and outside the image.
 
-        Args:
-            left: (H, W) grey or (H, W, 3) BGR uint8, rectified.
-            right: rectified right image of equal size; only the pixels that the boxes need are read.
-            xyxy_px: (N, 4) boxes; any values, including NaN and boxes outside the image.
-            prior_px: (N,) last disparity of the box's track; NaN = none. Without one, or with a doubtful match near it,
-                the range by size or the full range is searched.
-            by_size: expected disparities from the sizes of the objects; None = unknown.
-
-        Raises:
-            ValueError: the images differ in size.
+        Without a prior, or with a doubtful match near it, the range by size or the full range is searched. Only the
+        pixels of the right image that the boxes need are read. Raises ValueError if the images differ in size.
         """
         if left.shape[:2] != right.shape[:2]:
             raise ValueError(f"left and right: expected equal sizes, got {left.shape[:2]} and {right.shape[:2]}")
@@ -156,23 +153,23 @@ class PatchMatcher:
         known = KnownBoxes(boxes, track_px, expected, limit_px, others)
         no_track = known._replace(track_px=np.full(n, np.nan))
         is_usable = outcome == Outcome.MATCHED
-        for part, centre_px, search_px in (
-            (known, track_px, self._settings.search_px),
+        images, search_px = (left, right), self._settings.search_px
+        for part, centre_px, reach_px in (
+            (known, track_px, search_px),
             (no_track, size_px, self._settings.size_search_px),
         ):
             rows = np.flatnonzero(is_usable & np.isnan(matches.disparity_px) & np.isfinite(centre_px))
             if len(rows):
-                matches.put(rows, self._measured_near(left, right, part.select(rows), centre_px[rows], search_px))
+                matches.put(rows, self._measured_near(*images, part.select(rows), centre_px[rows], reach_px))
         rows = np.flatnonzero(is_usable & np.isnan(matches.disparity_px))
         if len(rows):
-            coarse = self._full_range(left, right, no_track.select(rows))
+            coarse = self._full_range(*images, no_track.select(rows))
             matches.put(rows, coarse)
-            coarse_px = coarse.disparity_px[np.isfinite(coarse.disparity_px)]
-            rows = rows[np.isfinite(coarse.disparity_px)]
+            has_match = np.isfinite(coarse.disparity_px)
+            rows, coarse_px = rows[has_match], coarse.disparity_px[has_match]
             if len(rows):
                 part = no_track.select(rows)
-                near = self._measured_near(left, right, part, coarse_px, self._settings.search_px, is_known=True)
-                matches.put(rows, near)
+                matches.put(rows, self._measured_near(*images, part, coarse_px, search_px, is_known=True))
         return matches
 
     def _usable(self, xyxy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArray, FloatArray, IntArray]:
@@ -217,7 +214,7 @@ class PatchMatcher:
     ) -> PatchMatches:
         """Matches of boxes near disparities (N,); is_known = these are results of the full search in the same pair."""
         search = self.search_near(left, right, known, centre_px, search_px)
-        members, plane = _chosen(search)
+        members, plane = search.chosen
         refined = refine_surface(search.tiles, search.matches.index, members, plane)
         return self._checked(search, refined, known, is_known=is_known)
 
@@ -233,13 +230,9 @@ class PatchMatcher:
     def _full_range(self, left: Image, right: ImageView, known: KnownBoxes) -> PatchMatches:
         """Matches of boxes by a search over the full range, on coarse tiles without fractions of a pixel."""
         search = self.search_full_range(left, right, known)
-        members, plane = _chosen(search)
-        coarse = RefinedSurface(
-            plane,
-            np.where(members, search.matches.index - plane.at(search.tiles.u, search.tiles.v), np.nan),
-            np.where(members, 1.0, 0.0),
-            members,
-        )
+        members, plane = search.chosen
+        residual = np.where(members, search.matches.index - plane.at(search.tiles.u, search.tiles.v), np.nan)
+        coarse = RefinedSurface(plane, residual, np.where(members, 1.0, 0.0), members)
         return self._checked(search, coarse, known, is_known=False)
 
     def _search(
@@ -272,7 +265,7 @@ class PatchMatcher:
     def _checked(
         self, search: SurfaceSearch, surface: RefinedSurface, known: KnownBoxes, *, is_known: bool
     ) -> PatchMatches:
-        """Checks and sigmas of the boxes; the last check that fails determines the outcome."""
+        """Checks and sigmas of the boxes; the first check of the table that fails determines the outcome."""
         settings, tiles, cost, choice = self._settings, search.tiles, search.cost, search.choice
         confidence = match_confidence(cost, surface, tiles)
         n_used = np.maximum(tiles.is_used.sum(axis=1), 1)
@@ -291,39 +284,30 @@ class PatchMatcher:
         support_limit = np.where(is_expected, _EXPECTED_SUPPORT, settings.min_support) * seen_fraction
         cost_limit = settings.max_cost_bits + np.where(is_expected, _EXPECTED_COST_BITS, 0.0)
 
-        outcome = np.full(len(rows), int(Outcome.MATCHED), np.int64)
+        is_elsewhere = minima_fraction < settings.min_minima_fraction * seen_fraction
+        is_elsewhere |= surface.is_confirmed.sum(axis=1) / n_used < settings.min_confirmed_fraction * support
+        is_elsewhere &= ~is_expected & (tiles.shape == FINE)
+        is_misfit = np.isfinite(confidence.cost) & (is_elsewhere | (confidence.cost > cost_limit)) & (not is_known)
         is_unique = confidence.second_best_margin >= settings.uniqueness_ratio * confidence.margin
         is_certain = probability >= settings.min_probability
-        outcome[~(is_unique | is_expected) | ~is_certain | (support < support_limit)] = Outcome.AMBIGUOUS
-        outcome[~confidence.is_inside] = Outcome.OUT_OF_RANGE
-        outcome[~(confidence.margin >= settings.min_margin_bits) | (support == 0)] = Outcome.NO_TEXTURE
-        if not is_known:
-            is_elsewhere = minima_fraction < settings.min_minima_fraction * seen_fraction
-            is_elsewhere |= surface.is_confirmed.sum(axis=1) / n_used < settings.min_confirmed_fraction * support
-            is_elsewhere &= ~is_expected & (tiles.shape == FINE)
-            outcome[np.isfinite(confidence.cost) & (is_elsewhere | (confidence.cost > cost_limit))] = Outcome.NO_FIT
-        outcome[minima_fraction < settings.min_seen_fraction] = Outcome.NO_TEXTURE
-        outcome[seen_fraction < settings.min_seen_fraction] = Outcome.NOT_SEEN
-
-        outcome[(outcome == Outcome.MATCHED) & ~(disparity_px > 0)] = Outcome.OUT_OF_RANGE
-        is_matched = outcome == Outcome.MATCHED
-        sigma_px = tiles.scale[0] * self._sigma(surface, tiles, probability, search.surfaces, choice)
-        return PatchMatches(
-            np.where(is_matched, disparity_px, np.nan),
-            np.where(is_matched, sigma_px, np.nan),
-            outcome,
-            choice.n_surfaces,
-            probability,
+        checks = (
+            (Outcome.NOT_SEEN, seen_fraction < settings.min_seen_fraction),
+            (Outcome.NO_TEXTURE, minima_fraction < settings.min_seen_fraction),
+            (Outcome.NO_FIT, is_misfit),
+            (Outcome.NO_TEXTURE, ~(confidence.margin >= settings.min_margin_bits) | (support == 0)),
+            (Outcome.OUT_OF_RANGE, ~confidence.is_inside),
+            (Outcome.AMBIGUOUS, ~(is_unique | is_expected) | ~is_certain | (support < support_limit)),
+            (Outcome.OUT_OF_RANGE, ~(disparity_px > 0)),
         )
+        outcome = np.full(len(rows), int(Outcome.MATCHED), np.int64)
+        for reason, has_failed in checks[::-1]:
+            outcome[has_failed] = reason
+        is_matched = outcome == Outcome.MATCHED
+        sigma_px = tiles.scale[0] * self._sigma(search, surface)
+        measured = np.where(is_matched, disparity_px, np.nan), np.where(is_matched, sigma_px, np.nan)
+        return PatchMatches(*measured, outcome, choice.n_surfaces, probability)
 
-    def _sigma(
-        self,
-        surface: RefinedSurface,
-        tiles: BoxTiles,
-        probability: FloatArray,
-        surfaces: Surfaces,
-        choice: SurfaceChoice,
-    ) -> FloatArray:
+    def _sigma(self, search: SurfaceSearch, surface: RefinedSurface) -> FloatArray:
         """(N,) standard deviation of p0, px of the tile.
 
         sigma^2 = floor^2 + (floor_fraction d)^2 + (noise_fraction noise)^2 + (scatter_fraction scatter)^2
@@ -336,7 +320,7 @@ class PatchMatcher:
 
         Windows that overlap share pixels: G_independent is the number of windows that fit side by side.
         """
-        settings = self._settings
+        settings, tiles, surfaces, choice = self._settings, search.tiles, search.surfaces, search.choice
         is_inlier = np.isfinite(surface.residual)
         n_inliers = np.maximum(is_inlier.sum(axis=1), 1)
         total = np.maximum(surface.weight.sum(axis=1), 1e-6)
@@ -349,9 +333,3 @@ class PatchMatcher:
         variance = other + (settings.floor_fraction * np.maximum(tiles.first + surface.fit.p[:, 0], 0.0)) ** 2
         variance = variance + (settings.noise_fraction * noise) ** 2 + (settings.scatter_fraction * scatter) ** 2
         return np.asarray(np.sqrt(settings.floor_px**2 + (variance + (settings.tilt_fraction * tilt) ** 2)))
-
-
-def _chosen(search: SurfaceSearch) -> tuple[BoolArray, SurfaceFit]:
-    """Windows (N, G) and planes of the chosen surfaces."""
-    chosen, rows = search.choice.chosen, np.arange(len(search.choice.chosen))
-    return search.surfaces.is_member[chosen, rows], SurfaceFit(search.surfaces.planes.p[chosen, rows])

@@ -88,10 +88,10 @@ class BoxMatcher(Protocol):
         prior_px: FloatArray,
         by_size: ExpectedDisparity | None = None,
     ) -> PatchMatches:
-        """Disparities of boxes (N, 4).
+        """Disparities of boxes in the left image, with the reasons of failures.
 
         Args:
-            left: left image.
+            left: (H, W) grey or (H, W, 3) BGR uint8.
             right: right image.
             xyxy_px: (N, 4) boxes.
             prior_px: (N,) last disparity of the box's track; NaN = none.

@@ -54,13 +54,9 @@ class RefinedSurface:
 
 
 def refine_surface(tiles: BoxTiles, index: FloatArray, is_member: BoolArray, plane: SurfaceFit) -> RefinedSurface:
-    """The surface with subpixel disparities.
+    """The surface with subpixel disparities, from those by census (N, G) relative to index 0, px of the tile.
 
-    Args:
-        tiles: the boxes' tiles.
-        index: (N, G) disparities by census relative to index 0, px of the tile.
-        is_member: (N, G) windows of the surface.
-        plane: the plane through them.
+    `is_member` (N, G) are the windows of the surface, `plane` is the plane through them.
     """
     u, v = tiles.u, tiles.v
     column_u, row_v = tiles.pixel_positions()
@@ -81,13 +77,9 @@ def refine_surface(tiles: BoxTiles, index: FloatArray, is_member: BoolArray, pla
         refined = np.where(is_confirmed, np.minimum(np.maximum(fit.at(u, v), 1.0), last) - s, index)
         variance = np.where(is_confirmed, step.variance, _UNCONFIRMED_SIGMA_PX**2) + floor
         weight = np.where(is_member, 1.0 / variance, 0.0)
+        central_weight, n_iterations = weight * central, _N_FIT_ITERATIONS[iteration]
         fit = fit_surfaces(
-            refined,
-            weight * central,
-            terms,
-            disparity=disparity,
-            is_curved=True,
-            n_iterations=_N_FIT_ITERATIONS[iteration],
+            refined, central_weight, terms, disparity=disparity, is_curved=True, n_iterations=n_iterations
         )
     residual = np.where(is_member, refined - fit.at(u, v), np.nan)
     return RefinedSurface(fit, residual, weight, is_confirmed)
@@ -134,21 +126,13 @@ class _Equations(NamedTuple):
 
     With h the left derivative down the column, a vertical offset t between the images adds t h to the model; s absorbs
     t <g, h> / <g, g>.
-
-    Attributes:
-        l: (H, W, N) left grey values, less the tile's mean.
-        g: (H, W, N) their derivative along the row.
-        h: (H, W, N) their derivative down the column.
-        grey: (H, W', N) grey values of both images, less the same mean.
-        sums: (9, N, G) sums of l, g, h, l l, g g, h h, g l, g h and h l over the windows' pixels.
-        tiles: the tiles.
     """
 
-    l: FloatArray32  # noqa: E741 (as in the equations)
-    g: FloatArray32
-    h: FloatArray32
-    grey: FloatArray32
-    sums: FloatArray
+    l: FloatArray32  # noqa: E741  (H, W, N) left grey values, less the tile's mean
+    g: FloatArray32  # (H, W, N) their derivative along the row
+    h: FloatArray32  # (H, W, N) their derivative down the column
+    grey: FloatArray32  # (H, W', N) grey values of both images, less the same mean
+    sums: FloatArray  # (9, N, G) sums of l, g, h, l l, g g, h h, g l, g h and h l over the windows' pixels
     tiles: BoxTiles
 
     @classmethod

@@ -75,11 +75,8 @@ class OtherBoxes:
     ) -> FloatArray:
         """(N, G) 1 = the window belongs to another box, which is expected to be nearer or farther; 0 = it does not.
 
-        Args:
-            xyxy_px: (N, 4) boxes.
-            expected_px: (N,) their expected disparities; NaN = unknown.
-            tiles: their tiles.
-            disparity_px: (N, G) disparities of the windows, px of the image.
+        `expected_px` (N,) are the expected disparities of the boxes, NaN = unknown; `disparity_px` (N, G) those of the
+        windows, px of the image.
         """
         size_px, centre_px = xyxy_px[:, 2:] - xyxy_px[:, :2], (xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2
         x_px = centre_px[:, :1] + tiles.u * size_px[:, :1]
@@ -104,13 +101,8 @@ def features(
 ) -> dict[str, FloatArray]:
     """Phi, by name: (S, N) each.
 
-    Args:
-        surfaces: the surfaces of N boxes.
-        tiles: their tiles.
-        cost: (N, G) costs of the windows' minima, bits per pixel.
-        by_size: disparities expected from the sizes of the objects.
-        track_px: (N,) last matches of the boxes' tracks; NaN = none.
-        others_fraction: (N, G) 1 = the window belongs to another box (`OtherBoxes.windows`).
+    `cost` (N, G) are the costs of the windows' minima, bits per pixel; `track_px` (N,) the last matches of the tracks,
+    NaN = none; `others_fraction` (N, G) is that of `OtherBoxes.windows`.
     """
     u, v, used = tiles.u, tiles.v, tiles.is_used
     n_boxes, n_windows = u.shape

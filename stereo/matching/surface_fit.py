@@ -65,7 +65,7 @@ def fit_surfaces(
         terms: (N, G, 5) A.
         disparity: (..., N) disparity of the box, px of the tile, for the scale of residuals and curvature.
         is_curved: whether the curvature is fitted; False = a plane.
-        n_iterations: iterations of the reweighted least squares.
+        n_iterations: of the reweighted least squares.
     """
     n_parameters = 5 if is_curved else 3
     a = np.ascontiguousarray(terms[..., :n_parameters])

@@ -53,14 +53,9 @@ def centre_weights(u: FloatArray, v: FloatArray) -> FloatArray:
 
 
 def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles) -> Surfaces:
-    """The S surfaces with most support.
+    """The S surfaces with most support, from disparities (N, G) relative to index 0, px of the tile, and weights.
 
     The first one grows along its plane before the others are found in what remains; these grow at once.
-
-    Args:
-        index: (N, G) disparities of the windows relative to index 0, px of the tile.
-        weight: (N, G) weights of the windows; 0 = no match.
-        tiles: the boxes' tiles.
     """
     u, v = tiles.u, tiles.v
     tolerance = np.maximum(_SAME_SURFACE_FRACTION * (tiles.first[:, None] + index), _SAME_SURFACE_PX)

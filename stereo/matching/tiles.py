@@ -117,15 +117,9 @@ def tile_scale(xyxy_px: FloatArray, shape: TileShape) -> FloatArray:
 def box_tiles(
     left: Image, right: ImageView, xyxy_px: FloatArray, first_px: FloatArray, n_disparities: int, shape: TileShape
 ) -> BoxTiles:
-    """The tiles of boxes (N, 4) inside the left image; only their pixels and strips are read.
+    """The tiles of boxes (N, 4) inside the left image, grey or BGR; only their pixels and strips are read.
 
-    Args:
-        left: (H, W) grey or (H, W, 3) BGR.
-        right: the same size.
-        xyxy_px: (N, 4) boxes.
-        first_px: (N,) smallest disparities, px of the image; rounded to whole pixels.
-        n_disparities: smallest D, in steps of one px of the tile.
-        shape: resolution.
+    `first_px` (N,) are the smallest disparities, rounded to whole pixels, `n_disparities` is the smallest D.
     """
     n_disparities = -(-(n_disparities - 1) // _STEPS_MULTIPLE) * _STEPS_MULTIPLE + 1
     n, (height, width) = len(xyxy_px), shape.hw
