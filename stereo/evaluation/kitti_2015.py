@@ -87,16 +87,11 @@ def pair_names(folder: Path) -> list[str]:
 
 
 def read_pairs(folder: Path, *, rig: Path | None = None, row_offset_px: float = 0.0) -> Iterator[StereoPair]:
-    """The pairs of a set, by name, read one by one.
+    """The pairs of a set, or of the set `training` in a folder, by name, read one by one.
 
-    Args:
-        folder: the set, or the parent of the set `training`.
-        rig: a rig file of a rectified pair; None = the calibration of the set.
-        row_offset_px: vertical offset y_right - y_left, which is removed from the right images.
-
-    Raises:
-        PairFileError: a part or an image is missing, damaged, or of another size.
-        RigError: the calibration is missing, or cannot be used.
+    `rig` is a rig file of a rectified pair, None = the calibration of the set; `row_offset_px` the vertical offset
+    y_right - y_left, which is removed from the right images. Raises PairFileError if a part or an image is missing,
+    damaged, or of another size, and RigError if the calibration is missing, or cannot be used.
     """
     for name in pair_names(folder):
         yield read_pair(folder, name, rig=rig, row_offset_px=row_offset_px)
@@ -130,9 +125,7 @@ def read_pair(folder: Path, name: str, *, rig: Path | None = None, row_offset_px
 def labelled_instances(true_px: FloatArray, instance: npt.NDArray[np.integer]) -> tuple[FloatArray, FloatArray]:
     """(N, 4) boxes and (N,) true disparities of the instances with enough known pixels.
 
-    Args:
-        true_px: (H, W) true disparity, 0 = unknown.
-        instance: (H, W) number of the object at each pixel, 0 = none.
+    `true_px` (H, W) are true disparities, 0 = unknown; `instance` (H, W) the numbers of the objects, 0 = none.
     """
     boxes, medians_px = [], []
     for number in np.unique(instance[instance > 0]).tolist():

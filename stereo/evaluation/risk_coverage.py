@@ -18,21 +18,15 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.stereo.evaluation.disparity_errors import FAILURE, MatcherColumn, figures
 
-STEP_PCT = 5  # step of the answered share along a curve, per cent
+STEP_PCT = 5  # step of the answered fraction along a curve, per cent
 _KEYS = ("failures_pct", "mean_relative_error_pct", "p95_relative_error_pct")  # figures of the answered boxes
 
 
 def risk_coverage(column: MatcherColumn, true_px: FloatArray, uncertainty: FloatArray | None = None) -> dict[str, Any]:
-    """The curve and its areas, as plain values for JSON.
+    """The curve of one matcher for N boxes, with a row per answered fraction, and its areas, as plain values for JSON.
 
-    Args:
-        column: results of one matcher for N boxes.
-        true_px: (N,) true disparities.
-        uncertainty: (N,) measure by which the boxes are sorted, larger = less certain; None = the relative sigma.
-
-    Returns:
-        area_failures_pct, area_error_pct: area under the curve of failures and of the mean relative error, per cent;
-        the latter None without a value. curve: a row per answered share with its figures.
+    The areas are those under the curves of failures and of the mean relative error, per cent; the latter is None
+    without a value. Boxes are sorted by `uncertainty` (N,), larger = less certain; None = the relative sigma.
     """
     order = certain_first(column, uncertainty)
     disparity_px, expected_px = column.disparity_px[order], true_px[order]

@@ -37,7 +37,25 @@ _N_BOX_STEPS = 4  # number of fixed-point steps of `recorded_boxes`; each reduce
 _OUTSIDE_PX = -100.0  # source of the pixels that the lens does not image; black, as everything outside of the image
 
 
-class Rectifier:
+class _UndistortedImages:
+    """The left, or only, images of a rectifier or undistorter in relation to the recorded video."""
+
+    _view: _View | None  # None = the images are those of the video
+
+    def left_boxes(self, xyxy_px: FloatArray) -> FloatArray:
+        """Boxes (N, 4) in pixels of the left video -> in pixels of its undistorted images."""
+        return xyxy_px if self._view is None else self._view.boxes(xyxy_px)
+
+    def recorded_points(self, xy_px: FloatArray) -> FloatArray:
+        """Points (N, 2) in pixels of the undistorted left images -> of the left video; NaN where not imaged."""
+        return xy_px if self._view is None else self._view.recorded_points(xy_px)
+
+    def recorded_boxes(self, xyxy_px: FloatArray) -> FloatArray:
+        """Boxes (N, 4) in pixels of the undistorted left images -> of the left video; inverse of `left_boxes`."""
+        return xyxy_px if self._view is None else self._view.recorded_boxes(xyxy_px)
+
+
+class Rectifier(_UndistortedImages):
     """Rectifies the pairs of one rig.
 
     Example:
@@ -77,18 +95,17 @@ class Rectifier:
             RigError: the rig is implausible, the cameras are not side by side, or one of them is upside down.
         """
         check_rig(rig, source)
-        self._left_size_px = (rig.left.width_px, rig.left.height_px)
-        self._right_size_px = (rig.right.width_px, rig.right.height_px)
-        views = _Views(rig, None, _View(rig.right, np.eye(3), rig.right.matrix))
-        if not rig.is_rectified:
-            views = _rectified(rig, fov_deg, source)
-        self.rig, self._left_view = views.rig, views.left
+        self._sizes_px = [(camera.width_px, camera.height_px) for camera in (rig.left, rig.right)]
+        if rig.is_rectified:
+            self.rig, self._view, right_view = rig, None, _View(rig.right, np.eye(3), rig.right.matrix)
+        else:
+            self.rig, self._view, right_view = _rectified(rig, fov_deg, source)
         size_px = (self.rig.left.width_px, self.rig.left.height_px)
-        self._left_maps = None if views.left is None else _maps(views.left, size_px)
+        self._left_maps = None if self._view is None else _maps(self._view, size_px)
         reduction = axial_focal_px(rig.right) / self.rig.left.fx_px
         self._right_blur_px = 0.5 * math.sqrt(reduction**2 - 1) if reduction > _MIN_REDUCTION else 0.0
         is_moved = not rig.is_rectified or row_offset_px != 0.0 or shift_px != 0.0 or right_correction is not None
-        self._right_view = views.right.rotated(right_correction).shifted(shift_px, row_offset_px) if is_moved else None
+        self._right_view = right_view.moved(right_correction, shift_px, row_offset_px) if is_moved else None
         self._right_maps = None if self._right_view is None else _maps(self._right_view, size_px)
 
     def rectify(self, left: Image, right: Image) -> tuple[Image, ImageView]:
@@ -97,8 +114,8 @@ class Rectifier:
         A remapped right image is grey and computed only where it is read. Pixels outside a camera's view are black.
         Raises ValueError if the size of an image differs from that of its camera.
         """
-        _check_size(left, self._left_size_px, "left")
-        _check_size(right, self._right_size_px, "right")
+        _check_size(left, self._sizes_px[0], "left")
+        _check_size(right, self._sizes_px[1], "right")
         if self._right_blur_px:
             right = np.asarray(cv2.GaussianBlur(right, (0, 0), self._right_blur_px), np.uint8)
         return (
@@ -106,22 +123,10 @@ class Rectifier:
             right if self._right_maps is None else RemappedView(right, self._right_maps),
         )
 
-    def left_boxes(self, xyxy_px: FloatArray) -> FloatArray:
-        """Boxes (N, 4) in pixels of the left video -> in pixels of its rectified images."""
-        return xyxy_px if self._left_view is None else self._left_view.boxes(xyxy_px)
-
-    def recorded_points(self, xy_px: FloatArray) -> FloatArray:
-        """Points (N, 2) in pixels of the rectified left images -> in pixels of the left video; NaN where not imaged."""
-        return xy_px if self._left_view is None else self._left_view.recorded_points(xy_px)
-
-    def recorded_boxes(self, xyxy_px: FloatArray) -> FloatArray:
-        """Boxes (N, 4) in pixels of the rectified left images -> of the left video; inverse of `left_boxes`."""
-        return xyxy_px if self._left_view is None else self._left_view.recorded_boxes(xyxy_px)
-
     def points(self, left_px: FloatArray, right_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points (N, 2) in pixels of the left and of the right video -> in pixels of the rectified images."""
         return (
-            left_px if self._left_view is None else self._left_view.points(left_px),
+            left_px if self._view is None else self._view.points(left_px),
             right_px if self._right_view is None else self._right_view.points(right_px),
         )
 
@@ -150,7 +155,7 @@ class RemappedView:
         return remapped
 
 
-class Undistorter:
+class Undistorter(_UndistortedImages):
     """Removes the lens distortion from the images of one camera.
 
     Args:
@@ -167,9 +172,10 @@ class Undistorter:
     def __init__(self, camera: PinholeCamera, *, fov_deg: float | None = None, yaw_deg: float = 0.0) -> None:
         self.camera = virtual_pinhole(camera, fov_deg, yaw_deg) if camera.is_wide else camera.without_distortion()
         self._size_px = (camera.width_px, camera.height_px)
-        self._view = _View(camera, view_from_camera(yaw_deg), self.camera.matrix)
+        view = _View(camera, view_from_camera(yaw_deg), self.camera.matrix)
+        self._view = view if camera.is_distorted else None
         size_px = (self.camera.width_px, self.camera.height_px)
-        self._maps = _maps(self._view, size_px) if camera.is_distorted else None
+        self._maps = None if self._view is None else _maps(self._view, size_px)
 
     def undistort(self, image: Image) -> Image:
         """The image, (H, W) or (H, W, 3), without distortion; the same array if the camera has none.
@@ -178,18 +184,6 @@ class Undistorter:
         """
         _check_size(image, self._size_px, "image")
         return image if self._maps is None else _remapped(image, self._maps)
-
-    def left_boxes(self, xyxy_px: FloatArray) -> FloatArray:
-        """Boxes (N, 4) in pixels of the video -> in pixels of its undistorted images."""
-        return xyxy_px if self._maps is None else self._view.boxes(xyxy_px)
-
-    def recorded_points(self, xy_px: FloatArray) -> FloatArray:
-        """Points (N, 2) in pixels of the undistorted images -> in pixels of the video; NaN where not imaged."""
-        return xy_px if self._maps is None else self._view.recorded_points(xy_px)
-
-    def recorded_boxes(self, xyxy_px: FloatArray) -> FloatArray:
-        """Boxes (N, 4) in pixels of the undistorted images -> in pixels of the video; inverse of `boxes`."""
-        return xyxy_px if self._maps is None else self._view.recorded_boxes(xyxy_px)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,15 +194,12 @@ class _View:
     rotation: cv2.typing.MatLike
     matrix: cv2.typing.MatLike
 
-    def shifted(self, left_px: float, up_px: float) -> _View:
-        """The view with its content moved to the left and up."""
+    def moved(self, correction: FloatArray | None, left_px: float, up_px: float) -> _View:
+        """The view with its directions multiplied by a matrix (3, 3), and its content moved to the left and up."""
+        rotation = self.rotation if correction is None else correction @ np.asarray(self.rotation)
         matrix = np.array(self.matrix, np.float64)
         matrix[:2] -= np.array([[left_px], [up_px]]) * matrix[2]
-        return _View(self.camera, self.rotation, matrix)
-
-    def rotated(self, matrix: FloatArray | None) -> _View:
-        """The view with its directions multiplied by a matrix (3, 3); None = not multiplied."""
-        return self if matrix is None else _View(self.camera, matrix @ np.asarray(self.rotation), self.matrix)
+        return _View(self.camera, rotation, matrix)
 
     def points(self, xy_px: FloatArray) -> FloatArray:
         """Points (N, 2) of the recorded image in pixels of this view; NaN for directions that it cannot show."""
@@ -253,14 +244,6 @@ def _moved_boxes(xyxy_px: FloatArray, moved: Callable[[FloatArray], FloatArray])
     return np.stack([edges[:, 0, 0], edges[:, 1, 1], edges[:, 2, 0], edges[:, 3, 1]], axis=1)
 
 
-class _Views(NamedTuple):
-    """A rectified rig and the remappings of its images; left None = not remapped."""
-
-    rig: StereoRig
-    left: _View | None
-    right: _View
-
-
 class StereoRectification(NamedTuple):
     """Rotations R1, R2 (3, 3) and projections P1, P2 (3, 4) of the rectified cameras, and Q (4, 4), as in OpenCV."""
 
@@ -280,7 +263,9 @@ def stereo_rectification(rig: StereoRig, fov_deg: float | None = None) -> Stereo
     """
     if rig.left.is_wide or rig.right.is_wide:
         return _wide_rectification(rig, fov_deg)
-    right = rig.left if _is_unequal(rig) else rig.right
+    sizes = [(camera.width_px, camera.height_px) for camera in (rig.left, rig.right)]
+    has_equal_cameras = sizes[0] == sizes[1] and abs(rig.right.fx_px / rig.left.fx_px - 1) <= _FOCAL_SCATTER
+    right = rig.right if has_equal_cameras else rig.left
     result = cv2.stereoRectify(
         rig.left.matrix,
         distortion_coefficients(rig.left),
@@ -298,9 +283,9 @@ def stereo_rectification(rig: StereoRig, fov_deg: float | None = None) -> Stereo
 def _wide_rectification(rig: StereoRig, fov_deg: float | None) -> StereoRectification:
     """Bouguet's rotations with the left camera's virtual pinhole: wide lenses also image what the rotations move in."""
     camera = _ideal(rig.left, fov_deg)
-    size_px, rotation, translation = (camera.width_px, camera.height_px), *_parts(rig.right_from_left)
+    size_px, translation = (camera.width_px, camera.height_px), rig.right_from_left[:3, 3:]
     r1, r2, *_ = cv2.stereoRectify(
-        camera.matrix, np.zeros(4), camera.matrix, np.zeros(4), size_px, rotation, translation
+        camera.matrix, np.zeros(4), camera.matrix, np.zeros(4), size_px, rig.right_from_left[:3, :3], translation
     )
     moved_m = (np.asarray(r2) @ translation).ravel()
     p1 = np.concatenate([camera.matrix, np.zeros((3, 1))], axis=1)
@@ -317,11 +302,6 @@ def _wide_rectification(rig: StereoRig, fov_deg: float | None) -> StereoRectific
     return StereoRectification(r1, r2, p1, p2, q)
 
 
-def _parts(transform: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotation (3, 3) and translation (3, 1) of a transform (4, 4)."""
-    return transform[:3, :3], transform[:3, 3:]
-
-
 def rectified_points(
     camera: PinholeCamera, rotation: cv2.typing.MatLike, projection: cv2.typing.MatLike, xy_px: FloatArray
 ) -> FloatArray:
@@ -334,44 +314,16 @@ def _ideal(camera: PinholeCamera, fov_deg: float | None) -> PinholeCamera:
     return virtual_pinhole(camera, fov_deg) if camera.is_wide else camera.without_distortion()
 
 
-def _is_unequal(rig: StereoRig) -> bool:
-    """Whether the cameras differ in image size, or in focal length beyond the scatter of equal lenses."""
-    left, right = rig.left, rig.right
-    has_other_focal = abs(right.fx_px / left.fx_px - 1) > _FOCAL_SCATTER
-    return (left.width_px, left.height_px) != (right.width_px, right.height_px) or has_other_focal
-
-
-def _rectified(rig: StereoRig, fov_deg: float | None, source: object) -> _Views:
+def _rectified(rig: StereoRig, fov_deg: float | None, source: object) -> tuple[StereoRig, _View, _View]:
     """The rectified rig, and the remappings of both cameras."""
-    _check_relative_rotation(rig.right_from_left[:3, :3], source)
-    target = _ideal(rig.left, fov_deg)
-    size_px = (target.width_px, target.height_px)
-    r1, r2, p1, p2, _ = stereo_rectification(rig, fov_deg)
-    focal_px = float(p1[0, 0])
-    _check_rectifying_rotations(r1, r2, p2, source)
-    _check_zoom(focal_px, rig.left, source)
-    baseline_m = -float(p2[0, 3]) / focal_px
-    camera = PinholeCamera(focal_px, focal_px, float(p1[0, 2]), float(p1[1, 2]), *size_px)
-    return _Views(StereoRig.rectified(camera, baseline_m), _View(rig.left, r1, p1), _View(rig.right, r2, p2))
-
-
-def _check_relative_rotation(right_from_left: FloatArray, source: object) -> None:
-    angle_rad = rotation_angle_rad(right_from_left)
+    angle_rad = rotation_angle_rad(rig.right_from_left[:3, :3])
     if angle_rad > _MAX_ROTATION_RAD:
         raise RigError(
             f"{source}: expected cameras that point in similar directions, found a rotation of "
             f"{math.degrees(angle_rad):.0f} degrees between them; check the rotation, and whether a camera is inverted."
         )
-
-
-def rotation_angle_rad(rotation: cv2.typing.MatLike) -> float:
-    """Angle of a rotation (3, 3)."""
-    return math.acos(float(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0)))
-
-
-def _check_rectifying_rotations(
-    r1: cv2.typing.MatLike, r2: cv2.typing.MatLike, p2: cv2.typing.MatLike, source: object
-) -> None:
+    target = _ideal(rig.left, fov_deg)
+    r1, r2, p1, p2, _ = stereo_rectification(rig, fov_deg)
     if abs(float(p2[1, 3])) > abs(float(p2[0, 3])):
         raise RigError(f"{source}: expected cameras side by side, found one above the other; {NO_VERTICAL_PAIRS}.")
     for side, rotation in (("left", r1), ("right", r2)):
@@ -380,15 +332,22 @@ def _check_rectifying_rotations(
                 f"{source}: expected a baseline perpendicular to the viewing direction, but rectification would rotate "
                 f"the {side} camera by {math.degrees(rotation_angle_rad(rotation)):.0f} degrees; check the translation."
             )
-
-
-def _check_zoom(focal_px: float, camera: PinholeCamera, source: object) -> None:
-    zoom = focal_px / axial_focal_px(camera)
+    focal_px = float(p1[0, 0])
+    zoom = focal_px / axial_focal_px(rig.left)
     if not 1 / _MAX_ZOOM <= zoom <= _MAX_ZOOM:
         raise RigError(
             f"{source}: expected a rectification that changes the focal length by a factor of at most {_MAX_ZOOM:g}, "
             f"found {zoom:.2g}; check the distortion coefficients and the principal points, or calibrate again."
         )
+    size_px = (target.width_px, target.height_px)
+    camera = PinholeCamera(focal_px, focal_px, float(p1[0, 2]), float(p1[1, 2]), *size_px)
+    baseline_m = -float(p2[0, 3]) / focal_px
+    return StereoRig.rectified(camera, baseline_m), _View(rig.left, r1, p1), _View(rig.right, r2, p2)
+
+
+def rotation_angle_rad(rotation: cv2.typing.MatLike) -> float:
+    """Angle of a rotation (3, 3)."""
+    return math.acos(float(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0)))
 
 
 def _maps(view: _View, size_px: tuple[int, int]) -> Maps:

@@ -66,10 +66,7 @@ class RigCalibration:
 
 
 def check_rig(rig: StereoRig, source: object) -> None:
-    """Raise an error for an implausible rig; the message begins with `source`.
-
-    Raises RigError if focal length, distortion, rotation or baseline are not plausible.
-    """
+    """Raise RigError for implausible focal lengths, distortion, rotation or baseline; it begins with `source`."""
     check_camera(rig.left, f"{source}: left")
     check_camera(rig.right, f"{source}: right")
     if not np.abs(rig.right_from_left).max() <= _MAX_TRANSFORM:
@@ -90,16 +87,23 @@ def check_rig(rig: StereoRig, source: object) -> None:
             f"{source}: expected cameras side by side, found a translation of {x_m:.3g} m in x and {y_m:.3g} m in y; "
             f"{NO_VERTICAL_PAIRS}."
         )
-    _check_baseline(rig.baseline_m, source)
+    low, high = BASELINE_M
+    if low <= -rig.baseline_m <= high:
+        raise RigError(
+            f"{source}: expected the right camera to the right of the left one, found a baseline of "
+            f"{rig.baseline_m:.6g} m; swap left and right."
+        )
+    if not low <= rig.baseline_m <= high:
+        raise RigError(
+            f"{source}: expected a baseline between {low:g} and {high:g} m, found {rig.baseline_m + 0.0:.6g} m; "
+            "translations must be in metres."
+        )
 
 
 def shared_view(rig: StereoRig) -> float:
-    """Fraction of the left image, 0 to 1, that the right camera sees at a large distance.
-
-    The distortion of lenses that are not wide is neglected.
-    """
+    """Fraction of the left image, 0 to 1, that the right camera sees far away; only wide lenses have distortion."""
     x, y = np.meshgrid(
-        np.linspace(0, rig.left.width_px - 1, _N_VIEW_POINTS), np.linspace(0, rig.left.height_px - 1, _N_VIEW_POINTS)
+        *(np.linspace(0, side_px - 1, _N_VIEW_POINTS) for side_px in (rig.left.width_px, rig.left.height_px))
     )
     xy_px = np.stack([x.ravel(), y.ravel()], axis=1)
     rays = rig.left.recorded_rays(xy_px) if rig.left.is_wide else rig.left.rays(xy_px)
@@ -122,26 +126,8 @@ def shared_view_notes(rig: StereoRig, source: object) -> tuple[str, ...]:
     return (f"{source}: the right camera sees {fraction:.0%} of the left image; the rest is measured with one camera.",)
 
 
-def _check_baseline(baseline_m: float, source: object) -> None:
-    low, high = BASELINE_M
-    if low <= baseline_m <= high:
-        return
-    if low <= -baseline_m <= high:
-        raise RigError(
-            f"{source}: expected the right camera to the right of the left one, found a baseline of {baseline_m:.6g} "
-            "m; swap left and right."
-        )
-    raise RigError(
-        f"{source}: expected a baseline between {low:g} and {high:g} m, found {baseline_m + 0.0:.6g} m; translations "
-        "must be in metres."
-    )
-
-
 def check_camera(camera: PinholeCamera, source: object) -> None:
-    """Raise an error for an implausible camera; the message begins with `source`.
-
-    Raises RigError if image size, focal length, principal point or distortion are not plausible.
-    """
+    """Raise RigError for an implausible size, focal length, principal point or distortion; it begins with `source`."""
     size_px = (camera.width_px, camera.height_px)
     if size_px != (0, 0) and not all(1 <= side <= MAX_SIDE_PX for side in size_px):
         raise RigError(
@@ -171,10 +157,6 @@ def check_camera(camera: PinholeCamera, source: object) -> None:
             f"least {_MIN_MARGIN:.0%} of the side from its border, found ({camera.cx_px:g}, {camera.cy_px:g}); "
             "calibrate again."
         )
-    _check_distortion(camera, source)
-
-
-def _check_distortion(camera: PinholeCamera, source: object) -> None:
     coefficients, names = camera.distortion, LENSES[camera.lens].coefficients
     numbers = (len(names),) if camera.is_wide else _N_DISTORTION_COEFFICIENTS
     is_plausible = all(abs(value) <= _MAX_DISTORTION for value in coefficients)  # not NaN
@@ -209,50 +191,38 @@ def fitted_to_size(
     Raises RigError if the calibration is for images of a different shape or size.
     """
     width, height = size_px
+    resized = replace(camera, width_px=width, height_px=height)
     if camera.width_px == 0:
-        _check_principal_point(camera, size_px, source)
-        return replace(camera, width_px=width, height_px=height), ()
-    calibrated = (camera.width_px, camera.height_px)
+        if not (width / 3 <= camera.cx_px <= width * 2 / 3 and height / 3 <= camera.cy_px <= height * 2 / 3):
+            raise RigError(
+                f"{source}: expected a principal point in the middle third of the {width}x{height} px images, found "
+                f"({camera.cx_px:.1f}, {camera.cy_px:.1f}); give the calibration of these images."
+            )
+        return resized, ()
     if _is_size_of(camera, size_px):
-        return replace(camera, width_px=width, height_px=height), ()
-    scale_x, scale_y = width / calibrated[0], height / calibrated[1]
+        return resized, ()
+    calibrated = f"{camera.width_px}x{camera.height_px}"
     if not _has_aspect_of(camera, size_px):
         raise RigError(
-            f"{source}: expected images with the aspect ratio of {calibrated[0]}x{calibrated[1]} px, found {width}x"
-            f"{height} px; give the calibration of these images."
+            f"{source}: expected images with the aspect ratio of {calibrated} px, found {width}x{height} px; give the "
+            "calibration of these images."
         )
-    scaled = _scaled(camera, scale_x, scale_y)
-    note = (
-        f"{source}: calibration scaled from {calibrated[0]}x{calibrated[1]} px to the image size, {width}x{height} px."
+    scale_x, scale_y = width / camera.width_px, height / camera.height_px
+    scaled = replace(
+        resized,
+        fx_px=camera.fx_px * scale_x,
+        fy_px=camera.fy_px * scale_y,
+        cx_px=(camera.cx_px + 0.5) * scale_x - 0.5,  # pixel edges map to pixel edges
+        cy_px=(camera.cy_px + 0.5) * scale_y - 0.5,
     )
-    return replace(scaled, width_px=width, height_px=height), (note,)
+    return scaled, (f"{source}: calibration scaled from {calibrated} px to the image size, {width}x{height} px.",)
 
 
 def _is_size_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
     """Whether images of this size are those of the camera, perhaps cropped by a codec."""
-    return 0 <= camera.width_px - size_px[0] <= _CROPPED_PX and 0 <= camera.height_px - size_px[1] <= _CROPPED_PX
+    return all(0 <= side <= _CROPPED_PX for side in (camera.width_px - size_px[0], camera.height_px - size_px[1]))
 
 
 def _has_aspect_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
     """Whether images of this size have the aspect ratio of the camera's."""
     return abs((size_px[0] / camera.width_px) / (size_px[1] / camera.height_px) - 1) <= _ASPECT_TOLERANCE
-
-
-def _scaled(camera: PinholeCamera, scale_x: float, scale_y: float) -> PinholeCamera:
-    """The camera of resized images; pixel edges map to pixel edges, hence the half-pixel offsets."""
-    return replace(
-        camera,
-        fx_px=camera.fx_px * scale_x,
-        fy_px=camera.fy_px * scale_y,
-        cx_px=(camera.cx_px + 0.5) * scale_x - 0.5,
-        cy_px=(camera.cy_px + 0.5) * scale_y - 0.5,
-    )
-
-
-def _check_principal_point(camera: PinholeCamera, size_px: tuple[int, int], source: object) -> None:
-    width, height = size_px
-    if not (width / 3 <= camera.cx_px <= width * 2 / 3 and height / 3 <= camera.cy_px <= height * 2 / 3):
-        raise RigError(
-            f"{source}: expected a principal point in the middle third of the {width}x{height} px images, found "
-            f"({camera.cx_px:.1f}, {camera.cy_px:.1f}); give the calibration of these images."
-        )

@@ -74,24 +74,21 @@ def view_from_camera(yaw_deg: float) -> FloatArray:
 
 
 def virtual_pinhole(camera: PinholeCamera, fov_deg: float | None = None, yaw_deg: float = 0.0) -> PinholeCamera:
-    """The ideal pinhole with the resolution of `camera` on its axis, and an even image size.
+    """The ideal pinhole with the resolution of a wide camera on its axis, and an even image size.
 
-    Args:
-        camera: a camera with a wide lens.
-        fov_deg: horizontal field of view within `FOV_LIMITS_DEG`; None = that of the lens up to the largest. What the
-            lens does not image on one side is left out.
-        yaw_deg: direction of the pinhole's axis, to the right of the camera's.
-
-    Raises:
-        RigError: the lens images hardly anything in this direction.
+    `fov_deg` is the horizontal field of view within `FOV_LIMITS_DEG`, None = that of the lens up to the largest; what
+    the lens does not image on one side is left out. `yaw_deg` is the direction of the pinhole's axis, to the right of
+    the camera's. Raises RigError if the lens images hardly anything there.
     """
     half_rad = math.radians(FOV_LIMITS_DEG[1] if fov_deg is None else fov_deg) / 2
     focal_px = axial_focal_px(camera)
     left_px, right_px, up_px, down_px = (
         focal_px * math.tan(_reach_rad(camera, yaw_deg, across, limit_rad))
         for across, limit_rad in (
-            *(((sign, 0.0), half_rad) for sign in (-1.0, 1.0)),
-            *(((0.0, sign), _MAX_HALF_HEIGHT_RAD) for sign in (-1.0, 1.0)),
+            ((-1.0, 0.0), half_rad),
+            ((1.0, 0.0), half_rad),
+            ((0.0, -1.0), _MAX_HALF_HEIGHT_RAD),
+            ((0.0, 1.0), _MAX_HALF_HEIGHT_RAD),
         )
     )
     width_px, height_px = (2 * round(side_px / 2) for side_px in (left_px + right_px, up_px + down_px))
@@ -106,11 +103,7 @@ def virtual_pinhole(camera: PinholeCamera, fov_deg: float | None = None, yaw_deg
 def _reach_rad(camera: PinholeCamera, yaw_deg: float, across: tuple[float, float], limit_rad: float) -> float:
     """Largest angle from a view's axis up to which the camera images all directions of one half row or column.
 
-    Args:
-        camera: the camera.
-        yaw_deg: direction of the view's axis.
-        across: direction (x, y) of the half row or column in the view, of length 1.
-        limit_rad: largest result.
+    `across` is the direction (x, y) of the half row or column in the view, of length 1; `limit_rad` the largest result.
     """
     angles = np.linspace(0.0, limit_rad, _N_ANGLES)
     rays = np.stack([np.sin(angles) * across[0], np.sin(angles) * across[1], np.cos(angles)], axis=1)
