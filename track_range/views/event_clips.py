@@ -14,7 +14,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
@@ -37,9 +36,6 @@ BEFORE_S, AFTER_S = 3.0, 2.0
 
 MAX_CLIP_S = 30.0
 """Largest duration of a clip, s; that of a longer event shows two thirds of it before the peak and a third after."""
-
-_MUXER_OPTIONS = {"movflags": "+faststart"}
-"""The index comes first, so that browsers play the clip while it loads."""
 
 
 def write_clips(
@@ -130,18 +126,21 @@ def cut_clip(video: Path, path: Path, start_s: float, end_s: float) -> bool:
     """
     with ExitStack() as opened:
         container, stream = opened.enter_context(_opened(video))
-        part = _part_of(container, stream, start_s, end_s)
-        if part is None:
+        before, packets = _packets_between(container, stream, start_s, end_s)
+        if not (before or packets):
             return False
+        first_tick = int((before or packets)[0].pts or 0)
+        n_frames = len(before) + len(packets)
+        for packet in packets:
+            packet.pts = packet.dts = int(packet.pts or 0) - first_tick
         try:
             with atomic_folder(path) as folder:
-                packets = part.packets
-                if part.n_head:
+                if before:
                     head = folder / "head.mp4"
-                    _encode(part, part.n_head, head)
+                    _encode(container, stream, first_tick, len(before), head)
                     encoded = opened.enter_context(_opened(head))
                     if not _has_parameters(encoded[1], stream):
-                        _encode(part, part.n_frames, head)
+                        _encode(container, stream, first_tick, n_frames, head)
                         encoded, packets = opened.enter_context(_opened(head)), []
                     packets = [*_packets(*encoded), *packets]
                 _mux(packets, folder / path.name)
@@ -153,52 +152,23 @@ def cut_clip(video: Path, path: Path, start_s: float, end_s: float) -> bool:
 _Packet: TypeAlias = "av.Packet[VideoStream]"
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """The frames of a part of an open video.
-
-    Attributes:
-        container, stream: the video; packets are only valid while it is open.
-        packets: packets from the first keyframe of the part on; their times count from the first frame.
-        n_head: number of frames before that keyframe.
-        n_frames: number of all frames.
-        first_tick: time of the first frame in the video.
-    """
-
-    container: InputContainer
-    stream: VideoStream
-    packets: list[_Packet]
-    n_head: int
-    n_frames: int
-    first_tick: int
-
-    def frames(self, n_frames: int) -> Iterator[av.VideoFrame]:
-        """The first frames of the part."""
-        self.container.seek(self.first_tick, stream=self.stream)
-        later = (frame for frame in self.container.decode(self.stream) if (frame.pts or 0) >= self.first_tick)
-        return islice(later, n_frames)
-
-
-def _part_of(container: InputContainer, stream: VideoStream, start_s: float, end_s: float) -> _Part | None:
-    """The frames between two times; None without one."""
+def _packets_between(
+    container: InputContainer, stream: VideoStream, start_s: float, end_s: float
+) -> tuple[list[_Packet], list[_Packet]]:
+    """Packets between two times: those before the first keyframe, and the others; valid while the video is open."""
     ticks_per_s = 1 / (stream.time_base or Fraction(1))
     first_tick, last_tick = round(start_s * ticks_per_s), round(end_s * ticks_per_s)
-    if last_tick < 0:
-        return None
-    container.seek(max(first_tick, 0), stream=stream)
+    before: list[_Packet] = []
     packets: list[_Packet] = []
-    skipped: list[_Packet] = []
+    if last_tick < 0:
+        return before, packets
+    container.seek(max(first_tick, 0), stream=stream)
     for packet in _packets(container, stream):
         if (packet.pts or 0) > last_tick:
             break
         if (packet.pts or 0) >= first_tick:
-            (packets if packets or packet.is_keyframe else skipped).append(packet)
-    if not (skipped or packets):
-        return None
-    first_tick = int((skipped or packets)[0].pts or 0)
-    for packet in packets:
-        packet.pts = packet.dts = int(packet.pts or 0) - first_tick
-    return _Part(container, stream, packets, len(skipped), len(skipped) + len(packets), first_tick)
+            (packets if packets or packet.is_keyframe else before).append(packet)
+    return before, packets
 
 
 def _packets(container: InputContainer, stream: VideoStream) -> Iterator[_Packet]:
@@ -206,13 +176,15 @@ def _packets(container: InputContainer, stream: VideoStream) -> Iterator[_Packet
     return (packet for packet in container.demux(stream) if packet.pts is not None and not packet.is_corrupt)
 
 
-def _encode(part: _Part, n_frames: int, path: Path) -> None:
-    """Write the first frames of a part to a file, with the settings of the overlay."""
-    codec = part.stream.codec_context
-    fps = float(codec.framerate or part.stream.average_rate or 1)
+def _encode(container: InputContainer, stream: VideoStream, first_tick: int, n_frames: int, path: Path) -> None:
+    """Write frames from a time on to a file, with the settings of the overlay."""
+    codec = stream.codec_context
+    fps = float(codec.framerate or stream.average_rate or 1)
+    container.seek(first_tick, stream=stream)
+    frames = (frame for frame in container.decode(stream) if (frame.pts or 0) >= first_tick)
     with VideoWriter(path, width_px=codec.width, height_px=codec.height, fps=fps, quantizer=QUANTIZER) as writer:
-        for frame in part.frames(n_frames):
-            time_s = ((frame.pts or 0) - part.first_tick) * (frame.time_base or Fraction(1))
+        for frame in islice(frames, n_frames):
+            time_s = ((frame.pts or 0) - first_tick) * (frame.time_base or Fraction(1))
             writer.write(bgr_image(frame), float(time_s))
 
 
@@ -222,8 +194,11 @@ def _has_parameters(stream: VideoStream, other: VideoStream) -> bool:
 
 
 def _mux(packets: Sequence[_Packet], path: Path) -> None:
-    """Write packets to an MP4 file with the parameters of the first one's stream."""
-    with av.open(str(path), "w", format="mp4", options=_MUXER_OPTIONS) as container:
+    """Write packets to an MP4 file with the parameters of the first one's stream; its index comes first.
+
+    Browsers therefore play the clip while it loads.
+    """
+    with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream_from_template(packets[0].stream)
         for packet in packets:
             packet.stream = stream
@@ -232,11 +207,7 @@ def _mux(packets: Sequence[_Packet], path: Path) -> None:
 
 @contextmanager
 def _opened(video: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
-    """Context in which a video is open.
-
-    Raises:
-        VideoError: it cannot be read.
-    """
+    """Context in which a video is open; VideoError if it cannot be read."""
     try:
         with av.open(str(video)) as container:
             if not container.streams.video:

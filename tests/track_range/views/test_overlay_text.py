@@ -10,6 +10,7 @@ from track_range.pipeline.colours import AMBER, CALM, RED, alarm_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.views.overlay.labels import (
     Span,
+    TextRenderer,
     closing_span,
     corner_lines,
     distance_text,
@@ -18,7 +19,6 @@ from track_range.views.overlay.labels import (
     sigma_text,
     text_sizes_px,
 )
-from track_range.views.overlay.text_renderer import TextRenderer
 
 
 def words(shown: FrameResult, row: int = 0) -> list[list[str]]:

@@ -12,12 +12,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Detections
-from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.frame_result import FrameResult
 from track_range.views.anonymization.blur import blurred
 from track_range.views.anonymization.regions import Boxes, Regions, regions_of
@@ -85,31 +86,29 @@ def with_regions(results: Iterable[FrameResult], look_ahead: LookAhead) -> Itera
     """Results in order, without the right images, held back for the look-ahead, with the regions to cover."""
     held: deque[FrameResult] = deque()
     history = _History()
+
+    def first_held() -> tuple[FrameResult, Regions]:
+        result = held.popleft()
+        history.forget_before(result.time_s - PAST_S)
+        return result, regions_of(history.boxes_at(result.time_s))
+
     error: BaseException | None = None
     try:
         for result in results:
             history.add(result)
-            held.append(
-                replace(result, frame=replace(result.frame, right=None, recorded=None))
-            )  # whose memory is not needed
+            frame = replace(result.frame, right=None, recorded=None)  # whose memory is not needed
+            held.append(replace(result, frame=frame))
             while held and (len(held) > look_ahead.max_frames or result.time_s - held[0].time_s >= look_ahead.time_s):
-                yield _next(held, history)
+                yield first_held()
     except (Exception, KeyboardInterrupt) as raised:  # every error is raised after the results before it
         error = raised
     while held:
-        yield _next(held, history)
+        yield first_held()
     if error is not None:
         raise error
 
 
-def _next(held: deque[FrameResult], history: _History) -> tuple[FrameResult, Regions]:
-    result = held.popleft()
-    history.forget_before(result.time_s - PAST_S)
-    return result, regions_of(history.boxes_at(result.time_s))
-
-
-@dataclass(frozen=True, slots=True)
-class _Box:
+class _Box(NamedTuple):
     """A box of a track."""
 
     time_s: float
@@ -152,24 +151,25 @@ class _History:
     def boxes_at(self, time_s: float) -> Boxes:
         """All boxes to cover in the frame at `time_s`."""
         rows = [row for boxes in self.tracks.values() for row in _track_boxes(boxes, time_s)]
-        now = Boxes(
+        boxes = Boxes(
             np.array([box for box, _, _ in rows], np.float64).reshape(-1, 4),
             np.array([class_id for _, class_id, _ in rows], np.int64),
             np.array([margin_px for _, _, margin_px in rows], np.float64),
         )
-        near = [(abs(at_s - time_s), boxes) for at_s, boxes in self.candidates if abs(at_s - time_s) <= NEIGHBOUR_S]
+        near = [(abs(at_s - time_s), candidates) for at_s, candidates in self.candidates]
         for after_s, candidates in sorted(near, key=lambda item: item[0]):
-            is_covered = _are_covered(candidates, now, min_iou=SAME_IOU if after_s > 0 else EQUAL_IOU)
+            if after_s > NEIGHBOUR_S:
+                break
+            overlap = iou(candidates.xyxy_px, boxes.xyxy_px) >= (SAME_IOU if after_s > 0 else EQUAL_IOU)
+            is_covered = ((candidates.class_id[:, None] == boxes.class_id) & overlap).any(axis=1)
             new = candidates.select(~is_covered)
             margin_px = GROWTH_PER_S * after_s * _sides_px(new.xyxy_px)
-            now = _joined([now, Boxes(new.xyxy_px, new.class_id, margin_px)])
-        return now
-
-
-def _are_covered(candidates: Detections, boxes: Boxes, *, min_iou: float) -> BoolArray:
-    """(N,) whether a box of the same class has at least `min_iou` with a detection."""
-    is_same = candidates.class_id[:, None] == boxes.class_id
-    return np.asarray((is_same & (iou(candidates.xyxy_px, boxes.xyxy_px) >= min_iou)).any(axis=1), np.bool_)
+            boxes = Boxes(
+                np.concatenate([boxes.xyxy_px, new.xyxy_px]),
+                np.concatenate([boxes.class_id, new.class_id]),
+                np.concatenate([boxes.margin_px, margin_px]),
+            )
+        return boxes
 
 
 def _track_boxes(boxes: Sequence[_Box], time_s: float) -> Iterator[tuple[FloatArray, int, float]]:
@@ -181,19 +181,22 @@ def _track_boxes(boxes: Sequence[_Box], time_s: float) -> Iterator[tuple[FloatAr
     before = [box for box in boxes if box.time_s < time_s and box.is_observed]
     after = [box for box in boxes if box.time_s > time_s and box.is_observed]
     nearest_s = min([abs(box.time_s - time_s) for box in (*before[-1:], *after[:1])], default=PAST_S)
+
+    def margin_px(xyxy_px: FloatArray) -> float:
+        return GROWTH_PER_S * nearest_s * float(_sides_px(xyxy_px[None])[0])
+
     if now is not None:
-        yield now.xyxy_px, now.class_id, GROWTH_PER_S * nearest_s * _side_px(now.xyxy_px)
+        yield now.xyxy_px, now.class_id, margin_px(now.xyxy_px)
     if before and after:
         start, end = before[-1], after[0]
         fraction = (time_s - start.time_s) / (end.time_s - start.time_s)
         box = (1 - fraction) * start.xyxy_px + fraction * end.xyxy_px
-        yield box, start.class_id, GROWTH_PER_S * nearest_s * _side_px(box)
+        yield box, start.class_id, margin_px(box)
     elif before or after:
         nearest = before[-1] if before else after[0]
-        step_s = time_s - nearest.time_s
-        moved = step_s * _speed(before if before else after[::-1])
-        margin_px = GROWTH_PER_S * nearest_s * _side_px(nearest.xyxy_px) + SPEED_FRACTION * float(np.abs(moved).max())
-        yield nearest.xyxy_px + moved, nearest.class_id, margin_px
+        moved = (time_s - nearest.time_s) * _speed(before if before else after[::-1])
+        growth_px = SPEED_FRACTION * float(np.abs(moved).max())
+        yield nearest.xyxy_px + moved, nearest.class_id, margin_px(nearest.xyxy_px) + growth_px
 
 
 def _speed(boxes: Sequence[_Box]) -> FloatArray:
@@ -204,19 +207,6 @@ def _speed(boxes: Sequence[_Box]) -> FloatArray:
     return np.zeros(4) if span_s == 0 else (last.xyxy_px - first.xyxy_px) / span_s
 
 
-def _side_px(xyxy_px: FloatArray) -> float:
-    """Smaller side of a box."""
-    return float(_sides_px(xyxy_px[None])[0])
-
-
 def _sides_px(xyxy_px: FloatArray) -> FloatArray:
     """(N,) smaller sides of boxes (N, 4)."""
     return np.asarray((xyxy_px[:, 2:] - xyxy_px[:, :2]).min(axis=1, initial=np.inf))
-
-
-def _joined(parts: Sequence[Boxes]) -> Boxes:
-    return Boxes(
-        np.concatenate([part.xyxy_px for part in parts]),
-        np.concatenate([part.class_id for part in parts]),
-        np.concatenate([part.margin_px for part in parts]),
-    )

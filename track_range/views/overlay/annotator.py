@@ -21,9 +21,8 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.recorded_view import RecordedView
 from track_range.views.overlay.birds_eye import BirdsEye
 from track_range.views.overlay.label_layout import LabelPlacer
-from track_range.views.overlay.labels import BOLD, Lines, corner_lines, label_lines, text_sizes_px
+from track_range.views.overlay.labels import BOLD, TextRenderer, corner_lines, label_lines, text_sizes_px
 from track_range.views.overlay.marks import draw_box, draw_inner_windows, draw_lanes, draw_leader, draw_outline
-from track_range.views.overlay.text_renderer import TextRenderer
 
 Status = Callable[[], Sequence[str]]
 """Returns short texts on the state of the run, such as the frame rate."""
@@ -75,29 +74,18 @@ class Overlay:
         size_px = np.array(canvas.shape[1::-1], np.float64)
         boxes = np.clip(boxes, -8.0 * line_px, np.tile(size_px, 2) + 8.0 * line_px)
         if result.lanes is not None:
-            moved = None if view is None else view.points
-            draw_lanes(canvas, result.lanes, line_px=line_px, moved=moved)
-        self._draw_boxes(canvas, result, boxes, nearest_first[::-1], colours)
+            draw_lanes(canvas, result.lanes, line_px=line_px, moved=None if view is None else view.points)
+        shapes = list(boxes) if view is None else view.outlines(result.tracks.xyxy_px)
+        draw_shape = draw_box if view is None else draw_outline
+        observed = result.tracks.observed.tolist()
+        for row in nearest_first[::-1]:
+            draw_shape(canvas, shapes[row], bgr=colours[row], line_px=line_px, dashed=not observed[row])
+        if view is None and any("right_image" in one.needs and one.name in result.ranges for one in methods()):
+            matched = [row for row in nearest_first[::-1] if observed[row]]
+            draw_inner_windows(canvas, boxes[matched], [colours[row] for row in matched])
         self._inset.draw(canvas, result)
         self._draw_labels(canvas, result, boxes, nearest_first[:MOST_LABELS], colours)
         return canvas
-
-    def _draw_boxes(
-        self, canvas: Image, result: FrameResult, boxes: FloatArray, rows: Sequence[int], colours: Sequence[Bgr]
-    ) -> None:
-        """Draw boxes in the order of `rows`, then the inner windows of the detected ones."""
-        line_px = text_sizes_px((canvas.shape[1], canvas.shape[0]))[2]
-        observed = result.tracks.observed.tolist()
-        if self._recorded is not None:
-            outlines = self._recorded.outlines(result.tracks.xyxy_px)
-            for row in rows:
-                draw_outline(canvas, outlines[row], bgr=colours[row], line_px=line_px, dashed=not observed[row])
-            return
-        for row in rows:
-            draw_box(canvas, boxes[row], bgr=colours[row], line_px=line_px, dashed=not observed[row])
-        if any("right_image" in method.needs and method.name in result.ranges for method in methods()):
-            matched = [row for row in rows if observed[row]]
-            draw_inner_windows(canvas, boxes[matched], [colours[row] for row in matched])
 
     def _draw_labels(
         self, canvas: Image, result: FrameResult, boxes: FloatArray, rows: Sequence[int], colours: Sequence[Bgr]
@@ -105,8 +93,7 @@ class Overlay:
         """Draw the texts in the corners, then the label of each track in the order of `rows`."""
         image_px = (canvas.shape[1], canvas.shape[0])
         *sizes_px, line_px = text_sizes_px(image_px)
-        corners = corner_lines(result, sizes_px[1], status=self._status(), warning=self._warning)
-        occupied = self._draw_corners(canvas, corners)
+        occupied = self._draw_corners(canvas, result, sizes_px[1])
         full, short, urgent = [], [], []
         for row in rows:
             lines = label_lines(result, row, class_names=self.class_names, sizes_px=(sizes_px[0], sizes_px[1]))
@@ -129,16 +116,17 @@ class Overlay:
                 lines = short[i] if placement[0] else full[i]
                 self._text.write(canvas, lines, placement[1], stripe=colours[rows[i]])
 
-    def _draw_corners(self, canvas: Image, corners: Sequence[Lines]) -> FloatArray:
+    def _draw_corners(self, canvas: Image, result: FrameResult, size_px: int) -> FloatArray:
         """Draw frame number and time at the upper left and the legend at the upper right, if there is room.
 
         Returns:
             (1 to 3, 4) rectangles of these and of the inset, in pixels.
         """
+        corners = corner_lines(result, size_px, status=self._status(), warning=self._warning)
         (w, h), (legend_w, legend_h) = self._text.sizes_px(corners).tolist()
-        width = canvas.shape[1]
+        height, width = canvas.shape[:2]
         places = np.array([[0, 0, w, h], [width - legend_w, 0, width, legend_h]])
         places = places[: 0 if w > width else 1 if w + legend_w > width else 2]
         for lines, place in zip(corners, places, strict=False):
             self._text.write(canvas, lines, place)
-        return np.vstack([places, self._inset.place((width, canvas.shape[0]))])
+        return np.vstack([places, self._inset.place((width, height))])

@@ -33,17 +33,10 @@ _SHRINK_DELAY_S = 3.0
 _HEIGHT_FRACTION, _WIDTH_FRACTION = 0.42, 0.3
 """Largest height and width of the inset as fractions of the image's."""
 
-_ASPECT = 0.8
-"""Width / height of the inset."""
-
-_EGO_MARGIN = 0.06
-"""Part of the inset's height that is below the camera."""
-
-_N_LINES = 3
-"""Number of marked distances."""
-
-_FAINT = (95, 95, 95)
-"""BGR colour of the grid."""
+_ASPECT = 0.8  # width / height of the inset
+_EGO_MARGIN = 0.06  # fraction of the inset's height that is below the camera
+_N_LINES = 3  # marked distances
+_FAINT = (95, 95, 95)  # BGR colour of the grid
 
 
 @dataclass(slots=True)
@@ -71,7 +64,6 @@ class BirdsEye:
     """
 
     def __init__(self, camera: PinholeCamera | None = None) -> None:
-        """Create the inset of a new video."""
         self.camera = camera
         self._scale = Scale()
         self._font = cv2.FontFace("sans")
@@ -118,18 +110,17 @@ class BirdsEye:
         return ground_m
 
     def _grid(self, hw: tuple[int, int]) -> Image:
-        """Background of the tracks on black, cached by size and range."""
-        key = (*hw, self._scale.range_m)
-        if key not in self._grids:
-            self._grids[key] = self._new_grid(hw)
-        return self._grids[key]
-
-    def _new_grid(self, hw: tuple[int, int]) -> Image:
-        grid = np.zeros((*hw, 3), np.uint8)
-        range_m, size_px = self._scale.range_m, max(9, hw[0] // 18)
-        slopes = self._slopes()
-        far_m = np.array([0.0] + [2 * range_m] * len(slopes))
-        ego, *far_ends = self._points(far_m * np.array([0.0, *slopes]), far_m, hw).tolist()
+        """Background of the tracks on black, cached by size and range; not to be changed."""
+        range_m = self._scale.range_m
+        if (*hw, range_m) in self._grids:
+            return self._grids[*hw, range_m]
+        grid = self._grids[*hw, range_m] = np.zeros((*hw, 3), np.uint8)
+        size_px, camera = max(9, hw[0] // 18), self.camera
+        slopes = [0.0]  # x / z of the camera, and of the left and the right edge of its field of view
+        if camera is not None:
+            slopes += [(u_px - camera.cx_px) / camera.fx_px for u_px in (0.0, camera.width_px - 1.0)]
+        far_m = np.array([0.0, 2 * range_m, 2 * range_m])[: len(slopes)]
+        ego, *far_ends = self._points(far_m * np.array(slopes), far_m, hw).tolist()
         for end in far_ends:
             cv2.line(grid, ego, end, _FAINT, 1, cv2.LINE_AA)
         for number in range(1, _N_LINES + 1):
@@ -143,12 +134,6 @@ class BirdsEye:
         cv2.fillConvexPoly(grid, np.array([(ego[0] - half, base_y), (ego[0] + half, base_y), ego]), WHITE)
         cv2.rectangle(grid, (0, 0), (hw[1] - 1, hw[0] - 1), _FAINT, 1)
         return grid
-
-    def _slopes(self) -> list[float]:
-        """Ratio x / z at the left and the right edge of the camera's field of view; empty without a camera."""
-        if self.camera is None:
-            return []
-        return [(u_px - self.camera.cx_px) / self.camera.fx_px for u_px in (0.0, self.camera.width_px - 1.0)]
 
     def _draw_track(self, inset: Image, result: FrameResult, row: int, *, centre: Point, bar: Sequence[Point]) -> None:
         colour, radius = track_colour(int(result.tracks.track_id[row])), max(2, round(inset.shape[0] / 60))

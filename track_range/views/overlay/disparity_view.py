@@ -11,9 +11,8 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.sgbm import disparity_picture
 from track_range.views.overlay.annotator import Overlay
-from track_range.views.overlay.labels import BOLD, REGULAR, Span, text_sizes_px
+from track_range.views.overlay.labels import BOLD, REGULAR, Span, TextRenderer, text_sizes_px
 from track_range.views.overlay.marks import draw_box, draw_inner_windows
-from track_range.views.overlay.text_renderer import TextRenderer
 
 REDDEST_M = 5.0
 """Distance in metres shown in the reddest colour; nearer ones have the same colour."""

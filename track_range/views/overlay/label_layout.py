@@ -34,7 +34,6 @@ class LabelPlacer:
     """Places the labels of one video, frame by frame."""
 
     def __init__(self) -> None:
-        """Create the layout of a new video."""
         self._previous: dict[tuple[int, int], int] = {}
 
     def place(

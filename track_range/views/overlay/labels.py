@@ -1,10 +1,10 @@
-"""Texts of the overlay: label of a track, and texts in the upper corners.
+"""Texts of the overlay and their drawing: label of a track, and texts in the upper corners.
 
 +------------------------+   fused distance (large) and its sigma, class and track ID in the colour of the track;
 | 22.4 m ±0.7   car 12   |   distance by each method, after its letter in the registry;
 | M 23.1  S 22.4  G 22.0 |   for a closing object time to collision and closing speed, on a bar that fills as the time
-|#TTC 3.6 s##closing 6.2 |   decreases, amber or red if urgent; "passes in" without a bar if it will pass by.
-+------------------------+
+|#TTC 3.6 s##closing 6.2 |   decreases, amber or red if urgent; "passes in" without a bar if it will pass by. The text
++------------------------+   has another colour on the filled part of the bar.
 """
 
 from __future__ import annotations
@@ -12,8 +12,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from operator import attrgetter
 
-from track_range.pipeline.colours import AMBER, CALM, GREY, WHITE, Bgr, track_colour, warning_colour
+import cv2
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray, Image
+from track_range.pipeline.colours import AMBER, BLACK, CALM, GREY, WHITE, Bgr, track_colour, warning_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.registry import methods
 
@@ -29,6 +35,12 @@ BAR_S = 8.0
 LONGEST_NAME = 24
 """Longest class name that is shown in full, in characters."""
 
+_MARGIN_PX, _STRIPE_PX = 6, 3
+"""Left margin of the text, and width of the stripe in the colour of the track."""
+
+_N_CACHED_WIDTHS = 4096
+"""Number of texts whose widths are cached."""
+
 _LEAST_ASPECT = 0.75
 """Largest height / width of an image (4:3) up to which the text size follows the height."""
 
@@ -41,10 +53,7 @@ class Span:
     """A piece of text in one size and colour.
 
     Attributes:
-        text: the text.
-        size_px: font size in pixels.
         weight: font weight, 100..900.
-        bgr: colour of the text.
         fill: colour of the bar behind the line; None = no bar.
         filled: length of the bar as a fraction of the line, 0..1.
     """
@@ -106,10 +115,11 @@ def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], si
     metres = Span(f"{distance_text(distance_m)} m", large_px, BOLD, WHITE)
     sigma = [Span(f"±{sigma_text(sigma_m)}", small_px, REGULAR, WHITE)] if math.isfinite(distance_m) else []
     lines = [[metres, *sigma, named]]
-    figures = []
-    for method in methods():
-        if method.name in ranges and math.isfinite(ranges[method.name].distance_m[row]):
-            figures.append(f"{method.letter} {distance_text(float(ranges[method.name].distance_m[row]))}")
+    figures = [
+        f"{method.letter} {distance_text(float(ranges[method.name].distance_m[row]))}"
+        for method in methods()
+        if method.name in ranges and math.isfinite(ranges[method.name].distance_m[row])
+    ]
     if figures:
         lines.append([Span("  ".join(figures), small_px, REGULAR, GREY)])
     closing = closing_span(
@@ -125,11 +135,11 @@ def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], si
 def closing_span(
     closing_mps: float, ttc_s: float, size_px: int, *, alarm: Bgr | None = None, may_hit: bool = True
 ) -> Span | None:
-    """Time to collision and closing speed on a bar; None for objects that do not approach.
+    """Time to collision (NaN = unknown) and closing speed on a bar; None for objects that do not approach.
 
     Args:
         closing_mps: closing speed.
-        ttc_s: time to collision; NaN = unknown.
+        ttc_s: time to collision.
         size_px: font size.
         alarm: colour of the bar if the track is marked, amber or red.
         may_hit: False for objects that will pass by, which have no bar.
@@ -153,3 +163,58 @@ def corner_lines(
     letters = [f"{method.letter} {method.title}" for method in methods() if method.name in result.ranges]
     legend = "   ".join(["large: fused ±1 sigma", *letters, "dashed: predicted"])
     return [clock], [[Span(legend, size_px, REGULAR, GREY)]]
+
+
+class TextRenderer:
+    """Draws text in OpenCV's built-in font on a darkened background; not thread-safe.
+
+    The widths of texts are cached, because most texts recur (names, legend, distances).
+    """
+
+    def __init__(self) -> None:
+        self._font = cv2.FontFace("sans")
+        self._width_px = lru_cache(_N_CACHED_WIDTHS)(self._new_width_px)
+
+    def sizes_px(self, labels: Sequence[Lines]) -> FloatArray:
+        """(N, 2) width and height of each label in pixels, including margins."""
+        sizes = []
+        for lines in labels:
+            widths_px = [sum([self._width_px(span.text, span.size_px, span.weight) for span in line]) for line in lines]
+            sizes.append((max(widths_px) + 6.0, sum(map(line_height_px, lines)) + 2.0))
+        return np.array(sizes, np.float64).reshape(-1, 2)
+
+    def write(self, canvas: Image, lines: Lines, place: FloatArray, *, stripe: Bgr | None = None) -> None:
+        """Draw lines on a darkened background in the rectangle `place` (4,), with an optional stripe at the left."""
+        left, top, right, bottom = np.rint(place).astype(int).tolist()
+        background = canvas[top:bottom, left:right]
+        np.right_shift(background, 2, out=background)
+        if stripe is not None:
+            cv2.rectangle(canvas, (left, top), (left + _STRIPE_PX - 1, bottom - 1), stripe, -1)
+        for line in lines:
+            height = line_height_px(line)
+            self._write_line(canvas, line, (left + _MARGIN_PX, top))
+            if line[0].fill is not None and (filled := round(line[0].filled * (right - left - _STRIPE_PX))):
+                bar = canvas[top + 1 : top + height + 1, left + _STRIPE_PX : left + _STRIPE_PX + filled]
+                cv2.rectangle(bar, (0, 0), (filled, height), line[0].fill, -1)
+                on_bar = BLACK if line[0].fill == AMBER else WHITE
+                self._write_line(bar, line, (_MARGIN_PX - _STRIPE_PX, -1), bgr=on_bar)
+            top += height
+
+    def _write_line(self, canvas: Image, line: Line, corner: tuple[int, int], *, bgr: Bgr | None = None) -> None:
+        """Draw the spans of a line in their colours, or all in the colour `bgr`."""
+        x, top = corner
+        height = line_height_px(line)
+        for span in line:
+            origin, colour = (x, top + height - height // 5), span.bgr if bgr is None else bgr
+            end, _ = cv2.putText(canvas, span.text, origin, colour, self._font, span.size_px, span.weight)
+            x = end[0] + span.size_px // 2
+
+    def _new_width_px(self, text: str, size_px: int, weight: int) -> int:
+        """Width in pixels of a text and the gap after it."""
+        box = cv2.getTextSize((0, 0), text, (0, 0), self._font, size_px, weight)
+        return int(box[2]) + size_px // 2
+
+
+def line_height_px(line: Line) -> int:
+    """Height of a line of text in pixels: 1.25 times its largest font size."""
+    return max(line, key=attrgetter("size_px")).size_px * 5 // 4

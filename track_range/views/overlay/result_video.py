@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from track_range.foundation.arrays import Image
@@ -28,17 +27,22 @@ Draw = Callable[[FrameResult], Image]
 class ResultVideo:
     """Draws and encodes results in a thread; an error is raised by a later call of `wait` or `write`.
 
+    Args:
+        path: the video.
+        draw: draws a result.
+        size_px: (width, height) of the pictures.
+        fps: nominal frame rate.
+        clock: its stage "write" counts the time.
+
     Attributes:
         precedes_rows: whether frames must be written before their rows, since the video would otherwise lag too much;
             `write` then returns after the frame is encoded.
+
+    Raises:
+        VideoError: the file cannot be written; also raised by `wait`, `write` and `raise_error` for an earlier frame.
     """
 
     def __init__(self, path: Path, draw: Draw, *, size_px: tuple[int, int], fps: float, clock: StageClock) -> None:
-        """Create the video of (width, height) pixels; its time is added to the stage "write" of `clock`.
-
-        Raises:
-            VideoError: the file cannot be written.
-        """
         width_px, height_px = size_px
         self._writer = VideoWriter(path, width_px=width_px, height_px=height_px, fps=fps, quantizer=QUANTIZER)
         self._picture = draw
@@ -53,7 +57,7 @@ class ResultVideo:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_error: object) -> None:
         try:
             self._finish(0)
         finally:
@@ -61,30 +65,18 @@ class ResultVideo:
             self._writer.close()
 
     def wait(self) -> None:
-        """Wait until so few frames are queued that the rows of the next frame may be written.
-
-        Raises:
-            VideoError: writing failed for an earlier frame.
-        """
+        """Wait until so few frames are queued that the rows of the next frame may be written."""
         self.raise_error()
         self._finish(self._max_queued)
 
     def write(self, result: FrameResult) -> None:
-        """Queue one frame; with `precedes_rows`, write it.
-
-        Raises:
-            VideoError: writing failed for this or an earlier frame.
-        """
+        """Queue one frame; with `precedes_rows`, write it."""
         self._queue.append(self._thread.submit(self._draw, result))
         if self.precedes_rows:
             self._finish(0)
 
     def raise_error(self) -> None:
-        """Raise the error of a frame that was drawn, if there is one.
-
-        Raises:
-            VideoError: writing failed for an earlier frame.
-        """
+        """Raise the error of a frame that was drawn, if there is one."""
         while self._queue and self._queue[0].done():
             self._queue.popleft().result()
 
