@@ -22,7 +22,7 @@ SOURCES = (
     *(
         "track_range/simulation",
         "track_range/foundation",
-        "track_range/views/writing",
+        "track_range/views/video_writer.py",
         "track_range/foundation/files/output_files.py",
     ),
     *(

@@ -50,9 +50,9 @@ from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 from track_range.tracking.appearance.embeddings import ColourLayout
 from track_range.tracking.camera_motion import CameraMotion
 from track_range.tracking.deepsort import DeepSortTracker
+from track_range.views import video_writer
 from track_range.views.overlay.annotator import Overlay
 from track_range.views.overlay.result_video import ResultVideo
-from track_range.views.writing import video_writer
 
 _STEPS: dict[str, tuple[tuple[Any, str], ...]] = {
     "decoding": ((video_file._Reading, "_next_decoded"),),

@@ -29,7 +29,7 @@ from track_range.foundation.files.output_files import OutputError, make_folder
 from track_range.recording.frame import VideoError, bgr_image
 from track_range.results.events.event import Event, clip_name, is_clip_name
 from track_range.views.overlay.result_video import QUANTIZER
-from track_range.views.writing.video_writer import VideoWriter
+from track_range.views.video_writer import VideoWriter
 
 BEFORE_S, AFTER_S = 3.0, 2.0
 """Time before the start and after the end of an event that its clip shows, s."""

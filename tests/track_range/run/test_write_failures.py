@@ -31,8 +31,7 @@ from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters
 from track_range.views.overlay.result_video import ResultVideo
 from track_range.views.report.run_folders import report
-from track_range.views.writing.fragment_file import FragmentFile
-from track_range.views.writing.video_writer import VideoWriter
+from track_range.views.video_writer import FragmentFile, VideoWriter
 
 resource = pytest.importorskip("resource", reason="file size limits need POSIX")
 

@@ -16,7 +16,7 @@ from track_range.views import event_clips as clips
 from track_range.views.event_clips import clip_interval_s, cut_clip, write_clips
 from track_range.views.overlay.result_video import QUANTIZER
 from track_range.views.report.run_folders import report
-from track_range.views.writing.video_writer import VideoWriter
+from track_range.views.video_writer import VideoWriter
 
 FPS, N_FRAMES = 10.0, 60
 BAR_PX = 4

@@ -15,7 +15,7 @@ from track_range.foundation.files.output_files import make_folder, write_bytes
 from track_range.simulation.world.truth import VisibleObjects
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.views.writing.video_writer import VideoWriter
+from track_range.views.video_writer import VideoWriter
 
 NEAR_LOSSLESS_CRF = 10
 """x264's constant rate factor; compression then shifts textures by far less than 0.1 px."""

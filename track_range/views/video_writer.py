@@ -6,11 +6,11 @@ players can seek. Frame times are preserved: pts = (time_s - first time_s) * 90 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self, cast
 
 import av
@@ -22,13 +22,16 @@ from av.video.stream import VideoStream
 
 from track_range.foundation.arrays import Image, check_shape
 from track_range.recording.frame import VideoError
-from track_range.views.writing.fragment_file import BUFFER_BYTES, FragmentFile
 
 _ENCODER = "libx264"
 _TICKS_HZ = 90_000
 """MPEG's clock rate; the frame interval of every common rate is a whole number of its ticks."""
 
 _KEYFRAME_INTERVAL_S = 1.0
+
+_BUFFER_BYTES = 1 << 18
+"""Size of the muxer's buffer: a fragment of one frame fits, and is written with one system call."""
+
 _MUXER_OPTIONS = {"movflags": "empty_moov+default_base_moof+frag_every_frame", "flush_packets": "1"}
 """One frame per fragment: 0.1 % larger than 0.2 s per fragment (KITTI 0003 at 10 frames/s), and as fast."""
 
@@ -40,6 +43,9 @@ _BT601 = 5
 
 _LIMITED_RANGE = 1
 """FFmpeg's AVCOL_RANGE_MPEG: luma from 16 to 235."""
+
+_LAST_BOXES = (b"moov", b"mdat")
+"""Types of the boxes with which the header and each fragment (moof, mdat) of an MP4 file end."""
 
 
 class VideoWriter:
@@ -83,30 +89,33 @@ class VideoWriter:
         # Zero latency disables the encoder's look-ahead, so that every frame is in the file as soon as it is written.
         options = {"preset": preset, "tune": "zerolatency", "forced-idr": "1"}
         options |= {"crf": str(crf)} if quantizer is None else {"qp": str(quantizer)}
-        encoder = _encoder()
+        try:
+            av.Codec(_ENCODER, "w")
+        except av.codec.codec.UnknownCodecError as error:
+            raise VideoError(
+                f"{_ENCODER}: PyAV's FFmpeg lacks this encoder, which writing videos needs; install the official `av` "
+                "wheel, or run without the overlay."
+            ) from error
         with self._video_errors():
             self._file = FragmentFile(path)
         try:
-            self._start(encoder, options, fps, n_threads)
+            with self._video_errors():
+                self._start(options, fps, n_threads)
         except BaseException:
             self._file.close()
             raise
 
-    def _start(self, encoder: str, options: dict[str, str], fps: float, n_threads: int) -> None:
+    def _start(self, options: dict[str, str], fps: float, n_threads: int) -> None:
         """Open the encoder and write the header of the file."""
-        height_px, width_px, _ = self._shape
-        with self._video_errors():
-            self._container = av.open(
-                self._file, mode="w", format="mp4", options=_MUXER_OPTIONS, buffer_size=BUFFER_BYTES
-            )
-            stream = self._container.add_stream(encoder, rate=Fraction(fps).limit_denominator(1001), options=options)
+        self._container = av.open(self._file, mode="w", format="mp4", options=_MUXER_OPTIONS, buffer_size=_BUFFER_BYTES)
+        stream = self._container.add_stream(_ENCODER, rate=Fraction(fps).limit_denominator(1001), options=options)
         self._stream = cast(VideoStream, stream)
+        height_px, width_px, _ = self._shape
         codec = self._stream.codec_context
         codec.width, codec.height, codec.pix_fmt = width_px + width_px % 2, height_px + height_px % 2, "yuv420p"
         codec.time_base, codec.thread_count = Fraction(1, _TICKS_HZ), n_threads
         codec.colorspace, codec.color_range = _BT601, _LIMITED_RANGE
-        with self._video_errors():
-            self._container.start_encoding()
+        self._container.start_encoding()
 
     def write(self, image: Image, time_s: float) -> None:
         """Append an image; times in the file count from the first one.
@@ -158,9 +167,7 @@ class VideoWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
     @contextmanager
@@ -177,17 +184,6 @@ class VideoWriter:
             ) from error
 
 
-def _encoder() -> str:
-    try:
-        av.Codec(_ENCODER, "w")
-    except av.codec.codec.UnknownCodecError as error:
-        raise VideoError(
-            f"{_ENCODER}: PyAV's FFmpeg lacks this encoder, which writing videos needs; install the official `av` "
-            "wheel, or run without the overlay."
-        ) from error
-    return _ENCODER
-
-
 def _i420(image: Image) -> Image:
     """(3/2 H, W) uint8 planes Y, U, V of a BGR image extended to an even size; 8 times as fast as FFmpeg's scaler."""
     height_px, width_px = image.shape[:2]
@@ -195,3 +191,63 @@ def _i420(image: Image) -> Image:
     if height_px % 2 or width_px % 2:
         even = cv2.copyMakeBorder(image, 0, height_px % 2, 0, width_px % 2, cv2.BORDER_REPLICATE)
     return cv2.cvtColor(even, cv2.COLOR_BGR2YUV_I420).astype(np.uint8, copy=False)
+
+
+class FragmentFile:
+    """File object for `av.open`: not seekable, and without further writing after the first error.
+
+    After a failed write FFmpeg continues with the next packets, which would make the file unplayable from there on or,
+    if the failure was in a header, altogether.
+
+    Attributes:
+        failure: the first error; None = all data was written. The file then ends with its last complete fragment.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.failure: OSError | None = None
+        self._file = path.open("wb", buffering=0)
+        self._size = self._complete_size = 0  # in bytes; up to the end of the last complete fragment
+        self._header = bytearray()  # of the current box: size and type
+        self._box_left = 0  # bytes
+
+    def write(self, data: bytes) -> int:
+        """Append data; errors are stored as `failure` instead of raised, so that FFmpeg frees its memory as usual."""
+        if self.failure is None:
+            try:
+                rest = memoryview(data)
+                while rest:
+                    rest = rest[self._file.write(rest) :]  # less than all is written shortly before the disk is full
+            except OSError as error:
+                self.failure = error
+                with suppress(OSError):  # pipes and devices cannot be cut
+                    os.ftruncate(self._file.fileno(), self._complete_size)
+            else:
+                self._count(data)
+        return len(data)
+
+    def close(self) -> None:
+        """Close the file; OSError if the file system reports an error only now."""
+        self._file.close()
+
+    def _count(self, data: bytes) -> None:
+        """Follow the boxes of the file (ISO/IEC 14496-12, 4.2) to the end of the last complete fragment."""
+        start = 0
+        while start < len(data):
+            if self._box_left == 0:
+                n_bytes = 16 if self._header[:4] == b"\0\0\0\1" else 8  # 1 = the size follows the type, as 64 bits
+                part = data[start : start + n_bytes - len(self._header)]
+                self._header += part
+                start += len(part)
+                if len(self._header) < n_bytes or (n_bytes == 8 and self._header[:4] == b"\0\0\0\1"):
+                    continue
+                size = self._header[8:16] if n_bytes == 16 else self._header[:4]
+                self._box_left = int.from_bytes(size, "big") - n_bytes
+            else:
+                n_bytes = min(self._box_left, len(data) - start)
+                start += n_bytes
+                self._box_left -= n_bytes
+            if self._box_left == 0:
+                if bytes(self._header[4:8]) in _LAST_BOXES:
+                    self._complete_size = self._size + start
+                self._header.clear()
+        self._size += len(data)
