@@ -28,14 +28,12 @@ if TYPE_CHECKING:
 Columns = Mapping[str, npt.NDArray[Any]]
 """Rows by column: `class` as str, all others float64 with NaN = not measured."""
 
-FrameValues = list[npt.NDArray[Any]]
-"""Values of the rows of one frame, not rounded: one (N,) array per column."""
+FrameValues = list[npt.NDArray[Any]]  # values of the rows of one frame, not rounded: one (N,) array per column
 
 MAX_COLUMNS = 1000
 """Largest number of columns that is read; runs with all methods have fewer than 100, and pyarrow is slow with more."""
 
-MAX_CLASS = 200
-"""Largest number of characters of a class name that is read."""
+MAX_CLASS = 200  # largest number of characters of a class name that is read
 
 NOT_METHODS = ("truth", "scored_truth", "x", "y", "path_offset")
 """Names NAME of columns NAME_m that are not the distance of a method."""

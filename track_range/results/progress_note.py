@@ -18,8 +18,7 @@ PROGRESS_FILE = "progress.json"
 OPENING, LOADING, PROCESSING = "opening the inputs", "loading the networks", "processing frames"
 """States of a run, besides "estimating the alignment"."""
 
-_MAX_STATE_LENGTH = 60
-"""Maximum number of characters of a state that is read from a file."""
+_MAX_STATE_LENGTH = 60  # maximum number of characters of a state that is read from a file
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,8 +26,7 @@ from track_range.results.events.finder import EventFinder
 if TYPE_CHECKING:
     import pyarrow as pa
 
-ROWS_PER_BATCH = 8192
-"""Rows per batch, a few MB: about a minute of video."""
+ROWS_PER_BATCH = 8192  # rows per batch, a few MB: about a minute of video
 
 FRAMES_PER_BATCH = 512
 """Largest number of frames per batch: the arrays of a frame take 5 kB, however few rows it has."""

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from track_range.stereo.geometry.camera import PinholeCamera
     from track_range.stereo.geometry.rig import StereoRig
 
-DEFAULT_WRITERS = ("csv", "mot", "parquet")
-"""Writers of a run without `--write`."""
+DEFAULT_WRITERS = ("csv", "mot", "parquet")  # writers of a run without `--write`
 
 FILES_OF_WRITERS: Mapping[str, str] = {
     "csv": "tracks.csv",
@@ -117,8 +116,7 @@ class ResultWriter(Protocol):
         ...
 
 
-WriterFactory = Callable[[], ResultWriter]
-"""Function without arguments that returns a writer, usually its class."""
+WriterFactory = Callable[[], ResultWriter]  # function without arguments that returns a writer, usually its class
 
 WRITERS: Registry[WriterFactory | str] = Registry(
     "track_range.result_writers",

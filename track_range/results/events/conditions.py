@@ -19,8 +19,7 @@ _HALF_WIDTH_M = np.array([0.3, 0.3, 0.9, 0.4, 1.25, 1.25, 0.0, 0.0])
 
 _EGO_HALF_WIDTH_M = 0.9
 
-_MARGIN_M = 0.3
-"""Distance from the edge of the ego path at which an object is clearly in it or beside it, m."""
+_MARGIN_M = 0.3  # distance from the edge of the ego path at which an object is clearly in it or beside it, m
 
 _PERSON = ROAD_CLASSES.index("person")
 _IS_VEHICLE = np.array([name in ("bicycle", "car", "motorcycle", "bus", "truck") for name in ROAD_CLASSES])

@@ -11,14 +11,12 @@ EventKind = Literal[
     "forward_collision", "close_following", "hard_approach", "cut_in", "pedestrian_on_path", "near_miss"
 ]
 
-EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
-"""Kinds of events, in the order of the documentation."""
+EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)  # kinds of events, in the order of the documentation
 
 WARNING_KINDS: tuple[EventKind, ...] = ("forward_collision", "cut_in", "pedestrian_on_path")
 """Kinds of events that can contain a collision warning."""
 
-CLIPS_FOLDER = "clips"
-"""Folder of the clips of events in that of a run."""
+CLIPS_FOLDER = "clips"  # folder of the clips of events in that of a run
 
 _CLIP_NAME = re.compile(rf"\d{{2,}}-(?:{'|'.join(EVENT_KINDS)})-\d+\.mp4", re.ASCII)
 

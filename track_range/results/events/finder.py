@@ -22,8 +22,7 @@ from track_range.results.events.event import WARNING_KINDS, Event, EventKind, Ev
 _NEAR_M, _NEAR_FRACTION = 2.0, 0.15
 """Largest difference in distance between two tracks of one object: metres, plus a fraction of the distance."""
 
-_NEAR_ACROSS_M = 1.5
-"""Largest lateral difference between two tracks of one object, m."""
+_NEAR_ACROSS_M = 1.5  # largest lateral difference between two tracks of one object, m
 
 _SITUATION = ("distance_m", "sigma_m", "gap_m", "closing_mps", "ttc_s", "headway_s", "probability")
 

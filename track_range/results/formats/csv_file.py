@@ -20,8 +20,7 @@ TABLE_FILE = "tracks.csv"
 _INVALID_NUMBER = re.compile(r"column #(\d+): Row #(\d+): .*invalid value '(.*)'", re.DOTALL)
 """Message of pyarrow on a cell that is not a number: column from 0, line from 1, cell."""
 
-_MAX_PROBLEM = 150
-"""Largest number of characters of the description of a problem."""
+_MAX_PROBLEM = 150  # largest number of characters of the description of a problem
 
 
 class CsvWriter(RowWriter):

@@ -36,8 +36,7 @@ if TYPE_CHECKING:
 
 PARQUET_FILE, STREAM_FILE = "tracks.parquet", "tracks.arrows"
 
-_ROWS_PER_GROUP = 32_768
-"""Rows per row group, about 9 MB in memory: minutes of video."""
+_ROWS_PER_GROUP = 32_768  # rows per row group, about 9 MB in memory: minutes of video
 
 
 class ParquetWriter:

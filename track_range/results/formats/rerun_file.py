@@ -30,14 +30,12 @@ from track_range.results.writers import RunInfo
 
 RERUN_FILE = "run.rrd"
 
-APPLICATION = "track-range"
-"""Application id: the viewer stores changes of the blueprint by it."""
+APPLICATION = "track-range"  # application id: the viewer stores changes of the blueprint by it
 
 _VIDEO, _BOXES, _TRACKS, _TOP_VIEW = "camera/image/video", "camera/image/boxes", "world/tracks", "birds_eye/tracks"
 _DISTANCE, _CLOSING, _LOG = "distance", "closing_speed", "log"
 
-_MAX_VIDEO_BYTES = 1_000_000_000
-"""Largest video that is embedded; the viewer holds it in memory."""
+_MAX_VIDEO_BYTES = 1_000_000_000  # largest video that is embedded; the viewer holds it in memory
 
 _PREDICTED_ALPHA, _OBSERVED_ALPHA = 110, 255
 

@@ -30,11 +30,8 @@ from track_range.views.anonymization.regions import Regions
 NOISE_GREY, COLOUR_NOISE_GREY = 8.0, 3.0
 """Standard deviations of the noise of each cell, common to its colours and separate by colour, grey levels."""
 
-STEP_GREY = 16
-"""Quantization step, grey levels."""
-
-_FINE = 4
-"""Samples per cell and axis before the low-pass filter."""
+STEP_GREY = 16  # quantization step, grey levels
+_FINE = 4  # samples per cell and axis before the low-pass filter
 
 
 def blurred(image: Image, regions: Regions, rng: np.random.Generator) -> Image:

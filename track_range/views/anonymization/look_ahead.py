@@ -23,20 +23,14 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.views.anonymization.blur import blurred
 from track_range.views.anonymization.regions import Boxes, Regions, regions_of
 
-PAST_S = 0.5
-"""Time for which a track is extrapolated after its last box, and after which boxes are forgotten."""
+PAST_S = 0.5  # time for which a track is extrapolated after its last box, and after which boxes are forgotten
 
 GROWTH_PER_S = 0.6
 """Increase of the uncertainty of a box with the time to the nearest detection, relative to its smaller side."""
 
-SPEED_FRACTION = 0.5
-"""Uncertainty of the speed of an extrapolated box, as a fraction of its speed."""
-
-SPEED_TIME_S = 0.35
-"""Longest time over which the speed of a box is measured."""
-
-NEIGHBOUR_S = 0.15
-"""Longest time by which detections without a track are covered earlier and later."""
+SPEED_FRACTION = 0.5  # uncertainty of the speed of an extrapolated box, as a fraction of its speed
+SPEED_TIME_S = 0.35  # longest time over which the speed of a box is measured
+NEIGHBOUR_S = 0.15  # longest time by which detections without a track are covered earlier and later
 
 SAME_IOU, EQUAL_IOU = 0.3, 0.9
 """Minimum IoU of two boxes of the same object in neighbouring frames, and of boxes with nearly equal regions."""
@@ -55,11 +49,8 @@ class LookAhead:
     max_frames: int
 
 
-OFFLINE = LookAhead(time_s=0.5, max_frames=16)
-"""Look-ahead for files."""
-
-LIVE = LookAhead(time_s=0.0, max_frames=0)
-"""Look-ahead for cameras and streams: none."""
+OFFLINE = LookAhead(time_s=0.5, max_frames=16)  # look-ahead for files
+LIVE = LookAhead(time_s=0.0, max_frames=0)  # look-ahead for cameras and streams: none
 
 
 def anonymized_results(

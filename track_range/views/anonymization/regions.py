@@ -44,8 +44,7 @@ FRONTAL_RATIO, FRONTAL_SIDE = 1.2, 0.12
 """Ratio of width to height below which a car is seen from the front or rear, and fraction of the width at each side
 where it then has no plate."""
 
-MARGIN_FRACTION, MARGIN_PX = 0.05, 1.5
-"""Tolerance of the edges of a box: fraction of the smaller side, and pixels."""
+MARGIN_FRACTION, MARGIN_PX = 0.05, 1.5  # tolerance of the edges of a box: fraction of the smaller side, and pixels
 
 HEAD_CELL = 0.05
 """Cell size of the mosaic relative to a person's height: about 3 cells over the height of a head, 2 over its width."""
@@ -54,8 +53,7 @@ PLATE_CELL, LARGE_VEHICLE_PLATE_CELL = 0.12, 0.08
 """Cell size relative to the height of a vehicle, and of a bus or truck: at most 3 cells over the width of a plate
 (0.52 m), 1 over its height."""
 
-MIN_CELL_PX = 8.0
-"""Minimum cell size of the mosaic, px."""
+MIN_CELL_PX = 8.0  # minimum cell size of the mosaic, px
 
 _PERSON, _BICYCLE, _CAR, _MOTORCYCLE, _BUS, _TRUCK = (
     ROAD_CLASSES.index(name) for name in ("person", "bicycle", "car", "motorcycle", "bus", "truck")

@@ -35,17 +35,13 @@ from socketserver import TCPServer
 from track_range.foundation.errors import ConfigError
 from track_range.foundation.prefetch import lower_thread_priority
 
-DEFAULT_VIEWERS = 16
-"""Largest number of streams at a time."""
-
-_SPARE_CONNECTIONS = 32
-"""Connections served at a time in addition to the streams; each has a thread."""
+DEFAULT_VIEWERS = 16  # largest number of streams at a time
+_SPARE_CONNECTIONS = 32  # connections served at a time in addition to the streams; each has a thread
 
 _TIMEOUT_S = 5.0
 """Seconds in which a client has to send its request, or to accept a picture; then its connection is closed."""
 
-_MAX_REQUEST_BYTES = 1 << 17
-"""Largest size of a request: twice the longest line that `http.server` accepts."""
+_MAX_REQUEST_BYTES = 1 << 17  # largest size of a request: twice the longest line that `http.server` accepts
 
 _SEND_BUFFER_BYTES = 1 << 18
 """Size of a connection's send buffer, about one picture: a slow viewer must not request pictures that it sees late."""

@@ -24,11 +24,8 @@ from track_range.views.overlay.label_layout import LabelPlacer
 from track_range.views.overlay.labels import BOLD, TextRenderer, corner_lines, label_lines, text_sizes_px
 from track_range.views.overlay.marks import draw_box, draw_inner_windows, draw_lanes, draw_leader, draw_outline
 
-Status = Callable[[], Sequence[str]]
-"""Returns short texts on the state of the run, such as the frame rate."""
-
-MOST_LABELS = 100
-"""Maximum number of labels per frame; in a crowd only the nearest tracks are labelled."""
+Status = Callable[[], Sequence[str]]  # returns short texts on the state of the run, such as the frame rate
+MOST_LABELS = 100  # maximum number of labels per frame; in a crowd only the nearest tracks are labelled
 
 
 class Overlay:

@@ -14,11 +14,8 @@ from track_range.views.overlay.annotator import Overlay
 from track_range.views.overlay.labels import BOLD, REGULAR, Span, TextRenderer, text_sizes_px
 from track_range.views.overlay.marks import draw_box, draw_inner_windows
 
-REDDEST_M = 5.0
-"""Distance in metres shown in the reddest colour; nearer ones have the same colour."""
-
-SCALE_M = (5, 7, 10, 15, 20, 30, 50)
-"""Distances on the scale, in metres."""
+REDDEST_M = 5.0  # distance in metres shown in the reddest colour; nearer ones have the same colour
+SCALE_M = (5, 7, 10, 15, 20, 30, 50)  # distances on the scale, in metres
 
 
 class DisparityPicture:

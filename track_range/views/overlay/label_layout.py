@@ -20,11 +20,8 @@ PLACES = np.array(BESIDE + AWAY, np.float64).reshape(-1, 2, 2)
 """(K, 2, 2) candidate positions of a label, best first: offset of its upper left corner from that of the box, as a
 multiple of the box size plus a multiple of the label size. First at the box and inside it, then farther away."""
 
-_STEP_COST = 0.01
-"""Cost of each step along the list of candidates, as a fraction of the label's area."""
-
-_PREVIOUS_BONUS = 0.1
-"""Bonus for the position in the previous frame, as a fraction of the label's area."""
+_STEP_COST = 0.01  # cost of each step along the list of candidates, as a fraction of the label's area
+_PREVIOUS_BONUS = 0.1  # bonus for the position in the previous frame, as a fraction of the label's area
 
 _MAX_COST = 0.3
 """Cost above which a full label is shortened if that reduces the cost, as a fraction of the label's area."""

@@ -26,26 +26,13 @@ from track_range.ranging.registry import methods
 CLOSING_SHOWN_MPS = 0.5
 """Smallest closing speed that is shown, in m/s; slower ones are within the noise of the distance filter."""
 
-TTC_SHOWN_S = 30.0
-"""Longest time to collision that is shown, in seconds; beyond it only the closing speed is shown."""
-
-BAR_S = 8.0
-"""Time to collision in seconds at which its bar is empty; at 0 s it is full."""
-
-LONGEST_NAME = 24
-"""Longest class name that is shown in full, in characters."""
-
-_MARGIN_PX, _STRIPE_PX = 6, 3
-"""Left margin of the text, and width of the stripe in the colour of the track."""
-
-_N_CACHED_WIDTHS = 4096
-"""Number of texts whose widths are cached."""
-
-_LEAST_ASPECT = 0.75
-"""Largest height / width of an image (4:3) up to which the text size follows the height."""
-
-BOLD, REGULAR = 700, 450
-"""Font weights, 100..900."""
+TTC_SHOWN_S = 30.0  # longest time to collision that is shown, in seconds; beyond it only the closing speed is shown
+BAR_S = 8.0  # time to collision in seconds at which its bar is empty; at 0 s it is full
+LONGEST_NAME = 24  # longest class name that is shown in full, in characters
+_MARGIN_PX, _STRIPE_PX = 6, 3  # left margin of the text, and width of the stripe in the colour of the track
+_N_CACHED_WIDTHS = 4096  # number of texts whose widths are cached
+_LEAST_ASPECT = 0.75  # largest height / width of an image (4:3) up to which the text size follows the height
+BOLD, REGULAR = 700, 450  # font weights, 100..900
 
 
 @dataclass(frozen=True, slots=True)

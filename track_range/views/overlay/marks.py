@@ -12,11 +12,8 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.pipeline.colours import BLACK, LANE_COLOUR, Bgr
 from track_range.stereo.matching.patches import inner_halves
 
-_DASH = 7
-"""Distance between the starts of dashes, in line widths."""
-
-_MIN_WINDOW_PX = 8
-"""Smallest side in pixels of an inner window that is drawn."""
+_DASH = 7  # distance between the starts of dashes, in line widths
+_MIN_WINDOW_PX = 8  # smallest side in pixels of an inner window that is drawn
 
 _CORNERS = np.array([(0, 1), (0, 3), (2, 1), (2, 3)])
 """(4, 2) indices into (left, top, right, bottom) of the x and y of each corner of a window."""
@@ -24,11 +21,8 @@ _CORNERS = np.array([(0, 1), (0, 3), (2, 1), (2, 3)])
 _ARMS = np.array([[(x, 0), (0, 0), (0, y)] for x in (1, -1) for y in (1, -1)], np.int32)
 """(4, 3, 2) polyline at each corner, in arm lengths inwards: one end, the corner, the other end."""
 
-_LANE_POINTS = 8
-"""Points of the polyline of a lane line."""
-
-_CORNER_FRACTION = 0.2
-"""Arm length of a corner as a fraction of the shorter side of the inner window."""
+_LANE_POINTS = 8  # points of the polyline of a lane line
+_CORNER_FRACTION = 0.2  # arm length of a corner as a fraction of the shorter side of the inner window
 
 
 def draw_box(canvas: Image, box: FloatArray, *, bgr: Bgr, line_px: int, dashed: bool) -> None:

@@ -20,8 +20,7 @@ QUANTIZER = 28
 _MAX_LAG_S, _MAX_LAG_FRAMES = 1.0, 5
 """What a video may lack of the frames in the rows if the program is killed, whichever is less; at least one frame."""
 
-Draw = Callable[[FrameResult], Image]
-"""Draws a result as (H, W, 3) uint8 BGR; called from one thread."""
+Draw = Callable[[FrameResult], Image]  # draws a result as (H, W, 3) uint8 BGR; called from one thread
 
 
 class ResultVideo:

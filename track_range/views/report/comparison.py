@@ -25,11 +25,8 @@ from track_range.views.report.content.events import event_details, kind_words, o
 from track_range.views.report.sentences import address, flattened, run_name
 from track_range.views.report.tables import Cell, Column, ColumnSpec, Grid, columns_of, figure, grid_of, largest
 
-TIME_TOLERANCE_S = 0.5
-"""Largest gap in s between the times of matching events."""
-
-MIN_IOU = 0.3
-"""Smallest median IoU of the boxes of matching events."""
+TIME_TOLERANCE_S = 0.5  # largest gap in s between the times of matching events
+MIN_IOU = 0.3  # smallest median IoU of the boxes of matching events
 
 _DISTANCE_FRACTION, _DISTANCE_M = 0.2, 2.0
 """Largest difference of the distances of matching events without common frames: relative, and in metres."""
@@ -37,8 +34,7 @@ _DISTANCE_FRACTION, _DISTANCE_M = 0.2, 2.0
 _CHANGED_S, _CHANGED_SIGMA = 0.2, 1.0
 """Differences that are listed: times in s, and distances in their joint standard deviation."""
 
-_CHANGED_FRACTION = 0.1
-"""Relative difference of distances without a standard deviation that is listed."""
+_CHANGED_FRACTION = 0.1  # relative difference of distances without a standard deviation that is listed
 
 _ARROW = "\N{RIGHTWARDS ARROW}"
 
@@ -70,8 +66,7 @@ _METHOD_GRIDS = (
 )
 """Title, key in a method's row, format, scale and cost of each table of methods."""
 
-_OMITTED = ("out", "versions")
-"""Settings that do not affect the results."""
+_OMITTED = ("out", "versions")  # settings that do not affect the results
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

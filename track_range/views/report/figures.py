@@ -19,20 +19,11 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.output_files import write_bytes
 from track_range.ranging.evaluation.curve_comparison import CurveFit
 
-SCATTER_PATHS = 3000
-"""Maximum number of points of a scatter plot; more are thinned."""
-
-_MODELS_PER_ROW = 4
-"""Maximum number of reliability diagrams beside each other."""
-
-RELIABLE_BIN = 10
-"""Minimum number of detections of a class in a bin that is drawn."""
-
-_INTERVAL_Z = 1.96
-"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
-
-_STROKE = {"dia": ":", "hei": "--"}
-"""Line style of a family of size curves, by the first letters of its name."""
+SCATTER_PATHS = 3000  # maximum number of points of a scatter plot; more are thinned
+_MODELS_PER_ROW = 4  # maximum number of reliability diagrams beside each other
+RELIABLE_BIN = 10  # minimum number of detections of a class in a bin that is drawn
+_INTERVAL_Z = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
+_STROKE = {"dia": ":", "hei": "--"}  # line style of a family of size curves, by the first letters of its name
 
 
 def training_chart(history: Sequence[Mapping[str, float]], path: Path) -> None:

@@ -17,11 +17,8 @@ from track_range.views.report.content.events import kind_counts, object_words, s
 from track_range.views.report.content.road import is_on_course
 from track_range.views.report.content.series import column
 
-STATIC_CLASSES = ("traffic light", "traffic sign")
-"""Classes that are not road users."""
-
-_MIN_PROBABILITY = 0.25
-"""Smallest probability of contact of a headline, as of the amber marks in the overlay."""
+STATIC_CLASSES = ("traffic light", "traffic sign")  # classes that are not road users
+_MIN_PROBABILITY = 0.25  # smallest probability of contact of a headline, as of the amber marks in the overlay
 
 _MIN_SIGNIFICANCE = 2.0
 """Smallest closing speed in its standard deviations of a time to collision that is a headline."""

@@ -16,8 +16,7 @@ from track_range.views.report import tables
 
 Summary = Mapping[str, Any]
 
-_FAR_M = 50.0
-"""Distance in metres at which the effect of the remaining disparity error is given."""
+_FAR_M = 50.0  # distance in metres at which the effect of the remaining disparity error is given
 
 
 def run_name(summary: Summary) -> str:

@@ -13,8 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-NOTHING = "-"
-"""Text of a value that was not measured."""
+NOTHING = "-"  # text of a value that was not measured
 
 SIGMA = "\N{GREEK SMALL LETTER SIGMA}"
 
@@ -24,8 +23,7 @@ WITHIN_1_SIGMA, WITHIN_2_SIGMA = 0.6827, 0.9545
 WITHIN_1_HEADING, WITHIN_2_HEADING = (f"\N{LESS-THAN OR EQUAL TO}{k}{SIGMA} %" for k in (1, 2))
 """Headings of the percentage of errors within one and two sigma."""
 
-Cost = Callable[[float], float]
-"""Function of a value that is smallest for the best value of a column."""
+Cost = Callable[[float], float]  # function of a value that is smallest for the best value of a column
 
 Summary = Mapping[str, Any]
 

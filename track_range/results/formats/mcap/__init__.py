@@ -18,11 +18,8 @@ ANNOTATIONS, DETECTIONS_2D = "/camera/annotations", "/camera/detections"
 SCENE, DETECTIONS_3D, RANGES = "/tracks/scene", "/tracks/detections", "/tracks/ranges"
 TRANSFORMS = "/tf"
 
-NANOSECONDS = 1_000_000_000
-"""Nanoseconds per second."""
-
-Message = tuple[str, bytes]
-"""Topic and encoded message."""
+NANOSECONDS = 1_000_000_000  # nanoseconds per second
+Message = tuple[str, bytes]  # topic and encoded message
 
 
 def calibration_matrices(camera: PinholeCamera) -> tuple[list[float], list[float], list[float]]:

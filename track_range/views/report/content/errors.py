@@ -16,14 +16,9 @@ from track_range.results.columns import Columns, methods_measured
 from track_range.views.report.content.series import column, thinned
 from track_range.views.report.tables import WITHIN_1_SIGMA, WITHIN_2_SIGMA, figure
 
-SCATTER_POINTS = 1500
-"""Maximum number of points of one method in the chart of errors; more would overlap."""
-
-BAND_M = 10.0
-"""Width in metres of the distance bands of the median line."""
-
-MIN_IN_BAND = 3
-"""Minimum number of errors in a band for a median."""
+SCATTER_POINTS = 1500  # maximum number of points of one method in the chart of errors; more would overlap
+BAND_M = 10.0  # width in metres of the distance bands of the median line
+MIN_IN_BAND = 3  # minimum number of errors in a band for a median
 
 EXPECTED_FRACTIONS = np.arange(0.05, 1.0, 0.05)
 """Fractions of errors expected within k sigma at which the calibration curve is sampled."""

@@ -17,8 +17,7 @@ KIND_WORDS: Mapping[str, str] = {
     "near_miss": "near miss",
 }
 
-MAX_EVENTS = 500
-"""Maximum number of events in a page; the most severe ones of a longer run."""
+MAX_EVENTS = 500  # maximum number of events in a page; the most severe ones of a longer run
 
 
 def kind_words(kind: str) -> str:

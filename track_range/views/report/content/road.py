@@ -28,11 +28,8 @@ from track_range.views.report.content.series import column, rows_by_track
 EGO_HALF_WIDTH_M = 0.9
 """Half the width of the ego vehicle in m, of a typical passenger car; as in `ranging`'s collision course."""
 
-COURSE_S = 8.0
-"""Longest time to collision in s of the courses that the page contains; it draws the next 4 s."""
-
-WINDOW_S = 0.8
-"""Duration in s of the positions from which a course is computed: at least eight frames at 10 Hz."""
+COURSE_S = 8.0  # longest time to collision in s of the courses that the page contains; it draws the next 4 s
+WINDOW_S = 0.8  # duration in s of the positions from which a course is computed: at least eight frames at 10 Hz
 
 FILTERED_WINDOW_S = 0.5
 """The same for the offsets of the collision warning in s, which are filtered: their slope is the lateral speed."""
@@ -46,11 +43,8 @@ _LATERAL_ACCELERATION_MPS2 = 0.25
 _CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02
 """Standard deviation of a box centre: a constant in px, plus a fraction of the box width; as in `ranging`."""
 
-_BORDER_PX = 2.0
-"""Distance in px from the left or right image border within which a box counts as truncated."""
-
-_MIN_ROWS = 3
-"""Minimum number of rows with a position from which a camera is recovered."""
+_BORDER_PX = 2.0  # distance in px from the left or right image border within which a box counts as truncated
+_MIN_ROWS = 3  # minimum number of rows with a position from which a camera is recovered
 
 _MAX_RESIDUAL = 0.02
 """Largest median residual of x / z, about 1 degree; the rows of one camera have less than 1e-4, from rounding."""

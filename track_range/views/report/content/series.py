@@ -24,11 +24,8 @@ LINE_POINTS = 1200
 MOST_CELLS = 1_800_000
 """Maximum count of numbers in a page, at three to four bytes each; 2,000 tracks of 30 frames have 0.9 million."""
 
-MAX_BINS = 600
-"""Maximum number of points of the timeline; a page shows about one per two pixels."""
-
-_DEFAULT_FRAME_S = 0.1
-"""Duration of a frame in s if the rows do not determine it."""
+MAX_BINS = 600  # maximum number of points of the timeline; a page shows about one per two pixels
+_DEFAULT_FRAME_S = 0.1  # duration of a frame in s if the rows do not determine it
 
 TICKS_PER_S, TICKS_PER_M, TICKS_PER_MPS, TICKS_PER_TTC_S = 1000.0, 100.0, 10.0, 100.0
 """Resolution of times, distances, speeds and times to collision."""
