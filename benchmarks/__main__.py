@@ -1,84 +1,69 @@
-"""`python -m benchmarks WORKLOAD [--json FILE]`: run one workload and print its table."""
+"""`python -m benchmarks WORKLOAD [OPTIONS]`: run one workload, print its tables, and write its figures as JSON.
+
+python -m benchmarks WORKLOAD --help lists the options of a workload.
+"""
 
 from __future__ import annotations
 
-import argparse
-import json
-from pathlib import Path
+import importlib
+import sys
 
-from benchmarks import mutation, reference, torture
-from benchmarks.accuracy import (
-    ablation,
-    anonymization,
-    appearance,
-    box_errors,
-    focal_length,
-    formats,
-    fusion,
-    history,
-    horizon,
-    lanes,
-    odometry,
-    recall,
-    tracking,
-    warnings,
-    wide_lenses,
-)
-from benchmarks.accuracy.stereo_matching import alignment, occlusion, rig_health, stereo, surface_choice
-from benchmarks.fleet import faults, throughput
-from benchmarks.speed import detection, memory, pipeline, processor_time, ranging, server, startup, writers
+from benchmarks.harness import Workload
 
 WORKLOADS = {
-    "pipeline": pipeline,
-    "memory": memory,
-    "mutation": mutation,
-    "detection": detection,
-    "ablation": ablation,
-    "alignment": alignment,
-    "box_errors": box_errors,
-    "anonymization": anonymization,
-    "fleet": throughput,
-    "fleet_faults": faults,
-    "focal_length": focal_length,
-    "formats": formats,
-    "fusion": fusion,
-    "history": history,
-    "horizon": horizon,
-    "lanes": lanes,
-    "occlusion": occlusion,
-    "odometry": odometry,
-    "appearance": appearance,
-    "processor_time": processor_time,
-    "tracking": tracking,
-    "ranging": ranging,
-    "recall": recall,
-    "reference": reference,
-    "rig_health": rig_health,
-    "server": server,
-    "startup": startup,
-    "torture": torture,
-    "stereo": stereo,
-    "surface_choice": surface_choice,
-    "warnings": warnings,
-    "wide_lenses": wide_lenses,
-    "writers": writers,
+    "ablation": ("accuracy.ablation", "detector improvements of the monocular paper on the same training budget"),
+    "alignment": ("accuracy.rig_alignment", "alignment from drives against known disparity errors"),
+    "anonymization": ("accuracy.anonymization", "covered fraction of heads and number plates in simulated drives"),
+    "appearance": ("accuracy.appearance", "effect of appearance and camera motion on online tracking"),
+    "baseline": ("gate", "record the fast workloads as baselines"),
+    "box_errors": ("accuracy.box_errors", "errors of boxes and tracks on rendered drives and on drives without images"),
+    "compare": ("gate", "ratios of the figures of two recordings"),
+    "detection": ("speed.detection", "time of each detector: preprocessing, inference, postprocessing"),
+    "fleet": ("fleet.throughput", "throughput, overhead and memory of workers, and the cost of 1,000 hours"),
+    "fleet_faults": ("fleet.faults", "killed workers, a corrupt clip and a killed driver"),
+    "focal_length": ("accuracy.focal_length", "focal lengths of cameras without a calibration"),
+    "formats": ("accuracy.formats", "round trips through the label formats"),
+    "fusion": ("accuracy.fusion", "fusion while the right camera is black or noise"),
+    "history": ("accuracy.history", "median label prediction by length, form and gates"),
+    "horizon": ("accuracy.horizon", "ranging from box bottoms with and without a known camera height"),
+    "lanes": ("accuracy.lanes", "lane detectors: time, accuracy, agreement"),
+    "memory": ("speed.runs", "resident memory of a run of 2,000 frames"),
+    "mutation": ("mutation", "fraction of small changes to the algorithms that their tests detect"),
+    "occlusion": ("accuracy.occlusion", "stereo matchers for road users behind obstacles"),
+    "odometry": ("accuracy.odometry", "speed and yaw rate of the camera from the images"),
+    "pipeline": ("speed.runs", "wall time of whole runs relative to inference alone"),
+    "processor_time": ("speed.processor_time", "processor time of each step of a run, and waits of its threads"),
+    "ranging": ("speed.ranging", "time of the box-only ranging methods, fusion, filters and lane detection"),
+    "recall": ("accuracy.recall", "recall of detectors on simulated cars"),
+    "reference": ("reference", "results of every main command, recorded and compared"),
+    "rig_health": ("accuracy.rig_alignment", "true rig files and rig files with errors on the same drives"),
+    "server": ("speed.runs", "a run with 200 slow readers of its live page"),
+    "startup": ("speed.runs", "start-up time of the command line and of the import"),
+    "stereo": ("accuracy.stereo", "time and accuracy of the patch matcher and of dense matching"),
+    "surface_choice": ("accuracy.occlusion", "fit of the probabilities of a box's surfaces"),
+    "tracking": ("accuracy.tracking", "trackers against each other on KITTI and MOTChallenge"),
+    "warnings": ("accuracy.warnings", "lead times and false alarms of collision warnings"),
+    "wide_lenses": ("accuracy.wide_lenses", "a fisheye against a pinhole of the same resolution"),
+    "writers": ("speed.writers", "cost of the result formats"),
 }
-"""Module of each workload, with `add_options(parser)` and `measure(options) -> figures`, which prints its tables."""
+"""Module, which has a function of the same name, and description of each workload."""
+
+
+def find(name: str) -> Workload:
+    """The workload of a name."""
+    found: Workload = getattr(importlib.import_module(f"benchmarks.{WORKLOADS[name][0]}"), name)
+    return found
 
 
 def main() -> None:
-    """Parse the command line and run the workload."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="JSON file to write the figures to")
-    commands = parser.add_subparsers(dest="workload", required=True)
-    for name, module in WORKLOADS.items():
-        command = commands.add_parser(name, help=(module.__doc__ or "").splitlines()[0])
-        command.add_argument("--json", type=Path, metavar="FILE", default=argparse.SUPPRESS, help="JSON file to write")
-        module.add_options(command)
-    options = parser.parse_args()
-    figures = WORKLOADS[options.workload].measure(options)
-    if options.json:
-        options.json.write_text(json.dumps({options.workload: figures}, indent=2) + "\n", encoding="utf-8")
+    """Run the workload of the command line, or list all of them."""
+    name, *arguments = sys.argv[1:] or ["--help"]
+    if name not in WORKLOADS:
+        print(__doc__)
+        for known, (_, description) in WORKLOADS.items():
+            print(f"  {known:<16}{description}")
+        raise SystemExit(0 if name in ("-h", "--help") else f"{name}: expected one of these workloads")
+    find(name).run(name, arguments)
 
 
 if __name__ == "__main__":

@@ -18,19 +18,14 @@ import resource
 import signal
 import sys
 import time
-from argparse import ArgumentParser, Namespace
-from collections import Counter
+from argparse import Namespace
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import CodeType
 from typing import Any
 
-from rich.console import Console
-
-from benchmarks.plain_tables import figure_text, plain_table
-
-ROOT = Path(__file__).resolve().parents[1]
+from benchmarks.harness import ROOT, Figures, option, workload
 
 TARGETS: dict[str, tuple[str, ...]] = {
     "tracking/*.py": ("tests/tracking", "tests/detection/formats/test_supervision.py"),
@@ -91,18 +86,14 @@ class Mutant:
         return f"{place}:{self.line} {self.operator} #{self.occurrence}: {changed}"
 
 
-def add_options(parser: ArgumentParser) -> None:
-    """Size and seed of the sample, and which of it to run."""
-    parser.add_argument("--mutants", type=int, default=360, help="size of the sample (default: 360)")
-    parser.add_argument("--seed", type=int, default=1, help="random seed for the sample (default: 1)")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes at a time")
-    parser.add_argument("--only", default="", metavar="TEXT", help="only mutants of paths that contain this")
-    parser.add_argument("--survivors", type=Path, metavar="FILE", help="run only the mutants listed in this file")
-
-
-def measure(options: Namespace) -> dict[str, Any]:
-    """Numbers of mutants and of killed ones per package, and the survivors."""
-    console = Console()
+@workload(
+    option("--mutants", default=360, help="size of the sample"),
+    option("--seed", default=1, help="random seed for the sample"),
+    option("--jobs", default=os.cpu_count() or 1, help="processes at a time"),
+    option("--only", default="", metavar="TEXT", help="only mutants of paths that contain this"),
+    option("--survivors", type=Path, metavar="FILE", help="run only the mutants listed in this file"),
+)
+def mutation(options: Namespace) -> Figures:
     mutants = sample(options.mutants, options.seed)
     mutants = [mutant for mutant in mutants if options.only in mutant.path.as_posix()]
     if options.survivors:
@@ -115,23 +106,21 @@ def measure(options: Namespace) -> dict[str, Any]:
         if (status := _finish(_start(None, tests), 1800.0)) != 0:
             raise SystemExit(f"{' '.join(tests)}: the tests fail without a mutant (status {status}).")
         limits_s[tests] = max(_MIN_TIME_LIMIT_S, 5 * options.jobs * (time.perf_counter() - start_s))
-    killed, total, survivors = Counter[str](), Counter[str](), []
+    killed: dict[str, list[bool]] = {"all": []}
+    survivors = []
     for number, (mutant, is_killed) in enumerate(_run(mutants, limits_s, options.jobs), start=1):
-        package = mutant.path.relative_to(ROOT).parts[0]
-        total[package] += 1
-        killed[package] += is_killed
+        for package in (mutant.path.relative_to(ROOT).parts[0], "all"):
+            killed.setdefault(package, []).append(is_killed)
         if not is_killed:
             survivors.append(str(mutant))
-            console.print(f"survived: {mutant}", markup=False, highlight=False, soft_wrap=True)
+            print(f"survived: {mutant}", flush=True)
         if number % 20 == 0:
-            console.print(f"{number} of {len(mutants)}, {sum(killed.values())} killed", highlight=False)
-    table = plain_table(f"Mutants, seed {options.seed}", "package", "mutants", "killed", "%")
-    for package in [*sorted(total), "all"]:
-        n = total.total() if package == "all" else total[package]
-        n_killed = killed.total() if package == "all" else killed[package]
-        table.add_row(package, str(n), str(n_killed), figure_text(100 * n_killed / max(n, 1), digits=1))
-    console.print(table)
-    return {"seed": options.seed, "n": dict(total), "killed": dict(killed), "survivors": survivors}
+            print(f"{number} of {len(mutants)}, {sum(killed['all'])} killed", flush=True)
+    figures: Figures = {
+        package: {"mutants": len(flags), "killed": sum(flags), "killed_pct": 100 * sum(flags) / max(len(flags), 1)}
+        for package, flags in killed.items()
+    }
+    return {**figures, "survivors": {str(k): name for k, name in enumerate(survivors, start=1)}}
 
 
 def sample(n: int, seed: int) -> list[Mutant]:

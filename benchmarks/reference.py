@@ -8,22 +8,22 @@ Everything but times is expected to be equal to the last byte; of tables, each c
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
+import os
 import re
 import subprocess
-import sys
+from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
-from rich.console import Console
 
-_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
-"""Folder of real data beside the project."""
+from benchmarks.harness import PROGRAM, Figures, option, workload
+
+REAL_DATA = Path(os.environ.get("TRACK_RANGE_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 
 _TIMES = {
     *("wall_s", "frames_per_s", "stages_ms", "latency_ms", "seconds", "ms", "look_s", "started_s", "heartbeat_s"),
@@ -43,26 +43,22 @@ _EXPORTS = {
 }  # fmt: skip
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Options of this workload."""
-    parser.add_argument("--out", type=Path, required=True, help="folder of the results, new")
-    parser.add_argument("--data", type=Path, default=_DATA, help="folder of the real data")
-    parser.add_argument("--against", type=Path, help="folder of an earlier recording, to compare with")
-    parser.add_argument("--only", default="", help="only the commands whose name contains this text")
-    parser.add_argument("--compare-only", action="store_true", help="compare two recordings, run nothing")
-
-
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Record, compare if asked to, and return the differences by file."""
-    console = Console()
+@workload(
+    option("--out", type=Path, required=True, help="folder of the results, new"),
+    option("--data", default=REAL_DATA, help="folder of the real data"),
+    option("--against", type=Path, help="folder of an earlier recording, to compare with"),
+    option("--only", default="", help="only the commands whose name contains this text"),
+    option("--compare-only", default=False, help="compare two recordings, run nothing"),
+)
+def reference(options: Namespace) -> Figures:
     if not options.compare_only:
-        record(options.out, options.data.resolve(), options.only, console)
+        record(options.out, options.data.resolve(), options.only)
     if options.against is None:
         return {}
     found = dict(differences(options.against, options.out))
     for name, text in found.items():
-        console.print(f"{name}: {text}", markup=False, soft_wrap=True)
-    console.print(f"{len(found)} of {len(list(recorded(options.out)))} files differ")
+        print(f"{name}: {text}")
+    print(f"{len(found)} of {len(list(recorded(options.out)))} files differ")
     return found
 
 
@@ -113,7 +109,7 @@ def commands(data: Path) -> Iterator[tuple[str, list[str]]]:
     yield "fleet", ["fleet", "run", "clips.csv", "--out", "fleet", "--no-sgbm"]
 
 
-def record(out: Path, data: Path, only: str, console: Console) -> None:
+def record(out: Path, data: Path, only: str) -> None:
     """Run the commands in `out`; what each prints is in NAME.out."""
     out.mkdir(parents=True, exist_ok=True)
     for name, arguments in commands(data):
@@ -125,11 +121,11 @@ def record(out: Path, data: Path, only: str, console: Console) -> None:
         for argument in arguments:
             if argument.startswith("export-"):
                 (out / argument).parent.mkdir(exist_ok=True)
-        command = [sys.executable, "-m", "track_range", *arguments]
+        command = [*PROGRAM, *arguments]
         done = subprocess.run(command, cwd=out, capture_output=True, text=True, check=False)
         (out / f"{name}.out").write_text(f"status {done.returncode}\n{done.stdout}", encoding="utf-8")
         if done.returncode:
-            console.print(f"{name}: status {done.returncode}: {done.stderr[-400:]}", markup=False)
+            print(f"{name}: status {done.returncode}: {done.stderr[-400:]}")
 
 
 _COMPARED = {".csv", ".txt", ".json", ".parquet", ".xml", ".out", ".mcap"}

@@ -10,20 +10,23 @@ one thread each.
 
 from __future__ import annotations
 
-import argparse
 import json
 import multiprocessing
 import time
+from argparse import Namespace
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich import box
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks.harness import (
+    Figures,
+    median_ms,
+    option,
+    workload,
+)
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.models.onnx_session import OnnxSession, Runtime
 from track_range.detection.training.data.augmentation import AugmentationSettings
@@ -39,18 +42,11 @@ from track_range.detection.training.settings import TrainingSettings, best_preci
 from track_range.detection.training.train import Training, prepare_torch
 
 MODEL = "yolov5n"
-"""Network of all configurations."""
 
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """Changes to the baseline.
-
-    Attributes:
-        has_own_anchors: anchors from k-means on the training boxes instead of those of YOLOv5.
-        has_cbam: attention modules (CBAM) in the network.
-        box_loss: loss of the boxes.
-    """
+    """Changes to the baseline: anchors from k-means on the training boxes, attention modules (CBAM), box loss."""
 
     has_own_anchors: bool = False
     has_cbam: bool = False
@@ -66,36 +62,30 @@ CONFIGURATIONS: Mapping[str, Configuration] = {
 }
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of this workload."""
-    parser.add_argument("--data", type=Path, required=True, help="data.yaml")
-    parser.add_argument("--out", type=Path, default=Path("out/ablation"), help="folder of the runs")
-    parser.add_argument("--images", type=int, default=1500, help="number of training images")
-    parser.add_argument("--size", type=int, default=320, help="input size in px")
-    parser.add_argument("--epochs", type=int, default=20)
-    parser.add_argument("--batch", type=int, default=16, help="batch size")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1], help="random seeds of the runs")
-    parser.add_argument("--jobs", type=int, default=1, help="parallel runs with a thread each; 1 = one on all cores")
-
-
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Train the configurations that are not finished, print the table, and return its figures."""
+@workload(
+    option("--data", type=Path, required=True, help="data.yaml"),
+    option("--out", default=Path("out/ablation"), help="folder of the runs"),
+    option("--images", default=1500, help="number of training images"),
+    option("--size", default=320, help="input size in px"),
+    option("--epochs", default=20, help="number of epochs"),
+    option("--batch", default=16, help="batch size"),
+    option("--seeds", default=(0, 1), help="random seeds of the runs"),
+    option("--jobs", default=1, help="parallel runs with a thread each; 1 = one on all cores"),
+)
+def ablation(options: Namespace) -> Figures:
     runs = [(name, seed, options) for seed in options.seeds for name in CONFIGURATIONS]
     if options.jobs > 1:
         with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
-            figures = pool.starmap(_trained, runs, chunksize=1)
+            results = pool.starmap(_trained, runs, chunksize=1)
     else:
-        figures = [_trained(*run) for run in runs]
+        results = [_trained(*run) for run in runs]
     ms = _inference_ms(options)
-    rows = {
-        name: {
-            "seeds": [f for (n, _, _), f in zip(runs, figures, strict=True) if n == name],
-            "inference_ms": ms[name],
-        }
-        for name in CONFIGURATIONS
-    }
-    _print_table(rows, options)
-    return {"protocol": __doc__, "options": {k: str(v) for k, v in vars(options).items()}, "configurations": rows}
+    figures: Figures = {}
+    for name in CONFIGURATIONS:
+        rows = [result for (other, _, _), result in zip(runs, results, strict=True) if other == name]
+        means = {f"mean_{key}": float(np.mean([row[key] for row in rows])) for key in ("ap50", "ap50_95")}
+        figures[name] = {**means, "inference_ms": ms[name], "seeds": rows}
+    return figures
 
 
 class _Log:
@@ -105,17 +95,17 @@ class _Log:
         self._name = name
 
     def step(self, epoch: int, i: int, n: int, losses: Losses) -> None:
-        """Ignore a training step."""
+        """Ignore it."""
 
     def validated(self, epoch: int, i: int, n: int) -> None:
-        """Ignore a validation step."""
+        """Ignore it."""
 
     def epoch(self, row: dict[str, float]) -> None:
         """Print the figures of an epoch."""
         print(self._name, {key: round(value, 4) for key, value in row.items()}, flush=True)
 
 
-def _trained(name: str, seed: int, options: argparse.Namespace) -> dict[str, Any]:
+def _trained(name: str, seed: int, options: Namespace) -> dict[str, Any]:
     """Figures of one configuration with one seed, which is trained and exported if it is not finished."""
     out = options.out / f"{name}-{seed}"
     figures = out / "figures.json"
@@ -165,37 +155,17 @@ def _trained(name: str, seed: int, options: argparse.Namespace) -> dict[str, Any
     return result
 
 
-def _inference_ms(options: argparse.Namespace, n_rounds: int = 40) -> dict[str, float]:
+def _inference_ms(options: Namespace, n_rounds: int = 40) -> dict[str, float]:
     """Median time in ms of each configuration's network on one thread, alternating between the configurations."""
     seed = options.seeds[0]
-    networks = {
-        name: OnnxSession(options.out / f"{name}-{seed}" / "model.onnx", Runtime(n_threads=1)).bound(
-            (options.size, options.size)
-        )
-        for name in CONFIGURATIONS
-    }
-    times: dict[str, list[float]] = {name: [] for name in networks}
+    networks = {}
+    for name in CONFIGURATIONS:
+        session = OnnxSession(options.out / f"{name}-{seed}" / "model.onnx", Runtime(n_threads=1))
+        networks[name] = session.bound((options.size, options.size))
+    times_s: dict[str, list[float]] = {name: [] for name in networks}
     for _ in range(n_rounds):
         for name, network in networks.items():
             start_s = time.perf_counter()
             network.run()
-            times[name].append(1e3 * (time.perf_counter() - start_s))
-    return {name: float(np.median(times_ms)) for name, times_ms in times.items()}
-
-
-def _print_table(rows: Mapping[str, Mapping[str, Any]], options: argparse.Namespace) -> None:
-    table = Table(
-        "configuration",
-        *(f"{figure}, seed {seed}" for figure in ("AP50 %", "AP50-95 %") for seed in options.seeds),
-        "mean AP50 %",
-        "mean AP50-95 %",
-        "ms",
-        title=f"Ablation: {options.images} images, {options.size} px, {options.epochs} epochs",
-        box=box.SIMPLE_HEAD,
-    )
-    for name, row in rows.items():
-        by_key = {key: [100 * scores[key] for scores in row["seeds"]] for key in ("ap50", "ap50_95")}
-        cells = [f"{value:.1f}" for values in by_key.values() for value in values]
-        means = [f"{np.mean(values):.1f}" for values in by_key.values()]
-        table.add_row(name, *cells, *means, f"{row['inference_ms']:.1f}")
-    Console().print(table)
+            times_s[name].append(time.perf_counter() - start_s)
+    return {name: median_ms(times) for name, times in times_s.items()}

@@ -13,18 +13,22 @@ is the fraction of the image that is covered and is neither head nor plate.
 
 from __future__ import annotations
 
-import argparse
+from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from itertools import product
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
-from benchmarks.inputs.simulated_drives import SimulatedDrive
+from benchmarks.harness import (
+    Figures,
+    option,
+    workload,
+)
+from benchmarks.inputs.drives import SimulatedDrive
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.detections import Detections
@@ -67,13 +71,9 @@ Key = tuple[IdentifyingPart, bool, bool]
 
 @dataclass(frozen=True, slots=True)
 class SeenPart:
-    """A visible head or plate.
+    """A visible head or plate: row of its road user in the scene, (P,) rows and columns of its pixels.
 
-    Attributes:
-        user: row of its road user in the scene.
-        part: head or plate.
-        row, column: (P,) its pixels.
-        is_tracked: whether a track shows its road user, by source of the boxes.
+    `is_tracked`: whether a track shows its road user, by source of the boxes.
     """
 
     user: int
@@ -97,25 +97,21 @@ class SeenFrame:
     shape: tuple[int, int]
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of this workload."""
-    parser.add_argument("--scenarios", nargs="+", default=list(SCENARIOS), choices=SCENARIOS)
-    parser.add_argument("--seeds", type=int, nargs="+", default=[101, 102])
-    parser.add_argument("--seconds", type=float, default=5.0, help="length of each drive")
-
-
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Render the drives, print the tables, and return their figures."""
+@workload(
+    option("--scenarios", default=SCENARIOS, choices=SCENARIOS, help="scenarios of the drives"),
+    option("--seeds", default=(101, 102), help="random seeds of the drives"),
+    option("--seconds", default=5.0, help="length of each drive"),
+)
+def anonymization(options: Namespace) -> Figures:
     drives = [
         list(seen_frames(scenario, seed, options.seconds)) for scenario in options.scenarios for seed in options.seeds
     ]
-    figures = {
-        f"{source}, {name}": scores(drives, source, look_ahead)
-        for source in ("detector", "truth")
-        for name, look_ahead in (("file", OFFLINE), ("live", LIVE))
-    }
-    print_table(figures)
-    return {"protocol": __doc__, "options": {k: str(v) for k, v in vars(options).items()}, "coverage": figures}
+    figures: Figures = {}
+    sources: tuple[BoxSource, ...] = ("detector", "truth")
+    for source, (name, look_ahead) in product(sources, (("file", OFFLINE), ("live", LIVE))):
+        for fraction, value in scores(drives, source, look_ahead).items():
+            figures.setdefault(fraction, {})[f"{source}, {name}"] = value
+    return {"coverage": figures}
 
 
 def seen_frames(scenario: str, seed: int, seconds: float) -> Iterator[SeenFrame]:
@@ -241,13 +237,3 @@ def _name(key: Key) -> str:
     part, is_readable, is_tracked = key
     size = f" of at least {READABLE_PX[part]} px" if is_readable else ""
     return f"{part.name.lower()}s{size}, {'tracked' if is_tracked else 'all'}"
-
-
-def print_table(figures: dict[str, dict[str, float]]) -> None:
-    """Print the shares in per cent, a column for each source of boxes and look-ahead."""
-    table = Table("%", *figures, title="Anonymization: fraction of covered pixels", box=box.SIMPLE_HEAD)
-    for row in dict.fromkeys(name for fractions in figures.values() for name in fractions):
-        table.add_row(
-            row, *(f"{100 * fractions[row]:.2f}" if row in fractions else "-" for fractions in figures.values())
-        )
-    Console().print(table)

@@ -16,26 +16,27 @@ are computed for high-confidence boxes only.
 
 from __future__ import annotations
 
-import argparse
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from argparse import Namespace
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from rich import box
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks.harness import (
+    Figures,
+    option,
+    workload,
+)
 from benchmarks.inputs.appearance_drives import FPS, AppearanceDrive, class_ids, real, simulated
 from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.tracking_sets import sequences_of
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Descriptors
 from track_range.detection.models.onnx_session import Runtime
-from track_range.evaluation.sequences.tracking import track_sequence
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.simulation.camera.playback import HIDDEN
 from track_range.tracking.appearance.embeddings import ColourLayout
@@ -56,25 +57,15 @@ REAL_SEEDS = range(5)
 _MIN_IOU = 0.5
 """Smallest IoU of a track with the true box for the `kept` figure."""
 
-_FIGURES = {"hota": "HOTA", "idf1": "IDF1", "assa": "AssA", "deta": "DetA", "idsw": "IDsw"}
-"""Headings of the tracking metrics."""
+_METRICS = ("hota", "idf1", "assa", "deta", "idsw")
 
 _DRIVE_OFFSET = 100_000
 """Difference of frame numbers and identities between one drive and the next."""
 
-Figures = dict[str, Any]
-
 
 @dataclass(slots=True)
 class TimedModel:
-    """An appearance model that records the time of its calls.
-
-    Attributes:
-        inner: the model.
-        max_cosine_distance: threshold of the model.
-        notes: none.
-        times_ms: thread time of each call.
-    """
+    """An appearance model that records the thread time of each of its calls."""
 
     inner: AppearanceModel
     max_cosine_distance: float
@@ -91,13 +82,7 @@ class TimedModel:
 
 @dataclass(slots=True)
 class Row:
-    """A tracker configuration and its results so far.
-
-    Attributes:
-        is_camera_motion_compensated: whether camera motion is estimated from the images.
-        model: appearance model; None = motion only.
-        parts: tracks of each drive, frame by frame.
-    """
+    """A tracker configuration and its tracks so far, of each drive frame by frame; without a model, motion only."""
 
     is_camera_motion_compensated: bool = False
     model: TimedModel | None = None
@@ -105,65 +90,53 @@ class Row:
 
     def track(self, drive: AppearanceDrive) -> None:
         """Track a drive with a new tracker."""
-        appearance = NO_APPEARANCE if self.model is None else AppearanceSettings()
         settings = DeepSortSettings(
-            is_camera_motion_compensated=self.is_camera_motion_compensated, appearance=appearance
+            is_camera_motion_compensated=self.is_camera_motion_compensated,
+            appearance=NO_APPEARANCE if self.model is None else AppearanceSettings(),
         )
         tracker = DeepSortTracker(settings, appearance_model=self.model)
         frames = enumerate(zip(drive.detected, drive.images, strict=True))
         self.parts.append([tracker.update(detections, k / FPS, image) for k, (detections, image) in frames])
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of this workload."""
-    parser.add_argument("--data", type=Path, default=REAL_DATA, help="folder with mot, kitti_stereo and models")
-    parser.add_argument("--drives", type=int, default=6, help="number of simulated drives")
-    parser.add_argument("--seconds", type=float, default=12.0, help="length of a simulated drive")
-    parser.add_argument("--steady", action="store_true", help="simulated camera without pitch and yaw")
-    parser.add_argument(
-        "--reid", type=Path, metavar="FILE", help="re-identification network (default: OSNet x0.25 in --data)"
-    )
-
-
-def measure(options: argparse.Namespace) -> Figures:
-    """Run everything for which there is data, print the tables, and return their figures."""
+@workload(
+    option("--data", default=REAL_DATA, help="folder with mot, kitti_stereo and models"),
+    option("--drives", default=6, help="number of simulated drives"),
+    option("--seconds", default=12.0, help="length of a simulated drive"),
+    option("--steady", default=False, help="simulated camera without pitch and yaw"),
+    option("--reid", type=Path, metavar="FILE", help="re-identification network (default: OSNet x0.25 in --data)"),
+)
+def appearance(options: Namespace) -> Figures:
     cv2.setNumThreads(1)
     reid = options.reid or options.data / "models" / "osnet_x0_25_msmt17.onnx"
-    result: Figures = {"protocol": __doc__}
+    figures: Figures = {}
     if options.drives:
         seeds = range(1, options.drives + 1)
         drives = (simulated(seed, seconds=options.seconds, is_shaken=not options.steady) for seed in seeds)
-        result["drives"] = _measured(drives, _rows(reid))
-        _print_table("Simulated drives, online", result["drives"])
+        figures["drives"] = _measured(drives, _rows(reid))
     if mot17 := _stored_embeddings(options.data):
-        result["mot17"] = mot17
-        _print_table("MOT17-05-FRCNN, stored embeddings, online", mot17)
+        figures["mot17"] = mot17
     if folders := sorted((options.data / "kitti_stereo").glob("0*")):
         real_drives = (drive for folder in folders for drive in real(folder, REAL_SEEDS))
-        result["kitti_stereo"] = _measured(real_drives, _rows(reid))
-        _print_table("kitti_stereo 0003 and 0005, 16 frames each, online", result["kitti_stereo"])
-    return result
+        figures["kitti_stereo"] = _measured(real_drives, _rows(reid))
+    return figures
 
 
 def _rows(reid: Path) -> dict[str, Row]:
     """Rows of the table by name."""
 
-    def built_in() -> TimedModel:
-        return _timed(ColourLayout())
+    def timed(model: AppearanceModel) -> TimedModel:
+        return TimedModel(model, model.max_cosine_distance)
 
     rows = {
         "motion": Row(),
         "motion, camera": Row(True),
-        "motion, built-in appearance": Row(model=built_in()),
-        "motion, camera, built-in appearance": Row(True, built_in()),
+        "motion, built-in appearance": Row(model=timed(ColourLayout())),
+        "motion, camera, built-in appearance": Row(True, timed(ColourLayout())),
     }
     if reid.is_file():
-        rows["motion, camera, OSNet"] = Row(True, _timed(ReidModel(reid, Runtime(device="cpu", n_threads=1))))
+        rows["motion, camera, OSNet"] = Row(True, timed(ReidModel(reid, Runtime(device="cpu", n_threads=1))))
     return rows
-
-
-def _timed(model: AppearanceModel) -> TimedModel:
-    return TimedModel(model, model.max_cosine_distance)
 
 
 def _measured(drives: Iterable[AppearanceDrive], rows: Mapping[str, Row]) -> dict[str, Figures]:
@@ -182,7 +155,7 @@ def _measured(drives: Iterable[AppearanceDrive], rows: Mapping[str, Row]) -> dic
         results, is_observed = _combined_results(row.parts)
         scores = asdict(evaluate_tracks(truth, results, ignore=ignored))
         is_kept = _is_kept(truth, results.select(is_observed), occlusions)
-        figures[name] = {key: scores[key] for key in _FIGURES} | {
+        figures[name] = {key: scores[key] for key in _METRICS} | {
             "kept_pct": 100 * float(np.mean(is_kept)),
             "n_kept": int(np.sum(is_kept)),
             "n_occlusions": len(is_kept),
@@ -255,37 +228,12 @@ def _stored_embeddings(data: Path) -> dict[str, Figures]:
     """Figures on MOT17; empty if there are no embeddings."""
     sequences = [sequence for sequence in sequences_of("mot17", data) if sequence.has_embeddings]
     figures: dict[str, Figures] = {}
-    for name, appearance in (("motion", NO_APPEARANCE), ("motion, stored embeddings", AppearanceSettings())):
+    for name, settings in (("motion", NO_APPEARANCE), ("motion, stored embeddings", AppearanceSettings())):
         counts = []
         for sequence in sequences:
-            tracker = DeepSortTracker(DeepSortSettings(appearance=appearance))
-            n_frames, fps = sequence.n_frames, sequence.fps
-            frames = track_sequence(sequence.detected, tracker, n_frames=n_frames, fps=fps, is_online=True).frames
-            frame = np.repeat(np.arange(len(frames)), [len(tracks) for tracks in frames])
-            track_id = np.concatenate([tracks.track_id for tracks in frames])
-            counts.append(sequence.counts(frame, track_id, np.concatenate([tracks.xyxy_px for tracks in frames])))
+            boxes, _ = sequence.tracked(DeepSortTracker(DeepSortSettings(appearance=settings)))
+            counts.append(sequence.counts(boxes))
         if counts:
             scores = asdict(TrackingCounts.sum_of(counts).scores())
-            figures[name] = {key: scores[key] for key in _FIGURES}
+            figures[name] = {key: scores[key] for key in _METRICS}
     return figures
-
-
-_COLUMNS: Mapping[str, tuple[str, Callable[[Figures], str]]] = {
-    "kept_pct": ("kept", lambda row: f"{row['kept_pct']:.1f} % ({row['n_kept']}/{row['n_occlusions']})"),
-    "appearance_ms": (
-        "appearance ms",
-        lambda row: f"{row['appearance_ms']:.2f}" if row["appearance_ms"] is not None else "-",
-    ),
-    "camera_ms": ("camera ms", lambda row: f"{row['camera_ms']:.2f}" if row["camera_ms"] is not None else "-"),
-}
-
-
-def _print_table(title: str, rows: Mapping[str, Figures]) -> None:
-    table = Table(title=title, box=box.SIMPLE_HEAD, padding=0, title_justify="left")
-    columns = {key: column for key, column in _COLUMNS.items() if key in next(iter(rows.values()))}
-    for i, heading in enumerate(("tracker", *_FIGURES.values(), *(heading for heading, _ in columns.values()))):
-        table.add_column(heading, justify="right" if i else "left", no_wrap=True)
-    for name, row in rows.items():
-        figures = (f"{row[key]:.1f}" if isinstance(row[key], float) else str(row[key]) for key in _FIGURES)
-        table.add_row(name, *figures, *(text_of(row) for _, text_of in columns.values()))
-    Console(width=120).print(table)

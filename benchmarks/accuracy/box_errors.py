@@ -3,56 +3,69 @@
 Protocol: rendered drives of the seeds on which the error model of `benchmarks/boxes` was fitted (`--fit-seeds`) and of
 others (`--seeds`), one scenario each; the same scenes without rendering, with the model's errors (`--errors` drives
 each). Boxes are matched to the truth one to one, IoU at least 0.4, at least 0.15 for objects lower than 10 px, which
-detectors enlarge.
+detectors enlarge. Tracks and detections are counted with a smaller IoU.
 """
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
-from dataclasses import dataclass
+from argparse import Namespace
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rich.console import Console
 
-from benchmarks.accuracy.collision_warnings.track_errors import TrackErrors, rendered_errors, simulated_errors
+from benchmarks.accuracy.warning_drives import matched_users, run_of
 from benchmarks.boxes.box_drive import BoxDrive
-from benchmarks.boxes.true_boxes import TrueBoxes
-from benchmarks.inputs.conflict_drives import FPS, conflict_drive, default_cache, stored_boxes
-from benchmarks.plain_tables import figure_text, plain_table
+from benchmarks.boxes.box_run import run_boxes, tracked
+from benchmarks.boxes.true_boxes import TrueBoxes, true_boxes
+from benchmarks.harness import (
+    Figures,
+    median_or_none,
+    option,
+    quantile_or_none,
+    workload,
+)
+from benchmarks.inputs.drives import CACHE_OPTION, FPS, ConflictDrive, conflict_drive
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES, SAME_OBJECT_GROUP
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.pipeline.frame_result import FrameResult
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.scene import Scene
 
 SCENARIOS = (
-    "rear-stationary",
-    "crossing-adult",
-    "rear-slower",
-    "oncoming",
-    "city",
-    "crossing-child",
-    "rear-braking",
-    "curve-parked",
-    "following",
-    "overhead-sign",
+    *("rear-stationary", "crossing-adult", "rear-slower", "oncoming", "city"),
+    *("crossing-child", "rear-braking", "curve-parked", "following", "overhead-sign"),
 )
 """Scenario of the drive of each seed, by the last digit of the seed."""
 
-WIDTH_PX = 620
-"""Width of the images, px."""
+WIDTH_PX, HEIGHT_PX = 620, 188
+RIG = kitti_like_rig(width_px=WIDTH_PX, height_px=HEIGHT_PX)
 
 MIN_IOU, MIN_IOU_SMALL, SMALL_PX = 0.4, 0.15, 10.0
 """Smallest IoU of a detected box with the true one; that of objects lower than `SMALL_PX`."""
 
 HEIGHTS_PX = (4, 6, 8, 12, 16, 24, 40, 400)
 """Limits of the bins of heights, px, of images 620 px wide."""
+
+
+TRACK_IOU, TRACK_IOU_SMALL = 0.3, 0.12
+"""Smallest IoU of the box of a track, or of a counted detection, with its object; that of small objects."""
+
+LANE_M = 1.5
+"""Largest lateral offset from the ego path of an object in the lane, m."""
+
+STEADY_PX = 1.0
+"""Largest standard deviation of a false track's disparities about a straight line that counts as consistent, px."""
+
+SCORES = (0.1, 0.2, 0.3, 0.5)  # lower limits
+
+GAP_FRAMES = 3
+"""Longest gap, in frames, after which a track's change of object is one between neighbours."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +100,7 @@ class Matched:
 
     @property
     def is_detected(self) -> BoolArray:
-        """(M,) whether there is a detection."""
+        """(M,) flags."""
         return np.isfinite(self.score)
 
 
@@ -149,50 +162,38 @@ def joined(parts: Sequence[Matched]) -> Matched:
     return Matched(**columns, n_frames=sum(part.n_frames for part in parts))
 
 
-def add_options(parser: ArgumentParser) -> None:
-    """Add the options of this workload."""
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(20, 30)), metavar="N", help="other seeds")
-    parser.add_argument("--fit-seeds", type=int, nargs="+", default=list(range(10)), metavar="N", help="fitted seeds")
-    parser.add_argument("--errors", type=int, default=3, metavar="N", help="drives without images per scene")
-    parser.add_argument("--cache", type=Path, default=default_cache(), metavar="DIR", help="folder of rendered drives")
-
-
-def measure(options: Namespace) -> dict[str, Any]:
-    """Figures of rendered drives and of those without images, in the same scenes; prints the table."""
-    figures: dict[str, dict[str, float | None]] = {}
+@workload(
+    option("--seeds", default=tuple(range(20, 30)), metavar="N", help="other seeds"),
+    option("--fit-seeds", default=tuple(range(10)), metavar="N", help="fitted seeds"),
+    option("--errors", default=3, metavar="N", help="drives without images per scene"),
+    CACHE_OPTION,
+)
+def box_errors(options: Namespace) -> Figures:
+    figures: Figures = {}
     for name, seeds in (("fitted", options.fit_seeds), ("others", options.seeds)):
         parts = [_drive_errors(options, seed) for seed in seeds]
         for number, source in enumerate(("rendered", "model")):
             boxes = joined([part[number][0] for part in parts])
             tracks = sum((part[number][1] for part in parts), TrackErrors())
-            figures[f"{source},\n{name}"] = {**_statistics(boxes), **tracks.figures()}
-    table = plain_table("errors of boxes and tracks", "figure", *figures)
-    for figure in dict.fromkeys(name for column in figures.values() for name in column):
-        table.add_row(figure, *(_text(column.get(figure)) for column in figures.values()))
-    Console().print(table)
-    return {name.replace("\n", " "): column for name, column in figures.items()}
-
-
-def _text(value: float | None) -> str:
-    return figure_text(value, digits=3 if value is None or value < 10 else 0)
+            for figure, value in {**_statistics(boxes), **tracks.figures()}.items():
+                figures.setdefault(figure, {})[f"{source}, {name}"] = value
+    return figures
 
 
 def _drive_errors(options: Namespace, seed: int) -> tuple[tuple[Matched, TrackErrors], tuple[Matched, TrackErrors]]:
     """Boxes and tracks of a rendered drive, and of drives without images in its scene."""
     scenario = SCENARIOS[seed % 10]
     drive = conflict_drive(options.cache, scenario, seed, width_px=WIDTH_PX)
-    boxes = stored_boxes(drive.boxes)
-    times_s, seconds = np.arange(len(boxes)) / FPS, len(boxes) / FPS
-    scene = make_scenario(scenario, seed=seed, seconds=seconds)
-    rig = kitti_like_rig(width_px=WIDTH_PX, height_px=188)
-    others = [BoxDrive(scene, times_s, rig, seed=1000 * seed + number) for number in range(options.errors)]
-    rendered = matched_boxes(scene, others[0].true, boxes, drive=seed)
+    times_s = np.arange(len(drive.boxes)) / FPS
+    scene = make_scenario(scenario, seed=seed, seconds=drive.seconds)
+    others = [BoxDrive(scene, times_s, RIG, seed=1000 * seed + number) for number in range(options.errors)]
+    rendered = matched_boxes(scene, others[0].true, drive.boxes, drive=seed)
     matched = [
         matched_boxes(scene, other.true, [frame.detections for frame in other], drive=1000 * seed + number)
         for number, other in enumerate(others)
     ]
-    simulated = simulated_errors(scenario, seed, seconds=seconds, n_errors=options.errors)
-    return (rendered, rendered_errors(options.cache, scenario, seed)), (joined(matched), simulated)
+    simulated = simulated_errors(scenario, seed, seconds=drive.seconds, n_errors=options.errors)
+    return (rendered, rendered_errors(drive, scene)), (joined(matched), simulated)
 
 
 def _statistics(matched: Matched) -> dict[str, float | None]:
@@ -216,7 +217,7 @@ def _statistics(matched: Matched) -> dict[str, float | None]:
                     figures[f"{name} {low}-{high} px: sigma of {label}"] = float(value)
     runs = _missed_runs(matched)
     figures["runs of misses: mean, frames"] = float(np.mean(runs)) if runs else None
-    figures["runs of misses: 90 %, frames"] = float(np.quantile(runs, 0.9)) if runs else None
+    figures["runs of misses: 90 %, frames"] = quantile_or_none(runs, 0.9)
     return figures
 
 
@@ -233,3 +234,173 @@ def _missed_runs(matched: Matched) -> list[int]:
         last = int(matched.user[row])
         length += not matched.is_detected[row]
     return [*runs, length] if length else runs
+
+
+@dataclass(slots=True)
+class TrackErrors:
+    """Sums over drives; `+` joins them.
+
+    Attributes:
+        seconds: duration.
+        false_boxes, second_boxes: number of boxes without an object, and of further boxes of an object, by `SCORES`.
+        false_tracks: duration in s, fraction with a stereo distance, deviation of disparities in px, offset from the
+            ego path in m, largest probability of contact, of each track without an object.
+        n_tracks, n_mixed: number of tracks of objects; of those with several objects, three frames or more of each.
+        n_neighbours, n_later: number of changes of a track's object, without a gap and after one.
+        n_switches: number of changes of an object's track.
+        n_rows, n_second: number of objects' boxes with a track; with another one at the same time.
+        starts_m: distance of the first tracked box of each person and vehicle.
+    """
+
+    seconds: float = 0.0
+    false_boxes: FloatArray = field(default_factory=lambda: np.zeros(len(SCORES)))
+    second_boxes: FloatArray = field(default_factory=lambda: np.zeros(len(SCORES)))
+    false_tracks: list[list[float]] = field(default_factory=list)
+    n_tracks: int = 0
+    n_mixed: int = 0
+    n_neighbours: int = 0
+    n_later: int = 0
+    n_switches: int = 0
+    n_rows: int = 0
+    n_second: int = 0
+    starts_m: dict[str, list[float]] = field(default_factory=lambda: {"person": [], "vehicle": []})
+
+    def __add__(self, other: TrackErrors) -> TrackErrors:
+        """The sums of both."""
+        values = {name: getattr(self, name) + getattr(other, name) for name in self.__slots__ if name != "starts_m"}
+        starts_m = {name: self.starts_m[name] + other.starts_m[name] for name in self.starts_m}
+        return TrackErrors(**values, starts_m=starts_m)
+
+    def figures(self) -> dict[str, float | None]:
+        """Rates per frame, per hour and per object-hour."""
+        hours, n_frames = self.seconds / 3600, self.seconds * FPS
+        rows = np.array(self.false_tracks, np.float64).reshape(-1, 5)
+        is_long = rows[:, 0] >= 1.0
+        is_steady = is_long & (rows[:, 1] > 0.5) & (rows[:, 2] < STEADY_PX)
+        is_in_lane = np.abs(rows[:, 3]) < LANE_M
+        return {
+            **{
+                f"{name} boxes per frame, score > {limit}": n / n_frames
+                for name, counts in (("false", self.false_boxes), ("second", self.second_boxes))
+                for limit, n in zip(SCORES, counts, strict=True)
+            },
+            "false tracks per h": len(rows) / hours,
+            "false tracks > 1 s per h": is_long.sum() / hours,
+            "false tracks > 1 s per h, steady stereo": is_steady.sum() / hours,
+            "false tracks > 1 s per h, in the lane": (is_long & is_in_lane).sum() / hours,
+            "false tracks > 1 s per h, both": (is_steady & is_in_lane).sum() / hours,
+            "false tracks per h, probability > 0.1": (rows[:, 4] > 0.1).sum() / hours,
+            "tracks per h": self.n_tracks / hours,
+            "tracks with several objects, %": 100 * self.n_mixed / max(self.n_tracks, 1),
+            "tracks that change to a neighbour, per h": self.n_neighbours / hours,
+            "tracks that change after a gap, per h": self.n_later / hours,
+            "identity switches per object-hour": self.n_switches / max(self.n_rows, 1) * FPS * 3600,
+            "objects with two tracks, %": 100 * self.n_second / max(self.n_rows, 1),
+            **{f"first track of a {name}, median m": median_or_none(values) for name, values in self.starts_m.items()},
+        }
+
+
+def rendered_errors(drive: ConflictDrive, scene: Scene) -> TrackErrors:
+    """Errors on a rendered drive with the packaged detector."""
+    true = true_boxes(scene, np.arange(len(drive.boxes)) / FPS, RIG.left)
+    with run_of(drive, is_stereo=True) as run:
+        return _track_errors(scene, true, run, drive.boxes)
+
+
+def simulated_errors(scenario: str, seed: int, *, seconds: float, n_errors: int) -> TrackErrors:
+    """Errors on drives without images in the same scene."""
+    scene, times_s = make_scenario(scenario, seed=seed, seconds=seconds), np.arange(round(seconds * FPS)) / FPS
+    errors = TrackErrors()
+    for number in range(n_errors):
+        drive = BoxDrive(scene, times_s, RIG, seed=1000 * seed + number)
+        results = (step.result for step in run_boxes([drive], [tracked(drive)]))
+        errors += _track_errors(scene, drive.true, results, [frame.detections for frame in drive])
+    return errors
+
+
+def _track_errors(
+    scene: Scene, true: TrueBoxes, results: Iterable[FrameResult], boxes: Sequence[Detections]
+) -> TrackErrors:
+    """Errors of one drive."""
+    errors = TrackErrors(seconds=len(boxes) / FPS)
+    is_person = np.array([user.kitti_type in ("Pedestrian", "Cyclist", "Motorcycle") for user in scene.road_users])
+    by_track: dict[int, list[tuple[float, ...]]] = {}
+    track_of: dict[int, int] = {}
+    for result in results:
+        rows = np.flatnonzero(true.frame == result.index)
+        detections, tracks = boxes[result.index], result.tracks
+        min_iou = np.where(true.height_px[rows] < SMALL_PX, TRACK_IOU_SMALL, TRACK_IOU)
+        _count_boxes(errors, matched_users(true, rows, detections.xyxy_px, min_iou)[0], detections.score)
+        stereo_m, warnings = result.ranges["stereo"].distance_m, result.warnings
+        nan = np.full(len(tracks), np.nan)
+        probability, offset_m = (warnings.probability, warnings.path_offset_m) if warnings else (nan, nan)
+        users, overlap = matched_users(true, rows, tracks.xyxy_px, min_iou)
+        seen: set[int] = set()
+        for row in np.argsort(-overlap, kind="stable").tolist():
+            if not tracks.observed[row]:
+                continue
+            user, track_id = int(users[row]), int(tracks.track_id[row])
+            values = (result.index, user, stereo_m[row], offset_m[row], probability[row])
+            by_track.setdefault(track_id, []).append(values)
+            if user < 0:
+                continue
+            errors.n_rows += user not in seen
+            errors.n_second += user in seen
+            if user in seen:
+                continue
+            seen.add(user)
+            if user not in track_of:
+                at_m = float(true.distance_m[rows[true.user[rows] == user]][0])
+                errors.starts_m["person" if is_person[user] else "vehicle"].append(at_m)
+            errors.n_switches += track_of.get(user, track_id) != track_id
+            track_of[user] = track_id
+    for track in by_track.values():
+        _count_track(errors, np.array(track, np.float64))
+    return errors
+
+
+def _count_boxes(errors: TrackErrors, users: IntArray, score: FloatArray) -> None:
+    """Count the boxes of a frame without an object, and all but the best of each object."""
+    is_second = np.zeros(len(users), bool)
+    order = np.argsort(-score, kind="stable")
+    _, first = np.unique(users[order], return_index=True)
+    is_second[order] = True
+    is_second[order[first]] = False
+    for number, limit in enumerate(SCORES):
+        errors.false_boxes[number] += ((users < 0) & (score > limit)).sum()
+        errors.second_boxes[number] += ((users >= 0) & is_second & (score > limit)).sum()
+
+
+def _count_track(errors: TrackErrors, track: FloatArray) -> None:
+    """Count one track: (K, 5) frame, object, stereo distance, offset, probability."""
+    frame, user, stereo_m, offset_m, probability = track.T
+    if np.mean(user < 0) > 0.5:
+        has_stereo = np.isfinite(stereo_m)
+        errors.false_tracks.append(
+            [
+                (frame[-1] - frame[0] + 1) / FPS,
+                has_stereo.mean(),
+                _deviation_px(frame[has_stereo], stereo_m[has_stereo]),
+                float(np.median(offset_m[np.isfinite(offset_m)])) if np.isfinite(offset_m).any() else np.inf,
+                float(np.max(probability, initial=0.0, where=np.isfinite(probability))),
+            ]
+        )
+        return
+    frame, user = frame[user >= 0], user[user >= 0]
+    errors.n_tracks += 1
+    errors.n_mixed += sum(n >= 3 for n in Counter(user.tolist()).values()) >= 2
+    starts = np.flatnonzero(np.diff(user, prepend=-1))
+    for start, end in pairwise([*starts.tolist(), len(user)]):
+        if start and end - start >= 3:
+            is_later = frame[start] - frame[start - 1] > GAP_FRAMES
+            errors.n_later += bool(is_later)
+            errors.n_neighbours += not is_later
+
+
+def _deviation_px(frame: FloatArray, distance_m: FloatArray) -> float:
+    """Robust standard deviation of disparities about a straight line over time, px; infinite for less than 4."""
+    if len(frame) < 4:
+        return np.inf
+    disparity_px = RIG.left.fx_px * RIG.baseline_m / distance_m
+    line = np.polyfit(frame, disparity_px, 1)
+    return float(1.4826 * np.median(np.abs(disparity_px - np.polyval(line, frame))))

@@ -14,17 +14,20 @@ ratio; and over the drives the median of these.
 from __future__ import annotations
 
 import math
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from benchmarks.boxes.box_drive import BoxDrive
-from benchmarks.plain_tables import figure_text, plain_table
+from benchmarks.harness import (
+    Figures,
+    option,
+    workload,
+)
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.fitting.camera.camera_fit import fit_camera
 from track_range.ranging.fitting.camera.focal_evidence import default_guess, focal_of_field, focal_posterior
@@ -38,10 +41,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
 SCENARIOS = ("city", "town", "highway", "queue")
-"""Scenarios of each seed."""
-
 SIZE_PX, KITTI_SIZE_PX = (1280, 720), (1242, 375)
-"""Size of the images."""
 
 SECONDS, STEP_S = 20.0, 0.4
 """Length of a simulated drive and time between its frames, s."""
@@ -61,15 +61,9 @@ NAMES = ("no measurement", "one distance", "three distances", "75 degrees assume
 
 @dataclass(frozen=True, slots=True)
 class RoadDrive:
-    """Boxes of a drive with a camera of unknown focal length.
+    """Boxes that are not hidden, with their true distances (N,), of a drive with a camera of unknown focal length.
 
-    Attributes:
-        name: of the group in the tables.
-        size_px: (width, height) of the images.
-        focal_px: true focal length.
-        scene: boxes that are not hidden.
-        true_m: (N,) their true distances.
-        known: choices of known objects, at least three each.
+    `size_px` is (width, height) of the images, `focal_px` the true focal length; `known` are choices of known objects.
     """
 
     name: str
@@ -80,31 +74,26 @@ class RoadDrive:
     known: tuple[tuple[KnownObject, ...], ...]
 
 
-def add_options(parser: ArgumentParser) -> None:
-    """Options of the workload."""
-    parser.add_argument("--first-seed", type=int, default=100, help="first seed; 0-9 were used for the design")
-    parser.add_argument("--seeds", type=int, default=20, help="number of seeds")
-    parser.add_argument("--labels", type=Path, help="folder with label_02, calib and rrc of KITTI")
-
-
-def measure(options: Namespace) -> dict[str, Any]:
-    """Print the tables; returns their figures by group of drives."""
+@workload(
+    option("--first-seed", "--seed", default=100, help="first seed; 0-9 were used for the design"),
+    option("--seeds", default=20, help="number of seeds"),
+    option("--labels", type=Path, help="folder with label_02, calib and rrc of KITTI"),
+)
+def focal_length(options: Namespace) -> Figures:
     sizes = load_curves()
     if not isinstance(sizes, CuboidSizes):
         raise TypeError("the packaged curves have no priors")
     seeds = range(options.first_seed, options.first_seed + options.seeds)
-    groups = [[simulated_drive(name, seed) for seed in seeds] for name in SCENARIOS]
-    figures = {SCENARIOS[k]: _figures(group, sizes) for k, group in enumerate(groups)}
-    figures["all simulated"] = _figures([drive for group in groups for drive in group], sizes)
+    groups = {name: [simulated_drive(name, seed) for seed in seeds] for name in SCENARIOS}
+    groups["all simulated"] = [drive for name in SCENARIOS for drive in groups[name]]
     if options.labels:
         for name, boxes, noise_px in (
             ("KITTI labels", "labels", 0.0),
             ("KITTI 2 px", "labels", 2.0),
             ("KITTI RRC", f"rrc:{options.labels / 'rrc'}", 0.0),
         ):
-            figures[name] = _figures(list(kitti_drives(options.labels, name, boxes, noise_px)), sizes)
-    _print(figures)
-    return figures
+            groups[name] = list(kitti_drives(options.labels, name, boxes, noise_px))
+    return {name: _figures(drives, sizes) for name, drives in groups.items()}
 
 
 def simulated_drive(scenario: str, seed: int) -> RoadDrive:
@@ -139,8 +128,8 @@ def kitti_drives(folder: Path, name: str, boxes: str, noise_px: float) -> Iterat
             continue
         shown = np.zeros(len(rows), np.bool_)
         for frame in np.unique(rows.frame[rows.frame % 5 == 0]):
-            of_frame = np.flatnonzero(rows.frame == frame)
-            shown[of_frame] = unhidden(rows.xyxy_px[of_frame])
+            frame_rows = np.flatnonzero(rows.frame == frame)
+            shown[frame_rows] = unhidden(rows.xyxy_px[frame_rows])
         scene = SceneBoxes(rows.xyxy_px[shown], rows.class_id[shown], rows.track_id[shown])
         is_car = np.flatnonzero((rows.class_name == "car") & (rows.occluded == 0))
         choices = tuple(
@@ -241,26 +230,3 @@ def _summary(values: FloatArray) -> dict[str, float]:
         "distance_median_pct": 100 * float(np.median(distance_error)),
         "scale_median_pct": 100 * float(np.median(scale_error)),
     }
-
-
-def _print(figures: dict[str, dict[str, dict[str, float]]]) -> None:
-    console = Console()
-    for group, rows in figures.items():
-        table = plain_table(
-            f"{group}: errors in %", "known", "n", "focal", "90 %", "bias", "sigma", "<=1 s", "<=2 s", "mono", "scale"
-        )
-        for name in NAMES:
-            if name not in rows:
-                continue
-            row = rows[name]
-            table.add_row(
-                name,
-                str(row["n"]),
-                *(
-                    figure_text(row[key], digits=1)
-                    for key in ("focal_median_pct", "focal_p90_pct", "focal_bias_pct", "sigma_pct")
-                ),
-                *(figure_text(row[key], digits=0, times=100) for key in ("within_1_sigma", "within_2_sigma")),
-                *(figure_text(row[key], digits=1) for key in ("distance_median_pct", "scale_median_pct")),
-            )
-        console.print(table)

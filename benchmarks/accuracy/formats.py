@@ -8,16 +8,19 @@ Boxes in 2,000 frames, of 10 tracks, with distances for 80 % of them, are writte
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
+from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
-from benchmarks.plain_tables import figure_text, plain_table
+from benchmarks.harness import (
+    Figures,
+    option,
+    workload,
+)
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import BoxTable, VideoFacts
 from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat
@@ -26,32 +29,15 @@ _N_TRACKS = 10
 _SIZE_PX = (1242, 375)
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of this workload."""
-    parser.add_argument("--frames", type=int, default=2000, help="number of frames")
-
-
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Print the table, and return its figures by format."""
+@workload(option("--frames", default=2000, help="number of frames"))
+def formats(options: Namespace) -> Figures:
     table = _tracks(options.frames)
     with tempfile.TemporaryDirectory() as folder:
-        figures = {
+        return {
             name: _figures(table, label_format, Path(folder) / name)
             for name, label_format in LABEL_FORMATS.items()
             if label_format.write is not None
         }
-    heads = ("edges px", "distance m", "score", "ids %", "classes %", "predicted %", "MB", "write s", "read s")
-    shown = plain_table(f"Round trip of {len(table)} boxes in {options.frames} frames", "format", *heads)
-    for name, row in figures.items():
-        shown.add_row(
-            name,
-            figure_text(row["edges_px"], digits=5),
-            *(figure_text(row[key], digits=4) for key in ("distance_m", "score")),
-            *(figure_text(row[key], digits=0) for key in ("ids_pct", "classes_pct", "predicted_pct")),
-            *(figure_text(row[key], digits=1) for key in ("size_mb", "write_s", "read_s")),
-        )
-    Console(width=100).print(shown)
-    return figures
 
 
 def _tracks(n_frames: int) -> BoxTable:

@@ -13,7 +13,7 @@ does not show their effect on other data; HOTA of even and odd sequences shows h
 
 from __future__ import annotations
 
-import argparse
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,17 +22,18 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from rich import box
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks.harness import (
+    Figures,
+    option,
+    workload,
+)
 from benchmarks.inputs import tracking_sets
 from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.tracking_sets import sequences_of
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.video_labels.kitti import KittiLabels
-from track_range.evaluation.sequences.tracking import track_sequence
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.tracking.association import min_cost_matching
 from track_range.tracking.deepsort import DeepSortSettings, DeepSortTracker
@@ -48,24 +49,11 @@ TRUTH, DETECTED, PREDICTED = "#8c96a0", "#2f7ed8", "#e08214"
 """Colours of the figure."""
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of this workload."""
-    parser.add_argument("--data", type=Path, default=REAL_DATA, help="folder with kitti_labels")
-    parser.add_argument("--classes", nargs="+", default=["car", "person"], choices=["car", "person"], help="classes")
-    parser.add_argument("--k", type=int, nargs="+", default=[2, 3, 5, 7, 9], help="lengths of the median in frames")
-    parser.add_argument("--figure", type=Path, metavar="FILE", help="PNG file for the figure, instead of the tables")
-    parser.add_argument("--track", metavar="NAME:ID", help="track in the figure (default: the one with most jitter)")
-
-
 @dataclass(frozen=True, slots=True)
 class _Tracked:
-    """N reported boxes of a sequence, ordered by track and frame, with the labels that they match.
+    """N reported boxes of a sequence, ordered by track and frame, with the labels that they match in their frames.
 
-    Attributes:
-        boxes: the boxes.
-        observed: (N,) False = predicted.
-        truth_row: (N,) row of the matching label in the same frame; -1 = none.
-        truth_xyxy_px: (N, 4) box of the matching label; NaN = none.
+    `truth_row` (N,) is -1 and `truth_xyxy_px` (N, 4) NaN without a label.
     """
 
     boxes: TrackedBoxes
@@ -74,16 +62,21 @@ class _Tracked:
     truth_xyxy_px: FloatArray
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Figures of all settings, with a table per class; or draw the figure."""
+@workload(
+    option("--data", default=REAL_DATA, help="folder with kitti_labels"),
+    option("--classes", default=("car", "person"), choices=("car", "person"), help="classes"),
+    option("--k", default=(2, 3, 5, 7, 9), help="lengths of the median in frames"),
+    option("--figure", type=Path, metavar="FILE", help="PNG file for the figure, instead of the tables"),
+    option("--track", metavar="NAME:ID", help="track in the figure (default: the one with most jitter)"),
+)
+def history(options: Namespace) -> Figures:
     sequences = {name: sequences_of(f"kitti-{name}", options.data) for name in options.classes}
     if options.figure:
         return _draw(sequences[options.classes[0]], options.k[len(options.k) // 2], options)
-    figures = {}
-    for road_class, of_class in sequences.items():
-        figures[road_class] = [_row(of_class, *setting) for setting in _settings(options.k)]
-        _print_table(figures[road_class], f"{road_class}: {len(of_class)} KITTI sequences")
-    return {"protocol": __doc__, "classes": figures}
+    return {
+        road_class: {f"{name}, k {k}": _row(class_sequences, k, gates) for name, k, gates in _settings(options.k)}
+        for road_class, class_sequences in sequences.items()
+    }
 
 
 def _settings(ks: Sequence[int]) -> list[tuple[str, int, PredictionGates]]:
@@ -96,22 +89,17 @@ def _settings(ks: Sequence[int]) -> list[tuple[str, int, PredictionGates]]:
     return rows
 
 
-def _row(sequences: Sequence[tracking_sets.Sequence], name: str, k: int, gates: PredictionGates) -> dict[str, Any]:
+def _row(sequences: Sequence[tracking_sets.Sequence], k: int, gates: PredictionGates) -> dict[str, Any]:
     """Figures of one setting."""
     tracked = [_tracked(sequence, gates) for sequence in sequences]
     boxes = [result.boxes for result in tracked]
-    counts = [
-        sequence.counts(tracks.frame, tracks.track_id, tracks.xyxy_px)
-        for sequence, tracks in zip(sequences, boxes, strict=True)
-    ]
+    counts = [sequence.counts(tracks) for sequence, tracks in zip(sequences, boxes, strict=True)]
     is_even = [int(sequence.name) % 2 == 0 for sequence in sequences]
     halves = [TrackingCounts.sum_of([c for c, e in zip(counts, is_even, strict=True) if e == half]) for half in (1, 0)]
     scores = TrackingCounts.sum_of(counts).scores()
     labels = [_labels(result, k) for result in tracked]
     truth = np.concatenate([result.truth_xyxy_px for result in tracked])
     return {
-        "predicted": name,
-        "k": k,
         "hota": scores.hota,
         "hota_even": halves[0].scores().hota,
         "hota_odd": halves[1].scores().hota,
@@ -126,17 +114,11 @@ def _row(sequences: Sequence[tracking_sets.Sequence], name: str, k: int, gates: 
 
 
 def _tracked(sequence: tracking_sets.Sequence, gates: PredictionGates) -> _Tracked:
-    tracker, n_frames = DeepSortTracker(DeepSortSettings(prediction=gates)), sequence.n_frames
-    frames = track_sequence(sequence.detected, tracker, n_frames=n_frames, fps=sequence.fps, is_online=True).frames
-    frame = np.repeat(np.arange(len(frames)), [len(tracks) for tracks in frames])
-    track_id = np.concatenate([tracks.track_id for tracks in frames])
-    xyxy_px = np.concatenate([tracks.xyxy_px for tracks in frames])
-    class_id = np.full(len(frame), ROAD_CLASSES.index(sequence.road_class))
-    order = np.lexsort((frame, track_id))
-    boxes = TrackedBoxes(frame, track_id, xyxy_px, class_id).select(order)
-    observed = np.concatenate([tracks.observed for tracks in frames])[order]
+    boxes, observed = sequence.tracked(DeepSortTracker(DeepSortSettings(prediction=gates)))
+    order = np.lexsort((boxes.frame, boxes.track_id))
+    boxes = boxes.select(order)
     row = _matching_rows(sequence, boxes)
-    return _Tracked(boxes, observed, row, np.where(row[:, None] >= 0, _truth(sequence).xyxy_px[row], np.nan))
+    return _Tracked(boxes, observed[order], row, np.where(row[:, None] >= 0, _truth(sequence).xyxy_px[row], np.nan))
 
 
 def _truth(sequence: tracking_sets.Sequence) -> KittiLabels:
@@ -195,32 +177,7 @@ def _triples(tracked: _Tracked) -> IntArray:
     return np.asarray(rows[is_one_track & is_consecutive & is_matched[rows].all(axis=1)])
 
 
-_COLUMNS = {
-    "hota": "HOTA",
-    "hota_even": "even",
-    "hota_odd": "odd",
-    "mota": "MOTA",
-    "frag": "Frag",
-    "n_predicted": "predicted\nboxes",
-    "jitter_px": "jitter\npx",
-    "label_jitter_px": "label\njitter",
-    "error_px": "error\npx",
-    "label_error_px": "label\nerror",
-}
-
-
-def _print_table(rows: Sequence[dict[str, Any]], title: str) -> None:
-    table = Table(title=title, box=box.SIMPLE_HEAD, padding=0, title_justify="left")
-    table.add_column("predicted", no_wrap=True)
-    for heading in ("k", *_COLUMNS.values()):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for row in rows:
-        cells = (row[key] for key in ("k", *_COLUMNS))
-        table.add_row(row["predicted"], *(f"{c:.2f}" if isinstance(c, float) else str(c) for c in cells))
-    Console(width=140).print(table)
-
-
-def _draw(sequences: Sequence[tracking_sets.Sequence], k: int, options: argparse.Namespace) -> dict[str, Any]:
+def _draw(sequences: Sequence[tracking_sets.Sequence], k: int, options: Namespace) -> dict[str, Any]:
     """Draw the paper's figure 5: an edge of one track's box over the frames, before and after smoothing."""
     gates = PredictionGates(form="step-of-medians", n_kept=k + 1)
     tracked = {sequence.name: _tracked(sequence, gates) for sequence in sequences}
@@ -261,8 +218,8 @@ def _truth_of_track(
     labels, label_rows = _truth(sequence), result.truth_row[rows]
     true_id = np.bincount(labels.track_id[label_rows[label_rows >= 0]]).argmax()
     first, last = result.boxes.frame[rows[[0, -1]]]
-    of_object = np.flatnonzero((labels.track_id == true_id) & (labels.frame >= first) & (labels.frame <= last))
-    return labels.frame[of_object], labels.xyxy_px[of_object, edge]
+    object_rows = np.flatnonzero((labels.track_id == true_id) & (labels.frame >= first) & (labels.frame <= last))
+    return labels.frame[object_rows], labels.xyxy_px[object_rows, edge]
 
 
 def _line(axes: Axes, frame: IntArray, y_px: FloatArray, **style: Any) -> None:

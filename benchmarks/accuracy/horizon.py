@@ -12,18 +12,22 @@ YOLOv5n's boxes, truth from the labels, camera height 1.65 m, errors at 5-100 m.
 from __future__ import annotations
 
 import os
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
-from benchmarks.inputs.drives import REAL_DATA
-from benchmarks.plain_tables import figure_text, plain_table
+from benchmarks.harness import (
+    Figures,
+    median_or_none,
+    option,
+    workload,
+)
+from benchmarks.inputs.drives import FPS, REAL_DATA
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.evaluation.errors import MethodColumn, score_rows
 from track_range.ranging.evaluation.truth import read_truth
@@ -35,16 +39,12 @@ from track_range.simulation.drive import Drive, write_drive
 from track_range.simulation.settings import SCENARIO_NAMES, DriveOptions
 
 METHODS = ("mono", "ground", "fused")
-"""Methods of the tables."""
-
 KNOWN = ("height", "speed", "both", "none")
-"""What is known besides the calibration of the camera."""
 
 SPAN_M, KITTI_SPAN_M = (10.0, 50.0), (5.0, 100.0)
 """True distances of the errors on simulated drives and on KITTI."""
 
 BANDS_M = (10.0, 20.0, 30.0, 50.0)
-"""Edges of the distance bands."""
 
 BIAS_FROM_S = (0.0, 5.0, 10.0)
 """Times from which the bias of a drive is measured."""
@@ -52,29 +52,28 @@ BIAS_FROM_S = (0.0, 5.0, 10.0)
 HEIGHT_M = 1.65
 """Height of KITTI's and of the simulated cameras above the road."""
 
-FPS = 10.0
-"""Frame rate of the simulated drives."""
 
-
-def add_options(parser: ArgumentParser) -> None:
-    """Add the options of this workload."""
-    parser.add_argument(
-        "--scenarios", nargs="+", default=["city", "highway", "cut-in", "crossing"], choices=SCENARIO_NAMES
-    )
-    parser.add_argument("--seeds", type=int, nargs="+", default=[300, 301, 302], help="seeds of the simulated drives")
-    parser.add_argument("--seconds", type=float, default=14.0, help="length of the simulated drives")
-    parser.add_argument("--car-size", type=float, default=1.1, help="size of the cars relative to the scenario's")
-    parser.add_argument("--pitch", type=float, default=-1.0, help="pitch of the camera in degrees, positive = up")
-    parser.add_argument("--known", nargs="+", default=["height", "none"], choices=KNOWN)
-    parser.add_argument("--cache", type=Path, help="folder in which simulated drives are kept")
-    parser.add_argument("--kitti", action="store_true", help="only KITTI's drives")
-    parser.add_argument("--data", type=Path, default=REAL_DATA, help="folder with kitti_stereo and models")
-    parser.add_argument("--detector", type=Path, help="detector of KITTI's drives (default: YOLOv5n)")
-
-
-def measure(options: Namespace) -> dict[str, Any]:
-    """Errors by method for all kinds of knowledge; prints the tables."""
-    figures: dict[str, Any] = {}
+@workload(
+    option(
+        "--scenarios",
+        default=("city", "highway", "cut-in", "crossing"),
+        choices=SCENARIO_NAMES,
+        help="simulated drives",
+    ),
+    option("--seeds", default=(300, 301, 302), help="seeds of the simulated drives"),
+    option("--seconds", default=14.0, help="length of the simulated drives"),
+    option("--car-size", default=1.1, help="size of the cars relative to the scenario's"),
+    option("--pitch", default=-1.0, help="pitch of the camera in degrees, positive = up"),
+    option("--known", default=("height", "none"), choices=KNOWN, help="what is known besides the calibration"),
+    option("--cache", type=Path, help="folder in which simulated drives are kept"),
+    option("--kitti", default=False, help="only KITTI's drives"),
+    option("--data", default=REAL_DATA, help="folder with kitti_stereo and models"),
+    option("--detector", type=Path, help="detector of KITTI's drives (default: YOLOv5n)"),
+)
+def horizon(options: Namespace) -> Figures:
+    figures: Figures = {}
+    detector = options.detector or options.data / "models" / "yolov5n_coco_640.onnx"
+    folders = [options.data / "kitti_stereo" / number for number in ("0003", "0005")]
     with TemporaryDirectory() as name:
         cache = options.cache or Path(name)
         for known in options.known:
@@ -84,15 +83,10 @@ def measure(options: Namespace) -> dict[str, Any]:
                     for scenario in options.scenarios
                     for seed in options.seeds
                 }
-                figures[known] = _figures(drives, f"simulated drives, known: {known}", SPAN_M)
-        for known in options.known:
-            drives = {}
-            for folder in (options.data / "kitti_stereo" / number for number in ("0003", "0005")):
-                if folder.is_dir():
-                    detector = options.detector or options.data / "models" / "yolov5n_coco_640.onnx"
-                    drives[f"KITTI {folder.name}"] = _kitti(folder, detector, known)
+                figures[known] = _figures(drives, SPAN_M)
+            drives = {f"KITTI {f.name}": _kitti(f, detector, known) for f in folders if f.is_dir()}
             if drives:
-                figures[f"KITTI {known}"] = _figures(drives, f"KITTI, known: {known}", KITTI_SPAN_M)
+                figures[f"KITTI {known}"] = _figures(drives, KITTI_SPAN_M)
     return figures
 
 
@@ -141,16 +135,18 @@ def _columns(settings: RunSettings, truth_file: Path) -> Columns:
     return with_truth(rows, matched_truth(rows, truth))
 
 
-def _figures(drives: Mapping[str, Columns], title: str, span_m: tuple[float, float]) -> dict[str, Any]:
-    """Figures over all drives and by drive, which are printed."""
-    figures: dict[str, Any] = {
+def _figures(drives: Mapping[str, Columns], span_m: tuple[float, float]) -> Figures:
+    """Errors over all drives and by drive, and biases; the magnitude of a bias is its mean over the drives."""
+    bias = {name: _biases(columns, span_m) for name, columns in drives.items()}
+    known = {
+        key: [value for row in bias.values() if (value := row[key]) is not None] for key in next(iter(bias.values()))
+    }
+    magnitude = {key: float(np.mean(np.abs(values))) if values else None for key, values in known.items()}
+    return {
         "all": _scores(_concatenated(list(drives.values())), span_m),
         "drives": {name: _scores(columns, span_m) for name, columns in drives.items()},
-        "bias": {name: _biases(columns, span_m) for name, columns in drives.items()},
+        "bias_pct": {**bias, "magnitude": magnitude},
     }
-    _print_errors(figures, title)
-    _print_biases(figures["bias"])
-    return figures
 
 
 def _concatenated(runs: Sequence[Columns]) -> Columns:
@@ -168,10 +164,9 @@ def _scores(columns: Columns, span_m: tuple[float, float]) -> dict[str, dict[str
     scores = {}
     for name, method in methods.items():
         score = score_rows(method, true_m, _is_between(true_m, span_m) & common)
-        score["bands"] = [
-            score_rows(method, true_m, _is_between(true_m, band) & common)["median_relative_error_pct"]
-            for band in pairwise(BANDS_M)
-        ]
+        for band in pairwise(BANDS_M):
+            in_band = score_rows(method, true_m, _is_between(true_m, band) & common)
+            score["median_pct_{:g}_{:g}_m".format(*band)] = in_band["median_relative_error_pct"]
         score["coverage"] = score_rows(method, true_m, _is_between(true_m, span_m))["coverage"]
         scores[name] = score
     return scores
@@ -181,43 +176,12 @@ def _is_between(true_m: FloatArray, span_m: tuple[float, float]) -> BoolArray:
     return np.asarray((true_m >= span_m[0]) & (true_m < span_m[1]))
 
 
-def _biases(columns: Columns, span_m: tuple[float, float]) -> dict[str, list[float | None]]:
-    """Median of the signed errors in per cent from each time on, by method."""
-    true_m, in_span = columns["truth_m"], _is_between(columns["truth_m"], span_m)
-    biases: dict[str, list[float | None]] = {}
-    for name in METHODS:
+def _biases(columns: Columns, span_m: tuple[float, float]) -> dict[str, float | None]:
+    """Median of the signed errors in per cent, by method and time from which on they count."""
+    true_m, time_s = columns["truth_m"], columns["time_s"]
+    biases: dict[str, float | None] = {}
+    for name, start_s in product(METHODS, BIAS_FROM_S):
         error = columns[f"{name}_m"] / true_m - 1
-        use = in_span & np.isfinite(error)
-        parts = [error[use & (columns["time_s"] >= start_s)] for start_s in BIAS_FROM_S]
-        biases[name] = [100 * float(np.median(part)) if len(part) else None for part in parts]
+        use = _is_between(true_m, span_m) & np.isfinite(error) & (time_s >= start_s)
+        biases[f"{name} {start_s:g} s"] = median_or_none(error[use], 100)
     return biases
-
-
-def _print_errors(figures: Mapping[str, Any], title: str) -> None:
-    bands = [f"{low:g}-{high:g} m" for low, high in pairwise(BANDS_M)]
-    table = plain_table(
-        f"{title}: median error, %", "drive", "method", "n", "cover", "all", *bands, "mean", "within", n_words=2
-    )
-    for drive, methods in {**figures["drives"], "all": figures["all"]}.items():
-        for name, row in methods.items():
-            fractions = "/".join(
-                figure_text(row[key], digits=0, times=100) for key in ("within_1_sigma", "within_2_sigma")
-            )
-            errors = (row["median_relative_error_pct"], *row["bands"], row["mean_relative_error_pct"])
-            cover = figure_text(row["coverage"], digits=0, times=100)
-            table.add_row(
-                drive, name, str(row["n"]), cover, *(figure_text(value, digits=1) for value in errors), fractions
-            )
-    Console().print(table)
-
-
-def _print_biases(biases: Mapping[str, Mapping[str, Sequence[float | None]]]) -> None:
-    headings = [f"{name} {start_s:g} s" for name in METHODS for start_s in BIAS_FROM_S]
-    table = plain_table("bias of each drive from a time on, %", "drive", *headings)
-    for drive, by_method in biases.items():
-        values = [value for name in METHODS for value in by_method[name]]
-        table.add_row(drive, *(figure_text(value, digits=1) for value in values))
-    columns = zip(*([v for name in METHODS for v in by_method[name]] for by_method in biases.values()), strict=True)
-    means = [[abs(value) for value in column if value is not None] for column in columns]
-    table.add_row("magnitude", *(figure_text(float(np.mean(m)) if m else None, digits=1) for m in means))
-    Console().print(table)

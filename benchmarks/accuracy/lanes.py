@@ -11,8 +11,8 @@ of 3 %. Real videos have no ground truth; detectors are compared with each other
 from __future__ import annotations
 
 import time
-from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator, Mapping, Sequence
+from argparse import Namespace
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -20,11 +20,15 @@ from typing import Any
 
 import cv2
 import numpy as np
-from rich.console import Console
 
-from benchmarks.inputs.drives import REAL_DATA
-from benchmarks.inputs.simulated_drives import SimulatedDrive
-from benchmarks.plain_tables import figure_text, plain_table
+from benchmarks.harness import (
+    Figures,
+    median_or_none,
+    option,
+    quantile_or_none,
+    workload,
+)
+from benchmarks.inputs.drives import REAL_DATA, SimulatedDrive
 from track_range.detection.lanes.lines import LaneLines
 from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
@@ -33,10 +37,7 @@ from track_range.recording.open_video import open_video
 from track_range.simulation.world.scenarios import SCENARIOS as ALL_SCENARIOS
 
 SCENARIOS = ("town", "highway", "city", "cut-in", "queue")
-"""Default scenarios of the simulated drives."""
-
 SEEDS = (201, 202)
-"""Default random seeds of the simulated drives."""
 
 ROWS = np.linspace(0.62, 0.92, 6)
 """(K,) rows in which lines are compared, as fractions of the image height."""
@@ -51,35 +52,32 @@ NETS = tuple(REAL_DATA / "models" / name for name in ("twinlitenet_360x640.onnx"
 """Default lane networks."""
 
 
-def add_options(parser: ArgumentParser) -> None:
-    """Add the options of this workload."""
-    known = list(ALL_SCENARIOS)
-    parser.add_argument(
-        "--net", type=Path, nargs="*", default=NETS, metavar="FILE", help="lane networks, in addition to edges"
-    )
-    parser.add_argument("--scenarios", nargs="*", default=SCENARIOS, choices=known, metavar="NAME", help="scenarios")
-    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS, metavar="N", help="random seeds of the drives")
-    parser.add_argument("--seconds", type=float, default=5.0, help="length of a simulated drive")
-    videos = [*(REAL_DATA / "kitti_stereo" / name / "left.mp4" for name in ("0003", "0005"))]
-    videos += sorted((REAL_DATA / "dashcam").glob("*.mp4"))
-    parser.add_argument("--videos", type=Path, nargs="*", default=videos, metavar="FILE", help="real videos")
+VIDEOS = (
+    *(REAL_DATA / "kitti_stereo" / name / "left.mp4" for name in ("0003", "0005")),
+    *sorted((REAL_DATA / "dashcam").glob("*.mp4")),
+)
 
 
-def measure(options: Namespace) -> dict[str, Any]:
-    """Run all detectors on all drives and videos, print the tables, and return their figures."""
+@workload(
+    option("--net", default=NETS, nargs="*", metavar="FILE", help="lane networks, in addition to edges"),
+    option("--scenarios", default=SCENARIOS, nargs="*", choices=tuple(ALL_SCENARIOS), metavar="NAME", help="scenarios"),
+    option("--seeds", default=SEEDS, metavar="N", help="random seeds of the drives"),
+    option("--seconds", default=5.0, help="length of a simulated drive"),
+    option("--videos", default=VIDEOS, nargs="*", metavar="FILE", help="real videos"),
+)
+def lanes(options: Namespace) -> Figures:
     cv2.setNumThreads(1)
     finders = [CLASSICAL, *map(str, _available(options.net, "networks"))]
     by_scenario = {name: _simulated(name, finders, options) for name in options.scenarios}
-    simulated = {}
+    simulated: Figures = {}
     for finder in finders if by_scenario else ():
         samples = [sample for by_finder in by_scenario.values() for sample in by_finder[finder]]
         errors = {name: _errors(by_finder[finder]) for name, by_finder in by_scenario.items()}
         simulated[_name(finder)] = {"all": _errors(samples)} | errors
-    real = {_title(video): _agreement(video, finders) for video in _available(options.videos, "videos")}
-    if simulated:
-        _print_simulated(simulated)
-    if real:
-        _print_real(real)
+    real = {
+        video.parent.name if video.stem == "left" else video.stem: _agreement(video, finders)
+        for video in _available(options.videos, "videos")
+    }
     return {"simulated": simulated, "real": real}
 
 
@@ -95,18 +93,11 @@ def _name(finder: str) -> str:
     return "edges" if finder == CLASSICAL else Path(finder).stem.split("_")[0]
 
 
-def _title(video: Path) -> str:
-    return video.parent.name if video.stem == "left" else video.stem
-
-
 @dataclass(frozen=True, slots=True)
 class _Sample:
-    """Lines detected in one image.
+    """Columns (2, K) of the lines detected in one image in `ROWS`, of the true lines, and processor time.
 
-    Attributes:
-        detected_px: (2, K) columns of the detected lines in `ROWS`; NaN = not both detected.
-        true_px: (2, K) columns of the true lines; NaN = unknown.
-        ms: processor time.
+    NaN = not both detected, or not known.
     """
 
     detected_px: FloatArray
@@ -147,7 +138,7 @@ def _simulated(scenario: str, finders: Sequence[str], options: Namespace) -> dic
     return samples
 
 
-def _errors(samples: Sequence[_Sample]) -> dict[str, float | int | None]:
+def _errors(samples: Sequence[_Sample]) -> Figures:
     detected = np.array([sample.detected_px for sample in samples])
     true = np.array([sample.true_px for sample in samples])
     return {
@@ -158,25 +149,20 @@ def _errors(samples: Sequence[_Sample]) -> dict[str, float | int | None]:
     }
 
 
-def _differences(detected_px: FloatArray, reference_px: FloatArray) -> dict[str, float | int | None]:
+def _differences(detected_px: FloatArray, reference_px: FloatArray) -> Figures:
     """Differences of lines (F, 2, K) from reference lines, over the images with both of them in all rows."""
     both = np.isfinite(detected_px).all(axis=(1, 2)) & np.isfinite(reference_px).all(axis=(1, 2))
     detected_px, reference_px = detected_px[both], reference_px[both]
     width_px = reference_px[:, 1] - reference_px[:, 0]
     width_error = np.abs((detected_px[:, 1] - detected_px[:, 0]) / width_px - 1).mean(axis=1)
     line_error = (np.abs(detected_px - reference_px).max(axis=1) / width_px).mean(axis=1)
-    has_any = len(width_error) > 0
     return {
         "compared": len(width_error),
-        "width_median_pct": _pct(np.median(width_error)) if has_any else None,
-        "width_90_pct": _pct(np.quantile(width_error, 0.9)) if has_any else None,
-        "line_median_pct": _pct(np.median(line_error)) if has_any else None,
-        "other_lane": round(float((line_error > OTHER_LANE).mean()), 3) if has_any else None,
+        "width_median_pct": median_or_none(width_error, 100),
+        "width_90_pct": quantile_or_none(width_error, 0.9, 100),
+        "line_median_pct": median_or_none(line_error, 100),
+        "other_lane": float((line_error > OTHER_LANE).mean()) if len(line_error) else None,
     }
-
-
-def _pct(fraction: np.floating[Any]) -> float:
-    return round(100 * float(fraction), 2)
 
 
 def _agreement(video: Path, finders: Sequence[str]) -> dict[str, Any]:
@@ -198,29 +184,3 @@ def _ten_per_second(video: Path) -> Iterator[tuple[Image, float]]:
         if frame.time_s >= due_s:
             yield frame.image, frame.time_s
             due_s = frame.time_s + STEP_S
-
-
-def _print_simulated(figures: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> None:
-    headings = ("detector", "drives", "images", "ms", "both %", "width %", "90 %", "line %", "other lane %")
-    table = plain_table("simulated drives: errors against the truth", *headings, n_words=2)
-    for finder, by_scenario in figures.items():
-        for name, row in by_scenario.items():
-            errors = (figure_text(row[key]) for key in ("width_median_pct", "width_90_pct", "line_median_pct"))
-            both, other = (figure_text(row[key], digits=0, times=100) for key in ("both_lines", "other_lane"))
-            table.add_row(finder, name, str(row["images"]), figure_text(row["ms"], digits=1), both, *errors, other)
-    Console().print(table)
-
-
-def _print_real(figures: Mapping[str, Mapping[str, Any]]) -> None:
-    finders = next(iter(figures.values()))["both_lines"]
-    table = plain_table("real videos: both lines, %", "video", "images", *finders)
-    headings = ("video", "detectors", "images", "width %", "90 %", "other lane %")
-    pairs = plain_table("real videos: difference of two detectors", *headings, n_words=2)
-    for video, row in figures.items():
-        fractions = (figure_text(fraction, digits=0, times=100) for fraction in row["both_lines"].values())
-        table.add_row(video, str(row["images"]), *fractions)
-        for name, pair in row["pairs"].items():
-            errors = (figure_text(pair[key]) for key in ("width_median_pct", "width_90_pct"))
-            other = figure_text(pair["other_lane"], digits=0, times=100)
-            pairs.add_row(video, name, str(pair["compared"]), *errors, other)
-    Console().print(table, pairs)

@@ -13,19 +13,25 @@ motion, whose small image, corners and flow the methods share as in a run.
 
 from __future__ import annotations
 
-import argparse
 import time
+from argparse import Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 
-from benchmarks.inputs.drives import REAL_DATA
-from benchmarks.inputs.simulated_drives import FPS, SimulatedDrive
+from benchmarks.harness import (
+    Figures,
+    median_ms,
+    median_or_none,
+    option,
+    quantile_or_none,
+    workload,
+)
+from benchmarks.inputs.drives import FPS, REAL_DATA, SimulatedDrive, decoded
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.processes import one_opencv_thread
 from track_range.foundation.sparse_flow import BackgroundFlow
@@ -44,32 +50,17 @@ from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 from track_range.stereo.rig_formats.reading import load_rig
 from track_range.tracking.camera_motion import CameraMotion
 
-MIN_SPEED_MPS = 3.0
-"""Smallest true speed of a relative error."""
-
-_OXTS_YAW_RATE = 22
-"""Column of the angular rate about the upward axis in oxts."""
-
-_N_INTERPOLATED = 13
-"""Frames of KITTI odometry without a measured yaw rate."""
-
-KITTI_HEIGHT_M = 1.65
-"""Height of KITTI's cameras above the road (Geiger et al., 2013)."""
+MIN_SPEED_MPS = 3.0  # smallest true speed of a relative error
+_OXTS_YAW_RATE = 22  # column of the angular rate about the upward axis in oxts
+_N_INTERPOLATED = 13  # frames of KITTI odometry without a measured yaw rate
+KITTI_HEIGHT_M = 1.65  # of the cameras above the road (Geiger et al., 2013)
 
 
 @dataclass(frozen=True, slots=True)
 class OdometryDrive:
-    """F frames with boxes and true speeds.
+    """F frames of a rectified pair with (N, 4) boxes of road users, true speeds (F,) and yaw rates (F,).
 
-    Attributes:
-        name: name in the table.
-        rig: the rectified pair.
-        height_m: height of the left camera above the road.
-        frames: the frames.
-        boxes: (N, 4) boxes of road users by frame.
-        true_mps: (F,) true speeds.
-        true_yaw_rad_s: (F,) true mean yaw rates since the previous frame; NaN = unknown.
-        alignment: alignment of the pair; None = not measured.
+    A yaw rate is the mean since the previous frame; NaN = unknown. `height_m`: of the left camera above the road.
     """
 
     name: str
@@ -95,29 +86,23 @@ class _ImageOdometry:
         return EgoMotion(yaw_rad_s=self._estimator.update(frame.left, frame.time_s, xyxy_px).yaw_rad_s)
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of this workload."""
-    parser.add_argument("--scenarios", nargs="+", default=["town", "city", "highway", "night"], choices=SCENARIO_NAMES)
-    parser.add_argument("--seeds", type=int, nargs="+", default=[100, 101], help="seeds of the simulated drives")
-    parser.add_argument("--seconds", type=float, default=4.0, help="length of the simulated drives")
-    parser.add_argument("--align", type=Path, help="alignment file of KITTI 0003, from `track-range align`")
-    parser.add_argument("--data", type=Path, default=REAL_DATA, help="folder with kitti_stereo and kitti_odometry")
-
-
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Figures of all drives, printed as a table."""
-    print(
-        f"{'drive':<16}{'method':<8}{'median %':>9}{'95 % below':>11}{'bias %':>8}{'coverage':>9}{'sigmas':>8}"
-        f"{'yaw mrad/s':>11}{'95 % below':>11}{'ms':>6}"
-    )
-    rows = []
+@workload(
+    option(
+        "--scenarios", default=("town", "city", "highway", "night"), choices=SCENARIO_NAMES, help="simulated drives"
+    ),
+    option("--seeds", default=(100, 101), help="seeds of the simulated drives"),
+    option("--seconds", default=4.0, help="length of the simulated drives"),
+    option("--align", type=Path, help="alignment file of KITTI 0003, from `track-range align`"),
+    option("--data", default=REAL_DATA, help="folder with kitti_stereo and kitti_odometry"),
+)
+def odometry(options: Namespace) -> Figures:
+    figures: Figures = {}
     with one_opencv_thread():
-        for scenario in options.scenarios:
-            for seed in options.seeds:
-                rows += _rows(_simulated(scenario, seed, options.seconds))
+        for scenario, seed in product(options.scenarios, options.seeds):
+            figures |= _figures(_simulated(scenario, seed, options.seconds))
         for drive in _real(options.data, options.align):
-            rows += _rows(drive)
-    return {"rows": rows}
+            figures |= _figures(drive)
+    return figures
 
 
 def _simulated(scenario: str, seed: int, seconds: float) -> OdometryDrive:
@@ -176,32 +161,22 @@ def _rig(folder: Path, image: Image, *, is_grey: bool = False) -> StereoRig:
 
 
 def _frames(folder: Path, times_s: FloatArray) -> list[Frame]:
-    pairs = zip(times_s.tolist(), _images(folder / "left.mp4"), _images(folder / "right.mp4"), strict=False)
+    pairs = zip(times_s.tolist(), decoded(folder / "left.mp4"), decoded(folder / "right.mp4"), strict=False)
     return [Frame(index, time_s, left, right) for index, (time_s, left, right) in enumerate(pairs)]
 
 
-def _images(path: Path) -> list[Image]:
-    reader = cv2.VideoCapture(str(path))
-    images: list[Image] = []
-    while True:
-        is_read, image = reader.read()
-        if not is_read:
-            return images
-        images.append(np.asarray(image, np.uint8))
-
-
-def _rows(drive: OdometryDrive) -> list[dict[str, Any]]:
+def _figures(drive: OdometryDrive) -> Figures:
+    """Figures of each method on a drive."""
     camera = drive.rig.left
     methods: dict[str, Callable[[BackgroundFlow], Odometry]] = {
         "stereo": lambda flow: StereoOdometry(drive.rig, drive.alignment, flow=flow),
         "ground": lambda flow: GroundOdometry(camera, drive.height_m, flow=flow),
         "image": lambda flow: _ImageOdometry(camera, flow),
     }
-    return [_row(drive, name, create) for name, create in methods.items()]
+    return {f"{drive.name}, {name}": _method_figures(drive, create) for name, create in methods.items()}
 
 
-def _row(drive: OdometryDrive, name: str, create: Callable[[BackgroundFlow], Odometry]) -> dict[str, Any]:
-    """Figures of one method on one drive, which are printed."""
+def _method_figures(drive: OdometryDrive, create: Callable[[BackgroundFlow], Odometry]) -> Figures:
     motions, times_s = [], []
     flow = BackgroundFlow()
     tracker_motion, odometry = CameraMotion(flow=flow), create(flow)
@@ -211,30 +186,24 @@ def _row(drive: OdometryDrive, name: str, create: Callable[[BackgroundFlow], Odo
         start_s = time.process_time()
         motions.append(odometry.update(frame, xyxy_px))
         times_s.append(time.process_time() - start_s)
-    speed_mps = np.array([motion.speed_mps for motion in motions])[1:]
-    sigma_mps = np.array([motion.speed_sigma_mps for motion in motions])[1:]
+    speed_mps, sigma_mps, yaw_rad_s = (
+        np.array([getattr(motion, name) for motion in motions[1:]])
+        for name in ("speed_mps", "speed_sigma_mps", "yaw_rad_s")
+    )
     true_mps = drive.true_mps[1:]
-    yaw_error = np.abs(np.array([motion.yaw_rad_s for motion in motions]) - drive.true_yaw_rad_s)[1:]
+    yaw_error = np.abs(yaw_rad_s - drive.true_yaw_rad_s[1:])
     yaw_error = yaw_error[np.isfinite(yaw_error)]
-    is_known = np.isfinite(speed_mps)
-    is_driving = true_mps > MIN_SPEED_MPS
+    is_known, is_driving = np.isfinite(speed_mps), true_mps > MIN_SPEED_MPS
     use = is_known & is_driving
     error = (speed_mps / np.where(is_driving, true_mps, np.nan) - 1.0)[use]
-    row = {
-        "drive": drive.name,
-        "method": name,
-        "median_pct": 100 * float(np.median(np.abs(error))) if use.any() else None,
-        "p95_pct": 100 * float(np.percentile(np.abs(error), 95)) if use.any() else None,
-        "bias_pct": 100 * float(np.median(error)) if use.any() else None,
+    in_sigmas = ((speed_mps - true_mps) / sigma_mps)[is_known]
+    return {
+        "median_pct": median_or_none(np.abs(error), 100),
+        "p95_pct": quantile_or_none(np.abs(error), 0.95, 100),
+        "bias_pct": median_or_none(error, 100),
         "coverage": float(use.sum() / max(is_driving.sum(), 1)),
-        "rms_sigmas": float(np.sqrt((((speed_mps - true_mps) / sigma_mps)[is_known] ** 2).mean()))
-        if use.any()
-        else None,
-        "yaw_median_mrad_s": 1e3 * float(np.median(yaw_error)) if len(yaw_error) else None,
-        "yaw_p95_mrad_s": 1e3 * float(np.percentile(yaw_error, 95)) if len(yaw_error) else None,
-        "ms": 1e3 * float(np.median(times_s)),
+        "rms_sigmas": float(np.sqrt((in_sigmas**2).mean())) if use.any() else None,
+        "yaw_median_mrad_s": median_or_none(yaw_error, 1e3),
+        "yaw_p95_mrad_s": quantile_or_none(yaw_error, 0.95, 1e3),
+        "ms": median_ms(times_s),
     }
-    cells = (f"{value:.2f}" if value is not None else "-" for value in list(row.values())[2:])
-    widths = (9, 11, 8, 9, 8, 11, 11, 6)
-    print(f"{drive.name:<16}{name:<8}" + "".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)))
-    return row

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks.harness import (
+    Figures,
+    option,
+    workload,
+)
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
@@ -22,49 +25,38 @@ from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.truth import label_scene
 
 SCENARIOS = ("town", "highway", "city", "cut-in", "crossing", "queue", "night")
-"""Scenarios of the drives."""
-
-_TIMES_S = (0.0, 1.1, 2.3, 3.7, 5.2)
-"""Times in s of the frames of a drive."""
-
+_TIMES_S = (0.0, 1.1, 2.3, 3.7, 5.2)  # frames of a drive
 _MIN_HEIGHT_PX = 30.0
-"""Smallest height of a counted car."""
-
-_SCORES = (0.1, 0.25)
-"""Confidence thresholds."""
-
+_SCORES = (0.1, 0.25)  # confidence thresholds
 _CAR = ROAD_CLASSES.index("car")
 
 
-def add_options(parser: ArgumentParser) -> None:
-    """Add the options of this workload."""
-    parser.add_argument(
-        "--model", type=Path, action="append", default=[], metavar="FILE", help="detector in addition to the packaged"
-    )
-    parser.add_argument("--seeds", type=int, default=2, metavar="N", help="number of drives per scenario")
+@workload(
+    option("--model", type=Path, action="append", default=[], metavar="FILE", help="detector in addition to ours"),
+    option("--seeds", default=2, help="number of drives per scenario"),
+)
+def recall(options: Namespace) -> Figures:
+    """Recall of cars at least 30 px high and half visible, at IoU 0.5 with the class car, by confidence threshold.
 
-
-def measure(options: Namespace) -> dict[str, object]:
-    """Recall of cars at least 30 px high and half visible, at IoU 0.5 with the class car, per model and scenario."""
-    names = (DEFAULT_MODEL, *map(str, options.model))
+    Detectors were trained on real images: the recall is a measure of the realism of the simulation.
+    """
     runtime = Runtime(n_threads=1)
     models = {
-        name: YoloDetector(find_model(name).path, YoloSettings(min_score=_SCORES[0]), runtime=runtime) for name in names
+        name: YoloDetector(find_model(name).path, YoloSettings(min_score=_SCORES[0]), runtime=runtime)
+        for name in (DEFAULT_MODEL, *map(str, options.model))
     }
-    scores: dict[str, dict[str, list[float]]] = {name: {scenario: [] for scenario in SCENARIOS} for name in names}
+    scores: dict[str, dict[str, list[float]]] = {name: {scenario: [] for scenario in SCENARIOS} for name in models}
     for scenario in SCENARIOS:
         for image, cars_px in _images(scenario, options.seeds):
             for name, model in models.items():
                 detected = model.detect(image)
                 is_hit = (iou(cars_px, detected.xyxy_px) >= 0.5) & (detected.class_id == _CAR)
                 scores[name][scenario].extend((is_hit * detected.score).max(axis=1, initial=0.0).tolist())
-    figures = {
-        name: {"all": _recall(list(chain.from_iterable(by_scenario.values())))}
+    return {
+        Path(name).name: {"all": _recall(list(chain.from_iterable(by_scenario.values())))}
         | {scenario: _recall(best) for scenario, best in by_scenario.items()}
         for name, by_scenario in scores.items()
     }
-    _print_table(figures)
-    return {"recall": figures}
 
 
 def _images(scenario: str, n_seeds: int) -> Iterator[tuple[Image, FloatArray]]:
@@ -84,11 +76,3 @@ def _recall(scores: list[float]) -> dict[str, float]:
     return {"n": len(scores)} | {
         f"at_{threshold}": round(float(np.mean(np.array(scores) >= threshold)), 3) for threshold in _SCORES
     }
-
-
-def _print_table(figures: dict[str, dict[str, dict[str, float]]]) -> None:
-    table = Table("model", "scenario", "cars", *(f"recall at confidence {threshold}" for threshold in _SCORES))
-    for name, by_scenario in figures.items():
-        for scenario, row in by_scenario.items():
-            table.add_row(Path(name).name, scenario, *(f"{value}" for value in row.values()))
-    Console().print(table)

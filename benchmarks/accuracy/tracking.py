@@ -17,42 +17,36 @@ not finish the first 20 frames.
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import os
 import time
+from argparse import Namespace
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rich import box
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks.harness import (
+    Figures,
+    option,
+    workload,
+)
 from benchmarks.inputs import tracking_sets
 from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.tracking_sets import N_WARM_UP, SETS, scene, sequences_of
 from benchmarks.peers.peer_runs import ONE_THREAD, PeerResult, create_environments, names_in, run_peers
 from benchmarks.peers.peer_trackers import PEERS, Array
 from track_range.detection.detections import Detections
-from track_range.evaluation.sequences.tracking import track_sequence
 from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker
 from track_range.tracking.evaluation.scores import TrackingCounts
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A configuration of `track-range track`.
-
-    Attributes:
-        settings: settings of the tracker.
-        is_online: False = tracks are refined with later frames.
-        needs_embeddings: True = without embeddings it is the same as another variant.
-    """
+    """A configuration of `track-range track`; one that needs embeddings is the same as another without them."""
 
     settings: DeepSortSettings
     is_online: bool = True
@@ -69,7 +63,6 @@ VARIANTS: Mapping[str, Variant] = {
 """Configurations of track-range by their name in the table."""
 
 COMPARED = "track-range"
-"""Variant that is compared with the peers."""
 
 SCENES: Mapping[int, int] = {10: 120, 50: 120, 200: 60, 1000: 30}
 """Number of frames of a scene, with warm-up, by number of objects."""
@@ -77,47 +70,28 @@ SCENES: Mapping[int, int] = {10: 120, 50: 120, 200: 60, 1000: 30}
 MAX_SCENE_S = 20.0
 """Processor time in s after which a peer is stopped."""
 
-_JOBS = 2
-"""Number of parallel processes."""
+_JOBS = 2  # parallel processes
 
-_FIGURES = {"hota": "HOTA", "idf1": "IDF1", "mota": "MOTA", "deta": "DetA", "assa": "AssA"}
-"""Headings of metrics in per cent."""
-
-_COUNTS = {"idsw": "IDsw", "fp": "FP", "fn": "FN"}
-"""Headings of counts."""
+_PER_CENT = ("hota", "idf1", "mota", "deta", "assa")
+_COUNTS = ("idsw", "fp", "fn")
 
 Scores = dict[str, float]
-Figures = dict[str, Any]
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of this workload."""
-    parser.add_argument("--data", type=Path, default=REAL_DATA, help="folder with kitti_labels and mot")
-    parser.add_argument("--sets", nargs="*", default=list(SETS), choices=SETS, help="data sets; none = no accuracy")
-    parser.add_argument("--rounds", type=int, default=3, help="rounds for the time; 0 = no speed")
-    parser.add_argument("--peers", action="store_true", help="also run the trackers of other packages")
-    folder = Path(".venv/peers")
-    parser.add_argument(
-        "--environments",
-        type=Path,
-        default=folder,
-        help="folder of the peers' virtual environments, created if missing",
-    )
-
-
-def measure(options: argparse.Namespace) -> Figures:
-    """Run all trackers, print the tables, and return their figures."""
+@workload(
+    option("--data", default=REAL_DATA, help="folder with kitti_labels and mot"),
+    option("--sets", default=SETS, nargs="*", choices=SETS, help="data sets; none = no accuracy"),
+    option("--rounds", default=3, help="rounds for the time; 0 = no speed"),
+    option("--peers", default=False, help="also run the trackers of other packages"),
+    option("--environments", default=Path(".venv/peers"), help="folder of the peers' virtual environments"),
+)
+def tracking(options: Namespace) -> Figures:
     os.environ.update(ONE_THREAD)  # for the processes that are started below
     pythons = create_environments(options.environments) if options.peers else {}
     accuracy, versions = _accuracy(options.sets, options.data, pythons)
-    for name, rows in accuracy.items():
-        _print_accuracy(name, rows)
     margins = {name: _margins(rows) for name, rows in accuracy.items()} if pythons else {}
-    _print_margins(margins)
     speed = _speed(pythons, options.rounds)
-    _print_speed(speed)
-    figures = {"accuracy": accuracy, "ahead": margins, "us_per_frame": speed}
-    return {"protocol": __doc__, "versions": versions, **figures}
+    return {"accuracy": accuracy, "ahead": margins, "us_per_frame": speed, "versions": versions}
 
 
 def _accuracy(
@@ -160,23 +134,19 @@ def _peer_results(
 def _variant_counts(name: str, sequence: tracking_sets.Sequence) -> TrackingCounts:
     """Counts of a variant, tracked as by the command."""
     variant = VARIANTS[name]
-    tracker = DeepSortTracker(variant.settings)
-    n_frames, fps = sequence.n_frames, sequence.fps
-    frames = track_sequence(sequence.detected, tracker, n_frames=n_frames, fps=fps, is_online=variant.is_online).frames
-    frame = np.repeat(np.arange(len(frames)), [len(tracks) for tracks in frames])
-    track_id = np.concatenate([tracks.track_id for tracks in frames])
-    return sequence.counts(frame, track_id, np.concatenate([tracks.xyxy_px for tracks in frames]))
+    boxes, _ = sequence.tracked(DeepSortTracker(variant.settings), is_online=variant.is_online)
+    return sequence.counts(boxes)
 
 
 def _counts(sequence: tracking_sets.Sequence, frame: Array, track_id: Array, xyxy_px: Array) -> TrackingCounts:
     """Counts of a peer's tracks; of an identity twice in one frame the first is used."""
     _, first = np.unique(np.stack([frame, track_id]), axis=1, return_index=True)
-    return sequence.counts(frame[first], track_id[first], xyxy_px[first])
+    return sequence.counts(sequence.boxes(frame[first], track_id[first], xyxy_px[first]))
 
 
 def _scores(counts: Sequence[TrackingCounts]) -> Figures:
     scores = asdict(TrackingCounts.sum_of(counts).scores())
-    return {name: float(scores[name]) for name in _FIGURES} | {name: int(scores[name]) for name in _COUNTS}
+    return {name: float(scores[name]) for name in _PER_CENT} | {name: int(scores[name]) for name in _COUNTS}
 
 
 def _margins(rows: Mapping[str, Scores]) -> dict[str, Figures]:
@@ -221,34 +191,3 @@ def _mean_times_us(scenes: Sequence[tracking_sets.Sequence]) -> list[float]:
 
 def _mean_us(us: Array) -> float:
     return float(np.mean(us[N_WARM_UP:])) if len(us) > N_WARM_UP else float("nan")
-
-
-def _print_accuracy(set_name: str, rows: Mapping[str, Scores]) -> None:
-    table = _table(f"{set_name}: per cent and counts", ["tracker", *_FIGURES.values(), *_COUNTS.values()])
-    ranked = [*(name for name in rows if name not in PEERS)]
-    ranked += sorted((name for name in rows if name in PEERS), key=lambda name: -rows[name]["hota"])
-    for name in ranked:
-        figures, counts = ([rows[name][key] for key in keys] for keys in (_FIGURES, _COUNTS))
-        table.add_row(name, *(f"{value:.1f}" for value in figures), *(str(value) for value in counts))
-    Console(width=120).print(table)
-
-
-def _print_margins(margins: Mapping[str, Mapping[str, Figures]]) -> None:
-    for set_name, figures in margins.items():
-        leads = (f"{_FIGURES[key]} {row['ahead']:+.1f} ({row['best_peer']})" for key, row in figures.items())
-        print(f"{set_name}: {COMPARED} minus the best peer: {', '.join(leads)}", flush=True)
-
-
-def _print_speed(rows: Mapping[str, Mapping[int, float]]) -> None:
-    table = _table("us per frame, boxes only, by number of objects", ["tracker", *map(str, SCENES)])
-    for name, times in sorted(rows.items(), key=lambda row: np.nan_to_num(row[1][200], nan=np.inf)):
-        table.add_row(name, *("-" if np.isnan(us) else f"{us:,.0f}" for us in times.values()))
-    if rows:
-        Console(width=120).print(table)
-
-
-def _table(title: str, headings: Sequence[str]) -> Table:
-    table = Table(title=title, box=box.SIMPLE_HEAD, padding=0, title_justify="left")
-    for i, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if i else "left", no_wrap=True)
-    return table

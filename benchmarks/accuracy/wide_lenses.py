@@ -10,16 +10,20 @@ and frames that both runs measured with the method; the ratio is that of the fis
 from __future__ import annotations
 
 import tempfile
-from argparse import ArgumentParser, Namespace
-from collections.abc import Mapping, Sequence
+from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 
-from benchmarks.inputs.simulated_drives import FPS
-from benchmarks.plain_tables import figure_text, plain_table
+from benchmarks.harness import (
+    Figures,
+    option,
+    workload,
+)
+from benchmarks.inputs.drives import FPS
 from track_range.cli.commands.run import run_and_print
 from track_range.foundation.arrays import IntArray
 from track_range.ranging.evaluation.errors import MethodColumn, score_rows
@@ -36,42 +40,27 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
 SCENARIOS = ("town", "highway", "city", "cut-in")
-"""Default scenarios of the drives."""
-
-SEED = 250
-"""Default random seed, which no test uses."""
-
-SECONDS = 6.0
-"""Default length of a drive in s."""
+SEED = 250  # no test uses it
 
 LENS = PinholeCamera(400.0, 400.0, 479.5, 239.5, 960, 480, (0.01, 0.0, 0.0, 0.0), "kannala-brandt")
 """The fisheye camera, with 136 x 69 degrees."""
 
-BASELINE_M = 0.54
-"""Distance between the cameras in m, as KITTI's."""
-
-_MAX_FRAMES = 100_000
-"""Number above that of the frames of a drive, for keys of frame and object."""
-
+BASELINE_M = 0.54  # KITTI's
+_MAX_FRAMES = 100_000  # above the number of frames of a drive, for keys of frame and object
 METHODS = ("mono", "ground", "stereo", "fused", "fused_kf")
 STATISTICS = ("median", "mean")
-"""Statistics of the relative errors."""
 
 OFF_AXIS_DEG = 30.0
 """Horizontal angle from the axis that divides the objects of the second table."""
 
 
-def add_options(parser: ArgumentParser) -> None:
-    """Add the options of this workload."""
-    known = list(ALL_SCENARIOS)
-    parser.add_argument("--scenarios", nargs="+", default=SCENARIOS, choices=known, metavar="NAME", help="scenarios")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[SEED], metavar="N", help="random seeds of the drives")
-    parser.add_argument("--seconds", type=float, default=SECONDS, metavar="S", help="length of a drive")
-    parser.add_argument("--detector", metavar="FILE", help="network for the boxes (default: recorded boxes)")
-
-
-def measure(options: Namespace) -> dict[str, Any]:
-    """Errors of each method with both cameras on common rows, in the middle and off the axis; prints the tables."""
+@workload(
+    option("--scenarios", default=SCENARIOS, choices=tuple(ALL_SCENARIOS), metavar="NAME", help="scenarios"),
+    option("--seeds", default=(SEED,), metavar="N", help="random seeds of the drives"),
+    option("--seconds", default=6.0, metavar="S", help="length of a drive"),
+    option("--detector", metavar="FILE", help="network for the boxes (default: recorded boxes)"),
+)
+def wide_lenses(options: Namespace) -> Figures:
     rows = [
         _common_rows(*_both_runs(scenario, seed, options)) for scenario in options.scenarios for seed in options.seeds
     ]
@@ -82,13 +71,10 @@ def measure(options: Namespace) -> dict[str, Any]:
         f"up to {OFF_AXIS_DEG:.0f} deg": angle_deg <= OFF_AXIS_DEG,
         "farther out": angle_deg > OFF_AXIS_DEG,
     }
-    figures = {
+    return {
         part: {method: _compared(method, columns, np.flatnonzero(chosen)) for method in METHODS}
         for part, chosen in parts.items()
     }
-    for part, by_method in figures.items():
-        _print_table(part, by_method)
-    return {"seconds": options.seconds, "boxes": options.detector or "recorded", **figures}
 
 
 def _both_runs(scenario: str, seed: int, options: Namespace) -> tuple[Columns, Columns]:
@@ -134,8 +120,8 @@ def _common_rows(pinhole: Columns, fisheye: Columns) -> tuple[Columns, Columns]:
     keys, rows = zip(*(_keys(columns) for columns in (pinhole, fisheye)), strict=True)
     _, first, second = np.intersect1d(keys[0], keys[1], return_indices=True)
     kept = [
-        {name: values[of_run[common]] for name, values in columns.items()}
-        for columns, of_run, common in ((pinhole, rows[0], first), (fisheye, rows[1], second))
+        {name: values[run_rows[common]] for name, values in columns.items()}
+        for columns, run_rows, common in ((pinhole, rows[0], first), (fisheye, rows[1], second))
     ]
     return kept[0], kept[1]
 
@@ -168,15 +154,3 @@ def _compared(method: str, columns: Sequence[Columns], rows: IntArray) -> dict[s
         for statistic, key in zip(STATISTICS, keys, strict=True)
     }
     return {**scores, "ratios": ratios}
-
-
-def _print_table(part: str, by_method: Mapping[str, Mapping[str, Any]]) -> None:
-    headings = ("n", "pinhole median %", "mean %", "fisheye median %", "mean %", "ratio median", "mean")
-    table = plain_table(f"Distance errors, {part}", "method", *headings)
-    for method, row in by_method.items():
-        errors = [
-            figure_text(row[lens][f"{s}_relative_error_pct"]) for lens in ("pinhole", "fisheye") for s in STATISTICS
-        ]
-        ratios = [figure_text(row["ratios"][statistic]) for statistic in STATISTICS]
-        table.add_row(method, str(row["pinhole"]["n"]), *errors, *ratios)
-    Console().print(table)

@@ -12,34 +12,29 @@ import os
 import random
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
-from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 from pyarrow import parquet
-from rich.console import Console
 
 from benchmarks.fleet.throughput import worker_pids
-from benchmarks.plain_tables import figure_text, plain_table
+from benchmarks.harness import (
+    PROGRAM,
+    Figures,
+    option,
+    workload,
+)
+from benchmarks.inputs.drives import REAL_DATA
 
 PARTS = ("kills", "corrupt", "driver")
 
-_SIMULATED = (
-    ("highway", 2),
-    ("town", 3),
-    ("city", 4),
-    ("cut-in", 5),
-    ("crossing", 6),
-    ("queue", 8),
-    ("night", 20),
-)
+_SIMULATED = {"highway": 2, "town": 3, "city": 4, "cut-in": 5, "crossing": 6, "queue": 8, "night": 20}
 """Scenario and duration in seconds of the simulated clips."""
 
 _REAL_PAIRS = ("kitti_stereo/0003", "kitti_stereo/0005")
@@ -53,32 +48,19 @@ _REAL_VIDEOS = (
 _COLUMNS = ("clip", "left", "right", "rig", "focal_px")
 
 
-def add_options(parser: ArgumentParser) -> None:
-    """Add the options of this workload."""
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of the real recordings")
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="parts (default: all)")
-    parser.add_argument("--clips", type=int, default=100, help="clips (default: 100)")
-    parser.add_argument("--kills", type=int, default=20, help="workers that are killed (default: 20)")
-    parser.add_argument("--interval", type=float, default=8.0, help="mean time between them in seconds (default: 8)")
-    parser.add_argument("--seed", type=int, default=1, help="seed of the times and of the workers (default: 1)")
-
-
-def measure(options: Namespace) -> dict[str, Any]:
-    """Figures of each part; prints the tables."""
-    parts: dict[str, Callable[[_Clips, Namespace], dict[str, Any]]] = {
-        "kills": _kills,
-        "corrupt": _corrupt,
-        "driver": _driver,
-    }
+@workload(
+    option("--data", default=REAL_DATA, help="folder of the real recordings"),
+    option("--only", default=PARTS, choices=PARTS, help="parts"),
+    option("--clips", default=100, help="clips"),
+    option("--kills", default=20, help="workers that are killed"),
+    option("--interval", default=8.0, help="mean time between them in seconds"),
+    option("--seed", default=1, help="seed of the times and of the workers"),
+)
+def fleet_faults(options: Namespace) -> Figures:
+    parts = {"kills": _kills, "corrupt": _corrupt, "driver": _driver}
     with tempfile.TemporaryDirectory() as folder:
         clips = _Clips(Path(folder), options.data)
-        figures = {name: parts[name](clips, options) for name in options.only}
-    for name, values in figures.items():
-        table = plain_table(f"fleet_faults, {name}", "figure", "value")
-        for key, value in values.items():
-            table.add_row(key, figure_text(value, digits=3) if isinstance(value, int | float) else str(value))
-        Console().print(table)
-    return figures
+        return {name: parts[name](clips, options) for name in options.only}
 
 
 class _Clips:
@@ -89,9 +71,7 @@ class _Clips:
         self._distinct = [*_simulated(folder / "drives"), *_real(data.resolve())]
         manifest = self.manifest(len(self._distinct), "distinct")
         out = folder / "undisturbed"
-        start_s = time.perf_counter()
         _fleet(manifest, out).wait()
-        self.wall_s = time.perf_counter() - start_s
         self._expected = [_table(out, _name(i)) for i in range(len(self._distinct))]
 
     def manifest(self, n_clips: int, name: str, corrupt: str | None = None) -> Path:
@@ -126,7 +106,7 @@ class _Clips:
         }
 
 
-def _kills(clips: _Clips, options: Namespace) -> dict[str, Any]:
+def _kills(clips: _Clips, options: Namespace) -> Figures:
     """Workers killed (SIGKILL) at random times."""
     out = clips.folder / "kills"
     start_s = time.perf_counter()
@@ -143,7 +123,7 @@ def _kills(clips: _Clips, options: Namespace) -> dict[str, Any]:
     }
 
 
-def _corrupt(clips: _Clips, options: Namespace) -> dict[str, Any]:
+def _corrupt(clips: _Clips, options: Namespace) -> Figures:
     """One clip that is not a video."""
     damaged = clips.folder / "damaged.mp4"
     damaged.write_bytes(random.Random(options.seed).randbytes(100_000))  # noqa: S311
@@ -158,7 +138,7 @@ def _corrupt(clips: _Clips, options: Namespace) -> dict[str, Any]:
     }
 
 
-def _driver(clips: _Clips, options: Namespace) -> dict[str, Any]:
+def _driver(clips: _Clips, options: Namespace) -> Figures:
     """The driver killed (SIGKILL) when a third of the clips is complete, and started again."""
     out = clips.folder / "driver"
     manifest = clips.manifest(options.clips, "driver")
@@ -217,7 +197,7 @@ def _killed(out: Path, driver: subprocess.Popen[bytes], options: Namespace) -> I
 
 
 def _fleet(manifest: Path, out: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "track_range", "fleet", "run", str(manifest), "--out", str(out)]
+    command = [*PROGRAM, "fleet", "run", str(manifest), "--out", str(out)]
     command += ["--workers", "2", "--threads", "1"]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
@@ -235,12 +215,11 @@ def _table(out: Path, clip: str) -> pa.Table:
 def _simulated(folder: Path) -> list[tuple[str, ...]]:
     """Manifest rows of the simulated clips."""
     rows = list[tuple[str, ...]]()
-    for seed, (scenario, seconds) in enumerate(_SIMULATED):
+    for seed, (scenario, seconds) in enumerate(_SIMULATED.items()):
         drive = folder / f"{scenario}-{seconds}"
-        command = [sys.executable, "-m", "track_range", "simulate", "--scenario", scenario, "--seed", str(seed)]
-        subprocess.run(
-            [*command, "--seconds", str(seconds), "--out", str(drive)], check=True, stdout=subprocess.DEVNULL
-        )
+        command = [*PROGRAM, "simulate", "--scenario", scenario, "--seed", str(seed)]
+        command += ["--seconds", str(seconds), "--out", str(drive)]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         rows.append((str(drive / "left.mp4"), str(drive / "right.mp4"), str(drive / "rig.yaml"), ""))
     return rows
 

@@ -22,19 +22,21 @@ import sys
 import tempfile
 import threading
 import time
-from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
-
-from rich.console import Console
 
 from benchmarks.fleet import costs
-from benchmarks.inputs.drives import LoopedDrive, add_drive_options, looped
-from benchmarks.plain_tables import figure_text, plain_table
+from benchmarks.harness import (
+    PROGRAM,
+    Figures,
+    option,
+    workload,
+)
+from benchmarks.inputs.drives import DRIVE_OPTIONS, LoopedDrive, looped
 from track_range.fleet.output.state import read_state
 from track_range.fleet.storage.location import Location
 
@@ -45,21 +47,18 @@ _POLL_S = 0.5
 """Time between two looks at fleet.json for processes to pin, s."""
 
 
-def add_options(parser: ArgumentParser) -> None:
-    """Add the options of this workload."""
-    add_drive_options(parser)
-    parser.add_argument("--only", nargs="+", choices=(*PARTS, "gpu"), default=PARTS, help="parts (default: all)")
-    parser.add_argument("--clips", type=int, default=12, help="clips of the throughput (default: 12)")
-    parser.add_argument("--frames", type=int, default=96, help="frames of each of them (default: 96)")
-    parser.add_argument("--memory-clips", type=int, default=100, help="clips of the memory (default: 100)")
-    parser.add_argument("--rows", type=int, default=100_000, help="rows of the manifest (default: 100,000)")
-    parser.add_argument("--gpu-workers", type=int, default=4, help="workers that share the GPU (default: 4)")
-    parser.add_argument("--docs", type=Path, metavar="FILE.md", help="page whose tables of costs are replaced")
-
-
-def measure(options: Namespace) -> dict[str, Any]:
-    """Figures of each part; prints the tables, and replaces those of --docs."""
-    parts: dict[str, Callable[[Namespace, Path], dict[str, Any]]] = {
+@workload(
+    *DRIVE_OPTIONS,
+    option("--only", default=PARTS, choices=(*PARTS, "gpu"), help="parts"),
+    option("--clips", default=12, help="clips of the throughput"),
+    option("--frames", default=96, help="frames of each of them"),
+    option("--memory-clips", default=100, help="clips of the memory"),
+    option("--rows", default=100_000, help="rows of the manifest"),
+    option("--gpu-workers", default=4, help="workers that share the GPU"),
+    option("--docs", type=Path, metavar="FILE.md", help="page whose tables of costs are replaced"),
+)
+def fleet(options: Namespace) -> Figures:
+    parts = {
         "throughput": _throughput,
         "cores": _cores,
         "mono": _mono,
@@ -67,11 +66,10 @@ def measure(options: Namespace) -> dict[str, Any]:
         "driver": _driver,
         "gpu": _gpu,
     }
-    figures: dict[str, Any] = {}
+    figures: Figures = {}
     for name in options.only:
         with tempfile.TemporaryDirectory() as folder:
             figures[name] = parts[name](options, Path(folder))
-        _print_part(name, figures[name])
     inputs = costs.measured(list(figures.values()))
     if options.docs is not None:
         known = costs.inputs_in(options.docs.read_text(encoding="utf-8"))
@@ -81,26 +79,16 @@ def measure(options: Namespace) -> dict[str, Any]:
     return figures
 
 
-def _print_part(name: str, figures: dict[str, Any]) -> None:
-    table = plain_table(f"fleet, {name}", "figure", "value")
-    for key, value in figures.items():
-        table.add_row(key, figure_text(value, digits=3))
-    Console().print(table)
-
-
 @dataclass(frozen=True, slots=True)
 class _FleetRun:
-    """A finished run of a fleet.
+    """Start (Unix time) and duration of a run of a fleet, and its records in the order of their ends.
 
-    Attributes:
-        start_s: start of its process, Unix time.
-        wall_s: duration of its process.
-        rows: records in the order of their ends, each with `end_s`, Unix time.
+    Each record has `end_s`, Unix time.
     """
 
     start_s: float
     wall_s: float
-    rows: Sequence[dict[str, Any]]
+    rows: Sequence[Figures]
 
     def frames_per_s(self, n_workers: int) -> float:
         """Rate between the first end of all workers and the last of all, in which each of them was busy."""
@@ -109,7 +97,7 @@ class _FleetRun:
         return float(n_frames / (self.rows[last]["end_s"] - self.rows[first]["end_s"]))
 
 
-def _throughput(options: Namespace, folder: Path) -> dict[str, Any]:
+def _throughput(options: Namespace, folder: Path) -> Figures:
     """One worker on one core, two workers, and a loop of ordinary runs with all cores."""
     drive = looped(options.drive, folder, n_frames=options.frames)
     manifest = _manifest(folder, drive, options.clips)
@@ -140,7 +128,7 @@ def _throughput(options: Namespace, folder: Path) -> dict[str, Any]:
     }
 
 
-def _cores(options: Namespace, folder: Path) -> dict[str, Any]:
+def _cores(options: Namespace, folder: Path) -> Figures:
     """Rate of runs without a fleet on both cores, relative to one core; cores share caches, memory and clock."""
     drive = looped(options.drive, folder, n_frames=options.frames)
     arguments = ["--detector", str(options.detector), "--no-sgbm", "--threads", "1"]
@@ -164,7 +152,7 @@ def _cores(options: Namespace, folder: Path) -> dict[str, Any]:
     return {"runs": len(one_s), "two_to_one": 2 * statistics.median(one_s) / statistics.median(two_s)}
 
 
-def _mono(options: Namespace, folder: Path) -> dict[str, Any]:
+def _mono(options: Namespace, folder: Path) -> Figures:
     """One worker on one core, with one camera."""
     drive = looped(options.drive, folder, n_frames=options.frames)
     manifest = _manifest(folder, drive, max(3, options.clips // 3), is_mono=True)
@@ -177,7 +165,7 @@ def _mono(options: Namespace, folder: Path) -> dict[str, Any]:
     }
 
 
-def _gpu(options: Namespace, folder: Path) -> dict[str, Any]:
+def _gpu(options: Namespace, folder: Path) -> Figures:
     """Workers that share one GPU, with one camera."""
     drive = looped(options.drive, folder, n_frames=options.frames)
     n_workers = options.gpu_workers
@@ -187,7 +175,7 @@ def _gpu(options: Namespace, folder: Path) -> dict[str, Any]:
     return {"gpu_workers": n_workers, "gpu_mono_ms": 1000 / run.frames_per_s(n_workers)}
 
 
-def _memory(options: Namespace, folder: Path) -> dict[str, Any]:
+def _memory(options: Namespace, folder: Path) -> Figures:
     """Peak memory of one worker over many short clips, by quarter of the clips."""
     drive = looped(options.drive, folder, n_frames=16)
     manifest = _manifest(folder, drive, options.memory_clips)
@@ -198,7 +186,7 @@ def _memory(options: Namespace, folder: Path) -> dict[str, Any]:
     return {"clips": len(peaks_mb), **quarters, "max_mb": max(peaks_mb)}
 
 
-def _driver(options: Namespace, folder: Path) -> dict[str, Any]:
+def _driver(options: Namespace, folder: Path) -> Figures:
     """Time and memory of the driver for a manifest of many rows with a stub, and of a second run without work."""
     video = folder / "clip.mp4"
     video.write_bytes(b"not a video")
@@ -218,7 +206,7 @@ def _driver(options: Namespace, folder: Path) -> dict[str, Any]:
 
 
 def _stub_run(manifest: Path, out: Path) -> dict[str, float]:
-    command = [sys.executable, "-m", "benchmarks.inputs.fleet_stub", str(manifest), str(out), str(os.cpu_count() or 1)]
+    command = [sys.executable, "-m", "benchmarks.fleet.stub", str(manifest), str(out), str(os.cpu_count() or 1)]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
     figures: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
     return figures
@@ -245,13 +233,13 @@ def _run_fleet(
     """Run a fleet; `pinned_core`: core on which the workers run, None = all."""
     from pyarrow import parquet
 
-    command = [sys.executable, "-m", "track_range", "fleet", "run", str(manifest), "--out", str(out)]
+    command = [*PROGRAM, "fleet", "run", str(manifest), "--out", str(out)]
     command += ["--workers", str(n_workers), "--threads", "1", *arguments]
     start_s = time.time()
     with _pinned(out, pinned_core):
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     wall_s = time.time() - start_s
-    rows: list[dict[str, Any]] = parquet.read_table(out / "clips.parquet").to_pylist()
+    rows: list[Figures] = parquet.read_table(out / "clips.parquet").to_pylist()
     for row in rows:
         row["end_s"] = (out / "tracks" / f"clip={row['clip']}" / "tracks.parquet").stat().st_mtime
     return _FleetRun(start_s, wall_s, sorted(rows, key=lambda row: row["end_s"]))
@@ -298,7 +286,7 @@ def _loop(drive: LoopedDrive, out: Path, n_clips: int, arguments: Sequence[str])
 
 
 def _run_command(drive: LoopedDrive, out: Path, arguments: Sequence[str]) -> list[str]:
-    command = [sys.executable, "-m", "track_range", "--stereo", str(drive.left), str(drive.right)]
+    command = [*PROGRAM, "--stereo", str(drive.left), str(drive.right)]
     return [*command, "--rig", str(drive.rig), "--out", str(out), "--no-overlay", "--write", "parquet", *arguments]
 
 

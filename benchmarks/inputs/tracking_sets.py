@@ -7,7 +7,7 @@ on smooth random paths, with jitter, missing boxes and false alarms, determined 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +18,14 @@ from track_range.detection.formats.detection_files import RecordedDetections, re
 from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti
 from track_range.detection.formats.video_labels.mot import MotRows, read_mot
 from track_range.evaluation.sequences.find import find_sequences
-from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.evaluation.sequences.tracking import track_sequence
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.tracking.deepsort import DeepSortTracker
 from track_range.tracking.evaluation.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
 from track_range.tracking.evaluation.scores import TrackingCounts
 from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
 
 SETS = ("kitti-car", "kitti-person", "mot15", "mot17")
-"""Names of the data sets."""
 
 _KITTI_FPS, _KITTI_SIZE_PX, _DEFAULT_SIZE_PX = 10.0, (1242, 375), (1920, 1080)
 """Frame rate and image size of KITTI, and image size of other sequences without one."""
@@ -32,23 +33,14 @@ _KITTI_FPS, _KITTI_SIZE_PX, _DEFAULT_SIZE_PX = 10.0, (1242, 375), (1920, 1080)
 _MIN_SCORE = {"kitti-car": 0.5, "kitti-person": 0.5, "mot15": 0.5, "mot17": 0.3}
 """Confidence threshold of boxes for trackers with one threshold, by data set."""
 
-N_WARM_UP = 20
-"""Number of frames at the start of a scene that are not timed."""
+N_WARM_UP = 20  # frames at the start of a scene that are not timed
 
 
 @dataclass(frozen=True, slots=True)
 class Sequence:
-    """Stored boxes of a sequence, with the ground truth.
+    """Stored boxes of one class of a sequence of a data set (of `SETS`, or "scene"), with the ground truth.
 
-    Attributes:
-        name: name of the sequence.
-        set_name: its data set, of `SETS`, or "scene".
-        road_class: class of all boxes.
-        detected: stored boxes.
-        n_frames: number of frames.
-        fps: frame rate.
-        size_px: (width, height) of the images.
-        truth: labels of KITTI or MOTChallenge; None for a scene.
+    `size_px` is (width, height) of the images; a scene has no ground truth.
     """
 
     name: str
@@ -70,14 +62,28 @@ class Sequence:
         """Whether the boxes have stored appearance embeddings."""
         return bool(self.detected.detections.descriptor.shape[1])
 
-    def counts(self, frame: IntArray, track_id: IntArray, xyxy_px: FloatArray) -> TrackingCounts:
-        """Counts of N track boxes by the official rules; boxes are rounded to two decimals, as in result files.
+    def boxes(self, frame: IntArray, track_id: IntArray, xyxy_px: FloatArray) -> TrackedBoxes:
+        """N track boxes of the class."""
+        return TrackedBoxes(frame, track_id, xyxy_px, np.full(len(frame), ROAD_CLASSES.index(self.road_class)))
+
+    def tracked(self, tracker: DeepSortTracker, *, is_online: bool = True) -> tuple[TrackedBoxes, BoolArray]:
+        """The boxes of all tracks, as by the command `track`, and (N,) whether they were detected."""
+        frames = track_sequence(
+            self.detected, tracker, n_frames=self.n_frames, fps=self.fps, is_online=is_online
+        ).frames
+        frame = np.repeat(np.arange(len(frames)), [len(tracks) for tracks in frames])
+        track_id, xyxy_px, observed = (
+            np.concatenate([getattr(tracks, name) for tracks in frames]) for name in ("track_id", "xyxy_px", "observed")
+        )
+        return self.boxes(frame, track_id, xyxy_px), observed
+
+    def counts(self, boxes: TrackedBoxes) -> TrackingCounts:
+        """Counts of track boxes by the official rules; boxes are rounded to two decimals, as in result files.
 
         Raises:
             ValueError: the sequence is a scene.
         """
-        class_id = np.full(len(frame), ROAD_CLASSES.index(self.road_class))
-        boxes = TrackedBoxes(frame, track_id, np.round(xyxy_px, 2), class_id)
+        boxes = replace(boxes, xyxy_px=np.round(boxes.xyxy_px, 2))
         if isinstance(self.truth, KittiLabels):
             return TrackingCounts.of(*kitti_cleaned(self.truth, boxes, self.road_class))
         if self.truth is None:
@@ -135,18 +141,8 @@ def scene(n_objects: int, *, n_frames: int, seed: int = 0) -> Sequence:
         score = np.concatenate([random.uniform(0.6, 1.0, len(boxes)), random.uniform(0.3, 0.7, len(alarms))])
         order = random.permutation(len(score))
         frames.append(Detections.of(np.concatenate([boxes, alarms])[order], score[order], np.zeros(len(score))))
-    return Sequence(f"{n_objects} objects", "scene", "person", _recorded(frames), n_frames, 30.0, _pair(size_px), None)
-
-
-def _recorded(frames: list[Detections]) -> RecordedDetections:
-    boxes = Detections.of(
-        np.concatenate([detections.xyxy_px for detections in frames]),
-        np.concatenate([detections.score for detections in frames]),
-        np.concatenate([detections.class_id for detections in frames]),
-    )
-    frame = np.repeat(np.arange(len(frames)), [len(detections) for detections in frames])
-    return RecordedDetections(frame, boxes, "rrc", notes=())
-
-
-def _pair(size_px: FloatArray) -> tuple[int, int]:
-    return round(float(size_px[0])), round(float(size_px[1]))
+    columns = (np.concatenate([getattr(part, name) for part in frames]) for name in ("xyxy_px", "score", "class_id"))
+    frame_number = np.repeat(np.arange(n_frames), [len(detections) for detections in frames])
+    recorded = RecordedDetections(frame_number, Detections.of(*columns), "rrc", notes=())
+    width, height = np.rint(size_px).astype(int).tolist()
+    return Sequence(f"{n_objects} objects", "scene", "person", recorded, n_frames, 30.0, (width, height), None)

@@ -9,24 +9,20 @@ on the machine raises processor times by up to a quarter, as it uses the same ca
 
 from __future__ import annotations
 
-import argparse
 import resource
 import tempfile
 import threading
 import time
+from argparse import Namespace
 from collections import defaultdict
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import wraps
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
-from benchmarks.inputs.drives import add_drive_options, looped, ordinary_video
-from benchmarks.plain_tables import figure_text, plain_table
+from benchmarks.harness import Figures, in_new_process, option, workload
+from benchmarks.inputs.drives import DRIVE_OPTIONS, looped, ordinary_video
 from track_range.detection.lanes.edges import EdgeLaneFinder
 from track_range.detection.lanes.nets import NetLaneFinder
 from track_range.detection.models.onnx_session import BoundNetwork
@@ -93,13 +89,10 @@ _WAITS = {
 
 @dataclass(slots=True)
 class _Thread:
-    """Times of one thread so far, s.
+    """Times of one thread so far, s: processor time by step, and wall time by wait.
 
-    Attributes:
-        name: of the thread.
-        times_s: processor time by step; "on a core" and "queued" as counted by the system: processor time, and time in
-            which the thread was ready but had no core; wall time by wait.
-        nested_s: processor time within each step in progress of the steps that it called.
+    "on a core" and "queued" are counted by the system: processor time, and time in which the thread was ready but had
+    no core. `nested_s` is the processor time within each step in progress of the steps that it called.
     """
 
     name: str
@@ -107,16 +100,14 @@ class _Thread:
     nested_s: list[float] = field(default_factory=list)
 
     def read_scheduler(self) -> None:
-        """Read the times of the calling thread that the system has counted."""
         on_core_ns, queued_ns, _ = Path("/proc/thread-self/schedstat").read_text(encoding="ascii").split()
         self.times_s["on a core"], self.times_s["queued"] = int(on_core_ns) * 1e-9, int(queued_ns) * 1e-9
 
 
 class _Probe:
-    """Times of all threads of this process."""
+    """Times of all threads of this process, in which it wraps the functions of all steps."""
 
     def __init__(self) -> None:
-        """Wrap the functions of all steps, for the rest of the process."""
         self._threads: list[_Thread] = []
         self._local = threading.local()
         for wrap, groups in ((self._timed, _STEPS), (self._waiting, _WAITS)):
@@ -169,14 +160,8 @@ class _Probe:
         return waiting
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Options of this workload."""
-    add_drive_options(parser)
-    parser.add_argument("--frames", type=int, default=150, metavar="N", help="number of frames of each run")
-
-
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Measure both runs, and print the tables of the steps and of the threads."""
+@workload(*DRIVE_OPTIONS, option("--frames", default=150, help="number of frames of each run"))
+def processor_time(options: Namespace) -> Figures:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         drive = looped(options.drive, folder, n_frames=options.frames)
@@ -185,17 +170,21 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         pair: dict[str, Any] = {"stereo": (str(drive.left), str(drive.right)), "rig": str(drive.rig), "align": "off"}
         pair |= {"sgbm": False, "out": str(folder / "pair")}
         one: dict[str, Any] = {"mono": str(video), "focal_px": 1150.0, "out": str(folder / "one")}
-        figures = {
-            name: _in_new_process({**shared, **given}, options.frames)
+        threads = {
+            name: in_new_process(_times_ms, {**shared, **given}, options.frames)
             for name, given in (("near-lossless pair", pair), ("ordinary video", one))
         }
-    print_tables(figures)
-    return figures
-
-
-def _in_new_process(settings: dict[str, Any], n_frames: int) -> dict[str, dict[str, float]]:
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(_times_ms, settings, n_frames).result()
+    steps: Figures = {step: {} for step in (*_STEPS, "other", "sum", "wall time")}
+    waits: Figures = {}
+    for name, by_thread in threads.items():
+        process = by_thread.pop("process")
+        for step in _STEPS:
+            steps[step][name] = sum(times_ms.get(step, 0.0) for times_ms in by_thread.values())
+        steps["other"][name] = process["on a core"] - sum(steps[step][name] for step in _STEPS)
+        steps["sum"][name], steps["wall time"][name] = process["on a core"], process["wall"]
+        keys = ("on a core", "queued", "input", "room")
+        waits[name] = {thread: {key: ms.get(key, 0.0) for key in keys} for thread, ms in by_thread.items()}
+    return {"steps_ms": steps, "threads_ms": waits}
 
 
 def _times_ms(settings: dict[str, Any], n_frames: int) -> dict[str, dict[str, float]]:
@@ -208,10 +197,10 @@ def _times_ms(settings: dict[str, Any], n_frames: int) -> dict[str, dict[str, fl
                 begin = probe.times_s()
             if number == n_frames - _N_LAST:
                 end = probe.times_s()
-    return per_frame(begin, end, n_frames - _N_FIRST - _N_LAST)
+    return _per_frame(begin, end, n_frames - _N_FIRST - _N_LAST)
 
 
-def per_frame(begin: Times, end: Times, n_frames: int) -> dict[str, dict[str, float]]:
+def _per_frame(begin: Times, end: Times, n_frames: int) -> dict[str, dict[str, float]]:
     """Milliseconds per frame between two readings of the probe, by thread and step."""
     times_ms: dict[str, dict[str, float]] = {}
     for index, (name, until) in enumerate(end):
@@ -219,27 +208,3 @@ def per_frame(begin: Times, end: Times, n_frames: int) -> dict[str, dict[str, fl
         spent = {key: 1e3 * (value - since.get(key, 0.0)) / n_frames for key, value in until.items()}
         times_ms[name if name not in times_ms else f"{name} {index}"] = {key: ms for key, ms in spent.items() if ms > 0}
     return times_ms
-
-
-def print_tables(figures: dict[str, dict[str, dict[str, float]]]) -> None:
-    """Print the processor times of the steps of all runs, and the waiting of the threads of each."""
-    console = Console(width=100)
-    by_run = {
-        name: {step: sum(t.get(step, 0.0) for key, t in threads.items() if key != "process") for step in _STEPS}
-        for name, threads in figures.items()
-    }
-    table = plain_table("Processor time, ms per frame", "step", *by_run)
-    for step in _STEPS:
-        table.add_row(step, *(figure_text(steps[step]) for steps in by_run.values()))
-    table.add_row(
-        "other",
-        *(figure_text(figures[name]["process"]["on a core"] - sum(steps.values())) for name, steps in by_run.items()),
-    )
-    table.add_row("sum", *(figure_text(threads["process"]["on a core"]) for threads in figures.values()))
-    table.add_row("wall time", *(figure_text(threads["process"]["wall"]) for threads in figures.values()))
-    console.print(table)
-    for name, threads in figures.items():
-        table = plain_table(f"{name}: ms per frame of each thread", "thread", "on a core", "queued", "input", "room")
-        for thread, times_ms in threads.items():
-            table.add_row(thread, *(figure_text(times_ms.get(key)) for key in ("on a core", "queued", "input", "room")))
-        console.print(table)

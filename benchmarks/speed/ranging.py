@@ -9,21 +9,17 @@ under 1 ms. Lane detection runs on the frames of a dash camera video, if availab
 
 from __future__ import annotations
 
-import argparse
-import math
-import statistics
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
-from itertools import islice
+from argparse import Namespace
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from benchmarks.inputs.drives import REAL_DATA
+from benchmarks.harness import Figures, median_ms, option, workload
+from benchmarks.inputs.drives import REAL_DATA, decoded
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder
@@ -33,15 +29,16 @@ from track_range.pipeline.frame_pipeline import noise_fractions
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.method import MethodContext
+from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import create_rangers, methods
-from track_range.recording.files.video_file import VideoFile
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
-CAMERA = PinholeCamera(721.5, 721.5, 609.6, 172.9, 1242, 375)
-"""Camera of KITTI."""
+Result = TypeVar("Result")
+
+CAMERA = PinholeCamera(721.5, 721.5, 609.6, 172.9, 1242, 375)  # KITTI's
 
 CAMERA_HEIGHT_M, LANE_WIDTH_M = 1.65, 3.5
 
@@ -52,34 +49,26 @@ FRACTIONS = (0.6, 0.2, 0.1, 0.1)
 """Fraction of each class of `SIZES_HW_M` among the objects."""
 
 STEP_S = 0.1
-"""Frame interval in s."""
-
-FUSE_STAGE = ("fuse", "filters")
-"""Timed steps after the methods."""
 
 STEREO_SIGMA_PER_M, STEREO_FRACTION = 0.002, 0.8
 """Relative sigma of stereo per metre of distance, and its coverage."""
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of this workload."""
-    parser.add_argument("--tracks", type=int, nargs="+", default=[1, 6, 50], help="numbers of tracks")
-    parser.add_argument("--frames", type=int, default=600, help="number of frames for the methods")
-    parser.add_argument("--lane-frames", type=int, default=60, help="number of frames for lane detection")
-    video = REAL_DATA / "dashcam" / "solid_white_right.mp4"
-    parser.add_argument("--video", type=Path, default=video, help="video for lane detection")
-    models = REAL_DATA / "models"
-    nets = [models / "twinlitenet_360x640.onnx", models / "lstr_tusimple_360x640.onnx"]
-    available = [path for path in nets if path.is_file()]
-    parser.add_argument("--lane-nets", type=Path, nargs="*", default=available, help="ONNX files of lane networks")
+NETS = tuple(REAL_DATA / "models" / name for name in ("twinlitenet_360x640.onnx", "lstr_tusimple_360x640.onnx"))
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Time everything, print the tables, and return milliseconds per frame."""
-    by_tracks = {str(n): box_only_ms(n, n_frames=options.frames) for n in options.tracks}
-    images = _images(options.video, options.lane_frames) if options.video.is_file() else []
-    finders = {name: _lanes_ms(name, images) for name in (CLASSICAL, *map(str, options.lane_nets)) if images}
-    _print(by_tracks, finders)
+@workload(
+    option("--tracks", default=(1, 6, 50), help="numbers of tracks"),
+    option("--frames", default=600, help="number of frames for the methods"),
+    option("--lane-frames", default=60, help="number of frames for lane detection"),
+    option("--video", default=REAL_DATA / "dashcam" / "solid_white_right.mp4", help="video for lane detection"),
+    option("--lane-nets", default=NETS, nargs="*", help="ONNX files of lane networks"),
+)
+def ranging(options: Namespace) -> Figures:
+    by_tracks = {f"{n} tracks": box_only_ms(n, n_frames=options.frames) for n in options.tracks}
+    images = decoded(options.video, options.lane_frames) if options.video.is_file() else []
+    nets = [str(path) for path in options.lane_nets if path.is_file()]
+    finders = {Path(name).name: _lanes_ms(name, images) for name in (CLASSICAL, *nets) if images}
     return {"ms_by_tracks": by_tracks, "lane_finders_ms": finders}
 
 
@@ -89,42 +78,31 @@ def box_only_ms(n_tracks: int, *, n_frames: int) -> dict[str, float]:
     reads = {method.name: method.reads for method in methods()}
     fusion, filters = Fusion(), DistanceFilters(noise_fractions())
     tracks, lines = _tracks(n_tracks), _lines()
-    timer = _Timer()
+    times_s: dict[str, list[float]] = {}
+
+    def timed(name: str, function: Callable[[], Result]) -> Result:
+        start_s = time.process_time()
+        result = function()
+        times_s.setdefault(name, []).append(time.process_time() - start_s)
+        return result
+
+    def measured(ranger: Ranger, *arguments: Any) -> Ranges:
+        ranger.update_lanes(lines)
+        return ranger.measure_with(*arguments)
+
     for index in range(n_frames):
         jittered, frame = _jittered(tracks, index), Frame(index, index * STEP_S, _BLANK, None)
         ranges: dict[str, Ranges] = {}
         for name, ranger in rangers.items():
             others = {other: ranges[other] for other in reads[name] if other in ranges}
-            with timer.timing(name):
-                ranger.update_lanes(lines)
-                ranges[name] = ranger.measure_with(jittered, frame, others)
+            ranges[name] = timed(name, partial(measured, ranger, jittered, frame, others))
         ranges["stereo"] = _stereo(tracks, index)
-        with timer.timing(FUSE_STAGE[0]):
-            fused = fusion.fuse(ranges, jittered.track_id, frame.time_s)
+        fused = timed("fuse", partial(fusion.fuse, ranges, jittered.track_id, frame.time_s))
         ranges["fused"] = fused.ranges
-        with timer.timing(FUSE_STAGE[1]):
-            filters.update(ranges, frame.time_s, conditions={"fused": fused.condition})
-    median = timer.median_ms
-    sums = {"box-only methods": tuple(rangers), "fusion and filters": FUSE_STAGE}
+        timed("filters", partial(filters.update, ranges, frame.time_s, conditions={"fused": fused.condition}))
+    median = {name: median_ms(times) for name, times in times_s.items()}
+    sums = {"box-only methods": tuple(rangers), "fusion and filters": ("fuse", "filters")}
     return {**median, **{name: sum(median[part] for part in parts) for name, parts in sums.items()}}
-
-
-class _Timer:
-    """Processor times of named jobs."""
-
-    def __init__(self) -> None:
-        self._times_s: dict[str, list[float]] = {}
-
-    @contextmanager
-    def timing(self, name: str) -> Iterator[None]:
-        """Context manager that times the with-block."""
-        start_s = time.process_time()
-        yield
-        self._times_s.setdefault(name, []).append(time.process_time() - start_s)
-
-    @property
-    def median_ms(self) -> dict[str, float]:
-        return {name: 1e3 * statistics.median(values) for name, values in self._times_s.items()}
 
 
 _BLANK: Image = np.zeros((CAMERA.height_px, CAMERA.width_px, 3), np.uint8)
@@ -172,31 +150,11 @@ def _lines() -> LaneLines:
     return LaneLines(left, right)
 
 
-def _images(video: Path, n: int) -> list[Image]:
-    with closing(VideoFile(video).frames(0.0, math.inf)) as frames:
-        return [frame.image for frame in islice(frames, n)]
-
-
 def _lanes_ms(name: str, images: Sequence[Image]) -> float:
     finder = open_lane_finder(name, Runtime(n_threads=1, device="cpu"))
-    timer = _Timer()
+    times_s = []
     for index, image in enumerate(images):
-        with timer.timing(name):
-            finder.find(image, index * STEP_S)
-    return timer.median_ms[name]
-
-
-def _print(by_tracks: dict[str, dict[str, float]], finders: dict[str, float]) -> None:
-    table = Table(
-        "ms per frame",
-        *(f"{n} tracks" for n in by_tracks),
-        title="box-only methods, fusion and filters",
-    )
-    for name in next(iter(by_tracks.values()), {}):
-        table.add_row(name, *(f"{row[name]:.3f}" for row in by_tracks.values()))
-    Console().print(table)
-    if finders:
-        lanes = Table("lane detector", "ms per image", title="lane detection, one thread")
-        for name, ms in finders.items():
-            lanes.add_row(Path(name).name, f"{ms:.1f}")
-        Console().print(lanes)
+        start_s = time.process_time()
+        finder.find(image, index * STEP_S)
+        times_s.append(time.process_time() - start_s)
+    return median_ms(times_s)

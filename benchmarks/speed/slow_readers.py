@@ -9,15 +9,8 @@ from __future__ import annotations
 import socket
 import sys
 import time
-from contextlib import suppress
 
-_INTERVAL_S = 1.0
-"""Seconds between reads of each connection."""
-
-_N_BYTES = 1000
-"""Bytes of one read."""
-
-_REQUEST = b"GET /stream.mjpg HTTP/1.1\r\nHost: localhost\r\n\r\n"
+REQUEST = b"GET /stream.mjpg HTTP/1.1\r\nHost: localhost\r\n\r\n"
 
 
 def read_slowly(port: int, n_readers: int) -> None:
@@ -25,16 +18,14 @@ def read_slowly(port: int, n_readers: int) -> None:
     readers: list[socket.socket | None] = [None] * n_readers
     while True:
         for k in range(n_readers):
-            readers[k] = _read(readers[k], port)
-            time.sleep(_INTERVAL_S / n_readers)
+            readers[k] = _opened(port) if (reader := readers[k]) is None else _read(reader)
+            time.sleep(1.0 / n_readers)
 
 
-def _read(reader: socket.socket | None, port: int) -> socket.socket | None:
-    """Read from a connection, or open it; None = closed, to be opened the next time."""
-    if reader is None:
-        return _opened(port)
+def _read(reader: socket.socket) -> socket.socket | None:
+    """Read from a connection; None = closed, to be opened the next time."""
     try:
-        if reader.recv(_N_BYTES):
+        if reader.recv(1000):
             return reader
     except BlockingIOError:
         return reader
@@ -47,13 +38,14 @@ def _read(reader: socket.socket | None, port: int) -> socket.socket | None:
 def _opened(port: int) -> socket.socket | None:
     reader = socket.socket()
     reader.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    with suppress(OSError):
+    try:
         reader.connect(("127.0.0.1", port))
         reader.setblocking(False)
-        reader.sendall(_REQUEST)
-        return reader
-    reader.close()
-    return None
+        reader.sendall(REQUEST)
+    except OSError:
+        reader.close()
+        return None
+    return reader
 
 
 if __name__ == "__main__":

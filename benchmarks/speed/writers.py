@@ -6,22 +6,16 @@ images. Times are of the process (all threads), median over rounds; each round r
 
 from __future__ import annotations
 
-import argparse
-import statistics
 import tempfile
 import time
+from argparse import Namespace
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import psutil
-from rich.console import Console
 
-from benchmarks.plain_tables import plain_table
+from benchmarks.harness import Figures, in_new_process, option, workload
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges
 from track_range.results.columns import methods_with_sigma
@@ -32,90 +26,48 @@ from track_range.tracking.tracks import Tracks
 
 N_TRACKS, FPS = 8, 30.0
 
-_LIFETIME = 150
-"""Number of frames of a track."""
-
-_FIRST_SAMPLE = 500
-"""Frame after which memory is compared, so that libraries are loaded and buffers allocated."""
+_LIFETIME = 150  # frames of a track
+_FIRST_SAMPLE = 500  # memory is compared after this frame, when libraries are loaded and buffers allocated
 
 _CAMERA = PinholeCamera(1000.0, 1000.0, 620.0, 180.0, 1242, 375)
 
 
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """Cost of one round.
-
-    Attributes:
-        frame_ms: process time per frame.
-        close_ms: process time of closing the files.
-        n_bytes: size of the files.
-        growth_mib: growth of resident memory from frame 500 to the last.
-    """
-
-    frame_ms: float
-    close_ms: float
-    n_bytes: int
-    growth_mib: float
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Options of this workload."""
-    parser.add_argument("--frames", type=int, default=2000, metavar="N", help="number of frames")
-    parser.add_argument("--rounds", type=int, default=5, metavar="N", help="rounds, of which the median is printed")
-
-
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Measure each format, the default ones together and ROS 2's profile, and print the table."""
-    cases: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {name: ((name,), {}) for name in WRITERS.names}
+@workload(
+    option("--frames", default=2000, help="number of frames"),
+    option("--rounds", default=5, help="rounds, of which the median is printed"),
+)
+def writers(options: Namespace) -> Figures:
+    cases: dict[str, tuple[tuple[str, ...], Figures]] = {name: ((name,), {}) for name in WRITERS.names}
     cases["mcap, ros2"] = (("mcap",), {"mcap_profile": "ros2"})
     cases[f"default: {','.join(DEFAULT_WRITERS)}"] = (DEFAULT_WRITERS, {})
-    table = plain_table(
-        f"Writing {options.frames} frames of {N_TRACKS} tracks",
-        *("format", "ms per frame", "ms at the end", "kB per frame", "MiB growth"),
-    )
-    figures = {}
-    for name, (formats, settings) in cases.items():
-        costs = [_in_new_process(formats, settings, options.frames) for _ in range(options.rounds)]
-        row = {
-            field: round(statistics.median(getattr(cost, field) for cost in costs), 3)
-            for field in ("frame_ms", "close_ms", "n_bytes", "growth_mib")
-        }
-        figures[name] = row
-        table.add_row(
-            name,
-            f"{row['frame_ms']:.2f}",
-            f"{row['close_ms']:.0f}",
-            f"{row['n_bytes'] / options.frames / 1000:.2f}",
-            f"{row['growth_mib']:.1f}",
-        )
-    Console(width=100).print(table)
+    figures: Figures = {}
+    for name, case in cases.items():
+        costs = [in_new_process(_cost, *case, options.frames) for _ in range(options.rounds)]
+        figures[name] = {key: round(float(np.median([cost[key] for cost in costs])), 3) for key in costs[0]}
     return figures
 
 
-def _in_new_process(formats: Sequence[str], settings: dict[str, Any], n_frames: int) -> Cost:
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(_cost, formats, settings, n_frames).result()
-
-
-def _cost(formats: Sequence[str], settings: dict[str, Any], n_frames: int) -> Cost:
+def _cost(formats: Sequence[str], settings: Figures, n_frames: int) -> dict[str, float]:
+    """Process time per frame and of closing the files, size of these, and growth of memory from frame 500 on."""
     process = psutil.Process()
     info = RunInfo(camera=_CAMERA, rig=None, fps=FPS, settings=settings)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        writers = OpenWriters(formats, info, folder)
+        open_writers = OpenWriters(formats, info, folder)
         busy_s, first_bytes = 0.0, 0
         for result in frames(n_frames):
             start_s = time.process_time()
-            writers.write(result)
+            open_writers.write(result)
             busy_s += time.process_time() - start_s
             if result.index == min(_FIRST_SAMPLE, n_frames - 1):
                 first_bytes = process.memory_info().rss
-        last_bytes = process.memory_info().rss
+        growth_mib = (process.memory_info().rss - first_bytes) / 2**20
         start_s = time.process_time()
-        writers.close({"notes": []})
+        open_writers.close({"notes": []})
         close_s = time.process_time() - start_s
         n_bytes = sum(path.stat().st_size for path in folder.iterdir())
-    return Cost(1e3 * busy_s / n_frames, 1e3 * close_s, n_bytes, (last_bytes - first_bytes) / 2**20)
+    frame_ms, kb = 1e3 * busy_s / n_frames, n_bytes / n_frames / 1000
+    return {"ms_per_frame": frame_ms, "close_ms": 1e3 * close_s, "kb_per_frame": kb, "growth_mib": growth_mib}
 
 
 def frames(n_frames: int) -> Iterator[FrameResult]:

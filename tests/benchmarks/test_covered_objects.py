@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.inputs.covered_objects import covered_objects
+from benchmarks.inputs.occlusion_pairs import covered_objects
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.bodies.obstacles import BUILDERS
 from track_range.simulation.world.obstacles import Obstacle

@@ -1,20 +1,16 @@
 """Test of the benchmark of occlusion on one seed."""
 
-import argparse
-
 import pytest
 
-from benchmarks.accuracy.stereo_matching import occlusion
+from benchmarks.accuracy.occlusion import occlusion
+from benchmarks.harness import print_figures
 
 pytestmark = pytest.mark.slow
 
 
 def test_one_seed(capsys):
-    parser = argparse.ArgumentParser()
-    occlusion.add_options(parser)
-    options = parser.parse_args(["--first-seed", "2", "--seeds", "1", "--matchers", "patch"])
-    figures = occlusion.measure(options)
-    assert set(figures) == {"first_seed", "seeds", "ratios", "unrelated", "sequences", "all"}
+    figures = occlusion(*"--first-seed 2 --seeds 1 --matchers patch".split())
+    assert set(figures) == {"failure_ratios", "unrelated", "sequences", "all"}
     total, unrelated, sequences = (figures[part]["all"]["patch"] for part in ("all", "unrelated", "sequences"))
     assert total["n"] == unrelated["n"] + sequences["n"] > 20
     assert total["failures_pct"] < 60
@@ -24,6 +20,7 @@ def test_one_seed(capsys):
     free = figures["all"]["occluder none"]["patch"]
     assert free["failures_pct"] <= total["failures_pct"]
     assert free["median_relative_error_pct"] < 1.0
+    print_figures("occlusion", figures)
     printed = capsys.readouterr().out
-    assert "Occlusion, all" in printed
+    assert "occlusion, all" in printed
     assert "road user" in printed

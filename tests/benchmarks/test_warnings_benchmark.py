@@ -1,24 +1,24 @@
 """Tests of the benchmark of collision warnings on small inputs."""
 
 import json
-from argparse import ArgumentParser
 from dataclasses import asdict
 
 import numpy as np
 import pytest
 
+from benchmarks import harness
 from benchmarks.accuracy import warnings
-from benchmarks.accuracy.collision_warnings import stored_results
-from benchmarks.accuracy.collision_warnings.box_hours import (
+from benchmarks.accuracy.box_errors import TrackErrors, simulated_errors
+from benchmarks.accuracy.warning_drives import (
     SceneFigures,
     alarm_figures,
     closing_figures,
+    drive_figures,
     reliability,
-    scene_figures,
+    scene_drives,
 )
-from benchmarks.accuracy.collision_warnings.curve_figure import draw_curve, draw_reliability, write_curve
-from benchmarks.accuracy.collision_warnings.stored_results import StoredResults
-from benchmarks.accuracy.collision_warnings.track_errors import TrackErrors, simulated_errors
+from benchmarks.accuracy.warnings import draw_curve, draw_reliability, write_curve
+from benchmarks.harness import StoredResults
 from track_range.views.report.content.warning_curve import curve_figure
 
 NAN = float("nan")
@@ -38,7 +38,7 @@ def test_alarms_count_once_per_drive_and_threshold():
     assert figures["false_alarms"] == 2
     assert figures["false_alarms_per_hour"] == 2.0
     assert figures["median_lead_s"] == 1.25  # one contact with 2.5 s, one without an alarm
-    assert figures["share_with_2_1_s"] == 0.5
+    assert figures["fraction_with_2_1_s"] == 0.5
     assert alarm_figures(scenes, 0)["false_alarms"] == 1
 
 
@@ -78,14 +78,14 @@ def test_stored_results_continue(tmp_path, monkeypatch):
     results = StoredResults(path).mapped("a", lambda case: calls.append(case) or square(case), [1, 2, 3], 1)
     assert [row["value"] for row in results] == [[1], [4], [9]]
     assert calls == [3]
-    monkeypatch.setattr(stored_results, "source_version", lambda: "another")
+    monkeypatch.setattr(harness, "source_version", lambda: "another")
     calls.clear()
     list(StoredResults(path).mapped("a", lambda case: calls.append(case) or square(case), [1], 1))
     assert calls == [1]
 
 
 def curve_figures():
-    point = {"false_alarms_per_hour": 2.0, "median_lead_s": 2.5, "share_with_2_1_s": 0.8}
+    point = {"false_alarms_per_hour": 2.0, "median_lead_s": 2.5, "fraction_with_2_1_s": 0.8}
     bins = [{"n": 50, "predicted": 0.2, "observed": 0.1}]
     return {
         name: {
@@ -128,7 +128,7 @@ def test_tracks_of_a_short_drive():
 
 @pytest.mark.slow
 def test_stopped_vehicle_is_warned_of():
-    figures = scene_figures("rear-stationary", 1, methods="fused", n_errors=1)
+    figures = drive_figures(scene_drives("rear-stationary", 1, 1), methods="fused")
     assert figures.n_contacts == 1
     assert figures.closing.shape[1] == 5
 
@@ -142,13 +142,10 @@ def test_hours_and_curve_of_few_drives(tmp_path, monkeypatch):
         ("THRESHOLDS", (0.5,)),
     ):
         monkeypatch.setattr(warnings, name, value)
-    parser = ArgumentParser()
-    warnings.add_options(parser)
     files = {name: tmp_path / name for name in ("parts.jsonl", "curve.svg", "curve.json")}
     few = "--only hours curve --hours 0.005 --errors 1 --first-seed 1"
     paths = ["--parts", files["parts.jsonl"], "--figure", files["curve.svg"], "--report-curve", files["curve.json"]]
-    options = parser.parse_args([*few.split(), *map(str, paths)])
-    figures = warnings.measure(options)
+    figures = warnings.warnings(*few.split(), *map(str, paths))
     assert figures["hours"]["fused"]["hours"] > 0
     assert figures["curve"]["fused"]["default"]["contacts"] == 1
     assert all(path.stat().st_size > 0 for path in files.values())

@@ -1,22 +1,17 @@
 """Test of the benchmark of wide lenses on one short drive."""
 
-import argparse
-
 import pytest
 
-from benchmarks.accuracy import wide_lenses
+from benchmarks.accuracy.wide_lenses import wide_lenses
 
 pytestmark = pytest.mark.slow
 
 
-def test_one_drive(capsys):
-    parser = argparse.ArgumentParser()
-    wide_lenses.add_options(parser)
-    options = parser.parse_args(["--scenarios", "town", "--seeds", "7", "--seconds", "1"])
-    figures = wide_lenses.measure(options)
+def test_one_drive():
+    figures = wide_lenses(*"--scenarios town --seeds 7 --seconds 1".split())
     stereo = figures["all"]["stereo"]
     assert stereo["pinhole"]["n"] == stereo["fisheye"]["n"] > 20
     assert stereo["pinhole"]["median_relative_error_pct"] < 2
     assert 0.5 < stereo["ratios"]["median"] < 2
     assert figures["all"]["mono"]["ratios"]["median"] == pytest.approx(1, abs=0.1)
-    assert "farther out" in capsys.readouterr().out
+    assert "farther out" in figures

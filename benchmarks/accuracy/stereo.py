@@ -6,56 +6,70 @@ each: the cars of the scene, and the same boxes shifted by up to a tenth of thei
 the true disparity + 3 px, as for tracks; `patch, full range` has no prior. Dense is OpenCV's SGBM with 128 disparities,
 without the evaluation of boxes. Rectification: the whole right frame, and the strips searched for the 15 boxes. Goals:
 25 times as fast as the fastest dense mode at 1242 x 375, 50 times at 1280 x 720; 15 and 35 times over the full range.
-Protocol, accuracy: `stereo_accuracy.py`.
+
+Protocol, accuracy on simulated drives: KITTI's geometry (`track_range.simulation`, encoded videos), labels at 15-25 m
+that are not truncated and at most partly occluded, boxes of the labels, priors from the previous frame as in a run. The
+true distance is that of the label's visible surface on the ray through the box centre. Goal: median error 0.3 %.
+Repeatability: labelled tracks of real drives with at least 8 measured frames; standard deviation of the disparity about
+a quadratic in time (three degrees of freedom). Goal: at most 0.08 px. The row `labels` is the same for the disparities
+of the labels: the disparity of a near car that passes is not quadratic in time.
 """
 
 from __future__ import annotations
 
-import argparse
 import statistics
+import tempfile
 import time
-from collections.abc import Callable
+from argparse import Namespace
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from rich import box
-from rich.console import Console
-from rich.table import Table
 
-from benchmarks.accuracy.stereo_matching.stereo_accuracy import add_accuracy_options, measure_accuracy
+from benchmarks.harness import (
+    Figures,
+    median_or_none,
+    option,
+    workload,
+)
 from benchmarks.inputs.drives import REAL_DATA
-from track_range.foundation.arrays import FloatArray, Image
+from track_range.calibration.drive_pairs import read_drive
+from track_range.evaluation.expected_disparities import expected_disparities
+from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.foundation.processes import one_opencv_thread
+from track_range.simulation.drive import write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scene import make_scene
 from track_range.simulation.world.truth import label_scene
-from track_range.stereo.evaluation.kitti_2015 import TRUTH, pair_names, read_pair
+from track_range.stereo.evaluation.disparity_errors import MatcherColumn, figures
+from track_range.stereo.evaluation.kitti_2015 import TRUTH, StereoPair, pair_names, read_pair
 from track_range.stereo.geometry.rectification import Maps, RemappedView
 from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.matching.box_matchers import MatcherResults, measure_pairs
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.stereo.matching.patches import inner_halves
 from track_range.stereo.matching.sgbm import Mode, Sgbm, SgbmSettings
 
-N_BOXES = 15
-"""Boxes per scene."""
+DRIVES = tuple(REAL_DATA / "kitti_stereo" / name for name in ("0003", "0005"))
 
-N_DISPARITIES = 128
-"""Disparity range of dense matching."""
+FROM_M, TO_M = 15.0, 25.0
+"""Distance range in m on simulated drives."""
 
+MIN_FRAMES = 8
+"""Smallest number of measured frames of a track for its repeatability."""
+
+MATCHERS = ("patch", "sgbm")
+
+N_BOXES = 15  # per scene
+N_DISPARITIES = 128  # of dense matching
 PRIOR_ERROR_PX = 3.0
-"""Error of the disparity prior in px."""
-
 MIN_BOX_HEIGHT_PX = 20.0
-"""Smallest height of a box."""
-
-MIN_TRUE_PIXELS = 20
-"""Smallest number of pixels with a true disparity in a box."""
-
+MIN_TRUE_PIXELS = 20  # with a true disparity in a box
 MODES: tuple[Mode, ...] = ("3way", "sgbm", "hh")
-"""Modes of OpenCV's SGBM."""
 
 SEARCH_PX = 12
 """Columns to the left and right of a patch that a search around a prior reads, for the rectification of strips."""
@@ -63,15 +77,7 @@ SEARCH_PX = 12
 
 @dataclass(frozen=True, slots=True)
 class SpeedScene:
-    """A rectified pair with boxes.
-
-    Attributes:
-        left: left image.
-        right: right image.
-        xyxy_px: (15, 4) boxes.
-        true_px: (15,) true disparities.
-        rig: the rectified pair.
-    """
+    """A rectified pair with (15, 4) boxes and their (15,) true disparities."""
 
     left: Image
     right: Image
@@ -80,26 +86,26 @@ class SpeedScene:
     rig: StereoRig
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of this workload."""
-    parser.add_argument(
-        "--pairs", type=Path, default=REAL_DATA / "kitti2015", help="folder in the layout of KITTI 2015"
-    )
-    parser.add_argument("--scenes", type=int, default=4, help="number of pairs per image size")
-    parser.add_argument("--rounds", type=int, default=5, help="number of rounds")
-    add_accuracy_options(parser)
-
-
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Measure speed and accuracy, print the tables, and return the figures."""
-    groups = {"1280x720": _rendered(options.scenes, width_px=1280, height_px=720)}
-    real = _real(options.pairs, options.scenes) if options.pairs.is_dir() else []
-    small = real or _rendered(options.scenes, width_px=1242, height_px=376)
-    groups = {f"{small[0].left.shape[1]}x{small[0].left.shape[0]}": small, **groups}
+@workload(
+    option("--pairs", default=REAL_DATA / "kitti2015", help="folder in the layout of KITTI 2015"),
+    option("--scenes", default=4, help="number of pairs per image size"),
+    option("--rounds", default=5, help="number of rounds"),
+    option("--seeds", default=3, help="number of simulated drives"),
+    option("--fps", default=2.5, help="frame rate of the simulated drives, of 6 s each"),
+    option("--drives", default=DRIVES, nargs="*", help="real drives with labels"),
+)
+def stereo(options: Namespace) -> Figures:
+    small = _real(options.pairs, options.scenes) if options.pairs.is_dir() else []
+    small = small or _rendered(options.scenes, width_px=1242, height_px=376)
+    large = _rendered(options.scenes, width_px=1280, height_px=720)
     with one_opencv_thread():
-        speed = {size: _speed(scenes, options.rounds) for size, scenes in groups.items()}
-    _print_speed(speed)
-    return {"n_boxes": N_BOXES, "rounds": options.rounds, "speed": speed, "accuracy": measure_accuracy(options)}
+        speed = {
+            f"{scenes[0].left.shape[1]}x{scenes[0].left.shape[0]}": _speed(scenes, options.rounds)
+            for scenes in (small, large)
+        }
+    simulated = _simulated(options.seeds, options.fps) if options.seeds else {}
+    repeated = {drive.name: _repeatability(drive) for drive in options.drives if drive.is_dir()}
+    return {"speed": speed, "simulated": simulated, "repeatability": repeated}
 
 
 def _real(folder: Path, n: int) -> list[SpeedScene]:
@@ -164,16 +170,10 @@ def _speed(scenes: list[SpeedScene], n_rounds: int) -> dict[str, Any]:
     ms = {name: statistics.median(times[name]) for name in _jobs(scenes[0])}
     dense = {mode: ms[f"dense {mode}"] for mode in MODES}
     ratios = {
-        name: {mode: dense_ms / ms[name] for mode, dense_ms in dense.items()}
+        name: {f"dense {mode}": dense_ms / ms[name] for mode, dense_ms in dense.items()}
         for name in ("patch, prior", "patch, full range")
     }
-    return {
-        "n_scenes": len(scenes),
-        "ms": ms,
-        "ratios": ratios,
-        "ratio_prior": min(ratios["patch, prior"].values()),
-        "ratio_full_range": min(ratios["patch, full range"].values()),
-    }
+    return {"ms": ms, "ratios": {name: {**row, "smallest": min(row.values())} for name, row in ratios.items()}}
 
 
 def _jobs(scene: SpeedScene) -> dict[str, Callable[[], object]]:
@@ -185,14 +185,10 @@ def _jobs(scene: SpeedScene) -> dict[str, Callable[[], object]]:
     return {
         "patch, prior": lambda: patch.match(scene.left, scene.right, scene.xyxy_px, prior_px),
         "patch, full range": lambda: patch.match(scene.left, scene.right, scene.xyxy_px, no_prior_px),
-        **{f"dense {mode}": _dense_job(sgbm, scene) for mode, sgbm in dense.items()},
+        **{f"dense {mode}": partial(sgbm.dense_disparity, scene.left, scene.right) for mode, sgbm in dense.items()},
         "rectify right frame": lambda: cv2.remap(scene.right, *maps, cv2.INTER_LINEAR),
-        "rectify right strips": lambda: _read(RemappedView(scene.right, maps), strips),
+        "rectify right strips": lambda: [RemappedView(scene.right, maps)[strip] for strip in strips],
     }
-
-
-def _dense_job(sgbm: Sgbm, scene: SpeedScene) -> Callable[[], object]:
-    return lambda: sgbm.dense_disparity(scene.left, scene.right)
 
 
 def _raw_maps(scene: SpeedScene) -> Maps:
@@ -217,21 +213,47 @@ def _strips(scene: SpeedScene) -> list[tuple[slice, slice]]:
     return strips
 
 
-def _read(view: RemappedView, strips: list[tuple[slice, slice]]) -> None:
-    for strip in strips:
-        view[strip]
+def _simulated(n_drives: int, fps: float) -> dict[str, Any]:
+    """Figures of each matcher on all drives together."""
+    with tempfile.TemporaryDirectory() as name:
+        measured = measure_pairs(_drives(Path(name), n_drives, fps), MATCHERS, expected=expected_disparities)
+    objects = measured.objects
+    near = (objects.distance_m >= FROM_M) & (objects.distance_m <= TO_M)
+    return {
+        matcher: figures(MatcherColumn(column.disparity_px[near], column.sigma_px[near]), objects.true_px[near])
+        for matcher, column in measured.columns.items()
+    }
 
 
-def _print_speed(speed: dict[str, Any]) -> None:
-    title = f"Median ms per frame with {N_BOXES} boxes, one thread"
-    table = Table(title=title, box=box.SIMPLE_HEAD, padding=0, title_justify="left")
-    table.add_column("job")
-    for size in speed:
-        table.add_column(size, justify="right")
-    for name in next(iter(speed.values()))["ms"]:
-        table.add_row(name, *(f"{figures['ms'][name]:.2f}" for figures in speed.values()))
-    for name in ("patch, prior", "patch, full range"):
-        for mode in MODES:
-            ratios = (figures["ratios"][name][mode] for figures in speed.values())
-            table.add_row(f"dense {mode} / {name}", *(f"{ratio:.1f}" for ratio in ratios))
-    Console().print(table)
+def _drives(folder: Path, n_drives: int, fps: float) -> Iterator[StereoPair]:
+    for seed in range(n_drives):
+        write_drive(folder / str(seed), seed=seed, fps=fps)
+        yield from read_drive(folder / str(seed))
+
+
+def _repeatability(drive: Path) -> dict[str, Any]:
+    """Standard deviations per track, with their median and maximum, by matcher and for the labels."""
+    measured = measure_pairs(read_drive(drive), MATCHERS, expected=expected_disparities)
+    truth = MatcherColumn(measured.objects.true_px, np.zeros(len(measured.objects)))
+    return {name: _repeated(measured, column) for name, column in {**measured.columns, "labels": truth}.items()}
+
+
+def _repeated(measured: MatcherResults, column: MatcherColumn) -> dict[str, Any]:
+    objects = measured.objects
+    values = list(scatter_px(objects.group, objects.pair, column.disparity_px).values())
+    return {"tracks": len(values), "median_px": median_or_none(values), "worst_px": max(values, default=None)}
+
+
+def scatter_px(track_id: IntArray, frame: IntArray, disparity_px: FloatArray) -> dict[int, float]:
+    """Standard deviation of each track's disparities about a quadratic in the frame number.
+
+    Tracks of fewer than `MIN_FRAMES` measured frames are not included. All arrays are (N,); NaN = not measured.
+    """
+    scatter = {}
+    for track in np.unique(track_id).tolist():
+        rows = (track_id == track) & np.isfinite(disparity_px)
+        if rows.sum() >= MIN_FRAMES:
+            curve = np.polynomial.Polynomial.fit(frame[rows], disparity_px[rows], 2)
+            residual_px = disparity_px[rows] - curve(frame[rows])
+            scatter[track] = float(np.sqrt((residual_px**2).sum() / (len(residual_px) - 3)))
+    return scatter

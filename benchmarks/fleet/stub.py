@@ -1,6 +1,6 @@
 """A fleet of the rows of a manifest with a stub instead of the processing, for the cost of the control path.
 
-`python -m benchmarks.inputs.fleet_stub MANIFEST OUT N_WORKERS` prints the time and the memory of this process as JSON.
+`python -m benchmarks.fleet.stub MANIFEST OUT N_WORKERS` prints the time and the memory of this process as JSON.
 """
 
 from __future__ import annotations

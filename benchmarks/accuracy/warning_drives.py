@@ -1,41 +1,208 @@
-"""Collision warnings on drives without images: alarms, lead times, closing speeds and probabilities of contact."""
+"""Collision warnings on rendered drives, on real ones, and on drives without images.
+
+Drives without images have alarms, lead times, closing speeds and probabilities of contact, with the errors of
+`benchmarks/boxes`.
+"""
 
 from __future__ import annotations
 
+import csv
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.collision_warnings.scene_drives import SceneDrives, scene_drives
-from benchmarks.boxes.box_run import IDS_PER_DRIVE, run_boxes
+from benchmarks.boxes.box_drive import BoxDrive
+from benchmarks.boxes.box_run import IDS_PER_DRIVE, Step, run_boxes, tracked
+from benchmarks.boxes.true_boxes import TrueBoxes, closing_rates_mps, true_boxes
+from benchmarks.harness import (
+    Figures,
+    median_or_none,
+    quantile_or_none,
+)
+from benchmarks.inputs.drives import COLLISIONS, FPS, ConflictDrive, StoredDetector, conflict_drive
+from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.evaluation.events.contacts import read_contacts
+from track_range.evaluation.events.scores import contact_scores, is_warning
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.warning.warnings import Warnings, WarningSettings
+from track_range.results.events.event import Event
+from track_range.run.option_types import RunKeywords
+from track_range.run.run import Run
+from track_range.simulation.render.renderer import kitti_like_rig
+from track_range.simulation.world.contacts import find_contacts
+from track_range.simulation.world.scenarios import make_scenario
+from track_range.simulation.world.scene import Scene
+from track_range.stereo.rig_formats.reading import load_calibration
+
+MIN_IOU = 0.3
+"""Smallest overlap of a track with its object."""
+
+
+HARMLESS_S, COLLISION_S = 20.0, 8.0
+"""Length of a drive, s."""
+
+WIDTH_PX, HEIGHT_PX = 620, 188
+"""Size of the images, px: that of the fit."""
+
 
 METHODS = {"mono": ("mono",), "stereo": ("stereo",), "fused": ("mono", "stereo")}
 """Ranging methods of each configuration."""
 
-HARMLESS = ("curve-parked", "oncoming", "overhead-sign", "following", "queue", "city", "highway")
+HARMLESS_HOURS = ("curve-parked", "oncoming", "overhead-sign", "following", "queue", "city", "highway")
 """Scenarios of harmless driving."""
 
 THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9, 0.97)
 """Thresholds of the curve, of `WarningSettings.on_probability`; that of people is lower by the default difference."""
 
-N_ERRORS = 10
-"""Number of drives with different errors in each scene."""
-
-SAME_ALARM_S = 3.0
-"""Longest time between two alarms on one object that count as one, s."""
-
-CLOSING_FRAMES = 5
-"""Every how many frames the errors of closing speeds are measured."""
+N_ERRORS = 10  # drives with different errors in each scene
+SAME_ALARM_S = 3.0  # longest time between two alarms on one object that count as one
+CLOSING_FRAMES = 5  # from one measurement of the errors of closing speeds to the next
 
 _BINS = np.concatenate([[0, 0.01, 0.03], np.linspace(0.1, 1, 10)])
+
+
+def rendered_figures(cache: Path, scenario: str, seed: int, *, is_stereo: bool, width_px: int) -> Figures:
+    """Contacts with the lead of the first warning, false alarms, and errors of closing speeds of one drive."""
+    drive = conflict_drive(cache, scenario, seed, width_px=width_px)
+    scene = make_scenario(scenario, seed=seed, seconds=drive.seconds)
+    calibration, _ = load_calibration(drive.files.rig)
+    true = true_boxes(scene, np.arange(len(drive.boxes)) / FPS, calibration.left)  # type: ignore[union-attr]
+    user_of: dict[int, Counter[int]] = {}
+    closing: list[tuple[float, ...]] = []
+    speeds = _closing_speeds(drive.files.table)
+    with run_of(drive, is_stereo=is_stereo) as run:
+        for result in run:
+            rows = np.flatnonzero(true.frame == result.index)
+            users, _ = matched_users(true, rows, result.tracks.xyxy_px, np.full(len(rows), MIN_IOU))
+            for row, user in enumerate(users.tolist()):
+                if user < 0 or not result.tracks.observed[row]:
+                    continue
+                user_of.setdefault(int(result.tracks.track_id[row]), Counter())[user] += 1
+                truth = speeds.get((result.index, scene.road_users[user].track_id))
+                if truth is not None and np.isfinite(result.closing_mps[row]):
+                    class_id, height_m = int(result.tracks.class_id[row]), scene.road_users[user].size_hwl_m[0]
+                    error = float(result.closing_mps[row]) - truth[1]
+                    closing.append((class_id, truth[0], error, float(result.closing_sigma_mps[row]), height_m))
+        events = run.events
+    objects = [_object(event, user_of, scene) for event in events]
+    scores = contact_scores(events, objects, read_contacts(drive.files.contacts), hours=drive.seconds / 3600)
+    end_s = min((row["contact_s"] for row in scores["contacts"]), default=np.inf)
+    return {
+        "scenario": scenario,
+        "seed": seed,
+        "contacts": scores["contacts"],
+        "false_warnings": [row for row in scores["false_warnings"] if row["warning_s"] <= end_s],
+        "closing": np.array(closing, np.float64).reshape(-1, 5),
+    }
+
+
+def real_warnings(**source: Any) -> list[Event]:
+    """The warnings of a run with default options on a real recording."""
+    left, *right = source.pop("videos")
+    with Run.stereo(left, right[0], sgbm=False, **source) if right else Run.mono(left, **source) as run:
+        for _ in run:
+            pass
+        return [event for event in run.events if is_warning(event)]
+
+
+def run_of(drive: ConflictDrive, *, is_stereo: bool) -> Run:
+    """A run on a rendered drive with its stored boxes."""
+    files = drive.files
+    options: RunKeywords = {
+        "detector": StoredDetector(drive.boxes),
+        "ego_speed": files.ego_speed,
+        "rig": files.rig,
+        "sgbm": False,
+    }
+    return Run.stereo(files.left, files.right, **options) if is_stereo else Run.mono(files.left, **options)
+
+
+def matched_users(
+    true: TrueBoxes, rows: IntArray, xyxy_px: FloatArray, min_iou: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """(K,) object of each box, -1 = none, and its IoU relative to the smallest one of a match with the rows (R,)."""
+    if not len(rows) or not len(xyxy_px):
+        return np.full(len(xyxy_px), -1), np.zeros(len(xyxy_px))
+    overlap = iou(xyxy_px, true.xyxy_px[rows]) / min_iou
+    return np.where(overlap.max(axis=1) >= 1, true.user[rows[overlap.argmax(axis=1)]], -1), overlap.max(axis=1)
+
+
+def _object(event: Event, user_of: dict[int, Counter[int]], scene: Any) -> int | None:
+    """Id of the road user that the track of an event overlaps most often."""
+    users = user_of.get(event.track_id)
+    return None if not users else int(scene.road_users[users.most_common(1)[0][0]].track_id)
+
+
+def _closing_speeds(path: Path) -> dict[tuple[int, int], tuple[float, float]]:
+    """Distance and closing speed of truth.csv by frame and id."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return {
+            (int(row["frame"]), int(row["id"])): (float(row["distance_m"]), float(row["closing_mps"]))
+            for row in csv.DictReader(file)
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class SceneDrives:
+    """Drives with different errors in the scene of a scenario and seed, and the frames and tracks of each.
+
+    Attributes:
+        contact_s: time of the contact by id of the road user.
+        is_real: whether the contacts happen, without braking or with it.
+        end_s: time of the first contact, or of the last frame; later frames do not count.
+        object_id: (N + 1,) id of each road user; the last one, -1, is that of false boxes (row -1).
+        closing_mps: (N, T) true closing speeds.
+    """
+
+    scenario: str
+    seed: int
+    scene: Scene
+    drives: list[BoxDrive]
+    tracks: list[list[Step]]
+    contact_s: dict[int, float]
+    is_real: bool
+    end_s: float
+    object_id: IntArray
+    closing_mps: FloatArray
+
+    @property
+    def hours(self) -> float:
+        """Duration of all drives, h."""
+        return len(self.drives) * self.end_s / 3600
+
+
+def scene_drives(scenario: str, seed: int, n_errors: int) -> SceneDrives:
+    """The drives of a scenario and seed; the same arguments give the same drives."""
+    seconds = COLLISION_S if scenario in COLLISIONS else HARMLESS_S
+    scene = make_scenario(scenario, seed=seed, seconds=seconds)
+    contacts = find_contacts(scene, seconds)
+    contact_s = {contact.track_id: contact.contact_s for contact in contacts}
+    is_real = all(contact.is_real for contact in contacts)
+    times_s = np.arange(round(seconds * FPS)) / FPS
+    rig = kitti_like_rig(width_px=WIDTH_PX, height_px=HEIGHT_PX)
+    first = BoxDrive(scene, times_s, rig, seed=1000 * seed)
+    others = [BoxDrive(scene, times_s, rig, seed=1000 * seed + number, like=first) for number in range(1, n_errors)]
+    drives = [first, *others]
+    return SceneDrives(
+        scenario,
+        seed,
+        scene,
+        drives,
+        [tracked(drive) for drive in drives],
+        contact_s,
+        is_real,
+        min(contact_s.values(), default=seconds) if is_real else seconds,
+        np.array([user.track_id for user in scene.road_users] + [-1]),
+        closing_rates_mps(scene, times_s),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +239,7 @@ class SceneFigures:
 class WarningCurve(CollisionWarning):
     """Collision warnings with several thresholds; returns that with the default settings.
 
-    Attributes:
-        warnings: of the last frame, by threshold, then that with the default settings.
+    `warnings` are those of the last frame, by threshold, then that with the default settings.
     """
 
     def __init__(self, thresholds: Sequence[float]) -> None:
@@ -98,13 +264,6 @@ class WarningCurve(CollisionWarning):
         """Warnings of this frame with the default settings."""
         self.warnings = [warning.update(*args, **options) for warning in self._all]
         return self.warnings[-1]
-
-
-def scene_figures(
-    scenario: str, seed: int, *, methods: str = "fused", n_errors: int = N_ERRORS, thresholds: Sequence[float] = ()
-) -> SceneFigures:
-    """Figures of drives without images in the scene of a scenario and seed, with one set of ranging methods."""
-    return drive_figures(scene_drives(scenario, seed, n_errors), methods=methods, thresholds=thresholds)
 
 
 def drive_figures(scene: SceneDrives, *, methods: str = "fused", thresholds: Sequence[float] = ()) -> SceneFigures:
@@ -184,7 +343,7 @@ def _merged(alarms: FloatArray) -> FloatArray:
     return np.array(rows).reshape(-1, 5)
 
 
-def alarm_figures(scenes: Sequence[SceneFigures], threshold: int = -1) -> dict[str, Any]:
+def alarm_figures(scenes: Sequence[SceneFigures], threshold: int = -1) -> Figures:
     """Hits, lead times and false alarms per hour at one threshold (index; -1 = default settings)."""
     n_thresholds = int(max((scene.alarms[:, 1].max(initial=0) for scene in scenes), default=0))
     index = n_thresholds if threshold < 0 else threshold
@@ -209,13 +368,13 @@ def alarm_figures(scenes: Sequence[SceneFigures], threshold: int = -1) -> dict[s
         "false_alarms_per_hour": round(n_false / hours, 2) if hours else None,
         "false_alarms_by_scenario": by_scenario,
         "contacts": n_contacts,
-        "median_lead_s": round(float(np.median(leads)), 2) if leads else None,
-        "lead_10_pct_s": round(float(np.quantile(leads, 0.1)), 2) if leads else None,
+        "median_lead_s": median_or_none(leads),
+        "lead_10_pct_s": quantile_or_none(leads, 0.1),
         "fraction_with_2_1_s": round(float(np.mean(np.array(leads) >= 2.1)), 3) if leads else None,
     }
 
 
-def closing_figures(rows: FloatArray, nearest_m: float = 10.0, farthest_m: float = 40.0) -> dict[str, Any]:
+def closing_figures(rows: FloatArray, nearest_m: float = 10.0, farthest_m: float = 40.0) -> Figures:
     """Median absolute error and bias of the closing speed by class; tall vehicles are trucks and buses over 2.5 m."""
     rows = rows[(rows[:, 1] >= nearest_m) & (rows[:, 1] <= farthest_m)]
     groups = {name: rows[rows[:, 0] == number] for number, name in enumerate(ROAD_CLASSES[:6])}
@@ -232,7 +391,7 @@ def closing_figures(rows: FloatArray, nearest_m: float = 10.0, farthest_m: float
     }
 
 
-def reliability(counts: FloatArray) -> dict[str, Any]:
+def reliability(counts: FloatArray) -> Figures:
     """Reliability diagram: number of tracks and frames, mean probability and fraction of contacts by bin.
 
     `error` is the mean absolute difference over all tracks and frames; those below and above a probability of 0.1

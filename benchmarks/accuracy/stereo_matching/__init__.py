@@ -1,1 +1,0 @@
-"""Stereo: matching of boxes, occlusion, and the alignment of the rig."""

@@ -1,0 +1,92 @@
+"""Baselines of the fast workloads, and ratios of the figures of two recordings."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from argparse import Namespace
+from pathlib import Path
+
+from benchmarks.harness import ROOT, Figures, numbers, option, workload
+
+BASELINES = Path(__file__).with_name("baselines")
+
+FAST = {
+    "startup": "--runs 5",
+    "ranging": "--frames 300 --lane-frames 30",
+    "writers": "--frames 600 --rounds 3",
+    "formats": "--frames 500",
+    "stereo": "--scenes 1 --rounds 3 --seeds 1 --pairs none --drives",
+    "tracking": "--sets scene --rounds 2",
+    "fusion": "--scenarios town",
+    "alignment": "--seeds 240 241 242",
+    "focal_length": "--seeds 2",
+    "horizon": "--scenarios town --seeds 221 --known height none",
+    "warnings": "--only hours --hours 0.1 --first-seed 120 --errors 2",
+}
+"""Options of the workloads with baselines: they need no data, and a few minutes together."""
+
+
+@workload(
+    option("--only", default=tuple(FAST), choices=FAST, help="workloads"),
+    option("--folder", default=BASELINES, metavar="DIR", help="folder of the recordings"),
+)
+def baseline(options: Namespace) -> Figures:
+    """Record the fast workloads, each in a new process, one file each: the baselines, or what to compare with."""
+    options.folder.mkdir(parents=True, exist_ok=True)
+    for name in options.only:
+        command = [sys.executable, "-m", "benchmarks", name, *FAST[name].split()]
+        subprocess.run([*command, "--json", str((options.folder / f"{name}.json").resolve())], cwd=ROOT, check=True)
+    return {"recorded": len(options.only)}
+
+
+@workload(
+    option("first", type=Path, metavar="A", help="JSON file, or folder of JSON files"),
+    option(
+        "second",
+        type=Path,
+        nargs="?",
+        metavar="B",
+        help="the same, to compare with A; without B, A is compared with the baselines",
+    ),
+    option("--tolerance", default=0.1, metavar="FRACTION", help="largest deviation of a ratio from 1 without a mark"),
+    option("--all", default=False, help="show all figures, not only those outside of the tolerance"),
+)
+def compare(options: Namespace) -> Figures:
+    """Ratios B / A of all figures that both recordings have; the exit status does not depend on them.
+
+    With one recording, A is the committed baselines and B this recording.
+    """
+    pair = (options.first, options.second) if options.second else (BASELINES, options.first)
+    before, after = map(recorded, pair)
+    shown: Figures = {}
+    for name in (name for name in before if name in after):
+        a, b = before[name], after[name]
+        ratio = b / a if a else (1.0 if a == b else math.inf)
+        is_outside = not abs(ratio - 1) <= options.tolerance
+        if is_outside or options.all:
+            shown[name] = {"A": a, "B": b, "B/A": ratio, "outside": "*" if is_outside else ""}
+    n_common, n_outside = len(before.keys() & after.keys()), sum(row["outside"] == "*" for row in shown.values())
+    counts = {"figures in both": n_common, "outside of the tolerance": n_outside}
+    return {**counts, "only in A": len(before) - n_common, "only in B": len(after) - n_common, "figures": shown}
+
+
+def recorded(path: Path) -> dict[str, float]:
+    """Figures by name of a JSON file of a workload, or of all such files in a folder.
+
+    Raises:
+        SystemExit: there is no such file or folder, or it has no figures.
+    """
+    files = sorted(path.glob("*.json")) if path.is_dir() else [path]
+    figures: dict[str, float] = {}
+    for file in files:
+        try:
+            content = json.loads(file.read_text(encoding="utf-8"))
+            figures |= dict(numbers({name: value for name, value in content.items() if name != "about"}))
+        except (OSError, ValueError, AttributeError) as error:
+            raise SystemExit(f"{file}: expected a JSON file of `python -m benchmarks`: {error}") from None
+    if not figures:
+        raise SystemExit(f"{path}: expected figures of `python -m benchmarks WORKLOAD --json FILE`")
+    return figures

@@ -1,0 +1,198 @@
+"""Time and memory of whole runs, each in a separate process, and of the start of the program."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from argparse import Namespace
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.harness import PROGRAM, ROOT, Figures, option, workload
+from benchmarks.inputs.drives import DRIVE_OPTIONS, LoopedDrive, looped, ordinary_video
+from track_range.detection.models.onnx_session import OnnxSession, Runtime
+from track_range.detection.yolo.detector import DEFAULT_SIZE_PX
+from track_range.detection.yolo.letterbox import rectangular_input_hw
+
+COMMANDS = {
+    "python -c pass": ("-c", "pass"),
+    "import track_range": ("-c", "import track_range"),
+    "track-range --help": ("-m", "track_range", "--help"),
+    "track-range run --help": ("-m", "track_range", "run", "--help"),
+}
+"""What `startup` measures."""
+
+SAMPLE_S = 0.25
+"""Interval in s between samples of the memory."""
+
+
+def times_s(arguments: Sequence[str]) -> tuple[float, float]:
+    """Wall-clock and CPU time in s of a process of Python, which has to succeed."""
+    start_s = time.perf_counter()
+    process = subprocess.Popen([sys.executable, *arguments], stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"{' '.join(arguments)}: status {process.returncode}")
+    return time.perf_counter() - start_s, usage.ru_utime + usage.ru_stime
+
+
+def pair_command(drive: LoopedDrive, options: Namespace, out: Path) -> tuple[str, ...]:
+    """Arguments of Python for a run on a looped drive, without dense stereo."""
+    pair = ("--stereo", str(drive.left), str(drive.right), "--rig", str(drive.rig))
+    return (*PROGRAM[1:], *pair, "--detector", str(options.detector), "--out", str(out), "--no-sgbm")
+
+
+@workload(option("--runs", default=10, help="runs of each command"))
+def startup(options: Namespace) -> Figures:
+    """Median wall-clock and CPU time in s of each command in a new process; runs alternate between the commands."""
+    times: dict[str, list[tuple[float, float]]] = {name: [] for name in COMMANDS}
+    for _ in range(options.runs):
+        for name, arguments in COMMANDS.items():
+            times[name].append(times_s(arguments))
+    medians = {name: np.median(pairs, axis=0).tolist() for name, pairs in times.items()}
+    return {name: {"wall_s": wall, "cpu_s": cpu, "n_runs": options.runs} for name, (wall, cpu) in medians.items()}
+
+
+@workload(
+    *DRIVE_OPTIONS,
+    option("--frames", default=300, help="number of frames of the looped drive"),
+    option("--rounds", default=3, help="number of rounds"),
+)
+def pipeline(options: Namespace) -> Figures:
+    """Wall time of whole runs relative to the detector's inference alone, both with one network thread, ms per frame.
+
+    Protocol: a near-lossless stereo drive looped to 300 frames, and an ordinary video of one camera (H.264, crf 23,
+    1280 x 720); alternating, several rounds of (a) the network alone on one prepared input, once per frame, and (b)
+    `track-range --threads 1 --no-sgbm` with overlay in a separate process, for each of the two. Its time is `wall_s`:
+    opening the videos and processing all frames, without the start of Python, the loading of the network, the summary
+    and the report. No alignment is estimated: the frames of the first seconds, which it reads, would be decoded before.
+    The figure is the median of the ratios of the rounds, since the speed of the machine varies.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        drive = looped(options.drive, folder, n_frames=options.frames)
+        video = ordinary_video(folder / "ordinary.mp4", n_frames=options.frames)
+        one = ("--mono", str(video), "--focal-px", "1150", "--detector", str(options.detector), "--no-sgbm")
+        commands = {
+            "pair": (*pair_command(drive, options, folder / "pair"), "--align", "off"),
+            "ordinary": (*PROGRAM[1:], *one, "--out", str(folder / "ordinary")),
+        }
+        rounds = []
+        for _ in range(options.rounds):
+            alone_ms = _inference_alone_ms(options.detector, n_frames=options.frames, image_hw=drive.image_hw)
+            figures = {"inference alone": alone_ms}
+            for kind, command in commands.items():
+                times_s((*command, "--threads", "1", "--device", "cpu"))
+                summary = json.loads((folder / kind / "summary.json").read_text(encoding="utf-8"))
+                run_ms = 1e3 * summary["wall_s"] / summary["frames"]
+                figures |= {kind: run_ms, f"{kind}, ratio": run_ms / alone_ms}
+            rounds.append(figures)
+    median = {key: statistics.median(figures[key] for figures in rounds) for key in rounds[0]}
+    return {"frames": options.frames, "median": median, "rounds": rounds}
+
+
+def _inference_alone_ms(detector: Path, *, n_frames: int, image_hw: tuple[int, int]) -> float:
+    session = OnnxSession(detector, Runtime(device="cpu", n_threads=1))
+    free_hw = rectangular_input_hw(image_hw, size_px=DEFAULT_SIZE_PX)  # input size of a run with a dynamic network
+    height, width = (fixed or free for fixed, free in zip(session.input_shape[2:], free_hw, strict=True))
+    network = session.bound((height, width))
+    network.blob[:] = np.random.default_rng(0).random((1, 3, height, width), np.float32)
+    network.run()
+    start_s = time.perf_counter()
+    for _ in range(n_frames):
+        network.run()
+    return 1e3 * (time.perf_counter() - start_s) / n_frames
+
+
+@workload(*DRIVE_OPTIONS, option("--frames", default=2000, help="number of frames of the looped drive"))
+def memory(options: Namespace) -> Figures:
+    """Resident memory of a run, MiB: medians by quarter of the frames, and the peak.
+
+    If memory does not depend on the length of the video, it is the same in the second and the last quarter. The peak
+    includes the summary and the report at the end, with 250 bytes per row of tracks.csv.
+    """
+    import psutil  # a local import, since only this workload requires the extra `bench`
+
+    samples: list[tuple[int, float]] = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        drive = looped(options.drive, folder, n_frames=options.frames)
+        process = subprocess.Popen(
+            [sys.executable, *pair_command(drive, options, folder / "out")], stdout=subprocess.DEVNULL
+        )
+        resources = psutil.Process(process.pid)
+        while process.poll() is None:
+            time.sleep(SAMPLE_S)
+            frame = _last_frame(folder / "out" / "tracks.csv")
+            if frame is not None and process.poll() is None:
+                samples.append((frame, resources.memory_info().rss / 2**20))
+        if process.returncode:
+            raise SystemExit(f"track-range failed with status {process.returncode}")
+    n_frames = 1 + max(frame for frame, _ in samples)
+    quarters = {
+        f"quarter_{q + 1}_mib": statistics.median(mib for frame, mib in samples if 4 * frame // n_frames == q)
+        for q in range(4)
+    }
+    return {"frames": options.frames, **quarters, "peak_mib": max(mib for _, mib in samples)}
+
+
+def _last_frame(rows: Path) -> int | None:
+    try:
+        with rows.open("rb") as file:
+            file.seek(max(0, rows.stat().st_size - 400))
+            last = file.read().splitlines()[-1].split(b",")[0]
+    except (OSError, IndexError):
+        return None
+    return int(last) if last.isdigit() else None
+
+
+@workload(
+    *DRIVE_OPTIONS,
+    option("--frames", default=150, help="number of frames of the looped drive"),
+    option("--readers", default=200, help="number of slow readers"),
+    option("--rounds", default=3, help="runs of each kind, in turn"),
+)
+def server(options: Namespace) -> Figures:
+    """Wall-clock and CPU time in s of a run without viewers, and of the same run with slow readers of its live page.
+
+    The ratios are medians over the rounds.
+    """
+    rounds: dict[str, list[tuple[float, float]]] = {"no viewer": [], "slow readers": []}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        drive = looped(options.drive, folder, n_frames=options.frames)
+        command = (*pair_command(drive, options, folder / "out"), "--threads", "1")
+        for _ in range(options.rounds):
+            rounds["no viewer"].append(times_s(command))
+            with socket.create_server(("127.0.0.1", 0)) as free:
+                port = free.getsockname()[1]
+            with _slow_readers(port, options.readers):
+                rounds["slow readers"].append(times_s((*command, "--serve", str(port))))
+    figures: dict[str, Any] = {}
+    for kind, pairs in rounds.items():
+        wall_s, cpu_s = np.median(pairs, axis=0).tolist()
+        figures[kind] = {"wall_s": wall_s, "cpu_s": cpu_s}
+    ratios = np.median(np.array(rounds["slow readers"]) / np.array(rounds["no viewer"]), axis=0)
+    return {**figures, "ratio": dict(zip(("wall_s", "cpu_s"), ratios.tolist(), strict=True)), "rounds": rounds}
+
+
+@contextmanager
+def _slow_readers(port: int, n_readers: int) -> Iterator[None]:
+    command = [sys.executable, "-m", "benchmarks.speed.slow_readers", str(port), str(n_readers)]
+    process = subprocess.Popen(command, cwd=ROOT)
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()

@@ -1,0 +1,102 @@
+"""Tests of the harness of the benchmarks: options, tables and comparisons, with hand-made figures."""
+
+import importlib
+import json
+
+import pytest
+
+from benchmarks.__main__ import WORKLOADS
+from benchmarks.gate import compare
+from benchmarks.harness import Workload, numbers, option, print_figures, workload
+
+FIGURES = {
+    "frames": 300,
+    "median": {"pair": 58.7, "ordinary": None},
+    "drives": {"town": {"n": 3, "bands": {"near": {"error": 0.5}}}, "city": {"n": 4}},
+    "rounds": [{"pair": 58.0}, {"pair": 59.0}],
+}
+
+
+@pytest.mark.parametrize("name", WORKLOADS)
+def test_every_workload_of_the_table_exists(name):
+    module = importlib.import_module(f"benchmarks.{WORKLOADS[name][0]}")
+    assert isinstance(getattr(module, name), Workload)
+
+
+def test_defaults_give_the_types_of_options():
+    @workload(
+        option("--frames", default=3, help="number of frames"),
+        option("--seeds", default=(1, 2), help="seeds"),
+        option("--out", help="a folder"),
+        option("--steady", default=False, help="steady"),
+    )
+    def measure(options):
+        return {"frames": options.frames, "seeds": options.seeds, "out": options.out, "steady": options.steady}
+
+    assert measure() == {"frames": 3, "seeds": (1, 2), "out": None, "steady": False}
+    given = measure(*"--frames 5 --seeds 7 8 9 --out place --steady".split())
+    assert given == {"frames": 5, "seeds": [7, 8, 9], "out": "place", "steady": True}
+
+
+def test_run_writes_figures_and_machine(tmp_path, capsys):
+    @workload(option("--n", default=2, help="number"))
+    def measure(options):
+        return {"n": options.n}
+
+    measure.run("name", ["--n", "4", "--json", str(tmp_path / "figures.json")])
+    content = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
+    assert content["name"] == {"n": 4}
+    assert {"date", "cpu", "commit", "options"} == set(content["about"])
+    assert "name" in capsys.readouterr().out
+
+
+def test_tables_have_the_innermost_names_as_columns(capsys):
+    print_figures("pipeline", FIGURES)
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["frames", "300"] in lines
+    assert ["pair", "ordinary"] in lines
+    assert ["median", "58.7", "-"] in lines
+    assert ["city", "4"] in lines
+    assert ["near", "0.5"] in lines
+
+
+def test_numbers_are_named_by_their_path_without_rounds():
+    assert dict(numbers(FIGURES)) == {
+        "frames": 300,
+        "median.pair": 58.7,
+        "drives.town.n": 3,
+        "drives.town.bands.near.error": 0.5,
+        "drives.city.n": 4,
+    }
+
+
+def write(path, name, **figures):
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps({name: figures, "about": {"date": "2026-01-01", "n": 1}}), encoding="utf-8")
+
+
+def test_compare_marks_ratios_outside_of_the_tolerance(tmp_path):
+    write(tmp_path / "a.json", "pipeline", ms=50.0, frames=300, old=1.0, zero=0)
+    write(tmp_path / "b.json", "pipeline", ms=60.0, frames=300, zero=0)
+    result = compare(str(tmp_path / "a.json"), str(tmp_path / "b.json"), "--tolerance", "0.15")
+    assert result["figures"] == {"pipeline.ms": {"A": 50.0, "B": 60.0, "B/A": pytest.approx(1.2), "outside": "*"}}
+    assert (result["figures in both"], result["outside of the tolerance"], result["only in A"]) == (3, 1, 1)
+    everything = compare(str(tmp_path / "a.json"), str(tmp_path / "b.json"), "--tolerance", "0.25", "--all")["figures"]
+    assert [row["outside"] for row in everything.values()] == ["", "", ""]
+
+
+def test_compare_reads_folders(tmp_path):
+    for folder, ms in (("a", 50.0), ("b", 25.0)):
+        write(tmp_path / folder / "pipeline.json", "pipeline", ms=ms)
+        write(tmp_path / folder / "stereo.json", "stereo", ms=2.0)
+    result = compare(str(tmp_path / "a"), str(tmp_path / "b"))
+    assert {name: row["B/A"] for name, row in result["figures"].items()} == {"pipeline.ms": 0.5}
+
+
+@pytest.mark.parametrize("content", ["", "[1, 2]", "{}", None])
+def test_compare_names_a_file_without_figures(tmp_path, content):
+    path = tmp_path / "bad.json"
+    if content is not None:
+        path.write_text(content, encoding="utf-8")
+    with pytest.raises(SystemExit, match=r"bad\.json"):
+        compare(str(path), str(path))

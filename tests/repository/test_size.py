@@ -1,0 +1,22 @@
+"""Numbers of lines of the product and of the benchmarks, blank lines and docstrings included."""
+
+from pathlib import Path
+
+PROJECT = Path(__file__).resolve().parents[2]
+
+MOST_LINES = 92_100  # raise only with a sentence of reason beside it
+MOST_BENCHMARK_LINES = 9_500  # raise only with a sentence of reason beside it
+
+
+def lines(*folders):
+    """Number of lines of all Python files in folders, whose links are not followed."""
+    files = [path for folder in folders for path in (PROJECT / folder).rglob("*.py")]
+    return sum(path.read_bytes().count(b"\n") for path in files)
+
+
+def test_product_does_not_grow():
+    assert 10_000 < lines("detection", "tracking", "stereo", "ranging", "track_range") <= MOST_LINES
+
+
+def test_benchmarks_do_not_grow():
+    assert 1_000 < lines("benchmarks") <= MOST_BENCHMARK_LINES
