@@ -9,10 +9,9 @@ import pytest
 from benchmarks.inputs.occlusion_pairs import covered_objects
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.bodies.obstacles import BUILDERS
-from track_range.simulation.world.obstacles import Obstacle
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.scenarios.occlusion import reference_times_s
-from track_range.simulation.world.scene import AWAY_RAD, SIZE_HWL_M, RoadUser, Scene
+from track_range.simulation.world.scene import AWAY_RAD, SIZE_HWL_M, Obstacle, RoadUser, Scene
 
 RIG = kitti_like_rig(width_px=620, height_px=188)
 FOCAL_BASELINE = RIG.left.fx_px * RIG.baseline_m

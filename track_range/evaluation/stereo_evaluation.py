@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -36,18 +36,24 @@ def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress =
         UsageError: an unknown matcher, or leave-two-out for a drive or too few pairs.
         PairFileError, RigError, VideoError, LabelFileError: the pairs, their rig or the alignment cannot be used.
     """
-    _check_names(settings.matchers)
+    for name in settings.matchers:
+        if name not in MATCHER_NAMES:
+            raise UsageError(f"--matcher {name}: expected one of {', '.join(MATCHER_NAMES)}.")
+    if len(set(settings.matchers)) < len(settings.matchers):
+        raise UsageError("--matcher: expected each matcher once, got duplicates.")
     known = None if settings.align in (OFF, LEAVE_TWO_OUT) else load_alignment(settings.align)
     n_pairs = _n_pairs(settings)
     recorder = ConfidenceRecorder() if DENSE_MATCHER in settings.matchers else None
     with progress("pairs") as advance:
-        pairs = _counted(_pairs(settings, known), advance, n_pairs)
+        pairs = _pairs(settings, known, advance, n_pairs)
         pairs = pairs if recorder is None else recorder.recorded(pairs)
         measured = measure_pairs(pairs, settings.matchers, expected=expected_disparities)
     if not len(measured.objects):
         raise PairFileError(f"{settings.pairs}: expected objects of known disparity, found none.")
     columns, alignment = _aligned(measured, settings, known)
-    matchers = _with_times(matcher_figures(columns, measured.objects, seed=settings.seed), measured)
+    matchers = matcher_figures(columns, measured.objects, seed=settings.seed)
+    for name, row in matchers.items():
+        row["ms_per_frame"] = round(measured.ms_per_frame[name], 3)
     return {
         "pairs": str(settings.pairs),
         "n_pairs": len(measured.objects.cameras),
@@ -73,14 +79,6 @@ def _risk_coverage(
     return curves
 
 
-def _check_names(names: Sequence[str]) -> None:
-    for name in names:
-        if name not in MATCHER_NAMES:
-            raise UsageError(f"--matcher {name}: expected one of {', '.join(MATCHER_NAMES)}.")
-    if len(set(names)) < len(names):
-        raise UsageError("--matcher: expected each matcher once, got duplicates.")
-
-
 def _n_pairs(settings: StereoEvaluationSettings) -> int | None:
     """Number of pairs; None = unknown before the drive is read."""
     if not (is_kitti_2015(settings.pairs) or is_drive(settings.pairs)):
@@ -100,16 +98,15 @@ def _n_pairs(settings: StereoEvaluationSettings) -> int | None:
     return n_pairs
 
 
-def _pairs(settings: StereoEvaluationSettings, known: Alignment | None) -> Iterator[StereoPair]:
+def _pairs(
+    settings: StereoEvaluationSettings,
+    known: Alignment | None,
+    advance: Callable[[int, int | None], None],
+    n_pairs: int | None,
+) -> Iterator[StereoPair]:
     row_offset_px = 0.0 if known is None else known.row_correction_px
     read = read_pairs if is_kitti_2015(settings.pairs) else read_drive
-    return read(settings.pairs, rig=settings.rig, row_offset_px=row_offset_px)
-
-
-def _counted(
-    pairs: Iterator[StereoPair], advance: Callable[[int, int | None], None], n_pairs: int | None
-) -> Iterator[StereoPair]:
-    for number, pair in enumerate(pairs):
+    for number, pair in enumerate(read(settings.pairs, rig=settings.rig, row_offset_px=row_offset_px)):
         yield pair
         advance(number + 1, n_pairs)
 
@@ -133,7 +130,3 @@ def _aligned(
         for name, alignments in by_pair.items()
     }
     return {name: corrected(column, objects, by_pair[name]) for name, column in columns.items()}, means
-
-
-def _with_times(figures: dict[str, dict[str, Any]], measured: MatcherResults) -> dict[str, dict[str, Any]]:
-    return {name: {**row, "ms_per_frame": round(measured.ms_per_frame[name], 3)} for name, row in figures.items()}

@@ -1,6 +1,7 @@
 """Tests of exact distances: rays and faces worked by hand, and truth.csv against the rendered depth."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -51,7 +52,17 @@ def test_transformed_surface_equals_transformed_faces():
     rotation, location_m = yaw_rotation(0.4) @ slope_rotation(-0.1), np.array([0.3, 0.2, 5.0])
     faces = [plate(6.0), plate(3.0, hole=True)]
     surface = Surface.of(faces).transformed(rotation, location_m)
-    one_by_one = Surface.of([face.rotated(rotation).moved(location_m) for face in faces])
+    one_by_one = Surface.of(
+        [
+            replace(
+                face,
+                corner=rotation @ face.corner + location_m,
+                along=rotation @ face.along,
+                down=rotation @ face.down,
+            )
+            for face in faces
+        ]
+    )
     rays = np.stack([*np.meshgrid(np.linspace(-0.3, 0.5, 9), np.linspace(-0.2, 0.2, 5)), np.ones((5, 9))], axis=2)
     depths = first_depths_m(surface, rays.reshape(-1, 3))
     np.testing.assert_allclose(depths, first_depths_m(one_by_one, rays.reshape(-1, 3)))

@@ -9,7 +9,6 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASS_OF
 from track_range.evaluation.events.objects import LabelledBoxes
-from track_range.foundation.arrays import IntArray
 from track_range.ranging.evaluation.errors import match_truth, score_closing
 from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import Columns, boxes_px
@@ -24,39 +23,30 @@ _TALL_CLASSES = ("bus", "truck", "van")
 
 
 def closing_errors(columns: Columns, boxes: LabelledBoxes, vans: Collection[int] = ()) -> dict[str, Any]:
-    """Errors of the closing speeds by class of the label, and of tall vehicles; see `score_closing` for the figures.
+    """Errors of the closing speeds of a run by class of the label, and of tall vehicles; figures as `score_closing`.
 
-    Args:
-        columns: rows of the run.
-        boxes: labelled boxes.
-        vans: numbers of objects that are vans, for labels with the class car.
+    `vans` are numbers of objects that are vans, for labels with the class car.
     """
     in_range = (boxes.distance_m >= NEAREST_M) & (boxes.distance_m <= FARTHEST_M) & np.isfinite(boxes.closing_mps)
     if not in_range.any():
         return {}
-    rows = match_truth(columns["frame"].astype(np.int64), boxes_px(columns), _truth_of(boxes))
+    truth = Truth(
+        frame=boxes.frame,
+        track_id=boxes.object_id,
+        kitti_type=boxes.class_name,
+        class_id=np.zeros(len(boxes.frame), np.int64),
+        xyxy_px=boxes.xyxy_px,
+        distance_m=boxes.distance_m,
+        closing_mps=boxes.closing_mps,
+    )
+    rows = match_truth(columns["frame"].astype(np.int64), boxes_px(columns), truth)
     true_mps = np.where((rows >= 0) & in_range[rows], boxes.closing_mps[rows], np.nan)
     is_tall = np.isin(boxes.class_name, _TALL_CLASSES) | np.isin(boxes.object_id, list(vans))
     classes = np.array([ROAD_CLASS_OF.get(str(name), str(name)) for name in boxes.class_name], np.str_)
     sections = {}
     for name, chosen in [*((name, classes == name) for name in np.unique(classes[in_range])), (TALL, is_tall)]:
-        of_class = np.where((rows >= 0) & chosen[rows], true_mps, np.nan)
-        score = score_closing(columns["closing_mps"], columns["closing_sigma_mps"], of_class)
+        class_mps = np.where((rows >= 0) & chosen[rows], true_mps, np.nan)
+        score = score_closing(columns["closing_mps"], columns["closing_sigma_mps"], class_mps)
         if score is not None:
             sections[str(name)] = score
     return sections
-
-
-def _truth_of(boxes: LabelledBoxes) -> Truth:
-    """Labels in the form that matching needs."""
-    n = len(boxes.frame)
-    class_id: IntArray = np.zeros(n, np.int64)
-    return Truth(
-        frame=boxes.frame,
-        track_id=boxes.object_id,
-        kitti_type=boxes.class_name,
-        class_id=class_id,
-        xyxy_px=boxes.xyxy_px,
-        distance_m=boxes.distance_m,
-        closing_mps=boxes.closing_mps,
-    )

@@ -18,17 +18,11 @@ _LIMITS = {"object_id": (0.0, 2.0**53, "an integer from 0"), "contact_s": (0.0, 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """A contact that happens, or would happen without braking.
-
-    Attributes:
-        object_id: identity of the object.
-        class_name: road class of the object.
-        contact_s: time of the contact in seconds from the first frame.
-    """
+    """A contact that happens, or would happen without braking, with an object of a road class."""
 
     object_id: int
     class_name: str
-    contact_s: float
+    contact_s: float  # from the first frame
 
 
 def read_contacts(path: Path) -> tuple[Contact, ...]:

@@ -7,7 +7,7 @@ the run and labelled boxes with closing speeds are known, the errors of the clos
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from track_range.detection.formats.label_formats import is_blank
 from track_range.evaluation.events.closing import closing_errors
 from track_range.evaluation.events.contacts import COLUMNS, Contact, read_contacts
 from track_range.evaluation.events.objects import LabelledBoxes, objects_by_boxes, objects_by_time, read_boxes
-from track_range.evaluation.events.scores import Scores, contact_scores, event_scores, is_warning
+from track_range.evaluation.events.scores import contact_scores, event_scores, is_warning
 from track_range.evaluation.events.settings import EventEvaluationSettings
 from track_range.foundation.files.input_files import counted, first_line
 from track_range.foundation.files.output_files import OutputError
@@ -61,8 +61,7 @@ def evaluate_events(settings: EventEvaluationSettings) -> dict[str, Any]:
         if hours is None:
             hours = inputs.last_hours([*events, *labelled], ())
         scores = event_scores(events, labelled, hours=hours)
-        protocol = "labelled events of the same kind and class, at most 1 s apart"
-        return _figures(settings, scores, [*inputs.notes, *_beyond(events, inputs.last_s)], protocol=protocol)
+        return scores | inputs.facts(settings, events, "labelled events of the same kind and class, at most 1 s apart")
     contacts = read_contacts(settings.truth)
     if hours is None:
         hours = inputs.last_hours(events, [contact.contact_s for contact in contacts])
@@ -76,30 +75,20 @@ def evaluate_events(settings: EventEvaluationSettings) -> dict[str, Any]:
         )
     else:
         objects, protocol = objects_by_boxes(events, columns, boxes), BY_BOXES
-        inputs.notes += _unlabelled(boxes, {contact.object_id for contact in contacts})
+        if missing := sorted({contact.object_id for contact in contacts} - set(boxes.object_id.tolist())):
+            inputs.notes.append(
+                f"{counted(len(missing), 'object')} with a contact, such as {missing[0]}, "
+                f"{'has' if len(missing) == 1 else 'have'} no labelled boxes; check that the labels belong to this "
+                "drive."
+            )
     counted_contacts = inputs.seen(contacts, {i for event, i in zip(events, objects, strict=True) if is_warning(event)})
     scores = contact_scores(events, objects, counted_contacts, hours=hours, min_lead_s=settings.min_lead_s)
-    notes = [*inputs.notes, *_beyond(events, inputs.last_s)]
     closing = {} if columns is None or boxes is None else {"closing": closing_errors(columns, boxes, inputs.vans())}
-    return {**_figures(settings, scores, notes, protocol=protocol), "min_lead_s": settings.min_lead_s, **closing}
-
-
-def _figures(settings: EventEvaluationSettings, scores: Scores, notes: Sequence[str], *, protocol: str) -> Scores:
-    return {
-        **scores,
-        "events": str(settings.events),
-        "truth": str(settings.truth),
-        "protocol": protocol,
-        "notes": list(notes),
-    }
+    return {**scores, **inputs.facts(settings, events, protocol), "min_lead_s": settings.min_lead_s, **closing}
 
 
 def _is_file_of_events(path: Path) -> bool:
-    """Whether a file of ground truth contains labelled events instead of contacts.
-
-    Raises:
-        EventFileError: the file cannot be read, or contains neither.
-    """
+    """Whether a file of ground truth contains labelled events instead of contacts."""
     if path.suffix.lower() == ".parquet":
         return True
     expected = f"contacts with the columns {','.join(COLUMNS)}, or events with the columns {','.join(NEEDED_COLUMNS)}"
@@ -111,52 +100,19 @@ def _is_file_of_events(path: Path) -> bool:
     return True
 
 
-def _unlabelled(boxes: LabelledBoxes, object_ids: set[int]) -> Iterator[str]:
-    """Note on contacts whose objects have no labels, which is that of labels of another drive."""
-    missing = sorted(object_ids - set(boxes.object_id.tolist()))
-    if missing:
-        yield (
-            f"{counted(len(missing), 'object')} with a contact, such as {missing[0]}, "
-            f"{'has' if len(missing) == 1 else 'have'} no labelled boxes; check that the labels belong to this drive."
-        )
-
-
-def _beyond(events: Sequence[Event], end_s: float) -> Iterator[str]:
-    """Note on events after the end of the video."""
-    n_beyond = sum(event.start_s > end_s + 1.0 for event in events)
-    if n_beyond:
-        yield (
-            f"{n_beyond} of {len(events)} events start after the end of the video at {end_s:.1f} s; check that the "
-            "events belong to it."
-        )
-
-
 @dataclass(slots=True)
 class _Inputs:
-    """Files beside the events and beside their ground truth.
-
-    Attributes:
-        folder: folder of the events.
-        drive: folder of the ground truth.
-        notes: notes for the user.
-        starts_s: time of the first processed frame.
-        ends_s: end of the processed part of the video, from summary.json; inf = unknown.
-        last_s: time after which there are no events: `ends_s`, or that of the last row; inf = unknown.
-    """
+    """Files in the folder of the events and in that of their ground truth (`drive`)."""
 
     folder: Path
     drive: Path
-    notes: list[str] = field(default_factory=list)
-    starts_s: float = 0.0
-    ends_s: float = math.inf
-    last_s: float = math.inf
+    notes: list[str] = field(default_factory=list)  # for the user
+    starts_s: float = 0.0  # time of the first processed frame
+    ends_s: float = math.inf  # end of the processed part of the video, from summary.json; inf = unknown
+    last_s: float = math.inf  # time after which there are no events: `ends_s`, or that of the last row
 
     def columns(self, path: Path | None) -> Columns | None:
-        """Rows of the run; None without a file that can be read.
-
-        Raises:
-            OutputError: the given file cannot be read.
-        """
+        """Rows of the run; None without a file, or if that beside the events cannot be read."""
         if path is not None:
             return read_run_rows(path, self.notes)
         beside = next((self.folder / name for name in TRACK_FILES if (self.folder / name).is_file()), None)
@@ -169,11 +125,6 @@ class _Inputs:
             return None
 
     def boxes(self, path: Path | None) -> LabelledBoxes | None:
-        """Labelled boxes; None without a file.
-
-        Raises:
-            LabelFileError: a file cannot be read.
-        """
         beside = [self.drive / name for name in BOX_FILES]
         chosen = path or next((file for file in beside if file.is_file() and not is_blank(file, "labels")), None)
         return None if chosen is None else read_boxes(chosen)
@@ -209,17 +160,25 @@ class _Inputs:
 
     def seen(self, contacts: Sequence[Contact], warned: Container[int | None]) -> list[Contact]:
         """Contacts in the processed part of the video, and those with a warning on their object; a note on others."""
-        chosen = [
-            contact
-            for contact in contacts
-            if self.starts_s <= contact.contact_s <= self.ends_s or contact.object_id in warned
-        ]
+        from_s, to_s = self.starts_s, self.ends_s
+        chosen = [row for row in contacts if from_s <= row.contact_s <= to_s or row.object_id in warned]
         if len(chosen) < len(contacts):
             self.notes.append(
                 f"{len(contacts) - len(chosen)} of {counted(len(contacts), 'contact')} are outside the processed part "
-                f"of the video, {self.starts_s:.1f} to {self.ends_s:.1f} s, and do not count."
+                f"of the video, {from_s:.1f} to {to_s:.1f} s, and do not count."
             )
         return chosen
+
+    def facts(self, settings: EventEvaluationSettings, events: Sequence[Event], protocol: str) -> dict[str, Any]:
+        """Files, protocol and notes; a note on events after the end of the video is added."""
+        n_beyond = sum(event.start_s > self.last_s + 1.0 for event in events)
+        if n_beyond:
+            self.notes.append(
+                f"{n_beyond} of {len(events)} events start after the end of the video at {self.last_s:.1f} s; check "
+                "that the events belong to it."
+            )
+        files = {"events": str(settings.events), "truth": str(settings.truth)}
+        return {**files, "protocol": protocol, "notes": self.notes}
 
     def last_hours(self, events: Sequence[Event], times_s: Sequence[float]) -> float | None:
         """Time of the last event or contact as the smallest possible duration, with a note; None without any."""

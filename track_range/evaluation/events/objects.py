@@ -60,30 +60,19 @@ class LabelledBoxes:
 
 
 def read_boxes(path: Path) -> LabelledBoxes:
-    """Boxes of a file of labels in any format, in rectified pixels.
-
-    Raises:
-        LabelFileError: the file cannot be read.
-    """
+    """Boxes of a file of labels in any format, in rectified pixels; `LabelFileError` if it cannot be read."""
     if path.is_file() and has_label_columns(path):
         labels = read_csv_labels(path)
         distance_m = np.where(labels.visible_share >= 0.5, labels.distance_m, np.nan)
-        return LabelledBoxes(
-            labels.frame, labels.track_id, labels.class_name, labels.xyxy_px, distance_m, labels.closing_mps
-        )
+        ids, names, closing_mps = labels.track_id, labels.class_name, labels.closing_mps
+        return LabelledBoxes(labels.frame, ids, names, labels.xyxy_px, distance_m, closing_mps)
     table = read_labels(path, expected="labels of the objects")
     unknown = np.full(len(table), np.nan)
     return LabelledBoxes(table.frame, table.track_id, table.class_name, table.xyxy_px, table.distance_m, unknown)
 
 
 def objects_by_boxes(events: Sequence[Event], columns: Columns, boxes: LabelledBoxes) -> list[int | None]:
-    """Identity of the object of each event, from the boxes of its track; None = none.
-
-    Args:
-        events: N events.
-        columns: rows of the run.
-        boxes: labelled boxes.
-    """
+    """Identity of the object of each event, from the boxes of its track in the rows of the run; None = none."""
     xyxy_px = boxes_px(columns)
     order = np.argsort(boxes.frame, kind="stable")
     frames = boxes.frame[order]

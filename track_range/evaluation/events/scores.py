@@ -37,8 +37,13 @@ TOLERANCE_S = 1.0
 """Largest time between a labelled event and one that matches it, s: labels are set by hand."""
 
 _COUNTS = ("hits", "misses", "false_alarms")
-_NO_MATCH = 1e9
-"""Cost of a pair that does not match."""
+_NO_MATCH = 1e9  # cost of a pair
+
+_GROUPS = {
+    **dict.fromkeys(("bicycle", "motorcycle"), "two-wheeler"),
+    **dict.fromkeys(("car", "bus", "truck"), "vehicle"),
+}
+"""Group by road class; the others are separate."""
 
 
 def is_warning(event: Event) -> bool:
@@ -54,12 +59,12 @@ def contact_scores(
     hours: float | None,
     min_lead_s: float = MIN_LEAD_S,
 ) -> Scores:
-    """Scores of collision warnings against contacts.
+    """Scores of collision warnings against all contacts of a drive.
 
     Args:
         events: N events of a drive; those that are no warnings are ignored.
         object_ids: identity of the object of each of the N events; None = none, or unknown.
-        contacts: all contacts of the drive.
+        contacts: the contacts.
         hours: duration of the drive; None = unknown.
         min_lead_s: shortest lead of a hit.
     """
@@ -75,22 +80,24 @@ def contact_scores(
     rows = [_contact_row(contact, on_contact.get(i, []), min_lead_s) for i, contact in enumerate(contacts)]
     results = [(row["kind"], "hits" if row["is_hit"] else "misses", row["lead_s"]) for row in rows]
     results += [(event.kind, "false_alarms", None) for event in false_alarms]
-    return {
-        **_sections(results, WARNING_KINDS, hours),
-        "contacts": rows,
-        "false_warnings": [_false_warning(event) for event in false_alarms],
-    }
+    false_warnings = [
+        {
+            "kind": event.kind,
+            "warning_s": _rounded(event.warning_s),
+            "track_id": event.track_id,
+            "class": event.class_name,
+        }
+        for event in false_alarms
+    ]
+    return {**_sections(results, WARNING_KINDS, hours), "contacts": rows, "false_warnings": false_warnings}
 
 
 def _contact_of(event: Event, object_id: int | None, contacts: Sequence[Contact]) -> int | None:
     """Index of the contact that a warning belongs to; None = its object has no contact."""
-    of_object = [i for i, contact in enumerate(contacts) if contact.object_id == object_id]
-    if not of_object:
-        return None
-    after = [i for i in of_object if contacts[i].contact_s >= event.warning_s]
-    if after:
-        return min(after, key=lambda i: contacts[i].contact_s)
-    return max(of_object, key=lambda i: contacts[i].contact_s)
+    by_time = sorted((row.contact_s, i) for i, row in enumerate(contacts) if row.object_id == object_id)
+    after = [i for contact_s, i in by_time if contact_s >= event.warning_s]
+    last = max(by_time, key=lambda row: row[0], default=None)
+    return after[0] if after else None if last is None else last[1]
 
 
 def _contact_row(contact: Contact, warnings: Sequence[Event], min_lead_s: float) -> dict[str, Any]:
@@ -108,48 +115,25 @@ def _contact_row(contact: Contact, warnings: Sequence[Event], min_lead_s: float)
     }
 
 
-def _false_warning(event: Event) -> dict[str, Any]:
-    return {
-        "kind": event.kind,
-        "warning_s": _rounded(event.warning_s),
-        "track_id": event.track_id,
-        "class": event.class_name,
-    }
-
-
 def event_scores(events: Sequence[Event], labelled: Sequence[Event], *, hours: float | None) -> Scores:
-    """Scores of events against labelled events.
-
-    Args:
-        events: events of a run.
-        labelled: true events.
-        hours: duration of the video; None = unknown.
-    """
-    matched = _matched(events, labelled)
+    """Scores of events against labelled events of a video of `hours`; None = unknown."""
+    cost = np.array([[_cost(event, label) for event in events] for label in labelled]).reshape(
+        len(labelled), len(events)
+    )
+    rows, columns = linear_sum_assignment(cost)
+    is_match = cost[rows, columns] < _NO_MATCH
+    matched = dict(zip(rows[is_match].tolist(), columns[is_match].tolist(), strict=True))
     results: list[tuple[str, str, float | None]] = []
     for index, label in enumerate(labelled):
-        event = matched.get(index)
-        if event is None:
-            results.append((label.kind, "misses", None))
-        else:
+        if index in matched:
+            event = events[matched[index]]
             known_s = event.warning_s if math.isfinite(event.warning_s) else event.start_s
             results.append((label.kind, "hits", _rounded(label.peak_s - known_s)))
-    used = set(map(id, matched.values()))
-    results += [(event.kind, "false_alarms", None) for event in events if id(event) not in used]
+        else:
+            results.append((label.kind, "misses", None))
+    used = set(matched.values())
+    results += [(event.kind, "false_alarms", None) for index, event in enumerate(events) if index not in used]
     return _sections(results, EVENT_KINDS, hours)
-
-
-def _matched(events: Sequence[Event], labelled: Sequence[Event]) -> dict[int, Event]:
-    """The event that matches each labelled event, by index of the latter."""
-    if not events or not labelled:
-        return {}
-    cost = np.array([[_cost(event, label) for event in events] for label in labelled])
-    rows, columns = linear_sum_assignment(cost)
-    return {
-        row: events[column]
-        for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
-        if cost[row, column] < _NO_MATCH
-    }
 
 
 def _cost(event: Event, label: Event) -> float:
@@ -167,16 +151,6 @@ def are_same_class(one: str, other: str) -> bool:
     """
     groups = {_GROUPS.get(ROAD_CLASS_OF.get(name.lower(), name.lower()), name.lower()) for name in (one, other) if name}
     return len(groups) < 2
-
-
-_GROUPS = {
-    "bicycle": "two-wheeler",
-    "motorcycle": "two-wheeler",
-    "car": "vehicle",
-    "bus": "vehicle",
-    "truck": "vehicle",
-}
-"""Group by road class; the others are separate."""
 
 
 def _sections(results: Iterable[tuple[str, str, float | None]], kinds: Sequence[str], hours: float | None) -> Scores:
@@ -213,11 +187,10 @@ def combined_scores(scores: Iterable[Mapping[str, Any]]) -> Scores:
         return _with_rate({**counts, "lead_s": leads_s}, None if None in hours else sum(hours))
 
     kinds = dict.fromkeys(kind for score in scores for kind in score["by_kind"])
+    by_kind = {kind: [score["by_kind"][kind] for score in scores if kind in score["by_kind"]] for kind in kinds}
     return {
         "overall": combined([score["overall"] for score in scores]),
-        "by_kind": {
-            kind: combined([score["by_kind"][kind] for score in scores if kind in score["by_kind"]]) for kind in kinds
-        },
+        "by_kind": {kind: combined(sections) for kind, sections in by_kind.items()},
     }
 
 

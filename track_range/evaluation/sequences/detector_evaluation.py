@@ -54,19 +54,12 @@ _DETAIL_NOTES = (
 
 @dataclass(slots=True)
 class Candidate:
-    """One evaluated detector with its results.
-
-    Attributes:
-        name: name in the tables.
-        detector: the detector.
-        detections: the detections of each image.
-        times_ms: times of pre-processing, inference and post-processing of each image.
-    """
+    """One evaluated detector, with its name in the tables and its results."""
 
     name: str
     detector: YoloDetector
-    detections: list[Detections] = field(default_factory=list)
-    times_ms: list[tuple[float, float, float]] = field(default_factory=list)
+    detections: list[Detections] = field(default_factory=list)  # of each image
+    times_ms: list[tuple[float, float, float]] = field(default_factory=list)  # pre-processing, inference, post-
 
     def detect(self, image: Image) -> None:
         """Detect in an image; store boxes and times."""
@@ -125,7 +118,8 @@ def evaluate(
         is_complete = False
     if not truth:
         raise LabelFileError(f"no labelled image can be read; the first: {' '.join(frames.unreadable[:1])}")
-    working_score = _working_score(min_score)
+    least, by_class = thresholds(min_score, otherwise=WORKING_SCORE)
+    working_score = YoloSettings(min_score=least, class_min_score=by_class).min_score_by_class()
     scores = {
         candidate.name: evaluate_detections(
             candidate.detections[: len(truth)],
@@ -136,19 +130,17 @@ def evaluate(
         )
         for candidate in candidates
     }
+    models = {candidate.name: _figures(candidate, scores) for candidate in candidates}
+    if is_detailed:
+        for candidate in candidates:
+            models[candidate.name] |= _details(candidate, truth, working_score, min_height_px=min_height_px)
     return {
         "n_images": len(truth),
         "is_complete": is_complete,
         "min_height_px": min_height_px,
-        "working_score": {name: float(working_score[i]) for i, name in enumerate(ROAD_CLASSES)},
+        "working_score": dict(zip(ROAD_CLASSES, working_score.tolist(), strict=True)),
         "protocol": PROTOCOL,
-        "models": {
-            candidate.name: {
-                **_figures(candidate, scores),
-                **(_details(candidate, truth, working_score, min_height_px=min_height_px) if is_detailed else {}),
-            }
-            for candidate in candidates
-        },
+        "models": models,
         "notes": [
             *_notes(candidates, scores, frames.unreadable),
             *(_DETAIL_NOTES if is_detailed else ()),
@@ -170,16 +162,12 @@ def evaluate_source(
     Raises:
         LabelFileError, ImageFileError, VideoError, UsageError: images or labels cannot be used.
     """
-    inputs = {
-        "images": str(source.images),
-        "labels": str(source.labels),
-        "format": source.format,
-        "split": source.split if source.manifest else None,
-    }
     frames = source.open()
     figures = evaluate(
         candidates, frames, min_score=min_score, progress=progress, min_height_px=min_height_px, is_detailed=True
     )
+    split = source.split if source.manifest else None
+    inputs = {"images": str(source.images), "labels": str(source.labels), "format": source.format, "split": split}
     return {**inputs, **figures}
 
 
@@ -209,8 +197,9 @@ def _details(
 ) -> dict[str, Any]:
     """Results of one model by size of object, and the calibration of its scores."""
     detections, known = candidate.detections[: len(truth)], candidate.detector.known_class_id
-    by_size = {
-        measure: evaluate_by_size(
+    by_size = {}
+    for measure in SIZE_BINS:
+        bins = evaluate_by_size(
             detections,
             truth,
             working_score=working_score,
@@ -218,22 +207,17 @@ def _details(
             measure=measure,
             min_height_px=min_height_px,
         )
-        for measure in SIZE_BINS
-    }
+        by_size[measure] = [scores.as_dict() for scores in bins]
     calibration = evaluate_calibration(detections, truth, known_class_id=known, min_height_px=min_height_px)
-    return {
-        "by_size": {measure: [scores.as_dict() for scores in bins] for measure, bins in by_size.items()},
-        "calibration": calibration.as_dict(),
-    }
+    return {"by_size": by_size, "calibration": calibration.as_dict()}
 
 
 def _input(detector: YoloDetector) -> str:
     """Width x height of the network's input, or its area or longer side if the size depends on the image."""
-    if detector.area is not None and None in detector.session.input_shape[2:]:
-        return f"{detector.area.value:.0f} px2 open"
     height, width = detector.input_hw
-    is_open = None in detector.session.input_shape[2:]
-    return f"{max(height, width)} open" if is_open else f"{width}x{height}"
+    if None not in detector.session.input_shape[2:]:
+        return f"{width}x{height}"
+    return f"{max(height, width)} open" if detector.area is None else f"{detector.area.value:.0f} px2 open"
 
 
 def open_candidates(models: Sequence[str], options: DetectorOptions, resolve: Callable[[str], Path]) -> list[Candidate]:
@@ -250,24 +234,15 @@ def open_candidates(models: Sequence[str], options: DetectorOptions, resolve: Ca
     ]
 
 
-def _working_score(option: str | None) -> FloatArray:
-    least, by_class = thresholds(option, otherwise=WORKING_SCORE)
-    return YoloSettings(min_score=least, class_min_score=by_class).min_score_by_class()
-
-
 def _notes(candidates: Sequence[Candidate], scores: dict[str, DetectionScores], unreadable: Sequence[str]) -> list[str]:
     notes = [note for candidate in candidates for note in candidate.detector.notes]
+    few: dict[int, int] = {}
     for name, model_scores in scores.items():
         by_class = model_scores.by_class
+        few |= {i: row.n_boxes for i, row in by_class.items() if 0 < row.n_boxes < MIN_BOXES}
         unknown = [ROAD_CLASSES[i] for i, row in by_class.items() if row.n_boxes and not row.is_known]
         if unknown:
             notes.append(f"{name} does not detect {', '.join(unknown)}; excluded from its averages.")
-    few = {
-        i: row.n_boxes
-        for model_scores in scores.values()
-        for i, row in model_scores.by_class.items()
-        if 0 < row.n_boxes < MIN_BOXES
-    }
     if few:
         classes = ", ".join(f"{ROAD_CLASSES[i]} ({n})" for i, n in few.items())
         notes.append(f"Classes with fewer than {MIN_BOXES} boxes are reported but excluded from the mean: {classes}.")

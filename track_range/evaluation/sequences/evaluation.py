@@ -27,7 +27,7 @@ from track_range.evaluation.sequences.find import (
     paired,
 )
 from track_range.evaluation.sequences.settings import TRUTH_FORMATS, TrackEvaluationSettings
-from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.arrays import IntArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import counted
 from track_range.tracking.evaluation.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
@@ -36,6 +36,8 @@ from track_range.tracking.evaluation.motmetrics_comparison import motmetrics_fig
 from track_range.tracking.evaluation.scores import TrackingCounts
 from track_range.tracking.evaluation.similarity import Similarity
 from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
+
+_DUPLICATE = "expected each track id at most once per frame, found a duplicate."
 
 _BENCHMARKS = ("mot", "kitti")
 """Formats of ground truth with rules for boxes that are ignored."""
@@ -85,9 +87,17 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
             *ignored_files_note(truth, labelled),
             *ignored_files_note(results_folder, tracked),
             *no_truth_note(labelled, tracked),
-            *_empty_truth_notes(labels for labels, _ in pairs),
+            *(
+                f"{labels.path}: the file is empty, so all tracks of {labels.name} are false positives."
+                for labels, _ in pairs
+                if is_blank(labels.path, "ground truth")
+            ),
             *notes,
-            *(note for key, (truth, tracks) in boxes.items() for note in _shift_note(key, truth, tracks)),
+            *(
+                note
+                for key, (true, found) in boxes.items()
+                for note in frame_shift_note(key, true.frame, true.xyxy_px, found.frame, found.xyxy_px)
+            ),
         ],
     }
     if settings.compare == "motmetrics":
@@ -110,11 +120,7 @@ def _form_of(path: Path) -> str:
 
 
 def _truth_table(path: Path, form: str | None, notes: list[str]) -> BoxTable:
-    """The labels of a file in one of the formats without rules for boxes that are ignored; notes are appended.
-
-    Raises:
-        LabelFileError: the file cannot be read, or has another format than `form`.
-    """
+    """The labels of a file in one of the formats without rules for boxes that are ignored; notes are appended."""
     label_format = label_format_of(path, "ground truth")
     if form not in (None, label_format.name):
         raise LabelFileError(f"{path}: expected the format {form} (--format), found {label_format.title}.")
@@ -135,11 +141,6 @@ def _no_classes_note(path: Path, road_class: str) -> tuple[str, ...]:
 
 
 def _boxes_of(table: BoxTable, road_class: str, path: Path) -> TrackedBoxes:
-    """The boxes of one class.
-
-    Raises:
-        LabelFileError: boxes of the class have no identity.
-    """
     table = table.select(table.class_id == ROAD_CLASSES.index(road_class))
     if (table.track_id < 0).any():
         raise LabelFileError(f"{path}: expected a track id for each box, found boxes without.")
@@ -152,19 +153,6 @@ def _class_of_labels(tables: Iterable[BoxTable], road_class: str | None) -> str:
         return ROAD_CLASSES[road_class_id(road_class)]
     class_id = np.concatenate([np.zeros(0, np.int64), *(table.class_id[table.class_id >= 0] for table in tables)])
     return ROAD_CLASSES[int(np.bincount(class_id, minlength=len(ROAD_CLASSES)).argmax())] if len(class_id) else "car"
-
-
-def _shift_note(name: str, truth: TrackedBoxes, tracks: TrackedBoxes) -> tuple[str, ...]:
-    return frame_shift_note(name, truth.frame, truth.xyxy_px, tracks.frame, tracks.xyxy_px)
-
-
-def _empty_truth_notes(truth: Iterable[SequenceFile]) -> tuple[str, ...]:
-    """A note on each file of ground truth without objects."""
-    return tuple(
-        f"{file.path}: the file is empty, so all tracks of {file.name} are false positives."
-        for file in truth
-        if is_blank(file.path, "ground truth")
-    )
 
 
 def _class_of(form: str, road_class: str | None) -> str:
@@ -197,30 +185,27 @@ def _cleaned(
 def _read_results(path: Path, road_class: str) -> TrackedBoxes:
     """Tracks of one class with frames from 0, read from MOT rows (frames from 1, no class) or KITTI rows."""
     class_id = ROAD_CLASSES.index(road_class)
-    if is_blank(path, "tracks"):
-        return _tracked(path, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), class_id)
-    form = label_format_of(path, "tracks").name
+    form = "" if is_blank(path, "tracks") else label_format_of(path, "tracks").name
+    if form not in ("", *_BENCHMARKS):
+        return _boxes_of(read_labels(path, NO_FACTS, expected="tracks"), road_class, path)
+    frame, track_id, xyxy_px = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4))
     if form == "mot":
         rows = read_mot(path)
-        return _tracked(path, rows.frame, rows.track_id, rows.xyxy_px, class_id)
-    if form != "kitti":
-        return _boxes_of(read_labels(path, NO_FACTS, expected="tracks"), road_class, path)
-    labels = read_kitti(path)
-    is_of_class = map_to_road_classes([str(kind) for kind in labels.kitti_type]) == class_id
-    labels = labels.select(is_of_class & (labels.track_id >= 0))
-    return _tracked(path, labels.frame, labels.track_id, labels.xyxy_px, class_id)
+        frame, track_id, xyxy_px = rows.frame, rows.track_id, rows.xyxy_px
+    elif form == "kitti":
+        labels = read_kitti(path)
+        is_class = map_to_road_classes([str(name) for name in labels.kitti_type]) == class_id
+        labels = labels.select(is_class & (labels.track_id >= 0))
+        frame, track_id, xyxy_px = labels.frame, labels.track_id, labels.xyxy_px
+    try:
+        return TrackedBoxes(frame, track_id, xyxy_px, np.full(len(frame), class_id))
+    except ValueError as error:
+        raise LabelFileError(f"{path}: {_DUPLICATE}") from error
 
 
 def _check_once(path: Path, frame: IntArray, track_id: IntArray) -> None:
     if len(np.unique(np.stack([frame, track_id]), axis=1).T) < len(frame):
-        raise LabelFileError(f"{path}: expected each track id at most once per frame, found a duplicate.")
-
-
-def _tracked(path: Path, frame: IntArray, track_id: IntArray, xyxy_px: FloatArray, class_id: int) -> TrackedBoxes:
-    try:
-        return TrackedBoxes(frame, track_id, xyxy_px, np.full(len(frame), class_id))
-    except ValueError as error:
-        raise LabelFileError(f"{path}: expected each track id at most once per frame, found a duplicate.") from error
+        raise LabelFileError(f"{path}: {_DUPLICATE}")
 
 
 def _without_nan(figures: Mapping[str, float]) -> dict[str, float | int | None]:

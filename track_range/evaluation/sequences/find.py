@@ -26,37 +26,22 @@ from track_range.foundation.files.numeric_text import number
 Kind = Literal["det", "gt"]
 """Detections or ground truth, as in MOTChallenge's file names."""
 
-_ROW_FILES = ("tracks.csv", "tracks.parquet")
-"""Files of a run that have all its rows."""
-
 MOT_FOLDER, KITTI_FOLDER = "mot", "kitti"
 """Folders for the results of `track`, one NAME.txt per sequence."""
 
 
 @dataclass(frozen=True, slots=True)
 class SequenceInfo:
-    """Contents of MOTChallenge's seqinfo.ini; None = not given, or no such file.
-
-    Attributes:
-        fps: frame rate.
-        n_frames: number of frames.
-        size_px: (width, height) of the images.
-    """
+    """Contents of MOTChallenge's seqinfo.ini; None = not given, or no such file."""
 
     fps: float | None = None
     n_frames: int | None = None
-    size_px: tuple[int, int] | None = None
+    size_px: tuple[int, int] | None = None  # width and height of the images
 
 
 @dataclass(frozen=True, slots=True)
 class SequenceFile:
-    """One sequence.
-
-    Attributes:
-        name: name of the sequence and of its results.
-        path: file of boxes or ground truth.
-        info: contents of seqinfo.ini.
-    """
+    """One sequence: its name, which is also that of its results, its file of boxes or ground truth, and seqinfo.ini."""
 
     name: str
     path: Path
@@ -64,23 +49,20 @@ class SequenceFile:
 
 
 def find_sequences(path: Path, kind: Kind) -> list[SequenceFile]:
-    """All sequences of a file or folder, sorted by name.
+    """All sequences of a file, a folder of files, a folder in MOTChallenge's layout or one sequence of it, by name.
 
-    Args:
-        path: a file, a folder of files, a folder in MOTChallenge's layout, or one sequence of it.
-        kind: which of MOTChallenge's files are read.
+    `kind` says which of MOTChallenge's files are read.
 
     Raises:
         LabelFileError: there is no sequence, or two have the same name.
     """
     if os.path.isfile(path):
         return [_sequence(path)]
-    if os.path.isdir(path) and (rows := _rows_of_run(path)) is not None:
-        return [SequenceFile(real_path(path).name, rows, SequenceInfo())]
-    if os.path.isdir(path) and is_yolo_folder(path):
-        return [SequenceFile(real_path(path).name, path, SequenceInfo())]
     if not os.path.isdir(path):
         raise LabelFileError(f"{path}: no such file or folder; check the name.")
+    rows = _rows_of_run(path)
+    if rows is not None or is_yolo_folder(path):
+        return [SequenceFile(real_path(path).name, rows or path, SequenceInfo())]
     inner = Path(kind) / f"{kind}.txt"
     try:
         folders = [path, *sorted(path.iterdir())]
@@ -137,9 +119,9 @@ def listed(names: Sequence[str]) -> str:
 
 def _rows_of_run(folder: Path) -> Path | None:
     """The file with the rows of a run, which has the classes that mot.txt lacks; None if this is not a run's folder."""
-    if not os.path.isfile(folder / "settings.yaml"):
-        return None
-    return next((folder / name for name in _ROW_FILES if os.path.isfile(folder / name)), None)
+    files = [folder / name for name in ("tracks.csv", "tracks.parquet")]
+    is_run = os.path.isfile(folder / "settings.yaml")
+    return next((file for file in files if os.path.isfile(file)), None) if is_run else None
 
 
 def _text_files(folder: Path) -> list[Path]:
@@ -154,11 +136,6 @@ def _sequence(path: Path) -> SequenceFile:
 
 
 def _read_info(file: Path) -> SequenceInfo:
-    """Contents of seqinfo.ini.
-
-    Raises:
-        LabelFileError: it cannot be read or parsed, or a number is implausible.
-    """
     if not os.path.lexists(file):
         return SequenceInfo()
     text = read_text(file, LabelFileError, "MOTChallenge's seqinfo.ini")
@@ -170,10 +147,9 @@ def _read_info(file: Path) -> SequenceInfo:
         raise LabelFileError(
             f"{file}: expected a section [Sequence] as in MOTChallenge ({type(error).__name__})."
         ) from error
-    values = {key: _value_of(section, key, limits, file) for key, limits in _INFO_LIMITS.items()}
-    fps, n_frames, *size_px = (values[key] for key in _INFO_LIMITS)
-    width, height = (None if side is None else int(side) for side in size_px)
-    return SequenceInfo(fps, None if n_frames is None else int(n_frames), _pair(width, height))
+    fps, n_frames, width, height = (_value_of(section, key, limits, file) for key, limits in _INFO_LIMITS.items())
+    size_px = None if width is None or height is None else (int(width), int(height))
+    return SequenceInfo(fps, None if n_frames is None else int(n_frames), size_px)
 
 
 def _value_of(section: Mapping[str, str], key: str, limits: tuple[float, float], file: Path) -> float | None:
@@ -196,7 +172,3 @@ _INFO_LIMITS = {
     "imHeight": (1.0, 65535.0),
 }
 """Smallest and largest value of each key of seqinfo.ini."""
-
-
-def _pair(width: int | None, height: int | None) -> tuple[int, int] | None:
-    return None if width is None or height is None else (width, height)

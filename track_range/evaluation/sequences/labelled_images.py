@@ -32,16 +32,13 @@ class LabelledFrames(Protocol):
     @property
     def n_images(self) -> int | None:
         """Expected number of images; None = unknown."""
-        ...
 
     @property
     def unreadable(self) -> Sequence[str]:
         """One sentence per image that was skipped because it cannot be read."""
-        ...
 
     def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]:
         """Pairs of an image, (H, W, 3) uint8 BGR, and its labels in pixels."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,22 +80,14 @@ class LabelledSource:
         return "coco" if self.labels.suffix.lower() == ".json" else "yolo"
 
     def of_classes(self, truth: ImageTruth) -> ImageTruth:
-        """The labels, with only the chosen classes evaluated.
-
-        Raises:
-            ClassNameError: a class is unknown.
-        """
+        """The labels, with only the chosen classes evaluated."""
         if not self.classes:
             return truth
         is_chosen = np.isin(np.arange(len(ROAD_CLASSES)), road_class_ids(self.classes))
         return replace(truth, is_complete=truth.is_complete & is_chosen)
 
     def labelled_files(self) -> list[LabelledImage]:
-        """The images of the folder, or of the manifest's split, with their labels.
-
-        Raises:
-            LabelFileError, ImageFileError: labels or images cannot be read.
-        """
+        """The images of the folder, or of the manifest's split, with their labels."""
         images = read_labelled(self.images, self.labels, self.format, names=self.label_names)
         if self.manifest is None:
             return images

@@ -1,9 +1,12 @@
-"""Tracking of recorded detections; no video or rig is needed, and no distances are measured."""
+"""Tracking of recorded detections; no video or rig is needed, and no distances are measured.
+
+MOTChallenge's files of results count frames and pixels from 1, KITTI's, which have fewer classes, from 0.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,7 +16,8 @@ from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
 from track_range.detection.formats.errors import LabelFileError
-from track_range.evaluation.sequences.files import write_kitti, write_mot
+from track_range.detection.formats.video_labels.kitti import KITTI_TYPE_OF, kitti_line
+from track_range.detection.formats.video_labels.mot import mot_lines
 from track_range.evaluation.sequences.find import (
     KITTI_FOLDER,
     MOT_FOLDER,
@@ -25,13 +29,14 @@ from track_range.evaluation.sequences.settings import TrackSettings
 from track_range.evaluation.sequences.tracking import images_of, track_sequence
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import real_path
-from track_range.foundation.files.output_files import OutputError, locked_output, make_folder
+from track_range.foundation.files.output_files import OutputError, locked_output, make_folder, write_text
 from track_range.foundation.progress import FrameProgress, no_frame_progress
 from track_range.recording.frame import VideoError
 from track_range.run.options.detection import check_tracker
 from track_range.run.options.opened import open_tracker_options
 from track_range.tracking.registry import create_tracker
 from track_range.tracking.tracker import ObjectTracker
+from track_range.tracking.tracks import Tracks
 
 DEFAULT_FPS = 10.0
 """Frame rate of sequences without seqinfo.ini: KITTI's."""
@@ -42,32 +47,21 @@ _CLASS_OF_FOLDER = {"car": "car", "pedestrian": "person", "cyclist": "bicycle"}
 
 @dataclass(frozen=True, slots=True)
 class TrackedFile:
-    """One tracked sequence.
-
-    Attributes:
-        name: name of the sequence.
-        n_frames, n_boxes, n_tracks: numbers of frames, boxes and tracks.
-        us_per_frame: mean time of the tracker per frame, microseconds.
-    """
+    """One tracked sequence."""
 
     name: str
     n_frames: int
     n_boxes: int
     n_tracks: int
-    us_per_frame: float
+    us_per_frame: float  # mean time of the tracker, microseconds
 
 
 @dataclass(frozen=True, slots=True)
 class TrackedFiles:
-    """Result of `track`.
-
-    Attributes:
-        done: the tracked sequences.
-        failed: reason by name of the sequences that could not be read.
-    """
+    """Result of `track`."""
 
     done: tuple[TrackedFile, ...]
-    failed: Mapping[str, str]
+    failed: Mapping[str, str]  # reason by name of the sequences that could not be read
 
 
 def track(
@@ -99,13 +93,19 @@ def track(
     all_images = [images_of(sequence, settings.images, is_single=is_single) for sequence in sequences]
     if settings.reid is not None and None in all_images:
         raise UsageError("--reid needs the images of every sequence; give --images.")
-    _check_overwriting(sequences, settings)
+    for sequence in sequences:
+        for folder in (MOT_FOLDER, KITTI_FOLDER):
+            if real_path(settings.out / folder / f"{sequence.name}.txt") == real_path(sequence.path):
+                raise OutputError(f"{sequence.path}: the result would overwrite this input; choose another --out.")
     tracker_options = open_tracker_options(settings.reid)
     reid_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     for sentence in (*ignored_files_note(settings.detections, sequences), *reid_notes):
         note(sentence)
     done, failed = [], {}
-    with _locked_folders(settings):
+    with locked_output(settings.out):
+        make_folder(settings.out / MOT_FOLDER)
+        if settings.kitti:
+            make_folder(settings.out / KITTI_FOLDER)
         for sequence, images in zip(sequences, all_images, strict=True):
             try:
                 recorded = _read(sequence.path, class_id, settings)
@@ -121,24 +121,6 @@ def track(
                 for sentence in notes:
                     note(f"{sequence.name}: {sentence}")
     return TrackedFiles(tuple(done), failed)
-
-
-@contextmanager
-def _locked_folders(settings: TrackSettings) -> Iterator[None]:
-    """Context in which the folders of the results exist, and this process alone writes to them."""
-    with locked_output(settings.out):
-        make_folder(settings.out / MOT_FOLDER)
-        if settings.kitti:
-            make_folder(settings.out / KITTI_FOLDER)
-        yield
-
-
-def _check_overwriting(sequences: Sequence[SequenceFile], settings: TrackSettings) -> None:
-    """Raise OutputError if a result would overwrite its input."""
-    for sequence in sequences:
-        for folder in (MOT_FOLDER, KITTI_FOLDER):
-            if real_path(settings.out / folder / f"{sequence.name}.txt") == real_path(sequence.path):
-                raise OutputError(f"{sequence.path}: the result would overwrite this input; choose another --out.")
 
 
 def _read(path: Path, class_id: int, settings: TrackSettings) -> RecordedDetections:
@@ -187,9 +169,32 @@ def _track_one(
             advance=advance,
         )
     frames, notes = tracked.frames, (*recorded.notes, *tracked.notes)
-    write_mot(frames, settings.out, sequence.name)
+    lines = (line for index, tracks in enumerate(frames) for line in mot_lines(tracks, index))
+    write_text(settings.out / MOT_FOLDER / f"{sequence.name}.txt", "".join(lines))
     if settings.kitti:
-        notes = (*notes, *write_kitti(frames, settings.out, sequence.name))
+        notes = (*notes, *_write_kitti(frames, settings.out, sequence.name))
     track_ids = np.unique(np.concatenate([tracks.track_id for tracks in frames])) if frames else ()
     n_boxes = sum(len(tracks) for tracks in frames)
     return TrackedFile(sequence.name, n_frames, n_boxes, len(track_ids), tracked.us_per_frame), notes
+
+
+def _write_kitti(frames: Sequence[Tracks], out: Path, name: str) -> tuple[str, ...]:
+    """Write kitti/NAME.txt, frames from 0; returns a note about boxes omitted because KITTI has no such class."""
+    file = Path(KITTI_FOLDER) / f"{name}.txt"
+    unknown_m = (math.nan, math.nan, math.nan)
+    rows = [
+        kitti_line(frame, track_id, KITTI_TYPE_OF[ROAD_CLASSES[i]], box, unknown_m, score)
+        for frame, tracks in enumerate(frames)
+        for track_id, i, box, score in zip(
+            *(column.tolist() for column in (tracks.track_id, tracks.class_id, tracks.xyxy_px, tracks.score)),
+            strict=True,
+        )
+        if ROAD_CLASSES[i] in KITTI_TYPE_OF
+    ]
+    write_text(out / file, "".join(rows))
+    class_id = np.concatenate([np.zeros(0, np.int64), *(tracks.class_id for tracks in frames)])
+    omitted = [i for i in np.unique(class_id) if ROAD_CLASSES[i] not in KITTI_TYPE_OF]
+    if not omitted:
+        return ()
+    n, names = int(np.isin(class_id, omitted).sum()), ", ".join(ROAD_CLASSES[i] for i in omitted)
+    return (f"{n} of {len(class_id)} boxes omitted from {file.as_posix()}: KITTI has no class for {names}.",)

@@ -30,27 +30,18 @@ _MAX_OUTSIDE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class TrackedSequence:
-    """The tracks of one sequence.
-
-    Attributes:
-        frames: the tracks of every frame.
-        us_per_frame: mean time of tracking per frame in microseconds, without reading images.
-        notes: messages for the user.
-    """
+    """The tracks of every frame of one sequence, and notes for the user."""
 
     frames: list[Tracks]
-    us_per_frame: float
+    us_per_frame: float  # mean time of tracking in microseconds, without reading images
     notes: tuple[str, ...]
 
 
 def images_of(sequence: SequenceFile, path: Path | None, *, is_single: bool) -> Path | None:
     """The video or folder of images of a sequence; None = no images.
 
-    Args:
-        sequence: the sequence.
-        path: the user's video, or folder with NAME.mp4, NAME/ or NAME/img1/; None = only MOTChallenge's img1 next to
-            the boxes is used.
-        is_single: whether there is no other sequence, so that `path` or `path`/img1 may be its folder of images.
+    `path` is the user's video, or a folder with NAME.mp4, NAME/ or NAME/img1/; without it, only MOTChallenge's img1
+    next to the boxes is used. If there is no other sequence (`is_single`), `path` or `path`/img1 may be the images.
 
     Raises:
         VideoError: `path` does not exist, or contains no images of this sequence.

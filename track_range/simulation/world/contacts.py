@@ -58,19 +58,12 @@ _ALIGNED_RAD = np.pi / 4
 
 @dataclass(frozen=True, slots=True)
 class EgoContact:
-    """A contact of the ego vehicle with a road user.
-
-    Attributes:
-        track_id: id of the road user.
-        kitti_type: type of the road user.
-        contact_s: time at which the boxes touch first, s.
-        is_real: False for a contact that happens only without braking.
-    """
+    """A contact of the ego vehicle with a road user."""
 
     track_id: int
     kitti_type: str
-    contact_s: float
-    is_real: bool
+    contact_s: float  # time at which the boxes touch first
+    is_real: bool  # False for a contact that happens only without braking
 
 
 def find_contacts(scene: Scene, seconds: float) -> tuple[EgoContact, ...]:
@@ -91,7 +84,7 @@ def find_contacts(scene: Scene, seconds: float) -> tuple[EgoContact, ...]:
 def first_contact(scene: Scene, seconds: float) -> EgoContact | None:
     """The first real contact in the first `seconds` of a scene; None = none."""
     touching = _first_touch(scene, lambda times_s: ego_z_m(scene, times_s), (0.0, seconds))
-    return None if touching is None else _contact(scene, *touching, is_real=True)
+    return None if touching is None else _contact(scene, touching, is_real=True)
 
 
 def _unbraked_contact(scene: Scene, start_s: float, seconds: float) -> EgoContact | None:
@@ -101,19 +94,18 @@ def _unbraked_contact(scene: Scene, start_s: float, seconds: float) -> EgoContac
     touching = _first_touch(scene, lambda times_s: z_m + speed_mps * (times_s - start_s), (start_s, end_s))
     if touching is None or _is_followed(scene, touching[0], start_s):
         return None
-    return _contact(scene, *touching, is_real=False)
+    return _contact(scene, touching, is_real=False)
 
 
-def _contact(scene: Scene, row: int, contact_s: float, *, is_real: bool) -> EgoContact:
-    user = scene.road_users[row]
-    return EgoContact(user.track_id, user.kitti_type, contact_s, is_real)
+def _contact(scene: Scene, touching: tuple[int, float], *, is_real: bool) -> EgoContact:
+    user = scene.road_users[touching[0]]
+    return EgoContact(user.track_id, user.kitti_type, touching[1], is_real)
 
 
 def _brake_starts_s(scene: Scene, end_s: float) -> Iterator[float]:
     """The times before `end_s` at which the ego vehicle starts to brake, 0 if it brakes already."""
-    changes = scene.ego_speed_changes
     was_braking = False
-    for (from_s, from_mps), (to_s, to_mps) in pairwise(changes):
+    for (from_s, from_mps), (to_s, to_mps) in pairwise(scene.ego_speed_changes):
         is_braking = to_mps < from_mps
         if is_braking and not was_braking and to_s > 0 and from_s < end_s:
             yield max(from_s, 0.0)
@@ -153,13 +145,10 @@ def _first_touch(
     steps = np.where(touches.any(axis=1), touches.argmax(axis=1), len(times_s))
     if steps.min() == len(times_s):
         return None
-    best: tuple[int, float] | None = None
-    for index in np.flatnonzero(steps == steps.min()).tolist():
-        row, step = int(rows[index]), int(steps[index])
-        contact_s = _bisected_s(scene, row, ego_at_m, times_s[[max(step - 1, 0), step]])
-        if best is None or contact_s < best[1]:
-            best = (row, contact_s)
-    return best
+    step = int(steps.min())
+    around_s = float(times_s[max(step - 1, 0)]), float(times_s[step])
+    first = [(row, _bisected_s(scene, row, ego_at_m, *around_s)) for row in rows[steps == step].tolist()]
+    return min(first, key=lambda touching: touching[1])
 
 
 def _passing(users: tuple[RoadUser, ...], paths: Trajectories, ego_z_m: FloatArray) -> IntArray:
@@ -172,17 +161,18 @@ def _passing(users: tuple[RoadUser, ...], paths: Trajectories, ego_z_m: FloatArr
     return np.flatnonzero(is_near.any(axis=1))
 
 
-def _bisected_s(scene: Scene, row: int, ego_at_m: Callable[[FloatArray], FloatArray], around_s: FloatArray) -> float:
+def _bisected_s(
+    scene: Scene, row: int, ego_at_m: Callable[[FloatArray], FloatArray], before_s: float, after_s: float
+) -> float:
     """The time of the first touch between two times, before and after it."""
-    before_s, after_s = (float(time_s) for time_s in around_s)
     user = scene.road_users[row]
     while after_s - before_s > PRECISION_S:
-        middle_s = np.array([(before_s + after_s) / 2])
-        path = trajectories((user,), middle_s)
-        if _touches(scene.road, user, path.row(0), ego_at_m(middle_s))[0]:
-            after_s = float(middle_s[0])
+        middle_s = (before_s + after_s) / 2
+        path = trajectories((user,), np.array([middle_s]))
+        if _touches(scene.road, user, path.row(0), ego_at_m(np.array([middle_s])))[0]:
+            after_s = middle_s
         else:
-            before_s = float(middle_s[0])
+            before_s = middle_s
     return after_s
 
 

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from track_range.foundation.arrays import FloatArray
+
 SpeedChanges = tuple[tuple[float, float], ...]
 """(time_s, speed_mps) pairs in order of time."""
 
@@ -25,10 +27,10 @@ class LaneChange:
     to_s: float
     by_m: float
 
-    def moved_m(self, time_s: float) -> float:
-        """Lateral displacement at a time."""
-        fraction = float(np.clip((time_s - self.from_s) / (self.to_s - self.from_s), 0, 1))
-        return self.by_m * fraction**2 * (3 - 2 * fraction)
+    def moved_m(self, time_s: FloatArray | float) -> FloatArray:
+        """Lateral displacement at one or more times."""
+        fraction = np.clip((time_s - self.from_s) / (self.to_s - self.from_s), 0, 1)
+        return np.asarray(self.by_m * fraction**2 * (3 - 2 * fraction))
 
 
 def speed_at_mps(changes: SpeedChanges, time_s: float) -> float:

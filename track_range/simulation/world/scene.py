@@ -13,12 +13,12 @@ winding road (`road_shape.py`), x counts from the centre of the ego lane. The to
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.simulation.world.motion import LaneChange, SpeedChanges, speed_at_mps, travelled_m
-from track_range.simulation.world.obstacles import Obstacle
 from track_range.simulation.world.road_shape import (
     STEADY,
     STRAIGHT,
@@ -85,11 +85,11 @@ class RoadUser:
 
     def on_road_m(self, time_s: float) -> tuple[float, float]:
         """Position at a time: distance to the right of the ego lane's centre, and z."""
-        way_m = travelled_m(self.speed_changes or ((0.0, self.speed_mps),), time_s)
-        moved_m = self.lane_change.moved_m(time_s) if self.lane_change else 0.0
+        distance_m = travelled_m(self.speed_changes or ((0.0, self.speed_mps),), time_s)
+        moved_m = float(self.lane_change.moved_m(time_s)) if self.lane_change else 0.0
         x_m, z_m = self.start_xz_m
         cos, sin = float(np.cos(self.rotation_y_rad)), float(np.sin(self.rotation_y_rad))
-        return x_m + way_m * cos + moved_m, z_m - way_m * sin
+        return x_m + distance_m * cos + moved_m, z_m - distance_m * sin
 
     def heading_rad(self, time_s: float) -> float:
         """Heading at a time, including the rotation during a lane change."""
@@ -98,6 +98,28 @@ class RoadUser:
         before, after = (self.on_road_m(time_s + step_s) for step_s in (-STEP_S, STEP_S))
         across, ahead = after[0] - before[0], after[1] - before[1]
         return self.rotation_y_rad if ahead == 0 else float(np.arctan2(-ahead, across))
+
+
+ObstacleKind = Literal["pole", "fence", "bush"]
+
+
+@dataclass(frozen=True, slots=True)
+class Obstacle:
+    """A static object beside the road that is no road user and has no labels.
+
+    Attributes:
+        number: number from 0, unique among the obstacles of the scene; it also determines the appearance.
+        kind: pole, fence or bush.
+        size_hwl_m: height, width, length of its 3-D box.
+        at_xz_m: centre of the box on the road: distance to the right of the ego lane's centre, and z.
+        rotation_y_rad: direction of its length as KITTI's rotation_y, relative to the road's direction.
+    """
+
+    number: int
+    kind: ObstacleKind
+    size_hwl_m: tuple[float, float, float]
+    at_xz_m: tuple[float, float]
+    rotation_y_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,11 +133,8 @@ class Scene:
         ego_speed_changes: (time, speed) pairs, used instead of `ego_speed_mps`; empty = constant speed.
         camera_height_m: height of the left camera above the road.
         camera_pitch_rad: pitch of the left camera relative to the ego car, positive = up.
-        road: shape of the road.
-        wobble: pitch and roll of the ego car.
-        surroundings: kind of road, a key of `surroundings.SURROUNDINGS`.
+        surroundings: a key of `surroundings.SURROUNDINGS`.
         is_night: whether headlights and lamps light the scene instead of the sun.
-        obstacles: static objects without labels.
     """
 
     seed: int
@@ -137,13 +156,11 @@ class Scene:
 
     def with_car_sizes(self, factor: float) -> Scene:
         """The scene with all cars `factor` times as high, wide and long."""
-        users = (
-            replace(user, size_hwl_m=(factor * height, factor * width, factor * length))
-            if user.kitti_type == "Car"
-            else user
-            for user in self.road_users
-            for height, width, length in (user.size_hwl_m,)
-        )
+        users = []
+        for user in self.road_users:
+            height, width, length = user.size_hwl_m
+            size_hwl_m = (factor * height, factor * width, factor * length)
+            users.append(replace(user, size_hwl_m=size_hwl_m) if user.kitti_type == "Car" else user)
         return replace(self, road_users=tuple(users))
 
     def ego_z_m(self, time_s: float) -> float:
@@ -158,12 +175,9 @@ class Scene:
     def pose(self, time_s: float) -> CameraPose:
         """Pose of the left camera at a time."""
         pitch_rad, roll_rad = self.wobble.pitch_roll_rad(time_s)
-        return pose_on_road(
-            self.road,
-            self.ego_z_m(time_s),
-            height_m=self.camera_height_m,
-            pitch_roll_rad=(pitch_rad + self.camera_pitch_rad, roll_rad),
-        )
+        pitch_roll_rad = (pitch_rad + self.camera_pitch_rad, roll_rad)
+        z_m = self.ego_z_m(time_s)
+        return pose_on_road(self.road, z_m, height_m=self.camera_height_m, pitch_roll_rad=pitch_roll_rad)
 
     def location_m(self, time_s: float) -> FloatArray:
         """(N, 3) bottom centres of the 3-D boxes in the left camera's frame at a time."""
@@ -177,15 +191,13 @@ class Scene:
     def rotation_y_rad(self, time_s: float = 0.0) -> FloatArray:
         """(N,) headings as rotations about y in the left camera's frame, without pitch and roll."""
         _, z = self._on_road_m(time_s)
-        own = np.array([user.heading_rad(time_s) for user in self.road_users], np.float64)
         ego_yaw_rad = self.road.yaw_rad(np.array(self.ego_z_m(time_s)))
-        return np.asarray(own + self.road.yaw_rad(z) - ego_yaw_rad)
+        return np.asarray(self._headings_rad(time_s) + self.road.yaw_rad(z) - ego_yaw_rad)
 
     def rotations(self, time_s: float) -> FloatArray:
         """(N, 3, 3) rotations from the road users' frames to the left camera's, including slope and camera rotation."""
         _, z = self._on_road_m(time_s)
-        headings = np.array([user.heading_rad(time_s) for user in self.road_users], np.float64)
-        return self._rotations(time_s, z, headings)
+        return self._rotations(time_s, z, self._headings_rad(time_s))
 
     def obstacle_poses(self, time_s: float) -> tuple[FloatArray, FloatArray]:
         """(M, 3) bottom centres of the obstacles and (M, 3, 3) rotations to the left camera's frame at a time."""
@@ -205,18 +217,21 @@ class Scene:
         level = yaw_rotation(headings_rad + self.road.yaw_rad(z_m))
         return np.asarray(self.pose(time_s).camera_from_world @ slope_rotation(self.road.climb_rad(z_m)) @ level)
 
+    def _headings_rad(self, time_s: float) -> FloatArray:
+        return np.array([user.heading_rad(time_s) for user in self.road_users], np.float64)
+
     def _on_road_m(self, time_s: float) -> FloatArray:
         """(2, N) positions across and along the road."""
         return np.array([user.on_road_m(time_s) for user in self.road_users], np.float64).reshape(-1, 2).T
 
 
-Placing = tuple[str, float, float, float, float]
+TownUser = tuple[str, float, float, float, float]
 """KITTI type, x and z at time 0, heading, speed."""
 
 CROSSING_Z_M = 62.0
 """Position of a pedestrian who crosses the road, where there are no parked cars."""
 
-TRAFFIC: tuple[Placing, ...] = (
+TRAFFIC: tuple[TownUser, ...] = (
     ("Car", 0.1, 22.0, AWAY_RAD, 9.0),  # the ego car closes in on it
     ("Van", 0.0, 68.0, AWAY_RAD, 10.5),  # draws away, largely hidden by the car before it
     ("Car", 3.3, 9.5, AWAY_RAD, 12.5),  # draws away fast, from near
@@ -225,7 +240,7 @@ TRAFFIC: tuple[Placing, ...] = (
     ("Cyclist", 4.85, 20.0, AWAY_RAD, 4.5),  # is overtaken
 )
 
-PEOPLE: tuple[Placing, ...] = (
+PEOPLE: tuple[TownUser, ...] = (
     ("Pedestrian", 0.2, CROSSING_Z_M, np.pi, 1.0),  # crosses to the left between two oncoming cars
     ("Pedestrian", 8.6, 14.5, AWAY_RAD, 1.4),
     ("Pedestrian", 9.4, 34.0, TOWARDS_RAD, 1.3),
@@ -238,11 +253,8 @@ PEOPLE: tuple[Placing, ...] = (
 ONCOMING_FROM_M, ONCOMING_SPACING_M, ONCOMING_SPEED_MPS = 74.0, 48.0, 11.0
 """Position of the first oncoming vehicle at time 0, distance between them, and their speed."""
 
-PARKED_SPACING_M = 7.5
-"""Distance between parking spaces."""
-
-PARKED_FRACTION = 0.6
-"""Fraction of parking spaces that are occupied."""
+PARKED_SPACING_M, PARKED_FRACTION = 7.5, 0.6
+"""Distance between parking spaces, and fraction of them that are occupied."""
 
 VIEW_M = 110.0
 """Distance beyond the last camera position up to which scenes contain objects."""
@@ -256,9 +268,11 @@ def make_scene(seed: int = 0, seconds: float = 6.0) -> Scene:
     """
     rng = np.random.default_rng([seed, 1])
     until_m = 10.0 * seconds + VIEW_M
-    placings = [*TRAFFIC, *PEOPLE, *_oncoming(rng, until_m + ONCOMING_SPEED_MPS * seconds), *_parked(rng, until_m)]
+    oncoming = _oncoming(rng, until_m + ONCOMING_SPEED_MPS * seconds)
     users = []
-    for track_id, (kitti_type, x_m, z_m, heading_rad, speed_mps) in enumerate(placings):
+    for track_id, (kitti_type, x_m, z_m, heading_rad, speed_mps) in enumerate(
+        [*TRAFFIC, *PEOPLE, *oncoming, *_parked(rng, until_m)]
+    ):
         height, width, length = np.array(SIZE_HWL_M[kitti_type]) * (1 + SIZE_SPREAD * rng.uniform(-1, 1, 3))
         dx_m, dz_m = rng.uniform(-1, 1, 2) * (0.08, 0.5)
         users.append(
@@ -274,23 +288,23 @@ def make_scene(seed: int = 0, seconds: float = 6.0) -> Scene:
     return Scene(seed=seed, road_users=tuple(users))
 
 
-def _oncoming(rng: np.random.Generator, until_m: float) -> list[Placing]:
+def _oncoming(rng: np.random.Generator, until_m: float) -> list[TownUser]:
     """Cars and some trucks at equal distances in the left lane, all at the same speed."""
-    places_m = np.arange(ONCOMING_FROM_M, until_m, ONCOMING_SPACING_M)
-    is_truck = rng.uniform(size=len(places_m)) < 0.3
+    positions_m = np.arange(ONCOMING_FROM_M, until_m, ONCOMING_SPACING_M)
+    is_truck = rng.uniform(size=len(positions_m)) < 0.3
     return [
         ("Truck" if truck else "Car", -3.5, float(z_m), TOWARDS_RAD, ONCOMING_SPEED_MPS)
-        for truck, z_m in zip(is_truck, places_m, strict=True)
+        for truck, z_m in zip(is_truck, positions_m, strict=True)
     ]
 
 
-def _parked(rng: np.random.Generator, until_m: float) -> list[Placing]:
+def _parked(rng: np.random.Generator, until_m: float) -> list[TownUser]:
     """Cars and vans parked along both kerbs at slightly varying angles."""
-    placings: list[Placing] = []
+    users: list[TownUser] = []
     for x_m, heading_rad in ((6.55, AWAY_RAD), (-6.55, TOWARDS_RAD)):
-        places_m = np.arange(12.0, until_m, PARKED_SPACING_M)
-        places_m = places_m[np.abs(places_m - CROSSING_Z_M) > PARKED_SPACING_M / 2]
-        for z_m in places_m[rng.uniform(size=len(places_m)) < PARKED_FRACTION]:
+        positions_m = np.arange(12.0, until_m, PARKED_SPACING_M)
+        positions_m = positions_m[np.abs(positions_m - CROSSING_Z_M) > PARKED_SPACING_M / 2]
+        for z_m in positions_m[rng.uniform(size=len(positions_m)) < PARKED_FRACTION]:
             kitti_type = "Van" if rng.uniform() < 0.2 else "Car"
-            placings.append((kitti_type, x_m, float(z_m), heading_rad + float(rng.normal(0, 0.02)), 0.0))
-    return placings
+            users.append((kitti_type, x_m, float(z_m), heading_rad + float(rng.normal(0, 0.02)), 0.0))
+    return users

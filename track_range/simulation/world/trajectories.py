@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.simulation.world.motion import LaneChange, SpeedChanges
+from track_range.simulation.world.motion import SpeedChanges
 from track_range.simulation.world.scene import STEP_S, RoadUser, Scene
 
 
@@ -67,12 +67,7 @@ def _row(user: RoadUser, times_s: FloatArray) -> tuple[FloatArray, FloatArray, F
 
 
 def _on_road_m(user: RoadUser, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    way_m = distances_m(user.speed_changes or ((0.0, user.speed_mps),), times_s)
-    moved_m = _moved_m(user.lane_change, times_s) if user.lane_change else 0.0
+    distance_m = distances_m(user.speed_changes or ((0.0, user.speed_mps),), times_s)
+    moved_m = user.lane_change.moved_m(times_s) if user.lane_change else 0.0
     x_m, z_m = user.start_xz_m
-    return x_m + way_m * np.cos(user.rotation_y_rad) + moved_m, z_m - way_m * np.sin(user.rotation_y_rad)
-
-
-def _moved_m(change: LaneChange, times_s: FloatArray) -> FloatArray:
-    fraction = np.clip((times_s - change.from_s) / (change.to_s - change.from_s), 0, 1)
-    return np.asarray(change.by_m * fraction**2 * (3 - 2 * fraction))
+    return x_m + distance_m * np.cos(user.rotation_y_rad) + moved_m, z_m - distance_m * np.sin(user.rotation_y_rad)

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.simulation.world.bodies.faces import Colour, Face, Vector, coloured_face, shaded
+from track_range.foundation.arrays import Image
+from track_range.simulation.world.bodies.faces import Colour, Face, Size, Vector, chosen, coloured_face, shaded
 from track_range.simulation.world.bodies.plates import with_plate
 from track_range.simulation.world.shadows import shadow
 from track_range.simulation.world.textures.painting import SEAM, clip, fill, pane, polygon, shade_rows, wheel
@@ -54,7 +55,6 @@ WHEEL_M = 0.32
 BACK_CHAMFER_M, FRONT_CHAMFER_M = (0.18, 0.15), (0.34, 0.25)
 """Size of the chamfers of the corners, seen from above: along, across."""
 
-
 BACK_PLATE, FRONT_PLATE = (0.33, 0.27, 0.67, 0.39), (0.34, 0.42, 0.66, 0.54)
 """Number plates, as fractions of the flat part of the back and front."""
 
@@ -83,41 +83,55 @@ BUILDS = (
 )
 
 
-def car(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
+@dataclass(frozen=True, slots=True)
+class _Car:
+    rng: np.random.Generator
+    size_hwl_m: Size
+    build: Build
+    paint: Colour
+
+    def panel(self, corner: Vector, along: Vector, down: Vector, light: float) -> Face:
+        """A face in the car's colour, multiplied by `light`."""
+        place = (corner, along, down)
+        return coloured_face(self.rng, place, shaded(self.paint, light), contrast=PAINT_CONTRAST)
+
+    def x_m(self, fraction: float) -> float:
+        """Position of a fraction of the car's length from the back."""
+        length = self.size_hwl_m[2]
+        return fraction * length - length / 2
+
+
+def car(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     """The faces of a car with a random shape and colour."""
     build = BUILDS[int(rng.integers(len(BUILDS)))]
-    paint = PAINTS[int(rng.integers(len(PAINTS)))]
-    body = [shadow(size_hwl_m), *_hull(rng, size_hwl_m, build, paint), *_cabin(rng, size_hwl_m, build, paint)]
-    return [*body, *_shoulders(rng, size_hwl_m, build, paint)]
+    body = _Car(rng, size_hwl_m, build, chosen(rng, PAINTS))
+    return [shadow(size_hwl_m), *_hull(body), *_cabin(body), *_shoulders(body)]
 
 
-def _hull(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, paint: Colour) -> list[Face]:
-    height, width, length = size_hwl_m
+def _hull(car: _Car) -> list[Face]:
+    height, width, length = car.size_hwl_m
     x, z = length / 2, width / 2
     faces = []
     for is_front, (deep, wide) in ((False, BACK_CHAMFER_M), (True, FRONT_CHAMFER_M)):
-        top = (build.nose if is_front else build.deck) * height
+        top = (car.build.nose if is_front else car.build.deck) * height
         end, sign = (x, 1) if is_front else (-x, -1)
         inner = z - wide
-        flat: tuple[Vector, Vector] = ((end, -top, -sign * inner), (0, 0, sign * 2 * inner))
-        end_face = _end_face(rng, flat, top, shaded(paint, 0.88 if is_front else 0.94), is_front=is_front)
+        light = 0.88 if is_front else 0.94
+        end_face = car.panel((end, -top, -sign * inner), (0, 0, sign * 2 * inner), (0, top, 0), light)
+        _paint_end(end_face.texture, is_front=is_front)
         faces += with_plate(end_face, FRONT_PLATE if is_front else BACK_PLATE)
         for side in (1, -1):
             at_end, at_side = (end, -top, side * inner), (end - sign * deep, -top, side * z)
             first, second = (at_end, at_side) if side * sign > 0 else (at_side, at_end)
-            edge = (first, (second[0] - first[0], 0.0, second[2] - first[2]))
-            faces.append(_corner_face(rng, edge, top, shaded(paint, 0.9 - 0.06 * side), is_front=is_front))
-    for side in (1, -1):
-        faces.append(_side_face(rng, size_hwl_m, build, (shaded(paint, 0.9 - 0.14 * side), side)))
-    return [*faces, *_lids(rng, size_hwl_m, build, paint)]
+            along = (second[0] - first[0], 0.0, second[2] - first[2])
+            corner = car.panel(first, along, (0, top, 0), 0.9 - 0.06 * side)
+            _paint_corner(corner.texture, is_front=is_front)
+            faces.append(corner)
+    return [*faces, *(_side(car, side) for side in (1, -1)), *_lids(car)]
 
 
-def _end_face(
-    rng: np.random.Generator, edge: tuple[Vector, Vector], top: float, bgr: Colour, *, is_front: bool
-) -> Face:
-    """The flat part of the back or front, from its upper edge to the road; transparent below the sill, except tyres."""
-    face = coloured_face(rng, (*edge, (0, top, 0)), bgr, contrast=PAINT_CONTRAST)
-    picture = face.texture
+def _paint_end(picture: Image, *, is_front: bool) -> None:
+    """Paint the flat part of the back or front, down to the road; transparent below the sill, except tyres."""
     shade_rows(picture, ((0, 1.12), (0.3, 1.0), (0.62, 0.86), (1, 0.6)))
     if is_front:
         fill(picture, (0.24, 0.10, 0.76, 0.30), (26, 26, 28))
@@ -144,39 +158,30 @@ def _end_face(
         ],
         [],
     )
-    return face
 
 
-def _corner_face(
-    rng: np.random.Generator, edge: tuple[Vector, Vector], top: float, bgr: Colour, *, is_front: bool
-) -> Face:
-    """A chamfered corner, with lamp and bumper."""
-    face = coloured_face(rng, (*edge, (0, top, 0)), bgr, contrast=PAINT_CONTRAST)
-    picture = face.texture
+def _paint_corner(picture: Image, *, is_front: bool) -> None:
+    """Paint a chamfered corner, with lamp and bumper."""
     shade_rows(picture, ((0, 1.12), (0.3, 1.0), (0.62, 0.86), (1, 0.6)))
     rows, colour = ((0.12, 0.30), LAMP_WHITE) if is_front else ((0.10, 0.36), LAMP_RED)
     fill(picture, (0.0, rows[0], 0.9, rows[1]), colour)
     fill(picture, (0, 0.72, 1, 1), TRIM)
     clip(picture, [[(0, 0), (1, 0), (1, 1 - SILL), (0, 1 - SILL)]], [])
-    return face
 
 
-def _side_face(
-    rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, colour_side: tuple[Colour, int]
-) -> Face:
+def _side(car: _Car, side: int) -> Face:
     """A side with doors, seams and wheels, transparent above the bonnet and below the sill; side: 1 left, -1 right."""
-    height, width, length = size_hwl_m
-    bgr, side = colour_side
+    build, (height, width, length) = car.build, car.size_hwl_m
+    light = 0.9 - 0.14 * side
     back, front = -length / 2 + BACK_CHAMFER_M[0], length / 2 - FRONT_CHAMFER_M[0]
     top, z = build.deck * height, side * width / 2
-    corner: Vector = (front, -top, z) if side > 0 else (back, -top, z)
-    along: Vector = (back - front, 0, 0) if side > 0 else (front - back, 0, 0)
-    face = coloured_face(rng, (corner, along, (0, top, 0)), bgr, contrast=PAINT_CONTRAST)
+    start, end = (front, back) if side > 0 else (back, front)
+    face = car.panel((start, -top, z), (end - start, 0, 0), (0, top, 0), light)
     picture = face.texture
 
     def at(fraction: float) -> float:
         """Fraction of the texture's width, from the left, for a fraction of the car's length, from the back."""
-        from_back = (fraction * length - length / 2 - back) / (front - back)
+        from_back = (car.x_m(fraction) - back) / (front - back)
         return 1 - from_back if side > 0 else from_back
 
     shade_rows(picture, ((0, 1.18), (0.2, 1.05), (0.34, 1.12), (0.38, 0.9), (0.75, 0.78), (1, 0.5)))
@@ -184,10 +189,10 @@ def _side_face(
         fill(picture, (at(seam) - 0.003, 0.02, at(seam) + 0.003, 0.72), SEAM)
     for handle in (0.29, 0.52):
         left, right = sorted((at(handle), at(handle + 0.035)))
-        fill(picture, (left, 0.12, right, 0.16), shaded(bgr, 0.5))
+        fill(picture, (left, 0.12, right, 0.16), shaded(shaded(car.paint, light), 0.5))
     fill(picture, (0, 1 - 1.45 * SILL, 1, 1), TRIM)
     radius = WHEEL_M / top
-    centres = [(at((0.82 if not is_front else length - 0.86) / length), 1 - radius) for is_front in (False, True)]
+    centres = [(at(from_back_m / length), 1 - radius) for from_back_m in (0.82, length - 0.86)]
     for centre in centres:
         wheel(picture, centre, radius)
     nose = 1 - build.nose / build.deck
@@ -196,84 +201,63 @@ def _side_face(
     return face
 
 
-def _lids(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, paint: Colour) -> list[Face]:
+def _lids(car: _Car) -> list[Face]:
     """The bonnet, sloping down to the nose, and the boot lid."""
-    height, width, length = size_hwl_m
-    z, base_x = width / 2, build.cabin[1] * length - length / 2
+    build, (height, width, length) = car.build, car.size_hwl_m
+    z, base_x = width / 2, car.x_m(build.cabin[1])
     high, low = build.deck * height, build.nose * height
-    bonnet = coloured_face(
-        rng,
-        ((base_x, -high, z), (length / 2 - base_x, high - low, 0), (0, 0, -width)),
-        shaded(paint, 1.12),
-        contrast=PAINT_CONTRAST,
-    )
-    shade = (FRONT_CHAMFER_M[1] / width, 1 - FRONT_CHAMFER_M[0] / (length / 2 - base_x))
-    clip(bonnet.texture, [[(0, 0), (shade[1], 0), (1, shade[0]), (1, 1 - shade[0]), (shade[1], 1), (0, 1)]], [])
-    lid_m = build.cabin[0] * length
-    boot = coloured_face(
-        rng, ((-length / 2, -high, z), (lid_m, 0, 0), (0, 0, -width)), shaded(paint, 1.12), contrast=PAINT_CONTRAST
-    )
-    return [bonnet, boot]
+    bonnet_m, lid_m = length / 2 - base_x, build.cabin[0] * length
+    bonnet = car.panel((base_x, -high, z), (bonnet_m, high - low, 0), (0, 0, -width), 1.12)
+    across, along = FRONT_CHAMFER_M[1] / width, 1 - FRONT_CHAMFER_M[0] / bonnet_m
+    clip(bonnet.texture, [[(0, 0), (along, 0), (1, across), (1, 1 - across), (along, 1), (0, 1)]], [])
+    return [bonnet, car.panel((-length / 2, -high, z), (lid_m, 0, 0), (0, 0, -width), 1.12)]
 
 
-def _cabin(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, paint: Colour) -> list[Face]:
+def _cabin(car: _Car) -> list[Face]:
     """Windscreen, rear window, roof and side windows."""
-    height, width, length = size_hwl_m
+    build, (height, width, _) = car.build, car.size_hwl_m
     low = build.deck * height
-    x0, x1 = (fraction * length - length / 2 for fraction in build.cabin)
-    roof0, roof1 = (fraction * length - length / 2 for fraction in build.roof)
+    x0, x1 = map(car.x_m, build.cabin)
+    roof0, roof1 = map(car.x_m, build.roof)
     z, top_z = width / 2 - SHOULDER_M, width / 2 - LEAN_M
     rise, lean = height - low, z - top_z
+    back = car.panel((roof0, -height, z), (0, 0, -2 * z), (x0 - roof0, rise, 0), 0.96)
+    front = car.panel((roof1, -height, -z), (0, 0, 2 * z), (x1 - roof1, rise, 0), 0.96)
+    top = car.panel((roof0, -height, top_z), (roof1 - roof0, 0, 0), (0, 0, -2 * top_z), 1.15)
+    left = car.panel((x1, -height, top_z), (x0 - x1, 0, 0), (0, rise, lean), 0.8)
+    right = car.panel((x0, -height, -top_z), (x1 - x0, 0, 0), (0, rise, -lean), 1.04)
     inset = lean / (2 * z)
-    places: dict[str, tuple[Vector, Vector, Vector]] = {
-        "back": ((roof0, -height, z), (0, 0, -2 * z), (x0 - roof0, rise, 0)),
-        "front": ((roof1, -height, -z), (0, 0, 2 * z), (x1 - roof1, rise, 0)),
-        "top": ((roof0, -height, top_z), (roof1 - roof0, 0, 0), (0, 0, -2 * top_z)),
-        "left": ((x1, -height, top_z), (x0 - x1, 0, 0), (0, rise, lean)),
-        "right": ((x0, -height, -top_z), (x1 - x0, 0, 0), (0, rise, -lean)),
-    }
-    lights = {"back": 0.96, "front": 0.96, "top": 1.15, "left": 0.8, "right": 1.04}
-    faces = {
-        name: coloured_face(rng, place, shaded(paint, lights[name]), contrast=PAINT_CONTRAST)
-        for name, place in places.items()
-    }
-    for name in ("back", "front"):
-        _screen(faces[name], inset, is_back=name == "back")
+    _screen(back.texture, inset, is_back=True)
+    _screen(front.texture, inset, is_back=False)
     behind, ahead = (roof0 - x0) / (x1 - x0), (x1 - roof1) / (x1 - x0)
-    _side_windows(faces["right"], behind, ahead)
-    _side_windows(faces["left"], ahead, behind)
-    return list(faces.values())
+    _side_windows(right.texture, behind, ahead)
+    _side_windows(left.texture, ahead, behind)
+    return [back, front, top, left, right]
 
 
-def _shoulders(
-    rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, paint: Colour
-) -> list[Face]:
+def _shoulders(car: _Car) -> list[Face]:
     """The narrow horizontal faces between cabin and sides, without which there would be gaps."""
-    height, width, length = size_hwl_m
-    x0, x1 = (fraction * length - length / 2 for fraction in build.cabin)
+    height, width, length = car.size_hwl_m
+    x0, x1 = map(car.x_m, car.build.cabin)
     x0 = max(x0, BACK_CHAMFER_M[0] - length / 2)
-    along, across, high = (x1 - x0, 0.0, 0.0), (0.0, 0.0, -SHOULDER_M), -build.deck * height
-    lefts = (width / 2, SHOULDER_M - width / 2)
-    bgr = shaded(paint, 1.12)
-    return [coloured_face(rng, ((x0, high, z), along, across), bgr, contrast=PAINT_CONTRAST) for z in lefts]
+    high, across = -car.build.deck * height, (0.0, 0.0, -SHOULDER_M)
+    return [car.panel((x0, high, z), (x1 - x0, 0.0, 0.0), across, 1.12) for z in (width / 2, SHOULDER_M - width / 2)]
 
 
-def _screen(face: Face, inset: float, *, is_back: bool) -> None:
+def _screen(picture: Image, inset: float, *, is_back: bool) -> None:
     """Paint a window in its frame; the rear window shows head rests."""
     edge, margin = inset + 0.07, 0.05
-    pane(face.texture, [(edge, 0.12), (1 - edge, 0.12), (1 - margin, 0.93), (margin, 0.93)])
+    pane(picture, [(edge, 0.12), (1 - edge, 0.12), (1 - margin, 0.93), (margin, 0.93)])
     for left in (0.24, 0.62) if is_back else ():
-        fill(face.texture, (left, 0.45, left + 0.14, 0.80), (30, 28, 28))
-    clip(face.texture, [[(inset, 0), (1 - inset, 0), (1, 1), (0, 1)]], [])
+        fill(picture, (left, 0.45, left + 0.14, 0.80), (30, 28, 28))
+    clip(picture, [[(inset, 0), (1 - inset, 0), (1, 1), (0, 1)]], [])
 
 
-def _side_windows(face: Face, left: float, right: float) -> None:
+def _side_windows(picture: Image, left: float, right: float) -> None:
     """Paint two windows between pillars; `left` and `right` are the insets of the roof's ends."""
     foot, head, top, low = 0.035, 0.03, 0.14, 0.94
     middle = (left + 1 - right) / 2 + 0.02
-    pane(face.texture, [(left + head, top), (middle - 0.012, top), (middle - 0.012, low), (foot + 0.3 * left, low)])
-    pane(
-        face.texture,
-        [(middle + 0.012, top), (1 - right - head, top), (1 - foot - 0.3 * right, low), (middle + 0.012, low)],
-    )
-    clip(face.texture, [[(left, 0), (1 - right, 0), (1, 1), (0, 1)]], [])
+    first, second = middle - 0.012, middle + 0.012
+    pane(picture, [(left + head, top), (first, top), (first, low), (foot + 0.3 * left, low)])
+    pane(picture, [(second, top), (1 - right - head, top), (1 - foot - 0.3 * right, low), (second, low)])
+    clip(picture, [[(left, 0), (1 - right, 0), (1, 1), (0, 1)]], [])

@@ -7,8 +7,8 @@ points right and `down` points down, so that along x down points away from the v
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
 
@@ -67,20 +67,16 @@ class Face:
     is_shadow: bool = False
     part: IdentifyingPart = IdentifyingPart.NONE
 
-    def rotated(self, rotation: FloatArray) -> Face:
-        """The face rotated by (3, 3)."""
-        corner, along, down = rotation @ self.corner, rotation @ self.along, rotation @ self.down
-        return replace(self, corner=corner, along=along, down=down)
 
-    def moved(self, by_m: FloatArray) -> Face:
-        """The face translated by (3,)."""
-        return replace(self, corner=self.corner + by_m)
+Place = tuple[Vector, Vector, Vector]
+"""Corner, upper edge and left edge of a face."""
+
+Size = tuple[float, float, float]
+"""Height, width, length of a body, metres."""
 
 
-def coloured_face(
-    rng: np.random.Generator, place: tuple[Vector, Vector, Vector], bgr: Colour, *, contrast: float = 11.0
-) -> Face:
-    """A face of one colour with dirt; `place` is (corner, along, down), `contrast` is in grey levels."""
+def coloured_face(rng: np.random.Generator, place: Place, bgr: Colour, *, contrast: float = 11.0) -> Face:
+    """A face of one colour with dirt; `contrast` is in grey levels."""
     corner, along, down = (np.array(vector, np.float64) for vector in place)
     size_m = (float(np.linalg.norm(along)), float(np.linalg.norm(down)))
     return Face(corner, along, down, plain(rng, size_m, bgr, contrast=contrast))
@@ -91,7 +87,7 @@ def block(
 ) -> dict[str, Face]:
     """The given sides of a box of one colour, by name."""
     x0, x1, low, high, z0, z1 = extent
-    places: dict[str, tuple[Vector, Vector, Vector]] = {
+    places: dict[str, Place] = {
         "back": ((x0, -high, z1), (0, 0, z0 - z1), (0, high - low, 0)),
         "front": ((x1, -high, z0), (0, 0, z1 - z0), (0, high - low, 0)),
         "left": ((x1, -high, z1), (x0 - x1, 0, 0), (0, high - low, 0)),
@@ -111,31 +107,21 @@ def prism(rng: np.random.Generator, extent: Extent, bgr: Colour, *, contrast: fl
     reach = 1 / np.cos(half)
     centre, radii = np.array([(x0 + x1) / 2, (z0 + z1) / 2]), np.array([(x1 - x0) / 2, (z1 - z0) / 2]) * reach
     faces = []
-    for angle in np.pi + 2 * half * np.arange(N_PRISM_SIDES):
-        start, end = (
-            centre + radii * (np.cos(end_rad), np.sin(end_rad))
-            for end_rad in (float(angle) - half, float(angle) + half)
+    for angle in (np.pi + 2 * half * np.arange(N_PRISM_SIDES)).tolist():
+        (x, z), (end_x, end_z) = (
+            (centre + radii * (np.cos(end_rad), np.sin(end_rad))).tolist() for end_rad in (angle - half, angle + half)
         )
-        along = (float(end[0] - start[0]), 0.0, float(end[1] - start[1]))
-        light = 0.95 - 0.15 * float(np.sin(angle))
-        place = ((float(start[0]), -high, float(start[1])), along, (0.0, high - low, 0.0))
-        faces.append(coloured_face(rng, place, shaded(bgr, light), contrast=contrast))
+        place = ((x, -high, z), (end_x - x, 0.0, end_z - z), (0.0, high - low, 0.0))
+        faces.append(coloured_face(rng, place, shaded(bgr, 0.95 - 0.15 * float(np.sin(angle))), contrast=contrast))
     top = block(rng, extent, bgr, contrast=contrast, sides=("top",))["top"]
-    corner = 0.5 * (1 - np.tan(half))
-    cut_outside(
-        top.texture,
-        [
-            (corner, 0),
-            (1 - corner, 0),
-            (1, corner),
-            (1, 1 - corner),
-            (1 - corner, 1),
-            (corner, 1),
-            (0, 1 - corner),
-            (0, corner),
-        ],
-    )
+    cut_outside(top.texture, octagon(0.5 * (1 - np.tan(half))))
     return [*faces, top]
+
+
+def octagon(cut: float) -> list[tuple[float, float]]:
+    """Corners of a unit square whose corners are cut off at the fraction `cut` of its sides."""
+    left, right = cut, 1 - cut
+    return [(left, 0), (right, 0), (1, left), (1, right), (right, 1), (left, 1), (0, right), (0, left)]
 
 
 def ring(centre: Vector, radii: tuple[float, float], *, n_sides: int = N_PRISM_SIDES) -> FloatArray:
@@ -174,7 +160,7 @@ def loft(
     """
     middle = (low.mean(axis=0) + high.mean(axis=0)) / 2
     return [
-        _trapezium(rng, (high[k - 1], high[k]), (low[k - 1], low[k]), middle, paint=(others.get(k, bgr), contrast))
+        _trapezium(rng, (high[k - 1], high[k]), (low[k - 1], low[k]), middle, others.get(k, bgr), contrast)
         for k in range(len(low))
     ]
 
@@ -195,10 +181,10 @@ def _trapezium(
     top: tuple[FloatArray, FloatArray],
     bottom: tuple[FloatArray, FloatArray],
     inside: FloatArray,
-    *,
-    paint: tuple[Colour, float],
+    bgr: Colour,
+    contrast: float,
 ) -> Face:
-    """One side of `loft`: its upper and lower edge, a point inside the body, colour and contrast."""
+    """One side of `loft` with its upper and lower edge; `inside` is a point in the body."""
     edge = (top[1] - top[0]) + (bottom[1] - bottom[0])
     edge = edge / np.linalg.norm(edge)
     down = (bottom[0] + bottom[1] - top[0] - top[1]) / 2
@@ -211,17 +197,16 @@ def _trapezium(
     width_m = max(upper_m, lower_m)
     corner = (top[0] + top[1]) / 2 - edge * width_m / 2
     light = float(np.array([LIGHT_ALONG, LIGHT_DOWN, LIGHT_LEFT]) @ normal) + LIGHT_MEAN
-    bgr, contrast = paint
-    face = Face(
-        corner,
-        edge * width_m,
-        down,
-        plain(rng, (width_m, float(np.linalg.norm(down))), shaded(bgr, light), contrast=contrast),
-    )
+    texture = plain(rng, (width_m, float(np.linalg.norm(down))), shaded(bgr, light), contrast=contrast)
     off_top, off_bottom = (0.5 - 0.5 * length_m / width_m for length_m in (upper_m, lower_m))
     if off_top + off_bottom > 0.02:
-        cut_outside(face.texture, [(off_top, 0), (1 - off_top, 0), (1 - off_bottom, 1), (off_bottom, 1)])
-    return face
+        cut_outside(texture, [(off_top, 0), (1 - off_top, 0), (1 - off_bottom, 1), (off_bottom, 1)])
+    return Face(corner, edge * width_m, down, texture)
+
+
+def chosen(rng: np.random.Generator, colours: Sequence[Colour]) -> Colour:
+    """A random one of several colours."""
+    return colours[int(rng.integers(len(colours)))]
 
 
 def shaded(bgr: Colour, light: float) -> Colour:

@@ -9,7 +9,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, Image
 from track_range.simulation.world.bodies.faces import Colour, Face, block, prism
-from track_range.simulation.world.obstacles import Obstacle
+from track_range.simulation.world.scene import Obstacle
 from track_range.simulation.world.shadows import shadow
 from track_range.simulation.world.textures.surfaces import TEXELS_PER_M, opaque, plain, value_noise
 

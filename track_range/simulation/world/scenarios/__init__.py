@@ -4,20 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from track_range.simulation.settings import SCENARIO_NAMES, ScenarioName
-from track_range.simulation.world.scenarios.conflicts import CONFLICTS, TWINS
+from track_range.simulation.world.scenarios import conflicts, traffic
 from track_range.simulation.world.scenarios.occlusion import occlusion
-from track_range.simulation.world.scenarios.traffic import TRAFFIC
-from track_range.simulation.world.scene import Scene
+from track_range.simulation.world.scene import Scene, make_scene
 
-_MAKERS: dict[ScenarioName, Callable[[int, float], Scene]] = {
-    **TRAFFIC,
-    **CONFLICTS,
-    **TWINS,
+SCENARIOS: dict[str, Callable[[int, float], Scene]] = {
+    "town": make_scene,
+    "highway": traffic.highway,
+    "city": traffic.city,
+    "cut-in": traffic.cut_in,
+    "crossing": traffic.crossing,
+    "queue": traffic.queue,
+    "empty": traffic.empty,
+    "night": traffic.night,
+    "rear-stationary": conflicts.rear_stationary,
+    "rear-slower": conflicts.rear_slower,
+    "rear-braking": conflicts.rear_braking,
+    "crossing-adult": conflicts.crossing_adult,
+    "crossing-child": conflicts.crossing_child,
+    "curve-parked": conflicts.curve_parked,
+    "oncoming": conflicts.oncoming_traffic,
+    "overhead-sign": conflicts.overhead_sign,
+    "following": conflicts.following,
     "occlusion": occlusion,
 }
-
-SCENARIOS: dict[str, Callable[[int, float], Scene]] = {name: _MAKERS[name] for name in SCENARIO_NAMES}
 """Function of each scenario that creates its scene from seed and length in seconds."""
 
 
