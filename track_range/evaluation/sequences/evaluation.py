@@ -95,8 +95,8 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
             *notes,
             *(
                 note
-                for key, (true, found) in boxes.items()
-                for note in frame_shift_note(key, true.frame, true.xyxy_px, found.frame, found.xyxy_px)
+                for key, (true, tracked_boxes) in boxes.items()
+                for note in frame_shift_note(key, true.frame, true.xyxy_px, tracked_boxes.frame, tracked_boxes.xyxy_px)
             ),
         ],
     }

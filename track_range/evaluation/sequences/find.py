@@ -51,7 +51,7 @@ class SequenceFile:
 def find_sequences(path: Path, kind: Kind) -> list[SequenceFile]:
     """All sequences of a file, a folder of files, a folder in MOTChallenge's layout or one sequence of it, by name.
 
-    `kind` says which of MOTChallenge's files are read.
+    `kind` selects which of MOTChallenge's files are read.
 
     Raises:
         LabelFileError: there is no sequence, or two have the same name.

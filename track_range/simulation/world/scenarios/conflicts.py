@@ -135,7 +135,7 @@ def curve_parked(seed: int, seconds: float) -> Scene:
 
 
 def oncoming_traffic(seed: int, seconds: float) -> Scene:
-    """A winding country road with oncoming traffic in its own lane."""
+    """A winding country road with oncoming traffic in the oncoming lane."""
     rng = np.random.default_rng([seed, 27])
     ego_mps, other_mps = float(rng.uniform(11, 22)), float(rng.uniform(10, 24))
     until_m = ego_mps * seconds + VIEW_M
