@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, Image
-from track_range.simulation.world.bodies.faces import Colour, Face, block, prism
+from track_range.simulation.world.bodies.faces import Colour, Face, Size, block, chosen, prism
 from track_range.simulation.world.scene import Obstacle
 from track_range.simulation.world.shadows import shadow
 from track_range.simulation.world.textures.surfaces import TEXELS_PER_M, opaque, plain, value_noise
@@ -48,9 +48,6 @@ LEAF_TEXELS_PER_M = 80
 SHADOW_DARKNESS = 150
 """Darkness of the shadow under an obstacle, 0 to 255."""
 
-Size = tuple[float, float, float]
-"""Height, width, length, m."""
-
 
 def body_of_obstacle(obstacle: Obstacle, seed: int) -> list[Face]:
     """The faces of an obstacle in its frame (see `faces`); its appearance depends on the seed and its number."""
@@ -61,7 +58,7 @@ def body_of_obstacle(obstacle: Obstacle, seed: int) -> list[Face]:
 def pole(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     """A round pole of one colour, with stripes or with a notice."""
     height, width, length = size_hwl_m
-    bgr = POLE_COLOURS[int(rng.integers(len(POLE_COLOURS)))]
+    bgr = chosen(rng, POLE_COLOURS)
     extent = (-length / 2, length / 2, 0.0, height, -width / 2, width / 2)
     faces = prism(rng, extent, bgr, contrast=float(rng.uniform(4, 14)))
     style = rng.uniform()
@@ -73,22 +70,24 @@ def pole(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
         low_m = float(rng.uniform(0.6, 1.6))
         notice = rng.uniform(60, 235, 3)
         for face in faces[:3]:
-            rows = _rows(face.texture, height, (low_m, low_m + 0.35))
-            face.texture[rows, :, :3] = np.clip(notice + rng.normal(0, 25, face.texture[rows, :, :1].shape), 0, 255)
+            n_rows = face.texture.shape[0]
+            low, high = (round((1 - at_m / height) * n_rows) for at_m in (low_m, low_m + 0.35))
+            part = face.texture[max(high, 0) : max(low, 0)]
+            part[:, :, :3] = np.clip(notice + rng.normal(0, 25, part[:, :, :1].shape), 0, 255)
     return faces
 
 
 def fence(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     """A fence along x: vertical bars, wooden slats, or horizontal boards, with gaps between them, on posts."""
     height, width, length = size_hwl_m
-    bgr = FENCE_COLOURS[int(rng.integers(len(FENCE_COLOURS)))]
+    bgr = chosen(rng, FENCE_COLOURS)
     picture = plain(rng, (length, height), bgr, contrast=float(rng.uniform(6, 14)))
     picture[:, :, 3] = 255 * _fence_parts(rng, picture.shape[:2]).astype(np.uint8)
     corner, along, down = np.array([-length / 2, -height, 0.0]), np.array([length, 0, 0.0]), np.array([0, height, 0.0])
     panel = Face(corner, along, down, picture, two_sided=True)
     posts = np.linspace(-length / 2 + POST_M / 2, length / 2 - POST_M / 2, 1 + int(np.ceil(length / POST_SPACING_M)))
-    half, sides = min(width, POST_M) / 2, ("back", "front", "left", "right", "top")
-    blocks = [block(rng, (x - half, x + half, 0.0, height, -half, half), bgr, sides=sides) for x in posts.tolist()]
+    half = min(width, POST_M) / 2
+    blocks = [block(rng, (x - half, x + half, 0.0, height, -half, half), bgr) for x in posts.tolist()]
     return [panel, *(face for faces in blocks for face in faces.values())]
 
 
@@ -120,12 +119,6 @@ def _paint_bands(picture: Image, bgr: tuple[float, ...]) -> None:
     for top in range(0, picture.shape[0], 2 * n_rows):
         part = picture[top : top + n_rows, :, :3].astype(np.float64)
         picture[top : top + n_rows, :, :3] = np.clip(part - part.mean(axis=(0, 1)) + bgr, 0, 255)
-
-
-def _rows(picture: Image, height_m: float, from_to_m: tuple[float, float]) -> slice:
-    """Rows of a texture between two heights above the road."""
-    low, high = (round((1 - at_m / height_m) * picture.shape[0]) for at_m in from_to_m)
-    return slice(max(high, 0), max(low, 0))
 
 
 def _fence_parts(rng: np.random.Generator, shape: tuple[int, int]) -> BoolArray:

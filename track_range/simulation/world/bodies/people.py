@@ -8,13 +8,15 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
+from track_range.foundation.arrays import FloatArray
 from track_range.simulation.world.bodies.faces import (
     Colour,
-    Extent,
     Face,
     IdentifyingPart,
+    Size,
     Vector,
     block,
+    chosen,
     coloured_face,
     lid,
     loft,
@@ -51,7 +53,6 @@ WHEEL_RADIUS_M = 0.34
 N_TYRE_PIECES = 10
 """Number of flat faces of a tyre."""
 
-
 PELVIS, WAIST, CHEST, SHOULDER, NECK = 0.46, 0.60, 0.72, 0.80, 0.845
 """Heights of a standing body, as fractions of its height."""
 
@@ -65,6 +66,14 @@ TRUNK = (
 )
 """Height, half depth and half width of the trunk, as fractions of the body's height."""
 
+CYCLIST_TRUNK = (
+    (-0.24, 0.52, 0.11, 0.17),
+    (-0.20, 0.60, 0.125, 0.165),
+    (-0.10, 0.70, 0.125, 0.19),
+    (0.02, 0.785, 0.11, 0.21),
+)
+"""x in metres, height as a fraction of the body's, half depth and half width in metres of a cyclist's trunk."""
+
 HEAD = ((0.16, 0.055, 0.042), (0.34, 0.086, 0.066), (0.62, 0.098, 0.077), (0.86, 0.085, 0.066), (1.0, 0.045, 0.035))
 """Cross-sections of neck and head: height as a fraction from the neck up, half depth and half width in metres."""
 
@@ -72,19 +81,19 @@ BARE_SIDES: tuple[tuple[int, ...], ...] = ((0, 1, 2, 3, 4, 5, 6, 7), (4, 5, 6), 
 """Sides of the head without hair, ring by ring; 5 is the front."""
 
 
-def pedestrian(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
+def pedestrian(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     """The faces of a walking pedestrian; the hands span the width of the 3-D box, the feet its length."""
     height, width, length = size_hwl_m
-    top, trousers, skin = _random_colour(rng, TOPS), _random_colour(rng, TROUSERS), _random_colour(rng, SKIN)
+    top, trousers, skin = chosen(rng, TOPS), chosen(rng, TROUSERS), chosen(rng, SKIN)
     x, z = length / 2, width / 2
     hip_z, has_bag = 0.055 * height, rng.uniform() < 0.3
     faces = [shadow(size_hwl_m, under=150)]
+    leg_m, arm_m = ([part * height for part in radii] for radii in ((0.062, 0.046, 0.034), (0.038, 0.033, 0.026)))
     for side, step in ((1, -1), (-1, 1)):  # the left leg behind, the right one in front; the arms opposite
         ankle = (step * (x - 0.13) - 0.03, 0.08 if step < 0 else 0.06, side * hip_z)
         knee = (0.5 * ankle[0] + 0.05, 0.275 * height, side * 1.05 * hip_z)
         hip = (0.0, (PELVIS + 0.03) * height, side * hip_z)
-        faces += _tube(rng, hip, knee, (0.062 * height, 0.046 * height), trousers)
-        faces += _tube(rng, _towards(knee, hip), ankle, (0.046 * height, 0.034 * height), trousers)
+        faces += _limb(rng, (hip, knee, ankle), (leg_m[0], leg_m[1], leg_m[1], leg_m[2]), trousers)
         heel = -x if step < 0 else x - 0.27
         shoe = (heel, heel + 0.27, 0.0, 0.075, side * hip_z - 0.045, side * hip_z + 0.045)
         faces += block(rng, shoe, SHOE, contrast=4.0).values()
@@ -92,76 +101,75 @@ def pedestrian(rng: np.random.Generator, size_hwl_m: tuple[float, float, float])
         elbow = (-step * 0.30 * x - 0.03, 0.625 * height, side * (z - 0.034 * height))
         wrist = (-step * 0.62 * x + 0.03, 0.49 * height, side * (z - 0.026 * height))
         palm = (wrist[0] + 0.01, wrist[1] - 0.09, side * (z - 0.034))
-        faces += _tube(rng, shoulder, elbow, (0.038 * height, 0.033 * height), top)
-        faces += _tube(rng, _towards(elbow, shoulder), wrist, (0.033 * height, 0.026 * height), top)
+        faces += _limb(rng, (shoulder, elbow, wrist), (arm_m[0], arm_m[1], arm_m[1], arm_m[2]), top)
         faces += _tube(rng, wrist, palm, (0.033, 0.030), skin)
     rings = [ring((0.0, fraction * height, 0.0), (rx * height, rz * height)) for fraction, rx, rz in TRUNK]
-    for low, high in pairwise(rings):
-        faces += loft(rng, low, high, trousers if low is rings[0] else top, contrast=CLOTH_CONTRAST)
+    faces += _trunk(rng, rings, trousers, top)
     if has_bag:
         bag = (-0.19, -0.06, WAIST * height, 0.79 * height, -0.15, 0.15)
-        faces += block(rng, bag, _random_colour(rng, TOPS), contrast=6.0).values()
+        faces += block(rng, bag, chosen(rng, TOPS), contrast=6.0).values()
     return [*faces, *_head(rng, x=0.015, low=NECK * height, high=height, skin=skin)]
 
 
-def cyclist(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
+def cyclist(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     """The faces of a cyclist; the wheels span the length of the 3-D box, and a bag is at the rear."""
     height, width, length = size_hwl_m
     x, z, radius = length / 2, width / 2, WHEEL_RADIUS_M
-    top, trousers, skin = _random_colour(rng, TOPS), _random_colour(rng, TROUSERS), _random_colour(rng, SKIN)
+    top, trousers, skin = chosen(rng, TOPS), chosen(rng, TROUSERS), chosen(rng, SKIN)
     neck, hip_z = 0.835 * height, 0.10
-    faces = [shadow(size_hwl_m, under=120)]
-    trunk = (
-        (-0.24, 0.52, 0.11, 0.17),
-        (-0.20, 0.60, 0.125, 0.165),
-        (-0.10, 0.70, 0.125, 0.19),
-        (0.02, 0.785, 0.11, 0.21),
-    )
-    rings = [ring((at_x, fraction * height, 0.0), (rx, rz)) for at_x, fraction, rx, rz in trunk]
+    rings = [ring((at_x, fraction * height, 0.0), (rx, rz)) for at_x, fraction, rx, rz in CYCLIST_TRUNK]
     rings.append(ring((0.07, neck, 0.0), (0.065, 0.085)))
-    for low, high in pairwise(rings):
-        faces += loft(rng, low, high, trousers if low is rings[0] else top, contrast=CLOTH_CONTRAST)
+    faces = [shadow(size_hwl_m, under=120), *_trunk(rng, rings, trousers, top)]
     for side, pedal in ((1, (0.10, 0.42)), (-1, (-0.06, 0.12))):
         hip, ankle = (-0.18, 0.53 * height, side * hip_z), (pedal[0] - 0.07, pedal[1] + 0.10, side * 0.12)
         knee = (0.27 if side > 0 else 0.14, 0.47 * height if side > 0 else 0.35 * height, side * 0.13)
-        faces += _tube(rng, hip, knee, (0.092, 0.065), trousers)
-        faces += _tube(rng, _towards(knee, hip), ankle, (0.062, 0.042), trousers)
+        faces += _limb(rng, (hip, knee, ankle), (0.092, 0.065, 0.062, 0.042), trousers)
         shoe = (pedal[0] - 0.12, pedal[0] + 0.15, pedal[1], pedal[1] + 0.09, side * 0.12 - 0.045, side * 0.12 + 0.045)
         faces += block(rng, shoe, SHOE, contrast=4.0).values()
         shoulder, elbow = (0.02, 0.775 * height, side * 0.20), (0.22, 0.66 * height, side * (z - 0.045))
         grip = (x - 0.44, 0.595 * height, side * (z - 0.06))
-        faces += _tube(rng, shoulder, elbow, (0.062, 0.047), top)
-        faces += _tube(rng, _towards(elbow, shoulder), grip, (0.047, 0.036), top)
-    faces += _head(rng, x=0.13, low=neck, high=height, skin=skin, helmet=_random_colour(rng, HELMETS))
+        faces += _limb(rng, (shoulder, elbow, grip), (0.062, 0.047, 0.047, 0.036), top)
+    faces += _head(rng, x=0.13, low=neck, high=height, skin=skin, helmet=chosen(rng, HELMETS))
     for centre in (-x + radius, x - radius):
         faces += _bicycle_wheel(rng, centre, radius)
-    frame = _random_colour(rng, BIKES)
+    frame = chosen(rng, BIKES)
     crank, seat, head_tube = (-0.02, 0.28, 0.0), (-0.22, 0.88, 0.0), (x - 0.50, 0.90, 0.0)
     rear, front, bar = (-x + radius, radius, 0.0), (x - radius, radius, 0.0), (x - 0.46, 1.02, 0.0)
     for start, end in ((crank, seat), (crank, head_tube), (seat, head_tube), (crank, rear), (seat, rear), (front, bar)):
         faces += _tube(rng, start, end, (0.02, 0.02), frame, n_sides=4)
-    blocks: tuple[tuple[Extent, Colour], ...] = (
-        ((-0.36, -0.08, 0.87, 0.93, -0.08, 0.08), SHOE),
-        ((-x, -x + 0.34, 0.62, 0.86, -0.14, 0.14), (58, 74, 70)),
-        ((x - 0.46, x - 0.42, 1.0, 1.04, -z, z), (60, 60, 60)),
-    )
-    for extent, bgr in blocks:
-        faces += block(rng, extent, bgr, contrast=6.0).values()
+    faces += block(rng, (-0.36, -0.08, 0.87, 0.93, -0.08, 0.08), SHOE, contrast=6.0).values()
+    faces += block(rng, (-x, -x + 0.34, 0.62, 0.86, -0.14, 0.14), (58, 74, 70), contrast=6.0).values()
+    faces += block(rng, (x - 0.46, x - 0.42, 1.0, 1.04, -z, z), (60, 60, 60), contrast=6.0).values()
     return faces
+
+
+def _trunk(rng: np.random.Generator, rings: list[FloatArray], trousers: Colour, top: Colour) -> list[Face]:
+    """Body of a person through rings of corners, in trousers below the second one."""
+    faces = []
+    for low, high in pairwise(rings):
+        faces += loft(rng, low, high, trousers if low is rings[0] else top, contrast=CLOTH_CONTRAST)
+    return faces
+
+
+def _limb(
+    rng: np.random.Generator,
+    points: tuple[Vector, Vector, Vector],
+    radii_m: tuple[float, float, float, float],
+    bgr: Colour,
+) -> list[Face]:
+    """Two tapered tubes; the second one starts slightly before the joint, so that there is no gap where it bends."""
+    start, joint, end = points
+    x, height, z = (0.9 * at + 0.1 * back for at, back in zip(joint, start, strict=True))
+    first = _tube(rng, start, joint, (radii_m[0], radii_m[1]), bgr)
+    return [*first, *_tube(rng, (x, height, z), end, (radii_m[2], radii_m[3]), bgr)]
 
 
 def _tube(
     rng: np.random.Generator, start: Vector, end: Vector, radii_m: tuple[float, float], bgr: Colour, *, n_sides: int = 6
 ) -> list[Face]:
-    """A tapered limb between two points (x, height above the road, z)."""
+    """A tapered tube between two points (x, height above the road, z)."""
     low, high = rings_across(start, end, radii_m, n_sides=n_sides)
     return loft(rng, low, high, bgr, contrast=6.0)
-
-
-def _towards(joint: Vector, before: Vector) -> Vector:
-    """A point slightly before a joint, so that there is no gap where a limb bends."""
-    x, height, z = (0.9 * at + 0.1 * back for at, back in zip(joint, before, strict=True))
-    return x, height, z
 
 
 def _head(
@@ -169,7 +177,7 @@ def _head(
 ) -> list[Face]:
     """Neck, face and hair, or a helmet; `x` is the middle of the head."""
     tall, wide = high - low, 1.0 if helmet is None else 1.1
-    hair = _random_colour(rng, HAIR) if helmet is None else helmet
+    hair = chosen(rng, HAIR) if helmet is None else helmet
     shoulders = ring((x - 0.02, low - 0.03, 0.0), (0.058, 0.058), n_sides=6)
     neck = loft(rng, shoulders, ring((x - 0.01, low + 0.3 * tall, 0.0), (0.052, 0.052), n_sides=6), skin)
     rings = [ring((x, low + fraction * tall, 0.0), (wide * rx, wide * rz)) for fraction, rx, rz in HEAD]
@@ -194,10 +202,6 @@ def _bicycle_wheel(rng: np.random.Generator, centre_x: float, radius: float) -> 
     return [disc, *tyre]
 
 
-def _random_colour(rng: np.random.Generator, colours: tuple[Colour, ...]) -> Colour:
-    return colours[int(rng.integers(len(colours)))]
-
-
 def _wheel(rng: np.random.Generator, centre_x: float, radius: float, *, half_width: float = 0.022) -> list[Face]:
     """A disc in the plane of the wheel, and a tyre of flat faces around it."""
     disc = coloured_face(rng, ((centre_x - radius, -2 * radius, 0), (2 * radius, 0, 0), (0, 2 * radius, 0)), RUBBER_BGR)
@@ -215,20 +219,21 @@ def _wheel(rng: np.random.Generator, centre_x: float, radius: float, *, half_wid
     return [replace(disc, two_sided=True), *tyre]
 
 
-def motorcyclist(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
+def motorcyclist(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     """The faces of a motorcycle with a rider in a helmet, leaning forward."""
     height, width, length = size_hwl_m
     x, z, radius = length / 2, width / 2, 0.32
-    jacket, helmet = _random_colour(rng, TOPS), _random_colour(rng, HELMETS)
-    paint = _random_colour(rng, BIKES)
+    jacket, helmet, paint = chosen(rng, TOPS), chosen(rng, HELMETS), chosen(rng, BIKES)
     seat, neck = 0.50 * height, 0.83 * height
-    faces = [
-        *prism(rng, (-0.28, 0.22, seat, neck, -0.62 * z, 0.62 * z), jacket, contrast=8.0),
-        *prism(rng, (0.0, 0.5, 0.62 * height, 0.72 * height, 0.6 * z, 0.85 * z), jacket, contrast=8.0),
-        *prism(rng, (0.0, 0.5, 0.62 * height, 0.72 * height, -0.85 * z, -0.6 * z), jacket, contrast=8.0),
-        *prism(rng, (-0.15, 0.35, 0.25, seat, 0.3 * z, 0.6 * z), (52, 48, 46), contrast=8.0),
-        *prism(rng, (-0.15, 0.35, 0.25, seat, -0.6 * z, -0.3 * z), (52, 48, 46), contrast=8.0),
-    ]
+    arm, leg = (0.0, 0.5, 0.62 * height, 0.72 * height), (-0.15, 0.35, 0.25, seat)
+    faces = prism(rng, (-0.28, 0.22, seat, neck, -0.62 * z, 0.62 * z), jacket, contrast=8.0)
+    for limb, z0, z1, bgr in (
+        (arm, 0.6 * z, 0.85 * z, jacket),
+        (arm, -0.85 * z, -0.6 * z, jacket),
+        (leg, 0.3 * z, 0.6 * z, (52, 48, 46)),
+        (leg, -0.6 * z, -0.3 * z, (52, 48, 46)),
+    ):
+        faces += prism(rng, (*limb, z0, z1), bgr, contrast=8.0)
     head = prism(rng, (-0.05, 0.24, neck, height, -0.14, 0.14), helmet, contrast=6.0)
     faces += [replace(face, part=IdentifyingPart.HEAD) for face in head]
     for centre in (-x + radius, x - radius):

@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from track_range.simulation.world.bodies.cars import car
-from track_range.simulation.world.bodies.faces import Face
+from track_range.simulation.world.bodies.faces import Face, Size
 from track_range.simulation.world.bodies.people import cyclist, motorcyclist, pedestrian
 from track_range.simulation.world.bodies.signs import POLE_M, overhead_sign, traffic_light, traffic_sign
 from track_range.simulation.world.bodies.vehicles import bus, truck, van
 from track_range.simulation.world.scene import RoadUser
 
-BUILDERS: dict[str, Callable[[np.random.Generator, tuple[float, float, float]], list[Face]]] = {
+BUILDERS: dict[str, Callable[[np.random.Generator, Size], list[Face]]] = {
     "Car": car,
     "Van": van,
     "Truck": truck,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.simulation.world.bodies.faces import Colour, Extent, Face, block
+from track_range.simulation.world.bodies.faces import ALL_SIDES, Colour, Extent, Face, Size, block, chosen, shaded
 from track_range.simulation.world.bodies.plates import with_plate
 from track_range.simulation.world.shadows import shadow
 from track_range.simulation.world.textures.painting import SEAM, clip, fill, pane, shade_rows, wheel
@@ -25,13 +25,12 @@ SILL_M = 0.34
 """Height of the lower edge of the body."""
 
 SHADE = ((0.0, 1.08), (0.3, 1.0), (0.75, 0.9), (1.0, 0.62))
-ENDS, SIDES = ("back", "front"), ("left", "right")
 
 
-def van(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
+def van(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     """The faces of a van: a high box, and a bonnet of about half its height."""
     height, width, length = size_hwl_m
-    paint = _chosen(rng, VAN_PAINTS)
+    paint = chosen(rng, VAN_PAINTS)
     x, z, bonnet_x = length / 2, width / 2, 0.27 * length
     box = _painted(rng, (-x, bonnet_x, 0, height, -z, z), paint)
     bonnet = _painted(rng, (bonnet_x, x, 0, 0.56 * height, -z, z), paint, sides=("front", "left", "right", "top"))
@@ -45,10 +44,8 @@ def van(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> lis
     _lamps(box["back"], (0.44, 0.66), LAMP_RED, 0.09)
     _lamps(bonnet["front"], (0.16, 0.34), LAMP_WHITE, 0.2)
     fill(bonnet["front"].texture, (0.25, 0.18, 0.75, 0.36), (30, 30, 32))
-    _on_wheels(box["left"], 0.34, (0.8,))
-    _on_wheels(box["right"], 0.34, (0.2,))
-    _on_wheels(bonnet["left"], 0.34, (0.6,))
-    _on_wheels(bonnet["right"], 0.34, (0.4,))
+    for face, wheel_at in ((box["left"], 0.8), (box["right"], 0.2), (bonnet["left"], 0.6), (bonnet["right"], 0.4)):
+        _on_wheels(face, 0.34, (wheel_at,))
     for face in (box["back"], bonnet["front"]):
         _on_tyres(face)
     _, back_plate = with_plate(box["back"], (0.36, 0.62, 0.64, 0.68))
@@ -56,10 +53,10 @@ def van(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> lis
     return [shadow(size_hwl_m), *box.values(), *bonnet.values(), back_plate, front_plate]
 
 
-def truck(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
+def truck(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     """The faces of a truck: a cargo box on a frame, and a cab; three wheels per side."""
     height, width, length = size_hwl_m
-    paint, cargo_paint = _chosen(rng, VAN_PAINTS), _chosen(rng, CARGO_PAINTS)
+    paint, cargo_paint = chosen(rng, VAN_PAINTS), chosen(rng, CARGO_PAINTS)
     x, z, bed, cab_x = length / 2, width / 2, 0.30 * height, 0.5 * length - 2.1
     cargo = _painted(rng, (-x, cab_x - 0.3, bed, height, -z, z), cargo_paint)
     frame = _painted(rng, (-x, cab_x, 0, bed, -z, z), STEEL, sides=("back", "left", "right"))
@@ -89,13 +86,13 @@ def truck(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> l
     return [shadow(size_hwl_m), *cargo.values(), *frame.values(), *cab.values(), back_plate, front_plate]
 
 
-def bus(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
+def bus(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     """The faces of a city bus: one box with a row of windows, doors on the right, and a destination display."""
     height, width, length = size_hwl_m
-    paint = _chosen(rng, BUS_PAINTS)
+    paint = chosen(rng, BUS_PAINTS)
     x, z = length / 2, width / 2
     hull = _painted(rng, (-x, x, 0, height, -z, z), paint)
-    for side in SIDES:
+    for side in ("left", "right"):
         lefts = np.linspace(0.03, 0.86, 7).tolist()
         _panes(hull[side], *((left, 0.14, left + 0.115, 0.5) for left in lefts))
         fill(hull[side].texture, (0, 0.56, 1, 0.6), (230, 230, 230))
@@ -107,7 +104,7 @@ def bus(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> lis
         fill(face.texture, (0.42, 0.05, 0.58, 0.10), (70, 190, 250))
         _panes(face, (0.06, 0.15, 0.94, low))
         _on_tyres(face)
-    fill(hull["back"].texture, (0.2, 0.55, 0.8, 0.78), tuple(0.8 * channel for channel in paint))
+    fill(hull["back"].texture, (0.2, 0.55, 0.8, 0.78), shaded(paint, 0.8))
     _lamps(hull["back"], (0.60, 0.72), LAMP_RED, 0.1)
     _lamps(hull["front"], (0.74, 0.80), LAMP_WHITE, 0.16)
     _on_wheels(hull["left"], 0.48, (0.24, 0.72))
@@ -117,18 +114,13 @@ def bus(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> lis
     return [shadow(size_hwl_m), *hull.values(), back_plate, front_plate]
 
 
-def _chosen(rng: np.random.Generator, paints: tuple[Colour, ...]) -> Colour:
-    return paints[int(rng.integers(len(paints)))]
-
-
 def _painted(
-    rng: np.random.Generator, extent: Extent, bgr: Colour, *, sides: tuple[str, ...] = (*ENDS, *SIDES, "top")
+    rng: np.random.Generator, extent: Extent, bgr: Colour, *, sides: tuple[str, ...] = ALL_SIDES
 ) -> dict[str, Face]:
     """The given sides of a box by name, lighter at the top."""
     faces = block(rng, extent, bgr, contrast=5.0, sides=sides)
-    for side in (*ENDS, *SIDES):
-        if side in faces:
-            shade_rows(faces[side].texture, SHADE)
+    for side in faces.keys() - {"top"}:
+        shade_rows(faces[side].texture, SHADE)
     return faces
 
 
