@@ -23,11 +23,8 @@ from track_range.simulation.world.truth import label_scene
 
 WIDTH_PX = 640
 
-SECONDS = 6.0
-"""Length of a scene, s; its images have equal intervals."""
-
-MIN_SIDE_PX = 3.0
-"""Smallest side of a box in the image, px; smaller objects are ignored."""
+SECONDS = 6.0  # length of a scene, s; its images have equal intervals
+MIN_SIDE_PX = 3.0  # smallest side of a box in the image, px; smaller objects are ignored
 
 _HIDDEN = 2  # KITTI's `occluded` of objects that are less than half visible
 _IGNORED_SCORE = 0.3  # of a pseudo-label that training ignores

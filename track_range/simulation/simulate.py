@@ -26,19 +26,12 @@ KITTI_SIZE_PX = (1242, 375)
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """Result of `simulate`.
+    """Result of `simulate`."""
 
-    Attributes:
-        drive: files of the drive; None for a set of images.
-        data_yaml: data.yaml of a set of images; None for a drive.
-        n_images: number of images of a set; 0 for a drive.
-        notes: messages for the user.
-    """
-
-    drive: Drive | None = None
-    data_yaml: Path | None = None
-    n_images: int = 0
-    notes: tuple[str, ...] = ()
+    drive: Drive | None = None  # files of the drive; None for a set of images
+    data_yaml: Path | None = None  # data.yaml of a set of images; None for a drive
+    n_images: int = 0  # number of images of a set; 0 for a drive
+    notes: tuple[str, ...] = ()  # messages for the user
 
 
 def simulate(settings: SimulationSettings, progress: StepProgress = no_progress) -> Simulated:

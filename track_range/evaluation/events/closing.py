@@ -16,8 +16,7 @@ from track_range.results.columns import Columns, boxes_px
 NEAREST_M, FARTHEST_M = 10.0, 40.0
 """True distances at which closing speeds are scored, m: nearer, boxes are cut; farther, warnings hardly use them."""
 
-TALL = "tall vehicles"
-"""Section of buses, trucks and vans, whose rear is far behind their tallest visible edge."""
+TALL = "tall vehicles"  # section of buses, trucks and vans, whose rear is far behind their tallest visible edge
 
 _TALL_CLASSES = ("bus", "truck", "van")
 

@@ -28,11 +28,8 @@ from track_range.results.events.event import Event
 from track_range.results.events.files import EVENTS_FILE, NEEDED_COLUMNS, EventFileError, read_events
 from track_range.results.folder import read_run_rows
 
-TRACK_FILES = ("tracks.parquet", "tracks.csv", "tracks.arrows")
-"""Files with the rows of a run, the first that exists."""
-
-BOX_FILES = ("truth.csv", "truth.txt")
-"""Labels of a simulated drive beside its contacts, the first that exists."""
+TRACK_FILES = ("tracks.parquet", "tracks.csv", "tracks.arrows")  # files with the rows of a run, the first that exists
+BOX_FILES = ("truth.csv", "truth.txt")  # labels of a simulated drive beside its contacts, the first that exists
 
 _MAX_SUMMARY_BYTES = 50_000_000
 _MAX_HOURS = 1e6

@@ -28,8 +28,7 @@ from track_range.results.events.event import Event
 MIN_IOU = 0.3
 """Smallest overlap of a track with its object: boxes that the image border cuts, near a contact, fit badly."""
 
-MARGIN_S = 1.0
-"""Time before the start of an event for which its track is compared, s."""
+MARGIN_S = 1.0  # time before the start of an event for which its track is compared, s
 
 MIN_FRACTION = 0.2
 """Smallest fraction of frames in which a track overlaps its object: objects that are largely hidden have no label."""
@@ -40,23 +39,14 @@ WINDOW_S, SAME_ID_WINDOW_S = 10.0, 30.0
 
 @dataclass(frozen=True, slots=True)
 class LabelledBoxes:
-    """Boxes of the ground truth, one row per object and frame.
+    """Boxes of the ground truth, one row per object and frame."""
 
-    Attributes:
-        frame: (N,) frame number from 0.
-        object_id: (N,) identity; -1 = none.
-        class_name: (N,) class in the file, in lower case.
-        xyxy_px: (N, 4) box.
-        distance_m: (N,) true distance; NaN = unknown, or less than half of the object is visible.
-        closing_mps: (N,) true closing speed; NaN = unknown.
-    """
-
-    frame: IntArray
-    object_id: IntArray
-    class_name: npt.NDArray[np.str_]
-    xyxy_px: FloatArray
-    distance_m: FloatArray
-    closing_mps: FloatArray
+    frame: IntArray  # (N,) frame number from 0
+    object_id: IntArray  # (N,) identity; -1 = none
+    class_name: npt.NDArray[np.str_]  # (N,) class in the file, in lower case
+    xyxy_px: FloatArray  # (N, 4) box
+    distance_m: FloatArray  # (N,) true distance; NaN = unknown, or less than half of the object is visible
+    closing_mps: FloatArray  # (N,) true closing speed; NaN = unknown
 
 
 def read_boxes(path: Path) -> LabelledBoxes:

@@ -30,11 +30,8 @@ from track_range.evaluation.events.contacts import Contact
 from track_range.evaluation.events.settings import MIN_LEAD_S
 from track_range.results.events.event import EVENT_KINDS, WARNING_KINDS, Event
 
-Scores = dict[str, Any]
-"""Sections `overall` and `by_kind`, and lists of single results, as in the JSON file."""
-
-TOLERANCE_S = 1.0
-"""Largest time between a labelled event and one that matches it, s: labels are set by hand."""
+Scores = dict[str, Any]  # sections `overall` and `by_kind`, and lists of single results, as in the JSON file
+TOLERANCE_S = 1.0  # largest time between a labelled event and one that matches it, s: labels are set by hand
 
 _COUNTS = ("hits", "misses", "false_alarms")
 _NO_MATCH = 1e9  # cost of a pair

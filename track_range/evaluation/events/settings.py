@@ -7,8 +7,7 @@ from typing import Annotated
 
 from track_range.foundation.options import Options, option
 
-MIN_LEAD_S = 0.8
-"""Shortest time from a warning to the contact for a hit, s: a reaction time of a driver."""
+MIN_LEAD_S = 0.8  # shortest time from a warning to the contact for a hit, s: a reaction time of a driver
 
 
 class EventEvaluationSettings(Options):
@@ -25,8 +24,7 @@ class EventEvaluationSettings(Options):
         ),
     ]
     tracks: Annotated[
-        Path | None,
-        option("Tracks of the run, tracks.csv or tracks.parquet (default: that beside the events)."),
+        Path | None, option("Tracks of the run, tracks.csv or tracks.parquet (default: that beside the events).")
     ] = None
     boxes: Annotated[
         Path | None,

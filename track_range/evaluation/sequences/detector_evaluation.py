@@ -29,11 +29,8 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.progress import FrameProgress, no_frame_progress
 from track_range.run.options.opened import DetectorOptions, open_detector, thresholds
 
-LOWEST_SCORE = 0.001
-"""Lowest confidence of the boxes for average precision, as usual for COCO."""
-
-WORKING_SCORE = 0.25
-"""Default confidence for precision and recall."""
+LOWEST_SCORE = 0.001  # lowest confidence of the boxes for average precision, as usual for COCO
+WORKING_SCORE = 0.25  # default confidence for precision and recall
 
 PROTOCOL = (
     "COCO AP (101 points, at most 100 boxes per image and class) of boxes with a score of at least 0.001 after the "

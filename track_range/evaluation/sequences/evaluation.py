@@ -39,11 +39,8 @@ from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
 
 _DUPLICATE = "expected each track id at most once per frame, found a duplicate."
 
-_BENCHMARKS = ("mot", "kitti")
-"""Formats of ground truth with rules for boxes that are ignored."""
-
-COUNTS = ("idsw", "fp", "fn", "frag", "mt", "pt", "ml", "n")
-"""Metrics that are counts; the others are in per cent."""
+_BENCHMARKS = ("mot", "kitti")  # formats of ground truth with rules for boxes that are ignored
+COUNTS = ("idsw", "fp", "fn", "frag", "mt", "pt", "ml", "n")  # metrics that are counts; the others are in per cent
 
 
 def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:

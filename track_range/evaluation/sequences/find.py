@@ -23,11 +23,8 @@ from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.input_files import quoted, read_text, real_path
 from track_range.foundation.files.numeric_text import number
 
-Kind = Literal["det", "gt"]
-"""Detections or ground truth, as in MOTChallenge's file names."""
-
-MOT_FOLDER, KITTI_FOLDER = "mot", "kitti"
-"""Folders for the results of `track`, one NAME.txt per sequence."""
+Kind = Literal["det", "gt"]  # detections or ground truth, as in MOTChallenge's file names
+MOT_FOLDER, KITTI_FOLDER = "mot", "kitti"  # folders for the results of `track`, one NAME.txt per sequence
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,24 +46,18 @@ class LabelledSource:
     """The images and labels of an evaluation.
 
     Attributes:
-        images: folder of images, or a video.
-        labels: folder or file of labels.
         label_format: a name in `IMAGE_LABELS`; None = KITTI for a video, COCO for a .json file, else YOLO.
         label_names: class names of YOLO's numbers; None = those of a file next to the labels, or the road classes.
-        manifest: CSV file with the split of each image and its completely labelled classes.
-        split: split of the manifest to use.
-        leave_out: images of the folder to exclude.
-        classes: road classes to evaluate; empty = all.
     """
 
-    images: Path
-    labels: Path
+    images: Path  # folder of images, or a video
+    labels: Path  # folder or file of labels
     label_format: str | None = None
     label_names: tuple[str, ...] | None = None
-    manifest: Path | None = None
-    split: str = "val"
-    leave_out: frozenset[Path] = frozenset()
-    classes: tuple[str, ...] = ()
+    manifest: Path | None = None  # CSV file with the split of each image and its completely labelled classes
+    split: str = "val"  # split of the manifest to use
+    leave_out: frozenset[Path] = frozenset()  # images of the folder to exclude
+    classes: tuple[str, ...] = ()  # road classes to evaluate; empty = all
 
     @property
     def is_video(self) -> bool:

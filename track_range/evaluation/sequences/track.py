@@ -38,8 +38,7 @@ from track_range.tracking.registry import create_tracker
 from track_range.tracking.tracker import ObjectTracker
 from track_range.tracking.tracks import Tracks
 
-DEFAULT_FPS = 10.0
-"""Frame rate of sequences without seqinfo.ini: KITTI's."""
+DEFAULT_FPS = 10.0  # frame rate of sequences without seqinfo.ini: KITTI's
 
 _CLASS_OF_FOLDER = {"car": "car", "pedestrian": "person", "cyclist": "bicycle"}
 """Road class by folder name, for RRC's files, which have no class column."""

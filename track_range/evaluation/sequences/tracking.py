@@ -21,11 +21,8 @@ from track_range.tracking.registry import checked_tracks
 from track_range.tracking.tracker import ObjectTracker, RefinableTracker
 from track_range.tracking.tracks import Tracks
 
-_VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm")
-"""Suffixes of videos, in the order of preference."""
-
-_MAX_OUTSIDE = 0.05
-"""Fraction of boxes with centres outside the images above which the user is warned."""
+_VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm")  # suffixes of videos, in the order of preference
+_MAX_OUTSIDE = 0.05  # fraction of boxes with centres outside the images above which the user is warned
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.views.video_writer import VideoWriter
 
-NEAR_LOSSLESS_CRF = 10
-"""x264's constant rate factor; compression then shifts textures by far less than 0.1 px."""
+NEAR_LOSSLESS_CRF = 10  # x264's constant rate factor; compression then shifts textures by far less than 0.1 px
 
 PNG_COMPRESSION = 1
 """PNG compression level, 0 to 9; files are a third larger than at level 9, but written five times as fast."""

@@ -17,8 +17,7 @@ import numpy.typing as npt
 from track_range.simulation.camera.drive_files import make_png_folder, write_png
 from track_range.simulation.world.scene import Scene
 
-MIN_SAMPLES = 2
-"""Minimum number of a pixel's four samples that show a part."""
+MIN_SAMPLES = 2  # minimum number of a pixel's four samples that show a part
 
 
 class MaskFolder:

@@ -26,14 +26,9 @@ DETECTED_TYPES = {
 }
 """Detected type of each KITTI type; other types are not detected."""
 
-HIDDEN = 2
-"""Minimum value of KITTI's `occluded` of objects that are not detected."""
-
-FALSE_SIZES_PX = {"Car": (60.0, 40.0), "Pedestrian": (22.0, 60.0)}
-"""Mean width and height of false detections by type."""
-
-SCORE_FROM, SCORE_TO = 0.3, 0.95
-"""Range of scores."""
+HIDDEN = 2  # minimum value of KITTI's `occluded` of objects that are not detected
+FALSE_SIZES_PX = {"Car": (60.0, 40.0), "Pedestrian": (22.0, 60.0)}  # mean width and height of false detections by type
+SCORE_FROM, SCORE_TO = 0.3, 0.95  # range of scores
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,23 +36,17 @@ class Flaws:
     """Error model of the simulated detector.
 
     Attributes:
-        edge_fraction: standard deviation of box edges relative to the box height.
         edge_min_px, edge_max_px: limits of this standard deviation.
-        miss: probability that a large, fully visible object is missed in a frame.
-        miss_small: additional probability for a box 10 px high, falling linearly to 0 at 40 px.
-        miss_partly_hidden: additional probability for KITTI's occluded = 1.
-        run: probability per object and frame that a run of 2 or 3 missed frames starts.
-        false_per_frame: mean number of false detections per frame.
     """
 
-    edge_fraction: float = 0.015
+    edge_fraction: float = 0.015  # standard deviation of box edges relative to the box height
     edge_min_px: float = 0.7
     edge_max_px: float = 2.0
-    miss: float = 0.02
-    miss_small: float = 0.25
-    miss_partly_hidden: float = 0.12
-    run: float = 0.01
-    false_per_frame: float = 0.1
+    miss: float = 0.02  # probability that a large, fully visible object is missed in a frame
+    miss_small: float = 0.25  # additional probability for a box 10 px high, falling linearly to 0 at 40 px
+    miss_partly_hidden: float = 0.12  # additional probability for KITTI's occluded = 1
+    run: float = 0.01  # probability per object and frame that a run of 2 or 3 missed frames starts
+    false_per_frame: float = 0.1  # mean number of false detections per frame
 
 
 def play_back(

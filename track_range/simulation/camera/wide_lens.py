@@ -23,8 +23,7 @@ from track_range.stereo.geometry.rectification import Undistorter
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.geometry.virtual_pinhole import axial_focal_px, view_from_camera
 
-SAMPLES = 3
-"""Samples per pixel of the wide image and axis."""
+SAMPLES = 3  # samples per pixel of the wide image and axis
 
 
 SIDE_DEG, SIDE_HALF_DEG = 75.0, 40.0
@@ -33,19 +32,12 @@ SIDE_DEG, SIDE_HALF_DEG = 75.0, 40.0
 
 @dataclass(frozen=True, slots=True)
 class SideView:
-    """A pinhole to one side.
+    """A pinhole to one side."""
 
-    Attributes:
-        yaw_deg: direction of its axis, to the right of the lens's.
-        camera: the pinhole.
-        xy_px: (SAMPLES H, SAMPLES W, 2) pixel of its image of each sample of the wide image.
-        is_shown: (SAMPLES H, SAMPLES W) 255 for samples that it shows and the pinhole ahead does not, else 0.
-    """
-
-    yaw_deg: float
-    camera: PinholeCamera
-    xy_px: FloatArray32
-    is_shown: Image
+    yaw_deg: float  # direction of its axis, to the right of the lens's
+    camera: PinholeCamera  # the pinhole
+    xy_px: FloatArray32  # (SAMPLES H, SAMPLES W, 2) pixel of its image of each sample of the wide image
+    is_shown: Image  # (SAMPLES H, SAMPLES W) 255 for samples that it shows and the pinhole ahead does not, else 0
 
     @property
     def from_camera(self) -> FloatArray:
@@ -55,19 +47,12 @@ class SideView:
 
 @dataclass(frozen=True, slots=True)
 class WideLens:
-    """The lens of both cameras of a drive.
+    """The lens of both cameras of a drive."""
 
-    Attributes:
-        rig: the wide pair; its cameras are equal and parallel.
-        pinholes: the pair ahead that is rendered.
-        xy_px: (SAMPLES H, SAMPLES W, 2) pixel of the pinhole's image of each sample of the wide image.
-        sides: the views to the sides.
-    """
-
-    rig: StereoRig
-    pinholes: StereoRig
-    xy_px: FloatArray32
-    sides: tuple[SideView, ...]
+    rig: StereoRig  # the wide pair; its cameras are equal and parallel
+    pinholes: StereoRig  # the pair ahead that is rendered
+    xy_px: FloatArray32  # (SAMPLES H, SAMPLES W, 2) pixel of the pinhole's image of each sample of the wide image
+    sides: tuple[SideView, ...]  # the views to the sides
 
     @classmethod
     def of(cls, rig: StereoRig) -> WideLens:

@@ -18,20 +18,16 @@ class FaceTable:
 
     Attributes:
         corner, along, down: (F, 3) corner and edges, metres.
-        texture: (F,) indices of the textures in a `TextureStore`.
-        texels: (F, 2) rows and columns of the textures.
-        two_sided: (F,) whether the back is visible too.
-        is_shadow: (F,) whether the face is a shadow.
         label: (F,) what the masks show at the face: its `IdentifyingPart`, or a number of part and road user (`Crowd`).
     """
 
     corner: FloatArray
     along: FloatArray
     down: FloatArray
-    texture: IntArray
-    texels: IntArray
-    two_sided: BoolArray
-    is_shadow: BoolArray
+    texture: IntArray  # (F,) indices of the textures in a `TextureStore`
+    texels: IntArray  # (F, 2) rows and columns of the textures
+    two_sided: BoolArray  # (F,) whether the back is visible too
+    is_shadow: BoolArray  # (F,) whether the face is a shadow
     label: IntArray
 
     def __len__(self) -> int:

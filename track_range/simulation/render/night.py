@@ -16,17 +16,13 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.world.scene import RoadUser, Scene
 from track_range.stereo.geometry.camera import PinholeCamera
 
-AMBIENT = np.array([0.17, 0.14, 0.13], np.float32)
-"""Ambient light of a town's sky and distant lamps; blue, green, red."""
-
-BEAM = np.array([0.80, 0.92, 1.0], np.float32)
-"""Colour of the headlights; blue, green, red."""
+AMBIENT = np.array([0.17, 0.14, 0.13], np.float32)  # ambient light of a town's sky and distant lamps; blue, green, red
+BEAM = np.array([0.80, 0.92, 1.0], np.float32)  # colour of the headlights; blue, green, red
 
 REACH_M, FADING = 12.0, 1.3
 """Distance up to which headlights have full strength, and the exponent with which it falls beyond."""
 
-HIDDEN_M = 0.6
-"""Difference in depth above which a nearer surface hides a lamp."""
+HIDDEN_M = 0.6  # difference in depth above which a nearer surface hides a lamp
 
 RED, WHITE, AMBER = (40.0, 45.0, 255.0), (235.0, 245.0, 255.0), (120.0, 190.0, 255.0)
 LAMP_HEIGHT = {"Car": 0.52, "Van": 0.40, "Truck": 0.22, "Bus": 0.25, "Motorcycle": 0.45}
@@ -35,17 +31,11 @@ LAMP_HEIGHT = {"Car": 0.52, "Van": 0.40, "Truck": 0.22, "Bus": 0.25, "Motorcycle
 
 @dataclass(frozen=True, slots=True)
 class Lamps:
-    """Lamps that shine towards the camera.
+    """Lamps that shine towards the camera."""
 
-    Attributes:
-        location_m: (N, 3) locations in a camera's frame.
-        bgr: (N, 3) colours.
-        radius_m: (N,) radii.
-    """
-
-    location_m: FloatArray
-    bgr: FloatArray
-    radius_m: FloatArray
+    location_m: FloatArray  # (N, 3) locations in a camera's frame
+    bgr: FloatArray  # (N, 3) colours
+    radius_m: FloatArray  # (N,) radii
 
 
 def lamps_of(scene: Scene, time_s: float, *, lamp_heads_m: FloatArray, shift_m: FloatArray) -> Lamps:

@@ -18,14 +18,9 @@ from track_range.simulation.render.face_table import FaceTable
 from track_range.simulation.render.texture_store import quantized_up
 from track_range.stereo.geometry.camera import PinholeCamera
 
-NEAR_M = 0.3
-"""Depth of the near plane, m."""
-
-DEPTH_RATIO = 1.4
-"""Ratio of the depths of the farthest and the nearest corner above which a face is split in two."""
-
-CUTS = 6
-"""Largest number of times that a face is split."""
+NEAR_M = 0.3  # depth of the near plane, m
+DEPTH_RATIO = 1.4  # ratio of the depths of the farthest and the nearest corner above which a face is split in two
+CUTS = 6  # largest number of times that a face is split
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,16 +28,14 @@ class Pieces:
     """Pieces of faces in the camera's frame, in the order of their faces.
 
     Attributes:
-        face: (P,) rows of the table.
         corner, along, down: (P, 3) corner and edges, metres.
-        window: (P, 4) part of the face's texture: first row, end row, first column, end column.
     """
 
-    face: IntArray
+    face: IntArray  # (P,) rows of the table
     corner: FloatArray
     along: FloatArray
     down: FloatArray
-    window: IntArray
+    window: IntArray  # (P, 4) part of the face's texture: first row, end row, first column, end column
 
     def __len__(self) -> int:
         return len(self.face)
@@ -68,22 +61,16 @@ class Projected:
     """Pieces projected to the image.
 
     Attributes:
-        face: (P,) rows of the table.
-        texels: (P, 4) window of the texture: first row, end row, first column, end column.
-        size: (P, 2) rows and columns to which the window is averaged.
-        window_px: (P, 4) left, top, right, bottom in the image, inclusive.
         texture_from_px: (P, 3, 3) homography from pixels of `window_px` to texels of the averaged texture with margin.
-        inverse_depth: (P, 3) coefficients of 1/z in (u, v, 1).
-        nearest: (P,) 1/z of the nearest corner.
     """
 
-    face: IntArray
-    texels: IntArray
-    size: IntArray
-    window_px: IntArray
+    face: IntArray  # (P,) rows of the table
+    texels: IntArray  # (P, 4) window of the texture: first row, end row, first column, end column
+    size: IntArray  # (P, 2) rows and columns to which the window is averaged
+    window_px: IntArray  # (P, 4) left, top, right, bottom in the image, inclusive
     texture_from_px: FloatArray
-    inverse_depth: FloatArray
-    nearest: FloatArray
+    inverse_depth: FloatArray  # (P, 3) coefficients of 1/z in (u, v, 1)
+    nearest: FloatArray  # (P,) 1/z of the nearest corner
 
 
 def visible_pieces(table: FaceTable, camera: PinholeCamera) -> Pieces:

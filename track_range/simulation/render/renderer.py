@@ -34,20 +34,14 @@ from track_range.simulation.world.truth import corners_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
-Side = Literal["left", "right"]
-"""A camera of the pair."""
-
-SAMPLES = 2
-"""Samples per pixel and axis."""
-
-LONGEST_HALF_M = 8.0
-"""Largest distance between the centre of a body and its nearest point, m."""
+Side = Literal["left", "right"]  # a camera of the pair
+SAMPLES = 2  # samples per pixel and axis
+LONGEST_HALF_M = 8.0  # largest distance between the centre of a body and its nearest point, m
 
 LENS_BLUR_SAMPLES = 0.8
 """Standard deviation of the lens blur in samples, about 0.4 px; without blur the image would be aliased."""
 
-SKY_SIZE = (1.7, 1.5)
-"""Width and height of the sky relative to the image, for a camera that rotates."""
+SKY_SIZE = (1.7, 1.5)  # width and height of the sky relative to the image, for a camera that rotates
 
 
 _FROM_HALF = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])

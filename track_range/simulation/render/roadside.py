@@ -15,11 +15,8 @@ from track_range.simulation.world.surroundings import Row, Surroundings
 from track_range.simulation.world.textures.scenery import tree_picture
 from track_range.simulation.world.textures.surfaces import plain, value_noise
 
-VISIBLE_M = 130.0
-"""Distance up to which objects are drawn."""
-
-N_TREES = 3
-"""Number of different tree textures."""
+VISIBLE_M = 130.0  # distance up to which objects are drawn
+N_TREES = 3  # number of different tree textures
 
 TREE_M, LAMP_M, POST_M = np.array([4.5, 6.5]), np.array([2.2, 7.5]), np.array([0.12, 1.0])
 """Mean width and height of a tree, and those of a lamp, whose head is above the road, and of a post."""

@@ -20,11 +20,8 @@ from track_range.simulation.world.road_shape import STRAIGHT, RoadShape
 from track_range.simulation.world.surroundings import PERIOD_M, SURROUNDINGS
 from track_range.simulation.world.textures.scenery import ground_picture, houses_picture, rail_picture, woods_picture
 
-FAR_M = 260.0
-"""Distance up to which the street is drawn."""
-
-SIDE_HEIGHT_M, RAIL_HEIGHT_M = 9.0, 0.8
-"""Heights of the houses or woods, and of guard rails."""
+FAR_M = 260.0  # distance up to which the street is drawn
+SIDE_HEIGHT_M, RAIL_HEIGHT_M = 9.0, 0.8  # heights of the houses or woods, and of guard rails
 
 STRETCHES_M = ((0.0, 3), (24.0, 6), (72.0, 24))
 """(distance, length) of stretches; each length divides the next, and the last one divides the period."""

@@ -16,8 +16,7 @@ from track_range.simulation.render.canvas import OPAQUE_ALPHA
 from track_range.simulation.world.bodies.faces import Face
 from track_range.stereo.geometry.camera import PinholeCamera
 
-N_GRID = 15
-"""Number of rays per side of the grid that is searched if the ray through the box centre misses the body."""
+N_GRID = 15  # number of rays per side of the grid that is searched if the ray through the box centre misses the body
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,15 +25,13 @@ class Surface:
 
     Attributes:
         corner, along, down: (F, 3) corner and edges, metres.
-        two_sided: (F,) whether the back is visible too.
-        textures: texture of each face.
     """
 
     corner: FloatArray
     along: FloatArray
     down: FloatArray
-    two_sided: BoolArray
-    textures: tuple[Image, ...]
+    two_sided: BoolArray  # (F,) whether the back is visible too
+    textures: tuple[Image, ...]  # texture of each face
 
     @classmethod
     def of(cls, faces: Sequence[Face]) -> Surface:

@@ -12,17 +12,13 @@ import numpy as np
 
 from track_range.foundation.arrays import Image, IntArray
 
-STEPS_PER_DOUBLING = 4
-"""Number of sizes per factor of 2."""
+STEPS_PER_DOUBLING = 4  # number of sizes per factor of 2
 
 STEPS = np.unique(np.ceil(2 ** (np.arange(14 * STEPS_PER_DOUBLING) / STEPS_PER_DOUBLING)).astype(np.int64))
 """Sizes of averaged textures, texels."""
 
-MAX_BYTES = 128 * 2**20
-"""Default size of the cache; a full cache is emptied."""
-
-Window = tuple[int, int, int, int]
-"""Part of a texture: first row, end row, first column, end column."""
+MAX_BYTES = 128 * 2**20  # default size of the cache; a full cache is emptied
+Window = tuple[int, int, int, int]  # part of a texture: first row, end row, first column, end column
 
 
 def quantized_up(size: IntArray, texels: IntArray) -> IntArray:

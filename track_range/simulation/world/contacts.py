@@ -33,8 +33,7 @@ from track_range.simulation.world.road_shape import RoadShape, slope_rotation, y
 from track_range.simulation.world.scene import RoadUser, Scene
 from track_range.simulation.world.trajectories import Trajectories, ego_z_m, trajectories
 
-EGO_HWL_M = (1.5, 1.8, 4.2)
-"""Height, width and length of the ego vehicle, m: a compact car."""
+EGO_HWL_M = (1.5, 1.8, 4.2)  # height, width and length of the ego vehicle, m: a compact car
 
 CAMERA_TO_FRONT_M = 1.5
 """Distance along the road from the left camera to the front of the ego vehicle, m: behind the windscreen."""
@@ -46,11 +45,8 @@ warns at most about 4 s ahead)."""
 FOLLOWING_GAP_S = 1.0
 """Smallest time gap to a followed vehicle, s: below it a driver cannot react in time to the vehicle ahead."""
 
-STEP_S = 0.005
-"""Time step of the search, s; the contact itself is found by bisection."""
-
-PRECISION_S = 1e-6
-"""Precision of the time of contact, s."""
+STEP_S = 0.005  # time step of the search, s; the contact itself is found by bisection
+PRECISION_S = 1e-6  # precision of the time of contact, s
 
 _VEHICLES = ("Car", "Van", "Truck", "Bus", "Motorcycle", "Cyclist")
 _ALIGNED_RAD = np.pi / 4

@@ -15,8 +15,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 
-SpeedChanges = tuple[tuple[float, float], ...]
-"""(time_s, speed_mps) pairs in order of time."""
+SpeedChanges = tuple[tuple[float, float], ...]  # (time_s, speed_mps) pairs in order of time
 
 
 @dataclass(frozen=True, slots=True)

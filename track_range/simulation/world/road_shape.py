@@ -15,8 +15,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 
-WOBBLE_HZ = (0.7, 1.3, 2.1)
-"""Frequencies of a car's pitch and roll on its springs."""
+WOBBLE_HZ = (0.7, 1.3, 2.1)  # frequencies of a car's pitch and roll on its springs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,12 +70,11 @@ class Wobble:
 
     Attributes:
         pitch_rad, roll_rad: root mean squares of pitch and roll.
-        seed: random seed of the phases.
     """
 
     pitch_rad: float = 0.0
     roll_rad: float = 0.0
-    seed: int = 0
+    seed: int = 0  # random seed of the phases
 
     def pitch_roll_rad(self, time_s: float) -> tuple[float, float]:
         """Pitch (positive = camera up) and roll (positive = to the right) at a time."""
@@ -90,17 +88,11 @@ STEADY = Wobble()
 
 @dataclass(frozen=True, slots=True)
 class CameraPose:
-    """Pose of the left camera.
+    """Pose of the left camera."""
 
-    Attributes:
-        position_m: (3,) in world axes.
-        camera_from_world: (3, 3) rotation.
-        yaw_rad: direction of the road at the camera.
-    """
-
-    position_m: FloatArray
-    camera_from_world: FloatArray
-    yaw_rad: float
+    position_m: FloatArray  # (3,) in world axes
+    camera_from_world: FloatArray  # (3, 3) rotation
+    yaw_rad: float  # direction of the road at the camera
 
 
 def pose_on_road(road: RoadShape, z_m: float, *, height_m: float, pitch_roll_rad: tuple[float, float]) -> CameraPose:

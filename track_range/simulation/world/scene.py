@@ -30,11 +30,8 @@ from track_range.simulation.world.road_shape import (
     yaw_rotation,
 )
 
-AWAY_RAD = -np.pi / 2
-"""Heading along z: seen from behind."""
-
-TOWARDS_RAD = np.pi / 2
-"""Heading against z: oncoming."""
+AWAY_RAD = -np.pi / 2  # heading along z: seen from behind
+TOWARDS_RAD = np.pi / 2  # heading against z: oncoming
 
 SIZE_HWL_M = {
     "Car": (1.53, 1.70, 4.10),
@@ -50,11 +47,8 @@ SIZE_HWL_M = {
 """Mean sizes by type (means of KITTI's labels; a person without the swing of arms and legs; the last four, which KITTI
 lacks, as built: a city bus, a motorcycle with its rider, a sign's plate, a light's housing)."""
 
-STEP_S = 1e-3
-"""Time step for numerical derivatives."""
-
-SIZE_SPREAD = 0.08
-"""Largest relative deviation of height, width and length from the mean."""
+STEP_S = 1e-3  # time step for numerical derivatives
+SIZE_SPREAD = 0.08  # largest relative deviation of height, width and length from the mean
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,26 +56,18 @@ class RoadUser:
     """One object of the scene.
 
     Attributes:
-        track_id: id from 0 as in KITTI, unique in the scene; it also determines the appearance.
-        kitti_type: a key of `SIZE_HWL_M`.
-        size_hwl_m: height, width, length of the 3-D box.
         start_xz_m: centre of the box on the road at time 0: distance to the right of the ego lane's centre, and z.
-        rotation_y_rad: heading as KITTI's rotation_y, relative to the road's direction.
-        speed_mps: speed along the heading.
-        speed_changes: (time, speed) pairs, used instead of `speed_mps`; empty = constant speed.
-        lane_change: a lateral move; None = none.
-        raised_m: height of the 3-D box above the road.
     """
 
-    track_id: int
-    kitti_type: str
-    size_hwl_m: tuple[float, float, float]
+    track_id: int  # id from 0 as in KITTI, unique in the scene; it also determines the appearance
+    kitti_type: str  # a key of `SIZE_HWL_M`
+    size_hwl_m: tuple[float, float, float]  # height, width, length of the 3-D box
     start_xz_m: tuple[float, float]
-    rotation_y_rad: float
-    speed_mps: float = 0.0
-    speed_changes: SpeedChanges = ()
-    lane_change: LaneChange | None = None
-    raised_m: float = 0.0
+    rotation_y_rad: float  # heading as KITTI's rotation_y, relative to the road's direction
+    speed_mps: float = 0.0  # speed along the heading
+    speed_changes: SpeedChanges = ()  # (time, speed) pairs, used instead of `speed_mps`; empty = constant speed
+    lane_change: LaneChange | None = None  # a lateral move; None = none
+    raised_m: float = 0.0  # height of the 3-D box above the road
 
     def on_road_m(self, time_s: float) -> tuple[float, float]:
         """Position at a time: distance to the right of the ego lane's centre, and z."""
@@ -105,48 +91,29 @@ ObstacleKind = Literal["pole", "fence", "bush"]
 
 @dataclass(frozen=True, slots=True)
 class Obstacle:
-    """A static object beside the road that is no road user and has no labels.
+    """A static object beside the road that is no road user and has no labels."""
 
-    Attributes:
-        number: number from 0, unique among the obstacles of the scene; it also determines the appearance.
-        kind: pole, fence or bush.
-        size_hwl_m: height, width, length of its 3-D box.
-        at_xz_m: centre of the box on the road: distance to the right of the ego lane's centre, and z.
-        rotation_y_rad: direction of its length as KITTI's rotation_y, relative to the road's direction.
-    """
-
-    number: int
-    kind: ObstacleKind
-    size_hwl_m: tuple[float, float, float]
-    at_xz_m: tuple[float, float]
-    rotation_y_rad: float = 0.0
+    number: int  # number from 0, unique among the obstacles of the scene; it also determines the appearance
+    kind: ObstacleKind  # pole, fence or bush
+    size_hwl_m: tuple[float, float, float]  # height, width, length of its 3-D box
+    at_xz_m: tuple[float, float]  # centre of the box on the road: distance to the right of the ego lane's centre, and z
+    rotation_y_rad: float = 0.0  # direction of its length as KITTI's rotation_y, relative to the road's direction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """Road users on a road, and a camera that moves along it.
+    """Road users on a road, and a camera that moves along it."""
 
-    Attributes:
-        seed: random seed of textures and noise.
-        road_users: the objects; the rows of all arrays have this order.
-        ego_speed_mps: speed of the camera along the road.
-        ego_speed_changes: (time, speed) pairs, used instead of `ego_speed_mps`; empty = constant speed.
-        camera_height_m: height of the left camera above the road.
-        camera_pitch_rad: pitch of the left camera relative to the ego car, positive = up.
-        surroundings: a key of `surroundings.SURROUNDINGS`.
-        is_night: whether headlights and lamps light the scene instead of the sun.
-    """
-
-    seed: int
-    road_users: tuple[RoadUser, ...]
-    ego_speed_mps: float = 10.0
-    ego_speed_changes: SpeedChanges = ()
-    camera_height_m: float = 1.65
-    camera_pitch_rad: float = 0.0
+    seed: int  # random seed of textures and noise
+    road_users: tuple[RoadUser, ...]  # the objects; the rows of all arrays have this order
+    ego_speed_mps: float = 10.0  # speed of the camera along the road
+    ego_speed_changes: SpeedChanges = ()  # (time, speed) pairs, used instead of `ego_speed_mps`; empty = constant speed
+    camera_height_m: float = 1.65  # height of the left camera above the road
+    camera_pitch_rad: float = 0.0  # pitch of the left camera relative to the ego car, positive = up
     road: RoadShape = STRAIGHT
     wobble: Wobble = STEADY
-    surroundings: str = "town"
-    is_night: bool = False
+    surroundings: str = "town"  # a key of `surroundings.SURROUNDINGS`
+    is_night: bool = False  # whether headlights and lamps light the scene instead of the sun
     obstacles: tuple[Obstacle, ...] = ()
 
     def __post_init__(self) -> None:
@@ -225,11 +192,8 @@ class Scene:
         return np.array([user.on_road_m(time_s) for user in self.road_users], np.float64).reshape(-1, 2).T
 
 
-TownUser = tuple[str, float, float, float, float]
-"""KITTI type, x and z at time 0, heading, speed."""
-
-CROSSING_Z_M = 62.0
-"""Position of a pedestrian who crosses the road, where there are no parked cars."""
+TownUser = tuple[str, float, float, float, float]  # KITTI type, x and z at time 0, heading, speed
+CROSSING_Z_M = 62.0  # position of a pedestrian who crosses the road, where there are no parked cars
 
 TRAFFIC: tuple[TownUser, ...] = (
     ("Car", 0.1, 22.0, AWAY_RAD, 9.0),  # the ego car closes in on it
@@ -253,11 +217,8 @@ PEOPLE: tuple[TownUser, ...] = (
 ONCOMING_FROM_M, ONCOMING_SPACING_M, ONCOMING_SPEED_MPS = 74.0, 48.0, 11.0
 """Position of the first oncoming vehicle at time 0, distance between them, and their speed."""
 
-PARKED_SPACING_M, PARKED_FRACTION = 7.5, 0.6
-"""Distance between parking spaces, and fraction of them that are occupied."""
-
-VIEW_M = 110.0
-"""Distance beyond the last camera position up to which scenes contain objects."""
+PARKED_SPACING_M, PARKED_FRACTION = 7.5, 0.6  # distance between parking spaces, and fraction of them that are occupied
+VIEW_M = 110.0  # distance beyond the last camera position up to which scenes contain objects
 
 
 def make_scene(seed: int = 0, seconds: float = 6.0) -> Scene:

@@ -7,17 +7,10 @@ import numpy as np
 
 from track_range.simulation.world.bodies.faces import Face
 
-TEXELS_PER_M = 12
-"""Resolution of the shadow's texture."""
-
-MARGIN_M = 0.6
-"""Margin of the texture for the soft edge."""
-
-CAST = 0.45
-"""Length of the cast shadow, to the left, relative to the body's height."""
-
-UNDER, BESIDE = 205, 105
-"""Darkness of the shadow below the body and of the cast shadow, 0 to 255."""
+TEXELS_PER_M = 12  # resolution of the shadow's texture
+MARGIN_M = 0.6  # margin of the texture for the soft edge
+CAST = 0.45  # length of the cast shadow, to the left, relative to the body's height
+UNDER, BESIDE = 205, 105  # darkness of the shadow below the body and of the cast shadow, 0 to 255
 
 
 def shadow(size_hwl_m: tuple[float, float, float], *, under: float = UNDER) -> Face:

@@ -9,11 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-PERIOD_M = 48.0
-"""Length along the road after which its textures and objects repeat."""
-
-Colour = tuple[float, float, float]
-"""Blue, green, red, 0 to 255."""
+PERIOD_M = 48.0  # length along the road after which its textures and objects repeat
+Colour = tuple[float, float, float]  # blue, green, red, 0 to 255
 
 PAVEMENT: Colour = (138, 140, 142)
 GRASS: Colour = (52, 104, 84)
@@ -23,19 +20,12 @@ GRAVEL: Colour = (108, 120, 128)
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A row of identical objects along the road.
+    """A row of identical objects along the road."""
 
-    Attributes:
-        kind: "tree", "lamp" or "post".
-        x_m: lateral position.
-        every_m: distance between objects.
-        first_m: position of the first object along the road.
-    """
-
-    kind: Literal["tree", "lamp", "post"]
-    x_m: float
-    every_m: float
-    first_m: float
+    kind: Literal["tree", "lamp", "post"]  # "tree", "lamp" or "post"
+    x_m: float  # lateral position
+    every_m: float  # distance between objects
+    first_m: float  # position of the first object along the road
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,27 +33,20 @@ class Surroundings:
     """One kind of road.
 
     Attributes:
-        half_width_m: half of the width of the ground.
         lanes: (number, from, to): 0 = the ego lane, 1 = the next one to its right, -1 = the next one to its left.
-        bands: (from, to, colour) of the ground that is not asphalt.
         solid_m, dashed_m: centres of solid and dashed lines.
-        dash_m: length and period of dashes.
-        side: scenery at the edges of the ground.
-        rails_m: positions of guard rails.
-        rows: rows of trees, lamps and posts.
-        texels_per_m: resolution of the ground's texture.
     """
 
-    half_width_m: float
+    half_width_m: float  # half of the width of the ground
     lanes: tuple[tuple[int, float, float], ...]
-    bands: tuple[tuple[float, float, Colour], ...]
+    bands: tuple[tuple[float, float, Colour], ...]  # (from, to, colour) of the ground that is not asphalt
     solid_m: tuple[float, ...]
     dashed_m: tuple[float, ...]
-    dash_m: tuple[float, float]
-    side: Literal["houses", "woods"]
-    rails_m: tuple[float, ...] = ()
-    rows: tuple[Row, ...] = ()
-    texels_per_m: int = 48
+    dash_m: tuple[float, float]  # length and period of dashes
+    side: Literal["houses", "woods"]  # scenery at the edges of the ground
+    rails_m: tuple[float, ...] = ()  # positions of guard rails
+    rows: tuple[Row, ...] = ()  # rows of trees, lamps and posts
+    texels_per_m: int = 48  # resolution of the ground's texture
 
     def lane_of(self, x_m: float) -> int | None:
         """Number of the lane at a lateral position; None = outside all lanes."""

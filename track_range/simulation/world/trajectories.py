@@ -14,17 +14,11 @@ from track_range.simulation.world.scene import STEP_S, RoadUser, Scene
 
 @dataclass(frozen=True, slots=True)
 class Trajectories:
-    """Positions of N road users at T times, (N, T) each.
+    """Positions of N road users at T times, (N, T) each."""
 
-    Attributes:
-        across_m: distance to the right of the ego lane's centre.
-        z_m: z of the world.
-        heading_rad: heading relative to the road's direction, as KITTI's rotation_y.
-    """
-
-    across_m: FloatArray
-    z_m: FloatArray
-    heading_rad: FloatArray
+    across_m: FloatArray  # distance to the right of the ego lane's centre
+    z_m: FloatArray  # z of the world
+    heading_rad: FloatArray  # heading relative to the road's direction, as KITTI's rotation_y
 
     def row(self, number: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Across, z and heading of one road user, (T,) each."""

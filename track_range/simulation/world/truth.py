@@ -19,14 +19,9 @@ from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.simulation.world.scene import Scene
 from track_range.stereo.geometry.camera import PinholeCamera
 
-FARTHEST_M = 100.0
-"""Distance up to which objects are labelled."""
-
-DONT_CARE_BELOW_PX = 10.0
-"""Height of a box, px, below which it becomes a DontCare region."""
-
-NEAR_M = 0.1
-"""Depth of the near plane at which 3-D boxes are clipped before projection."""
+FARTHEST_M = 100.0  # distance up to which objects are labelled
+DONT_CARE_BELOW_PX = 10.0  # height of a box, px, below which it becomes a DontCare region
+NEAR_M = 0.1  # depth of the near plane at which 3-D boxes are clipped before projection
 
 PARTLY_VISIBLE, LARGELY_VISIBLE = 0.5, 0.85
 """Minimum visible fractions for KITTI's `occluded` = 1 and 0; below the first, it is 2."""
@@ -35,8 +30,7 @@ UNCUT, HALF_CUT = 0.02, 0.5
 """Minimum fractions outside the image, of the bounding box of the whole projected 3-D box, for KITTI's tracking
 `truncated` = 1 and 2."""
 
-N_RAYS = 12
-"""Number of rays per side of the grid through a box."""
+N_RAYS = 12  # number of rays per side of the grid through a box
 
 DEPTH_SLACK_M, DEPTH_SLACK = 0.3, 0.03
 """Difference in depth above which a drawn surface hides a 3-D box: sum of metres and a fraction of the depth."""
@@ -46,17 +40,11 @@ _EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4
 
 @dataclass(frozen=True, slots=True)
 class VisibleObjects:
-    """The visible objects of a frame, nearest first.
+    """The visible objects of a frame, nearest first."""
 
-    Attributes:
-        row: (N,) rows of the scene's road users.
-        labels: (N,) KITTI labels.
-        visible_share: (N,) fraction of each object's projection that is inside the image and not hidden.
-    """
-
-    row: IntArray
-    labels: KittiLabels
-    visible_share: FloatArray
+    row: IntArray  # (N,) rows of the scene's road users
+    labels: KittiLabels  # (N,) KITTI labels
+    visible_share: FloatArray  # (N,) fraction of each object's projection that is inside the image and not hidden
 
 
 def label_scene(scene: Scene, times_s: Sequence[float], *, camera: PinholeCamera) -> KittiLabels:

@@ -50,5 +50,5 @@ app = lazy_app(
                 "track-range evaluate events --events drive-1 --truth labels.csv",
             ),
         ),
-    },
+    }
 )

@@ -36,8 +36,7 @@ class DetectionsOptions(DetectionEvaluationSettings):
     """Options of `track-range evaluate detections`."""
 
     figure: Annotated[
-        Path | None,
-        option("Reliability diagrams of the scores to write, an SVG or PNG file.", metavar="FILE.svg"),
+        Path | None, option("Reliability diagrams of the scores to write, an SVG or PNG file.", metavar="FILE.svg")
     ] = None
     json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 

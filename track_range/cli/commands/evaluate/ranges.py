@@ -24,8 +24,7 @@ class RangesOptions(RangeEvaluationSettings):
 
     table: Annotated[Path | None, option("Markdown file for the tables.", metavar="FILE.md")] = None
     figure: Annotated[
-        Path | None,
-        option("Chart of the risk-coverage curves to write, an SVG or PNG file.", metavar="FILE.svg"),
+        Path | None, option("Chart of the risk-coverage curves to write, an SVG or PNG file.", metavar="FILE.svg")
     ] = None
     json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 

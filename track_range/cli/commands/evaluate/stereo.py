@@ -27,8 +27,7 @@ class StereoOptions(StereoEvaluationSettings):
 
     json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
     figure: Annotated[
-        Path | None,
-        option("Chart of the risk-coverage curves to write, an SVG or PNG file.", metavar="FILE.svg"),
+        Path | None, option("Chart of the risk-coverage curves to write, an SVG or PNG file.", metavar="FILE.svg")
     ] = None
 
 

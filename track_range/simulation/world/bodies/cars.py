@@ -36,21 +36,15 @@ LAMP_RED: Colour = (32, 26, 190)
 LAMP_WHITE: Colour = (232, 238, 238)
 TRIM: Colour = (34, 34, 36)
 
-SILL = 0.15
-"""Height of the hull's lower edge relative to the car's height."""
-
-PAINT_CONTRAST = 5.0
-"""Contrast of the dirt on the paint, grey levels."""
+SILL = 0.15  # height of the hull's lower edge relative to the car's height
+PAINT_CONTRAST = 5.0  # contrast of the dirt on the paint, grey levels
 
 LEAN_M = 0.29
 """Horizontal distance between the lower edge of the side windows and the roof; with less, detectors trained on real
 images classify these cars as trucks."""
 
-SHOULDER_M = 0.03
-"""Horizontal distance between the hull's side and the lower edge of the cabin."""
-
-WHEEL_M = 0.32
-"""Radius of a wheel."""
+SHOULDER_M = 0.03  # horizontal distance between the hull's side and the lower edge of the cabin
+WHEEL_M = 0.32  # radius of a wheel
 
 BACK_CHAMFER_M, FRONT_CHAMFER_M = (0.18, 0.15), (0.34, 0.25)
 """Size of the chamfers of the corners, seen from above: along, across."""
@@ -61,19 +55,12 @@ BACK_PLATE, FRONT_PLATE = (0.33, 0.27, 0.67, 0.39), (0.34, 0.42, 0.66, 0.54)
 
 @dataclass(frozen=True, slots=True)
 class Build:
-    """Shape of a car, as fractions of its length from the back and of its height.
+    """Shape of a car, as fractions of its length from the back and of its height."""
 
-    Attributes:
-        deck: height of the hull at the cabin.
-        roof: positions of the roof's ends.
-        cabin: positions of the cabin's ends at its base.
-        nose: height of the hull at the front.
-    """
-
-    deck: float
-    roof: tuple[float, float]
-    cabin: tuple[float, float]
-    nose: float
+    deck: float  # height of the hull at the cabin
+    roof: tuple[float, float]  # positions of the roof's ends
+    cabin: tuple[float, float]  # positions of the cabin's ends at its base
+    nose: float  # height of the hull at the front
 
 
 BUILDS = (

@@ -17,11 +17,8 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.world.textures.surfaces import cut_outside, plain
 
-Colour = tuple[float, ...]
-"""Blue, green, red, 0 to 255."""
-
-Vector = tuple[float, float, float]
-"""x, y, z in the object's frame, metres."""
+Colour = tuple[float, ...]  # blue, green, red, 0 to 255
+Vector = tuple[float, float, float]  # x, y, z in the object's frame, metres
 
 Extent = tuple[float, float, float, float, float, float]
 """Minimum and maximum of x, of the height above the road, and of z, metres."""
@@ -30,8 +27,7 @@ ALL_SIDES = ("back", "front", "left", "right", "top")
 SUN = {"back": 0.95, "front": 0.9, "left": 0.78, "right": 1.05, "top": 1.2}
 """Brightness of the sides of a box in sunlight."""
 
-N_PRISM_SIDES = 8
-"""Number of sides of the prisms that approximate round bodies."""
+N_PRISM_SIDES = 8  # number of sides of the prisms that approximate round bodies
 
 LIGHT_MEAN, LIGHT_ALONG, LIGHT_DOWN, LIGHT_LEFT = 0.92, -0.02, -0.28, -0.2
 """Brightness of a slanted side: the mean, and what its outward normal's x, y and z add; similar to `SUN`."""
@@ -47,32 +43,19 @@ class IdentifyingPart(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Face:
-    """A textured parallelogram.
+    """A textured parallelogram."""
 
-    Attributes:
-        corner: (3,) upper left corner, seen from outside, metres.
-        along: (3,) upper edge.
-        down: (3,) left edge.
-        texture: (h, w, 4) uint8 BGRA.
-        two_sided: whether the back is visible too.
-        is_shadow: whether it only darkens, by its alpha, the surface under it.
-        part: whether it belongs to a head or a number plate.
-    """
-
-    corner: FloatArray
-    along: FloatArray
-    down: FloatArray
-    texture: Image
-    two_sided: bool = False
-    is_shadow: bool = False
-    part: IdentifyingPart = IdentifyingPart.NONE
+    corner: FloatArray  # (3,) upper left corner, seen from outside, metres
+    along: FloatArray  # (3,) upper edge
+    down: FloatArray  # (3,) left edge
+    texture: Image  # (h, w, 4) uint8 BGRA
+    two_sided: bool = False  # whether the back is visible too
+    is_shadow: bool = False  # whether it only darkens, by its alpha, the surface under it
+    part: IdentifyingPart = IdentifyingPart.NONE  # whether it belongs to a head or a number plate
 
 
-Place = tuple[Vector, Vector, Vector]
-"""Corner, upper edge and left edge of a face."""
-
-Size = tuple[float, float, float]
-"""Height, width, length of a body, metres."""
+Place = tuple[Vector, Vector, Vector]  # corner, upper edge and left edge of a face
+Size = tuple[float, float, float]  # height, width, length of a body, metres
 
 
 def coloured_face(rng: np.random.Generator, place: Place, bgr: Colour, *, contrast: float = 11.0) -> Face:

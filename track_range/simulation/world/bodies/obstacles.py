@@ -33,20 +33,11 @@ FENCE_COLOURS: tuple[Colour, ...] = (
 )
 """Two sorts of wood, white paint, black paint, green paint, steel."""
 
-BAND_M = 0.4
-"""Height of the coloured bands of a striped pole."""
-
-POST_M, POST_SPACING_M = 0.08, 2.0
-"""Width of the posts of a fence and largest distance between them."""
-
-N_LAYERS = 6
-"""Number of flat layers of a bush."""
-
-LEAF_TEXELS_PER_M = 80
-"""Resolution of the leaves of a bush."""
-
-SHADOW_DARKNESS = 150
-"""Darkness of the shadow under an obstacle, 0 to 255."""
+BAND_M = 0.4  # height of the coloured bands of a striped pole
+POST_M, POST_SPACING_M = 0.08, 2.0  # width of the posts of a fence and largest distance between them
+N_LAYERS = 6  # number of flat layers of a bush
+LEAF_TEXELS_PER_M = 80  # resolution of the leaves of a bush
+SHADOW_DARKNESS = 150  # darkness of the shadow under an obstacle, 0 to 255
 
 
 def body_of_obstacle(obstacle: Obstacle, seed: int) -> list[Face]:

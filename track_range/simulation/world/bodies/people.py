@@ -44,14 +44,9 @@ HAIR: tuple[Colour, ...] = ((30, 34, 42), (46, 66, 92), (84, 126, 160), (110, 11
 HELMETS: tuple[Colour, ...] = ((215, 215, 215), (40, 40, 44), (40, 40, 170), (140, 80, 40))
 BIKES: tuple[Colour, ...] = ((38, 38, 160), (44, 42, 42), (150, 90, 40), (150, 150, 150), (60, 110, 50))
 SHOE: Colour = (36, 34, 36)
-CLOTH_CONTRAST = 7.0
-"""Contrast of the texture of clothes, grey levels."""
-
-WHEEL_RADIUS_M = 0.34
-"""Radius of a bicycle wheel."""
-
-N_TYRE_PIECES = 10
-"""Number of flat faces of a tyre."""
+CLOTH_CONTRAST = 7.0  # contrast of the texture of clothes, grey levels
+WHEEL_RADIUS_M = 0.34  # radius of a bicycle wheel
+N_TYRE_PIECES = 10  # number of flat faces of a tyre
 
 PELVIS, WAIST, CHEST, SHOULDER, NECK = 0.46, 0.60, 0.72, 0.80, 0.845
 """Heights of a standing body, as fractions of its height."""

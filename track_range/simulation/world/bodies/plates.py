@@ -9,8 +9,7 @@ import numpy as np
 from track_range.simulation.world.bodies.faces import Face, IdentifyingPart, Vector, coloured_face
 from track_range.simulation.world.textures.painting import Box, number_plate
 
-RECESS_M = 0.001
-"""Depth of a plate below the surface that it is cut out of, so that it is inside the 3-D box."""
+RECESS_M = 0.001  # depth of a plate below the surface that it is cut out of, so that it is inside the 3-D box
 
 MARGIN_TEXELS = 4
 """Width of the strip of the body around a plate that belongs to the plate's face and closes gaps at the edge of the

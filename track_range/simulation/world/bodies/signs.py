@@ -9,8 +9,7 @@ from track_range.foundation.arrays import Image
 from track_range.simulation.world.bodies.faces import Colour, Extent, Face, Size, block, octagon
 from track_range.simulation.world.textures.painting import clip, fill, polygon
 
-POLE_M = 4.0
-"""Length of the pole; longer than the height of any sign, since the ground hides its lower end."""
+POLE_M = 4.0  # length of the pole; longer than the height of any sign, since the ground hides its lower end
 
 GANTRY_M = (-6.3, 9.8)
 """Left and right ends of the beam above a motorway, from the middle of the plate, m; the posts stand there."""

@@ -21,8 +21,7 @@ LAMP_RED: Colour = (32, 26, 190)
 LAMP_WHITE: Colour = (232, 238, 238)
 STEEL: Colour = (52, 52, 55)
 
-SILL_M = 0.34
-"""Height of the lower edge of the body."""
+SILL_M = 0.34  # height of the lower edge of the body
 
 SHADE = ((0.0, 1.08), (0.3, 1.0), (0.75, 0.9), (1.0, 0.62))
 

@@ -40,11 +40,8 @@ CONTACT_S = (5.5, 7.5)
 CRASH_S, CRASH_DECELERATION_MPS2 = 0.1, 6.0
 """Time in which the ego vehicle takes the speed of what it hits, s, and deceleration after it, m/s^2."""
 
-CHILD_FACTOR = 0.68
-"""Height of a child relative to an adult: 1.2 m, a child of seven, as Euro NCAP's child dummy."""
-
-WALK_M = 18.0
-"""Distance that a person on the pavement walks at most during a drive, m."""
+CHILD_FACTOR = 0.68  # height of a child relative to an adult: 1.2 m, a child of seven, as Euro NCAP's child dummy
+WALK_M = 18.0  # distance that a person on the pavement walks at most during a drive, m
 
 _TYPES, _FRACTIONS = ("Car", "Van", "Truck", "Bus", "Motorcycle"), (0.55, 0.15, 0.12, 0.08, 0.1)
 

@@ -28,48 +28,30 @@ from track_range.simulation.world.scene import (
     Scene,
 )
 
-FIRST_S, EVERY_S = 0.5, 2.0
-"""First reference time and the interval between them, s."""
-
-N_PER_GROUP = 8
-"""Number of road users, with their occluders, for each reference time."""
-
-N_TRIALS = 40
-"""Largest number of random positions that are tried for one road user and its occluder."""
+FIRST_S, EVERY_S = 0.5, 2.0  # first reference time and the interval between them, s
+N_PER_GROUP = 8  # number of road users, with their occluders, for each reference time
+N_TRIALS = 40  # largest number of random positions that are tried for one road user and its occluder
 
 DISTANCE_M = (6.0, 50.0)
 """Range of the distances of the road users at their reference time; uniform on a logarithmic scale."""
 
-RATIO = (0.3, 0.9)
-"""Range of the occluder's distance relative to that of the road user."""
-
-CAMERA_HEIGHT_M = 1.65
-"""Height of the camera above the road, m."""
-
-CORRIDOR_M = 1.8
-"""Half of the width of the strip around the ego vehicle's path that stays free of static objects, m."""
-
-WALK_S = 1.0
-"""Time before and after the reference time during which some of the people walk or ride, s."""
-
-FARTHEST_ASIDE_M = 10.0
-"""Largest distance of objects from the middle of the ego lane, m: the houses are behind it."""
+RATIO = (0.3, 0.9)  # range of the occluder's distance relative to that of the road user
+CAMERA_HEIGHT_M = 1.65  # height of the camera above the road, m
+CORRIDOR_M = 1.8  # half of the width of the strip around the ego vehicle's path that stays free of static objects, m
+WALK_S = 1.0  # time before and after the reference time during which some of the people walk or ride, s
+FARTHEST_ASIDE_M = 10.0  # largest distance of objects from the middle of the ego lane, m: the houses are behind it
 
 VIEW_SLOPE = 0.72
 """Largest x / z of a road user, so that it is in the image of a camera with KITTI's angle of view (0.86)."""
 
-FREE_M = 0.35
-"""Smallest distance between the bodies of two objects on the ground, m."""
+FREE_M = 0.35  # smallest distance between the bodies of two objects on the ground, m
 
 USERS = (("Car", 0.5), ("Van", 0.12), ("Truck", 0.08), ("Pedestrian", 0.17), ("Cyclist", 0.13))
 OCCLUDERS = (("none", 0.13), ("pole", 0.24), ("sign", 0.17), ("fence", 0.2), ("bush", 0.1), ("vehicle", 0.16))
 """Types of the occluders, as those of the road users (`USERS`), with their fractions."""
 
-LEAD_FRACTION = 0.6
-"""Fraction of drives with a vehicle ahead that hides another one."""
-
-Disc = tuple[float, float, float]
-"""x, z and radius of a circle on the ground, m."""
+LEAD_FRACTION = 0.6  # fraction of drives with a vehicle ahead that hides another one
+Disc = tuple[float, float, float]  # x, z and radius of a circle on the ground, m
 
 
 def reference_times_s(seconds: float) -> list[float]:
@@ -97,19 +79,15 @@ class _Target:
     """A road user to be hidden, at its reference time.
 
     Attributes:
-        kitti_type: its type.
         x_m, z_m: its position.
-        heading_rad: its heading.
-        distance_m: z of its nearest point in the camera's frame.
-        width_m: its extent across the view.
     """
 
-    kitti_type: str
+    kitti_type: str  # its type
     x_m: float
     z_m: float
-    heading_rad: float
-    distance_m: float
-    width_m: float
+    heading_rad: float  # its heading
+    distance_m: float  # z of its nearest point in the camera's frame
+    width_m: float  # its extent across the view
 
 
 @dataclass(slots=True)

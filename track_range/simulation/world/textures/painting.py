@@ -7,18 +7,14 @@ import numpy as np
 
 from track_range.foundation.arrays import Image
 
-Box = tuple[float, float, float, float]
-"""x1, y1, x2, y2 as fractions of the texture's width and height."""
-
-Colour = tuple[float, ...]
-"""Blue, green, red, 0 to 255."""
+Box = tuple[float, float, float, float]  # x1, y1, x2, y2 as fractions of the texture's width and height
+Colour = tuple[float, ...]  # blue, green, red, 0 to 255
 
 TYRE: Colour = (28, 28, 30)
 ALLOY: Colour = (168, 170, 170)
 SEAM: Colour = (24, 24, 26)
 
-_REACH = 4
-"""Radius of the filter that extracts the dirt on window panes, texels."""
+_REACH = 4  # radius of the filter that extracts the dirt on window panes, texels
 
 
 def shade_rows(picture: Image, lights: tuple[tuple[float, float], ...]) -> None:

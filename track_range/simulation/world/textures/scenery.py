@@ -12,20 +12,11 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.world.surroundings import PAVEMENT, PERIOD_M, Surroundings
 from track_range.simulation.world.textures.surfaces import GLASS_BGR, opaque, value_noise
 
-Picture = npt.NDArray[np.float32]
-"""(H, W, 3) colours of a texture while it is painted."""
-
-WALL_TEXELS_PER_M = 48
-"""Resolution of houses and guard rails."""
-
-TREE_TEXELS_PER_M = 32
-"""Resolution of trees."""
-
-_LINE_HALF_M = 0.07
-"""Half of the width of lane markings."""
-
-_WHITE = 208.0
-"""Grey level of lane markings."""
+Picture = npt.NDArray[np.float32]  # (H, W, 3) colours of a texture while it is painted
+WALL_TEXELS_PER_M = 48  # resolution of houses and guard rails
+TREE_TEXELS_PER_M = 32  # resolution of trees
+_LINE_HALF_M = 0.07  # half of the width of lane markings
+_WHITE = 208.0  # grey level of lane markings
 
 
 def ground_picture(rng: np.random.Generator, kind: Surroundings) -> Image:

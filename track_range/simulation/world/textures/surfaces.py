@@ -15,17 +15,10 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
 
-TEXELS_PER_M = 96
-"""Resolution of vehicles and people: that of a camera with f = 721 px at 7.5 m."""
-
-DIRT_SHAPE = (1024, 1536)
-"""Rows and columns of the shared dirt texture; larger than any face."""
-
-GLASS_BGR = (58, 50, 44)
-"""Colour of window panes."""
-
-RUBBER_BGR = (30, 30, 32)
-"""Colour of tyres."""
+TEXELS_PER_M = 96  # resolution of vehicles and people: that of a camera with f = 721 px at 7.5 m
+DIRT_SHAPE = (1024, 1536)  # rows and columns of the shared dirt texture; larger than any face
+GLASS_BGR = (58, 50, 44)  # colour of window panes
+RUBBER_BGR = (30, 30, 32)  # colour of tyres
 
 
 def value_noise(rng: np.random.Generator, shape: tuple[int, int], *, cells: tuple[int, ...]) -> FloatArray:
