@@ -20,7 +20,7 @@ from track_range.ranging.evaluation.box_evaluation import (
 )
 from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.fitting.labelled_boxes import BoxSet
-from track_range.ranging.fitting.prior_fit import LabelledSizes, fit_size_priors
+from track_range.ranging.fitting.prior_fit import fit_size_priors
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.method import MethodContext, RangingMethod, checked_ranges
 from track_range.ranging.ranger import Ranger
@@ -28,7 +28,7 @@ from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import create_rangers, methods
 from track_range.ranging.size_models.curve import CurveError, load_curves
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
-from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, PlainCurve
+from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, CurveFitter
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
@@ -175,7 +175,7 @@ def _ranges(column: MethodColumn, tracks: Tracks, rows: IntArray) -> Ranges:
     return Ranges(tracks.track_id, column.distance_m[rows], column.sigma_m[rows], systematic_m)
 
 
-def plain_fitter(curve: PlainCurve) -> Fitter:
+def plain_fitter(fit_curve: CurveFitter) -> Fitter:
     """Fitter of one plain curve per class, without sigma; classes with too few training boxes are not measured."""
 
     def fit(train: BoxSet) -> Predictor:
@@ -183,13 +183,13 @@ def plain_fitter(curve: PlainCurve) -> Fitter:
         for name in np.unique(train.class_name):
             samples = train.select(train.class_name == name)
             if len(samples) >= MIN_PLAIN_SAMPLES:
-                fitted[name] = curve.fit(samples.wh_over_f, samples.bearing, samples.distance_m)
+                fitted[name] = fit_curve(samples.wh_over_f, samples.bearing, samples.distance_m)
 
         def predict(boxes: BoxSet) -> MethodColumn:
             distance_m = np.full(len(boxes), np.nan)
-            for name, class_curve in fitted.items():
+            for name, curve in fitted.items():
                 rows = boxes.class_name == name
-                distance_m[rows] = class_curve.predict(boxes.wh_over_f[rows], boxes.bearing[rows])
+                distance_m[rows] = curve(boxes.wh_over_f[rows], boxes.bearing[rows])
             return MethodColumn(distance_m, np.full(len(boxes), np.nan))
 
         return predict
@@ -202,7 +202,7 @@ def size_fitter(method: RangingMethod, options: MethodOptions) -> Fitter:
 
     def fit(train: BoxSet) -> Predictor:
         try:
-            model = fit_size_priors(labelled_sizes(train), source="cross-validation")
+            model = fit_size_priors(train, source="cross-validation")
         except CurveError:
             if options.is_held_out:
                 raise
@@ -234,20 +234,3 @@ def as_frames(boxes: BoxSet, class_id: IntArray) -> Iterator[tuple[IntArray, Tra
         frame = Frame(int(boxes.frame[rows[0]]), float(boxes.time_s[rows[0]]), blank, None)
         yield rows, tracks, frame, is_image or int(boxes.sequence[rows[0]]) != sequence
         sequence = int(boxes.sequence[rows[0]])
-
-
-def labelled_sizes(boxes: BoxSet) -> LabelledSizes:
-    """The boxes with their 3-D boxes, in the form that `fit_size_priors` expects."""
-    _, object_id = np.unique(np.stack([boxes.sequence, boxes.track_id]), axis=1, return_inverse=True)
-    xyxy_px, border = boxes.xyxy_px, boxes.size_px[:, 0] - 2.5
-    return LabelledSizes(
-        size_class=boxes.class_name,
-        object_id=object_id.reshape(-1),
-        wh_over_f=boxes.wh_over_f,
-        bearing=boxes.bearing,
-        distance_m=boxes.distance_m,
-        size_hwl_m=boxes.size_hwl_m,
-        rotation_y_rad=boxes.rotation_y_rad,
-        is_whole=(xyxy_px[:, 0] > 1.5) & (xyxy_px[:, 2] < border),
-        drive=boxes.sequence,
-    )

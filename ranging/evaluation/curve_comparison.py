@@ -6,16 +6,15 @@ cross-validated error   = mean |d_fitted - d| / d, with each sequence measured b
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.ranging.evaluation.box_evaluation import cross_validated, folds
 from track_range.ranging.evaluation.box_methods import plain_fitter
 from track_range.ranging.fitting.labelled_boxes import BoxSet
-from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, FittedCurve
+from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, Curve
 
 TABLE_DISTANCES_M = (20.0, 30.0, 40.0, 60.0, 90.0)  # distances in m of the rows of Table 3 of Zhang et al.
 _NEAR = 0.05  # largest relative difference between a box's distance and that of the row in which it is averaged
@@ -32,39 +31,34 @@ class CurveFit:
     fitted_error_pct: float  # mean relative error over the fitted boxes
     other_drives_error_pct: float  # mean relative error, cross-validated by sequence; NaN = one sequence only
     at_m: tuple[float, ...]  # mean fitted distance of the boxes near each of `TABLE_DISTANCES_M`; NaN = no boxes
-    predict: Callable[[FloatArray, FloatArray], FloatArray]
+    predict: Curve
 
 
 def compare_curves(boxes: BoxSet, class_name: str) -> list[CurveFit]:
     """All plain curves, fitted to the boxes of one class."""
-    of_class = boxes.select(boxes.class_name == class_name)
-    return [_fit(of_class, name) for name in PLAIN_CURVES]
+    boxes = boxes.select(boxes.class_name == class_name)
+    true_m, fits = boxes.distance_m, []
 
+    def error_pct(distance_m: FloatArray) -> float:
+        return float(100 * np.nanmean(np.abs(distance_m / true_m - 1)))
 
-def _fit(boxes: BoxSet, name: str) -> CurveFit:
-    fitted: FittedCurve = PLAIN_CURVES[name].fit(boxes.wh_over_f, boxes.bearing, boxes.distance_m)
-    distance_m = fitted.predict(boxes.wh_over_f, boxes.bearing)
-    has_folds = len(list(folds(boxes))) > 1
-    others_m = cross_validated(boxes, boxes, plain_fitter(PLAIN_CURVES[name])).distance_m if has_folds else np.nan
-    return CurveFit(
-        class_name=str(boxes.class_name[0]),
-        curve=name,
-        n=len(boxes),
-        residual_m2=float(((distance_m - boxes.distance_m) ** 2).sum()),
-        fitted_error_pct=_error_pct(distance_m, boxes),
-        other_drives_error_pct=_error_pct(others_m, boxes) if has_folds else np.nan,
-        at_m=tuple(_mean(distance_m, _is_near(boxes, true_m)) for true_m in TABLE_DISTANCES_M),
-        predict=fitted.predict,
-    )
-
-
-def _error_pct(distance_m: FloatArray | float, boxes: BoxSet) -> float:
-    return float(100 * np.nanmean(np.abs(distance_m / boxes.distance_m - 1)))
-
-
-def _is_near(boxes: BoxSet, true_m: float) -> BoolArray:
-    return np.asarray(np.abs(boxes.distance_m / true_m - 1) < _NEAR)
-
-
-def _mean(values: FloatArray, rows: BoolArray) -> float:
-    return float(values[rows].mean()) if rows.any() else np.nan
+    for name, fitter in PLAIN_CURVES.items():
+        curve = fitter(boxes.wh_over_f, boxes.bearing, true_m)
+        distance_m = curve(boxes.wh_over_f, boxes.bearing)
+        has_folds = len(list(folds(boxes))) > 1
+        near = [distance_m[np.abs(true_m / row_m - 1) < _NEAR] for row_m in TABLE_DISTANCES_M]
+        fits.append(
+            CurveFit(
+                class_name=class_name,
+                curve=name,
+                n=len(boxes),
+                residual_m2=float(((distance_m - true_m) ** 2).sum()),
+                fitted_error_pct=error_pct(distance_m),
+                other_drives_error_pct=error_pct(cross_validated(boxes, boxes, plain_fitter(fitter)).distance_m)
+                if has_folds
+                else np.nan,
+                at_m=tuple(float(values.mean()) if len(values) else np.nan for values in near),
+                predict=curve,
+            )
+        )
+    return fits

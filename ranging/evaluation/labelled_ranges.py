@@ -7,6 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
@@ -15,11 +18,10 @@ from track_range.ranging.evaluation.box_evaluation import closing_figures, figur
 from track_range.ranging.evaluation.box_filters import filtered
 from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by, method_names
 from track_range.ranging.evaluation.distance_risk import distance_risk
-from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.evaluation.literature_metrics import literature_metrics
-from track_range.ranging.evaluation.reference_distance import centre_offset_m
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
 from track_range.ranging.fitting.labelled_boxes import BoxSelection, BoxSet, box_set
+from track_range.ranging.fitting.prior_fit import STANDARD_SIZES
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES
 
 CHEN = "chen"
@@ -28,6 +30,8 @@ Accurate Object Class Detection, NeurIPS 2015."""
 
 _IMAGE_SETS, _N_PARENTS = "ImageSets", 3
 """Folder of its lists in copies of KITTI, and number of folders above the labels in which it may be."""
+
+_NARROW, _WIDE = 1.5, 2.2  # ratios of the width to the height of boxes of vehicles seen from behind, and from the side
 
 _TRUTH: Mapping[str, str] = {
     "surface": "z at which the ray through the label's box centre meets its 3-D box",
@@ -64,7 +68,10 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
     columns = measured_by(_selected(settings) or method_names(), boxes, train, options)
     if settings.truth == "centre":
         offset_m = centre_offset_m(boxes.class_name, boxes.xyxy_px)
-        columns = {name: c if name in PLAIN_CURVES else _behind(c, offset_m) for name, c in columns.items()}
+        columns = {
+            name: c if name in PLAIN_CURVES else replace(c, distance_m=c.distance_m + offset_m)
+            for name, c in columns.items()
+        }
     boxes = boxes.with_reference()
     methods: dict[str, Any] = {}
     outputs = {name: filtered(boxes, column, settings.filter) for name, column in columns.items()}
@@ -100,9 +107,15 @@ def _boxes(settings: RangeEvaluationSettings, frames: Path | None, *, is_exact: 
     )
 
 
-def _behind(column: MethodColumn, offset_m: FloatArray) -> MethodColumn:
-    """The column with distances that are `offset_m` (N,) larger."""
-    return replace(column, distance_m=column.distance_m + offset_m)
+def centre_offset_m(class_name: npt.NDArray[np.str_], xyxy_px: FloatArray) -> FloatArray:
+    """(N,) depth of the centre of objects behind their visible surface, by class and aspect ratio of their boxes.
+
+    Half the typical length of the class for boxes of a rear view, and half the width for those of a side view.
+    """
+    aspect = (xyxy_px[:, 2] - xyxy_px[:, 0]) / np.maximum(xyxy_px[:, 3] - xyxy_px[:, 1], 1.0)
+    wide = np.clip((aspect - _NARROW) / (_WIDE - _NARROW), 0.0, 1.0)
+    sizes = np.array([STANDARD_SIZES[str(name)][0] for name in class_name]).reshape(-1, 3)
+    return np.asarray(((1 - wide) * sizes[:, 2] + wide * sizes[:, 1]) / 2)
 
 
 def _selected(settings: RangeEvaluationSettings) -> tuple[str, ...]:

@@ -5,30 +5,25 @@
     lidar     depth of the (0.1 n)-th nearest of the n lidar points in the 3-D box (Zhu and Fang, Learning
               object-specific distance from a monocular image, ICCV 2019; Panariello et al., DistFormer, CVIU 2025)
 
-All are depths in the frame of the left camera. The methods measure the surface; for the reference `centre`, half the
-typical length of the class is added for boxes of a rear view and half the width for those of a side view.
+All are depths in the frame of the left camera. The methods measure the surface; `centre_offset_m` of the evaluation
+converts their distances for the reference `centre`.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import read_text
-from track_range.ranging.fitting.prior_fit import STANDARD_SIZES
 
 ReferenceName = Literal["surface", "centre", "lidar"]  # names of the definitions
 
-REFERENCES: tuple[ReferenceName, ...] = get_args(ReferenceName)
-
 _LIDAR_FRACTION = 0.1  # fraction of the lidar points of an object that are nearer than the reference distance
-_NARROW, _WIDE = 1.5, 2.2  # ratios of the width to the height of boxes of vehicles seen from behind, and from the side
 _MARGIN_M = 0.05  # margin of 3-D boxes within which lidar points belong to the object
 
 _ROWS = {"R": ("R0_rect", "R_rect"), "T": ("Tr_velo_to_cam", "Tr_velo_cam")}
@@ -78,14 +73,6 @@ def read_lidar(path: Path, calib: Path) -> FloatArray:
     rotation, transform = _matrix(calib, "R", (3, 3)), _matrix(calib, "T", (3, 4))
     points_m = values.reshape(-1, 4)[:, :3].astype(np.float64)
     return np.asarray((points_m @ transform[:, :3].T + transform[:, 3]) @ rotation.T)
-
-
-def centre_offset_m(class_name: npt.NDArray[np.str_], xyxy_px: FloatArray) -> FloatArray:
-    """(N,) depth of the centre of objects behind their visible surface, by class and aspect ratio of their boxes."""
-    aspect = (xyxy_px[:, 2] - xyxy_px[:, 0]) / np.maximum(xyxy_px[:, 3] - xyxy_px[:, 1], 1.0)
-    wide = np.clip((aspect - _NARROW) / (_WIDE - _NARROW), 0.0, 1.0)
-    sizes = np.array([STANDARD_SIZES[str(name)][0] for name in class_name]).reshape(-1, 3)
-    return np.asarray(((1 - wide) * sizes[:, 2] + wide * sizes[:, 1]) / 2)
 
 
 def _matrix(calib: Path, kind: str, shape: tuple[int, int]) -> FloatArray:

@@ -8,13 +8,12 @@ are much smaller.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray
+from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.size_models.curve import CurveError
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
 
@@ -38,33 +37,13 @@ STANDARD_HEIGHTS_M: Mapping[str, tuple[float, float, str]] = {
 """Height in m, its relative standard deviation, and the source, for classes without labels."""
 
 
-@dataclass(frozen=True, slots=True)
-class SizeSamples:
-    """Labelled boxes to fit to."""
-
-    road_class: npt.NDArray[np.str_]  # (N,) class name
-    sequence: IntArray  # (N,) index of the sequence
-    wh_over_f: FloatArray  # (N, 2) width / fx and height / fy
-    bearing: FloatArray  # (N,) tangent of the angle between the box centre and the camera's axis
-    distance_m: FloatArray  # (N,) distance
-
-    def select(self, rows: BoolArray | IntArray) -> SizeSamples:
-        """The samples selected by a mask or an index array."""
-        return SizeSamples(*(getattr(self, field.name)[rows] for field in fields(self)))
-
-    @classmethod
-    def concatenated(cls, parts: list[SizeSamples]) -> SizeSamples:
-        """The samples of all parts."""
-        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
-
-
-def fit_curves(samples: SizeSamples, *, source: str) -> SizeCurves:
+def fit_curves(boxes: BoxSet, *, source: str) -> SizeCurves:
     """Curves of all classes with enough samples, and of standard sizes for the others.
 
     Raises:
         CurveError: no class has `MIN_SAMPLES` boxes.
     """
-    names, counts = np.unique(samples.road_class, return_counts=True)
+    names, counts = np.unique(boxes.class_name, return_counts=True)
     fitted = [str(name) for name, count in zip(names, counts, strict=True) if count >= MIN_SAMPLES]
     if not fitted:
         available = ", ".join(f"{n} {c}" for n, c in zip(names, counts, strict=True)) or "none"
@@ -72,7 +51,7 @@ def fit_curves(samples: SizeSamples, *, source: str) -> SizeCurves:
     standard = {name: _standard_curve(name) for name in STANDARD_HEIGHTS_M if name not in fitted}
     whole, height_only = (
         {
-            name: _fit_class(samples.select(samples.road_class == name), use_width=use_width, source=source)
+            name: _fit_class(boxes.select(boxes.class_name == name), use_width=use_width, source=source)
             for name in fitted
         }
         for use_width in (True, False)
@@ -80,23 +59,23 @@ def fit_curves(samples: SizeSamples, *, source: str) -> SizeCurves:
     return SizeCurves({**whole, **standard}, {**height_only, **standard})
 
 
-def leave_one_out_error(samples: SizeSamples, *, use_width: bool) -> FloatArray:
+def leave_one_out_error(boxes: BoxSet, *, use_width: bool) -> FloatArray:
     """(N,) relative errors of samples of one class, by curves fitted to the other sequences; NaN = no curve."""
-    error = np.full(len(samples.distance_m), np.nan)
-    for sequence in np.unique(samples.sequence):
-        left_out = samples.sequence == sequence
+    error = np.full(len(boxes), np.nan)
+    for sequence in np.unique(boxes.sequence):
+        left_out = boxes.sequence == sequence
         if (~left_out).any():
-            solution = _solve(samples.select(~left_out), use_width=use_width)
-            test = samples.select(left_out)
+            solution = _solve(boxes.select(~left_out), use_width=use_width)
+            test = boxes.select(left_out)
             error[left_out] = np.exp(_design(test, use_width=use_width) @ solution) / test.distance_m - 1
     return error
 
 
-def _fit_class(samples: SizeSamples, *, use_width: bool, source: str) -> SizeCurve:
-    solution = _solve(samples, use_width=use_width)
-    error = leave_one_out_error(samples, use_width=use_width)
+def _fit_class(boxes: BoxSet, *, use_width: bool, source: str) -> SizeCurve:
+    solution = _solve(boxes, use_width=use_width)
+    error = leave_one_out_error(boxes, use_width=use_width)
     if not np.isfinite(error).any():  # a single sequence has only the residuals of the fit
-        error = np.exp(_design(samples, use_width=use_width) @ solution) / samples.distance_m - 1
+        error = np.exp(_design(boxes, use_width=use_width) @ solution) / boxes.distance_m - 1
     intercept, per_log_height, *rest = (float(value) for value in solution)
     per_log_width, per_bearing = rest if use_width else (0.0, rest[0])
     return SizeCurve(
@@ -105,7 +84,7 @@ def _fit_class(samples: SizeSamples, *, use_width: bool, source: str) -> SizeCur
         per_log_width=round(per_log_width, 5),
         per_bearing=round(per_bearing, 5),
         sigma_relative=round(max(float(np.sqrt(np.nanmean(error**2))), _MIN_SIGMA_RELATIVE), 4),
-        n=len(samples.distance_m),
+        n=len(boxes),
         source=source,
     )
 
@@ -123,16 +102,16 @@ def _standard_curve(name: str) -> SizeCurve:
     )
 
 
-def _design(samples: SizeSamples, *, use_width: bool) -> FloatArray:
+def _design(boxes: BoxSet, *, use_width: bool) -> FloatArray:
     """(N, 3 or 4) design matrix: 1, log height, log width if used, |tan bearing|."""
-    log_w, log_h = np.log(samples.wh_over_f).T
-    columns = [np.ones_like(log_h), log_h, *([log_w] if use_width else []), np.abs(samples.bearing)]
+    log_w, log_h = np.log(boxes.wh_over_f).T
+    columns = [np.ones_like(log_h), log_h, *([log_w] if use_width else []), np.abs(boxes.bearing)]
     return np.stack(columns, axis=1)
 
 
-def _solve(samples: SizeSamples, *, use_width: bool) -> FloatArray:
+def _solve(boxes: BoxSet, *, use_width: bool) -> FloatArray:
     """(3 or 4,) coefficients of the Huber fit within `_SLOPE_BOUNDS`, which few objects do not determine well."""
-    design, log_distance = _design(samples, use_width=use_width), np.log(samples.distance_m)
+    design, log_distance = _design(boxes, use_width=use_width), np.log(boxes.distance_m)
     free = (-np.inf, np.inf)
     low, high = np.array([free, *_SLOPE_BOUNDS[: 2 if use_width else 1], free]).T
     start = np.array([0.0, -1.0, *([-0.1] if use_width else []), 0.0])

@@ -1,4 +1,10 @@
-"""fit_sizes: fit of a size model to a user's labels, and the comparison of plain curves (Zhang et al.)."""
+"""fit_sizes: fit of a size model to a user's labels, and the comparison of plain curves (Zhang et al.).
+
+cuboids       priors over sizes (`prior_fit`), from labels with 3-D boxes
+log-linear    one log-linear curve per class (`curve_fit`)
+others        monotonic plain curves of one box measure (`plain_curves.SAFE_CURVES`); sigma is their error on left-out
+              sequences
+"""
 
 from __future__ import annotations
 
@@ -9,14 +15,27 @@ import numpy as np
 
 from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.errors import UsageError
+from track_range.ranging.evaluation.box_evaluation import cross_validated, folds
+from track_range.ranging.evaluation.box_methods import plain_fitter
 from track_range.ranging.evaluation.curve_comparison import CurveFit, compare_curves
-from track_range.ranging.fitting.box_csv import read_box_csv
-from track_range.ranging.fitting.box_labels import read_box_labels
+from track_range.ranging.fitting.box_files import read_box_csv, read_box_labels
+from track_range.ranging.fitting.curve_fit import MIN_SAMPLES, fit_curves
 from track_range.ranging.fitting.labelled_boxes import BoxSet, box_set
-from track_range.ranging.fitting.model_fit import CUBOIDS, LOG_LINEAR, MODEL_NAMES, fit_model, usable_boxes
+from track_range.ranging.fitting.prior_fit import fit_size_priors
 from track_range.ranging.fitting.settings import FitSettings
-from track_range.ranging.size_models.curve import save_curves
-from track_range.ranging.size_models.size_model import StoredSizeModel
+from track_range.ranging.size_models.curve import CurveError, save_curves
+from track_range.ranging.size_models.plain_curves import SAFE_CURVES
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, StoredSizeModel
+from track_range.ranging.size_models.tables import TableCurve, TableSizes
+
+CUBOIDS, LOG_LINEAR = "cuboids", "log-linear"
+
+MODEL_NAMES = (CUBOIDS, LOG_LINEAR, *SAFE_CURVES)  # names of the size models that can be fitted
+
+_MIN_SIGMA_RELATIVE = 0.03  # smallest relative standard deviation of a curve
+
+_MIN_HEIGHT_RATIO = 1.3
+"""Smallest ratio of the 95th to the 5th percentile of box heights of a class that determines a curve."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,18 +58,17 @@ def fit_sizes(settings: FitSettings) -> FittedSizes:
     """
     _check(settings)
     boxes, notes = _boxes(settings)
-    usable = usable_boxes(boxes, settings.labels or settings.csv)
+    boxes, too_few = _usable_boxes(boxes, settings.labels or settings.csv)
     comparison = {}
     if settings.compare or settings.picture is not None:
-        names = [str(name) for name in np.unique(usable.boxes.class_name)]
-        comparison = {name: compare_curves(usable.boxes, name) for name in names}
+        comparison = {str(name): compare_curves(boxes, str(name)) for name in np.unique(boxes.class_name)}
     name = settings.curve or (CUBOIDS if settings.calib else LOG_LINEAR)
     model = None
     if settings.out is not None:
-        model = fit_model(usable.boxes, name, source=_source(settings, usable.boxes))
+        model = _fit_model(boxes, name, source=_source(settings, boxes))
         save_curves(model, settings.out)
-    rejected = (f"Too few samples to fit a curve for {reason}." for reason in usable.rejected)
-    return FittedSizes(usable.boxes, name, model, comparison, (*notes, *rejected))
+    rejected = (f"Too few samples to fit a curve for {reason}." for reason in too_few)
+    return FittedSizes(boxes, name, model, comparison, (*notes, *rejected))
 
 
 def _check(settings: FitSettings) -> None:
@@ -89,3 +107,55 @@ def _source(settings: FitSettings, boxes: BoxSet) -> str:
     path = settings.labels or settings.csv
     used = ", ".join(boxes.sequence_names[k] or "one" for k in np.unique(boxes.sequence))
     return f"{settings.source or (path.name if path else '')}, sequences {used}"
+
+
+def _usable_boxes(boxes: BoxSet, source: object) -> tuple[BoxSet, list[str]]:
+    """Boxes of the classes with at least `MIN_SAMPLES` boxes of several sizes, and why other classes are left out.
+
+    Raises:
+        CurveError: no class is left.
+    """
+    rejected, is_usable = list[str](), np.zeros(len(boxes), np.bool_)
+    for name in np.unique(boxes.class_name):
+        is_class = boxes.class_name == name
+        low, high = np.percentile(boxes.wh_over_f[is_class, 1], [5, 95])
+        if is_class.sum() < MIN_SAMPLES:
+            rejected.append(f"{name} ({is_class.sum()} boxes, at least {MIN_SAMPLES} required)")
+        elif high / low < _MIN_HEIGHT_RATIO:
+            rejected.append(f"{name} (all boxes of the same size, several distances required)")
+        else:
+            is_usable |= is_class
+    if not is_usable.any():
+        reasons = ", ".join(rejected) or "no labelled boxes"
+        raise CurveError(f"{source}: too few samples to fit a curve for any class: {reasons}.")
+    return boxes.select(is_usable), rejected
+
+
+def _fit_model(boxes: BoxSet, name: str, *, source: str) -> StoredSizeModel:
+    """The model `name`, one of `MODEL_NAMES`, fitted to boxes.
+
+    Raises:
+        CurveError: too few boxes, or no 3-D boxes for cuboids.
+    """
+    if name == CUBOIDS:
+        return fit_size_priors(boxes, source=source)
+    if name == LOG_LINEAR:
+        return fit_curves(boxes, source=source)
+    curves, measure = {}, ""
+    for class_name in SIZE_CLASSES:
+        samples = boxes.select(boxes.class_name == class_name)
+        if len(samples) < MIN_SAMPLES:
+            continue
+        table = SAFE_CURVES[name](samples.wh_over_f, samples.bearing, samples.distance_m)
+        measure = table.measure.__name__
+        # The root mean square of the cross-validated relative error; of the fit itself if there is a single sequence.
+        if len(list(folds(samples))) > 1:
+            distance_m = cross_validated(samples, samples, plain_fitter(SAFE_CURVES[name])).distance_m
+        else:
+            distance_m = table(samples.wh_over_f, samples.bearing)
+        error = float(np.sqrt(np.nanmean((distance_m / samples.distance_m - 1) ** 2)))
+        sigma = max(error, _MIN_SIGMA_RELATIVE)
+        curves[class_name] = TableCurve(table=table, sigma_relative=sigma, n=len(samples), source=source)
+    if not curves:
+        raise CurveError(f"expected at least {MIN_SAMPLES} labelled boxes of one class, got fewer.")
+    return TableSizes(measure, curves)

@@ -12,6 +12,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -106,6 +107,14 @@ class BoxSet:
     def with_reference(self) -> BoxSet:
         """The boxes with their reference distances as `distance_m`."""
         return self if self.reference_m is None else replace(self, distance_m=self.reference_m)
+
+    @classmethod
+    def without_3d_boxes(cls, **columns: Any) -> BoxSet:
+        """Boxes without 3-D boxes, whose orientation and occlusion are unknown, from the other columns."""
+        n = len(columns["frame"])
+        nan, occluded = np.full(n, np.nan), np.zeros(n, np.int64)
+        size_hwl_m = np.full((n, 3), np.nan)
+        return cls(**columns, alpha_rad=nan, x_m=nan, size_hwl_m=size_hwl_m, rotation_y_rad=nan, occluded=occluded)
 
     @property
     def wh_over_f(self) -> FloatArray:

@@ -10,17 +10,17 @@ size of a class counts as one more object.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
 
 import numpy as np
-import numpy.typing as npt
 
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.fitting.body_types import fit_body_types
+from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import CurveError
 from track_range.ranging.size_models.prior import NODE_CAMERA_HEIGHT_M, YAW_DEG, SizePrior
+from track_range.ranging.size_models.size_model import BORDER_PX
 
 MIN_OBJECTS, MIN_BOXES = 3, 100
 """Smallest numbers of objects and boxes of a class for a fit; classes with fewer have their standard size."""
@@ -64,31 +64,7 @@ STANDARD_SIZES: Mapping[str, tuple[tuple[float, float, float], tuple[float, floa
 _OFF_GROUND = ("traffic light", "traffic sign")  # classes of objects that are not on the road
 
 
-@dataclass(frozen=True, slots=True)
-class LabelledSizes:
-    """Labelled boxes with their 3-D boxes, one row per object and frame."""
-
-    size_class: npt.NDArray[np.str_]  # (N,) class name
-    object_id: IntArray  # (N,) identity, unique over all sequences
-    wh_over_f: FloatArray  # (N, 2) width / fx and height / fy
-    bearing: FloatArray  # (N,) tangent of the angle between the middle column and the camera's axis
-    distance_m: FloatArray  # (N,) distance of the visible surface
-    size_hwl_m: FloatArray  # (N, 3) height, width, length of the 3-D box
-    rotation_y_rad: FloatArray  # (N,) yaw of the 3-D box in KITTI's convention
-    is_whole: BoolArray  # (N,) whether the box is not truncated by the image border
-    drive: IntArray  # (N,) index of the drive
-
-    def select(self, rows: BoolArray | IntArray) -> LabelledSizes:
-        """The boxes selected by a mask or an index array."""
-        return LabelledSizes(*(getattr(self, field.name)[rows] for field in fields(self)))
-
-    @property
-    def yaw_rad(self) -> FloatArray:
-        """(N,) angle of the long side to the camera's axis, -pi/2 to pi/2: front and rear are not distinguished."""
-        return np.asarray(np.mod(self.rotation_y_rad, np.pi) - np.pi / 2)
-
-
-def fit_size_priors(labels: LabelledSizes, *, source: str) -> CuboidSizes:
+def fit_size_priors(labels: BoxSet, *, source: str) -> CuboidSizes:
     """Priors of all classes with a standard size, fitted to the labels of classes with enough of them.
 
     Raises:
@@ -97,17 +73,27 @@ def fit_size_priors(labels: LabelledSizes, *, source: str) -> CuboidSizes:
     labels = labels.select((labels.size_hwl_m > 0).all(axis=1) & np.isfinite(labels.distance_m))
     fitted = {}
     for name in STANDARD_SIZES:
-        samples = labels.select(labels.size_class == name)
-        if len(np.unique(samples.object_id)) >= MIN_OBJECTS and len(samples.object_id) >= MIN_BOXES:
+        samples = labels.select(labels.class_name == name)
+        if len(np.unique(_object(samples), axis=1).T) >= MIN_OBJECTS and len(samples) >= MIN_BOXES:
             fitted[name] = _fitted(name, samples, source)
     if not fitted:
-        names, counts = np.unique(labels.size_class, return_counts=True)
+        names, counts = np.unique(labels.class_name, return_counts=True)
         available = ", ".join(f"{n} {c}" for n, c in zip(names, counts, strict=True)) or "none"
         raise CurveError(
             f"expected at least {MIN_BOXES} labels with 3-D boxes of at least {MIN_OBJECTS} objects of one class, "
             f"got {available}."
         )
     return CuboidSizes({name: fitted.get(name) or _standard(name) for name in STANDARD_SIZES})
+
+
+def _object(labels: BoxSet) -> IntArray:
+    """(2, N) identity of the objects: drive and track."""
+    return np.stack([labels.sequence, labels.track_id])
+
+
+def _yaw_rad(labels: BoxSet) -> FloatArray:
+    """(N,) angle of the long side to the camera's axis, -pi/2 to pi/2: front and rear are not distinguished."""
+    return np.asarray(np.mod(labels.rotation_y_rad, np.pi) - np.pi / 2)
 
 
 def _standard(name: str) -> SizePrior:
@@ -129,9 +115,11 @@ def _standard(name: str) -> SizePrior:
     )
 
 
-def _fitted(name: str, labels: LabelledSizes, source: str) -> SizePrior:
+def _fitted(name: str, labels: BoxSet, source: str) -> SizePrior:
     """Prior of a class from its labels."""
-    _, first, row, counts = np.unique(labels.object_id, return_index=True, return_inverse=True, return_counts=True)
+    _, first, row, counts = np.unique(
+        _object(labels), axis=1, return_index=True, return_inverse=True, return_counts=True
+    )
     mean, covariance = _sizes(name, labels.size_hwl_m[first], counts)
     sigma = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(sigma, sigma)
@@ -141,27 +129,21 @@ def _fitted(name: str, labels: LabelledSizes, source: str) -> SizePrior:
         hwl_m=_rounded(np.exp(mean), 3),
         log_sigma=_rounded(sigma, 4),
         correlation=_rounded(np.clip(correlation[[0, 0, 1], [1, 2, 2]], -0.95, 0.95), 3),
-        turn_weights=tuple(_yaw_weights(np.abs(np.degrees(labels.yaw_rad)), weight).round(4).tolist()),
+        turn_weights=tuple(_yaw_weights(np.abs(np.degrees(_yaw_rad(labels))), weight).round(4).tolist()),
         log_distance=_LOG_DISTANCE,
         offset=offset,
         scatter=scatter,
         stands=name not in _OFF_GROUND,
-        n_boxes=len(labels.object_id),
+        n_boxes=len(labels),
         n_tracks=len(counts),
         source=source,
-        drive_sigma=_drive_sigma(np.log(labels.size_hwl_m[first, 0]), labels.drive[first]),
+        drive_sigma=_drive_sigma(np.log(labels.size_hwl_m[first, 0]), labels.sequence[first]),
         bodies=fit_body_types(name, np.log(labels.size_hwl_m[first]), _object_weights(counts)),
     )
 
 
 def _sizes(name: str, size_hwl_m: FloatArray, counts: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Mean (3,) and covariance (3, 3) of log sizes over M objects and the standard size.
-
-    Args:
-        name: the class.
-        size_hwl_m: (M, 3) sizes of the objects.
-        counts: (M,) number of boxes of each object.
-    """
+    """Mean (3,) and covariance (3, 3) of log sizes (M, 3) over M objects with `counts` boxes and the standard size."""
     standard_m, sigma, _ = STANDARD_SIZES[name]
     log_size, weight = np.log(size_hwl_m), _object_weights(counts)
     total = weight.sum() + _STANDARD_OBJECTS
@@ -208,16 +190,17 @@ def _yaw_weights(yaw_deg: FloatArray, weight: FloatArray) -> FloatArray:
     )
 
 
-def _offset_and_scatter(labels: LabelledSizes, weight: FloatArray) -> tuple[tuple[float, float], tuple[float, float]]:
+def _offset_and_scatter(labels: BoxSet, weight: FloatArray) -> tuple[tuple[float, float], tuple[float, float]]:
     """Offset and scatter of log height and log width of the boxes relative to their cuboids, robust to outliers."""
     box = box_of_cuboid(
         np.log(labels.size_hwl_m).T,
-        yaw_rad=labels.yaw_rad,
+        yaw_rad=_yaw_rad(labels),
         bearing=labels.bearing,
         distance_m=labels.distance_m,
         camera_height_m=NODE_CAMERA_HEIGHT_M,
     )
-    weight = weight * labels.is_whole
+    left_px, right_px, width_px = labels.xyxy_px[:, 0], labels.xyxy_px[:, 2], labels.size_px[:, 0]
+    weight = weight * ((left_px > BORDER_PX) & (right_px < width_px - 1 - BORDER_PX))
     offsets, scatters = [], []
     for size, log_expected, mean_limit, limit in (
         (labels.wh_over_f[:, 1], box.log_height, 0.1, 0.06),

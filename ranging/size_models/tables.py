@@ -54,11 +54,9 @@ class TableSizes:
     """Size model with a table per class, all of the same box measure."""
 
     def __init__(self, measure: str, curves: Mapping[str, TableCurve]) -> None:
-        """Create a model from curves by size class; boxes of other classes are not ranged (NaN).
+        """Create a model from curves by size class, all of the box measure `measure` (a key of `MEASURES`).
 
-        Args:
-            measure: box measure of all curves, a key of `MEASURES`.
-            curves: curves by size class.
+        Boxes of other classes are not ranged (NaN).
         """
         self.box_measure = measure
         self.curves = dict(curves)
@@ -69,21 +67,12 @@ class TableSizes:
         usable = boxes.uses_width | (self.box_measure == "height")
         for name, curve in self.curves.items():
             rows = np.flatnonzero((boxes.size_class == SIZE_CLASSES.index(name)) & usable)
-            of_class = boxes.select(rows)
-            distance_m[rows] = curve.table.predict(of_class.wh_over_f, of_class.bearing)
+            class_boxes = boxes.select(rows)
+            distance_m[rows] = curve.table(class_boxes.wh_over_f, class_boxes.bearing)
             systematic_m[rows] = distance_m[rows] * curve.sigma_relative
-            noise = (self._slopes(curve.table, of_class) ** 2 * of_class.log_variance).sum(axis=1)
+            noise = (_slopes(curve.table, class_boxes) ** 2 * class_boxes.log_variance).sum(axis=1)
             sigma_m[rows] = np.hypot(systematic_m[rows], distance_m[rows] * np.sqrt(noise))
         return SizeRanges(distance_m, sigma_m, systematic_m)
-
-    def _slopes(self, table: FittedTable, boxes: BoxExtents) -> FloatArray:
-        """(N, 2) slopes of log distance in log width and log height."""
-        differences = [
-            np.log(table.predict(boxes.wh_over_f * np.exp(step), boxes.bearing))
-            - np.log(table.predict(boxes.wh_over_f * np.exp(-step), boxes.bearing))
-            for step in _STEP * np.identity(2)
-        ]
-        return np.stack(differences, axis=1) / (2 * _STEP)
 
     def document(self) -> dict[str, Any]:
         """Content of a curve file with this model."""
@@ -98,6 +87,16 @@ class TableSizes:
             for name, curve in self.curves.items()
         }
         return {"kind": KIND, "measure": self.box_measure, "classes": classes}
+
+
+def _slopes(table: FittedTable, boxes: BoxExtents) -> FloatArray:
+    """(N, 2) slopes of log distance in log width and log height."""
+    wh, bearing = boxes.wh_over_f, boxes.bearing
+    differences = [
+        np.log(table(wh * np.exp(step), bearing)) - np.log(table(wh * np.exp(-step), bearing))
+        for step in _STEP * np.identity(2)
+    ]
+    return np.stack(differences, axis=1) / (2 * _STEP)
 
 
 def tables_in(content: TableFile) -> TableSizes:

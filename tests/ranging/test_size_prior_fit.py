@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.ranging.made_up_boxes import made_up_boxes
 from track_range.ranging.evaluation.box_evaluation import cross_validated, figures
 from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by, size_fitter
 from track_range.ranging.fitting.labelled_boxes import box_set
-from track_range.ranging.fitting.prior_fit import STANDARD_SIZES, LabelledSizes, fit_size_priors
+from track_range.ranging.fitting.prior_fit import STANDARD_SIZES, fit_size_priors
 from track_range.ranging.methods.size_regression import MONO
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.curve import CurveError
@@ -27,16 +28,15 @@ def labelled(n_objects=120, n_each=10, *, seed=0, name="car"):
     bearing, distance_m = rng.uniform(-0.3, 0.3, n), rng.uniform(8, 60, n)
     box = box_of_cuboid(np.log(hwl).T, yaw_rad=turn, bearing=bearing, distance_m=distance_m, camera_height_m=1.65)
     sizes = np.exp(np.stack([box.log_width, box.log_height + 0.02 + rng.normal(0, 0.03, n)], axis=1))
-    return LabelledSizes(
-        np.full(n, name),
-        object_id,
+    return made_up_boxes(
+        name,
         sizes,
         bearing,
         distance_m,
-        hwl,
-        turn - np.pi / 2,
-        np.ones(n, np.bool_),
-        object_id % 5,
+        sequence=object_id % 5,
+        track_id=object_id,
+        size_hwl_m=hwl,
+        rotation_y_rad=turn - np.pi / 2,
     )
 
 
@@ -65,7 +65,7 @@ def test_few_objects_keep_the_spread():
 def test_variation_between_drives():
     """Five drives whose cars differ by 8 % in height have a larger deviation of drives than equal ones."""
     labels = labelled()
-    factor = np.exp(0.08 * np.array([-1.2, 0.7, 1.4, -0.9, 0.0]))[labels.drive]
+    factor = np.exp(0.08 * np.array([-1.2, 0.7, 1.4, -0.9, 0.0]))[labels.sequence]
     different = replace(
         labels, size_hwl_m=labels.size_hwl_m * np.stack([factor, 1 + 0 * factor, 1 + 0 * factor], axis=1)
     )
@@ -73,7 +73,7 @@ def test_variation_between_drives():
     assert 0.01 < equal.drive_sigma < 0.035
     assert 0.045 < unequal.drive_sigma < 0.1
     assert unequal.log_sigma[0] > equal.log_sigma[0]
-    one = fit_size_priors(replace(labels, drive=0 * labels.drive), source="").priors["car"]
+    one = fit_size_priors(replace(labels, sequence=0 * labels.sequence), source="").priors["car"]
     assert 0.02 < one.drive_sigma <= 0.03  # the standard value has the weight of six drives
 
 
@@ -90,7 +90,7 @@ def test_too_few_3d_boxes_are_refused():
     for bad in (
         replace(labels, size_hwl_m=np.full((1200, 3), np.nan)),
         labels.select(np.arange(10)),
-        labels.select(labels.object_id < 2),
+        labels.select(labels.track_id < 2),
     ):
         with pytest.raises(CurveError, match=r"at least 100 .* 3 objects"):
             fit_size_priors(bad, source="")

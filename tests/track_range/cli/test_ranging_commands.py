@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.track_range.labelled_drives import F_PX, drive, row
-from track_range.ranging.fitting.model_fit import MODEL_NAMES
+from track_range.ranging.fitting.fit import MODEL_NAMES
 from track_range.ranging.size_models.curve import load_curves
 
 

@@ -1,9 +1,13 @@
-"""Boxes with known distances from a CSV file, for fitting size models.
+"""Boxes with known distances from a CSV file or from label files (COCO, CVAT, CSV), for fitting size models.
 
     class,x1,y1,x2,y2,distance_m,fx[,fy,cx,cy,track,sequence]
 
-A file without a header has the columns in this order. Distances are used as given, to any part of the object.
+A CSV file without a header has the columns in this order. Distances are used as given, to any part of the object.
 Defaults: fy = fx; cx = the middle of the boxes' horizontal extent; a track per box; a single sequence.
+
+In label files the distance is the attribute `distance_m` of a box. It is measured by a person, a lidar or a radar; in
+an export of a run it is the run's own, which teaches a size model nothing new. Boxes that touch the border of the
+image, predicted boxes and boxes without a distance are left out.
 """
 
 from __future__ import annotations
@@ -14,18 +18,22 @@ import numpy as np
 
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
+from track_range.detection.formats.box_table import BoxTable
 from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.label_formats import read_labels
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M
+from track_range.detection.formats.table_checks import other_labels_note
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.files.input_files import quoted
-from track_range.ranging.fitting.labelled_boxes import BoxSet
+from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, BoxSet
 
 COLUMNS = ("class", "x1", "y1", "x2", "y2", "distance_m", "fx", "fy", "cx", "cy", "track", "sequence")
 """Columns in the order of a file without a header."""
 
 _REQUIRED = COLUMNS[:6]
 _NUMERIC = (*COLUMNS[1:10],)
+_BORDER_PX = 1.0  # distance from the image border within which a labelled box counts as cut
 _MAX_TEXT = 200  # largest number of characters of the name of a track or sequence
 
 _POSITIVE = ("distance_m", "fx", "fy")
@@ -90,7 +98,7 @@ def _box_set(
     )
     if len(names) == 1:
         notes.append(f"{name} contains only one sequence; the curves cannot be validated on other drives.")
-    boxes = BoxSet(
+    boxes = BoxSet.without_3d_boxes(
         sequence_names=tuple(str(name) for name in names),
         sequence=number.astype(np.int64).reshape(n),
         frame=np.arange(n),
@@ -102,11 +110,6 @@ def _box_set(
         fxycxy_px=np.stack([fx, numbers.get("fy", fx), numbers.get("cx", middle), numbers.get("cy", 0 * fx)], axis=1),
         size_px=np.tile(np.ceil(xyxy_px[:, 2:].max(axis=0)).astype(np.int64) + 1, (n, 1)),
         distance_m=numbers["distance_m"],
-        alpha_rad=np.full(n, np.nan),
-        x_m=np.full(n, np.nan),
-        size_hwl_m=np.full((n, 3), np.nan),
-        rotation_y_rad=np.full(n, np.nan),
-        occluded=np.zeros(n, np.int64),
     )
     return boxes, tuple(notes)
 
@@ -116,3 +119,50 @@ def _class_name(table: CsvTable, row: int, text: str) -> str:
     if name is None:
         raise table.fault(row, f"expected a class such as {', '.join(ROAD_CLASSES)}, van, got {quoted(text)}.")
     return name
+
+
+def read_box_labels(path: Path, *, focal_px: float | None) -> tuple[BoxSet, tuple[str, ...]]:
+    """Boxes with distances from a label file, and notes for the user.
+
+    Raises:
+        LabelFileError: the file cannot be read, no box has a distance, or the focal length is missing.
+    """
+    table = read_labels(path, expected="labels with distances")
+    if focal_px is None:
+        raise LabelFileError(f"{path}: expected a focal length, which labels do not have; give --focal-px.")
+    rows = _usable(table)
+    if not len(rows):
+        raise LabelFileError(f"{path}: expected boxes inside the image with the attribute distance_m, found none.")
+    extent_px = np.ceil(rows.xyxy_px[:, 2:].max(axis=0)).astype(np.int64) + 1
+    width, height = table.video.size_px or (int(extent_px[0]), int(extent_px[1]))
+    cx, cy = (width - 1) / 2, (height - 1) / 2
+    n = len(rows)
+    notes = (
+        *table.notes,
+        *other_labels_note(table, path),
+        f"{path.name}: {n} of {len(table)} boxes are used; the principal point is taken to be the image centre.",
+    )
+    boxes = BoxSet.without_3d_boxes(
+        sequence_names=(path.stem,),
+        sequence=np.zeros(n, np.int64),
+        frame=rows.frame,
+        time_s=np.asarray(rows.frame * (FRAME_STEP_S if rows.video.fps is None else 1 / rows.video.fps), np.float64),
+        track_id=np.where(rows.track_id < 0, rows.track_id.max() + 1 + np.arange(n), rows.track_id),
+        kitti_type=rows.class_name,
+        # vans are separate from cars
+        class_name=np.where(rows.class_name == "van", "van", np.array(ROAD_CLASSES)[rows.class_id]),
+        xyxy_px=rows.xyxy_px,
+        fxycxy_px=np.tile([focal_px, focal_px, cx, cy], (n, 1)),
+        size_px=np.tile(np.array([width, height], np.int64), (n, 1)),
+        distance_m=rows.distance_m,
+    )
+    return boxes, notes
+
+
+def _usable(table: BoxTable) -> BoxTable:
+    """The observed boxes of road classes with a distance that do not touch the border of the image."""
+    is_usable = (table.distance_m > 0) & table.observed & (table.class_id >= 0)
+    if table.video.size_px is not None:
+        last_px = np.array(table.video.size_px) - 1 - _BORDER_PX
+        is_usable &= (table.xyxy_px[:, :2] > _BORDER_PX).all(axis=1) & (table.xyxy_px[:, 2:] < last_px).all(axis=1)
+    return table.select(is_usable)
