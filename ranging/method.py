@@ -207,14 +207,9 @@ class RangingMethod:
 
 
 def checked_ranges(method: str, ranges: Any, tracks: Tracks) -> Ranges:
-    """Validated return value of a ranger, for fusion and filters.
+    """Ranges of the tracks as a ranger of this method returned them, for fusion and filters.
 
     A track with a distance or sigma that is not finite and positive counts as not measured: both become NaN.
-
-    Args:
-        method: name of the ranger's method.
-        ranges: return value of the ranger.
-        tracks: N tracks that the ranger measured.
 
     Raises:
         MethodError: `ranges` is not a `Ranges`, or has other tracks.

@@ -85,10 +85,7 @@ class Parallax:
     def measure(self, tracks: Tracks, step: CameraStep | None, other: Ranges) -> Ranges:
         """Distances of N tracks that are static; NaN = moving, unknown, or not precise.
 
-        Args:
-            tracks: the tracks.
-            step: motion of the camera since the previous frame; None = unknown.
-            other: distances of the tracks by another method.
+        `step` is the motion of the camera since the previous frame, None = unknown; `other`: distances by another method.
         """
         before, self._before = self._before, None
         if step is None:
@@ -132,11 +129,7 @@ class Parallax:
     ) -> tuple[FloatArray, FloatArray]:
         """(N,) growths g of the present tracks since the frame before, and their variances; NaN = not measured.
 
-        Args:
-            before: the previous frame.
-            now: this frame.
-            step: the motion between them.
-            expected_m: (N,) expected distances, from which the search starts; NaN = unknown.
+        The search starts from the expected distances (N,), NaN = unknown.
         """
         growth, variance = np.full((2, len(now.tracks)), np.nan)
         parts = _corners_of_tracks(before, now.tracks)

@@ -47,10 +47,7 @@ class Ranger(ABC):
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
         """Distances of N tracks, given their ranges in the same frame by the methods measured before.
 
-        Args:
-            tracks: N tracks.
-            frame: the images.
-            others: ranges by method name, of the methods in `RangingMethod.reads` that are part of this run.
+        `others` are ranges by method name, of the methods in `RangingMethod.reads` that are part of this run.
         """
         return self.measure(tracks, frame)
 

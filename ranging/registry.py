@@ -54,11 +54,7 @@ def register(method: RangingMethod) -> None:
 
 
 def in_measuring_order(listed: Sequence[RangingMethod]) -> tuple[RangingMethod, ...]:
-    """The methods in a stable topological order: each after those of the list that it reads.
-
-    Raises:
-        MethodError: the `reads` of the methods form a cycle.
-    """
+    """The methods in a stable topological order, each after those of the list that it reads; MethodError on a cycle."""
     pending, ordered = list(listed), list[RangingMethod]()
     while pending:
         names = {method.name for method in pending}

@@ -68,14 +68,10 @@ class Assignment:
         self._add(tracks[i], detections[j])
 
     def match_unambiguous(self, cost: FloatArray, tracks: BoolArray, max_cost: FloatArray) -> None:
-        """Match tracks within the mask (N,) and detections that are each other's only candidates.
+        """Match tracks within the mask (N,) and detections that are each other's only candidates, by 1 - IoU (N, M).
 
-        Later stages would match them too, but more slowly: this stage finds most pairs of a frame.
-
-        Args:
-            cost: (N, M) 1 - IoU.
-            tracks: (N,) which tracks may be matched.
-            max_cost: (M,) largest cost for each detection.
+        `max_cost` (M,) is the largest one of each detection. Later stages would match them too, but more slowly: this
+        stage finds most pairs of a frame.
         """
         i, j = (cost <= _UNRELATED_COST).nonzero()
         is_pair = np.bincount(i)[i] == 1
@@ -116,12 +112,10 @@ def are_compatible(track_class_id: IntArray, detected_class_id: IntArray, classe
 
 
 def min_cost_matching(cost: FloatArray, *, max_cost: float) -> tuple[IntArray, IntArray]:
-    """Rows and columns of the pairs with minimum total cost, each pair at most `max_cost`; inf forbids a pair.
+    """Rows and columns of the pairs of `cost` (N, M) with minimum total cost; inf forbids a pair, there is no NaN.
 
-    Args:
-        cost: (N, M), no NaN; N or M may be 0.
-        max_cost: largest cost of a pair, and the cost of an unmatched row: matching more rows is not preferred over a
-            lower total cost.
+    `max_cost` is the largest cost of a pair, and the cost of an unmatched row: matching more rows is not preferred
+    over a lower total cost.
     """
     if cost.size <= _MAX_DENSE:
         return _dense_matching(cost, max_cost)

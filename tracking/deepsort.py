@@ -261,11 +261,7 @@ class DeepSortTracker:
     def _update_matched(self, rows: IntArray, detections: Detections, matched: IntArray, time_s: float) -> None:
         """Stage 3: update the matched tracks, confirm tentative ones, and update the process-noise scale.
 
-        Args:
-            rows: (M,) row numbers of the tracks.
-            detections: all detections of the frame.
-            matched: (M,) row numbers of the tracks' detections.
-            time_s: time of the frame.
+        `rows` and `matched` (M,) are row numbers of the tracks and of their detections.
         """
         settings, table = self._settings, self._table
         if not len(rows):

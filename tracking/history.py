@@ -97,13 +97,9 @@ class BoxHistory:
         )
 
     def append(self, rows: IntArray, xyxy_px: FloatArray, time_s: float, *, is_streak: BoolArray) -> None:
-        """Append the detected boxes of M tracks, in place; the oldest boxes are dropped.
+        """Append the detected boxes (M, 4) of M different tracks, in place; the oldest boxes are dropped.
 
-        Args:
-            rows: (M,) row numbers of different tracks.
-            xyxy_px: (M, 4) detected boxes.
-            time_s: time of the frame.
-            is_streak: (M,) whether a track was also detected in the previous frame.
+        `is_streak` (M,) is whether a track was also detected in the previous frame.
         """
         boxes = self.boxes.take(rows, axis=0)
         boxes[:, :-1] = boxes[:, 1:]
@@ -152,10 +148,10 @@ def predict_missing(
     border_xyxy_px: FloatArray | None = None,
     others_xyxy_px: FloatArray | None = None,
 ) -> tuple[IntArray, FloatArray]:
-    """Row numbers (M,) of the missing tracks that can be predicted at `time_s`, and their boxes (M, 4).
+    """Row numbers (M,) of the N missing tracks that can be predicted at `time_s`, and their boxes (M, 4).
 
     Args:
-        history: histories of the N missing tracks.
+        history: histories of the missing tracks.
         time_s: time of the frame.
         gates: conditions for a prediction.
         border_xyxy_px: (4,) outer edges of the image, or the extent of all boxes so far; None = unknown, so that boxes

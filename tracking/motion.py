@@ -153,11 +153,7 @@ def predict(filters: BoxFilters, dt_s: float, noise: MotionNoise, *, noise_scale
 
 
 def update(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> tuple[BoxFilters, FloatArray]:
-    """The filters updated with their detected boxes (N, 4).
-
-    Returns:
-        The filters, and (N, 4) the innovations in standard deviations, y / sqrt(S).
-    """
+    """The filters updated with their detected boxes (N, 4), and innovations in standard deviations, y / sqrt(S)."""
     f, z = filters, cxcywh(xyxy_px)
     y = z - f.x
     S = f.P_xx + (noise.measured * f.height_px) ** 2

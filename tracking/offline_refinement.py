@@ -47,12 +47,7 @@ class OfflineRefinement:
         self._parts += [(frame, tracks.select(tracks.observed), True), (frame, tentative, False)]
 
     def refine(self, threshold: ActivationThreshold | None, settings: RefinementSettings | None = None) -> list[Tracks]:
-        """The refined tracks of every frame, by id.
-
-        Args:
-            threshold: the tracker's activation threshold; None = no track is dropped for its scores.
-            settings: limits; None = the defaults.
-        """
+        """The refined tracks of every frame, by id; without a threshold, no track is dropped for its scores."""
         settings = settings or RefinementSettings()
         rows = _Rows.of(self._parts)
         time_s = np.array(self._time_s)

@@ -120,11 +120,7 @@ def checked_tracks(tracker: ObjectTracker, result: Any) -> Tracks:
 
 
 def _imported(factory: TrackerFactory | str) -> TrackerFactory:
-    """The class or function, imported if it is given as "package.module:attribute".
-
-    Raises:
-        TrackerError: the module cannot be imported, or has no such class or function.
-    """
+    """The class or function, imported if it is given as "package.module:attribute"; TrackerError if it cannot be."""
     try:
         made_by = imported(factory)
     except (ImportError, AttributeError, ValueError) as error:

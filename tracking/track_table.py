@@ -73,15 +73,9 @@ class TrackTable:
         is_streak: BoolArray,
         noise: MotionNoise,
     ) -> None:
-        """Update M tracks with their detections of this frame.
+        """Update M tracks, `rows`, with their detections of this frame, the rows `matched` (M,) of `detections`.
 
-        Args:
-            rows: (M,) row numbers of the tracks.
-            detections: all detections of the frame.
-            matched: (M,) row numbers of the tracks' detections.
-            time_s: time of the frame.
-            is_streak: (M,) whether a track was also detected in the previous frame.
-            noise: noise of the motion filters.
+        `is_streak` (M,) is whether a track was also detected in the previous frame.
         """
         xyxy_px, score = detections.xyxy_px.take(matched, axis=0), detections.score[matched]
         filters, innovation = motion.update(self.filters.select(rows), xyxy_px, noise)

@@ -68,10 +68,7 @@ def folds(boxes: BoxSet, n_folds: int = N_FOLDS) -> Iterator[BoolArray]:
 def cross_validated(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
     """Distances and sigmas of `boxes`, with each fold measured by a method fitted to the other sequences of `train`.
 
-    Args:
-        boxes: N boxes to measure.
-        train: boxes of the same sequences to fit to, for example without noise.
-        fit: fits a method; a single sequence is fitted to itself.
+    `train` has boxes of the same sequences, for example without noise; a single sequence is fitted to itself.
     """
     parts = []
     for test in folds(boxes):

@@ -72,13 +72,9 @@ class MethodOptions:
 def measured_by(
     names: Sequence[str], boxes: BoxSet, train: BoxSet, options: MethodOptions | None = None
 ) -> dict[str, MethodColumn]:
-    """Distances and sigmas of N boxes, by method.
+    """Distances and sigmas of N boxes, by method of `method_names`.
 
-    Args:
-        names: methods among `method_names`.
-        boxes: N boxes to measure.
-        train: boxes to fit curves to, of the same sequences, for example without noise.
-        options: fitting and measuring; None = the defaults.
+    Curves are fitted to `train`: boxes of the same sequences, for example without noise.
     """
     options = options or MethodOptions()
     scheme = options.scheme or cross_validated
@@ -113,18 +109,11 @@ def ranger_columns(
     size_model: SizeModel | None = None,
     measured: Mapping[str, MethodColumn] | None = None,
 ) -> dict[str, MethodColumn]:
-    """Columns of the listed methods, measured frame by frame as in a run, with new rangers for each sequence.
+    """Columns of methods that need only boxes, measured frame by frame as in a run, with new rangers for each sequence.
 
-    Args:
-        boxes: N boxes.
-        listed: methods that require only boxes.
-        options: noise of box edges, and camera height.
-        size_model: size model for the methods; they then get the labels' classes instead of a detector's. None = the
-            methods use none.
-        measured: columns of methods measured before, which the listed ones may read.
-
-    Raises:
-        MethodError: a ranger of another package returned no ranges, or those of other tracks.
+    With a size model, methods get the labels' classes instead of a detector's. `measured` are columns of methods
+    measured before, which the listed ones may read. MethodError: a ranger of another package returned no ranges, or
+    those of other tracks.
     """
     columns = {method.name: np.full((3, len(boxes)), np.nan) for method in listed}
     reads = {method.name: method.reads for method in listed}

@@ -17,16 +17,13 @@ from track_range.foundation.arrays import FloatArray
 def surface_distance_m(
     rays: FloatArray, location_m: FloatArray, *, size_hwl_m: FloatArray, rotation_y_rad: FloatArray
 ) -> FloatArray:
-    """(N,) z at which each ray from the camera first meets its box.
+    """(N,) z at which each ray from the camera first meets its box; NaN = it misses the box, or starts inside it.
 
     Args:
         rays: (N, 3) directions with z = 1, so that the parameter of a ray is the depth.
         location_m: (N, 3) bottom centre of each box in the camera's frame.
         size_hwl_m: (N, 3) height, width, length.
         rotation_y_rad: (N,) yaw.
-
-    Returns:
-        NaN if the ray misses the box, or the camera is inside it.
     """
     origin = _in_box_axes(-location_m, rotation_y_rad)
     direction = _in_box_axes(rays, rotation_y_rad)

@@ -61,13 +61,8 @@ def score_methods(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Scores of each method on the track-frames that it measured, and on those common to all methods.
 
-    Methods with a coverage below 0.5 are not part of the common scores.
-
-    Args:
-        methods: columns of N track-frames by method name.
-        true_m: (N,) true distance of each track-frame; NaN = unknown.
-        is_road_class: (N,) whether its label is of a road class; others (Van, Tram) appear in `by_class` only.
-        kitti_type: (N,) type of its label.
+    Methods with a coverage below 0.5 are not part of the common scores. `true_m` (N,) is NaN where unknown. Labels
+    that are not of a road class (Van, Tram) appear in `by_class` only.
     """
     in_span = (true_m >= BANDS_M[0]) & (true_m <= BANDS_M[-1])
     separate = {name: _score_with_bands(c, true_m, in_span=in_span & is_road_class) for name, c in methods.items()}

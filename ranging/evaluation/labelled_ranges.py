@@ -139,11 +139,7 @@ def _check(settings: RangeEvaluationSettings) -> None:
 
 
 def _with_split(settings: RangeEvaluationSettings) -> RangeEvaluationSettings:
-    """The settings with the lists of frames of --split.
-
-    Raises:
-        UsageError: the lists are given twice, or not found.
-    """
+    """The settings with the lists of frames of --split; UsageError if they are given twice, or not found."""
     if settings.split is None:
         return settings
     if settings.frames is not None or settings.fit_frames is not None:

@@ -42,10 +42,7 @@ class PaperFilter:
     def update(self, measured: Ranges, time_s: float, *, ego_speed_mps: float = math.nan) -> FilteredRanges:
         """Filtered ranges of the tracks at `time_s`; the rate is the difference from the previous frame.
 
-        Args:
-            measured: distances of this frame; NaN = not measured.
-            time_s: time of the frame.
-            ego_speed_mps: ego speed V; NaN = unknown, 0 is assumed.
+        `ego_speed_mps` is V; NaN = unknown, 0 is assumed.
         """
         self._tracks = {i: track for i, track in self._tracks.items() if time_s - track.measured_s <= _MAX_GAP_S}
         distance_m, variance, rate_mps, rate_variance = np.full((4, len(measured)), np.nan)

@@ -36,12 +36,9 @@ def centre_distance_m(labels: KittiLabels, left_from_reference_m: FloatArray) ->
 
 
 def lidar_distance_m(labels: KittiLabels, points_m: FloatArray, left_from_reference_m: FloatArray) -> FloatArray:
-    """(N,) depth of the (0.1 n)-th nearest of the n lidar points in each 3-D box; NaN = no point.
+    """(N,) depth of the (0.1 n)-th nearest of the n lidar points in each 3-D box of an image; NaN = no point.
 
-    Args:
-        labels: N labels of one image.
-        points_m: (M, 3) lidar points in the frame of the reference camera.
-        left_from_reference_m: (3,) shift to the frame of the left camera.
+    `points_m` (M, 3) are in the frame of the reference camera, the result is in that of the left camera.
     """
     distance_m = np.full(len(labels), np.nan)
     for row in np.flatnonzero(labels.has_3d_box).tolist():

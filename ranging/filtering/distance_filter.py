@@ -262,9 +262,8 @@ class DistanceFilters:
     ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         """Measurements of N tracks in one frame by M methods, (M, N) each; NaN = not measured.
 
-        Returns:
-            Distance, the variance R of log distance that is independent from frame to frame, with lambda, the variance
-            that is constant over a track, and whether the track is measured.
+        These are the distance, the variance R of log distance that is independent from frame to frame, with lambda, the
+        variance that is constant over a track, and whether the track is measured.
         """
         distance_m, sigma_m = np.full((2, len(self._methods), n), np.nan)
         fraction = np.repeat(self._independent_fraction, n, axis=1)
@@ -311,12 +310,7 @@ def time_to_collision(
 ) -> tuple[FloatArray, FloatArray]:
     """Time to collision T = d / -v in s and its standard deviation, (...) each; NaN = not closing.
 
-        (sigma_T / T)^2 = P_dd / d^2 - 2 P_dv / (d v) + P_vv / v^2        to first order
-
-    Args:
-        distance_m: (...) distance d.
-        rate_mps: (...) rate v, negative = closing.
-        variances: P_dd, P_dv, P_vv, (...) each.
+    (sigma_T / T)^2 = P_dd / d^2 - 2 P_dv / (d v) + P_vv / v^2        to first order; `variances` are P_dd, P_dv, P_vv
     """
     closing_mps = np.where(rate_mps < -MIN_CLOSING_MPS, -rate_mps, np.nan)
     ttc_s = distance_m / closing_mps

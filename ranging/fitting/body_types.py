@@ -63,12 +63,9 @@ STANDARD_BODIES: Mapping[str, Mapping[str, StandardBody]] = {
 
 
 def fit_body_types(name: str, log_size: FloatArray, weight: FloatArray) -> tuple[BodyType, ...]:
-    """Body types of a class, fitted to objects; empty for a class without body types.
+    """Body types of a class, fitted to M objects; empty for a class without body types.
 
-    Args:
-        name: the class.
-        log_size: (M, 3) log height, width and length of the objects.
-        weight: (M,) weights of the objects, as numbers of independent objects.
+    `log_size` (M, 3) is log height, width and length, `weight` (M,) the number of objects that each counts as.
     """
     standard = STANDARD_BODIES.get(name)
     if standard is None:

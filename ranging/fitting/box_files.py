@@ -40,11 +40,7 @@ _POSITIVE = ("distance_m", "fx", "fy")
 
 
 def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, tuple[str, ...]]:
-    """Boxes from a CSV file, and notes for the user.
-
-    Args:
-        path: the CSV file.
-        focal_px: focal length if the file has no column fx.
+    """Boxes from a CSV file, and notes for the user; `focal_px` is used if the file has no column fx.
 
     Raises:
         LabelFileError: the file cannot be read, a column, number or focal length is missing, a class is unknown, or a

@@ -38,11 +38,7 @@ STANDARD_HEIGHTS_M: Mapping[str, tuple[float, float, str]] = {
 
 
 def fit_curves(boxes: BoxSet, *, source: str) -> SizeCurves:
-    """Curves of all classes with enough samples, and of standard sizes for the others.
-
-    Raises:
-        CurveError: no class has `MIN_SAMPLES` boxes.
-    """
+    """Curves of the classes with `MIN_SAMPLES` boxes (CurveError without any), and of standard sizes for the others."""
     names, counts = np.unique(boxes.class_name, return_counts=True)
     fitted = [str(name) for name, count in zip(names, counts, strict=True) if count >= MIN_SAMPLES]
     if not fitted:

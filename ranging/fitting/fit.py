@@ -110,11 +110,7 @@ def _source(settings: FitSettings, boxes: BoxSet) -> str:
 
 
 def _usable_boxes(boxes: BoxSet, source: object) -> tuple[BoxSet, list[str]]:
-    """Boxes of the classes with at least `MIN_SAMPLES` boxes of several sizes, and why other classes are left out.
-
-    Raises:
-        CurveError: no class is left.
-    """
+    """Boxes of the classes with at least `MIN_SAMPLES` boxes of several sizes, and why other classes are left out."""
     rejected, is_usable = list[str](), np.zeros(len(boxes), np.bool_)
     for name in np.unique(boxes.class_name):
         is_class = boxes.class_name == name
@@ -132,11 +128,7 @@ def _usable_boxes(boxes: BoxSet, source: object) -> tuple[BoxSet, list[str]]:
 
 
 def _fit_model(boxes: BoxSet, name: str, *, source: str) -> StoredSizeModel:
-    """The model `name`, one of `MODEL_NAMES`, fitted to boxes.
-
-    Raises:
-        CurveError: too few boxes, or no 3-D boxes for cuboids.
-    """
+    """The model `name`, one of `MODEL_NAMES`; CurveError if there are too few boxes, or no 3-D boxes for cuboids."""
     if name == CUBOIDS:
         return fit_size_priors(boxes, source=source)
     if name == LOG_LINEAR:

@@ -178,8 +178,8 @@ def box_set(
         labels: folder of label files.
         calib: folder of calibration files with the same names.
         boxes: "labels", or "rrc:DIR" for detections DIR/Car/NAME.txt and DIR/Pedestrian/NAME.txt, matched to labels.
-        noise_px: standard deviation of noise added to every edge.
-        seed: random seed for the noise.
+        noise_px: standard deviation of noise added to every edge, with the random `seed`.
+        seed: see `noise_px`.
         selection: labels that are used; None = visible objects at 5-100 m of all files.
 
     Raises:

@@ -67,8 +67,7 @@ _OFF_GROUND = ("traffic light", "traffic sign")  # classes of objects that are n
 def fit_size_priors(labels: BoxSet, *, source: str) -> CuboidSizes:
     """Priors of all classes with a standard size, fitted to the labels of classes with enough of them.
 
-    Raises:
-        CurveError: no class has `MIN_OBJECTS` objects and `MIN_BOXES` boxes with 3-D boxes.
+    CurveError: no class has `MIN_OBJECTS` objects and `MIN_BOXES` boxes with 3-D boxes.
     """
     labels = labels.select((labels.size_hwl_m > 0).all(axis=1) & np.isfinite(labels.distance_m))
     fitted = {}

@@ -135,11 +135,7 @@ def least_squares(used: Measurements, track: TrackBiases, model: ErrorModel) -> 
 def _without_extrapolation(w: FloatArray, A: FloatArray, valid: BoolArray, similar: IntArray) -> FloatArray:
     """(M, N) least-squares weights after similar methods with negative weights were removed one by one.
 
-    Args:
-        w: (M, N) weights of the valid methods.
-        A: (M, M, N) covariance of the measurements.
-        valid: (M, N) whether the track is measured.
-        similar: (2, K) pairs of methods that share most of their errors.
+    `A` (M, M, N) is the covariance of the measurements, `similar` (2, K) are pairs of methods that share most errors.
     """
     w, valid = w.copy(), valid.copy()
     while True:

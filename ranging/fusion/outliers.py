@@ -41,11 +41,7 @@ def inconsistent_with_size(
 ) -> BoolArray:
     """(M, N) matching, or size, methods of new tracks that imply an implausible object size for the class.
 
-    Args:
-        measured: all measurements; also methods that are not usable may confirm others.
-        usable: (M, N) measurements that fusion would use.
-        track: state of the tracks.
-        model: error model of the methods.
+    `measured` has all measurements: also methods that are not `usable` (M, N) may confirm others.
     """
     rejected = np.zeros_like(usable)
     is_new = usable[model.matching] & (track.n_agreements < TRUSTED_FRAMES)
@@ -76,16 +72,9 @@ def outliers(
     in_conflict: BoolArray,
     time_s: float,
 ) -> BoolArray:
-    """(M, N) outliers among the methods of tracks that are in conflict.
+    """(M, N) outliers among the `used` methods of tracks that are `in_conflict` (N,), by their `estimate`.
 
-    Args:
-        used: measurements that fusion uses.
-        measured: all measurements; also methods that are not used may confirm others.
-        estimate: the estimate from `used`.
-        track: state of the tracks.
-        model: error model of the methods.
-        in_conflict: (N,) whether the used methods of a track are in conflict.
-        time_s: time of the frame.
+    `measured` has all measurements: also methods that are not used may confirm others.
     """
     rejected = in_conflict & _far_from_history(used, estimate, track, model, time_s)
     unresolved = np.flatnonzero(in_conflict & ~rejected.any(axis=0) & (estimate.n_valid > 2))

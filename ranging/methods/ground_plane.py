@@ -183,9 +183,7 @@ class GroundPlane:
     def update_road(self, road: RoadView, *, bias_sigma: float | None = None) -> None:
         """Set the road in the next frame as image motion shows it, with lengths in metres.
 
-        Args:
-            road: the road.
-            bias_sigma: standard deviation of the bias that all distances by size share; None = as before.
+        `bias_sigma` is the standard deviation of the bias that all distances by size share; None = as before.
         """
         self._road = road
         if bias_sigma is not None:
@@ -436,14 +434,9 @@ def _solved(terms: FloatArray) -> _Plane:
 
 
 def _distance_on_curve_m(below: FloatArray, H: FloatArray, k: FloatArray) -> FloatArray:
-    """(N,) distances d of contact points: below = H / d - share(d) k d / 2.
+    """(N,) distances d of contact points: below = H / d - fraction(d) k d / 2; beyond a crest, the largest visible one.
 
-    Beyond a crest, the largest distance that is visible.
-
-    Args:
-        below: (N,) tangents below the horizon, positive.
-        H: (N,) camera heights in m.
-        k: (N,) curvatures of the road in 1/m.
+    `below` (N,) are tangents below the horizon, positive; camera heights H in m, curvatures k of the road in 1/m.
     """
     distance_m = H / below
     for _ in range(_N_CURVE_ROUNDS):

@@ -218,11 +218,7 @@ def inflated_by_disagreement(ranges: Ranges, others: Sequence[Ranges]) -> Ranges
 
         max(|median e| - 1.25 (sum 1 / s_i^2)^-1/2, 0)
 
-    where the second term is the standard error of the median.
-
-    Args:
-        ranges: N tracks, by lane width.
-        others: the same tracks, by methods that do not use the lane.
+    where the second term is the standard error of the median. `others` are methods that do not use the lane.
     """
     variance, log_ratio = np.full((2, len(ranges)), np.inf)
     for other in others:

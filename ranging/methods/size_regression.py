@@ -39,9 +39,8 @@ _COVERED_SIGMA = 0.06
 def incomplete_sigma(xyxy_px: FloatArray, is_cut: BoolArray) -> FloatArray:
     """(N,) relative standard deviation of distances by size because of the parts of objects that are not visible.
 
-    Args:
-        xyxy_px: (N, 4) all boxes of the frame; those that end lower in the image are nearer.
-        is_cut: (N,) whether the left or right side of the box is at the border of the image.
+    Of all boxes of the frame (N, 4), those that end lower in the image are nearer; `is_cut` (N,) is whether the left or
+    right side is at the border of the image.
     """
     bottom_px = xyxy_px[:, 3]
     covered_px2 = intersection_px2(xyxy_px, xyxy_px)

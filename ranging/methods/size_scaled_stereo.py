@@ -107,13 +107,7 @@ class SizeScaledRanger(Ranger):
     """
 
     def __init__(self, matcher: BoxMatcher, *, focal_px: float, focal_sigma: float = 0.0) -> None:
-        """Create a ranger without tracks.
-
-        Args:
-            matcher: matcher of boxes.
-            focal_px: focal length of the distances by size in px, for the summary only.
-            focal_sigma: relative standard deviation of `focal_px`, for the summary only.
-        """
+        """Create a ranger without tracks; the focal length of distances by size and its sigma are for the summary."""
         self._matcher = TrackMatcher(matcher)
         self._focal_px, self._focal_sigma = focal_px, focal_sigma
         self.scale = FocalBaseline()

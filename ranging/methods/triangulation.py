@@ -62,14 +62,7 @@ class Triangulation:
 def disparities_by_size(
     by_size: Ranges, xyxy_px: FloatArray, rig: StereoRig, image_hw: tuple[int, int]
 ) -> ExpectedDisparity:
-    """Disparities of boxes (N, 4) that their distances by size let expect.
-
-    Args:
-        by_size: N distances by size.
-        xyxy_px: the boxes.
-        rig: the rectified pair.
-        image_hw: height and width of the image.
-    """
+    """Disparities of boxes (N, 4) that their distances by size let expect; `image_hw`: height and width of the image."""
     height, width = image_hw
     border_px = np.array([1.0, 1.0, width - 2.0, height - 2.0]) + np.array([1.0, 1.0, -1.0, -1.0]) * _BORDER_PX
     is_cut = (xyxy_px[:, :2] < border_px[:2]).any(axis=1) | (xyxy_px[:, 2:] > border_px[2:]).any(axis=1)
@@ -102,10 +95,7 @@ class TrackMatcher:
     ) -> tuple[FloatArray, FloatArray]:
         """(N,) disparities and their standard deviations in px; NaN = no match, or no right image.
 
-        Args:
-            tracks: N tracks.
-            frame: the images.
-            by_size: disparities expected from the sizes of the N tracks; None = unknown.
+        `by_size` are disparities expected from the sizes of the N tracks; None = unknown.
         """
         disparity_px, sigma_px = np.full((2, len(tracks)), np.nan)
         if frame.right is None:

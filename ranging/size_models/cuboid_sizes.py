@@ -86,9 +86,7 @@ class CuboidSizes:
     def measure(self, boxes: BoxExtents, drive: DriveState | None = None) -> SizeRanges:
         """Distances of the boxes of one frame, which share a ground plane.
 
-        Args:
-            boxes: N boxes.
-            drive: state of the drive, with a frame started for the N tracks of the boxes; None = only this frame.
+        `drive` has a frame started for the tracks of the boxes; None = only this frame is known.
         """
         rows = self._has_prior[boxes.size_class].nonzero()[0]
         if 0 < len(rows) == len(boxes):
@@ -186,11 +184,7 @@ class CuboidSizes:
 
 
 def cuboids_in(content: CuboidFile) -> CuboidSizes:
-    """The model in the content of a curve file.
-
-    Raises:
-        ValueError: a prior has an impossible value.
-    """
+    """The model in the content of a curve file; ValueError if a prior has an impossible value."""
     if invalid := [f"{name}: {faults}" for name, prior in content.classes.items() if (faults := prior.faults())]:
         raise ValueError(invalid[0])
     return CuboidSizes(content.classes, content.ground)

@@ -69,11 +69,7 @@ def load_curves(path: Path | None = None) -> StoredSizeModel:
 
 
 def save_curves(model: StoredSizeModel, path: Path) -> None:
-    """Write a size model as a curve file, atomically.
-
-    Raises:
-        CurveError: the file cannot be written.
-    """
+    """Write a size model as a curve file, atomically; CurveError if it cannot be written."""
     document = {_VERSION_KEY: CURVE_VERSION, **model.document()}
     try:
         write_text(path, json.dumps(document, indent=2) + "\n")

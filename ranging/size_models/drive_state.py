@@ -88,12 +88,9 @@ class DriveState:
         return self._in_view[_BODIES:]
 
     def add(self, rows: IntArray, ground: GroundTerms | None, log_likelihood: FloatArray) -> None:
-        """Add the measurements of some of the tracks of the frame.
+        """Add the measurements of the tracks of the frame with the indices `rows` (N,).
 
-        Args:
-            rows: (N,) indices of the measured tracks.
-            ground: measurements of the ground plane; None = no object is on the ground.
-            log_likelihood: (B, N) of the body types, 0 = the most likely one.
+        `ground` None = no object is on the ground; `log_likelihood` (B, N) of the body types, 0 = the most likely one.
         """
         if self._tracks is None:
             self._tracks = TrackState(np.zeros(_BODIES + len(log_likelihood)))

@@ -58,11 +58,9 @@ class SizeCurves:
     """Size model with a log-linear curve per class."""
 
     def __init__(self, whole: Mapping[str, SizeCurve], height_only: Mapping[str, SizeCurve]) -> None:
-        """Create a model from curves by size class; boxes of other classes are not ranged (NaN).
+        """Create a model from curves by size class, for whole boxes and for those truncated at a side.
 
-        Args:
-            whole: curves for whole boxes.
-            height_only: curves for boxes truncated at a side.
+        Boxes of other classes are not ranged (NaN).
         """
         self.whole = dict(whole)
         self.height_only = dict(height_only)
@@ -90,11 +88,7 @@ class SizeCurves:
 
 
 def log_linear_in(content: LogLinearFile) -> SizeCurves:
-    """The model in the content of a curve file.
-
-    Raises:
-        ValueError: a distance increases with the size.
-    """
+    """The model in the content of a curve file; ValueError if a distance increases with the size."""
     for section in (content.whole, content.height_only):
         for name, curve in section.items():
             if not (curve.per_log_height < 0 and curve.per_log_width <= 0):

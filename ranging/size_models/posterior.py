@@ -66,11 +66,8 @@ class SizeMixture:
 def mixture_by_size(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray) -> SizeMixture:
     """Log distance of N boxes from their size, without the bottom edge.
 
-    Args:
-        tables: shape tables of all body types.
-        boxes: N boxes.
-        body: (M, N) possible body types of each box.
-        log_fraction: (M, N) log probability of each body type; `IMPOSSIBLE` = excluded.
+    `body` (M, N) are the possible body types of each box, `log_fraction` (M, N) their log probabilities; `IMPOSSIBLE` =
+    excluded.
     """
     terms, n = _terms(tables, boxes, body, log_fraction), len(boxes)
     n_terms = min(N_TERMS, terms.shape[1])
@@ -207,15 +204,10 @@ def ground_likelihood(
     prior: GroundPrior,
     roughness: float,
 ) -> FloatArray:
-    """(N, G) likelihood of the bottom edges at the distances of a grid, with the ground plane from the other objects.
+    """(N, G) likelihood of the bottom edges at the log distances `log_m` (N, G), given the `ground` from other objects.
 
-    Args:
-        log_m: (N, G) log distances of the grid.
-        log_contact_ratio: (N,) log of the distance divided by that of the nearest point on the ground.
-        contacts: contact points of the N objects; the likelihood of those not on the ground is 1.
-        ground: ground plane at each object, from the others.
-        prior: prior of the ground plane.
-        roughness: roughness lambda of the drive.
+    `log_contact_ratio` (N,) is the log of the distance divided by that of the nearest point on the ground. Objects that
+    are not on the ground have the likelihood 1.
     """
     inverse_depth = np.exp(log_contact_ratio[:, None] - log_m)
     residual2 = ((contacts.bottom - ground.horizon)[:, None] - ground.height_m[:, None] * inverse_depth) ** 2

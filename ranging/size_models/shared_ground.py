@@ -77,10 +77,7 @@ def ground_from_others(
 ) -> GroundFromOthers:
     """Ground plane for each object of a frame, by robust least squares over the other objects.
 
-    Args:
-        contacts: contact points of the N objects of the frame.
-        prior: prior of the ground plane.
-        drive: state of the drive, of the objects seen before; None = only this frame is known.
+    `drive` is the state from the objects seen before; None = only this frame is known.
     """
     drive = drive or DriveState()
     x, y = contacts.inverse_depth, contacts.bottom

@@ -91,14 +91,9 @@ def measured_boxes(
     noise: BoxNoise,
     uses_width_bottom: tuple[BoolArray, BoolArray] | None = None,
 ) -> BoxExtents:
-    """Boxes (N, 4) in px of `camera` (undistorted) in camera-independent units.
+    """Boxes (N, 4) of positive size, in px of `camera` (undistorted), in camera-independent units.
 
-    Args:
-        xyxy_px: (N, 4) boxes of positive size.
-        size_class: (N,) index into `SIZE_CLASSES`.
-        camera: the undistorted camera.
-        noise: noise of the box edges.
-        uses_width_bottom: `uses_width` and `uses_bottom`, (N,) each; None = True for all boxes.
+    `uses_width_bottom` are `BoxExtents.uses_width` and `uses_bottom`, (N,) each; None = True for all boxes.
     """
     focal_px = np.array([camera.fx_px, camera.fy_px])
     size_px = xyxy_px[:, 2:] - xyxy_px[:, :2]

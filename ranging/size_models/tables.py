@@ -100,11 +100,7 @@ def _slopes(table: FittedTable, boxes: BoxExtents) -> FloatArray:
 
 
 def tables_in(content: TableFile) -> TableSizes:
-    """The model in the content of a curve file.
-
-    Raises:
-        ValueError: a table increases, or has lists of different lengths.
-    """
+    """The model in the content of a curve file; ValueError if a table increases or its lists differ in length."""
     curves = {}
     for name, numbers in content.classes.items():
         log_size, log_distance = np.array(numbers.log_size), np.array(numbers.log_distance)

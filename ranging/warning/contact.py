@@ -58,13 +58,9 @@ class Encounter:
 def contact_probability(
     encounter: Encounter, *, horizon_s: float, manoeuvre_s: float, ego_length_m: float
 ) -> FloatArray:
-    """(N,) probability P of a contact within the horizon, 0..1; NaN where gap or offset is unknown.
+    """(N,) probability P of a contact within the horizon H, 0..1; NaN where gap or offset is unknown.
 
-    Args:
-        encounter: motion of the objects.
-        horizon_s: H.
-        manoeuvre_s: tau, time constant with which accelerations end.
-        ego_length_m: length of the ego vehicle, which it needs to pass.
+    `manoeuvre_s` is tau, the time constant with which accelerations end; the ego vehicle needs to pass by its length.
     """
     gap, offset = encounter.gap, encounter.offset
     t: FloatArray = horizon_s / _N_STEPS * np.arange(_N_STEPS + 1, dtype=np.float64)[:, None]
@@ -130,14 +126,10 @@ def overlap_probability(
     *,
     side_m: FloatArray | float = 0.0,
 ) -> FloatArray:
-    """Probability P(-W - c_1 <= o(t) <= W + c_2) that objects overlap the ego path after t seconds.
+    """Probability P(-W - c_1 <= o(t) <= W + c_2) that N objects overlap the ego path after t seconds.
 
-    Args:
-        offset: lateral offset o and its rate, (N,) each.
-        half_width_m: (N,) W.
-        lateral_acceleration_mps2: (N,) A.
-        t: time in s, broadcast with (N,).
-        side_m: (N,) lateral way of the objects while the ego vehicle passes; extends the side that they come from.
+    W is `half_width_m`, A `lateral_acceleration_mps2`, (N,) each, and t broadcast with them. `side_m` is the lateral
+    distance travelled by the objects while the ego vehicle passes; it extends the side that they come from.
     """
     o = offset.x + t * offset.v
     growth = (lateral_acceleration_mps2 * t * t / 2) ** 2

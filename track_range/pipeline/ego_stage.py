@@ -39,10 +39,10 @@ class EgoStage:
     image_motion: ImageMotionEstimator | None = None
 
     def update(self, frame: Frame, xyxy_px: FloatArray, clock: StageClock, known: EgoMotion | None = None) -> Ego:
-        """The motion to the next frame.
+        """The motion to the next frame; frames must be passed in order.
 
         Args:
-            frame: the images; frames must be passed in order.
+            frame: the images.
             xyxy_px: (N, 4) boxes of road users, which are not static.
             clock: takes the time of what is measured from the images.
             known: speed of the camera that is known for this frame only; None = as the stage measures it.

@@ -74,9 +74,7 @@ class FramePipeline:
     def step(self, detected: Detected, known_ego: EgoMotion | None = None) -> FrameResult:
         """Result of one frame; frames must be passed in order.
 
-        Args:
-            detected: the frame with its lane lines and boxes.
-            known_ego: speed of the camera that is known for this frame; None = as the ego stage measures it.
+        `known_ego` is a speed of the camera that is known for this frame; None = as the ego stage measures it.
         """
         frame, lanes, detections, candidates = detected
         clock = self.clock

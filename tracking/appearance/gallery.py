@@ -62,11 +62,7 @@ class Gallery:
         return Gallery(self.embedding[rows], self.mean_memory)
 
     def concatenate(self, other: Gallery) -> Gallery:
-        """The tracks of both, `other`'s last; a gallery without embeddings fits embeddings of any length.
-
-        Raises:
-            ValueError: the numbers of slots, or the lengths of embeddings, differ.
-        """
+        """The tracks of both, `other`'s last; ValueError if numbers of slots or lengths of embeddings differ."""
         length = _common_length(self.embedding, other.embedding)
         return Gallery(
             np.concatenate([_lengthened(self.embedding, length), _lengthened(other.embedding, length)]),
@@ -74,20 +70,12 @@ class Gallery:
         )
 
     def initiate(self, embedding: Descriptors) -> Gallery:
-        """These tracks and a new one for each row of `embedding` (M, D), of length 1 or zeros.
-
-        Raises:
-            ValueError: D differs from that of these tracks.
-        """
+        """These tracks and a new one for each row of `embedding` (M, D), of length 1 or zeros."""
         new = np.repeat(np.asarray(embedding, np.float32)[:, None], self.embedding.shape[1], axis=1)
         return self.concatenate(Gallery(new, self.mean_memory))
 
     def append(self, rows: IntArray, embedding: Descriptors) -> Gallery:
-        """The gallery with one more embedding (M, D) for M different tracks, `rows`; zeros change nothing.
-
-        Raises:
-            ValueError: D differs from that of these tracks.
-        """
+        """The gallery with one more embedding (M, D) for M different tracks, `rows`; zeros change nothing."""
         known = embedding.any(axis=1)
         if not known.any():
             return self
@@ -103,12 +91,7 @@ class Gallery:
     def cosine_distance(self, embedding: Descriptors, among: BoolArray | None = None) -> FloatArray:
         """(N, M) minimum distance of each track's embeddings from each box's; inf where one of the two is unknown.
 
-        Args:
-            embedding: (M, D) embeddings of boxes, of length 1 or zeros.
-            among: (N, M) pairs to compare; the distance of other pairs is inf. None = all pairs.
-
-        Raises:
-            ValueError: D differs from that of these tracks.
+        `embedding` (M, D) has rows of length 1 or zeros; only the pairs `among` (N, M) are compared, others are inf.
         """
         distance = np.full((len(self), len(embedding)), np.inf)
         if not distance.size or not self.embedding.shape[2] or not embedding.shape[1]:

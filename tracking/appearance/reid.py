@@ -41,11 +41,7 @@ class ReidModel:
     """
 
     def __init__(self, model: Path, runtime: Runtime | None = None, *, max_cosine_distance: float = 0.27) -> None:
-        """Load the network and run it once.
-
-        Raises:
-            ModelError: the model is missing, or is not a re-identification network.
-        """
+        """Load the network and run it once; ModelError if it is missing, or is not a re-identification network."""
         self.max_cosine_distance = max_cosine_distance
         self._session = OnnxSession(model, runtime)
         self.notes = self._session.notes

@@ -20,14 +20,7 @@ _MIN_GAIN = 0.005  # smallest gain of the mean IoU by the shift; boxes of static
 def frame_shift(truth_frame: IntArray, truth_px: FloatArray, frame: IntArray, xyxy_px: FloatArray) -> int:
     """The number, -1, 0 or 1, that added to the frame numbers of boxes makes them match truth boxes best.
 
-    Args:
-        truth_frame: (N,) frame of the truth boxes.
-        truth_px: (N, 4) truth boxes.
-        frame: (M,) frame of the other boxes.
-        xyxy_px: (M, 4) the other boxes.
-
-    Returns:
-        0 also if there are too few boxes, or if the difference is too small to be certain.
+    0 also if there are too few boxes, or if the difference is too small to be certain.
     """
     frames = np.unique(truth_frame)
     frames = frames[:: max(len(frames) // _MAX_FRAMES, 1)]

@@ -215,7 +215,7 @@ def fit_camera(
         objects: objects with known metres.
         lanes: lanes of known width.
         horizon: rows of the horizon.
-        scene: boxes of other road users; None = none.
+        scene: boxes of other road users.
         scene_noise: standard deviation of their edges, as a fraction of their size.
         height: camera height in m and its standard deviation.
     """

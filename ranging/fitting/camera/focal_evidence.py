@@ -125,13 +125,9 @@ def focal_of_field(field_deg: float, side_px: int) -> float:
 def focal_posterior(
     guesses: Sequence[FocalGuess], boxes: SceneBoxes, size_px: tuple[int, int], sizes: CuboidSizes | None
 ) -> FocalPosterior:
-    """Focal length from guesses and the shapes of boxes.
+    """Focal length from at least one guess and the shapes of boxes of a video with images of `size_px` (width, height).
 
-    Args:
-        guesses: at least one guess.
-        boxes: boxes of a video.
-        size_px: (width, height) of its images.
-        sizes: size priors; None = shapes are not used.
+    `sizes` None = shapes are not used.
     """
     low, high = (focal_of_field(field_deg, size_px[0]) for field_deg in _FIELDS_DEG)
     log_f = np.linspace(math.log(low), math.log(high), _N_GRID)
@@ -159,11 +155,10 @@ def _has_shape(boxes: SceneBoxes, size_px: tuple[int, int]) -> BoolArray:
 def _shape_likelihood(
     log_f: FloatArray, boxes: SceneBoxes, size_px: tuple[int, int], sizes: CuboidSizes
 ) -> tuple[FloatArray, float]:
-    """Likelihood of the shapes of all boxes, and the estimated noise of their edges.
+    """Likelihood (G,) of the shapes of all boxes, and the estimated noise of their edges.
 
-    Returns:
-        (G,) likelihood, scaled to the maximum 1 and smoothed with `_SHAPE_SIGMA`, and the mean of `_RELATIVE_NOISE`
-        weighted by likelihood.
+    The likelihood has the maximum 1 and is smoothed with `_SHAPE_SIGMA`; the noise is the mean of `_RELATIVE_NOISE`
+    weighted by likelihood.
     """
     flat = sizes.with_flat_distance(_FLAT_LOG_SIGMA)
     weight = np.minimum(1.0, _VIEWS_PER_TRACK / boxes.views)
