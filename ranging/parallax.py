@@ -85,7 +85,7 @@ class Parallax:
     def measure(self, tracks: Tracks, step: CameraStep | None, other: Ranges) -> Ranges:
         """Distances of N tracks that are static; NaN = moving, unknown, or not precise.
 
-        `step` is the motion of the camera since the previous frame, None = unknown; `other`: distances by another method.
+        `step` is the motion of the camera since the previous frame, None = unknown; `other` are by another method.
         """
         before, self._before = self._before, None
         if step is None:

@@ -100,14 +100,9 @@ class Horizon:
     height_m: float  # height H of the camera above the road
 
 
-_N = 4  # number of unknowns: y0, H, fy k, b
-_UPPER = np.triu_indices(_N)  # rows and columns of the upper triangle of a matrix of the unknowns
+_N = 4
+"""Number of the unknowns x = (y0, H, fy k, b)."""
 
-_MATRIX = np.zeros((_N, _N), np.int64)
-_MATRIX[_UPPER] = _MATRIX.T[_UPPER] = np.arange(len(_UPPER[0]))
-"""(4, 4) place of each element of a symmetric matrix in its upper triangle."""
-
-_N_TERMS = len(_UPPER[0]) + _N  # terms of the normal equations: the upper triangle of their matrix, and a vector
 _FIXED = 1e-3  # standard deviation of unknowns that are taken to be 0, in px/m and as a fraction
 
 _N_CURVE_ROUNDS = 3
@@ -119,6 +114,11 @@ _MOVING_PITCH_RAD = 0.001  # error of the horizon from image motion that is new 
 
 _MIN_INFORMATION = 1e-3
 """Smallest information of a track about the horizon, relative to a new measurement; tracks with less are dropped."""
+
+
+# Normal equations of the weighted measurements y = a'x are arrays (4, 5), with the tracks on further axes:
+#
+#     A x = v,   [A | v] = sum of w [a a' | a y],   a = (1, s, -fraction(d) d / 2, -H s)
 
 
 class _Plane(NamedTuple):
@@ -160,8 +160,8 @@ class GroundPlane:
         self._camera = camera
         self._settings = settings or GroundSettings()
         self._ids = np.zeros(0, np.int64)
-        self._terms = np.zeros((_N_TERMS, 0))
-        self._lane_terms = np.zeros(_N_TERMS)
+        self._terms = np.zeros((_N, _N + 1, 0))  # of each track in `_ids`
+        self._lane_terms = np.zeros((_N, _N + 1))
         self._pitch_px2 = (self._settings.pitch_sigma_rad * camera.fy_px) ** 2
         self._time_s: float | None = None
         self._road: RoadView | None = None
@@ -177,8 +177,8 @@ class GroundPlane:
 
     @property
     def _information(self) -> FloatArray:
-        """(14,) information of the prior, of lane lines and of all tracks."""
-        return np.asarray(self._prior + self._lane_terms + self._terms.sum(axis=1))
+        """(4, 5) normal equations of the prior, of lane lines and of all tracks."""
+        return np.asarray(self._prior + self._lane_terms + self._terms.sum(axis=-1))
 
     def update_road(self, road: RoadView, *, bias_sigma: float | None = None) -> None:
         """Set the road in the next frame as image motion shows it, with lengths in metres.
@@ -204,8 +204,8 @@ class GroundPlane:
             return
         self._drop_forgotten(is_present=False)
         weight = 1.0 / (sigma_px**2 + self._pitch_px2)
-        self._lane_terms = np.zeros(_N_TERMS)
-        self._lane_terms[0], self._lane_terms[-_N] = weight, weight * (y_px - self._camera.cy_px)
+        self._lane_terms = np.zeros((_N, _N + 1))
+        self._lane_terms[0, 0], self._lane_terms[0, -1] = weight, weight * (y_px - self._camera.cy_px)
 
     def measure(self, tracks: Tracks, by_size: Ranges, frame: Frame) -> Ranges:
         """Distances of the tracks on the ground; their distances by size update the road first.
@@ -216,13 +216,13 @@ class GroundPlane:
         self._time_s = frame.time_s
         memory = math.exp(-step_s / self._settings.memory_s)
         self._terms *= memory
-        self._lane_terms *= memory if self._lane_terms[0] * self._pitch_px2 > _MIN_INFORMATION else 0.0
+        self._lane_terms *= memory if self._lane_terms[0, 0] * self._pitch_px2 > _MIN_INFORMATION else 0.0
         if not len(tracks):
             return Ranges.unmeasured(tracks.track_id)
         contacts = self._contacts(tracks, by_size, frame)
         slots = self._slots(tracks.track_id)
         own = self._accumulated(contacts, slots, step_s=step_s)
-        others = _solved((self._information[:, None] - own).T)
+        others = _solved(np.moveaxis(self._information[..., None] - own, -1, 0))
         self._update_pitch(contacts, others, step_s=step_s)
         return self._ranges(tracks.track_id, contacts, others)
 
@@ -232,7 +232,7 @@ class GroundPlane:
         return self._ranges(tracks.track_id, contacts, _solved(self._prior))
 
     def _prior_terms(self) -> FloatArray:
-        """(14,) information of the settings, of image motion and of the drive's bias."""
+        """(4, 5) normal equations of the settings, of image motion and of the drive's bias."""
         settings, fy, road = self._settings, self._camera.fy_px, self._road
         mean, P = np.zeros(_N), np.zeros((_N, _N))
         mean[1], P[1, 1], P[3, 3] = settings.height_m, settings.height_sigma_m**2, self._bias_variance
@@ -243,7 +243,8 @@ class GroundPlane:
             P[0, 0], P[2, 2] = fy**2 * road.horizon_variance, fy**2 * road.curvature_variance + _FIXED**2
             P[0, 2] = P[2, 0] = fy**2 * road.covariance
         information = np.linalg.inv(P)
-        return np.concatenate([information[_UPPER], information @ mean])
+        upper = np.triu(information)  # the inverse is symmetric but for rounding
+        return np.column_stack([upper + np.triu(upper, k=1).T, information @ mean])
 
     def _expected_px(self, x_px: FloatArray) -> FloatArray:
         """Row (...) of the expected horizon at columns (...): that of image motion, or of the camera's axis."""
@@ -293,17 +294,17 @@ class GroundPlane:
         if not is_known.all():
             new_id = track_id[~is_known]
             self._ids = np.concatenate([self._ids, new_id])
-            self._terms = np.concatenate([self._terms, np.zeros((_N_TERMS, len(new_id)))], axis=1)
+            self._terms = np.concatenate([self._terms, np.zeros((_N, _N + 1, len(new_id)))], axis=-1)
         return np.asarray((track_id[:, None] == self._ids).argmax(axis=1))
 
     def _drop_forgotten(self, is_present: BoolArray | bool) -> None:
         """Remove tracks with too little information, except those in the mask (K,)."""
-        stays = (self._terms[0] * self._pitch_px2 > _MIN_INFORMATION) | is_present
+        stays = (self._terms[0, 0] * self._pitch_px2 > _MIN_INFORMATION) | is_present
         if not stays.all():
-            self._ids, self._terms = self._ids[stays], self._terms[:, stays]
+            self._ids, self._terms = self._ids[stays], self._terms[..., stays]
 
     def _accumulated(self, contacts: _Contacts, slots: IntArray, *, step_s: float) -> FloatArray:
-        """(14, N) information of the tracks, with this frame's measurements in their running averages."""
+        """(4, 5, N) normal equations of the tracks, with this frame's measurements in their running averages."""
         plane = _solved(self._information)
         a, H = contacts.basis.copy(), float(plane.x[1])
         variance = H**2 * contacts.s_variance + contacts.R
@@ -311,14 +312,13 @@ class GroundPlane:
         excess = np.abs(contacts.y - plane.rows(a))
         excess /= _HUBER_SIGMA * np.sqrt(variance + plane.variance(a))
         weight = 1.0 / (variance * np.maximum(1.0, excess))
-        previous = self._terms.take(slots, axis=1)
+        previous = self._terms.take(slots, axis=-1)
         gain = contacts.is_informative * np.where(
-            previous[0] == 0, 1.0, 1.0 - math.exp(-step_s / self._settings.average_s)
+            previous[0, 0] == 0, 1.0, 1.0 - math.exp(-step_s / self._settings.average_s)
         )
-        products = a.take(_UPPER[0], axis=0) * a.take(_UPPER[1], axis=0)
-        terms = np.concatenate([products, a * contacts.y]) * weight  # of the normal equations
+        terms = a[:, None] * np.concatenate([a, contacts.y[None]]) * weight
         average = gain * terms + (1.0 - gain) * previous
-        self._terms[:, slots] = average
+        self._terms[..., slots] = average
         return np.asarray(average)
 
     def _update_pitch(self, contacts: _Contacts, plane: _Plane, *, step_s: float) -> None:
@@ -427,10 +427,10 @@ class GroundRanger(Ranger):
             self.plane.add_horizon(*horizon)
 
 
-def _solved(terms: FloatArray) -> _Plane:
-    """Least-squares solutions of (..., 14) normal equations, with their covariances."""
-    P = np.asarray(np.linalg.inv(terms.take(_MATRIX, axis=-1)), np.float64)
-    return _Plane((P @ terms[..., -_N:, None])[..., 0], P)
+def _solved(normal: FloatArray) -> _Plane:
+    """Least-squares solutions of (..., 4, 5) normal equations, with their covariances."""
+    P = np.asarray(np.linalg.inv(normal[..., :_N]), np.float64)
+    return _Plane((P @ normal[..., _N:])[..., 0], P)
 
 
 def _distance_on_curve_m(below: FloatArray, H: FloatArray, k: FloatArray) -> FloatArray:
