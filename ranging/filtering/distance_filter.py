@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -234,24 +234,35 @@ class DistanceFilters:
         # Update.
         state = ConstantVelocity(d, v, P_dd, P_dv, P_vv)
         state = state.update(nu, R * np.maximum(1.0, excess) ** 2, valid=known)
+        state = replace(state, x=np.maximum(state.x, _MIN_DISTANCE_M))
 
         # Restart.
-        is_ego_known = math.isfinite(ego_speed_mps)
-        rate_mps = -ego_speed_mps if is_ego_known else 0.0
-        rate_sigma_mps = settings.target_speed_sigma_mps if is_ego_known else settings.initial_rate_sigma_mps
+        if starts.any():
+            is_ego_known = math.isfinite(ego_speed_mps)
+            rate_mps = -ego_speed_mps if is_ego_known else 0.0
+            rate_sigma_mps = settings.target_speed_sigma_mps if is_ego_known else settings.initial_rate_sigma_mps
+            state = ConstantVelocity(
+                np.where(starts, z, state.x),
+                np.where(starts, rate_mps, state.v),
+                np.where(starts, z * z * independent, state.P_xx),
+                np.where(starts, 0.0, state.P_xv),
+                np.where(starts, rate_sigma_mps**2, state.P_vv),
+            )
+            n_outliers, steady_since_s = np.where(starts, 0.0, n_outliers), np.where(starts, time_s, steady_since_s)
+
         new = _FilterState(
-            d=np.where(starts, z, np.maximum(state.x, _MIN_DISTANCE_M)),
-            v=np.where(starts, rate_mps, state.v),
-            P_dd=np.where(starts, z * z * independent, state.P_xx),
-            P_dv=np.where(starts, 0.0, state.P_xv),
-            P_vv=np.where(starts, rate_sigma_mps**2, state.P_vv),
+            d=state.x,
+            v=state.v,
+            P_dd=state.P_xx,
+            P_dv=state.P_xv,
+            P_vv=state.P_vv,
             systematic=np.where(valid, systematic, last.systematic),
             time_s=np.full(valid.shape, time_s),
             measured_s=np.where(valid, time_s, last.measured_s),
             ego_mps=np.full(valid.shape, ego_speed_mps),
-            n_outliers=np.where(starts, 0.0, n_outliers),
+            n_outliers=n_outliers,
             condition=condition,
-            steady_since_s=np.where(starts, time_s, steady_since_s),
+            steady_since_s=steady_since_s,
         )
         is_recent = time_s - _FilterState._make(self._tracks.known).measured_s <= settings.max_gap_s
         self._tracks.put(track_id, np.array(new), keep_known=np.asarray(is_recent.any(axis=0)))

@@ -222,7 +222,7 @@ class GroundPlane:
         contacts = self._contacts(tracks, by_size, frame)
         slots = self._slots(tracks.track_id)
         own = self._accumulated(contacts, slots, step_s=step_s)
-        others = _solved(np.moveaxis(self._information[..., None] - own, -1, 0))
+        others = _solved((self._information[..., None] - own).transpose(2, 0, 1))
         self._update_pitch(contacts, others, step_s=step_s)
         return self._ranges(tracks.track_id, contacts, others)
 
