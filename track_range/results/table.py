@@ -60,8 +60,7 @@ class RunTable:
     def append(self, result: FrameResult) -> None:
         """Add the rows of one frame.
 
-        Raises:
-            OutputError: a batch cannot be written to the temporary folder; the table is as before.
+        OutputError if a batch cannot be written to the temporary folder; the table is as before.
         """
         if not len(result.tracks):
             return
@@ -201,8 +200,7 @@ class RunRows:
     def add(self, result: FrameResult) -> tuple[Event, ...]:
         """Add a finished frame, and return the events that ended before it.
 
-        Raises:
-            OutputError: its rows cannot be stored; they are not added.
+        OutputError if its rows cannot be stored; they are not added.
         """
         self.table.append(result)
         ended = self.finder.update(result)

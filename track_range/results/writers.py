@@ -83,37 +83,29 @@ class RunInfo:
 class ResultWriter(Protocol):
     """Writer of one format; created without arguments, used for one run.
 
-    `open` is called once, `write` for each frame, `close` once. An OSError is reported with the names of the files.
-    Files should be readable after the program is killed: flush after each frame if the format allows it. If `write`
-    raises, the files should be as before; `track_range.results.formats.row_file.RowFile` does both for text.
+    `files` are names, without folder, of the files that it writes to the output folder; they must differ from the files
+    of the run and of its other writers. The next run into the folder removes them. `open` is called once, `write` for
+    each frame, `close` once. An OSError is reported with the names of the files. Files should be readable after the
+    program is killed: flush after each frame if the format allows it. If `write` raises, the files should be as before;
+    `track_range.results.formats.row_file.RowFile` does both for text. Optional members:
 
-    A method `discard_last()` is optional: it removes the last frame from the files. It is called if a later writer of
-    the run, or the run itself, fails in the same frame, so that all files of a run end with the same frame.
-
-    A method `check_requirements()` is optional: it raises a UserError, before the run begins, if the writer cannot be
-    used, for example because a package is missing.
-
-    An attribute `temporary_files` is optional: names of files that exist only while the run is in progress, and remain
-    if it is killed.
-
-    Attributes:
-        files: names, without folder, of the files that it writes to the output folder; they must differ from the files
-            of the run and of its other writers. The next run into the folder removes them.
+    - `discard_last()` removes the last frame from the files. It is called if a later writer of the run, or the run
+      itself, fails in the same frame, so that all files of a run end with the same frame.
+    - `check_requirements()` raises a UserError, before the run begins, if the writer cannot be used, for example
+      because a package is missing.
+    - `temporary_files` are names of files that exist only while the run is in progress, and remain if it is killed.
     """
 
     files: tuple[str, ...]
 
     def open(self, info: RunInfo, folder: Path) -> None:
         """Create the files in the existing output folder."""
-        ...
 
     def write(self, result: FrameResult) -> None:
         """Add one frame."""
-        ...
 
     def close(self, summary: Mapping[str, Any] | None) -> None:
         """Finish the files; `summary` is the content of summary.json, None if the run ended before it."""
-        ...
 
 
 WriterFactory = Callable[[], ResultWriter]  # function without arguments that returns a writer, usually its class
@@ -134,14 +126,11 @@ WRITERS: Registry[WriterFactory | str] = Registry(
 
 
 def register_writer(name: str, factory: WriterFactory | str) -> None:
-    """Register a writer for this process.
+    """Register a writer for this process; WriterError if the name is in use.
 
     Args:
         name: name for `--write`.
         factory: class of the writer, or "package.module:Class", which is imported on first use.
-
-    Raises:
-        WriterError: the name is in use.
     """
     if name in WRITERS.names:
         raise WriterError(f"the name '{name}' is already used by another writer; choose another name.")
@@ -149,11 +138,7 @@ def register_writer(name: str, factory: WriterFactory | str) -> None:
 
 
 def create_writer(name: str) -> ResultWriter:
-    """New writer of the given name.
-
-    Raises:
-        WriterError: there is no writer of that name, it cannot be imported, or it does not implement `ResultWriter`.
-    """
+    """New writer; WriterError if there is none of that name, or it cannot be imported or lacks a part."""
     factory = WRITERS.find(name)
     if factory is None:
         raise WriterError(f"unknown format '{name}': expected {', '.join(WRITERS.names)}.")
@@ -194,9 +179,8 @@ def _all_files(writer: ResultWriter) -> tuple[str, ...]:
 def create_writers(names: Sequence[str]) -> tuple[ResultWriter, ...]:
     """New writers for a run, in this order; duplicate names are ignored.
 
-    Raises:
-        WriterError: a writer cannot be created, or two writers write the same file.
-        ExtraError: a package that a writer requires is not installed.
+    WriterError if a writer cannot be created, or two writers write the same file; ExtraError if a package that a writer
+    requires is not installed.
     """
     writers = {name: create_writer(name) for name in dict.fromkeys(names)}
     for writer in writers.values():

@@ -92,8 +92,7 @@ def clip_interval_s(event: Event) -> tuple[float, float]:
 def remove_clips(folder: Path) -> None:
     """Remove the clips of an earlier run, and their folder if it is then empty.
 
-    Raises:
-        OutputError: a clip cannot be removed.
+    OutputError if a clip cannot be removed.
     """
     try:
         for path in list(folder.iterdir()) if folder.is_dir() else ():

@@ -143,11 +143,7 @@ class VideoWriter:
             self._container.mux(self._stream.encode(frame))
 
     def close(self) -> None:
-        """Finish the file; a second call does nothing.
-
-        Raises:
-            VideoError: the file cannot be written.
-        """
+        """Finish the file; a second call does nothing. VideoError if the file cannot be written."""
         if not self._is_open:
             return
         self._is_open = False

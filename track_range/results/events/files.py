@@ -121,11 +121,7 @@ def write_event_files(folder: Path, events: Sequence[Event], metadata: Mapping[s
 
 
 def write_events_parquet(path: Path, events: Sequence[Event], metadata: Mapping[str, str]) -> None:
-    """Write events as Parquet, atomically; the same events give the same bytes.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write events as Parquet, atomically, the same bytes each time; OutputError if the file cannot be written."""
     from pyarrow import parquet
 
     try:

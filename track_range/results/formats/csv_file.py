@@ -42,9 +42,7 @@ def read_tracks_csv(path: Path) -> Columns:
     """Columns of a tracks.csv: `class` as str, the others as float64 with NaN for an empty cell.
 
     Rows with a different number of cells than the header, such as the last one of a killed run, are skipped.
-
-    Raises:
-        OutputError: the file cannot be read, is not a tracks.csv, or has no row of the header's length but others.
+    OutputError if the file cannot be read, is not a tracks.csv, or has no row of the header's length but others.
     """
     import pyarrow as pa
     from pyarrow import ArrowException

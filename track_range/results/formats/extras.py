@@ -16,8 +16,7 @@ class ExtraError(UserError):
 def check_extra(format_name: str, extra: str, *packages: str) -> None:
     """Import packages of a format, which `extra` of track-range installs, and disable their telemetry.
 
-    Raises:
-        ExtraError: one of them is not installed.
+    ExtraError if one of them is not installed.
     """
     disable_telemetry()
     for package in packages:

@@ -85,8 +85,7 @@ class ParquetWriter:
 def write_table(path: Path, table: pa.Table) -> None:
     """Write rows in full precision as for tracks.parquet, with the metadata of their schema: the same bytes.
 
-    Raises:
-        OutputError: the file cannot be written.
+    OutputError if the file cannot be written.
     """
     try:
         with atomic_path(path, is_flushed=False) as partial:
@@ -147,10 +146,8 @@ def _complete_batches(
 def read_tracks_parquet(path: Path) -> Columns:
     """Columns of a tracks.parquet: `class` as str, the others as float64 with NaN for null.
 
-    Columns of other types are skipped.
-
-    Raises:
-        OutputError: the file cannot be read, is not of a run, or was written by a newer version.
+    Columns of other types are skipped. OutputError if the file cannot be read, is not of a run, or was written by a
+    newer version.
     """
     from pyarrow import parquet
 
@@ -170,8 +167,7 @@ def read_tracks_parquet(path: Path) -> Columns:
 def read_tracks_arrows(path: Path) -> tuple[Columns, bool]:
     """Columns of the complete frames of a tracks.arrows, and whether it ends within a frame.
 
-    Raises:
-        OutputError: the file cannot be read, is not of a run, or was written by a newer version.
+    OutputError if the file cannot be read, is not of a run, or was written by a newer version.
     """
     import pyarrow as pa
 
@@ -200,9 +196,8 @@ def _errors_of(path: Path) -> Iterator[None]:
 def _usable_columns(path: Path, schema: pa.Schema) -> list[str]:
     """Names of the columns that can be read.
 
-    Raises:
-        OutputError: the file was written by a newer version.
-        ValueError: there are too many columns, or one of them twice.
+    OutputError if the file was written by a newer version; ValueError if there are too many columns, or one of them
+    twice.
     """
     from pyarrow import types
 

@@ -40,8 +40,7 @@ class RowFile:
     def write(self, rows: str | bytes) -> None:
         """Add the content of a frame, whole lines of text; may be empty.
 
-        Raises:
-            OSError: it cannot be written; the file is as before.
+        OSError if it cannot be written; the file is as before.
         """
         content = memoryview(rows.encode("utf-8") if isinstance(rows, str) else rows)
         end = self._end + len(content)

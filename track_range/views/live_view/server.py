@@ -98,7 +98,6 @@ class LivePage(ThreadingHTTPServer):
     Attributes:
         url: address of the page on this machine.
         url_elsewhere: probable address on other machines if all interfaces are served; else None.
-        is_private: whether only this machine is served.
 
     Raises:
         PageError: the port is in use, or the address does not belong to this machine.
@@ -208,7 +207,6 @@ class _Handler(BaseHTTPRequestHandler):
         self.handle_one_request()
 
     def do_GET(self) -> None:
-        """Answer a GET request."""
         page, hosts = self.server, self.headers.get_all("Host", [])
         if page.is_private and not (len(hosts) == 1 and _is_loopback(re.sub(r":\d+$", "", hosts[0]).strip("[]"))):
             self.send_error(HTTPStatus.FORBIDDEN)
@@ -245,21 +243,17 @@ class _Handler(BaseHTTPRequestHandler):
         sentence = f"{status.value} {status.phrase}" if explain is None or message is not None else explain
         self._send("text/plain; charset=utf-8", sentence.encode(), status)
 
-    def _send(self, kind: str, body: bytes, status: HTTPStatus = HTTPStatus.OK) -> None:
-        self._start_answer(kind, length=len(body), status=status)
-        if self.command != "HEAD":
-            self.wfile.write(body)
-
-    def _start_answer(self, kind: str, *, length: int | None = None, status: HTTPStatus = HTTPStatus.OK) -> None:
+    def _send(self, kind: str, body: bytes | None, status: HTTPStatus = HTTPStatus.OK) -> None:
+        """Answer with a body, or with the headers of a body that follows (None)."""
         self.send_response(status)
-        self.send_header("Content-Type", kind)
-        if length is not None:
-            self.send_header("Content-Length", str(length))
-        self.send_header("Connection", "close")
-        for name, value in _HEADERS.items():
+        headers = {"Content-Type": kind, "Connection": "close", **_HEADERS, "Content-Security-Policy": _page()[1]}
+        if body is not None:
+            headers["Content-Length"] = str(len(body))
+        for name, value in headers.items():
             self.send_header(name, value)
-        self.send_header("Content-Security-Policy", _page()[1])
         self.end_headers()
+        if body and self.command != "HEAD":
+            self.wfile.write(body)
 
     def _send_stream(self) -> None:
         page = self.server
@@ -268,7 +262,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, explain=explain)
             return
         try:
-            self._start_answer("multipart/x-mixed-replace; boundary=picture")
+            self._send("multipart/x-mixed-replace; boundary=picture", None)
             if self.command == "HEAD":
                 return
             number = 0
@@ -283,8 +277,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _next_picture(self, number: int) -> tuple[bytes, int] | None:
         """The next picture after `number`, and its number; None at the end of the run.
 
-        Raises:
-            ConnectionAbortedError: the client has disconnected.
+        ConnectionAbortedError if the client has disconnected.
         """
         while (picture := self.server.next_picture(number, _DISCONNECT_POLL_S)) and not picture[0]:
             self.connection.setblocking(False)

@@ -114,9 +114,8 @@ class LiveView:
 def open_view(*, show: bool, serve: str | None, n_viewers: int = DEFAULT_VIEWERS) -> LiveView | None:
     """Live view for the options `--show` and `--serve`, with at most `n_viewers` streams; None without both.
 
-    Raises:
-        UsageError: `serve` is not a port or an address with a port.
-        PageError: the page cannot be served at this address.
+    UsageError if `serve` is not a port or an address with a port; PageError if the page cannot be served at this
+    address.
     """
     if not show and serve is None:
         return None
@@ -127,8 +126,7 @@ def open_view(*, show: bool, serve: str | None, n_viewers: int = DEFAULT_VIEWERS
 def parse_address(text: str) -> tuple[str, int]:
     """Host and port of `--serve PORT` or `--serve HOST:PORT`; the loopback address without a host.
 
-    Raises:
-        UsageError: the text is neither.
+    UsageError if the text is neither.
     """
     match = _ADDRESS.fullmatch(text)
     if match is None or int(match["port"]) > 65535:

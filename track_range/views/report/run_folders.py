@@ -96,10 +96,8 @@ def report(folders: Sequence[Path], out: Path | None = None, *, has_clips: bool 
 def restore_events(run: RunFolder) -> Iterator[str]:
     """Write events.csv and events.parquet of a run that was killed or lacks them; yields a sentence about it.
 
-    A run in progress is left alone.
-
-    Raises:
-        OutputError: a file cannot be written, or the events.csv of a finished run is damaged.
+    A run in progress is left alone. OutputError if a file cannot be written, or the events.csv of a finished run is
+    damaged.
     """
     if not run.are_events_replayed or is_locked(run.folder):
         return

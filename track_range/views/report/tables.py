@@ -39,13 +39,9 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """A table, independent of its rendering: rows of cells, the first of which names the row.
+    """A table, independent of its rendering: headings of the columns, and rows of cells, the first names the row.
 
-    Attributes:
-        title: heading of the table.
-        columns: headings of the columns.
-        rows: cells of the rows.
-        has_sentences: whether cells are sentences, which are wrapped.
+    `has_sentences`: whether cells are sentences, which are wrapped.
     """
 
     title: str
@@ -56,11 +52,9 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of values.
+    """A column of values, one per row; None = not measured.
 
     Attributes:
-        heading: text above the column.
-        values: one per row; None = not measured.
         pattern: format of a value after scaling.
         scale: factor from the stored to the shown value.
         cost: function that is smallest for the best value; None = no value is marked.
@@ -152,26 +146,19 @@ _TRACK_COLUMNS: tuple[ColumnSpec, ...] = (
     ("ID switches", "idsw", "{:.0f}"),
 )
 
-MOT_COLUMNS: tuple[tuple[str, str, str], ...] = (
-    ("HOTA %", "hota", "{:.1f}"),
-    ("DetA %", "deta", "{:.1f}"),
-    ("AssA %", "assa", "{:.1f}"),
-    ("LocA %", "loca", "{:.1f}"),
-    ("MOTA %", "mota", "{:.1f}"),
-    ("MOTP %", "motp", "{:.1f}"),
-    ("IDF1 %", "idf1", "{:.1f}"),
-    ("ID precision %", "idp", "{:.1f}"),
-    ("ID recall %", "idr", "{:.1f}"),
-    ("ID switches", "idsw", "{:.0f}"),
-    ("fragments", "frag", "{:.0f}"),
-    ("false positives", "fp", "{:.0f}"),
-    ("false negatives", "fn", "{:.0f}"),
-    ("true boxes", "n_truth_boxes", "{:.0f}"),
-    ("mostly tracked", "mt", "{:.0f}"),
-    ("partly tracked", "pt", "{:.0f}"),
-    ("mostly lost", "ml", "{:.0f}"),
+_MOT_FIGURES = (
+    *(("HOTA %", "hota"), ("DetA %", "deta"), ("AssA %", "assa"), ("LocA %", "loca"), ("MOTA %", "mota")),
+    *(
+        ("MOTP %", "motp"),
+        ("IDF1 %", "idf1"),
+        ("ID precision %", "idp"),
+        ("ID recall %", "idr"),
+        ("ID switches", "idsw"),
+    ),
+    *(("fragments", "frag"), ("false positives", "fp"), ("false negatives", "fn"), ("true boxes", "n_truth_boxes")),
+    *(("mostly tracked", "mt"), ("partly tracked", "pt"), ("mostly lost", "ml")),
 )
-"""Heading, key in the section `tracks` of the summary, and format; MOT metrics are in per cent already."""
+"""Heading and key in the section `tracks` of the summary; MOT metrics are in per cent already, the others counts."""
 
 STAGE_OF = {"fused": "fuse"}
 """Stage that measures a method's run time, if their names differ; filtered methods are part of the fusion stage."""
@@ -269,8 +256,7 @@ def speed_grids(summary: Summary) -> list[Grid]:
 def speed_grid(summary: Summary) -> Grid:
     """One row per stage that ran, and one for the whole run (wall clock).
 
-    Stages overlap in threads; detection and background work are measured in wall-clock time, the others in processor
-    time.
+    Detection and background work are measured in wall-clock time, the other stages in processor time.
     """
     stages = stages_that_ran(summary)
     fps = frames_per_s(summary)
@@ -312,8 +298,8 @@ def track_grid(tracks: Mapping[str, Any]) -> Grid:
 def mot_grid(tracks: Mapping[str, Any]) -> Grid:
     """One row per tracking metric that was measured."""
     rows = [
-        (Cell(name), Cell(pattern.format(value)))
-        for name, key, pattern in MOT_COLUMNS
+        (Cell(name), Cell(f"{value:.1f}" if name.endswith("%") else f"{value:.0f}"))
+        for name, key in _MOT_FIGURES
         if (value := figure(tracks, key)) is not None
     ]
     return Grid("Tracking metrics", ("metric", "value"), tuple(rows))
