@@ -23,19 +23,12 @@ _MAX_STATE_LENGTH = 60  # maximum number of characters of a state that is read f
 
 @dataclass(frozen=True, slots=True)
 class ProgressNote:
-    """State of a run in progress.
-
-    Attributes:
-        state: activity of the run, such as "opening the inputs".
-        pid: process id.
-        started: local time at which the run was started, ISO 8601.
-        frames: number of frames in the files of the rows.
-    """
+    """State of a run in progress."""
 
     state: str
     pid: int
-    started: str
-    frames: int = 0
+    started: str  # local time, ISO 8601
+    frames: int = 0  # in the files of the rows
 
     def write(self, folder: Path) -> None:
         """Write progress.json atomically; OutputError if it cannot be written."""

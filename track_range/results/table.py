@@ -170,26 +170,15 @@ def _not_stored(path: Path, error: OSError) -> OutputError:
 
 @dataclass(slots=True, kw_only=True)
 class RunRows:
-    """Rows and events of the finished frames of a run, or of any other sequence of frame results.
+    """Rows and events of the finished frames of a run, or of any other sequence of frame results."""
 
-    Attributes:
-        fps: nominal frame rate, for the duration of the last frame; 0 = unknown.
-        finder: finds the events.
-        table: the rows.
-        events: events that have ended; after `finish` all events, in the order of their starts.
-        frame_index: numbers of the frames.
-        ego_mps: ego speed at the frames, NaN = unknown.
-        methods: names of the distances that were measured in any frame.
-        starts_s, last_s: times of the first and of the last frame.
-    """
-
-    fps: float = 0.0
+    fps: float = 0.0  # nominal, for the duration of the last frame; 0 = unknown
     finder: EventFinder = field(default_factory=EventFinder)
     table: RunTable = field(default_factory=RunTable)
-    events: tuple[Event, ...] = ()
+    events: tuple[Event, ...] = ()  # those that have ended; after `finish` all, in the order of their starts
     frame_index: list[int] = field(default_factory=list)
-    ego_mps: list[float] = field(default_factory=list)
-    methods: set[str] = field(default_factory=set)
+    ego_mps: list[float] = field(default_factory=list)  # at the frames, NaN = unknown
+    methods: set[str] = field(default_factory=set)  # names of the distances that were measured in any frame
     starts_s: float = 0.0
     last_s: float = 0.0
 

@@ -45,7 +45,10 @@ def write_clips(
     starts_s: float,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> tuple[Path, ...]:
-    """Write one clip per event; clips of an earlier run in the folder are removed.
+    """Paths of the clips that are written, one per event of which the overlay shows a frame.
+
+    Clips of an earlier run in the folder are removed. VideoError if the overlay cannot be read, OutputError if a clip
+    cannot be written.
 
     Args:
         overlay: overlay.mp4 of the run.
@@ -53,13 +56,6 @@ def write_clips(
         folder: folder of the clips; it is created if there are events.
         starts_s: time of the overlay's first frame in seconds from the start of the video.
         progress: called with the number of finished clips and of all.
-
-    Returns:
-        Paths of the clips; none for events of which the overlay shows no frame.
-
-    Raises:
-        VideoError: the overlay cannot be read.
-        OutputError: a clip cannot be written.
     """
     if not overlay.exists():
         raise VideoError(
@@ -107,20 +103,10 @@ def remove_clips(folder: Path) -> None:
 
 
 def cut_clip(video: Path, path: Path, start_s: float, end_s: float) -> bool:
-    """Write the part of a video between two times, relative to its first frame, atomically.
+    """Write the frames of a `VideoWriter`'s video between two times, relative to its first frame, atomically.
 
-    Args:
-        video: file of a `VideoWriter`.
-        path: the clip.
-        start_s: time of the first frame at the earliest.
-        end_s: time of the last frame at the latest.
-
-    Returns:
-        Whether the video has a frame in this time; otherwise nothing is written.
-
-    Raises:
-        VideoError: the video cannot be read.
-        OutputError: the clip cannot be written.
+    False if there are none; then nothing is written. VideoError if the video cannot be read, OutputError if the clip
+    cannot be written.
     """
     with ExitStack() as opened:
         container, stream = opened.enter_context(_opened(video))

@@ -33,29 +33,17 @@ _MAX_BRAKING_MPS2 = 15.0  # of a hard approach, more than tyres allow; above, it
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """Values of the N tracks of a frame from which events are found, (N,) each; NaN = unknown.
+    """Values of the N tracks of a frame from which events are found, (N,) each; NaN = unknown."""
 
-    Attributes:
-        distance_m: filtered distance, else the measured one.
-        sigma_m: its standard deviation.
-        gap_m: distance from the front of the ego vehicle.
-        closing_mps: closing speed.
-        ttc_s: time to contact, gap / closing speed.
-        headway_s: gap / ego speed.
-        offset_m: lateral offset from the ego path.
-        apart_m: distance between the edges of object and ego path, negative = the object is in the path.
-        probability: probability of contact.
-    """
-
-    distance_m: FloatArray
+    distance_m: FloatArray  # filtered, else measured
     sigma_m: FloatArray
-    gap_m: FloatArray
+    gap_m: FloatArray  # from the front of the ego vehicle
     closing_mps: FloatArray
-    ttc_s: FloatArray
-    headway_s: FloatArray
-    offset_m: FloatArray
-    apart_m: FloatArray
-    probability: FloatArray
+    ttc_s: FloatArray  # gap / closing speed
+    headway_s: FloatArray  # gap / ego speed
+    offset_m: FloatArray  # lateral, from the ego path
+    apart_m: FloatArray  # between the edges of object and ego path, negative = the object is in the path
+    probability: FloatArray  # of contact
 
     @classmethod
     def of(cls, result: FrameResult, settings: EventSettings) -> Situation:

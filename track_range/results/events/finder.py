@@ -29,31 +29,22 @@ _SITUATION = ("distance_m", "sigma_m", "gap_m", "closing_mps", "ttc_s", "headway
 
 @dataclass(slots=True)
 class _Open:
-    """An event in progress.
-
-    Attributes:
-        group: object group of its class.
-        track_ids: all tracks of its object, of which `track_id` is the last one.
-        distance_m, offset_m: where the object was last in the condition.
-        extremes: least distances and times, largest speeds.
-        first, peak: values of the first and of the most critical frame.
-        last_seen: where the object of a near miss was last seen: `time_s`, `gap_m`, `closing_mps`, `apart_m`.
-    """
+    """An event in progress."""
 
     kind: EventKind
-    group: int
+    group: int  # of objects of its class
     start_s: float
     last_s: float = math.nan
-    track_id: int = 0
+    track_id: int = 0  # last one of the tracks of its object
     track_ids: set[int] = field(default_factory=set)
-    distance_m: float = math.nan
+    distance_m: float = math.nan  # where the object was last in the condition
     offset_m: float = math.nan
     warning_s: float = math.nan
     criticality: float = -math.inf
-    extremes: dict[str, float] = field(default_factory=dict)
-    first: dict[str, float] = field(default_factory=dict)
-    peak: dict[str, float] = field(default_factory=dict)
-    last_seen: dict[str, float] = field(default_factory=dict)
+    extremes: dict[str, float] = field(default_factory=dict)  # least distances and times, largest speeds
+    first: dict[str, float] = field(default_factory=dict)  # values of the first frame
+    peak: dict[str, float] = field(default_factory=dict)  # values of the most critical frame
+    last_seen: dict[str, float] = field(default_factory=dict)  # where the object of a near miss was last seen
     peak_track_id: int = 0
     peak_class: int = 0
 

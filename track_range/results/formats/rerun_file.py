@@ -24,8 +24,7 @@ import numpy as np
 
 from track_range.foundation.files import atomic_files
 from track_range.pipeline.frame_result import FrameResult
-from track_range.results.formats.extras import check_extra
-from track_range.results.formats.scene import TrackObject, track_objects
+from track_range.results.formats.scene import TrackObject, check_extra, track_objects
 from track_range.results.writers import RunInfo
 
 RERUN_FILE = "run.rrd"

@@ -1,14 +1,18 @@
-"""TrackObject: a track of one frame with its box in the image and in metres, for formats with 3-D scenes."""
+"""What formats with 3-D scenes share: tracks with their boxes in the image and in metres, and optional packages."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib import import_module
 
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.foundation.errors import UserError
+from track_range.foundation.files.input_files import shortened
+from track_range.foundation.library_telemetry import disable_telemetry
 from track_range.pipeline.colours import track_colour, warning_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -29,30 +33,21 @@ FIGURES = ("distance_m", "sigma_m", "closing_mps", "closing_sigma_mps", "ttc_s")
 
 @dataclass(frozen=True, slots=True)
 class TrackObject:
-    """A track of one frame; NaN = unknown.
-
-    Attributes:
-        is_observed: False for a predicted box.
-        xyxy_px: edges of the box in px, pixel centres at integers.
-        distance_m: fused distance (z); `sigma_m` is its standard deviation.
-        centre_m: centre of the cuboid in the camera frame.
-        size_m: width (x), height (y) and nominal length (z) of the cuboid.
-        rgb: colour, 0 to 255; red and amber shortly before a predicted collision.
-    """
+    """A track of one frame; NaN = unknown."""
 
     track_id: int
     class_name: str
     score: float
     is_observed: bool
-    xyxy_px: tuple[float, float, float, float]
-    distance_m: float
+    xyxy_px: tuple[float, float, float, float]  # pixel centres at integers
+    distance_m: float  # fused (z)
     sigma_m: float
     closing_mps: float
     closing_sigma_mps: float
     ttc_s: float
-    centre_m: tuple[float, float, float]
-    size_m: tuple[float, float, float]
-    rgb: tuple[int, int, int]
+    centre_m: tuple[float, float, float]  # of the cuboid in the camera frame
+    size_m: tuple[float, float, float]  # width (x), height (y) and nominal length (z) of the cuboid
+    rgb: tuple[int, int, int]  # 0 to 255; red and amber shortly before a predicted collision
 
     @property
     def is_ranged(self) -> bool:
@@ -104,3 +99,28 @@ def track_objects(result: FrameResult, camera: PinholeCamera) -> Iterator[TrackO
             (float(width_m[i]), float(height_m[i]), length_m),
             (red, green, blue),
         )
+
+
+class ExtraError(UserError):
+    """A result format requires a package that is not installed."""
+
+
+def check_extra(format_name: str, extra: str, *packages: str) -> None:
+    """Import packages of a format, which `extra` of track-range installs, and disable their telemetry.
+
+    ExtraError if one of them is not installed.
+    """
+    disable_telemetry()
+    for package in packages:
+        top_level = package.partition(".")[0]
+        try:
+            import_module(package)
+        except ImportError as error:
+            is_missing = isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] == top_level
+            raise ExtraError(
+                f"the format {format_name} requires the package {top_level}: install it with "
+                f"pip install 'track-range[{extra}]'."
+                if is_missing
+                else f"the format {format_name}: the package {top_level} cannot be imported ({shortened(str(error))}); "
+                f"reinstall it with pip install --force-reinstall 'track-range[{extra}]'."
+            ) from error

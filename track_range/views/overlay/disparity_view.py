@@ -10,9 +10,8 @@ from track_range.pipeline.colours import GREY, WHITE, track_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.sgbm import disparity_picture
-from track_range.views.overlay.annotator import Overlay
+from track_range.views.overlay.annotator import Overlay, draw_box, draw_inner_windows
 from track_range.views.overlay.labels import BOLD, REGULAR, Span, TextRenderer, text_sizes_px
-from track_range.views.overlay.marks import draw_box, draw_inner_windows
 
 REDDEST_M = 5.0  # distance in metres shown in the reddest colour; nearer ones have the same colour
 SCALE_M = (5, 7, 10, 15, 20, 30, 50)  # distances on the scale, in metres

@@ -71,24 +71,14 @@ _OMITTED = ("out", "versions")  # settings that do not affect the results
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComparedRun:
-    """A run of a comparison.
-
-    Attributes:
-        name: short and unique.
-        summary: content of its summary.json.
-        settings: section `run` of its settings.yaml.
-        link: address of its report relative to the page; None = no report.
-        notes: messages about missing files.
-        events: its events; None = unknown.
-        rows: its rows by column, for the places of its events.
-    """
+    """A run of a comparison: a short and unique name, and the content of its folder."""
 
     name: str
     summary: Mapping[str, Any]
     settings: Mapping[str, Any]
-    link: str | None = None
-    notes: tuple[str, ...] = ()
-    events: tuple[Event, ...] | None = None
+    link: str | None = None  # address of its report relative to the page
+    notes: tuple[str, ...] = ()  # messages about missing files
+    events: tuple[Event, ...] | None = None  # None = unknown
     rows: Columns = field(default_factory=dict)
 
     def section(self, name: str) -> Mapping[str, Any]:

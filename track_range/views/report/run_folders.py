@@ -28,35 +28,26 @@ from track_range.views.report.tables import Grid
 
 @dataclass(frozen=True, slots=True)
 class WrittenReport:
-    """Result of `report`.
-
-    Attributes:
-        page: page to open.
-        grids: tables of a comparison; none for a single run.
-        missing: messages about files that are missing in a folder.
-        notes: reasons why the runs may not be comparable; none for a single run.
-        clips: clips of events that were written.
-    """
+    """Result of `report`: the page to open, and for several runs the tables of the comparison."""
 
     page: Path
     grids: tuple[Grid, ...]
-    missing: tuple[str, ...]
-    notes: tuple[str, ...]
+    missing: tuple[str, ...]  # messages about files that are missing in a folder
+    notes: tuple[str, ...]  # reasons why the runs may not be comparable
     clips: tuple[Path, ...] = ()
 
 
 def report(folders: Sequence[Path], out: Path | None = None, *, has_clips: bool = False) -> WrittenReport:
     """Write report.html into the folder of each run and, for several runs, a page that compares them.
 
+    OutputError if a folder contains no run, or a page or clip cannot be written or would overwrite an input; VideoError
+    if clips are to be cut from an overlay that cannot be read.
+
     Args:
         folders: result folders of runs; duplicates are ignored.
         out: page of a single run instead of the one in its folder, or page of the comparison (None = comparison.html
             in the current folder).
         has_clips: whether a clip of each event is cut from the overlay.
-
-    Raises:
-        OutputError: a folder contains no run, or a page or clip cannot be written or would overwrite an input.
-        VideoError: the overlay of a run is missing or cannot be read, for clips.
     """
     runs = [read_run_folder(folder) for folder in {real_path(folder): folder for folder in folders}.values()]
     pages = [run.folder / "report.html" for run in runs] if len(runs) > 1 else []

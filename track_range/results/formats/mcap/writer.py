@@ -19,10 +19,9 @@ import cv2
 import numpy as np
 
 from track_range.pipeline.frame_result import FrameResult
-from track_range.results.formats.extras import check_extra
 from track_range.results.formats.mcap import NANOSECONDS, PROFILES, Message
 from track_range.results.formats.row_file import RowFile
-from track_range.results.formats.scene import track_objects
+from track_range.results.formats.scene import check_extra, track_objects
 from track_range.results.writers import RunInfo
 
 if TYPE_CHECKING:
