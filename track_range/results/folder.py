@@ -70,27 +70,15 @@ _INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunFolder:
-    """Results of a run.
-
-    Attributes:
-        folder: folder of the results.
-        summary: content of summary.json, or what can be computed from the rows; its notes begin with `missing`.
-        columns: rows by column, with `truth_m` and `scored_truth_m` if the ground truth can be read.
-        settings: section `run` of settings.yaml; empty without that file.
-        missing: messages about files that are missing or cannot be read.
-        events: events of the run; those of a killed run, or of one with a damaged events.csv, are found again from
-            the rows.
-        are_events_replayed: whether the events were found again from the rows.
-        provenance: software, model, calibration and settings of the results.
-    """
+    """Results of a run; the events of one that was killed or has a damaged events.csv are found again from the rows."""
 
     folder: Path
-    summary: Sections
-    columns: Columns
-    settings: Sections
-    missing: tuple[str, ...]
+    summary: Sections  # content of summary.json, or what can be computed from the rows; its notes begin with `missing`
+    columns: Columns  # with `truth_m` and `scored_truth_m` if the ground truth can be read
+    settings: Sections  # section `run` of settings.yaml; empty without that file
+    missing: tuple[str, ...]  # messages about files that are missing or cannot be read
     events: tuple[Event, ...] = ()
-    are_events_replayed: bool = False
+    are_events_replayed: bool = False  # whether the events were found again from the rows
     provenance: Provenance = field(default_factory=Provenance)
 
 

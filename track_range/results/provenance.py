@@ -31,23 +31,14 @@ _RIG = ("focal_px", "baseline_m", "image_size_px")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Provenance:
-    """Origin of results.
+    """Origin of results."""
 
-    Attributes:
-        schema_version: version of the result files.
-        version: version of track-range.
-        model: properties of the detector, or the name of the file of detections.
-        rig: properties of the calibration: kind, name of the file, focal length, baseline, image size.
-        settings_hash: `settings_hash` of the settings; "" = unknown.
-        utc: UTC of the first frame of the video (`time_s` = 0), its source and its uncertainty; empty = unknown.
-    """
-
-    schema_version: int = SCHEMA_VERSION
+    schema_version: int = SCHEMA_VERSION  # of the result files
     version: str = field(default_factory=lambda: version("track-range"))
-    model: Mapping[str, Any] = field(default_factory=dict)
-    rig: Mapping[str, Any] = field(default_factory=dict)
-    settings_hash: str = ""
-    utc: Mapping[str, Any] = field(default_factory=dict)
+    model: Mapping[str, Any] = field(default_factory=dict)  # the detector, or the name of the file of detections
+    rig: Mapping[str, Any] = field(default_factory=dict)  # calibration: kind, file, focal length, baseline, image size
+    settings_hash: str = ""  # `settings_hash` of the settings; "" = unknown
+    utc: Mapping[str, Any] = field(default_factory=dict)  # of time_s = 0, its source and uncertainty; empty = unknown
 
     @classmethod
     def of_inputs(cls, detected: Mapping[str, Any], settings_hash: str) -> Self:

@@ -36,15 +36,10 @@ from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, Tracked
 
 @dataclass(frozen=True, slots=True)
 class MatchedTruth:
-    """Ground truth of N rows (a track in a frame each).
+    """Ground truth of N rows (a track in a frame each)."""
 
-    Attributes:
-        truth: the labels.
-        row: (N,) index of the matching label in `truth`; -1 = no match.
-    """
-
-    truth: Truth
-    row: IntArray
+    truth: Truth  # the labels
+    row: IntArray  # (N,) index of the matching label in `truth`; -1 = no match
 
     @property
     def distance_m(self) -> FloatArray:

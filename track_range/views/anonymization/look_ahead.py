@@ -38,15 +38,10 @@ SAME_IOU, EQUAL_IOU = 0.3, 0.9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LookAhead:
-    """How long results are held back to use later frames.
+    """How long results are held back to use later frames."""
 
-    Attributes:
-        time_s: longest time; 0 = only the past is used.
-        max_frames: largest number of results held back, which limits the memory.
-    """
-
-    time_s: float
-    max_frames: int
+    time_s: float  # longest time; 0 = only the past is used
+    max_frames: int  # largest number of results held back, which limits the memory
 
 
 OFFLINE = LookAhead(time_s=0.5, max_frames=16)  # look-ahead for files
@@ -110,15 +105,10 @@ class _Box(NamedTuple):
 
 @dataclass(slots=True)
 class _History:
-    """Boxes of the frames around the one to cover.
+    """Boxes of the frames around the one to cover."""
 
-    Attributes:
-        tracks: boxes by track id, in order of time.
-        candidates: (time, detections without identity) of the frames.
-    """
-
-    tracks: dict[int, deque[_Box]] = field(default_factory=dict)
-    candidates: deque[tuple[float, Detections]] = field(default_factory=deque)
+    tracks: dict[int, deque[_Box]] = field(default_factory=dict)  # by track id, in order of time
+    candidates: deque[tuple[float, Detections]] = field(default_factory=deque)  # time, detections without identity
 
     def add(self, result: FrameResult) -> None:
         """Add the boxes of the newest frame."""

@@ -64,17 +64,11 @@ _WITH_PLATE = (_CAR, _MOTORCYCLE, _BUS, _TRUCK)
 
 @dataclass(frozen=True, slots=True)
 class Boxes:
-    """Boxes of road users in one image, observed, predicted or interpolated.
+    """Boxes of road users in one image, observed, predicted or interpolated."""
 
-    Attributes:
-        xyxy_px: (N, 4) left, top, right, bottom edge; pixel centres at integers.
-        class_id: (N,) index into `detection.classes.ROAD_CLASSES`.
-        margin_px: (N,) uncertainty of the edges beyond that of an observed box.
-    """
-
-    xyxy_px: FloatArray
-    class_id: IntArray
-    margin_px: FloatArray
+    xyxy_px: FloatArray  # (N, 4) left, top, right, bottom edge; pixel centres at integers
+    class_id: IntArray  # (N,) index into `detection.classes.ROAD_CLASSES`
+    margin_px: FloatArray  # (N,) uncertainty of the edges beyond that of an observed box
 
     def __post_init__(self) -> None:
         n = len(self.class_id)
@@ -91,15 +85,10 @@ class Boxes:
 
 @dataclass(frozen=True, slots=True)
 class Regions:
-    """Rectangles of an image to cover.
+    """Rectangles of an image to cover."""
 
-    Attributes:
-        xyxy_px: (N, 4) left, top, right, bottom edge; pixel centres at integers.
-        cell_px: (N,) cell size of the mosaic.
-    """
-
-    xyxy_px: FloatArray
-    cell_px: FloatArray
+    xyxy_px: FloatArray  # (N, 4) left, top, right, bottom edge; pixel centres at integers
+    cell_px: FloatArray  # (N,) cell size of the mosaic
 
     def __len__(self) -> int:
         return len(self.cell_px)

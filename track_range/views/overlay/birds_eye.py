@@ -52,11 +52,7 @@ class Scale:
 
 
 class BirdsEye:
-    """Draws the insets of one video.
-
-    Attributes:
-        camera: camera of the images, for predicted tracks and the field of view; None = without these.
-    """
+    """Draws the insets of one video; predicted tracks and the field of view need the camera of the images."""
 
     def __init__(self, camera: PinholeCamera | None = None) -> None:
         self.camera = camera

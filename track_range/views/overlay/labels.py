@@ -37,20 +37,14 @@ BOLD, REGULAR = 700, 450  # font weights, 100..900
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A piece of text in one size and colour.
-
-    Attributes:
-        weight: font weight, 100..900.
-        fill: colour of the bar behind the line; None = no bar.
-        filled: length of the bar as a fraction of the line, 0..1.
-    """
+    """A piece of text in one size and colour."""
 
     text: str
     size_px: int
-    weight: int
+    weight: int  # font weight, 100..900
     bgr: Bgr
-    fill: Bgr | None = None
-    filled: float = 0.0
+    fill: Bgr | None = None  # colour of the bar behind the line; None = no bar
+    filled: float = 0.0  # length of the bar as a fraction of the line, 0..1
 
 
 Line = Sequence[Span]

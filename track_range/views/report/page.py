@@ -41,11 +41,12 @@ from track_range.views.report.content.events import clips_of, event_records, hid
 from track_range.views.report.content.road import box_columns, camera_of_rows, road_columns, uncalibrated_video
 from track_range.views.report.content.series import timeline, track_records
 from track_range.views.report.content.warning_curve import curve_figure, packaged_curve
-from track_range.views.report.headlines import headlines, run_line
 from track_range.views.report.sentences import (
     address,
     cards,
     geometry_sentences,
+    headlines,
+    run_line,
     run_name,
     settings_groups,
     sigma_sentences,

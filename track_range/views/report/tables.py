@@ -52,19 +52,13 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of values, one per row; None = not measured.
-
-    Attributes:
-        pattern: format of a value after scaling.
-        scale: factor from the stored to the shown value.
-        cost: function that is smallest for the best value; None = no value is marked.
-    """
+    """A column of values, one per row; None = not measured."""
 
     heading: str
     values: Sequence[float | None]
-    pattern: str = "{:.1f}"
-    scale: float = 1.0
-    cost: Cost | None = None
+    pattern: str = "{:.1f}"  # format of a value after scaling
+    scale: float = 1.0  # factor from the stored to the shown value
+    cost: Cost | None = None  # function that is smallest for the best value; None = no value is marked
 
     def cells(self) -> list[Cell]:
         """One cell per value; all values whose text equals that of the best are marked."""

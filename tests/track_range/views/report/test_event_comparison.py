@@ -18,7 +18,7 @@ from track_range.views.report.content.events import (
     sigma_words,
     time_words,
 )
-from track_range.views.report.headlines import headlines
+from track_range.views.report.sentences import headlines
 
 
 def event(**changes: Any) -> Event:
