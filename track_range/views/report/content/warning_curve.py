@@ -5,7 +5,7 @@ values are packaged in assets/warning_curve.json:
 
     {"protocol": text, "methods": {name: [[false alarms per hour, median lead in s, fraction of contacts], ...]}}
 
-The share is that of the contacts with a warning at least 2.1 s before.
+The fraction is that of the contacts with a warning at least 2.1 s before.
 """
 
 from __future__ import annotations
