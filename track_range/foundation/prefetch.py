@@ -49,16 +49,7 @@ def prefetch(
         depth: number of items queued or in progress, besides the one that the caller holds; at least 1.
         low_priority: see `lower_thread_priority`.
         name: name of the thread, for profilers.
-
-    Raises:
-        ValueError: `depth` is below 1.
     """
-    if depth < 1:
-        raise ValueError(f"depth: expected at least 1, got {depth}")
-    return _consume(items, depth, low_priority, name)
-
-
-def _consume(items: Iterable[T], depth: int, low_priority: bool, name: str) -> Generator[T, None, None]:
     queue: ClosableQueue[T] = ClosableQueue(depth)
     # A daemon thread, so that the program can end while a traceback still refers to the generator.
     thread = threading.Thread(target=_produce, args=(items, queue, low_priority), name=name, daemon=True)

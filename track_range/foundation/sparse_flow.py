@@ -30,16 +30,19 @@ _MIN_EIGENVALUE = 1e-5
 _TENSOR_PX, _MIN_TENSOR = 5, 1e-6
 """Side of the window of the structure tensor, pixels of the half-size image, and smallest eigenvalue that counts."""
 
+_WINDOW_PX, _N_LEVELS = 9, 4
+"""Side of the tracked window, and pyramid levels above the small image, for motions larger than the window."""
+
+_MIN_SIDE_PX = 32  # of a small image that has room for windows
+
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 """Stop criteria of Lucas-Kanade: number of iterations and step in px."""
 
 
 def small_grey(image: Image, n_halved: int) -> Image:
-    """The green channel, halved `n_halved` times by 2x2 means, which prevent aliasing; green is faster than grey.
+    """The green channel of a BGR or grey image, halved `n_halved` times by 2x2 means, which prevent aliasing.
 
-    Args:
-        image: (H, W, 3) BGR or (H, W) grey.
-        n_halved: number of halvings.
+    Green is faster than grey.
     """
     grey = image if image.ndim == 2 else np.asarray(cv2.extractChannel(image, 1), np.uint8)
     for _ in range(n_halved):
@@ -101,10 +104,7 @@ def ranked_corners(grey: Image, is_masked: BoolArray) -> RankedCorners:
     """Corners outside masked cells, one per square of 16 px.
 
     They are detected at half size, because the tracked windows are large; a grid is faster than OpenCV's sorting.
-
-    Args:
-        grey: (H, W) small image.
-        is_masked: mask of `masked_cells`.
+    `grey` (H, W) is the small image, and `is_masked` its mask of `masked_cells`.
     """
     quality = cv2.cornerMinEigenVal(halved(grey), 3)
     n_rows, n_columns = quality.shape[0] // _GRID_PX, quality.shape[1] // _GRID_PX
@@ -123,11 +123,8 @@ def ranked_corners(grey: Image, is_masked: BoolArray) -> RankedCorners:
 def isotropy(grey: Image, points: FloatArray32) -> FloatArray32:
     """(N,) ratio of the smaller to the larger eigenvalue of the structure tensor at points (N, 2): 0 on an edge.
 
-    The flow along an edge is not determined by the image (the aperture problem).
-
-    Args:
-        grey: (H, W) small image.
-        points: points of `ranked_corners` in it.
+    The flow along an edge is not determined by the image (the aperture problem). `grey` (H, W) is the small image, and
+    the points are those of `ranked_corners` in it.
     """
     half = halved(grey)
     x_slope, y_slope = cv2.Sobel(half, cv2.CV_32F, 1, 0), cv2.Sobel(half, cv2.CV_32F, 0, 1)
@@ -172,23 +169,6 @@ def tracked_corners(
     return now_px, np.asarray(is_inside & (status.reshape(-1) > 0))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FlowSettings:
-    """Settings of feature tracking; pixels are those of the small image.
-
-    Attributes:
-        long_side_px: the image is halved until neither side is longer.
-        window_px: side of the tracked window.
-        n_levels: pyramid levels above the small image, for motions larger than the window.
-        min_side_px: smallest side of a small image that has room for windows.
-    """
-
-    long_side_px: int = 640
-    window_px: int = 9
-    n_levels: int = 4
-    min_side_px: int = 32
-
-
 @dataclass(frozen=True, slots=True)
 class FlowFrame:
     """Small image and corners of one frame.
@@ -219,14 +199,16 @@ class BackgroundFlow:
     than another one uses the first of them; the first one that needs the flow of a frame computes it for all that any
     of them needed in an earlier frame, since each call of Lucas-Kanade computes the pyramids of both images.
 
+    Args:
+        long_side_px: the small image is halved until neither side is longer.
+
     Attributes:
         now: the last frame; None = there is none, or it is too small.
         before: the frame before it; None = there is none of equal size.
     """
 
-    def __init__(self, settings: FlowSettings | None = None) -> None:
-        """A flow without frames; `settings` None = the defaults."""
-        self._settings = settings or FlowSettings()
+    def __init__(self, long_side_px: int = 640) -> None:
+        self._long_side_px = long_side_px
         self.now: FlowFrame | None = None
         self.before: FlowFrame | None = None
         self._last_s = math.nan
@@ -249,7 +231,7 @@ class BackgroundFlow:
         self._points, self._is_tracked = np.zeros((0, 2), np.float32), np.zeros(0, np.bool_)
         image_hw = image.shape[0], image.shape[1]
         n_halved = self.n_halvings(image_hw)
-        if min(image_hw) >> n_halved < self._settings.min_side_px:
+        if min(image_hw) >> n_halved < _MIN_SIDE_PX:
             return
         grey = small_grey(image, 0)
         small = small_grey(grey, n_halved)
@@ -259,7 +241,7 @@ class BackgroundFlow:
 
     def n_halvings(self, image_hw: tuple[int, int]) -> int:
         """Number of halvings of the small image of an image of this size."""
-        return (max(image_hw) // (self._settings.long_side_px + 1)).bit_length()
+        return (max(image_hw) // (self._long_side_px + 1)).bit_length()
 
     def tracked(self, n_corners: int, min_quality: float) -> tuple[FloatArray32, FloatArray32]:
         """Corners tracked from the frame before into an unmasked part of this one: (N, 2) in both frames.
@@ -275,12 +257,9 @@ class BackgroundFlow:
         self._needs.add((n_corners, min_quality))
         if n_good > len(self._points):
             n_needed = max(starmap(corners.n_good, self._needs))
+            new = corners.points[len(self._points) : n_needed]
             points, is_tracked = tracked_corners(
-                self.before.small,
-                self.now.small,
-                corners.points[len(self._points) : n_needed],
-                window_px=self._settings.window_px,
-                n_levels=self._settings.n_levels,
+                self.before.small, self.now.small, new, window_px=_WINDOW_PX, n_levels=_N_LEVELS
             )
             is_tracked[is_tracked] = ~are_masked(points[is_tracked], self.now.is_masked)
             self._points = np.concatenate([self._points, points])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Annotated, Any, Literal, TypeVar
@@ -22,26 +23,14 @@ def _not_boolean(value: object) -> object:
 
 
 Number = Annotated[float, BeforeValidator(_not_boolean), Field(allow_inf_nan=False)]
-"""Finite number; true and false, which Python treats as 1 and 0, are errors."""
-
 PositiveNumber = Annotated[Number, Field(gt=0)]
-"""Finite number above 0."""
-
 Integer = Annotated[int, BeforeValidator(_not_boolean)]
-"""Integer; true and false are errors."""
-
-Version1 = Annotated[Literal[1], BeforeValidator(_not_boolean)]
-"""Version 1 of a file format; true is an error."""
+Version1 = Annotated[Literal[1], BeforeValidator(_not_boolean)]  # version 1 of a file format
+"""Finite numbers, integers and versions; true and false, which Python treats as 1 and 0, are errors."""
 
 
 def validated(model: type[_Model], content: Any, source: object, error: type[Exception]) -> _Model:
-    """Content of a file as a pydantic model.
-
-    Args:
-        model: the model.
-        content: plain values, usually of `read_yaml` or `read_json`.
-        source: the file, for messages.
-        error: class of the exceptions to raise.
+    """Plain values, usually of `read_yaml` or `read_json`, as a pydantic model; `source` is the file, for messages.
 
     Raises:
         error: a key is missing, unknown, or has a wrong value; the message names file and key.
@@ -85,14 +74,13 @@ def first_problem(error: ValidationError) -> tuple[str, str]:
     if kind in ("value_error", "assertion_error"):
         return key, shortened(first["msg"].partition(", ")[2].removesuffix("."), _MAX_PROBLEM)
     if kind in _EXPECTED:
-        expected = _EXPECTED[kind].format_map(_Limits(limits))
+        expected = _EXPECTED[kind].format_map(defaultdict(lambda: "?", limits))
     else:
         expected = first["msg"].removeprefix("Input should be ").removeprefix("a valid ")
     return key, f"expected {shortened(expected, _MAX_PROBLEM)}, found {quoted(first['input'])}"
 
 
-_MAX_PROBLEM = 200
-"""Largest number of characters of the description of a problem."""
+_MAX_PROBLEM = 200  # characters of the description of a problem
 
 _EXPECTED = {
     "greater_than": "a number above {gt}",
@@ -120,10 +108,3 @@ _EXPECTED = {
     "too_long": "at most {max_length} values",
 }
 """Expected values by pydantic's type of error."""
-
-
-class _Limits(dict[str, Any]):
-    """Limits of a pydantic error by name; "?" for one that pydantic does not report."""
-
-    def __missing__(self, name: str) -> str:
-        return "?"

@@ -17,13 +17,9 @@ from track_range.foundation.errors import UserError
 TIME_EPSILON_S = 1e-6
 """Times closer than this, s, are equal: far below any frame interval, far above the rounding of a float64."""
 
-_NEUTRAL_DIFFERENCE = 8
-"""Largest difference between the channels of a grey pixel, in grey levels; lossy chroma of grey videos differs by 1 to
-3."""
-
-_NEUTRAL_FRACTION = 0.999
-"""Smallest fraction of grey pixels in an image without colour; assumed."""
-
+_NEUTRAL_DIFFERENCE, _NEUTRAL_FRACTION = 8, 0.999
+"""Largest difference between the channels of a grey pixel, in grey levels, and smallest fraction of such pixels in an
+image without colour, which is assumed; lossy chroma of grey videos differs by 1 to 3."""
 
 _reformatters = threading.local()
 """One converter of colours per thread; its buffers are reused while the size and format of the frames remain."""
@@ -39,11 +35,9 @@ class DecodedImage(Protocol):
     @property
     def n_bytes(self) -> int:
         """Size in memory."""
-        ...
 
     def to_bgr(self) -> Image:
         """The image as (H, W, 3) uint8 BGR, upright; every call gives the same pixels."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +63,7 @@ class VideoFrame:
 
     def packed(self) -> Callable[[], VideoFrame]:
         """A function that returns this frame but stores its image only in the smaller format."""
-        decoded, index, time_s = self.decoded, self.index, self.time_s
+        decoded, index, time_s = self.decoded, self.index, self.time_s  # not the frame, which holds the image
         if decoded is None:
             return lambda: self
         return lambda: VideoFrame(index, time_s, decoded.to_bgr(), decoded)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from glob import glob, has_magic
 from pathlib import Path
 
+from track_range.foundation.files.input_files import counted
 from track_range.recording.live.address import LiveAddress, live_address
 
 
@@ -21,8 +22,7 @@ class Segments:
     paths: tuple[Path, ...]
 
     def __str__(self) -> str:
-        n_others = len(self.paths) - 1
-        return f"{self.paths[0]} and {n_others} other file{'' if n_others == 1 else 's'}"
+        return f"{self.paths[0]} and {counted(len(self.paths) - 1, 'other file')}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,15 +7,32 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 
-from track_range.recording.files.video_part import VideoPart
 from track_range.recording.frame import VideoError, VideoFrame
 from track_range.recording.names import RecordedName
 from track_range.recording.threads import DECODER_THREADS
 from track_range.recording.utc import UtcStart
 
 _now_s = time.thread_time if DECODER_THREADS == 1 else time.perf_counter
+
+
+@dataclass(frozen=True, slots=True)
+class VideoPart:
+    """One file of a recording, or its folder of images.
+
+    Attributes:
+        path: the file or folder.
+        start_s: time of its first frame, in seconds from the first frame of the recording.
+        duration_s: length in seconds as the header states it; 0 = unknown.
+        utc: UTC of its first frame; None = unknown.
+    """
+
+    path: Path
+    start_s: float
+    duration_s: float
+    utc: UtcStart | None
 
 
 class RecordedVideo(ABC):

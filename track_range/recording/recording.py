@@ -27,7 +27,6 @@ from track_range.recording.pairs.recorded_pair import RecordedPair
 from track_range.recording.pairs.video_pair import VideoPair
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart, parsed_utc
-from track_range.stereo.alignment.drift import DriftMonitor
 from track_range.stereo.alignment.from_drive import MIN_STEP_S
 from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -36,8 +35,7 @@ from track_range.stereo.geometry.rig import StereoRig
 
 PairedVideos = RecordedPair | LivePair
 
-_N_ROW_PAIRS = 3
-"""Number of conclusive image pairs from which the row offset of an uncalibrated pair is estimated, as their median."""
+_N_ROW_PAIRS = 3  # conclusive image pairs from which the row offset of an uncalibrated pair is estimated
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,20 +196,22 @@ def open_recording(
             on_error.callback(videos[1].close)
             source = _paired(*videos)
             on_error.callback(source.close)
-        calibration = find_calibration(
-            left,
-            videos,
-            rig=Path(rig) if isinstance(rig, str) else rig,
-            focal_px=focal_px,
-            view=LensView(fov_deg, yaw_deg),
-        )
+        given_rig, view = Path(rig) if isinstance(rig, str) else rig, LensView(fov_deg, yaw_deg)
+        calibration = find_calibration(left, videos, rig=given_rig, focal_px=focal_px, view=view)
         monitors: tuple[Monitor, ...] = ()
         if isinstance(source, VideoPair) and calibration.rig is not None:
             monitors = (PairMonitor(), SyncMonitor()) if has_checks else ()
             calibration = _aligned(calibration, calibration.rig, source, align, monitors[:1], progress)
             monitors += _drift_monitors(calibration, source)
         elif isinstance(source, VideoPair):
-            calibration, monitors = _with_row_correction(calibration, source)
+            row_monitor = PairMonitor(n_conclusive=_N_ROW_PAIRS)
+            with closing(source.read_ahead()) as images:
+                for pair in islice(images, MAX_CHECKED_PAIRS):
+                    row_monitor.add(calibration.frame(*pair, source.left.first_time_s))
+                    if row_monitor.is_done:
+                        break
+            calibration = calibration.with_row_offsets(row_monitor.row_offsets_px)
+            monitors = (SyncMonitor(),) if row_monitor.row_offsets_px else ()
         on_error.pop_all()
     return Recording(_frames(source, calibration, monitors, utc), source, calibration, monitors, utc)
 
@@ -269,23 +269,8 @@ def _aligned(
 def _drift_monitors(calibration: RecordingCalibration, pair: PairedVideos) -> tuple[Monitor, ...]:
     """The monitor of a recorded pair whose alignment was measured; none for streams, which it would delay."""
     alignment = calibration.alignment
-    if alignment is None or alignment.drifting is None or calibration.rig is None or isinstance(pair, LivePair):
-        return ()
-    shift_px = alignment.applied.shift_px
-    return (DriftMonitor(calibration.rig, alignment.drifting, alignment.measured, shift_px=shift_px),)
-
-
-def _with_row_correction(
-    calibration: RecordingCalibration, pair: PairedVideos
-) -> tuple[RecordingCalibration, tuple[Monitor, ...]]:
-    """An uncalibrated pair with the row offset of its first image pairs corrected, and its monitors."""
-    monitor = PairMonitor(n_conclusive=_N_ROW_PAIRS)
-    with closing(pair.read_ahead()) as images:
-        for left, right in islice(images, MAX_CHECKED_PAIRS):
-            monitor.add(calibration.frame(left, right, pair.left.first_time_s))
-            if monitor.is_done:
-                break
-    return calibration.with_row_offsets(monitor.row_offsets_px), (SyncMonitor(),) if monitor.row_offsets_px else ()
+    monitor = None if alignment is None or calibration.rig is None else alignment.drift_monitor(calibration.rig)
+    return () if monitor is None or isinstance(pair, LivePair) else (monitor,)
 
 
 def _first_frames(

@@ -14,25 +14,20 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import Any
 
 from track_range.foundation.files.input_files import quoted
 
-ZONE_SPAN_S = 14 * 3600.0
-"""Largest difference, s, between local time and UTC (Kiribati)."""
+ZONE_SPAN_S, ZONE_STEP_S = 14 * 3600.0, 900.0
+"""Largest difference, s, between local time and UTC (Kiribati), and the step of all differences."""
 
-STAMP_RESOLUTION_S = 1.0
-"""Resolution, s, of times in headers and names."""
-
-ZONE_STEP_S = 900.0
-"""Time zones differ from UTC by multiples of 15 minutes."""
+STAMP_RESOLUTION_S = 1.0  # of times in headers and names
 
 _AGREEMENT_S = 5.0
 """Largest difference, s, between the times of a header and of a name that state the same moment; assumed."""
 
-_EARLIEST = datetime(1990, 1, 1, tzinfo=UTC)
-_LATEST = datetime(2100, 1, 1, tzinfo=UTC)
+_EARLIEST, _LATEST = datetime(1990, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC)
 """Range of plausible times; headers without a time often state 1904 or 1970."""
 
 _TIME_IN_NAME = re.compile(
@@ -48,8 +43,7 @@ _SHORT_TIME_IN_NAME = re.compile(
 """The same with a year of two digits, 2010 to 2049, as Nextbase and 70mai write it: 260131_142530."""
 
 
-_STATED = "--start-utc"
-"""Source of a time that the user states."""
+_STATED = "--start-utc"  # source of a time that the user states
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +140,7 @@ def stamp_in_name(name: str) -> Stamp | None:
         return None
     time_s = moment.timestamp() + int(thousandths or 0) / 1000
     if offset:
-        sign = -1 if offset[0] == "-" else 1
-        time_s -= sign * timedelta(hours=int(offset[1:3]), minutes=int(offset[3:5])).total_seconds()
+        time_s -= int(f"{offset[0]}1") * 60 * (60 * int(offset[1:3]) + int(offset[3:5]))
     return Stamp(time_s, "file name", is_local=not (zulu or offset))
 
 
@@ -156,30 +149,18 @@ def start_of(header: Stamp | None, name: Stamp | None, duration_s: float) -> Utc
     if header is None:
         if name is None:
             return None
-        return UtcStart(
-            name.time_s, name.source, ZONE_SPAN_S if name.is_local else STAMP_RESOLUTION_S, is_local=name.is_local
-        )
+        uncertainty_s = ZONE_SPAN_S if name.is_local else STAMP_RESOLUTION_S
+        return UtcStart(name.time_s, name.source, uncertainty_s, is_local=name.is_local)
     if header.is_start:
         return UtcStart(header.time_s, header.source, STAMP_RESOLUTION_S)
-    confirmed = None if name is None else _confirmed_start(header, name, duration_s)
-    if confirmed is not None:
-        return confirmed
-    # the header may state the end
-    return UtcStart(header.time_s, header.source, round(STAMP_RESOLUTION_S + duration_s, 3))
-
-
-def _confirmed_start(header: Stamp, name: Stamp, duration_s: float) -> UtcStart | None:
-    """The start of a file if the time of its header fits that of its name, as its start or end; None = it does not."""
-    for before_s in (0.0, duration_s):
-        start_s = header.time_s - before_s
+    for start_s in (header.time_s, header.time_s - duration_s) if name is not None else ():
         difference_s = name.time_s - start_s
         if name.is_local and abs(difference_s) <= _AGREEMENT_S:  # the zone is UTC, or local time was written as UTC
             return UtcStart(start_s, header.source, ZONE_SPAN_S, is_local=True)
-        if name.is_local:
-            difference_s = math.remainder(difference_s, ZONE_STEP_S)
-        if abs(difference_s) <= _AGREEMENT_S:
+        if abs(math.remainder(difference_s, ZONE_STEP_S) if name.is_local else difference_s) <= _AGREEMENT_S:
             return UtcStart(start_s, header.source, STAMP_RESOLUTION_S)
-    return None
+    # the header may state the end
+    return UtcStart(header.time_s, header.source, round(STAMP_RESOLUTION_S + duration_s, 3))
 
 
 def _parsed(text: str) -> datetime | None:

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.foundation.sparse_flow import BackgroundFlow, FlowSettings, isotropy, masked_cells, ranked_corners
+from track_range.foundation.sparse_flow import BackgroundFlow, isotropy, masked_cells, ranked_corners
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.tracking.camera_motion import CameraMotion
@@ -82,7 +82,7 @@ def test_flow_restarts_after_another_size_and_a_tiny_image():
 
 
 def test_small_image_has_at_most_the_long_side():
-    flow = BackgroundFlow(FlowSettings(long_side_px=100))
+    flow = BackgroundFlow(100)
     flow.add(image_at(100), NO_BOXES)
     assert flow.now.small.shape == (45, 80)
     assert flow.n_halvings((180, 320)) == flow.now.n_halved == 2

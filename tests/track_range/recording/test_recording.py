@@ -256,11 +256,11 @@ def test_frames_do_not_depend_on_the_buffer_size(tmp_path, film, opened_files, m
 @pytest.mark.slow
 def test_buffered_frames_are_freed_one_by_one(tmp_path, film):
     recording = open_recording(*films(tmp_path, film))
-    n_buffered = recording.source.n_ahead
+    n_buffered = len(recording.source._ahead)
     next(recording.frames)
-    assert (n_buffered, recording.source.n_ahead) == (14, 13)
+    assert (n_buffered, len(recording.source._ahead)) == (14, 13)
     recording.close()
-    assert recording.source.n_ahead == 0
+    assert len(recording.source._ahead) == 0
 
 
 def test_rig_holds_the_alignment_of_its_images(pair):

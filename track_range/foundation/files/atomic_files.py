@@ -52,11 +52,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
 
 
 def write_bytes(path: Path, content: bytes, *, is_flushed: bool = True) -> None:
-    """Write a binary file atomically; `is_flushed`: see `atomic_path`.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Write a binary file atomically; see `atomic_path` for `is_flushed` and the errors."""
     with atomic_path(path, is_flushed=is_flushed) as partial:
         # without O_NONBLOCK, the opening of a named pipe waits for a reader
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -68,11 +64,7 @@ def write_bytes(path: Path, content: bytes, *, is_flushed: bool = True) -> None:
 
 
 def write_text(path: Path, text: str, *, is_flushed: bool = True) -> None:
-    """Write a text file atomically, in UTF-8 with the line endings of `text`; `is_flushed`: see `atomic_path`.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Write a text file atomically, in UTF-8 with the line endings of `text`; see `atomic_path`."""
     write_bytes(path, text.encode("utf-8"), is_flushed=is_flushed)
 
 

@@ -14,10 +14,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text
 from track_range.foundation.files.numeric_text import number
 
-_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
-
-_MAX_NUMBER = 30
-"""Largest number of characters of a cell that is searched for a decimal comma."""
+_DECIMAL_COMMA = re.compile(r"[+-]?\d{1,20},\d{1,20}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +85,7 @@ class CsvTable:
         """Raise `error` for the first invalid row; `values` (N,) are the numbers of column `name`."""
         for row in np.flatnonzero(~is_valid).tolist():
             cell = self.texts(name)[row] if name in self.header else f"{values[row]:g}"
-            advice = "; write decimals with a point" if _DECIMAL_COMMA.fullmatch(cell[:_MAX_NUMBER]) else ""
+            advice = "; write decimals with a point" if _DECIMAL_COMMA.fullmatch(cell) else ""
             raise self.fault(row, f"expected {expected} for {name}, got {quoted(cell)}{advice}.")
 
 
@@ -132,15 +129,8 @@ def read_csv_table(
     else:
         rows, lines = rows[1:], lines[1:]
     table = CsvTable(path, header, rows, lines, error, expected)
-    _check_cells(table, exact=exact)
-    return table
-
-
-def _check_cells(table: CsvTable, *, exact: bool) -> None:
-    """Raise the table's error for a row with too many cells, or too few if `exact`; fill short rows otherwise."""
-    n_columns = len(table.header)
-    unnamed = [column for column, name in enumerate(table.header) if not name]
-    for index, row in enumerate(table.rows):
+    n_columns, unnamed = len(header), [column for column, name in enumerate(header) if not name]
+    for index, row in enumerate(rows):
         if len(row) < n_columns and not exact:
             row.extend([""] * (n_columns - len(row)))
         if len(row) != n_columns and (exact or len(row) > n_columns + 1 or row[-1]):
@@ -151,3 +141,4 @@ def _check_cells(table: CsvTable, *, exact: bool) -> None:
             )
         if any(row[column] for column in unnamed):
             raise table.fault(index, "expected a name in the header for each column with values.")
+    return table

@@ -17,7 +17,6 @@ import sys
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -26,11 +25,8 @@ from track_range.foundation.files.atomic_files import describe
 
 LOCK_FILE = ".running"
 
-_UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
-"""Errors of file systems without locks."""
-
-_MAX_OWNER_BYTES = 1000
-"""Maximum size of the content of a lock file that is read."""
+_UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of file systems without locks
+_MAX_OWNER_BYTES = 1000  # of the content of a lock file that are read
 
 _LOCKED_BYTE = 1 << 30
 """Offset of the byte that is locked on Windows, where a locked byte cannot be read."""
@@ -38,25 +34,6 @@ _LOCKED_BYTE = 1 << 30
 
 class FolderLockError(UserError):
     """Another run is writing to the folder, or the folder cannot be locked."""
-
-
-@dataclass(frozen=True, slots=True)
-class LockOwner:
-    """Process that has locked a folder.
-
-    Attributes:
-        pid: process id.
-        started: local time at which the folder was locked, ISO 8601.
-        host: name of the machine.
-    """
-
-    pid: int
-    started: str
-    host: str
-
-    def __str__(self) -> str:
-        place = "" if self.host == socket.gethostname() else f" on {self.host}"
-        return f"process {self.pid}{place}, started {self.started}"
 
 
 class FolderLock:
@@ -78,10 +55,11 @@ class FolderLock:
             raise FolderLockError(
                 f"{folder}: another run{detail} is writing to this folder; wait for its end, or choose another --out."
             )
-        owner = LockOwner(os.getpid(), datetime.now().astimezone().isoformat(" ", "seconds"), socket.gethostname())
+        started = datetime.now().astimezone().isoformat(" ", "seconds")
+        owner_json = json.dumps({"pid": os.getpid(), "started": started, "host": socket.gethostname()})
         with suppress(OSError):  # on a full disk the lock works, only the message to another run lacks the process
             os.ftruncate(descriptor, 0)
-            os.write(descriptor, json.dumps(asdict(owner)).encode())
+            os.write(descriptor, owner_json.encode())
         self._release = weakref.finalize(self, _release, descriptor, self._path, os.getpid())
 
     def release(self) -> None:
@@ -115,12 +93,14 @@ def is_locked(folder: Path) -> bool:
         os.close(descriptor)
 
 
-def read_owner(folder: Path) -> LockOwner | None:
-    """The process in the lock file of a folder, which may have ended; None without a readable file."""
+def read_owner(folder: Path) -> str | None:
+    """The process in the lock file of a folder, which may have ended, for messages; None without a readable file."""
     try:
         with (folder / LOCK_FILE).open("rb") as file:
             content = json.loads(file.read(_MAX_OWNER_BYTES))
-        return LockOwner(int(content["pid"]), str(content["started"])[:40], str(content["host"])[:60])
+        host = str(content["host"])[:60]
+        place = "" if host == socket.gethostname() else f" on {host}"
+        return f"process {int(content['pid'])}{place}, started {str(content['started'])[:40]}"
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
 

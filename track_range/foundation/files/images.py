@@ -27,22 +27,16 @@ MAX_SIDE_PX = 16_384
 MAX_PIXELS = 2**26
 """Largest number of pixels of an image: 8192x8192, of which 8-bit BGR takes 200 MB."""
 
-_MAX_PIXEL_BYTES = 16
-"""Largest number of stored bytes per pixel: four channels of 32 bits."""
+_MAX_PIXEL_BYTES, _MAX_EXTRA_BYTES = 16, 2**26
+"""Largest number of stored bytes per pixel, four channels of 32 bits, and of bytes besides them: metadata, thumbnails,
+and films that phones append to photographs."""
 
-_MAX_EXTRA_BYTES = 2**26
-"""Largest number of bytes besides the pixels: metadata, thumbnails, and films that phones append to photographs."""
-
-_MAX_HEADER_FIELDS = 4096
-"""Largest number of segments (JPEG) or tags (TIFF) that are searched for the size."""
-
-_MAX_SKIPPED_BYTES = 65_536
-"""Largest number of bytes between two segments of a JPEG file."""
+_MAX_HEADER_FIELDS, _MAX_SKIPPED_BYTES = 4096, 65_536
+"""Largest number of segments (JPEG) or tags (TIFF) in which the size is searched, and of bytes between two segments."""
 
 _PNG_START = b"\x89PNG\r\n\x1a\n"
 
-_JPEG_SIZES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-"""JPEG's start-of-frame markers."""
+_JPEG_SIZES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # start-of-frame markers
 
 _MAX_SCANS = 64
 """Largest number of scans of a progressive JPEG file, about 12 in practice; a scan of 100 bytes may take 0.6 s."""
@@ -52,11 +46,10 @@ _JPEG_END, _JPEG_SCAN = 0xD9, 0xDA
 _JPEG_MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])")
 """Start of a JPEG segment; between the bytes of pixels it does not occur."""
 
-_JPEG_BARE = frozenset({0x01, *range(0xD0, 0xD8)})
-"""JPEG markers without a length."""
+_JPEG_BARE = frozenset({0x01, *range(0xD0, 0xD8)})  # markers without a length
 
-_TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_TILE_WIDTH, _TIFF_TILE_HEIGHT = 256, 257, 322, 323
-_TIFF_SHORT = 3
+_TIFF_WIDTHS, _TIFF_HEIGHTS, _TIFF_SHORT = (256, 322), (257, 323), 3
+"""TIFF tags of the sizes of the image and of its tiles, and the type of 2-byte integers."""
 
 _PNM_SIZE = re.compile(rb"P[1-6](?:\s|#[^\n]*\n)+(\d{1,10})(?:\s|#[^\n]*\n)+(\d{1,10})\s")
 
@@ -99,14 +92,7 @@ def read_image(
 def decode_image(
     stored: bytes, source: object, error: type[Exception], expected: str = "an image", *, flags: int = cv2.IMREAD_COLOR
 ) -> npt.NDArray[Any]:
-    """The image of a PNG, JPEG or other file that is in memory; see `read_image`.
-
-    Args:
-        stored: content of the file.
-        source: name of the content, with which messages begin.
-        error: class of the exceptions to raise.
-        expected: noun phrase for the content, for messages.
-        flags: OpenCV's flags, which determine the number of channels and the type.
+    """The image of a PNG, JPEG or other file that is in memory; see `read_image`. Messages begin with `source`.
 
     Raises:
         error: the image is damaged, of an unknown format, or too large.
@@ -225,24 +211,23 @@ def _n_scans(jpeg: bytes) -> int:
 
 
 def _tiff_size_px(file: BinaryIO, order: str, *, is_big: bool) -> tuple[int, int] | None:
-    n_offset, layout, n_tag = (8, "Q", 20) if is_big else (4, "I", 12)
+    n_offset, offset_type, count_type, n_tag = (8, "Q", "Q", 20) if is_big else (4, "I", "H", 12)
     file.seek(8 if is_big else 4)
-    (offset,) = struct.unpack(order + layout, file.read(n_offset))
+    (offset,) = struct.unpack(order + offset_type, file.read(n_offset))
     if offset >= 2**62:
         return None
     file.seek(offset)
-    n_count = 8 if is_big else 2
-    (n_tags,) = struct.unpack(order + ("Q" if is_big else "H"), file.read(n_count))
-    sizes = dict.fromkeys((_TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_TILE_WIDTH, _TIFF_TILE_HEIGHT), 0)
+    (n_tags,) = struct.unpack(order + count_type, file.read(struct.calcsize(order + count_type)))
+    sizes = dict.fromkeys((*_TIFF_WIDTHS, *_TIFF_HEIGHTS), 0)
     for _ in range(min(n_tags, _MAX_HEADER_FIELDS)):
         field = file.read(n_tag)
-        tag, kind = struct.unpack_from(order + "HH", field)
+        tag, type_number = struct.unpack_from(order + "HH", field)
         if tag in sizes:
-            value = struct.unpack_from(order + ("H" if kind == _TIFF_SHORT else "I"), field, n_tag - n_offset)[0]
+            (value,) = struct.unpack_from(order + ("H" if type_number == _TIFF_SHORT else "I"), field, n_tag - n_offset)
             sizes[tag] = max(sizes[tag], value)
-    if not (sizes[_TIFF_WIDTH] and sizes[_TIFF_HEIGHT]):
+    if not (sizes[_TIFF_WIDTHS[0]] and sizes[_TIFF_HEIGHTS[0]]):
         return None
-    return max(sizes[_TIFF_WIDTH], sizes[_TIFF_TILE_WIDTH]), max(sizes[_TIFF_HEIGHT], sizes[_TIFF_TILE_HEIGHT])
+    return max(sizes[tag] for tag in _TIFF_WIDTHS), max(sizes[tag] for tag in _TIFF_HEIGHTS)
 
 
 def _webp_size_px(start: bytes) -> tuple[int, int] | None:

@@ -23,22 +23,14 @@ MAX_TEXT_BYTES = 1_000_000
 MAX_TABLE_BYTES = 2_000_000_000
 """Size limit, bytes, of tables with a row per object: labels, detections, tracks."""
 
-_BLOCK_BYTES = 1 << 20
-"""Size of the blocks in which files are read, bytes."""
-
-_MAX_QUOTED = 60
-"""Largest number of characters of a value in a message."""
-
-_START_BYTES = 65_536
-"""Number of bytes that `first_line` reads."""
+_BLOCK_BYTES, _START_BYTES = 1 << 20, 65_536  # sizes of the blocks in which files are read, and of their start
+_MAX_QUOTED = 60  # characters of a value in a message
 
 _ARCHIVES = {b"PK\x03\x04": "a ZIP archive", b"\x1f\x8b": "a gzip archive", b"7z\xbc\xaf": "a 7z archive"}
-"""Kinds of archives by their first bytes."""
-
 _UTF_16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 """Byte order marks of text in UTF-16 and UTF-32, which spreadsheets and Windows' editors write."""
 
-_KINDS = (
+_SPECIAL_FILES = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a named pipe"),
     (stat.S_ISCHR, "a device"),
@@ -67,7 +59,8 @@ def open_regular(path: Path, error: type[Exception], expected: str, *, max_bytes
     try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
-            raise _wrong_kind(path, status.st_mode, error, expected)
+            found = next((found for is_found, found in _SPECIAL_FILES if is_found(status.st_mode)), "a special file")
+            raise error(f"{path}: expected {expected}, found {found}; give a regular file.")
         if max_bytes is not None and status.st_size > max_bytes:
             raise _too_large(path, max_bytes, status.st_size, error, expected)
         return os.fdopen(descriptor, "rb")
@@ -92,25 +85,18 @@ def check_regular(path: Path, error: type[Exception], expected: str, *, max_byte
 
 def read_bytes(path: Path, error: type[Exception], expected: str, *, max_bytes: int) -> bytes:
     """Content of a regular file; see `open_regular` for the arguments and errors."""
+    blocks, n_bytes = [], 0
     with open_regular(path, error, expected, max_bytes=max_bytes) as file:
         try:
-            content = b"".join(_blocks(file, max_bytes))
+            # in blocks, which take no more memory than the file has: files in /proc have no size, and a file may grow
+            while n_bytes <= max_bytes and (block := _read(file, _BLOCK_BYTES)):
+                blocks.append(block)
+                n_bytes += len(block)
         except OSError as reason:
             raise _unreadable(path, reason, error, expected) from reason
-    if len(content) > max_bytes:
-        raise _too_large(path, max_bytes, len(content), error, expected)
-    return content
-
-
-def _blocks(file: BinaryIO, max_bytes: int) -> Iterator[bytes]:
-    """Blocks of a file up to more than `max_bytes`: files in /proc have no size, and a file may grow.
-
-    A single read of `max_bytes` would allocate as much, however small the file is.
-    """
-    n_bytes = 0
-    while n_bytes <= max_bytes and (block := _read(file, _BLOCK_BYTES)):
-        n_bytes += len(block)
-        yield block
+    if n_bytes > max_bytes:
+        raise _too_large(path, max_bytes, n_bytes, error, expected)
+    return b"".join(blocks)
 
 
 def read_text(path: Path, error: type[Exception], expected: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:
@@ -141,11 +127,7 @@ def first_line(path: Path, error: type[Exception], expected: str) -> str:
 
 
 def _read(file: BinaryIO, n_bytes: int) -> bytes:
-    """At most `n_bytes` of a file.
-
-    Raises:
-        OSError: they cannot be read, or only after waiting, as from some files in /proc.
-    """
+    """At most `n_bytes` of a file; an OSError = they cannot be read, or only after waiting, as from some of /proc."""
     content: bytes | None = file.read(n_bytes)
     if content is None:
         raise BlockingIOError(errno.EAGAIN, "no data at present")
@@ -209,17 +191,12 @@ def _unreadable(path: Path, reason: OSError | ValueError, error: type[Exception]
     return error(f"{path}: cannot be read ({describe(reason)}); expected {expected}.")
 
 
-def _wrong_kind(path: Path, mode: int, error: type[Exception], expected: str) -> Exception:
-    kind = next((kind for is_kind, kind in _KINDS if is_kind(mode)), "a special file")
-    return error(f"{path}: expected {expected}, found {kind}; give a regular file.")
-
-
 def _too_large(path: Path, max_bytes: int, n_bytes: int, error: type[Exception], expected: str) -> Exception:
-    return error(f"{path}: expected {expected} of at most {_size(max_bytes)}, found {_size(n_bytes)}.")
+    limit, found = (
+        next((f"{n / factor:.4g} {unit}" for unit, factor in _UNITS if n >= factor), f"{n} bytes")
+        for n in (max_bytes, n_bytes)
+    )
+    return error(f"{path}: expected {expected} of at most {limit}, found {found}.")
 
 
-def _size(n_bytes: int) -> str:
-    for unit, factor in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if n_bytes >= factor:
-            return f"{n_bytes / factor:.4g} {unit}"
-    return f"{n_bytes} bytes"
+_UNITS = (("GB", 1e9), ("MB", 1e6), ("kB", 1e3))

@@ -18,20 +18,12 @@ class OutputError(UserError):
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically, in UTF-8 (see `foundation.files.atomic_files`).
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write a text file atomically, in UTF-8; an OutputError = it cannot be written."""
     write_bytes(path, text.encode("utf-8"))
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a binary file atomically (see `foundation.files.atomic_files`).
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write a binary file atomically; an OutputError = it cannot be written."""
     try:
         atomic_files.write_bytes(path, content)
     except OSError as error:
@@ -74,39 +66,34 @@ def check_outputs(outputs: Sequence[Path], inputs: Iterable[Path]) -> None:
     Raises:
         OutputError: a path is a folder, cannot be written, is given twice, or is an input.
     """
-    read = {os.path.realpath(path) for path in inputs}
-    for number, file in enumerate(outputs):
+    read, written = {os.path.realpath(path) for path in inputs}, set[str]()
+    for file in outputs:
+        place = os.path.realpath(file)
         if file.is_dir():
             raise OutputError(f"{file}: expected a file, found a folder; give the path of a file in it.")
-        if os.path.realpath(file) in read:
+        if place in read:
             raise OutputError(f"{file}: this input or result would be overwritten; choose another file.")
-        if os.path.realpath(file) in {os.path.realpath(other) for other in outputs[:number]}:
+        if place in written:
             raise OutputError(f"{file}: given for two outputs; choose another file for one of them.")
+        written.add(place)
         make_folder(file.parent)
 
 
 def clear_results(folder: Path, names: Sequence[str], *, except_for: Iterable[Path]) -> None:
     """Remove the files of an earlier run, so that all files in the folder are of one run; sub-folders remain.
 
-    Args:
-        folder: folder of the results.
-        names: names of the files to remove.
-        except_for: inputs of this run, which must not be removed.
-
     Raises:
-        OutputError: one of the files is an input, or cannot be removed.
+        OutputError: one of the files is an input of this run (`except_for`), or cannot be removed.
     """
-    inputs = {os.path.realpath(path) for path in except_for}
-    for name in names:
-        file = folder / name
+    inputs, files = {os.path.realpath(path) for path in except_for}, [folder / name for name in names]
+    for file in files:
         if os.path.realpath(file) in inputs:
             raise OutputError(f"{file}: this input would be overwritten; choose another --out folder.")
     try:
-        for name in names:
-            if not (folder / name).is_dir():
-                (folder / name).unlink(missing_ok=True)
+        for file in files:
+            if not file.is_dir():
+                file.unlink(missing_ok=True)
     except OSError as error:
-        reason = describe(error)
         raise OutputError(
-            f"{folder}: files of an earlier run cannot be removed ({reason}); choose another --out folder."
+            f"{folder}: files of an earlier run cannot be removed ({describe(error)}); choose another --out folder."
         ) from error

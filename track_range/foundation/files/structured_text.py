@@ -21,19 +21,12 @@ from track_range.foundation.files.input_files import MAX_TEXT_BYTES, quoted, rea
 MAX_CONTAINERS = 10_000_000
 """Largest number of lists and objects of a JSON file; empty ones take 3 bytes of the file and 64 of memory."""
 
-MAX_DEPTH = 32
-"""Largest depth of nested lists and mappings."""
-
-_TOO_DEEP = f"more than {MAX_DEPTH} nested lists or keys"
-
 MAX_YAML_VALUES = 25_000
 """Largest number of keys and values of a YAML file, which take half a second; 21,000 class names fit."""
 
-_MAX_DIGITS = 400
-"""Largest number of characters of a number; float64 has at most 309 digits before the decimal point."""
-
-_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
-"""Escape in JSON of half a character, which can be in a text that cannot be encoded."""
+MAX_DEPTH, _MAX_DIGITS = 32, 400
+"""Largest depth of nested lists and mappings, and largest number of characters of a number; float64 has at most 309
+digits before the decimal point."""
 
 _TAGS = frozenset(f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str", "seq", "map"))
 """Tags of the values that JSON has, too; other tags are refused."""
@@ -122,7 +115,9 @@ def parse_json(text: str, source: object, error: type[Exception], expected: str)
         value = json.loads(
             text, object_pairs_hook=_unique, parse_constant=_finite, parse_float=_finite, parse_int=_integer
         )
-        if _SURROGATE.search(text):
+        if re.search(
+            r"\\u[dD][89a-fA-F]", text
+        ):  # escape of half a character, which may be in text that is not Unicode
             json.dumps(value, ensure_ascii=False).encode()
         is_deep = _is_deeper(value, MAX_DEPTH)
     except json.JSONDecodeError as reason:
@@ -141,7 +136,7 @@ def parse_json(text: str, source: object, error: type[Exception], expected: str)
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML's safe writer, without aliases for lists that occur twice."""
+    """YAML's safe writer, without aliases for lists that occur twice, which `parse_yaml` refuses."""
 
     def ignore_aliases(self, data: Any) -> bool:
         """Whether to write a value again each time it occurs."""
@@ -149,12 +144,7 @@ class _Dumper(yaml.SafeDumper):
 
 
 def yaml_text(content: Mapping[str, Any], **style: Any) -> str:
-    """A YAML text of plain values in their order, without aliases, which `parse_yaml` refuses.
-
-    Args:
-        content: plain values; not recursive.
-        style: arguments of `yaml.dump`, such as width.
-    """
+    """A YAML text of plain values, not recursive, in their order; `style`: arguments of `yaml.dump`, such as width."""
     return str(yaml.dump(dict(content), Dumper=_Dumper, sort_keys=False, **style))
 
 
@@ -162,7 +152,7 @@ def _problem(error: yaml.YAMLError) -> str:
     """Description of a syntax error, with its context if the parser splits the description."""
     problem = str(getattr(error, "problem", None) or "characters that YAML does not allow")
     if "nesting depth" in problem:  # libyaml from 0.2.6 reads ahead and may reach its own limit, 1000, first
-        return _TOO_DEEP
+        return f"more than {MAX_DEPTH} nested lists or keys"
     context = str(getattr(error, "context", None) or "")
     if context and not context.startswith("while "):  # such as "found duplicate anchor" and "second occurrence"
         problem = f"{context}, {problem}"
@@ -170,11 +160,7 @@ def _problem(error: yaml.YAMLError) -> str:
 
 
 def _check_events(text: str) -> None:
-    """Check the syntax, the depth, and that there are no aliases and no tags of other types.
-
-    Raises:
-        yaml.YAMLError: one of them is wrong; `problem` and `problem_mark` are the description and the place.
-    """
+    """Check the syntax, the depth, and that there are no aliases and no tags of other types, by a yaml.YAMLError."""
     depth = n_values = 0
     for event in yaml.parse(text, _BaseLoader):
         problem = ""
@@ -183,7 +169,7 @@ def _check_events(text: str) -> None:
             problem = f"the alias '*{shortened(str(event.anchor))}'; write the value itself"
         elif isinstance(event, yaml.CollectionStartEvent):
             depth += 1
-            problem = _TOO_DEEP if depth > MAX_DEPTH else ""
+            problem = f"more than {MAX_DEPTH} nested lists or keys" if depth > MAX_DEPTH else ""
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
         if (tag := getattr(event, "tag", None)) not in (None, "!", *_TAGS):
@@ -196,18 +182,11 @@ def _check_events(text: str) -> None:
 
 def _is_deeper(value: object, depth: int) -> bool:
     """Whether lists and dicts are nested more than `depth` deep."""
-    level = [value]
+    level: list[Any] = [value] if isinstance(value, list | dict) else []
     for _ in range(depth):
-        level = [
-            part
-            for item in level
-            if isinstance(item, list | dict)
-            for part in (item.values() if isinstance(item, Mapping) else item)
-            if isinstance(part, list | dict)
-        ]
-        if not level:
-            return False
-    return True
+        parts = (part for item in level for part in (item.values() if isinstance(item, dict) else item))
+        level = [part for part in parts if isinstance(part, list | dict)]
+    return bool(level)
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -228,33 +207,20 @@ def _first_duplicate(names: Iterable[str]) -> str:
 
 
 def _finite(text: str) -> float:
-    """The number of a JSON text.
-
-    Raises:
-        ValueError: it is NaN or infinite.
-    """
+    """The number of a JSON text; a ValueError = it is NaN or infinite."""
     if not math.isfinite(value := float(text)):
         raise ValueError(f"the number {shortened(text, 20)}, which is not finite")
     return value
 
 
 def _integer(digits: str) -> int:
-    """The integer of a JSON text.
-
-    Raises:
-        ValueError: it has more than 64 bits.
-    """
     if len(digits) > _MAX_DIGITS:
         raise ValueError("an integer of more than 64 bits")
     return int(_checked(int(digits)))
 
 
 def _checked(value: Any) -> Any:
-    """A value, unless it is an integer of more than 64 bits or a text that cannot be encoded.
-
-    Raises:
-        ValueError: it is.
-    """
+    """A value; a ValueError = it is an integer of more than 64 bits, or a text that cannot be encoded."""
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
         raise ValueError("an integer of more than 64 bits")
     if isinstance(value, str) and not value.isascii():

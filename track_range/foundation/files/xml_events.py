@@ -29,11 +29,9 @@ class XmlHandler(Protocol):
 
     def start(self, path: list[str], attributes: Mapping[str, str], line: int) -> None:
         """An element begins; it is the last of `path`."""
-        ...
 
     def end(self, path: list[str], text: str, line: int) -> None:
         """An element ends; `text` is its text before its first child, at most `MAX_TEXT` characters."""
-        ...
 
 
 def parse_xml(file: BinaryIO, path: Path, handler: XmlHandler | None, error: type[Exception], expected: str) -> None:
@@ -49,66 +47,46 @@ def parse_xml(file: BinaryIO, path: Path, handler: XmlHandler | None, error: typ
     Raises:
         error: the file cannot be read, is not XML, has a document type, or is nested too deeply.
     """
-    _Events(path, handler, error, expected).parse(file)
+    elements: list[str] = []
+    text = ""
+    parser = expat.ParserCreate()
 
+    def fault(problem: str) -> Exception:
+        return error(f"{path}, line {parser.CurrentLineNumber}: expected {expected}{problem}")
 
-class _Events:
-    def __init__(self, path: Path, handler: XmlHandler | None, error: type[Exception], expected: str) -> None:
-        self._path, self._handler, self._error, self._expected = path, handler, error, expected
-        self._elements: list[str] = []
-        self._text = ""
-        self._parser = parser = expat.ParserCreate()
-        parser.buffer_text = True
-        parser.StartElementHandler = self._start
-        parser.EndElementHandler = self._end
-        parser.CharacterDataHandler = self._characters
-        parser.StartDoctypeDeclHandler = self._refuse
-        parser.EntityDeclHandler = self._refuse
+    def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal text
+        text = ""
+        elements.append(name)
+        if len(elements) > MAX_DEPTH:
+            raise fault(f", found more than {MAX_DEPTH} nested elements.")
+        if handler is not None:
+            handler.start(elements, attributes, parser.CurrentLineNumber)
 
-    def parse(self, file: BinaryIO) -> None:
-        """Parse the whole file."""
-        try:
-            with readable(self._path, self._error):
-                while block := file.read(_BLOCK_BYTES):
-                    self._parser.Parse(block, False)
-                self._parser.Parse(b"", True)
-        except expat.ExpatError as reason:
-            raise self._error(
-                f"{self._path}, line {reason.lineno}: expected {self._expected} in XML, found an error: "
-                f"{shortened(expat.ErrorString(reason.code), 100)}."
-            ) from reason
-        except (ValueError, LookupError, UnicodeError) as reason:  # an encoding that Python does not have
-            raise self._error(
-                f"{self._path}: expected {self._expected} as XML in UTF-8, found text that is not."
-            ) from reason
+    def end(_name: str) -> None:
+        nonlocal text
+        if handler is not None:
+            handler.end(elements, text, parser.CurrentLineNumber)
+        elements.pop()
+        text = ""
 
-    def _start(self, name: str, attributes: dict[str, str]) -> None:
-        self._elements.append(name)
-        if len(self._elements) > MAX_DEPTH:
-            raise self._error(
-                f"{self._path}, line {self._line}: expected {self._expected}, found more than {MAX_DEPTH} nested "
-                "elements."
-            )
-        self._text = ""
-        if self._handler is not None:
-            self._handler.start(self._elements, attributes, self._line)
+    def characters(part: str) -> None:
+        nonlocal text
+        text = (text + part)[:MAX_TEXT] if len(text) < MAX_TEXT else text
 
-    def _end(self, name: str) -> None:
-        if self._handler is not None:
-            self._handler.end(self._elements, self._text, self._line)
-        self._elements.pop()
-        self._text = ""
+    def refuse(*_: object) -> NoReturn:
+        raise fault(" without a document type, found a declaration of a document type or an entity; remove it.")
 
-    def _characters(self, text: str) -> None:
-        if len(self._text) < MAX_TEXT:
-            self._text = (self._text + text)[:MAX_TEXT]
-
-    def _refuse(self, *_: object) -> NoReturn:
-        raise self._error(
-            f"{self._path}, line {self._line}: expected {self._expected} without a document type, found a "
-            "declaration of a document type or an entity; remove it."
-        )
-
-    @property
-    def _line(self) -> int:
-        return self._parser.CurrentLineNumber
+    parser.buffer_text = True
+    parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, end, characters
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    try:
+        with readable(path, error):
+            while block := file.read(_BLOCK_BYTES):
+                parser.Parse(block, False)
+            parser.Parse(b"", True)
+    except expat.ExpatError as reason:
+        problem = shortened(expat.ErrorString(reason.code), 100)
+        raise error(f"{path}, line {reason.lineno}: expected {expected} in XML, found an error: {problem}.") from reason
+    except (ValueError, LookupError, UnicodeError) as reason:  # an encoding that Python does not have
+        raise error(f"{path}: expected {expected} as XML in UTF-8, found text that is not.") from reason

@@ -15,12 +15,6 @@ from track_range.ranging.fitting.camera.focal_evidence import best_guess, defaul
 from track_range.ranging.fitting.camera.measurements import FocalGuess
 from track_range.recording.bags.bag_video import BagVideo
 from track_range.recording.cameras.focal_sources import focal_guesses
-from track_range.recording.cameras.uncalibrated import (
-    ASSUMED_BASELINE_M,
-    GIVEN_FOCAL_SIGMA,
-    focal_sentence,
-    pair_notes,
-)
 from track_range.recording.frame import VideoError, VideoFrame
 from track_range.recording.live.live_video import LiveVideo
 from track_range.recording.names import VideoName, files_of
@@ -39,6 +33,12 @@ from track_range.stereo.geometry.rig_checks import check_camera, check_rig, fitt
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats.camera_info import camera_of, is_undistorted, rig_of
 from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_camera, load_rig, mounting_of
+
+_GIVEN_FOCAL_SIGMA = 0.02
+"""Relative standard deviation of a focal length given by the user; assumed."""
+
+_ASSUMED_BASELINE_M = 0.5
+"""Baseline of an uncalibrated pair; it only sets the range of disparities that is searched."""
 
 _MAX_HEIGHT_SIGMA = 0.05
 """Relative standard deviation of a fitted camera height up to which it is used as known."""
@@ -135,18 +135,37 @@ class RecordingCalibration:
     def notes(self) -> tuple[str, ...]:
         """Messages for the user."""
         alignment = () if self.alignment is None else self.alignment.notes
-        return (*self.search_notes, *self.file_notes, *alignment, *self._focal_notes)
+        focal = () if self.focal is None else self._focal_notes(self.focal)
+        return (*self.search_notes, *self.file_notes, *alignment, *focal)
 
-    @property
-    def _focal_notes(self) -> tuple[str, ...]:
-        """Messages about an estimated focal length."""
-        if self.focal is None:
-            return ()
-        if len(self.sizes_px) > 1:
-            return pair_notes(self.focal, self.row_offset_px, is_given=not self.guesses)
+    def _focal_notes(self, focal: FocalGuess) -> tuple[str, ...]:
+        """Messages about a focal length that is not known exactly."""
+        length = (
+            f"the focal length is estimated as {focal.focal_px:.0f} px within {100 * focal.sigma:.0f} %, from "
+            f"{focal.source} (give --focal-px if it is known)"
+        )
+        if len(self.sizes_px) == 1:
+            return (
+                f"No calibration: {length}, and all distances share its error; a known distance reduces it: "
+                "track-range calibrate --mono VIDEO --known-distance 'T_S,X1,Y1,X2,Y2=METRES' --out rig.yaml.",
+            )
+        if not self.guesses:
+            length = f"the focal length is {focal.focal_px:.0f} px as given"
+        how = (
+            "for calibrated distances record a chessboard with both cameras, run `track-range calibrate --stereo LEFT "
+            "RIGHT --board 9x6 --square-mm MM --out rig.yaml`, and give --rig rig.yaml"
+        )
+        if self.row_offset_px is None:
+            return (
+                f"No rig, so distances are uncalibrated: {length}; {how}.",
+                "Matching points of left and right are not in equal rows, so stereo matching needs a rig: distances "
+                "come from the left video alone.",
+            )
+        row_px = self.row_offset_px
+        rows = f" Vertical offset of {row_px:+.1f} px between left and right; corrected." if row_px else ""
         return (
-            f"No calibration: {focal_sentence(self.focal)}, and all distances share its error; a known distance "
-            "reduces it: track-range calibrate --mono VIDEO --known-distance 'T_S,X1,Y1,X2,Y2=METRES' --out rig.yaml.",
+            f"No rig, so distances are uncalibrated: {length}, and the baseline is estimated from the sizes of road "
+            f"users; {how}.{rows}",
         )
 
     @property
@@ -240,8 +259,24 @@ def find_calibration(
         RigError: the file cannot be used or does not fit the images; or there is a field of view, but no wide lens.
         VideoError: the videos of an uncalibrated pair differ in size.
     """
-    calibration = _found_calibration(left, videos, _cropped_sizes_px(videos), rig, focal_px, view)
-    return _with_view(calibration, view)
+    # cropped to a common size if only rows or columns of a codec differ
+    sizes_px: Sizes = tuple((video.width_px, video.height_px) for video in videos)
+    if all(abs(a - b) <= _CODEC_CROP_PX for a, b in zip(sizes_px[0], sizes_px[-1], strict=True)):
+        sizes_px = ((min(w for w, _ in sizes_px), min(h for _, h in sizes_px)),) * len(sizes_px)
+    if isinstance(rig, StereoRig):
+        return _of_models(rig, None, sizes_px, view)
+    path, search_notes = rig, tuple[str, ...]()
+    if rig is None and focal_px is None:
+        in_bag = _calibration_in_bag(videos, sizes_px, view)
+        if in_bag is not None:
+            return in_bag
+        first_file = next(iter(files_of(left)), None)
+        path = None if first_file is None else find_rig(first_file)
+        search_notes = () if path is None else (f"Using calibration {path} found next to the left video.",)
+    if path is not None:
+        return replace(_loaded(path, sizes_px, view, is_grey=videos[0].is_grey), search_notes=search_notes)
+    _check_view(None, view)
+    return _without_file(left, videos, sizes_px, focal_px)
 
 
 def calibration_of(
@@ -253,54 +288,36 @@ def calibration_of(
         RigError: the file cannot be used, the cameras do not fit the images, or as `find_calibration`.
     """
     if isinstance(cameras, Path):
-        return _with_view(_loaded(cameras, sizes_px, view, is_grey=is_grey), view)
-    return _with_view(_of_models(cameras, None, sizes_px, view), view)
+        return _loaded(cameras, sizes_px, view, is_grey=is_grey)
+    return _of_models(cameras, None, sizes_px, view)
 
 
-def _with_view(calibration: RecordingCalibration, view: LensView) -> RecordingCalibration:
-    if view != WHOLE_VIEW and not calibration.has_wide_lens:
+def _check_view(camera: PinholeCamera | None, view: LensView) -> None:
+    """Check that a view is only given for a wide lens."""
+    if view != WHOLE_VIEW and not (camera is not None and camera.is_wide):
         raise RigError(
             "--fov-deg, --yaw-deg: expected a calibration with a wide lens (kannala-brandt, double-sphere or omni), "
             "found a pinhole; omit these options."
         )
-    return replace(calibration, view=view)
 
 
-def _cropped_sizes_px(videos: Sequence[Video]) -> Sizes:
-    """Sizes to which the images are cropped: a common one if only rows or columns of a codec differ."""
-    sizes = tuple((video.width_px, video.height_px) for video in videos)
-    if any(abs(a - b) > _CODEC_CROP_PX for a, b in zip(sizes[0], sizes[-1], strict=True)):
-        return sizes
-    return ((min(w for w, _ in sizes), min(h for _, h in sizes)),) * len(sizes)
-
-
-def _found_calibration(
-    left: VideoName,
-    videos: Sequence[Video],
-    sizes_px: Sizes,
-    rig: Path | StereoRig | None,
-    focal_px: float | None,
-    view: LensView,
+def _without_file(
+    left: VideoName, videos: Sequence[Video], sizes_px: Sizes, focal_px: float | None
 ) -> RecordingCalibration:
-    if isinstance(rig, StereoRig):
-        return _of_models(rig, None, sizes_px, view)
-    if rig is None and focal_px is None and (in_bag := _calibration_in_bag(videos, sizes_px, view)) is not None:
-        return in_bag
-    first_file = next(iter(files_of(left)), None) if rig is None and focal_px is None else None
-    neighbour = None if first_file is None else find_rig(first_file)
-    search_notes = () if neighbour is None else (f"Using calibration {neighbour} found next to the left video.",)
-    path = neighbour if rig is None else rig
-    if path is not None:
-        loaded = _loaded(path, sizes_px, view, is_grey=videos[0].is_grey)
-        return replace(loaded, search_notes=search_notes)
-    guesses = () if focal_px is not None else _guesses(videos[0])
-    guess = best_guess(guesses) if focal_px is None else FocalGuess(focal_px, GIVEN_FOCAL_SIGMA, "--focal-px")
+    """One camera or a pair with a given focal length, or an estimate from the header of the left video."""
+    video, is_pair, is_exact = videos[0], len(videos) > 1, focal_px is not None and len(videos) == 1
+    guesses: tuple[FocalGuess, ...] = ()
+    if focal_px is None:
+        guesses = focal_guesses(video) if isinstance(video, RecordedVideo) else (default_guess(video.width_px),)
+    guess = best_guess(guesses) if focal_px is None else FocalGuess(focal_px, _GIVEN_FOCAL_SIGMA, "--focal-px")
     camera = PinholeCamera.of_focal_length(guess.focal_px, sizes_px[0])
     check_camera(camera, "--focal-px" if focal_px is not None else f"{left}: focal length")
-    is_pair = len(videos) > 1
-    if is_pair:
-        _check_equal_sizes(videos, sizes_px)
-    is_exact = focal_px is not None and not is_pair
+    if sizes_px[0] != sizes_px[-1]:
+        (lw, lh), (rw, rh) = sizes_px
+        raise VideoError(
+            f"{videos[1].path}: expected {lw}x{lh} px like {videos[0].path}, got {rw}x{rh}; unequal cameras need a "
+            "--rig with both of them."
+        )
     return RecordingCalibration(
         kind="focal length" if is_exact else "estimated",
         camera=camera,
@@ -311,29 +328,14 @@ def _found_calibration(
     )
 
 
-def _check_equal_sizes(videos: Sequence[Video], sizes_px: Sizes) -> None:
-    """Check that left and right have the same size, which a pair without a rig must have."""
-    if sizes_px[0] != sizes_px[1]:
-        (lw, lh), (rw, rh) = sizes_px
-        raise VideoError(
-            f"{videos[1].path}: expected {lw}x{lh} px like {videos[0].path}, got {rw}x{rh}; unequal cameras need a "
-            "--rig with both of them."
-        )
-
-
-def _guesses(video: Video) -> tuple[FocalGuess, ...]:
-    """Guesses of the focal length from the header of the left video, or the usual one."""
-    return focal_guesses(video) if isinstance(video, RecordedVideo) else (default_guess(video.width_px),)
-
-
 def _loaded(path: Path, sizes_px: Sizes, view: LensView, *, is_grey: bool) -> RecordingCalibration:
     """The calibration of one camera or a pair from a file."""
     if len(sizes_px) > 1:
         rig, notes = load_rig(path, size_px=sizes_px[0], right_size_px=sizes_px[1], is_grey=is_grey)
-        loaded = _of_rig(rig, path, notes, sizes_px, view)
+        loaded = _of_cameras(rig, path, notes, sizes_px, view)
     else:
         camera, notes = load_camera(path, size_px=sizes_px[0], is_grey=is_grey)
-        loaded = replace(_of_camera(camera, path, notes, sizes_px, view), mounting=mounting_of(path))
+        loaded = replace(_of_cameras(camera, path, notes, sizes_px, view), mounting=mounting_of(path))
     shift_m = left_from_reference_m(path, is_grey=is_grey, size_px=sizes_px[0])
     return replace(loaded, left_from_reference_m=shift_m)
 
@@ -357,64 +359,55 @@ def _of_models(
     """The calibration of one camera, the left one of a rig, or of a pair; `path` is the file with the models."""
     source = path or "rig"
     if len(sizes_px) == 1:
-        one = given.left if isinstance(given, StereoRig) else given
-        camera, notes = fitted_to_size(one, sizes_px[0], source)
+        camera, notes = fitted_to_size(given.left if isinstance(given, StereoRig) else given, sizes_px[0], source)
         check_camera(camera, source)
-        return _of_camera(camera, path, notes, sizes_px, view)
+        return _of_cameras(camera, path, notes, sizes_px, view)
     if isinstance(given, PinholeCamera):
         raise RigError(f"{source}: expected a rig of two cameras, found one camera.")
     check_rig(given, source)
     left, left_notes = fitted_to_size(given.left, sizes_px[0], f"{source} (left)")
     right, right_notes = fitted_to_size(given.right, sizes_px[1], f"{source} (right)")
     rig = StereoRig(left, right, given.right_from_left)
-    return _of_rig(rig, path, (*left_notes, *right_notes), sizes_px, view)
+    return _of_cameras(rig, path, (*left_notes, *right_notes), sizes_px, view)
 
 
-def _of_rig(
-    rig: StereoRig, path: Path | None, notes: tuple[str, ...], sizes_px: Sizes, view: LensView
+def _of_cameras(
+    cameras: StereoRig | PinholeCamera, path: Path | None, notes: tuple[str, ...], sizes_px: Sizes, view: LensView
 ) -> RecordingCalibration:
-    rectifier = Rectifier(rig, fov_deg=view.fov_deg, source=path or "rig")
+    """The calibration of checked models with the sizes of the images."""
+    rig: StereoRig | None = None
+    if isinstance(cameras, StereoRig):
+        _check_view(cameras.left, view)
+        rectifier: Rectifier | Undistorter = Rectifier(cameras, fov_deg=view.fov_deg, source=path or "rig")
+        rig, recorded = rectifier.rig, cameras.left
+        shown = rig.left
+    else:
+        _check_view(cameras, view)
+        rectifier = Undistorter(cameras, fov_deg=view.fov_deg, yaw_deg=view.yaw_deg)
+        recorded, shown = cameras, rectifier.camera
+    if recorded.is_wide:
+        lens, part = field_of_view(recorded), field_of_view(shown)
+        direction = f", {view.yaw_deg:+g} degrees to the right of its axis" if view.yaw_deg else ""
+        notes = (
+            *notes,
+            f"The lens sees {lens.horizontal_deg:.0f} x {lens.vertical_deg:.0f} degrees; its images are undistorted to "
+            f"{part.horizontal_deg:.0f} x {part.vertical_deg:.0f} degrees{direction}, {shown.width_px}x"
+            f"{shown.height_px} px (--fov-deg, --views); the rest is not measured.",
+        )
     return RecordingCalibration(
         kind="rig",
-        camera=rectifier.rig.left,
+        camera=shown,
         rectifier=rectifier,
         sizes_px=sizes_px,
-        rig=rectifier.rig,
-        raw_rig=rig,
-        raw_camera=rig.left,
+        rig=rig,
+        raw_rig=cameras if isinstance(cameras, StereoRig) else None,
+        raw_camera=recorded,
+        view=view,
         path=path,
-        file_notes=(*notes, *_wide_notes(rig.left, rectifier.rig.left, view)),
-    )
-
-
-def _of_camera(
-    camera: PinholeCamera, path: Path | None, notes: tuple[str, ...], sizes_px: Sizes, view: LensView
-) -> RecordingCalibration:
-    undistorter = Undistorter(camera, fov_deg=view.fov_deg, yaw_deg=view.yaw_deg)
-    return RecordingCalibration(
-        kind="rig",
-        camera=undistorter.camera,
-        rectifier=undistorter,
-        sizes_px=sizes_px,
-        raw_camera=camera,
-        path=path,
-        file_notes=(*notes, *_wide_notes(camera, undistorter.camera, view)),
-    )
-
-
-def _wide_notes(recorded: PinholeCamera, shown: PinholeCamera, view: LensView) -> tuple[str, ...]:
-    """A note on the part of a wide lens's field of view that is measured."""
-    if not recorded.is_wide:
-        return ()
-    lens, part = field_of_view(recorded), field_of_view(shown)
-    direction = f", {view.yaw_deg:+g} degrees to the right of its axis" if view.yaw_deg else ""
-    return (
-        f"The lens sees {lens.horizontal_deg:.0f} x {lens.vertical_deg:.0f} degrees; its images are undistorted to "
-        f"{part.horizontal_deg:.0f} x {part.vertical_deg:.0f} degrees{direction}, {shown.width_px}x{shown.height_px} "
-        "px (--fov-deg, --views); the rest is not measured.",
+        file_notes=notes,
     )
 
 
 def _assumed_rig(camera: PinholeCamera) -> StereoRig:
     """Two cameras of this model at an assumed baseline, which does not affect the rectification."""
-    return StereoRig.rectified(camera, ASSUMED_BASELINE_M)
+    return StereoRig.rectified(camera, _ASSUMED_BASELINE_M)

@@ -27,7 +27,7 @@ class DecodeLog:
         self.last_s: float | None = None
         self.end_s = 0.0
         self.stopped_by = ""
-        self._n_gaps, self._longest_gap_s, self._longest_gap_at_s = 0, 0.0, 0.0
+        self._n_gaps, self._longest_gap = 0, (0.0, 0.0)  # length and place, s
         self._stamps: list[int] = []  # heap of packet timestamps not yet passed by a frame
         self._n_passed = 0
         self._index = -1
@@ -36,7 +36,7 @@ class DecodeLog:
     def restart(self) -> None:
         """Continue at a later keyframe: reset the counts of decoded frames, but not the number of packets."""
         self.n_damaged = self.n_backward = self._n_gaps = 0
-        self.last_s, self._longest_gap_s = None, 0.0
+        self.last_s, self._longest_gap = None, (0.0, 0.0)
 
     def packet(self, stamp: int | None, *, is_corrupt: bool) -> None:
         """Register a packet that contains a frame, decoded or not; packets come in decoding order."""
@@ -66,8 +66,8 @@ class DecodeLog:
         step_s = 0.0 if self.last_s is None else time_s - self.last_s
         if step_s > _GAP_INTERVALS * interval_s:
             self._n_gaps += 1
-            if step_s > self._longest_gap_s:
-                self._longest_gap_s, self._longest_gap_at_s = step_s, time_s - step_s
+            if step_s > self._longest_gap[0]:
+                self._longest_gap = step_s, time_s - step_s
         self.last_s, self.end_s = time_s, time_s + duration_s
 
     def note_shortfall(self, declared_end_s: float, *, tolerance_s: float) -> None:
@@ -86,8 +86,8 @@ class DecodeLog:
             )
         if self._n_gaps:
             notes.append(
-                f"{counted(self._n_gaps, 'gap')} in the timestamps, the longest {self._longest_gap_s:.2f} s, after "
-                f"{self._longest_gap_at_s:.2f} s: frames are missing there."
+                f"{counted(self._n_gaps, 'gap')} in the timestamps, the longest {self._longest_gap[0]:.2f} s, after "
+                f"{self._longest_gap[1]:.2f} s: frames are missing there."
             )
         if self.n_damaged:
             notes.append(f"{counted(self.n_damaged, 'damaged frame')} skipped.")

@@ -26,17 +26,11 @@ from track_range.recording.live.clock import StreamClock
 from track_range.recording.threads import LIVE_FRAMES
 from track_range.recording.utc import UtcStart
 
-_OPEN_S = 10.0
-"""Timeout for opening a stream, s."""
+_OPEN_S, SILENCE_S = 10.0, 5.0
+"""Timeouts for opening a stream, and for its next frame, s."""
 
-SILENCE_S = 5.0
-"""Timeout for the next frame of a stream, s."""
-
-_SIZE_LIMIT = {"max_pixels": str(MAX_PIXELS)}
-"""FFmpeg's option for the largest size of an image."""
-
-_FALLBACK_RATE_HZ = 25.0
-"""Frame rate of a stream that does not declare one."""
+_SIZE_LIMIT = {"max_pixels": str(MAX_PIXELS)}  # FFmpeg's option for the largest size of an image
+_FALLBACK_RATE_HZ = 25.0  # of a stream that does not declare one
 
 _CAMERA_DELAY_S, _STREAM_DELAY_S = 0.1, 2.0
 """Largest delay, s, between exposure and arrival of the frames of a camera and of a network stream; assumed."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from track_range.foundation.progress import StepProgress, no_progress
-from track_range.stereo.alignment.drift import DriftingAlignment
+from track_range.stereo.alignment.drift import DriftingAlignment, DriftMonitor
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.from_drive import DriveAlignment
 from track_range.stereo.alignment.health import RigHealth
@@ -46,13 +46,16 @@ class PairAlignment:
         start_s = time.perf_counter()
         measured, windows = drive.estimate(), drive.windows()
         drifting = DriftingAlignment(measured.if_clear(), measured, windows) if measured.is_measured else None
+        estimation_s = time.perf_counter() - start_s
         return cls(
-            measured=measured,
-            is_applied=measured.is_clear,
-            rig=rig,
-            drifting=drifting,
-            estimation_s=time.perf_counter() - start_s,
+            measured=measured, is_applied=measured.is_clear, rig=rig, drifting=drifting, estimation_s=estimation_s
         )
+
+    def drift_monitor(self, rig: StereoRig) -> DriftMonitor | None:
+        """The monitor of its drift in the frames of a rectified pair; None = it was not measured."""
+        if self.drifting is None:
+            return None
+        return DriftMonitor(rig, self.drifting, self.measured, shift_px=self.applied.shift_px)
 
     @property
     def applied(self) -> Alignment:
@@ -126,11 +129,10 @@ def find_alignment(
     frames: Generator[Frame, None, None],
     progress: StepProgress = no_progress,
 ) -> PairAlignment:
-    """The alignment of a calibrated pair.
+    """The alignment of a calibrated pair: a given one, or "auto" = estimated from the drive's first frames.
 
     Args:
-        align: "auto" = estimated from the drive's first frames; "off" = none; an alignment file; or an
-            alignment, such as that of a run.
+        align: see `given_alignment`.
         rig: the rectified pair.
         frames: the rectified frames of the first `ESTIMATION_SPAN_S`; as many are read as the estimation needs.
         progress: shows the progress of the estimation.

@@ -22,14 +22,8 @@ _UNMATCHED = (
     f"{MAX_CHECKED_PAIRS} pairs; check that the two videos and the rig belong together."
 )
 
-_SYNC_EVERY = 5
-"""Interval between synchronisation checks, in frames."""
-
-_MAX_SYNC_CHECKS = 12
-"""Largest number of synchronisation checks."""
-
-_N_AGREEING_CHECKS = 3
-"""Number of equal results after which the synchronisation is decided."""
+_SYNC_EVERY, _MAX_SYNC_CHECKS = 5, 12  # interval in frames, and number, of synchronisation checks
+_N_AGREEING_CHECKS = 3  # equal results after which the synchronisation is decided
 
 
 class Monitor(Protocol):
@@ -38,11 +32,9 @@ class Monitor(Protocol):
     @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""
-        ...
 
     def add(self, frame: Frame) -> None:
         """Check the next frame."""
-        ...
 
 
 class PairMonitor:

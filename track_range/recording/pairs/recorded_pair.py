@@ -28,8 +28,7 @@ At 30 Hz this is 8 ms; a car closing at 30 m/s then moves 0.25 m, 1 % of 25 m. W
 find a partner.
 """
 
-_RATE_DIFFERENCE = 0.01
-"""Relative difference up to which nominal rates count as equal, such as 29.97 and 30."""
+_RATE_DIFFERENCE = 0.01  # relative difference up to which nominal rates count as equal, such as 29.97 and 30
 
 
 @dataclass(slots=True)
@@ -44,7 +43,6 @@ class _Side:
         n_read: frames read so far.
         n_before, n_between, n_after: unpaired frames before the first pair, between pairs, after the last pair.
         first_s, last_s: times of the first and the last frame read.
-        is_over: whether the video has ended.
         error: the error that ended it; None = none.
     """
 
@@ -56,15 +54,14 @@ class _Side:
     n_before: int = 0
     n_between: int = 0
     n_after: int = 0
-    first_s: float | None = None
+    first_s: float = 0.0
     last_s: float = 0.0
-    is_over: bool = False
     error: VideoError | None = None
 
     @property
     def n_unread(self) -> int:
         """Estimated number of frames not yet read; too large for a damaged file."""
-        return 0 if self.is_over else max(0, (self.video.n_frames or 0) - self.n_read)
+        return 0 if self.current is None else max(0, (self.video.n_frames or 0) - self.n_read)
 
     @property
     def end_s(self) -> float:
@@ -77,20 +74,10 @@ class _Side:
             self.current = next(self.frames, None)
         except VideoError as error:
             self.current, self.error = None, error
-        if self.current is None:
-            self.is_over = True
-            return
-        self.n_read += 1
-        self.first_s = self.current.time_s if self.first_s is None else self.first_s
-        self.last_s = self.current.time_s
-
-    def count_pair(self, *, is_first: bool) -> None:
-        """Count the frames read since the last pair as unpaired."""
-        if is_first:
-            self.n_before = self.n_after
-        else:
-            self.n_between += self.n_after
-        self.n_after = 0
+        if self.current is not None:
+            self.first_s = self.first_s if self.n_read else self.current.time_s
+            self.last_s = self.current.time_s
+            self.n_read += 1
 
 
 class RecordedPair(VideoPair[RecordedVideo]):
@@ -139,8 +126,12 @@ class RecordedPair(VideoPair[RecordedVideo]):
                     self._nearest_s = min(self._nearest_s, gap_s)
                     earlier.n_after += 1
                     continue
-                for side in self._sides:
-                    side.count_pair(is_first=self._n_pairs == 0)
+                for side in self._sides:  # the frames read since the last pair are unpaired
+                    if self._n_pairs:
+                        side.n_between += side.n_after
+                    else:
+                        side.n_before = side.n_after
+                    side.n_after = 0
                 self._n_pairs += 1
                 yield pair
                 later.advance()
@@ -151,7 +142,12 @@ class RecordedPair(VideoPair[RecordedVideo]):
                 raise side.error
             side.video.check_unchanged()
         if not self._n_pairs:
-            raise VideoError(self._no_pairs_message())
+            spans = [f"{side.video.path} ({side.first_s:.2f} s to {side.end_s:.2f} s)" for side in self._sides]
+            raise VideoError(
+                f"{spans[0]} and {spans[1]}: expected frames at most {self.tolerance_s:.3f} s apart, the nearest are "
+                f"{self._nearest_s:.3f} s apart; use two videos of one recording, from cameras with synchronised "
+                "clocks."
+            )
 
     def _rate_notes(self) -> list[str]:
         left_hz, right_hz = self.left.fps, self.right.fps
@@ -164,33 +160,25 @@ class RecordedPair(VideoPair[RecordedVideo]):
 
     def _unpaired_notes(self, side: _Side, other: _Side) -> list[str]:
         """Messages about the unpaired frames of one side before, after and between the pairs."""
-        later_s = (other.first_s or 0.0) - (side.first_s or 0.0)
-        earlier_s = side.end_s - other.end_s
-        n_between, notes = side.n_between, []
+        later_s, earlier_s = other.first_s - side.first_s, side.end_s - other.end_s
+        n_between, notes, noun = side.n_between, [], f"{side.name} frame"
         if side.n_before and later_s > self.tolerance_s:
             notes.append(
                 f"The {other.name} video starts {later_s:.2f} s later than the {side.name} one: "
-                f"{counted(side.n_before, f'{side.name} frame')} before it skipped."
+                f"{counted(side.n_before, noun)} before it skipped."
             )
         else:
             n_between += side.n_before
         if side.n_after and earlier_s > self.tolerance_s:
             notes.append(
                 f"The {other.name} video ends {earlier_s:.2f} s earlier than the {side.name} one: "
-                f"{counted(side.n_after, f'{side.name} frame')} after it skipped."
+                f"{counted(side.n_after, noun)} after it skipped."
             )
         else:
             n_between += side.n_after
         if n_between:
             notes.append(
-                f"{counted(n_between, f'{side.name} frame')} without a {other.name} frame within "
-                f"{1000 * self.tolerance_s:.1f} ms skipped."
+                f"{counted(n_between, noun)} without a {other.name} frame within {1000 * self.tolerance_s:.1f} ms "
+                "skipped."
             )
         return notes
-
-    def _no_pairs_message(self) -> str:
-        spans = [f"{side.video.path} ({side.first_s or 0.0:.2f} s to {side.end_s:.2f} s)" for side in self._sides]
-        return (
-            f"{spans[0]} and {spans[1]}: expected frames at most {self.tolerance_s:.3f} s apart, the nearest are "
-            f"{self._nearest_s:.3f} s apart; use two videos of one recording, from cameras with synchronised clocks."
-        )

@@ -62,7 +62,11 @@ class StepwiseAlignment:
             return None
         self._drive.add(unaligned)
         if math.isnan(self._moving_s):
-            self._wait_for_motion(unaligned.time_s)
+            self._n_static += 1
+            if self._drive.n_moving > 1:
+                self._moving_s = unaligned.time_s
+            elif self._n_static > _MAX_STATIC_FRAMES:
+                self._start()
         if not self._is_due(unaligned.time_s):
             return None
         drive = self._drive if self._is_final else self._drive.copy()
@@ -72,18 +76,9 @@ class StepwiseAlignment:
                 self._start()
             return None
         self.current = estimated
-        if self._is_final and estimated.drifting is not None:
-            shift_px = estimated.applied.shift_px
-            self._drift = DriftMonitor(self._rig, estimated.drifting, estimated.measured, shift_px=shift_px)
+        if self._is_final:
+            self._drift = estimated.drift_monitor(self._rig)
         return estimated
-
-    def _wait_for_motion(self, time_s: float) -> None:
-        """Note the time of the first frame in motion."""
-        self._n_static += 1
-        if self._drive.n_moving > 1:
-            self._moving_s = time_s
-        elif self._n_static > _MAX_STATIC_FRAMES:
-            self._start()
 
     def _is_due(self, time_s: float) -> bool:
         """Whether to estimate now; the last estimate is final."""

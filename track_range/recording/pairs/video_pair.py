@@ -48,11 +48,6 @@ class VideoPair(ABC, Generic[V]):
     def pairs(self) -> Generator[Pair, None, None]:
         """The pairs, read from the start of recorded videos, or from the newest frames of live ones."""
 
-    @property
-    def n_ahead(self) -> int:
-        """Number of pairs in the buffer."""
-        return len(self._ahead)
-
     def read_ahead(self) -> Generator[Pair, None, None]:
         """The first pairs, until the caller stops; to be called at most once, before the iteration."""
         unread, n_bytes, is_full = self.pairs(), 0, False

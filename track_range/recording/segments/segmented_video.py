@@ -18,10 +18,9 @@ from track_range.foundation.files.input_files import counted
 from track_range.recording.bags.bag import is_bag
 from track_range.recording.files.file_state import FileState
 from track_range.recording.files.video_file import VideoFile, VideoHeader, compressed_frames, count_packets
-from track_range.recording.files.video_part import VideoPart
 from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame
 from track_range.recording.names import Segments, is_pattern, matching_files
-from track_range.recording.recorded_video import RecordedVideo
+from track_range.recording.recorded_video import RecordedVideo, VideoPart
 from track_range.recording.segments.segment_times import SegmentFacts, arranged, paired_starts_s
 from track_range.recording.utc import UtcStart
 

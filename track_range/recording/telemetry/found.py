@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.files.input_files import counted
-from track_range.recording.files.video_part import VideoPart
+from track_range.recording.recorded_video import VideoPart
 from track_range.recording.telemetry.checks import usable
 from track_range.recording.telemetry.containers.embedded import embedded
 from track_range.recording.telemetry.exiftool import read_with_exiftool

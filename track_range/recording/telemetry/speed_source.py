@@ -18,8 +18,8 @@ from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import first_line
 from track_range.foundation.files.numeric_text import number
 from track_range.ranging.ego_speed import EgoSpeed, EgoSpeedError, open_ego_speed
-from track_range.recording.files.video_part import VideoPart
 from track_range.recording.live.live_video import LiveVideo
+from track_range.recording.recorded_video import VideoPart
 from track_range.recording.recording import Recording
 from track_range.recording.telemetry.found import FoundTelemetry, candidates, named_telemetry
 from track_range.recording.telemetry.image_evidence import SPAN_S, contradiction, motion_of

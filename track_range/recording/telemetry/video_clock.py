@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.recording.files.video_part import VideoPart
+from track_range.recording.recorded_video import VideoPart
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
 ZONES_H = (

@@ -3,7 +3,7 @@
 from datetime import UTC, datetime
 from pathlib import Path
 
-from track_range.recording.files.video_part import VideoPart
+from track_range.recording.recorded_video import VideoPart
 from track_range.recording.utc import UtcStart
 
 START_S = datetime(2026, 5, 3, 10, 0, 0, tzinfo=UTC).timestamp()
