@@ -14,8 +14,7 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 Rows = BoolArray | npt.NDArray[np.integer[Any]] | Sequence[int] | slice
 """Selection of rows: a mask, row numbers or a slice."""
-Image = npt.NDArray[np.uint8]
-"""(H, W, 3) BGR or (H, W) grey."""
+Image = npt.NDArray[np.uint8]  # (H, W, 3) BGR or (H, W) grey
 
 
 def check_shape(name: str, array: npt.NDArray[Any], expected: tuple[int | None, ...]) -> None:
@@ -34,12 +33,8 @@ def check_shape(name: str, array: npt.NDArray[Any], expected: tuple[int | None, 
 def row_numbers(rows: Rows, n_rows: int) -> IntArray:
     """(M,) the row numbers that `rows` selects among `n_rows`, for `take`, which is faster than indexing.
 
-    Args:
-        rows: a mask (n_rows,), an array or list of row numbers (M,), or a slice; negative numbers count from the end.
-        n_rows: number of rows of the array.
-
-    Raises:
-        IndexError: the mask has another length, or the numbers are not integers; `take` checks that the rows exist.
+    Negative numbers count from the end. An IndexError means that a mask has another length, or that the numbers are not
+    integers; `take` checks that the rows exist.
     """
     if isinstance(rows, slice):
         return np.arange(n_rows)[rows]

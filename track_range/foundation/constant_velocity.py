@@ -19,14 +19,9 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True)
 class ConstantVelocity:
-    """States [x, v] and their covariances P; elements that share a covariance may have axes of length 1.
+    """States, values x and rates v per second, and their covariances P.
 
-    Attributes:
-        x: value.
-        v: rate, per second.
-        P_xx: variance of the value.
-        P_xv: covariance of value and rate.
-        P_vv: variance of the rate.
+    Elements that share a covariance may have axes of length 1.
     """
 
     x: FloatArray
@@ -40,10 +35,7 @@ class ConstantVelocity:
     ) -> ConstantVelocity:
         """The states after `dt` >= 0 seconds.
 
-        Args:
-            dt: time step, s.
-            q: growth of the rate's variance per second.
-            drift: growth of the value's variance per second in addition to that caused by its rate.
+        The variance of the rate grows by `q` per second, and that of the value by `drift` besides what its rate causes.
         """
         P_xv = self.P_xv + dt * self.P_vv
         return ConstantVelocity(
@@ -57,12 +49,9 @@ class ConstantVelocity:
     def update(
         self, innovation: FloatArray, R: FloatArray | float, *, valid: BoolArray | bool = True
     ) -> ConstantVelocity:
-        """The states after measurements.
+        """The states after measurements with the innovation nu and the variance R > 0.
 
-        Args:
-            innovation: nu, measurement minus `x`.
-            R: variance of the measurement, > 0.
-            valid: elements with a measurement; the state of the others does not change.
+        Elements that are not `valid` have no measurement, and their state does not change.
         """
         weight, nu = 1.0 / (self.P_xx + R), innovation
         if valid is not True:

@@ -16,8 +16,7 @@ TELEMETRY_SWITCHES = {
 }
 """Environment variable, read at the import of a package, and the value that disables the package's telemetry."""
 
-_CLOSED_PORT = "http://127.0.0.1:9"
-"""Address at which nothing listens (the discard port)."""
+_CLOSED_PORT = "http://127.0.0.1:9"  # address at which nothing listens (the discard port)
 
 VIEWER_VARIABLES = {
     "CI": "true",

@@ -65,14 +65,11 @@ def option(description: str, **given: Any) -> Any:
 
     Args:
         description: help text: a noun phrase with unit, allowed values and default where they are not obvious.
-        given: attributes of `Declaration`, and arguments of `pydantic.Field`, see `_CONSTRAINTS`.
+        given: attributes of `Declaration`, and limits, which are arguments of `pydantic.Field`.
     """
-    constraints = {name: given.pop(name) for name in _CONSTRAINTS & given.keys()}
+    limits = {name: given.pop(name) for name in {"ge", "le", "gt", "lt", "min_length"} & given.keys()}
     declaration: Any = Declaration(**given)
-    return Field(description=description, json_schema_extra={"option": declaration}, **constraints)
-
-
-_CONSTRAINTS = frozenset(("ge", "le", "gt", "lt", "min_length"))
+    return Field(description=description, json_schema_extra={"option": declaration}, **limits)
 
 
 def option_of(field: FieldInfo) -> Declaration:

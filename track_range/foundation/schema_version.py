@@ -10,8 +10,7 @@ SCHEMA_VERSION = 1
 METADATA_PREFIX = "track_range."
 """Prefix of the keys in the metadata of files, so that they differ from those of other programs."""
 
-_MAX_DIGITS = 9
-"""Number of digits to which a version is read; longer ones are newer in any case."""
+_MAX_DIGITS = 9  # number of digits to which a version is read; longer ones are newer in any case
 
 
 def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int | None:
@@ -21,16 +20,7 @@ def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int | None:
 
 
 def check_schema_version(path: object, metadata: Mapping[bytes, bytes] | None, error: type[Exception]) -> None:
-    """Check that a Parquet file or Arrow stream is not of a newer version; one without a version is accepted.
-
-    Args:
-        path: the file, for the message.
-        metadata: metadata of its schema.
-        error: class of the error.
-
-    Raises:
-        error: the file was written by a newer version.
-    """
+    """Raise `error` if the metadata of the schema of an Arrow file state a newer version; none is accepted."""
     schema_version = schema_version_of(metadata)
     if schema_version is not None and schema_version > SCHEMA_VERSION:
         raise error(

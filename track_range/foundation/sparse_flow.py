@@ -21,11 +21,8 @@ from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, I
 _CELL_PX = 8
 """Side of the cells of the mask of boxes, small pixels: boxes grow by up to one cell, so that few windows overlap."""
 
-_GRID_PX = 8
-"""Side of the squares of the half-size image with one feature each: 16 small pixels, two cells."""
-
-_MIN_EIGENVALUE = 1e-5
-"""Minimum corner quality (OpenCV's smaller eigenvalue), above the noise of a textureless area."""
+_GRID_PX = 8  # side of the squares of the half-size image with one feature each: 16 small pixels, two cells
+_MIN_EIGENVALUE = 1e-5  # minimum corner quality (OpenCV's smaller eigenvalue), above the noise of a textureless area
 
 _TENSOR_PX, _MIN_TENSOR = 5, 1e-6
 """Side of the window of the structure tensor, pixels of the half-size image, and smallest eigenvalue that counts."""
@@ -60,10 +57,8 @@ def halved(image: Image) -> Image:
 def masked_cells(xyxy_px: FloatArray, grey_hw: Sequence[int], n_halved: int) -> BoolArray:
     """(rows, columns) whether a box touches a cell of the small image; invalid boxes are ignored.
 
-    Args:
-        xyxy_px: (N, 4) boxes in pixels of the full image.
-        grey_hw: height and width of the small image.
-        n_halved: number of halvings between the two.
+    The boxes (N, 4) are in pixels of the full image, which was halved `n_halved` times to the height and width
+    `grey_hw`.
     """
     n_rows, n_columns = -(-grey_hw[0] // _CELL_PX), -(-grey_hw[1] // _CELL_PX)
     is_valid = np.isfinite(xyxy_px).all(axis=1) & (xyxy_px[:, 2:] > xyxy_px[:, :2]).all(axis=1)
@@ -149,8 +144,7 @@ def tracked_corners(
     """Corners (N, 2) of one image found in another by pyramidal Lucas-Kanade (Bouguet, 2000), and (N,) which of them.
 
     Args:
-        before: (H, W) image of the corners.
-        now: (H, W) the other image.
+        before, now: (H, W) image of the corners, and the other one.
         corners: (N, 2) points in `before`.
         window_px: side of the tracked window.
         n_levels: pyramid levels above the images, for motions larger than the window.
@@ -217,12 +211,9 @@ class BackgroundFlow:
         self._needs: set[tuple[int, float]] = set()
 
     def add(self, image: Image, xyxy_px: FloatArray, time_s: float = math.nan) -> None:
-        """Make an image the last frame, unless the last one has the same time.
+        """Make an image, BGR or grey, the last frame, unless the last one has the same time; NaN = unknown.
 
-        Args:
-            image: (H, W, 3) BGR or (H, W) grey.
-            xyxy_px: (N, 4) boxes of road users, which are not background; invalid ones are ignored.
-            time_s: time of the frame; NaN = unknown, a new frame.
+        Boxes `xyxy_px` (N, 4) of road users are not background; invalid ones are ignored.
         """
         if time_s == self._last_s:
             return

@@ -44,8 +44,7 @@ class BagTopic:
 RecordedName = Path | Segments | BagTopic
 """A video file, folder, pattern such as `DIR/*_F.mp4`, several files, or a topic of a bag."""
 
-VideoName = Path | LiveAddress | Segments | BagTopic
-"""Any source of one camera's images."""
+VideoName = Path | LiveAddress | Segments | BagTopic  # any source of one camera's images
 
 
 def video_name(name: str | VideoName | Sequence[str | Path]) -> VideoName:

@@ -15,8 +15,7 @@ from track_range.recording.names import BagTopic, RecordedName, Segments
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.segments.segmented_video import SegmentedVideo, segment_files
 
-_MIN_SIDE_PX = 8
-"""Smallest width and height of a video; smaller ones show no road users, and their headers are usually damaged."""
+_MIN_SIDE_PX = 8  # smaller videos show no road users, and their headers are usually damaged
 
 
 def open_video(
@@ -32,9 +31,8 @@ def open_video(
     Args:
         name: the file, the folder of images or videos, a pattern such as `DIR/*_F.mp4`, several files, or a topic.
         folder_fps: frame rate of a folder without timestamps.txt.
-        start_s: start of the part to read, in seconds after the first frame, for the right video of the left one.
-        duration_s: length of the part to read; None = to the end.
-        left: the left video of a pair, if this is the right one.
+        start_s, duration_s: part to read; it starts in seconds after the first frame, for a right video of the left
+        one. left: the left video of a pair, if this is the right one.
 
     Raises:
         VideoError: the path does not exist, is no video, nothing can be decoded, or the images are too small.
@@ -59,24 +57,17 @@ def _opened(name: RecordedName, folder_fps: float, left: RecordedVideo | None) -
         files = segment_files(name)
     except ValueError as error:  # a null character
         raise VideoError(f"{quoted(str(name))}: cannot be read (invalid name); check the name.") from error
+    except OSError as error:
+        raise VideoError(f"{name}: cannot be read ({describe(error)}); check its permissions.") from error
     if files is not None and (len(files) > 1 or isinstance(name, Segments)):
         return SegmentedVideo(name, files, left=left if isinstance(left, SegmentedVideo) else None)
     if files:
         return VideoFile(files[0])
     if isinstance(name, Segments):
         raise VideoError(f"{name}: expected video files, found none.")
-    return _file_or_folder(name, folder_fps)
-
-
-def _file_or_folder(path: Path, folder_fps: float) -> VideoFile | ImageFolder:
-    try:
-        is_folder = path.is_dir()
-    except (OSError, ValueError) as error:  # a null character
-        reason = describe(error) if isinstance(error, OSError) else "invalid name"
-        raise VideoError(f"{path}: cannot be read ({reason}); check its permissions.") from error
-    if path.is_fifo():
+    if name.is_fifo():
         raise VideoError(
-            f"{path}: expected a video file, found a named pipe; give a stream by its address, such as "
+            f"{name}: expected a video file, found a named pipe; give a stream by its address, such as "
             "udp://127.0.0.1:5000, or record it to a file first."
         )
-    return ImageFolder(path, fps=folder_fps) if is_folder else VideoFile(path)
+    return ImageFolder(name, fps=folder_fps) if name.is_dir() else VideoFile(name)

@@ -23,7 +23,6 @@ class VideoPart:
     """One file of a recording, or its folder of images.
 
     Attributes:
-        path: the file or folder.
         start_s: time of its first frame, in seconds from the first frame of the recording.
         duration_s: length in seconds as the header states it; 0 = unknown.
         utc: UTC of its first frame; None = unknown.
@@ -97,13 +96,10 @@ class RecordedVideo(ABC):
         return max(0, round((end_s - max(from_s, self.first_time_s)) * self.fps))
 
     def select(self, start_s: float, duration_s: float | None = None, *, origin_s: float | None = None) -> None:
-        """Read only a part; most frames before it are not decoded.
+        """Read only a part, from `start_s` after `origin_s` on; most frames before it are not decoded.
 
-        Args:
-            start_s: start of the part, in seconds after `origin_s`.
-            duration_s: length of the part; None = to the end.
-            origin_s: file time from which `start_s` counts; None = that of the first frame. For the right video of a
-                pair: `first_time_s` of the left one.
+        Without a `duration_s` it goes to the end. `origin_s` is a file time, by default that of the first frame, and
+        for the right video of a pair `first_time_s` of the left one.
         """
         from_s = (self.first_time_s if origin_s is None else origin_s) + start_s
         self._part_s = from_s, math.inf if duration_s is None else from_s + duration_s
@@ -114,18 +110,13 @@ class RecordedVideo(ABC):
 
     @abstractmethod
     def check_unchanged(self) -> None:
-        """Check that the file or folder is the one that was opened; it may have been deleted, or have grown.
+        """Raise a VideoError if the file or folder was replaced, shortened or overwritten since it was opened.
 
-        Raises:
-            VideoError: it was replaced, shortened or overwritten in the meantime.
+        It may have been deleted, or have grown.
         """
 
     def check_size(self, size_px: Sequence[int], like: str, advice: str, path: Path | None = None) -> None:
-        """Check the width and height of an image of this recording, in `path` if it has several files.
-
-        Raises:
-            VideoError: they differ from those of the other images.
-        """
+        """Raise a VideoError if an image, in the file `path` if there are several, has another width or height."""
         if tuple(size_px) != (self.width_px, self.height_px):
             raise VideoError(
                 f"{path or self.path}: expected images of {self.width_px}x{self.height_px} px{like}, got "

@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from track_range.foundation.files.input_files import open_regular, quoted, shortened
 
-MAX_ARRAY_BYTES = 4_000_000_000
-"""Size limit, bytes, of arrays: 2 million embeddings of 512 numbers."""
+MAX_ARRAY_BYTES = 4_000_000_000  # size limit, bytes, of arrays: 2 million embeddings of 512 numbers
 
 
 def read_array(path: Path, error: type[Exception], expected: str) -> npt.NDArray[Any]:

@@ -18,11 +18,8 @@ def atomic_path(path: Path, *, is_flushed: bool = True) -> Iterator[Path]:
     """A temporary path next to `path`, for libraries that write files themselves; renamed to `path` at the end.
 
     The temporary file is hidden, has the same suffix, and is removed if the block raises. Devices, pipes and symbolic
-    links are not replaced but written in place: the result is then `path` itself.
-
-    Args:
-        path: the file.
-        is_flushed: whether the content is on the disk before the file is renamed, which matters after a power failure.
+    links are not replaced but written in place: the result is then `path` itself. `is_flushed`: the content is on the
+    disk before the file is renamed, which matters after a power failure.
 
     Raises:
         OSError: `path` is a folder, or the file cannot be written or renamed.

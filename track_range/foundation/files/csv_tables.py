@@ -26,8 +26,7 @@ class CsvTable:
         header: names of the columns, in lower case.
         rows: N lists of one cell per column.
         lines: N line numbers in the file, from 1.
-        error: class of the exceptions that the methods raise.
-        expected: what the file should hold, for messages.
+        error, expected: class of the exceptions of the methods, and what the file should hold, for messages.
     """
 
     path: Path
@@ -97,15 +96,13 @@ def read_csv_table(
     Args:
         path: the file.
         error: class of the exceptions to raise.
-        expected: expected content of the file, for messages, such as "columns time_s and speed_mps".
-        default_header: names of the columns, in order, of a file without a header: one with none of them in its first
-            line.
+        expected: what the file should hold, for messages, such as "columns time_s and speed_mps".
+        default_header: names of the columns, in order, of a file of which the first line has none of them.
         exact: reject rows with another number of cells than the header. Otherwise, missing cells are empty, and one
             comma at the end of a row is ignored.
 
     Raises:
-        error: the file is unreadable or empty, is not CSV with commas, or a row has more cells than the header, or a
-            value in a column without a name.
+        error: the file is unreadable, empty or no CSV with commas, a row has too many cells, or a column no name.
     """
     text = read_text(path, error, "CSV", max_bytes=MAX_TABLE_BYTES)
     reader = csv.reader(text.split("\n"), strict=True)

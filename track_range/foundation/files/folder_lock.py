@@ -27,9 +27,7 @@ LOCK_FILE = ".running"
 
 _UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of file systems without locks
 _MAX_OWNER_BYTES = 1000  # of the content of a lock file that are read
-
-_LOCKED_BYTE = 1 << 30
-"""Offset of the byte that is locked on Windows, where a locked byte cannot be read."""
+_LOCKED_BYTE = 1 << 30  # offset of the byte that is locked on Windows, where a locked byte cannot be read
 
 
 class FolderLockError(UserError):

@@ -21,11 +21,8 @@ from track_range.foundation.files.input_files import open_regular
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})
 """File name suffixes of images, in lower case."""
 
-MAX_SIDE_PX = 16_384
-"""Largest width and height of an image; the widest panoramic cameras have about 12,000 px."""
-
-MAX_PIXELS = 2**26
-"""Largest number of pixels of an image: 8192x8192, of which 8-bit BGR takes 200 MB."""
+MAX_SIDE_PX = 16_384  # largest width and height of an image; the widest panoramic cameras have about 12,000 px
+MAX_PIXELS = 2**26  # largest number of pixels of an image: 8192x8192, of which 8-bit BGR takes 200 MB
 
 _MAX_PIXEL_BYTES, _MAX_EXTRA_BYTES = 16, 2**26
 """Largest number of stored bytes per pixel, four channels of 32 bits, and of bytes besides them: metadata, thumbnails,
@@ -57,13 +54,9 @@ _PNM_SIZE = re.compile(rb"P[1-6](?:\s|#[^\n]*\n)+(\d{1,10})(?:\s|#[^\n]*\n)+(\d{
 def read_image(
     path: Path, error: type[Exception], expected: str = "an image", *, flags: int = cv2.IMREAD_COLOR
 ) -> npt.NDArray[Any]:
-    """The image of a PNG, JPEG, BMP, TIFF, WebP or PNM file, decoded by OpenCV.
+    """The image of a PNG, JPEG, BMP, TIFF, WebP or PNM file, decoded by OpenCV with its `flags`.
 
-    Args:
-        path: the file.
-        error: class of the exceptions to raise.
-        expected: noun phrase for the file, for messages.
-        flags: OpenCV's flags, which determine the number of channels and the type.
+    The flags determine the number of channels and the type; `expected` is the noun phrase for the file in messages.
 
     Raises:
         error: the file cannot be read, is not a regular file, is damaged or of an unknown format, or is too large.
@@ -119,11 +112,7 @@ def _decoded(stored: bytes, path: object, error: type[Exception], expected: str,
 
 
 def check_size(path: object, size_px: tuple[int, int], error: type[Exception]) -> None:
-    """Check the width and height that a file announces.
-
-    Raises:
-        error: they exceed the limits.
-    """
+    """Raise `error` if the width and height that a file announces exceed the limits."""
     width_px, height_px = size_px
     if max(size_px) > MAX_SIDE_PX or width_px * height_px > MAX_PIXELS:
         raise error(
@@ -135,10 +124,7 @@ def check_size(path: object, size_px: tuple[int, int], error: type[Exception]) -
 def header_size_px(file: BinaryIO) -> tuple[int, int] | None:
     """Width and height from the header of an image file, without decoding; None = no image of a known format.
 
-    For tiled TIFF files, at least the size of a tile, since a decoder allocates whole tiles.
-
-    Raises:
-        OSError: the file cannot be read.
+    For tiled TIFF files, at least the size of a tile, since a decoder allocates whole tiles. An OSError = unreadable.
     """
     file.seek(0)
     start = file.read(1024)

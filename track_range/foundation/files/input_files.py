@@ -20,9 +20,7 @@ from track_range.foundation.files.atomic_files import describe
 MAX_TEXT_BYTES = 1_000_000
 """Size limit, bytes, of files that a person or a calibration program writes: rigs, settings, data.yaml."""
 
-MAX_TABLE_BYTES = 2_000_000_000
-"""Size limit, bytes, of tables with a row per object: labels, detections, tracks."""
-
+MAX_TABLE_BYTES = 2_000_000_000  # size limit, bytes, of tables with a row per object: labels, detections, tracks
 _BLOCK_BYTES, _START_BYTES = 1 << 20, 65_536  # sizes of the blocks in which files are read, and of their start
 _MAX_QUOTED = 60  # characters of a value in a message
 
@@ -42,14 +40,9 @@ _SPECIAL_FILES = (
 def open_regular(path: Path, error: type[Exception], expected: str, *, max_bytes: int | None = None) -> BufferedReader:
     """A regular file, opened for reading; symbolic links are followed.
 
-    Args:
-        path: the file.
-        error: class of the exceptions to raise.
-        expected: noun phrase for the content, for messages, such as "the rig.yaml of the cameras".
-        max_bytes: largest size; None = no limit.
-
     Raises:
-        error: there is no such file, it is not a regular file, it is too large, or it cannot be read.
+        error: there is no such file, it is not a regular file, it is larger than `max_bytes`, or it cannot be read; the
+            message names the file and `expected`, a noun phrase such as "the rig.yaml of the cameras".
     """
     try:
         # without O_NONBLOCK, the opening of a named pipe waits for a writer
@@ -101,8 +94,6 @@ def read_bytes(path: Path, error: type[Exception], expected: str, *, max_bytes: 
 
 def read_text(path: Path, error: type[Exception], expected: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:
     """Text of a regular file in UTF-8, with or without a byte order mark; lines end with a line feed.
-
-    See `open_regular` for the arguments.
 
     Raises:
         error: as in `open_regular`, or the file is not UTF-8, or has null characters.
@@ -192,11 +183,11 @@ def _unreadable(path: Path, reason: OSError | ValueError, error: type[Exception]
 
 
 def _too_large(path: Path, max_bytes: int, n_bytes: int, error: type[Exception], expected: str) -> Exception:
-    limit, found = (
+    limit, size = (
         next((f"{n / factor:.4g} {unit}" for unit, factor in _UNITS if n >= factor), f"{n} bytes")
         for n in (max_bytes, n_bytes)
     )
-    return error(f"{path}: expected {expected} of at most {limit}, found {found}.")
+    return error(f"{path}: expected {expected} of at most {limit}, found {size}.")
 
 
 _UNITS = (("GB", 1e9), ("MB", 1e6), ("kB", 1e3))

@@ -68,14 +68,9 @@ class _Loader(_BaseLoader):  # type: ignore[misc]
 def read_yaml(path: Path, error: type[Exception], expected: str, *, max_bytes: int = MAX_TEXT_BYTES) -> Any:
     """Content of a YAML file as plain values: None, bool, int, float, str, list, dict.
 
-    Args:
-        path: the file.
-        error: class of the exceptions to raise.
-        expected: noun phrase for the content, for messages, such as "the settings.yaml of a run".
-        max_bytes: largest size of the file.
-
     Raises:
-        error: the file cannot be read, or is not YAML within the limits; the message names file and line.
+        error: the file cannot be read, or is not YAML within the limits; the message names file, line and `expected`, a
+            noun phrase such as "the settings.yaml of a run".
     """
     return parse_yaml(read_text(path, error, expected, max_bytes=max_bytes), path, error, expected)
 

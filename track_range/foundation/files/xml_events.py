@@ -12,11 +12,8 @@ from xml.parsers import expat
 
 from track_range.foundation.files.input_files import readable, shortened
 
-MAX_DEPTH = 16
-"""Largest depth of nested elements."""
-
-MAX_TEXT = 500
-"""Largest number of characters of an element's text that is passed on."""
+MAX_DEPTH = 16  # largest depth of nested elements
+MAX_TEXT = 500  # largest number of characters of an element's text that is passed on
 
 _BLOCK_BYTES = 65_536
 
@@ -35,17 +32,11 @@ class XmlHandler(Protocol):
 
 
 def parse_xml(file: BinaryIO, path: Path, handler: XmlHandler | None, error: type[Exception], expected: str) -> None:
-    """Pass the elements of a file to a handler, block by block.
-
-    Args:
-        file: the open file.
-        path: its path, for messages.
-        handler: receiver; its exceptions are passed on. None = the file is only checked.
-        error: class of the exceptions to raise.
-        expected: noun phrase for the content, for messages.
+    """Pass the elements of a file to a handler, block by block; without a handler, the file is only checked.
 
     Raises:
-        error: the file cannot be read, is not XML, has a document type, or is nested too deeply.
+        error: the file cannot be read, is not XML, has a document type, or is nested too deeply; the message names
+        `path` and `expected`. Exceptions of the handler are passed on.
     """
     elements: list[str] = []
     text = ""

@@ -19,8 +19,7 @@ from track_range.recording.bags.sqlite_file import SqliteFile
 from track_range.recording.frame import VideoError
 
 _MCAP_MAGIC, _SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\0"
-_FOLDER_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
-"""Suffixes of the files in the folder of a ROS 2 bag."""
+_FOLDER_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")  # suffixes of the files in the folder of a ROS 2 bag
 
 
 def is_bag(path: Path) -> bool:

@@ -39,14 +39,13 @@ DAMAGE = (
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic of a bag.
+    """A topic of a bag, such as /camera/image.
 
     Attributes:
-        name: name, such as /camera/image.
         type: type of its messages as ROS 2 writes it, such as sensor_msgs/msg/Image, or foxglove.CompressedImage.
-        encoding: encoding of the messages: cdr, ros1, protobuf or json.
+        encoding: cdr, ros1, protobuf or json.
         definition: schema of the messages.
-        n_messages: number of messages; None = unknown.
+        n_messages: None = unknown.
     """
 
     name: str
@@ -90,12 +89,7 @@ def ros2_type(name: str) -> str:
 
 
 def decompressed(data: bytes, compression: str, n_bytes: int) -> bytes:
-    """Content of a compressed chunk, of which `n_bytes` are announced.
-
-    Args:
-        data: the compressed chunk.
-        compression: "", none, bz2, lz4 or zstd.
-        n_bytes: size of the content.
+    """Content of a chunk compressed with bz2, lz4, zstd or not ("", none), of which `n_bytes` are announced.
 
     Raises:
         DamagedError: unknown compression, or the size differs.

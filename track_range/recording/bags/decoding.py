@@ -26,33 +26,29 @@ IMAGE_TYPES = (*COMPRESSED_TYPES, *RAW_TYPES, *VIDEO_TYPES)
 CALIBRATION_TYPES = ("sensor_msgs/msg/CameraInfo", "foxglove.CameraCalibration", "foxglove_msgs/msg/CameraCalibration")
 """Types of messages that are read."""
 
-_BGR_CODES: Mapping[str, int | None] = {
-    "bgr8": None,
-    "8UC3": None,
-    "rgb8": cv2.COLOR_RGB2BGR,
-    "bgra8": cv2.COLOR_BGRA2BGR,
-    "8UC4": cv2.COLOR_BGRA2BGR,
-    "rgba8": cv2.COLOR_RGBA2BGR,
-    "mono8": cv2.COLOR_GRAY2BGR,
-    "8UC1": cv2.COLOR_GRAY2BGR,
-    "mono16": cv2.COLOR_GRAY2BGR,
-    "bayer_rggb8": cv2.COLOR_BayerRGGB2BGR,
-    "bayer_bggr8": cv2.COLOR_BayerBGGR2BGR,
-    "bayer_gbrg8": cv2.COLOR_BayerGBRG2BGR,
-    "bayer_grbg8": cv2.COLOR_BayerGRBG2BGR,
-    "yuv422": cv2.COLOR_YUV2BGR_UYVY,
-    "uyvy": cv2.COLOR_YUV2BGR_UYVY,
-    "yuv422_yuy2": cv2.COLOR_YUV2BGR_YUY2,
-    "yuyv": cv2.COLOR_YUV2BGR_YUY2,
+_ENCODINGS: Mapping[str, tuple[int, int | None]] = {
+    "bgr8": (3, None),
+    "8UC3": (3, None),
+    "rgb8": (3, cv2.COLOR_RGB2BGR),
+    "bgra8": (4, cv2.COLOR_BGRA2BGR),
+    "8UC4": (4, cv2.COLOR_BGRA2BGR),
+    "rgba8": (4, cv2.COLOR_RGBA2BGR),
+    "mono8": (1, cv2.COLOR_GRAY2BGR),
+    "8UC1": (1, cv2.COLOR_GRAY2BGR),
+    "mono16": (2, cv2.COLOR_GRAY2BGR),
+    "bayer_rggb8": (1, cv2.COLOR_BayerRGGB2BGR),
+    "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2BGR),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2BGR),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2BGR),
+    "yuv422": (2, cv2.COLOR_YUV2BGR_UYVY),
+    "uyvy": (2, cv2.COLOR_YUV2BGR_UYVY),
+    "yuv422_yuy2": (2, cv2.COLOR_YUV2BGR_YUY2),
+    "yuyv": (2, cv2.COLOR_YUV2BGR_YUY2),
 }
-"""OpenCV's conversion to BGR for each encoding of raw images; None = none is necessary."""
+"""Bytes per pixel, and OpenCV's conversion to BGR, for each encoding of raw images; None = none is necessary."""
 
 _DEPTH = ("16UC1", "32FC1", "compressedDepth")
 """Parts of the encodings of depth images (REP 118), which are not images of a camera."""
-
-_TWO_BYTES = ("mono16",)
-_CHANNELS = {"bgr8": 3, "8UC3": 3, "rgb8": 3, "bgra8": 4, "8UC4": 4, "rgba8": 4}
-_PAIRED = ("yuv422", "uyvy", "yuv422_yuy2", "yuyv")
 
 _VIDEO_CODECS = {"h264": "h264", "h265": "hevc"}
 
@@ -172,31 +168,26 @@ def _stamp_s(message: Any) -> float:
 
 def _compressed_image(content: bytes) -> Image:
     image = decode_image(content, "message", DamagedError, flags=cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
-    if image.dtype == np.uint16:
-        image = image >> 8
-    elif image.dtype != np.uint8:
+    if image.dtype not in (np.uint8, np.uint16):
         raise DamagedError(f"pixels of type {image.dtype}")
-    return image.astype(np.uint8, copy=False)
+    return (image >> 8 if image.dtype == np.uint16 else image).astype(np.uint8, copy=False)
 
 
 def _raw_image(message: Any) -> Image:
     encoding, step = str(message.encoding), int(message.step)
     height, width = int(message.height), int(message.width)
-    if encoding not in _BGR_CODES:
-        raise DamagedError(f"encoding {quoted(encoding, 20)}, expected one of {', '.join(list(_BGR_CODES)[:7])}, ...")
-    n_bytes = 2 if encoding in _TWO_BYTES or encoding in _PAIRED else _CHANNELS.get(encoding, 1)
+    if encoding not in _ENCODINGS:
+        raise DamagedError(f"encoding {quoted(encoding, 20)}, expected one of {', '.join(list(_ENCODINGS)[:7])}, ...")
+    n_bytes, code = _ENCODINGS[encoding]
     data = np.frombuffer(memoryview(message.data), np.uint8)
     if not (0 < width * height <= MAX_PIXELS and step >= width * n_bytes and data.size >= step * height):
         raise DamagedError(f"{width}x{height} pixels in {data.size} bytes")
-    rows = data[: step * height].reshape(height, step)[:, : width * n_bytes]
-    if encoding in _TWO_BYTES:
+    rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, : width * n_bytes])
+    if encoding == "mono16":
         order = ">u2" if getattr(message, "is_bigendian", False) else "<u2"
-        pixels: npt.NDArray[Any] = np.ascontiguousarray(rows).view(order) >> 8
-        pixels = pixels.astype(np.uint8)
+        pixels: npt.NDArray[Any] = (rows.view(order) >> 8).astype(np.uint8)
     else:
-        shape = (height, width) if n_bytes == 1 else (height, width, n_bytes)
-        pixels = np.ascontiguousarray(rows).reshape(shape)
-    code = _BGR_CODES[encoding]
+        pixels = rows.reshape((height, width) if n_bytes == 1 else (height, width, n_bytes))
     return pixels.astype(np.uint8) if code is None else cv2.cvtColor(pixels, code).astype(np.uint8, copy=False)
 
 
@@ -208,13 +199,12 @@ def camera_message(topic: Topic, data: bytes) -> CameraInfo:
     """
     try:
         message = _message_reader(topic)(data)
-        values = {name: getattr(message, name, getattr(message, name.upper(), ())) for name in "dkrp"}
-        k, r, p = (np.array([float(value) for value in values[name]]) for name in "krp")
+        d, k, r, p = (np.array(getattr(message, name, getattr(message, name.upper(), ())), float) for name in "dkrp")
         r, p = r if r.any() else np.eye(3).ravel(), p if p.any() else np.insert(k.reshape(3, 3), 3, 0.0, axis=1).ravel()
         return CameraInfo(
             (int(message.width), int(message.height)),
             str(message.distortion_model),
-            tuple(float(value) for value in values["d"]),
+            tuple(d.tolist()),
             k.reshape(3, 3),
             r.reshape(3, 3),
             p.reshape(3, 4),

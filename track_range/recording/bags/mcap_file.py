@@ -26,8 +26,7 @@ from track_range.recording.bags.container import (
 )
 from track_range.recording.frame import VideoError
 
-_SCAN_BYTES = 500_000_000
-"""Number of bytes of a file without a summary that are searched for topics."""
+_SCAN_BYTES = 500_000_000  # number of bytes of a file without a summary that are searched for topics
 
 _DAMAGE = (*DAMAGE, McapError)
 

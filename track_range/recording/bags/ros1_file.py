@@ -29,8 +29,7 @@ from track_range.recording.frame import VideoError
 
 MAGIC = b"#ROSBAG V2.0\n"
 
-_MESSAGE, _CHUNK, _CONNECTION = b"\x02", b"\x05", b"\x07"
-"""Operation codes of records."""
+_MESSAGE, _CHUNK, _CONNECTION = b"\x02", b"\x05", b"\x07"  # operation codes of records
 
 
 class Ros1File:

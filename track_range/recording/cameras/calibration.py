@@ -34,20 +34,14 @@ from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats.camera_info import camera_of, is_undistorted, rig_of
 from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_camera, load_rig, mounting_of
 
-_GIVEN_FOCAL_SIGMA = 0.02
-"""Relative standard deviation of a focal length given by the user; assumed."""
-
-_ASSUMED_BASELINE_M = 0.5
-"""Baseline of an uncalibrated pair; it only sets the range of disparities that is searched."""
-
-_MAX_HEIGHT_SIGMA = 0.05
-"""Relative standard deviation of a fitted camera height up to which it is used as known."""
+_GIVEN_FOCAL_SIGMA = 0.02  # relative standard deviation of a focal length given by the user; assumed
+_ASSUMED_BASELINE_M = 0.5  # baseline of an uncalibrated pair; it only sets the range of disparities that is searched
+_MAX_HEIGHT_SIGMA = 0.05  # relative standard deviation of a fitted camera height up to which it is used as known
 
 _CODEC_CROP_PX = 2
 """Tolerated difference in size between left and right, px: codecs need even sizes, so one may lack a row or column."""
 
-Video = RecordedVideo | LiveVideo
-"""A source of the images of one camera."""
+Video = RecordedVideo | LiveVideo  # a source of the images of one camera
 
 Sizes = tuple[tuple[int, int], ...]
 """(width, height) of the recorded images of the left or only camera, and of the right one."""
@@ -188,11 +182,7 @@ class RecordingCalibration:
     def frame(self, left: VideoFrame, right: VideoFrame | None, first_s: float, start: UtcStart | None = None) -> Frame:
         """The images of one time, cropped to `sizes_px` and rectified (one camera: undistorted).
 
-        Args:
-            left: of the left or only camera.
-            right: of the right camera; None = one camera.
-            first_s: file time of the left video's first frame.
-            start: UTC of that frame; None = unknown.
+        `first_s` is the file time of the left video's first frame, and `start` its UTC; None = unknown.
         """
         images = (left.image,) if right is None else (left.image, right.image)
         cut = [image[:height_px, :width_px] for image, (width_px, height_px) in zip(images, self.sizes_px, strict=True)]
@@ -378,9 +368,9 @@ def _of_cameras(
     rig: StereoRig | None = None
     if isinstance(cameras, StereoRig):
         _check_view(cameras.left, view)
-        rectifier: Rectifier | Undistorter = Rectifier(cameras, fov_deg=view.fov_deg, source=path or "rig")
-        rig, recorded = rectifier.rig, cameras.left
-        shown = rig.left
+        pair = Rectifier(cameras, fov_deg=view.fov_deg, source=path or "rig")
+        rectifier: Rectifier | Undistorter = pair
+        rig, recorded, shown = pair.rig, cameras.left, pair.rig.left
     else:
         _check_view(cameras, view)
         rectifier = Undistorter(cameras, fov_deg=view.fov_deg, yaw_deg=view.yaw_deg)

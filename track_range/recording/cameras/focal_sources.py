@@ -18,15 +18,13 @@ from track_range.ranging.fitting.camera.measurements import FocalGuess
 from track_range.recording.cameras.known_cameras import KNOWN_CAMERAS, camera_named
 from track_range.recording.recorded_video import RecordedVideo
 
-_FILM_DIAGONAL_MM = 43.27
-"""Diagonal of 36 mm x 24 mm."""
+_FILM_DIAGONAL_MM = 43.27  # diagonal of 36 mm x 24 mm
 
 _FILM_SIGMA = 0.08
 """Relative standard deviation of a focal length for 35 mm film: it is rounded to mm, refers to the diagonal or the
 width, and stabilised video is cropped."""
 
-_PLAUSIBLE_MM = 8.0, 400.0
-"""Range of such focal lengths."""
+_PLAUSIBLE_MM = 8.0, 400.0  # range of focal lengths for 35 mm film
 
 _FILM_KEYS = ("com.apple.quicktime.camera.focal_length.35mm_equivalent", "focallengthin35mmformat")
 """Keys of headers with that focal length in mm; the first is Apple's."""

@@ -11,15 +11,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-_WIDE_DEG = 80.0
-"""Field of view above which a lens counts as wide."""
+_WIDE_DEG = 80.0  # field of view above which a lens counts as wide
 
 _SIGMA, _WIDE_SIGMA = 0.05, 0.15
 """Relative standard deviation of a focal length from a stated field of view: stabilisation and modes crop the image;
 the projection of wide lenses is unknown."""
 
-_MEASURED_SIGMA = 0.02
-"""The same for a focal length in px that was measured."""
+_MEASURED_SIGMA = 0.02  # relative standard deviation of a focal length in px that was measured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,19 +13,12 @@ from track_range.recording.frame import VideoError
 _N_SAMPLES, _SAMPLE_BYTES = 16, 4096
 """Number and largest size, bytes, of the samples by which two contents are compared if the time of change differs."""
 
-_DIGEST_BYTES = 16
-"""Size of the digest of a sample, bytes; recordings may have thousands of files."""
+_DIGEST_BYTES = 16  # size of the digest of a sample, bytes; recordings may have thousands of files
 
 
 @dataclass(frozen=True, slots=True)
 class FileState:
-    """Size, time of change and samples of a file's content at one moment.
-
-    Attributes:
-        n_bytes: size.
-        modified_ns: time of the last change, ns.
-        samples: digests of parts of the content at regular distances.
-    """
+    """Size, time of change, and digests of parts of a file's content at regular distances, at one moment."""
 
     n_bytes: int
     modified_ns: int

@@ -24,12 +24,8 @@ from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, 
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import ZONE_SPAN_S, UtcStart
 
-_MAX_NUMBER = 2**63 - 1
-"""Largest frame number, an int64 like those of results; times in nanoseconds since 1970 fit."""
-
-_MAX_STAMP_BYTES = 200
-"""Size limit, bytes, of a line of timestamps.txt."""
-
+_MAX_NUMBER = 2**63 - 1  # largest frame number, an int64 like those of results; times in nanoseconds since 1970 fit
+_MAX_STAMP_BYTES = 200  # of a line of timestamps.txt
 _TIMESTAMPS_NAME = "timestamps.txt"
 _TIMESTAMP = re.compile(r"((?:19|20|21)\d\d-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d{1,9})?)")
 
@@ -55,7 +51,9 @@ class ImageFolder(RecordedVideo):
         first, last = self._images[0][0], self._images[-1][0]
         stamps_s, self._folder_notes = _stamps_of(path, self.n_total)
         self._has_stamps = stamps_s is not None
-        self.fps = fps if stamps_s is None else _median_rate_hz(stamps_s, default_hz=fps)
+        steps_s = np.diff([] if stamps_s is None else stamps_s)
+        steps_s = steps_s[steps_s > TIME_EPSILON_S]
+        self.fps = float(1 / np.median(steps_s)) if steps_s.size else fps
         self._times_s = [number / fps for number, _ in self._images] if stamps_s is None else stamps_s.tolist()
         if n_missing := last - first + 1 - self.n_total:
             self._folder_notes.append(
@@ -149,20 +147,13 @@ def _numbered_images(folder: Path) -> list[tuple[int, Path]]:
 def _decoded(path: Path) -> Image:
     """The image of a file as (H, W, 3) uint8 BGR, upright by EXIF; 16-bit images are reduced to their upper 8 bits."""
     image = read_image(path, VideoError, "an image of the folder", flags=cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
-    if image.dtype == np.uint16:
-        image = image.astype(np.uint16, copy=False) >> 8
-        return image.astype(np.uint8)
-    if image.dtype != np.uint8:
+    if image.dtype not in (np.uint8, np.uint16):
         raise VideoError(f"{path}: expected 8- or 16-bit pixels, got {image.dtype}; convert the images.")
-    return image.astype(np.uint8, copy=False)
+    return (image >> 8 if image.dtype == np.uint16 else image).astype(np.uint8, copy=False)
 
 
 def _state(path: Path) -> tuple[int, int]:
-    """Size in bytes and time of the last change in ns of an image.
-
-    Raises:
-        VideoError: it is not a regular file.
-    """
+    """Size in bytes and time of the last change in ns of an image; a VideoError = it is not a regular file."""
     try:
         status = path.stat()
     except OSError:
@@ -191,10 +182,3 @@ def _stamps_of(folder: Path, n_images: int) -> tuple[FloatArray | None, list[str
     except ValueError:
         return None, [f"{file}: ignored; expected a date and time on every line."]
     return stamps_s, [f"{file}: used for the frame times of {folder}."]
-
-
-def _median_rate_hz(stamps_s: FloatArray, *, default_hz: float) -> float:
-    """The inverse of the median positive step of (N,) timestamps; `default_hz` if there is none."""
-    steps_s = np.diff(stamps_s)
-    positive_s = steps_s[steps_s > TIME_EPSILON_S]
-    return float(1 / np.median(positive_s)) if positive_s.size else default_hz

@@ -38,17 +38,13 @@ from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.threads import DECODER_THREADS
 from track_range.recording.utc import Stamp, UtcStart, stamp_in_header, stamp_in_name, start_of
 
-_FALLBACK_RATE_HZ = 25.0
-"""Frame rate of a file that does not declare one."""
+_FALLBACK_RATE_HZ = 25.0  # frame rate of a file that does not declare one
 
 _SHORTFALL_FRAMES = 2.5
 """Number of missing frames at the end, relative to the header's duration, above which a file counts as truncated."""
 
-_UPRIGHT = (1, 0, 0, 1)
-"""Result of `_display_axes` for an image that needs no rotation."""
-
-_MIN_RATE_HZ, _MAX_RATE_HZ = 1e-4, 1e5
-"""Range of frame rates; the rate of another header is ignored."""
+_UPRIGHT = (1, 0, 0, 1)  # result of `_display_axes` for an image that needs no rotation
+_MIN_RATE_HZ, _MAX_RATE_HZ = 1e-4, 1e5  # range of frame rates; the rate of another header is ignored
 
 _FORMATS = (
     "apng,apv,asf,av1,avi,avs2,avs3,cavsvideo,cine,dhav,dirac,dnxhd,dv,evc,flic,flv,gif,gxf,h261,h263,h264,hevc,ivf,"
@@ -167,9 +163,10 @@ class VideoHeader:
         size_px: width and height of the images as stored.
         fps: nominal frame rate.
         first_s: time stamp of the first frame.
-        duration_s: duration; 0 = not stated.
-        n_frames: number of frames; None = not stated.
+        duration_s: 0 = not stated.
+        n_frames: None = not stated.
         stamps: date and time in the metadata and in the file name; None = none.
+        state: state of the file, to detect changes.
     """
 
     size_px: tuple[int, int]
@@ -178,6 +175,7 @@ class VideoHeader:
     duration_s: float
     n_frames: int | None
     stamps: tuple[Stamp | None, Stamp | None]
+    state: FileState
 
     @classmethod
     def read(cls, path: Path) -> VideoHeader:
@@ -186,7 +184,8 @@ class VideoHeader:
         Raises:
             VideoError: the file cannot be read, or contains no video.
         """
-        with closing(_Reading(path, FileState.of(path))) as reading:
+        state = FileState.of(path)
+        with closing(_Reading(path, state)) as reading:
             container, stream = reading.container, reading.stream
             first_s = float((stream.start_time or 0) * reading.time_base)
             declared_s, is_end = _declared_duration_s(container, stream)
@@ -198,6 +197,7 @@ class VideoHeader:
                 duration_s or (container.duration or 0) / av.time_base or (stream.frames or 0) / reading.fps,
                 stream.frames or None,
                 (stamp_in_header({**container.metadata, **stream.metadata}), stamp_in_name(path.name)),
+                state,
             )
 
 
@@ -221,12 +221,8 @@ def count_packets(path: Path) -> tuple[int, float]:
 def compressed_frames(path: Path, *, last_s: float | None = None) -> Generator[tuple[float, bytes], None, None]:
     """Time stamp, s, and content of the compressed frames of a file, in its order.
 
-    Args:
-        path: the file.
-        last_s: only about the last seconds, from a keyframe at least that long before the end; None = all.
-
-    Raises:
-        VideoError: the file cannot be read.
+    With `last_s` only about the last seconds, from a keyframe at least that long before the end. A VideoError means
+    that the file cannot be read.
     """
     with closing(_Reading(path, FileState.of(path))) as reading:
         container, start_us = reading.container, reading.container.start_time or 0
@@ -242,8 +238,6 @@ class _Reading:
     """One reading of a file from its start; iterating gives the intact frames in order of time.
 
     Attributes:
-        container, stream: PyAV's container and its video stream.
-        fps: nominal frame rate.
         time_base: unit of the time stamps, s.
         packets: packets that were not decoded yet; see `_demuxed`.
         log: frame numbers and unusable frames.

@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Generator
 from contextlib import suppress
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import av
 from av.container import InputContainer
@@ -26,9 +26,7 @@ from track_range.recording.live.clock import StreamClock
 from track_range.recording.threads import LIVE_FRAMES
 from track_range.recording.utc import UtcStart
 
-_OPEN_S, SILENCE_S = 10.0, 5.0
-"""Timeouts for opening a stream, and for its next frame, s."""
-
+_OPEN_S, SILENCE_S = 10.0, 5.0  # timeouts for opening a stream, and for its next frame, s
 _SIZE_LIMIT = {"max_pixels": str(MAX_PIXELS)}  # FFmpeg's option for the largest size of an image
 _FALLBACK_RATE_HZ = 25.0  # of a stream that does not declare one
 
@@ -36,8 +34,7 @@ _CAMERA_DELAY_S, _STREAM_DELAY_S = 0.1, 2.0
 """Largest delay, s, between exposure and arrival of the frames of a camera and of a network stream; assumed."""
 
 
-@dataclass(frozen=True, slots=True)
-class _WaitingFrame:
+class _WaitingFrame(NamedTuple):
     """A frame in the queue, converted to BGR only when it is used, since a slow consumer drops most of them."""
 
     index: int
@@ -113,15 +110,13 @@ class LiveVideo:
         """Messages for the user; empty until the reading has ended."""
         if not self.is_closed:
             return ()
-        n_dropped = self.n_received - self.n_taken
-        received = counted(self.n_received, "frame")
-        ended = (f"{self.path}: the source ended the stream after {received}.",) if self.has_ended else ()
-        if not n_dropped:
-            return ended
-        return (
-            *ended,
-            f"{self.path}: {received} received, {self.n_taken} processed, {n_dropped} dropped (busy or unpaired).",
-        )
+        n_dropped, received, notes = self.n_received - self.n_taken, counted(self.n_received, "frame"), []
+        if self.has_ended:
+            notes.append(f"{self.path}: the source ended the stream after {received}.")
+        if n_dropped:
+            processed = f"{received} received, {self.n_taken} processed, {n_dropped} dropped (busy or unpaired)"
+            notes.append(f"{self.path}: {processed}.")
+        return tuple(notes)
 
     def notify(self, event: threading.Event) -> None:
         """Set this event whenever a frame arrives, and when the stream ends."""
@@ -170,11 +165,7 @@ class LiveVideo:
         return frame
 
     def check(self) -> None:
-        """Raise an error if the stream has not ended normally.
-
-        Raises:
-            VideoError: the connection was lost.
-        """
+        """Raise a VideoError if the connection was lost."""
         if self.ended_by:
             received = counted(self.n_received, "frame")
             raise VideoError(f"{self.path}: connection lost after {received} ({self.ended_by}); check the camera.")
@@ -211,25 +202,24 @@ class LiveVideo:
                     yield frame
 
     def _read(self, container: InputContainer, stream: VideoStream) -> None:
+        """Receive and decode frames, in the thread."""
         lower_thread_priority()
         try:
             with container:
-                self._receive(container, stream)
+                stream.codec_context.options = {**stream.codec_context.options, **_SIZE_LIMIT}
+                stream.thread_type = "SLICE"  # frame threading would delay frames
+                for packet in container.demux(stream):
+                    if self._is_closing.is_set():
+                        break
+                    with suppress(av.error.InvalidDataError):  # the first packets may depend on an earlier keyframe
+                        for frame in packet.decode():
+                            self._enqueue(frame)
             self.has_ended = not self._is_closing.is_set()
         except av.FFmpegError as error:
             self.ended_by = "" if self._is_closing.is_set() else _reason(error)
         self.is_over = True
-        self._set_events()
-
-    def _receive(self, container: InputContainer, stream: VideoStream) -> None:
-        stream.codec_context.options = {**stream.codec_context.options, **_SIZE_LIMIT}
-        stream.thread_type = "SLICE"  # frame threading would delay frames
-        for packet in container.demux(stream):
-            if self._is_closing.is_set():
-                return
-            with suppress(av.error.InvalidDataError):  # the first packets may depend on a keyframe before the start
-                for frame in packet.decode():
-                    self._enqueue(frame)
+        for event in self._arrivals:
+            event.set()
 
     def _enqueue(self, frame: av.VideoFrame) -> None:
         stamp_s = None if frame.pts is None or frame.time_base is None else float(frame.pts * frame.time_base)
@@ -239,9 +229,6 @@ class LiveVideo:
             return
         with self._lock:
             self._waiting.append(_WaitingFrame(index, time_s, frame))
-        self._set_events()
-
-    def _set_events(self) -> None:
         for event in self._arrivals:
             event.set()
 

@@ -18,8 +18,7 @@ from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 
-ESTIMATION_SPAN_S = 8.0
-"""Length, in s, of the part of a drive from which the alignment is estimated."""
+ESTIMATION_SPAN_S = 8.0  # length, in s, of the part of a drive from which the alignment is estimated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,15 +130,8 @@ def find_alignment(
 ) -> PairAlignment:
     """The alignment of a calibrated pair: a given one, or "auto" = estimated from the drive's first frames.
 
-    Args:
-        align: see `given_alignment`.
-        rig: the rectified pair.
-        frames: the rectified frames of the first `ESTIMATION_SPAN_S`; as many are read as the estimation needs.
-        progress: shows the progress of the estimation.
-
-    Raises:
-        RigError: the file cannot be used.
-        Errors of `frames`.
+    Of `frames`, the rectified ones of the first `ESTIMATION_SPAN_S`, as many are read as the estimation needs. A
+    RigError means that a file cannot be used; errors of `frames` are passed on.
     """
     if (given := given_alignment(align, rig)) is not None:
         return given

@@ -36,7 +36,6 @@ class LivePair(VideoPair[LiveVideo]):
         intervals = _SHARED_CLOCK_INTERVALS if self._is_shared else _ARRIVAL_INTERVALS
         super().__init__(left, right, tolerance_s=intervals / max(left.fps, right.fps), max_ahead_bytes=0)
         self._differences_s: list[float] = []
-        self._n_pairs = 0
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -46,8 +45,8 @@ class LivePair(VideoPair[LiveVideo]):
         median_ms = 1000 * np.median(self._differences_s)
         return (
             f"Left and right frames of the network streams are paired by arrival time, "
-            f"{counted(self._n_pairs, 'pair')} with a median difference of {median_ms:.0f} ms: stereo distances of "
-            "moving objects are less accurate.",
+            f"{counted(len(self._differences_s), 'pair')} with a median difference of {median_ms:.0f} ms: stereo "
+            "distances of moving objects are less accurate.",
         )
 
     def pairs(self) -> Generator[Pair, None, None]:
@@ -63,9 +62,19 @@ class LivePair(VideoPair[LiveVideo]):
             if newest is not None and self.left.is_after_end(newest[1]):
                 return
             if newest is not None:
-                yield from self._read_pair(*newest)
+                left_index, left_s, right_index, right_s = newest
+                left, right = self.left.take(left_index), self.right.take(right_index)
+                if left is not None and right is not None and self.left.is_after_start(left_s):
+                    self._differences_s.append(abs(right_s - left_s))
+                    yield left, right
             elif is_over:
-                self._check()
+                for video in (self.left, self.right):
+                    video.check()
+                if not self._differences_s:
+                    raise VideoError(
+                        f"{self.left.path} and {self.right.path}: expected pairs of frames at most "
+                        f"{1000 * self.tolerance_s:.0f} ms apart, found none; synchronise the cameras."
+                    )
                 return
             elif not arrival.wait(SILENCE_S):
                 raise VideoError(
@@ -83,22 +92,3 @@ class LivePair(VideoPair[LiveVideo]):
             if abs(right_s[nearest] - time_s) <= self.tolerance_s:
                 return index, time_s, *right[nearest]
         return None
-
-    def _read_pair(
-        self, left_index: int, left_s: float, right_index: int, right_s: float
-    ) -> Generator[Pair, None, None]:
-        left, right = self.left.take(left_index), self.right.take(right_index)
-        if left is None or right is None or not self.left.is_after_start(left_s):
-            return
-        self._n_pairs += 1
-        self._differences_s.append(abs(right_s - left_s))
-        yield left, right
-
-    def _check(self) -> None:
-        for video in (self.left, self.right):
-            video.check()
-        if not self._n_pairs:
-            raise VideoError(
-                f"{self.left.path} and {self.right.path}: expected pairs of frames at most "
-                f"{1000 * self.tolerance_s:.0f} ms apart, found none; synchronise the cameras."
-            )

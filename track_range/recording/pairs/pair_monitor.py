@@ -10,8 +10,7 @@ from track_range.stereo.alignment.pair_checks import Sync, check_pair, check_syn
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import RigError
 
-MAX_CHECKED_PAIRS = 10
-"""Largest number of pairs that are checked for swapped cameras; fewer if enough are conclusive."""
+MAX_CHECKED_PAIRS = 10  # largest number of pairs that are checked for swapped cameras; fewer if enough are conclusive
 
 _MAX_ROW_OFFSET_PX = 1.5
 """Vertical offset above which the user is warned; feature positions are whole pixels, so one pair cannot show smaller
@@ -38,10 +37,7 @@ class Monitor(Protocol):
 
 
 class PairMonitor:
-    """Checks the first pairs for swapped cameras and measures their row offset.
-
-    Args:
-        n_conclusive: number of conclusive pairs after which checking ends.
+    """Checks the first pairs, up to `n_conclusive` conclusive ones, for swapped cameras, and measures their row offset.
 
     Attributes:
         row_offsets_px: mean of y_right - y_left of matching points, one per conclusive pair.

@@ -36,11 +36,8 @@ class _Side:
     """One of the two videos while they are read.
 
     Attributes:
-        name: "left" or "right".
-        video: the video.
         frames: its frames, decoded ahead in a thread.
         current: the frame to be paired next; None = not started, or ended.
-        n_read: frames read so far.
         n_before, n_between, n_after: unpaired frames before the first pair, between pairs, after the last pair.
         first_s, last_s: times of the first and the last frame read.
         error: the error that ended it; None = none.

@@ -22,17 +22,13 @@ from track_range.recording.utc import STAMP_RESOLUTION_S, Stamp, UtcStart, start
 _TOLERANCE_S = 1.5 * STAMP_RESOLUTION_S
 """Gap or overlap, s, that two times with a resolution of 1 s prove, with the error of the durations."""
 
-_NOTED_GAP_S = 0.25
-"""Smallest gap between two files, s, that is reported."""
-
-_CONTINUOUS_S = 1.0
-"""Largest overlap, s, of two files with continuing time stamps."""
+_NOTED_GAP_S = 0.25  # smallest gap between two files, s, that is reported
+_CONTINUOUS_S = 1.0  # largest overlap, s, of two files with continuing time stamps
 
 _EQUAL_DURATION_S = 1.0
 """Largest difference, s, between the durations of the left and right recording if they have different cuts."""
 
-_PARTNER_S = 2.0
-"""Largest difference, s, between the start times of the left and right file of a pair."""
+_PARTNER_S = 2.0  # largest difference, s, between the start times of the left and right file of a pair
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +36,6 @@ class SegmentFacts:
     """Properties of one file that determine its place in the recording.
 
     Attributes:
-        path: the file.
         first_s: time stamp of the first frame.
         duration_s: duration stated by the header.
         in_header, in_name: date and time in the header and in the name; None = none.
@@ -79,13 +74,12 @@ class SegmentPlan:
 def arranged(
     files: Sequence[SegmentFacts], *, is_given_order: bool, repeated_s: Repeated = lambda _before, _after: 0.0
 ) -> SegmentPlan:
-    """The files in the order of time.
+    """The files, at least one, in the order of time.
 
     Args:
-        files: at least one file.
+        files: properties of the files.
         is_given_order: whether the order of `files` was chosen by the user; it is used if no times are known.
-        repeated_s: function (file, next file) -> length, s, of the beginning of the next file that repeats the end of
-            the file, from their content; 0 = none.
+        repeated_s: overlap from the content, used where times with a resolution of 1 s leave it open.
 
     Raises:
         VideoError: the files are those of several cameras.
@@ -225,8 +219,7 @@ def _continuing(files: Sequence[SegmentFacts]) -> list[SegmentFacts] | None:
     return ordered if is_continuing else None
 
 
-_Dated = list[tuple[SegmentFacts, Stamp]]
-"""Files with the dates of their starts, sorted by them."""
+_Dated = list[tuple[SegmentFacts, Stamp]]  # files with the dates of their starts, sorted by them
 
 
 def _clock(files: Sequence[SegmentFacts]) -> tuple[_Dated | None, list[str]]:

@@ -9,7 +9,6 @@ import filecmp
 from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from track_range.foundation.files.atomic_files import describe
@@ -46,26 +45,6 @@ _MIN_REPEATED_BYTES = 2000
 """Smallest number of bytes of repeated frames; fewer are those of an empty picture, which may be equal by chance."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Segment:
-    """One file of a recording, before it is decoded.
-
-    Attributes:
-        facts: properties for the order of the files.
-        header: other properties of the file.
-        state: state when it was opened, to detect changes.
-    """
-
-    facts: SegmentFacts
-    header: VideoHeader
-    state: FileState
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return self.facts.path
-
-
 class SegmentedVideo(RecordedVideo):
     """Several video files as one video; frame numbers and times continue from file to file.
 
@@ -91,24 +70,25 @@ class SegmentedVideo(RecordedVideo):
         self._reading_notes: list[str] = []
         if len(paths) > _MAX_FILES:
             raise VideoError(f"{name}: expected at most {_MAX_FILES} files, found {len(paths)}; select fewer files.")
-        segments = self._segments_of(paths)
-        facts = [segment.facts for segment in segments]
-        plan = arranged(facts, is_given_order=isinstance(name, Segments), repeated_s=_repeated_s)
-        by_path = {segment.path: segment for segment in segments}
-        self.plan = plan
-        self._segments = [by_path[facts.path] for facts in plan.facts]
+        self._headers = self._readable(paths)
+        facts = [
+            SegmentFacts(path, header.first_s, header.duration_s or count_packets(path)[1], *header.stamps)
+            for path, header in self._headers.items()
+        ]
+        self.plan = plan = arranged(facts, is_given_order=isinstance(name, Segments), repeated_s=_repeated_s)
+        self._segments = plan.facts
         self._starts_s = plan.starts_s if left is None else paired_starts_s(plan, left.plan)
         self._planned_first_s = self._starts_s[0]
         self._setup_notes += [f"{name}: {note}" for note in plan.notes]
         self._setup_notes += self._rate_notes()
         self._n_frames: dict[Path, int] = {}
-        self._n_overlapping = self._n_notes = 0
+        self._n_notes = 0
         self._current: VideoFile | None = self._first_file()
         first = self._current
         self.width_px, self.height_px = first.width_px, first.height_px
         self.is_grey, self.fps = first.is_grey, first.fps
         self.first_time_s = self._starts_s[0]
-        counts = [s.header.n_frames or round(s.facts.duration_s * self.fps) for s in self._segments]
+        counts = [self._headers[s.path].n_frames or round(s.duration_s * self.fps) for s in self._segments]
         self.n_total = sum(counts) or None
 
     @property
@@ -117,7 +97,7 @@ class SegmentedVideo(RecordedVideo):
         utc = self.utc
         starts_s = [start_s - self.first_time_s for start_s in self._starts_s]
         return tuple(
-            VideoPart(segment.path, start_s, segment.facts.duration_s, None if utc is None else utc.shifted(start_s))
+            VideoPart(segment.path, start_s, segment.duration_s, None if utc is None else utc.shifted(start_s))
             for segment, start_s in zip(self._segments, starts_s, strict=True)
         )
 
@@ -148,7 +128,7 @@ class SegmentedVideo(RecordedVideo):
             if start_s >= until_s - TIME_EPSILON_S:
                 return
             is_last = number == len(self._segments) - 1
-            if not is_last and start_s + segment.facts.duration_s + 1 / self.fps <= from_s:
+            if not is_last and start_s + segment.duration_s + 1 / self.fps <= from_s:
                 n_before += self._counted_frames(segment)
                 continue
             video, n_read, earliest_s = self._opened(segment), 0, last_s + _CUT_STEP_S
@@ -167,11 +147,11 @@ class SegmentedVideo(RecordedVideo):
     def check_unchanged(self) -> None:
         """See `RecordedVideo`."""
         for segment in self._segments:
-            segment.state.check_unchanged(segment.path)
+            self._headers[segment.path].state.check_unchanged(segment.path)
 
-    def _segments_of(self, paths: Sequence[Path]) -> list[_Segment]:
-        """The readable files, each once."""
-        segments: list[_Segment] = []
+    def _readable(self, paths: Sequence[Path]) -> dict[Path, VideoHeader]:
+        """The headers of the readable files, each once."""
+        headers: dict[Path, VideoHeader] = {}
         errors: list[VideoError] = []
         copies: list[tuple[Path, Path]] = []
         known: dict[tuple[int, tuple[bytes, ...]], Path] = {}
@@ -179,38 +159,35 @@ class SegmentedVideo(RecordedVideo):
             if isinstance(self.path, Segments) and not path.is_file():
                 FileState.of(path)  # raises the error: a named file is missing
             try:
-                state = FileState.of(path)
                 header = VideoHeader.read(path)
             except VideoError as error:
                 errors.append(error)
                 continue
-            other = known.get((state.n_bytes, state.samples))
-            known.setdefault((state.n_bytes, state.samples), path)
+            other = known.setdefault((header.state.n_bytes, header.state.samples), path)
             with suppress(OSError):
-                if other is not None and filecmp.cmp(path, other, shallow=False):
+                if other in headers and filecmp.cmp(path, other, shallow=False):
                     copies.append((path, other))
                     continue
-            duration_s = header.duration_s or count_packets(path)[1]
-            segments.append(_Segment(SegmentFacts(path, header.first_s, duration_s, *header.stamps), header, state))
+            headers[path] = header
         if copies:
             path, other = copies[0]
             self._setup_notes.append(
                 f"{self.path}: {counted(len(copies), 'copy', 'copies')} of other files skipped, such as {path.name}, "
                 f"which has the same content as {other.name}."
             )
-        if not segments:
+        if not headers:
             raise errors[0] if errors else VideoError(f"{self.path}: expected video files, found none.")
         self._setup_notes += [f"Skipped: {error}" for error in errors[:_N_NOTES]]
         if len(errors) > _N_NOTES:
             self._setup_notes.append(f"{self.path}: {counted(len(errors), 'file')} skipped that cannot be read.")
-        sizes = Counter(tuple(sorted(segment.header.size_px)) for segment in segments)  # one may be rotated
+        sizes = Counter(tuple(sorted(header.size_px)) for header in headers.values())  # one may be rotated
         usual = max(sizes, key=lambda size: sizes[size])
-        by_size = {tuple(sorted(segment.header.size_px)): segment for segment in reversed(segments)}
-        self.width_px, self.height_px = by_size[usual].header.size_px
-        for size, segment in by_size.items():
+        first = {tuple(sorted(header.size_px)): path for path, header in reversed(headers.items())}
+        self.width_px, self.height_px = headers[first[usual]].size_px
+        for size, path in first.items():
             if size != usual:
-                self.check_size(segment.header.size_px, _LIKE, _ADVICE, segment.path)
-        return segments
+                self.check_size(headers[path].size_px, _LIKE, _ADVICE, path)
+        return headers
 
     def _first_file(self) -> VideoFile:
         """The first file that can be decoded; earlier ones are left out."""
@@ -223,7 +200,7 @@ class SegmentedVideo(RecordedVideo):
                 self._setup_notes.append(f"Skipped: {error}")
                 self._segments, self._starts_s = self._segments[1:], self._starts_s[1:]
 
-    def _opened(self, segment: _Segment) -> VideoFile | None:
+    def _opened(self, segment: SegmentFacts) -> VideoFile | None:
         """The file, ready to read; None = it cannot be decoded, which is noted."""
         current, self._current = self._current, None
         if current is not None and current.path == segment.path:
@@ -234,7 +211,7 @@ class SegmentedVideo(RecordedVideo):
             raise VideoError(
                 f"{segment.path}: the file was deleted or moved while the recording was read; repeat the run."
             )
-        segment.state.check_unchanged(segment.path)
+        self._headers[segment.path].state.check_unchanged(segment.path)
         try:
             video = VideoFile(segment.path)
         except VideoError as error:
@@ -245,10 +222,10 @@ class SegmentedVideo(RecordedVideo):
             self.check_size((video.width_px, video.height_px), _LIKE, _ADVICE, segment.path)
         return video
 
-    def _counted_frames(self, segment: _Segment) -> int:
+    def _counted_frames(self, segment: SegmentFacts) -> int:
         """Number of frames of a file by its header, or else by its packets."""
         if segment.path not in self._n_frames:
-            self._n_frames[segment.path] = segment.header.n_frames or count_packets(segment.path)[0]
+            self._n_frames[segment.path] = self._headers[segment.path].n_frames or count_packets(segment.path)[0]
         return self._n_frames[segment.path]
 
     def _add_notes(self, notes: Sequence[str]) -> None:
@@ -256,11 +233,12 @@ class SegmentedVideo(RecordedVideo):
         self._reading_notes += notes[: max(0, _N_NOTES - len(self._reading_notes))]
 
     def _rate_notes(self) -> Iterator[str]:
-        first_hz = self._segments[0].header.fps
+        first_hz = self._headers[self._segments[0].path].fps
         for segment in self._segments:
-            if abs(segment.header.fps - first_hz) > _RATE_DIFFERENCE * first_hz:
+            fps = self._headers[segment.path].fps
+            if abs(fps - first_hz) > _RATE_DIFFERENCE * first_hz:
                 yield (
-                    f"{segment.path}: {segment.header.fps:.4g} frames/s instead of {first_hz:.4g} as in "
+                    f"{segment.path}: {fps:.4g} frames/s instead of {first_hz:.4g} as in "
                     f"{self._segments[0].path.name}; the time stamps are used."
                 )
                 return

@@ -20,26 +20,19 @@ from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
 MAX_SPEED_MPS = 120.0  # 432 km/h, as in `ranging.ego_speed`
 
-_MAX_ACCELERATION_MPS2 = 15.0
-"""Largest plausible acceleration of a car over a second in m/s^2; emergency braking reaches 11."""
+_MAX_ACCELERATION_MPS2 = 15.0  # of a car over a second; emergency braking reaches 11
+_MAX_FRACTION = 0.1  # of wild samples up to which they are omitted; with more, the track is not used
 
-_MAX_FRACTION = 0.1
-"""Fraction of wild samples up to which they are omitted; with more, the track is not used."""
-
-_MAX_CLOCK_STEP_S = 30.0
-"""Largest change in s between the receiver's clock and the time in the video; it may lack 18 leap seconds at first."""
-
-_MAX_BACKWARD_S = 2.0
-"""Largest step back of a clock in s; receivers repeat a second now and then."""
+_MAX_CLOCK_STEP_S, _MAX_BACKWARD_S = 30.0, 2.0
+"""Largest change between the receiver's clock, which may lack 18 leap seconds at first, and the time in the video, and
+largest step back of a clock; receivers repeat a second now and then."""
 
 _HOUR_S, _HOUR_TOLERANCE_S = 3600.0, 3.0
 """Gaps of whole hours within this tolerance are jumps of the clock: one pause in 600 is as near to one."""
 
-MIN_STABLE_S = 10.0
-"""Shortest time in s with a fix after which a clock that was wrong before the fix is no reason to doubt the rest."""
-
-_MIN_STABLE_FRACTION = 0.9
-"""Smallest fraction of samples with a fix in that time and all later ones."""
+MIN_STABLE_S, _MIN_STABLE_FRACTION = 10.0, 0.9
+"""Shortest time with a fix, and smallest fraction of samples with one, after which a clock that was wrong before the
+fix is no reason to doubt the rest."""
 
 _FIRST_DATE_S = 1_199_145_600.0
 """2008-01-01 in seconds since 1970: receivers without a date state 1980, 2000 or 2004, or a date 1024 weeks ago."""
@@ -156,10 +149,8 @@ def _check_positions(track: TelemetryTrack) -> None:
 def _with_unit(track: TelemetryTrack) -> TelemetryTrack:
     """The track with speeds in m/s, if the file states no unit and its positions show that it is another one.
 
-    With too few positions of a moving car, the speeds are taken as m/s, with a note if any is fast.
-
-    Raises:
-        TelemetryError: the speeds contradict the positions in every unit.
+    With too few positions of a moving car, the speeds are taken as m/s, with a note if any is fast. A TelemetryError
+    means that the speeds contradict the positions in every unit.
     """
     if track.states_unit or not track.has_own_speed:
         return track
@@ -182,11 +173,7 @@ def _with_unit(track: TelemetryTrack) -> TelemetryTrack:
 
 
 def _without_wild_speeds(track: TelemetryTrack) -> TelemetryTrack:
-    """The track with NaN for speeds that are too large.
-
-    Raises:
-        TelemetryError: many speeds are too large, or change too fast.
-    """
+    """The track with NaN for speeds that are too large; a TelemetryError = many are, or change too fast."""
     speed_mps = track.speed_mps
     known = np.isfinite(speed_mps)
     is_wild = known & ((speed_mps > MAX_SPEED_MPS) | (speed_mps < 0))

@@ -24,11 +24,8 @@ from track_range.recording.telemetry.positions import MPS_PER_UNIT
 from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, date_s, track
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
-TIMEOUT_S = 20.0
-"""Longest time in s that ExifTool may take; it reads files of unknown formats from start to end."""
-
-_MAX_OUTPUT_BYTES = 200_000_000
-"""Size limit of its output, bytes; an hour at 18 Hz has 25 MB."""
+TIMEOUT_S = 20.0  # longest time in s that ExifTool may take; it reads files of unknown formats from start to end
+_MAX_OUTPUT_BYTES = 200_000_000  # size limit of ExifTool's output, bytes; an hour at 18 Hz has 25 MB
 
 _TAGS = (
     *("GPSDateTime", "GPSLatitude", "GPSLongitude", "GPSSpeed", "GPSSpeedRef", "GPSTrack", "GPSMeasureMode"),
@@ -112,8 +109,7 @@ def track_of_records(record: object) -> TelemetryTrack | None:
     return None if telemetry is None else replace(telemetry, states_unit=states_unit)
 
 
-_Document = tuple[int, int]
-"""Numbers of a document: Doc3-2 is (3, 2), and Doc3 is (3, 0)."""
+_Document = tuple[int, int]  # numbers of a document: Doc3-2 is (3, 2), and Doc3 is (3, 0)
 
 
 def _times_s(documents: Mapping[_Document, Mapping[str, Any]]) -> dict[_Document, float]:

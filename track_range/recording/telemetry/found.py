@@ -28,11 +28,10 @@ _MAX_NOTES = 3  # messages about telemetry that is not used
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundTelemetry:
-    """Telemetry of a recording.
+    """Telemetry of a recording, in seconds from its first frame; without a track, none can be used.
 
     Attributes:
-        track: samples in seconds from the first frame of the recording; None = none can be used.
-        sigma_s: standard deviation of their time offset.
+        sigma_s: standard deviation of the time offset.
         notes: messages for the user.
         files: the files that were read, besides the videos.
     """
@@ -79,11 +78,7 @@ def _inside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
 
 
 def _in_video(path: Path) -> TelemetryTrack | None:
-    """Telemetry inside a video file: of our readers, otherwise of ExifTool.
-
-    Raises:
-        TelemetryError: the file cannot be read, or has telemetry of an unknown layout.
-    """
+    """Telemetry inside a video file: of our readers, otherwise of ExifTool, otherwise the error of ours."""
     try:
         track = embedded(path)
     except TelemetryError:
@@ -115,8 +110,7 @@ def _beside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
 def _checked(track: TelemetryTrack, path: Path, part: VideoPart) -> tuple[TelemetryTrack, float]:
     """A track without wild samples on the clock of its video, and the standard deviation of its time offset in s.
 
-    Raises:
-        TelemetryError: it cannot be used; with the path.
+    A TelemetryError with the path means that it cannot be used.
     """
     try:
         return on_video_clock(usable(track), part)

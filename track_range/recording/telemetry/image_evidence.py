@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator
 from contextlib import closing, suppress
 from pathlib import Path
 
@@ -27,8 +27,7 @@ from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 SPAN_S = 30.0
 """Length of the video, s, from which motion is measured before a run: three times the largest offset on both sides."""
 
-_STEP_S = 0.095
-"""Shortest time between two images that are compared, s: 10 Hz."""
+_STEP_S = 0.095  # shortest time between two images that are compared, s: 10 Hz
 
 _N_PAIRS = 30
 """Number of pairs of images in the part that is read. With one pair per second, offsets of simulated drives (city,
@@ -37,48 +36,39 @@ seeds 1 and 2, and queue, seed 2) have the same errors as with ten, and at most 
 _MIN_PAIRS = 20
 """Smallest number of pairs with which a time offset can be estimated; with fewer key frames, all frames are decoded."""
 
-_MAX_GROUP_S = 1.5
-"""Longest time between two key frames with which only pairs are decoded, s."""
+_MAX_GROUP_S = 1.5  # longest time between two key frames with which only pairs are decoded, s
 
 _MAX_DECODED_PX, _MIN_DECODED = 250e6, 60
 """Largest number of pixels to decode before a run, which takes about 1.5 s, and number of frames that are decoded
 anyway."""
 
-_CLAIMED_MPS = 3.0
-"""Speed in m/s that a camera at rest cannot have; below it, receivers state noise of cars that stand."""
+_CLAIMED_MPS, _STANDING_MPS = 3.0, 0.3
+"""Speed in m/s that a camera at rest cannot have, below which receivers state noise of cars that stand, and largest one
+that telemetry states for a car at rest."""
 
-_MIN_STILL = 10
-"""Number of images at rest, 1 s, from which telemetry can contradict them."""
+_MIN_STILL, _MAX_CONTRADICTED = 10, 0.5
+"""Number of images at rest, 1 s, from which telemetry can contradict them, and largest fraction of them for which it
+states a motion: most errors of the measurement are single."""
 
-_MAX_CONTRADICTED = 0.5
-"""Largest fraction of images at rest while telemetry states a motion: most errors of the measurement are single."""
-
-_MOVING_HZ = 0.2
-"""Expansion of images that only a moving camera has, 1/s: 2 m/s at a typical depth of 10 m."""
-
-_STANDING_MPS = 0.3
-"""Largest speed in m/s that telemetry states for a car at rest."""
+_MOVING_HZ = 0.2  # expansion of images that only a moving camera has, 1/s: 2 m/s at a typical depth of 10 m
 
 
 def motion_of(
     video: RecordedName, camera: PinholeCamera, *, start_s: float, folder_fps: float, span_s: float = SPAN_S
 ) -> MotionSeries:
-    """Motion of the images of a video from `start_s` on; empty if they cannot be read.
+    """Motion of the images of a video from `start_s` after the first frame on; empty if they cannot be read.
 
     Of a file with frequent key frames, only these and the frames 0.1 s later are decoded; otherwise all frames.
-
-    Args:
-        video: the left video.
-        camera: its approximate camera.
-        start_s: start in seconds from the first frame.
-        folder_fps: frame rate of folders without timestamps.
-        span_s: length of the part to read; less is read of large images (`_MAX_DECODED_PX`).
+    `camera` is its approximate camera. Of large images, less than `span_s` is read (`_MAX_DECODED_PX`).
     """
     rows: list[tuple[float, float, float, float]] = []
     with suppress(UserError, av.FFmpegError):  # the run reports what it cannot read
         reader = open_video(video, folder_fps=folder_fps, start_s=start_s, duration_s=span_s)
         if (reader.width_px, reader.height_px) != (camera.width_px, camera.height_px):
-            camera = _resized(camera, reader.width_px, reader.height_px)
+            # of another size, which the rectification or a crop of the pair changes
+            width_px, height_px = reader.width_px, reader.height_px
+            centre_px = (width_px - 1) / 2, (height_px - 1) / 2
+            camera = PinholeCamera(camera.fx_px, camera.fy_px, *centre_px, width_px, height_px)
         estimator = ImageMotionEstimator(camera)
         with closing(reader), closing(_images(video, reader, start_s, span_s)) as images:
             for time_s, image in images:
@@ -145,12 +135,8 @@ def _pairs(
 ) -> Generator[tuple[float, Image], None, None]:
     """Times and grey images of pairs: a key frame, and the first frame at least `_STEP_S` later.
 
-    Args:
-        path: the video file.
-        from_s: time of the first pair in the file.
-        until_s: end of the part to read.
-        spacing_s: shortest time between two pairs.
-        n_left: number of frames to decode at most.
+    Pairs are at least `spacing_s` apart, in the part of the file between two times; at most `n_left` frames are
+    decoded.
     """
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
@@ -170,16 +156,12 @@ def _pairs(
                     frames = [frame for one in (*group, None) for frame in decoder.decode(one)]
                     decoder.flush_buffers()
                     n_left, group = n_left - len(frames), []
-                    yield from _pair(frames, key_s, base_s)
-
-
-def _pair(frames: Sequence[av.VideoFrame], key_s: float, base_s: float) -> Iterator[tuple[float, Image]]:
-    """Times and grey images of the frame at `key_s`, and of the first one at least `_STEP_S` later."""
-    times_s = [np.nan if frame.pts is None else frame.pts * base_s for frame in frames]
-    first = next((i for i, time_s in enumerate(times_s) if abs(time_s - key_s) <= TIME_EPSILON_S), None)
-    second = next((i for i, time_s in enumerate(times_s) if time_s >= key_s + _STEP_S), None)
-    if first is not None and second is not None:
-        yield from ((times_s[i], np.asarray(frames[i].to_ndarray(format="gray"), np.uint8)) for i in (first, second))
+                    times_s = [np.nan if frame.pts is None else frame.pts * base_s for frame in frames]
+                    key = next((i for i, time_s in enumerate(times_s) if abs(time_s - key_s) <= TIME_EPSILON_S), None)
+                    later = next((i for i, time_s in enumerate(times_s) if time_s >= key_s + _STEP_S), None)
+                    if key is not None and later is not None:
+                        for i in (key, later):
+                            yield times_s[i], np.asarray(frames[i].to_ndarray(format="gray"), np.uint8)
 
 
 def contradiction(motion: MotionSeries, ego: EgoSpeed) -> str | None:
@@ -206,8 +188,3 @@ def _extremes_mps(ego: EgoSpeed, time_s: float) -> tuple[float, float]:
     speeds = [abs(ego.at(time_s + offset_s)) for offset_s in np.linspace(-MAX_OFFSET_S, MAX_OFFSET_S, 13).tolist()]
     known = [speed for speed in speeds if np.isfinite(speed)]
     return (min(known), max(known)) if known else (np.nan, np.nan)
-
-
-def _resized(camera: PinholeCamera, width_px: int, height_px: int) -> PinholeCamera:
-    """The camera for images of another size, which the rectification or a crop of the pair changes."""
-    return PinholeCamera(camera.fx_px, camera.fy_px, (width_px - 1) / 2, (height_px - 1) / 2, width_px, height_px)

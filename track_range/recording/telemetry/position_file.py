@@ -10,13 +10,11 @@ import numpy as np
 from track_range.foundation.files.output_files import write_text
 from track_range.recording.telemetry.track import TelemetryTrack
 
-TELEMETRY_FILE = "telemetry.csv"
-"""Name of the file in the folder of a run."""
+TELEMETRY_FILE = "telemetry.csv"  # name of the file in the folder of a run
 
 HEADER = "time_s,latitude_deg,longitude_deg,speed_mps,course_deg"
 
-_MARGIN_S = 1.0
-"""Time before the first and after the last frame of which samples are written, s."""
+_MARGIN_S = 1.0  # time before the first and after the last frame of which samples are written, s
 
 
 def write_positions(path: Path, track: TelemetryTrack, *, first_s: float, last_s: float) -> None:

@@ -9,8 +9,7 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.recording.telemetry.track import Clock, TelemetryTrack
 
-EARTH_RADIUS_M = 6_371_008.8
-"""Mean radius of the Earth in metres (IUGG)."""
+EARTH_RADIUS_M = 6_371_008.8  # mean radius of the Earth in metres (IUGG)
 
 MPS_PER_UNIT = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600}
 """Factor from each unit of speed to m/s; a knot is 1852 m per hour."""
@@ -22,8 +21,7 @@ and at 1 Hz the noise of a position, about 0.2 m from fix to fix, is 0.3 m/s."""
 _POSITION_SPEED_SIGMA_MPS = 0.5
 """Standard deviation of such speeds in m/s; assumed, see `_MIN_STEP_S`, with the rounding of times to 0.01 s."""
 
-MOVING_MPS = 3.0
-"""Speed above which a sample is moving: the noise of positions is small against it."""
+MOVING_MPS = 3.0  # speed above which a sample is moving: the noise of positions is small against it
 
 
 def has_position(latitude_deg: FloatArray, longitude_deg: FloatArray) -> BoolArray:
@@ -60,16 +58,8 @@ def speed_from_positions(
 ) -> TelemetryTrack | None:
     """Telemetry with the speed and course between successive positions, at the middle of each step.
 
-    Args:
-        time_s: (N,) times of the positions, of the clock `clock`.
-        latitude_deg: (N,) NaN = unknown.
-        longitude_deg: (N,) NaN = unknown.
-        utc_s: (N,) date and time of the positions, NaN = unknown.
-        source: origin of the positions.
-        clock: clock of `time_s`.
-
-    Returns:
-        None if there are fewer than two positions.
+    The (N,) times are of the clock `clock`, `utc_s` are the dates and times; NaN = unknown. None = fewer than two
+    positions.
     """
     known = np.flatnonzero(has_position(latitude_deg, longitude_deg) & np.isfinite(time_s))
     index = known[thinned(time_s[known])] if len(known) else known
@@ -98,8 +88,7 @@ def speed_ratio(
 
     Args:
         positions: speeds from the positions of the same file; None = it has none.
-        time_s: (N,) times of the stated speeds, NaN = unknown.
-        stated: (N,) speeds in any unit, NaN = unknown.
+        time_s, stated: (N,) times and stated speeds in any unit, NaN = unknown.
         n_min: smallest number of samples, and of moving ones, for a ratio; with fewer it is None.
     """
     known = np.flatnonzero(np.isfinite(time_s) & np.isfinite(stated))

@@ -28,11 +28,8 @@ from track_range.recording.telemetry.sidecars.speed_csv import is_telemetry_csv
 from track_range.recording.telemetry.time_offset import MotionSeries, TimeOffset, estimated_offset
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
-AUTO, OFF = "auto", "off"
-"""Values of --ego-speed that are neither a number nor a path."""
-
-_MIN_SPAN_S = 10.0
-"""Length of the video, s, from which motion is measured for a shorter run."""
+AUTO, OFF = "auto", "off"  # values of --ego-speed that are neither a number nor a path
+_MIN_SPAN_S = 10.0  # length of the video, s, from which motion is measured for a shorter run
 
 _TABLE_COLUMNS = ({"time_s", "speed_mps"}, {"time_s", "speed_kmh"})
 """Columns of a CSV with times of the video, which needs no interpretation."""
@@ -89,8 +86,7 @@ def open_speed(
     Args:
         setting: "auto", "off", a number in km/h, or the path of a file or folder.
         recording: the opened recording.
-        start_s: start of the run in seconds from the first frame, from which the motion of the images is measured.
-        duration_s: length of the run; None = to the end.
+        start_s, duration_s: part of the run, from the first frame on, in which the motion of the images is measured.
         folder_fps: frame rate of folders of images without timestamps.
 
     Raises:

@@ -28,29 +28,20 @@ _DEPTH_SIGMA, _DEPTH_TIME_S = 0.3, 2.0
 """sigma_z and tau in s. The spread of v over expansion in simulated drives (city, seed 1, and queue, seed 2, of 24 s)
 is 0.2 with this time constant; 0.3 gives standard deviations that cover the errors there."""
 
-_MIN_LEVEL_HZ = 0.02
-"""Smallest level of the expansion to which sigma_z applies, 1/s."""
+_MIN_LEVEL_HZ = 0.02  # smallest level of the expansion to which sigma_z applies, 1/s
 
 _CORRELATION_S = 1.0
 """Shortest time between independent samples of the yaw rate, s: that between the fixes of most receivers."""
 
-_MIN_SAMPLES, _MIN_FIXES = 20, 3
-"""Smallest numbers of images and of samples of the telemetry for an estimate."""
+_MIN_SAMPLES, _MIN_FIXES = 20, 3  # smallest numbers of images and of samples of the telemetry for an estimate
 
 _INTERPOLATION_FRACTION = 0.1
 """Error of an offset from the interpolation between samples, relative to their interval (queue, seed 2, at 1 Hz)."""
 
-_MIN_CORRELATION = 0.9
-"""Smallest correlation between image motion and telemetry at the best offset."""
-
-_MAX_SIGMA_S = 0.2
-"""Largest standard deviation of an offset that is applied, s: below the lag that it corrects."""
-
-_MIN_SPEED_MPS = 2.0
-"""Smallest speed at which a course is known, m/s."""
-
-_MAX_GAP_S = 3.0
-"""Longest interval between samples that is interpolated, as in `ranging.ego_speed`."""
+_MIN_CORRELATION = 0.9  # smallest correlation between image motion and telemetry at the best offset
+_MAX_SIGMA_S = 0.2  # largest standard deviation of an offset that is applied, s: below the lag that it corrects
+_MIN_SPEED_MPS = 2.0  # smallest speed at which a course is known, m/s
+_MAX_GAP_S = 3.0  # longest interval between samples that is interpolated, as in `ranging.ego_speed`
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,13 +81,9 @@ class MotionSeries:
 def estimated_offset(
     motion: MotionSeries, time_s: FloatArray, speed_mps: FloatArray, course_rad: FloatArray
 ) -> TimeOffset | None:
-    """Offset of telemetry; None = too few samples, or nothing changes in them.
+    """Offset of telemetry against the motion of the images; None = too few samples, or nothing changes in them.
 
-    Args:
-        motion: motion of the images.
-        time_s: (M,) increasing times of the telemetry in the video.
-        speed_mps: (M,) NaN = unknown.
-        course_rad: (M,) clockwise from north, NaN = unknown.
+    The (M,) times in the video increase; speeds and courses, clockwise from north, are NaN where unknown.
     """
     grid_s = np.arange(-MAX_OFFSET_S, MAX_OFFSET_S + _STEP_S / 2, _STEP_S)
     yaw_s, yaw_rad_s = _course_rate(time_s, speed_mps, course_rad)
@@ -139,13 +126,11 @@ _Likelihood = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 def _fit(
     t: FloatArray, image: FloatArray, at_s: FloatArray, value: FloatArray, grid_s: FloatArray, likelihood: _Likelihood
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Log likelihood and correlation of each offset; None = too few samples.
+    """(G,) log likelihood and correlation of each offset of a grid; None = too few samples.
 
     Args:
-        t: (N,) times of the images.
-        image: (N,) motion, NaN = unknown.
-        at_s: (M,) times of the telemetry.
-        value: (M,) its motion.
+        t, image: (N,) times and motion of the images, NaN = unknown.
+        at_s, value: (M,) times and motion of the telemetry.
         grid_s: (G,) offsets.
         likelihood: of the image motion given the telemetry.
     """

@@ -24,34 +24,21 @@ ZONES_H = (
 )
 """Differences between local times and UTC in hours that are in use."""
 
-_VIDEO_SIGMA_S = 0.5
-"""Standard deviation of the times of GPS samples within a video, s: receivers lag by 0.2 to 1 s."""
-
-_CLOCK_SIGMA_S = 1.0
-"""Standard deviation of the difference between two clocks that state whole seconds, s."""
-
-_MAX_GAP_S = 3.0
-"""Longest interval between samples that covers a video, as in `ranging.ego_speed`."""
-
-_MIN_COVERED = 0.5
-"""Smallest fraction of a video that telemetry of another time zone must cover."""
-
-_START_S = 5.0
-"""Largest difference in s between the starts of a video and of telemetry that was recorded with it."""
+_VIDEO_SIGMA_S = 0.5  # standard deviation of the times of GPS samples within a video, s: receivers lag by 0.2 to 1 s
+_CLOCK_SIGMA_S = 1.0  # standard deviation of the difference between two clocks that state whole seconds, s
+_MAX_GAP_S = 3.0  # longest interval between samples that covers a video, as in `ranging.ego_speed`
+_MIN_COVERED = 0.5  # smallest fraction of a video that telemetry of another time zone must cover
+_START_S = 5.0  # largest difference in s between the starts of a video and of telemetry that was recorded with it
 
 _EQUAL_LENGTH_S, _EQUAL_LENGTH_FRACTION = 3.0, 0.05
 """Largest difference between equal lengths: seconds, and fraction of the length of the video."""
 
 
 def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTrack, float]:
-    """A track in the order of time with the times of a video, and the standard deviation of its time offset in s.
+    """A track in the order of time with the times of a video, and the standard deviation of its offset in s.
 
-    Args:
-        track: at least one sample.
-        part: the video file; `start_s` is not used.
-
-    Raises:
-        TelemetryError: the times do not fit the video, or cannot be matched.
+    `start_s` of the video file is not used. A TelemetryError means that the times do not fit the video, or cannot be
+    matched.
     """
     if track.clock == "video":
         return track, _VIDEO_SIGMA_S

@@ -17,8 +17,7 @@ from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, track
 from track_range.recording.telemetry.sidecars.nmea import rmc_samples
 from track_range.recording.telemetry.track import TelemetryTrack
 
-MAX_GPS_BYTES = 64_000_000
-"""Size limit of the boxes; an hour at 1 Hz has 1.5 MB."""
+MAX_GPS_BYTES = 64_000_000  # size limit of the boxes; an hour at 1 Hz has 1.5 MB
 
 _SENTENCE = re.compile(rb"\[(\d{10,16})\]\s*(\$[A-Z]{2}RMC,[^\r\n\[]{6,100})")
 _MAX_JITTER_S = 2.0

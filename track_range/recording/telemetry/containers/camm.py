@@ -17,20 +17,15 @@ from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_sam
 from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, date_s, track
 from track_range.recording.telemetry.track import GPS_SPEED_SIGMA_MPS, TelemetryTrack
 
-_POSITION = struct.Struct("<2xHddd")
-"""Type 5: latitude and longitude in degrees, altitude in m."""
+_POSITION = struct.Struct("<2xHddd")  # type 5: latitude and longitude in degrees, altitude in m
 
 _GPS = struct.Struct("<2xHdiddfffffff")
 """Type 6: time in seconds since 1980-01-06, fix, latitude, longitude, altitude, horizontal and vertical accuracy in m,
 velocity east, north and up, and its accuracy, in m/s."""
 
 _GPS_EPOCH_S = date_s(1980, 1, 6, 0, 0, 0)
-_LEAP_SECONDS = 18
-"""UTC is behind the time of GPS by this much since 2017."""
-
-_FIRST_UNIX_S = 1.5e9
-"""Times above this (2017 in UTC, 2027 in GPS time) count from 1970, as some cameras write them."""
-
+_LEAP_SECONDS = 18  # UTC is behind the time of GPS by this much since 2017
+_FIRST_UNIX_S = 1.5e9  # times above this (2017 in UTC, 2027 in GPS time) count from 1970, as some cameras write them
 _MIN_FIX = 2  # 0 = none, 2 = two-dimensional, 3 = three-dimensional
 
 

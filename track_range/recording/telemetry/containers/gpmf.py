@@ -24,38 +24,25 @@ from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_sam
 from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, date_s, track
 from track_range.recording.telemetry.track import Clock, TelemetryTrack
 
-MAX_PAYLOAD_BYTES = 1_000_000
-"""Size limit of a payload, which covers about one second; GoPro's have 10 to 100 kB."""
-
+MAX_PAYLOAD_BYTES = 1_000_000  # size limit of a payload, which covers about one second; GoPro's have 10 to 100 kB
 MAX_BARE_BYTES = 64_000_000  # size limit of a file of payloads alone
-
 _PROBED_PAYLOADS = 60  # payloads without GPS rows after which a file counts as one without GPS
-
-_MIN_FIX = 2
-"""Smallest GPSF with a fix: 0 = none, 2 = two-dimensional, 3 = three-dimensional."""
+_MIN_FIX = 2  # smallest GPSF with a fix: 0 = none, 2 = two-dimensional, 3 = three-dimensional
 
 _MAX_DOP = 10.0
 """Dilution of precision above which positions count as poor, the scale's usual upper end; GoPro recommends 5."""
 
-_NO_FIX_DOP = 99.99
-"""Dilution of precision that GoPro writes without a fix (GPSP 9999)."""
-
-_MAX_ENTRIES = 20_000
-"""Largest number of entries read on one level; a payload has about 500."""
-
-_RATE_HZ = 18.0
-"""Nominal rate of GPS5, for payloads without a duration."""
-
-_MAX_PAYLOAD_S = 3.0
-"""Longest time between two payloads that is taken as the duration of the first."""
+_NO_FIX_DOP = 99.99  # dilution of precision that GoPro writes without a fix (GPSP 9999)
+_MAX_ENTRIES = 20_000  # largest number of entries read on one level; a payload has about 500
+_RATE_HZ = 18.0  # nominal rate of GPS5, for payloads without a duration
+_MAX_PAYLOAD_S = 3.0  # longest time between two payloads that is taken as the duration of the first
 
 _YEAR_2000_S = date_s(2000, 1, 1, 0, 0, 0)
 _TYPES = {
     "b": ">i1", "B": ">u1", "s": ">i2", "S": ">u2", "l": ">i4", "L": ">u4", "j": ">i8", "J": ">u8", "f": ">f4",
     "d": ">f8", "q": ">i4", "Q": ">i8",
 }  # fmt: skip
-_FIXED_POINT = {"q": 2.0**16, "Q": 2.0**32}
-"""Divisor of the fixed-point types."""
+_FIXED_POINT = {"q": 2.0**16, "Q": 2.0**32}  # divisor of the fixed-point types
 
 
 class GpsRows(NamedTuple):
@@ -78,8 +65,7 @@ class GpsRows(NamedTuple):
     has_fix: BoolArray
 
 
-_Payload = tuple[float, float, list[GpsRows]]
-"""Start and duration in s, NaN = unknown, and rows."""
+_Payload = tuple[float, float, list[GpsRows]]  # start and duration in s, NaN = unknown, and rows
 
 
 def read_gpmf(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | None:

@@ -30,11 +30,8 @@ from track_range.recording.telemetry.samples import (
 )
 from track_range.recording.telemetry.track import TelemetryTrack
 
-MAX_TRAILER_BYTES = 16_000_000
-"""Size limit of the trailer; 33 hours at 1 Hz."""
-
-_SLOT_BYTES = 132
-"""Size of a slot or record: 4 bytes of number, then text or encrypted text."""
+MAX_TRAILER_BYTES = 16_000_000  # size limit of the trailer; 33 hours at 1 Hz
+_SLOT_BYTES = 132  # size of a slot or record: 4 bytes of number, then text or encrypted text
 
 _TERMINATORS = (b"####", b"&&&&")
 """Marks before the length at the end of a trailer."""

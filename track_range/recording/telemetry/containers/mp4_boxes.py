@@ -29,23 +29,12 @@ from track_range.foundation.arrays import FloatArray, IntArray
 MAX_MOVIE_BYTES = 256_000_000
 """Size limit of the box `moov`, bytes; ten hours of video at 60 frames per second have about 50 MB."""
 
-MAX_FRAGMENT_BYTES = 16_000_000
-"""Size limit of a box `moof`, bytes; a second of video with all tables has about 5 kB."""
-
-MAX_BOXES = 200_000
-"""Largest number of boxes read on one level; dashcams write up to one small box per second."""
-
-MAX_TABLE_ROWS = 10_000_000
-"""Largest number of samples of a track: 46 hours at 60 frames per second."""
-
-MAX_EQUAL_SAMPLES = 1_000_000
-"""Largest number of samples of one size, which a table of a few bytes can announce."""
-
-MAX_TRACKS = 32
-"""Largest number of tracks read; cameras with several lenses have up to ten."""
-
-_MAX_INTEGER = 2**53
-"""Limit of offsets and times, with which sums do not overflow."""
+MAX_FRAGMENT_BYTES = 16_000_000  # size limit of a box `moof`, bytes; a second of video with all tables has about 5 kB
+MAX_BOXES = 200_000  # largest number of boxes read on one level; dashcams write up to one small box per second
+MAX_TABLE_ROWS = 10_000_000  # largest number of samples of a track: 46 hours at 60 frames per second
+MAX_EQUAL_SAMPLES = 1_000_000  # largest number of samples of one size, which a table of a few bytes can announce
+MAX_TRACKS = 32  # largest number of tracks read; cameras with several lenses have up to ten
+_MAX_INTEGER = 2**53  # limit of offsets and times, with which sums do not overflow
 
 
 class Box(NamedTuple):
@@ -92,10 +81,9 @@ class Movie:
     """Contents of an MP4 file that readers of telemetry need.
 
     Attributes:
-        top: boxes of the file.
+        top: boxes of the file, of `n_bytes`.
         inner: content of the boxes in `moov` and `moov/udta`, by type.
         tracks: all tracks with samples.
-        n_bytes: size of the file.
     """
 
     top: tuple[Box, ...]

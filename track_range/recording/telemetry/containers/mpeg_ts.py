@@ -29,23 +29,19 @@ _SEARCHED_BYTES = 4096  # in which synchronisation is looked for before the next
 _PROBED_BYTES = 48_000_000
 """Bytes at the start of a file in which a record must be found; about ten seconds of 4K video."""
 
-_PRIVATE_1, _PRIVATE_2 = 0xBD, 0xBF
-"""Stream ids of private data with and without the header fields of other streams."""
+_PRIVATE_1, _PRIVATE_2 = 0xBD, 0xBF  # stream ids of private data with and without the header fields of other streams
 
 _PTS_HZ = 90_000
 _PTS_WRAP = 1 << 33
-_EMPTY_HEADER = b"\0\0\0\0freeGPS \0\0\0\0"
-"""Start of a box before the record, which transport streams leave out."""
+_EMPTY_HEADER = b"\0\0\0\0freeGPS \0\0\0\0"  # start of a box before the record, which transport streams leave out
 
 
 @dataclass(slots=True)
 class _Scan:
-    """State while packets are read.
+    """State while packets are read; time stamps are in ticks.
 
     Attributes:
-        first_pts: smallest time stamp among the first frames, in ticks.
-        last_pts: time stamp of the last frame.
-        n_frames: number of frames so far.
+        first_pts, last_pts: smallest time stamp among the first frames, and that of the last frame.
         open: content of the private packet that is not complete, by PID, and the time stamp at its start.
         records: time stamp and content of the complete ones.
         pids: PIDs of private streams.

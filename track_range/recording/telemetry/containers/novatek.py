@@ -28,18 +28,12 @@ from track_range.recording.telemetry.samples import (
 from track_range.recording.telemetry.sidecars.nmea import has_rmc, rmc_samples
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
-MAX_BLOCKS = 50_000
-"""Largest number of boxes read: 14 hours at 1 Hz."""
-
-_MAX_PROBED = 400
-"""Number of gaps between samples in which the first box must be found."""
+MAX_BLOCKS = 50_000  # largest number of boxes read: 14 hours at 1 Hz
+_MAX_PROBED = 400  # number of gaps between samples in which the first box must be found
 
 _MARK = b"freeGPS "
-_GAP_BYTES = 512
-"""Bytes read at the start of a gap; boxes are aligned to blocks of the card."""
-
-_CIPHER_MARK = b"4W`b]S<"
-"""`$GPRMC,` with 16 added to each character, at 0x3C."""
+_GAP_BYTES = 512  # bytes read at the start of a gap; boxes are aligned to blocks of the card
+_CIPHER_MARK = b"4W`b]S<"  # `$GPRMC,` with 16 added to each character, at 0x3C
 
 
 def read_novatek(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:

@@ -22,8 +22,7 @@ from track_range.recording.telemetry.track import TelemetryTrack
 _SPEED_SIGMA_MPS = 0.1
 """Standard deviation of the speed in m/s, assumed: wheel speeds differ from the true one with the wear of the tyres."""
 
-_SEI_BYTES = 4096
-"""Bytes read at the start of a frame; parameter sets and SEI messages come before the picture."""
+_SEI_BYTES = 4096  # bytes read at the start of a frame; parameter sets and SEI messages come before the picture
 
 _PROBED_FRAMES = 120
 """Number of frames, spread over the video, that are read to find out whether there are messages at all."""

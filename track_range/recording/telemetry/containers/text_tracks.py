@@ -33,14 +33,11 @@ from track_range.recording.telemetry.sidecars.nmea import has_rmc, rmc_samples
 from track_range.recording.telemetry.track import TelemetryTrack
 
 MAX_TEXT_BYTES = 4096  # bytes of a sample that are read
-
-_PROBED_SAMPLES = 600
-"""Number of samples at the start of a track in which the first record must be found."""
+_PROBED_SAMPLES = 600  # number of samples at the start of a track in which the first record must be found
 
 _HANDLERS = (b"sbtl", b"text", b"subt", b"clcp", b"data", b"meta", b"camm", b"hint")
 _FORMATS = (b"tx3g", b"text", b"sbtt", b"mett", b"camm", b"gpmd", b"ssmd")
-_NO_COORDINATE = 4294967295.0
-"""Coordinate of 32- and 40-byte records without a fix."""
+_NO_COORDINATE = 4294967295.0  # coordinate of 32- and 40-byte records without a fix
 
 _DJI = re.compile(rb"GPS ?\(([-+.\d]+), ?([-+.\d]+)[^)]*\).*?H\.S ([-+.\d]+)m/s", re.DOTALL)
 

@@ -17,8 +17,7 @@ from track_range.recording.telemetry.positions import speed_from_positions
 from track_range.recording.telemetry.samples import Sample, plain_track
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack, optional_package
 
-MAX_GPX_BYTES = 50_000_000
-"""Size limit of a GPX file, bytes; a day at 1 Hz with extensions has 35 MB."""
+MAX_GPX_BYTES = 50_000_000  # size limit of a GPX file, bytes; a day at 1 Hz with extensions has 35 MB
 
 _MAX_NAMESPACES = 100
 """Largest number of namespace declarations; gpxpy searches for them in the text, which is slow with many."""

@@ -58,12 +58,7 @@ def rmc_samples(contents: Iterable[bytes], source: str) -> list[Sample | None]:
 def fixes_in(texts: Iterable[str], source: str) -> list[Sample | None]:
     """The first RMC sentence in each text, without time in the video; None = it has none.
 
-    Args:
-        texts: lines of a file, or the texts of subtitles.
-        source: name of the file, for messages.
-
-    Raises:
-        TelemetryError: there are sentences, but pynmea2 is not installed.
+    A TelemetryError about the file `source` means that there are sentences, but pynmea2 is not installed.
     """
     matches = [_RMC.search(text) for text in texts]
     if not any(matches):

@@ -41,8 +41,7 @@ SIDECARS = (
 
 SUFFIXES = tuple(dict.fromkeys(suffix for sidecar in SIDECARS for suffix in sidecar.suffixes))
 
-SPEED_TABLE_SUFFIXES = (".csv", ".txt")
-"""Suffixes that tables of times and speeds have, too (`--ego-speed FILE`)."""
+SPEED_TABLE_SUFFIXES = (".csv", ".txt")  # suffixes that tables of times and speeds have, too (`--ego-speed FILE`)
 
 _CAMERA_LETTER = re.compile(r"(?<=_[A-Z])[FRIO]$")
 """Letter of the camera at the end of the names of BlackVue videos; their logs have none: ..._NF.mp4, ..._N.gps."""
@@ -57,15 +56,10 @@ def sidecar_names(video: str) -> tuple[str, ...]:
 
 
 def read_sidecar(path: Path, video: str, duration_s: float) -> TelemetryTrack | None:
-    """Telemetry of a file, by its suffix; None = the file has none.
+    """Telemetry of a file, by its suffix; None = it has none.
 
-    Args:
-        path: the file.
-        video: name of the video file to which it belongs.
-        duration_s: length of the video; 0 = unknown.
-
-    Raises:
-        TelemetryError: it cannot be read or used.
+    The video to which it belongs has the name `video`, and lasts `duration_s`; 0 = unknown. A TelemetryError means that
+    the file cannot be read or used.
     """
     readers = [sidecar.read for sidecar in SIDECARS if path.suffix.lower() in sidecar.suffixes]
     tracks = (read(path, video, duration_s) for read in readers)

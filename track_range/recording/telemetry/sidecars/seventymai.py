@@ -29,13 +29,7 @@ _COURSE_SCALE, _SPEED_SCALE = 0.01, 0.01
 def read_seventymai(path: Path, video: str, duration_s: float) -> TelemetryTrack | None:
     """Telemetry of a video in a log of 70mai; None = the file is another text.
 
-    Args:
-        path: the log.
-        video: name of the video file. If the log has no rows of it, all rows are used.
-        duration_s: length of the video; 0 = unknown.
-
-    Raises:
-        TelemetryError: the file cannot be read.
+    If the log has no rows of the video, all rows are used. Its length 0 = unknown. A TelemetryError = unreadable.
     """
     if not first_line(path, TelemetryError, "a log of a 70mai dashcam").startswith("$V0"):
         return None
