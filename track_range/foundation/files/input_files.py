@@ -52,8 +52,8 @@ def open_regular(path: Path, error: type[Exception], expected: str, *, max_bytes
     try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
-            found = next((found for is_found, found in _SPECIAL_FILES if is_found(status.st_mode)), "a special file")
-            raise error(f"{path}: expected {expected}, found {found}; give a regular file.")
+            noun = next((noun for is_noun, noun in _SPECIAL_FILES if is_noun(status.st_mode)), "a special file")
+            raise error(f"{path}: expected {expected}, found {noun}; give a regular file.")
         if max_bytes is not None and status.st_size > max_bytes:
             raise _too_large(path, max_bytes, status.st_size, error, expected)
         return os.fdopen(descriptor, "rb")
