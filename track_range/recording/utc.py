@@ -153,16 +153,17 @@ def start_of(header: Stamp | None, name: Stamp | None, duration_s: float) -> Utc
         return UtcStart(name.time_s, name.source, uncertainty_s, is_local=name.is_local)
     if header.is_start:
         return UtcStart(header.time_s, header.source, STAMP_RESOLUTION_S)
+    # the header may state the end
+    unconfirmed = UtcStart(header.time_s, header.source, round(STAMP_RESOLUTION_S + duration_s, 3))
+    if name is None:
+        return unconfirmed
     for start_s in (header.time_s, header.time_s - duration_s):
-        if name is None:
-            break
         difference_s = name.time_s - start_s
         if name.is_local and abs(difference_s) <= _AGREEMENT_S:  # the zone is UTC, or local time was written as UTC
             return UtcStart(start_s, header.source, ZONE_SPAN_S, is_local=True)
         if abs(math.remainder(difference_s, ZONE_STEP_S) if name.is_local else difference_s) <= _AGREEMENT_S:
             return UtcStart(start_s, header.source, STAMP_RESOLUTION_S)
-    # the header may state the end
-    return UtcStart(header.time_s, header.source, round(STAMP_RESOLUTION_S + duration_s, 3))
+    return unconfirmed
 
 
 def _parsed(text: str) -> datetime | None:

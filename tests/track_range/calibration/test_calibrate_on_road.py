@@ -12,8 +12,7 @@ import pytest
 
 from track_range.calibration.road.measurement_text import known_lanes, known_metres
 from track_range.foundation.errors import UsageError
-from track_range.recording.cameras.focal_sources import focal_guesses
-from track_range.recording.cameras.known_cameras import KNOWN_CAMERAS, camera_named
+from track_range.recording.cameras.focal_sources import KNOWN_CAMERAS, focal_guesses
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.rig_formats.reading import load_camera, mounting_of
@@ -88,8 +87,8 @@ def test_focal_length_of_exif(tmp_path):
 
 
 def test_known_cameras():
-    assert camera_named("comma eon").focal_px(1164) == pytest.approx(910)
-    assert camera_named("nothing") is None
+    (guess,) = focal_guesses(reader({}), "comma eon")
+    assert guess.focal_px == pytest.approx(910 * 1920 / 1164)
     (guess,) = focal_guesses(reader({}), "Comma Three")
     assert guess.focal_px == pytest.approx(2648 * 1920 / 1928)
     with pytest.raises(UsageError, match="comma EON"):

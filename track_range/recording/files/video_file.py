@@ -209,11 +209,10 @@ def count_packets(path: Path) -> tuple[int, float]:
     """
     with closing(_Reading(path, FileState.of(path))) as reading:
         n_frames, first, last = 0, math.inf, -math.inf
-        for packet in reading.packets:
-            if packet is not None and packet.size and not packet.is_discard:
-                n_frames += 1
-                if packet.pts is not None:
-                    first, last = min(first, packet.pts), max(last, packet.pts)
+        for packet in reading.with_frames():
+            n_frames += 1
+            if packet.pts is not None:
+                first, last = min(first, packet.pts), max(last, packet.pts)
         span_s = float(int(last - first) * reading.time_base) if last > first else 0.0
         return n_frames, span_s + 1 / reading.fps
 
@@ -229,8 +228,8 @@ def compressed_frames(path: Path, *, last_s: float | None = None) -> Generator[t
         if last_s is not None and container.duration:
             with suppress(av.FFmpegError):  # some formats cannot seek
                 container.seek(start_us + max(0, container.duration - round(last_s * av.time_base)))
-        for packet in reading.packets:
-            if packet is not None and packet.size and not packet.is_discard and packet.pts is not None:
+        for packet in reading.with_frames():
+            if packet.pts is not None:
                 yield float(packet.pts * reading.time_base), bytes(packet)
 
 
@@ -249,7 +248,11 @@ class _Reading:
         self.container, self.stream = _open(path)
         self.log = DecodeLog()
         self.notes: list[str] = []
-        self.fps = self._rate_hz()
+        rates_hz = [float(rate) for rate in (self.stream.average_rate, self.stream.guessed_rate) if rate]
+        plausible_hz = [rate_hz for rate_hz in rates_hz if _MIN_RATE_HZ <= rate_hz <= _MAX_RATE_HZ]
+        self.fps = plausible_hz[0] if plausible_hz else _FALLBACK_RATE_HZ
+        if rates_hz and not plausible_hz:
+            self.notes.append(f"states {rates_hz[0]:.4g} frames/s, which is ignored; timestamps are used.")
         # AVI stores no timestamps, and those that FFmpeg guesses are out of order with B-frames.
         self._is_stamped = not (self.container.format.name == "avi" and self.stream.codec_context.has_b_frames)
         self.time_base = self.stream.time_base or Fraction(1, 90_000)
@@ -260,14 +263,9 @@ class _Reading:
     def close(self) -> None:
         self.container.close()
 
-    def _rate_hz(self) -> float:
-        declared_hz = [float(rate) for rate in (self.stream.average_rate, self.stream.guessed_rate) if rate]
-        for rate_hz in declared_hz:
-            if _MIN_RATE_HZ <= rate_hz <= _MAX_RATE_HZ:
-                return rate_hz
-        if declared_hz:
-            self.notes.append(f"states {declared_hz[0]:.4g} frames/s, which is ignored; timestamps are used.")
-        return _FALLBACK_RATE_HZ
+    def with_frames(self) -> Iterator[Packet[VideoStream]]:
+        """The packets that contain frames."""
+        return (packet for packet in self.packets if packet is not None and packet.size and not packet.is_discard)
 
     def skip_to(self, from_s: float) -> None:
         """Skip the packets before the last keyframe at or before `from_s`; later frames do not depend on them."""
@@ -381,13 +379,13 @@ def _display_axes(frame: av.VideoFrame) -> tuple[int, int, int, int]:
 def _open(path: Path) -> tuple[InputContainer, VideoStream]:
     """The file and its video stream, ready to decode."""
     try:
-        container = av.open(
-            f"file:{path}", mode="r", options=_OPTIONS, metadata_errors="replace"
-        )  # "file:", since a name may look like a URL
+        # "file:", since a name may look like a URL
+        container = av.open(f"file:{path}", mode="r", options=_OPTIONS, metadata_errors="replace")
     except (av.FFmpegError, ValueError, MemoryError) as error:
         raise VideoError(f"{path}: {_unreadable_reason(path)}") from error
     try:
-        stream = _video_stream(container)
+        videos = (stream for stream in container.streams.video if not stream.disposition & Disposition.attached_pic)
+        stream = next((stream for stream in videos if stream.codec_context is not None), None)  # can be decoded
         if stream is None:
             raise VideoError(f"{path}: contains no video; give a video file or a folder of numbered images.")
         check_size(path, (stream.codec_context.width, stream.codec_context.height), VideoError)
@@ -415,12 +413,6 @@ def _unreadable_reason(path: Path) -> str:
     if start[4:8] == b"ftyp":
         return "MP4 file without an index, truncated while recording or copying; copy it again, or repair it."
     return "not a video, or damaged at its start; give a video file or a folder of numbered images."
-
-
-def _video_stream(container: InputContainer) -> VideoStream | None:
-    """The first video stream that is not a cover picture and that FFmpeg can decode; None if there is none."""
-    videos = (stream for stream in container.streams.video if not stream.disposition & Disposition.attached_pic)
-    return next((stream for stream in videos if stream.codec_context is not None), None)
 
 
 def _declared_duration_s(container: InputContainer, stream: VideoStream) -> tuple[float, bool]:

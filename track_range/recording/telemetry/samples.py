@@ -61,22 +61,13 @@ class Sample(NamedTuple):
         return self._replace(time_s=time_s)
 
 
-def plain_track(samples: Sequence[Sample], source: str, clock: Clock, **given: Any) -> TelemetryTrack:
-    """Telemetry of samples as they are; `given`: other attributes of the track."""
-    time_s, utc_s, speed_mps, course_deg, latitude_deg, longitude_deg = (
-        np.array(samples, np.float64).reshape(-1, 6).T.copy()
-    )
-    return TelemetryTrack(
-        time_s=time_s,
-        speed_mps=speed_mps,
-        course_rad=np.radians(course_deg),
-        latitude_deg=latitude_deg,
-        longitude_deg=longitude_deg,
-        utc_s=utc_s,
-        source=source,
-        clock=clock,
-        **given,
-    )
+def plain_track(samples: Sequence[Sample] | FloatArray, source: str, clock: Clock, **given: Any) -> TelemetryTrack:
+    """Telemetry of samples, or of (N, 6) rows of their fields, as they are; `given`: other attributes of the track."""
+    rows = np.array(samples, np.float64).reshape(-1, 6)
+    names = ("time_s", "utc_s", "speed_mps", "course_rad", "latitude_deg", "longitude_deg")
+    columns: dict[str, Any] = dict(zip(names, rows.T.copy(), strict=True))
+    columns["course_rad"] = np.radians(columns["course_rad"])
+    return TelemetryTrack(source=source, clock=clock, **columns, **given)
 
 
 def track(
@@ -98,7 +89,7 @@ def track(
     if not len(rows):
         return None
     rows[~np.isfinite(rows)] = np.nan
-    time_s, utc_s, speed_mps, course_deg, latitude_deg, longitude_deg = rows.T.copy()
+    time_s, utc_s, speed_mps, course_deg, latitude_deg, longitude_deg = rows.T  # parts of the rows
     is_wild = (np.abs(latitude_deg) > 90) | (np.abs(longitude_deg) > 180)
     latitude_deg[is_wild] = longitude_deg[is_wild] = np.nan
     if not has_own_speed:
@@ -106,19 +97,9 @@ def track(
         return replace(derived, notes=notes) if derived else None
     speed_mps[speed_mps < 0] = np.nan
     if not np.isfinite(course_deg).any():
-        course_deg = _course_from_positions(time_s, speed_mps, latitude_deg, longitude_deg)
-    return TelemetryTrack(
-        time_s=time_s,
-        speed_mps=speed_mps,
-        course_rad=np.radians(course_deg) % (2 * np.pi),
-        latitude_deg=latitude_deg,
-        longitude_deg=longitude_deg,
-        utc_s=utc_s,
-        source=source,
-        clock=clock,
-        notes=notes,
-        **given,
-    )
+        course_deg[:] = _course_from_positions(time_s, speed_mps, latitude_deg, longitude_deg)
+    plain = plain_track(rows, source, clock, notes=notes, **given)
+    return replace(plain, course_rad=plain.course_rad % (2 * np.pi))
 
 
 def on_receiver_clock(samples: Sequence[Sample]) -> list[Sample]:
