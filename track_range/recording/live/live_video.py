@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Generator
 from contextlib import suppress
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import av
 from av.container import InputContainer
@@ -34,7 +34,8 @@ _CAMERA_DELAY_S, _STREAM_DELAY_S = 0.1, 2.0
 """Largest delay, s, between exposure and arrival of the frames of a camera and of a network stream; assumed."""
 
 
-class _WaitingFrame(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _WaitingFrame:
     """A frame in the queue, converted to BGR only when it is used, since a slow consumer drops most of them."""
 
     index: int
