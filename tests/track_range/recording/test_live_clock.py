@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.recording.live.clock import StreamClock
+from track_range.recording.live.live_video import StreamClock
 
 
 def test_timestamps_of_this_machines_clock() -> None:

@@ -22,7 +22,6 @@ from track_range.foundation.files.input_files import counted
 from track_range.foundation.prefetch import lower_thread_priority
 from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, bgr_image, is_neutral
 from track_range.recording.live.address import LiveAddress
-from track_range.recording.live.clock import StreamClock
 from track_range.recording.threads import LIVE_FRAMES
 from track_range.recording.utc import UtcStart
 
@@ -32,6 +31,45 @@ _FALLBACK_RATE_HZ = 25.0  # of a stream that does not declare one
 
 _CAMERA_DELAY_S, _STREAM_DELAY_S = 0.1, 2.0
 """Largest delay, s, between exposure and arrival of the frames of a camera and of a network stream; assumed."""
+
+
+_SAME_CLOCK_S = 10.0
+"""Largest difference, s, between timestamp and arrival time of a stream that uses this machine's clock."""
+
+_N_OFFSETS = 300
+"""Number of recent frames for the offset: 10 s at 30 Hz, in which clocks that differ by 50 ppm drift by 0.5 ms."""
+
+
+class StreamClock:
+    """Converts the timestamps of one stream to strictly increasing times of `time.monotonic` of this machine.
+
+    Timestamps of cameras (Linux) already use that clock and stay as they are. Those of a network stream have an
+    arbitrary origin, and its frames arrive with varying delay; the frame with the shortest delay gives the offset:
+
+        time_s = stamp_s + min(arrived_s - stamp_s)         over the most recent frames, to follow clock drift
+
+    Attributes:
+        is_shared: whether the timestamps use this machine's clock; None = no frame yet.
+    """
+
+    def __init__(self) -> None:
+        self.is_shared: bool | None = None
+        self._offsets_s: deque[float] = deque(maxlen=_N_OFFSETS)
+        self._last_s = float("-inf")
+
+    def time_s(self, stamp_s: float | None, arrived_s: float) -> float | None:
+        """The time of a frame with a timestamp, None = none, and arrival; None = not later than the previous one."""
+        if stamp_s is None:
+            time_s = arrived_s
+        else:
+            if self.is_shared is None:
+                self.is_shared = abs(arrived_s - stamp_s) < _SAME_CLOCK_S
+            self._offsets_s.append(arrived_s - stamp_s)
+            time_s = stamp_s + (0.0 if self.is_shared else min(self._offsets_s))
+        if time_s <= self._last_s:
+            return None
+        self._last_s = time_s
+        return time_s
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
 """Speed of the camera from what a recording carries: GPS records in the video file, or files beside it.
 
 sidecars/, containers/  readers of the formats, each of which returns a TelemetryTrack
-find.py                 the telemetry of a recording, in a fixed order of preference
+found.py                the telemetry of a recording, in a fixed order of preference
 checks.py               reasons for which telemetry is not used
 time_offset.py          time offset between telemetry and video, from image motion
 """
