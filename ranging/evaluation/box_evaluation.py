@@ -2,11 +2,17 @@
 
 Errors are relative. The metrics of a class cover 10-100 m, those of far objects 30-100 m, bands 5-100 m. Fitted methods
 are cross-validated: each fold of sequences is measured by a method that was fitted to the other sequences.
+
+Metrics of published evaluations (Eigen, Puhrsch and Fergus, NIPS 2014):
+
+    abs rel   mean |d - t| / t              sq rel   mean (d - t)^2 / t            d: measured, t: reference distance
+    RMSE      sqrt(mean (d - t)^2)          RMSE log sqrt(mean (log d - log t)^2)
+    delta_k   fraction of max(d / t, t / d) < 1.25^k
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -15,6 +21,8 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.errors import BANDS_M, MethodColumn, score_rows
 from track_range.ranging.fitting.labelled_boxes import CLASS_OF, BoxSet
+from track_range.stereo.evaluation.disparity_errors import MatcherColumn
+from track_range.stereo.evaluation.risk_coverage import risk_coverage
 
 CLASSES = tuple(CLASS_OF.values())  # evaluated classes, in the order of tables
 NEAREST_M, FAR_M = 10.0, 30.0  # smallest distance in m of the metrics of a class, and of those of far objects
@@ -23,6 +31,11 @@ N_FOLDS = 7  # folds of the cross-validation: 3 of KITTI's 21 sequences each
 CLOSING_HALF_SPAN_S = 0.5
 """Time in s before and after a label over which its true closing speed is the central difference of the distance."""
 
+_MIN_M = 0.1  # smallest distance in m in ratios and logarithms: polynomials may be negative
+
+METRICS = ("abs_rel", "sq_rel_m", "rmse_m", "rmse_log", "delta_1_25", "delta_1_25_2", "delta_1_25_3")
+"""Keys of the metrics of published evaluations."""
+
 Predictor = Callable[[BoxSet], MethodColumn]  # function that measures boxes
 Fitter = Callable[[BoxSet], Predictor]  # function that fits a predictor to boxes
 
@@ -30,10 +43,8 @@ Scheme = Callable[[BoxSet, BoxSet, Fitter], MethodColumn]
 """Function that fits a method to training boxes and measures boxes: `cross_validated`, `within_drives`, `held_out`."""
 
 
-def figures(boxes: BoxSet, distance_m: FloatArray, sigma_m: FloatArray | None = None) -> dict[str, dict[str, Any]]:
-    """Metrics by class for (N,) measured distances, NaN = not measured, and their (N,) sigmas, None = unknown."""
-    sigma_m = np.full(len(boxes), np.nan) if sigma_m is None else sigma_m
-    column = MethodColumn(distance_m, sigma_m)
+def figures(boxes: BoxSet, column: MethodColumn) -> dict[str, dict[str, Any]]:
+    """Metrics of measured distances by class."""
     present = [name for name in CLASSES if (boxes.class_name == name).any()]
     return {name: _class_figures(boxes, column, boxes.class_name == name) for name in present}
 
@@ -113,29 +124,18 @@ def frame_rows(boxes: BoxSet) -> Iterator[IntArray]:
 
 def true_closing_mps(boxes: BoxSet) -> FloatArray:
     """(N,) true closing speed in m/s; NaN unless the track is labelled about half a second before and after."""
-    reach = round(CLOSING_HALF_SPAN_S / float(np.median(_steps_s(boxes)))) if len(boxes) > 1 else 1
-    ids = {
-        (int(s), int(t), int(f)): row
-        for row, (s, t, f) in enumerate(zip(boxes.sequence, boxes.track_id, boxes.frame, strict=True))
-    }
+    steps_s = np.diff(np.unique(boxes.time_s))
+    reach = round(CLOSING_HALF_SPAN_S / float(np.median(steps_s if len(steps_s) else 1.0))) if len(boxes) > 1 else 1
+    keys = list(zip(boxes.sequence.tolist(), boxes.track_id.tolist(), boxes.frame.tolist(), strict=True))
+    row_of = {key: row for row, key in enumerate(keys)}
     before, after = (
-        np.array(
-            [
-                ids.get((int(s), int(t), int(f) + shift), -1)
-                for s, t, f in zip(boxes.sequence, boxes.track_id, boxes.frame, strict=True)
-            ]
-        )
+        np.array([row_of.get((sequence, track, frame + shift), -1) for sequence, track, frame in keys], np.int64)
         for shift in (-reach, reach)
     )
     known = (before >= 0) & (after >= 0)
     span_s = boxes.time_s[after] - boxes.time_s[before]
     closed_m = boxes.distance_m[before] - boxes.distance_m[after]
     return np.where(known, closed_m / np.where(known, span_s, 1.0), np.nan)
-
-
-def _steps_s(boxes: BoxSet) -> FloatArray:
-    steps_s = np.diff(np.unique(boxes.time_s))
-    return steps_s if len(steps_s) else np.ones(1)
 
 
 def closing_figures(boxes: BoxSet, closing_mps: FloatArray) -> dict[str, dict[str, Any]]:
@@ -153,3 +153,56 @@ def closing_figures(boxes: BoxSet, closing_mps: FloatArray) -> dict[str, dict[st
                 "closing_p95_error_mps": p95,
             }
     return by_class
+
+
+def literature_metrics(boxes: BoxSet, columns: Mapping[str, MethodColumn]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Metrics by method and class, and over all classes, of all boxes with a reference distance."""
+    rows_of = {name: boxes.class_name == name for name in CLASSES if (boxes.class_name == name).any()}
+    rows_of["all"] = np.ones(len(boxes), np.bool_)
+    return {
+        method: {
+            name: {"n_boxes": int(rows.sum()), **metrics(column.distance_m[rows], boxes.distance_m[rows])}
+            for name, rows in rows_of.items()
+        }
+        for method, column in columns.items()
+    }
+
+
+def metrics(distance_m: FloatArray, reference_m: FloatArray) -> dict[str, Any]:
+    """Coverage and metrics of (N,) distances, NaN = not measured, against (N,) references; None without a distance."""
+    known = np.isfinite(distance_m)
+    d, t = distance_m[known], reference_m[known]
+    coverage = {"coverage": round(float(known.mean()), 4) if len(known) else None, "n": len(d)}
+    if not len(d):
+        return {**coverage, **dict.fromkeys(METRICS)}
+    positive_m = np.maximum(d, _MIN_M)
+    ratio = np.maximum(positive_m / t, t / positive_m)
+    values = (
+        np.abs(d - t) / t,
+        (d - t) ** 2 / t,
+        (d - t) ** 2,
+        np.log(positive_m / t) ** 2,
+        *(ratio < 1.25**k for k in (1, 2, 3)),
+    )
+    means = [float(np.mean(value)) for value in values]
+    means[2:4] = np.sqrt(means[2:4]).tolist()
+    return {**coverage, **{key: round(mean, 4) for key, mean in zip(METRICS, means, strict=True)}}
+
+
+def distance_risk(boxes: BoxSet, column: MethodColumn) -> dict[str, dict[str, Any]]:
+    """Risk-coverage curve and areas by class at 10-100 m, with boxes in the order of their relative sigma.
+
+    With 1 / d as the disparity: failures are boxes without a distance or with an error above 15 %. Empty for a method
+    without sigma.
+    """
+    if not np.isfinite(column.sigma_m).any():
+        return {}
+    in_span = (boxes.distance_m >= NEAREST_M) & (boxes.distance_m <= BANDS_M[-1])
+    known = np.where(np.isfinite(column.distance_m), column.distance_m, np.nan)
+    reciprocal = MatcherColumn(1.0 / known, column.sigma_m / known**2)
+    curves = {}
+    for name in CLASSES:
+        rows = np.flatnonzero(in_span & (boxes.class_name == name))
+        if len(rows):
+            curves[name] = risk_coverage(reciprocal.select(rows), 1.0 / boxes.distance_m[rows])
+    return curves

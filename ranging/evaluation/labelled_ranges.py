@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,16 @@ from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import quoted, read_text
-from track_range.ranging.evaluation.box_evaluation import closing_figures, figures, folds
+from track_range.ranging.evaluation.box_evaluation import (
+    closing_figures,
+    distance_risk,
+    figures,
+    folds,
+    literature_metrics,
+)
 from track_range.ranging.evaluation.box_filters import filtered
 from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by, method_names
-from track_range.ranging.evaluation.distance_risk import distance_risk
-from track_range.ranging.evaluation.literature_metrics import literature_metrics
+from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
 from track_range.ranging.fitting.labelled_boxes import BoxSelection, BoxSet, box_set
 from track_range.ranging.fitting.prior_fit import STANDARD_SIZES
@@ -49,14 +54,16 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
         UsageError: an unknown method, or settings that contradict each other.
     """
     settings = _with_split(settings)
-    _check(settings)
+    names = tuple(name for name in settings.methods if name)
+    _check(settings, names)
     boxes = _boxes(settings, settings.frames)
     is_exact = settings.boxes == "labels" and settings.noise_px == 0
     if settings.fit_frames is not None:
         train = _boxes(settings, settings.fit_frames, is_exact=settings.fit_on == "labels")
+    elif settings.fit_on == "boxes" or is_exact:
+        train = boxes
     else:
-        is_same = settings.fit_on == "boxes" or is_exact
-        train = boxes if is_same else _boxes(settings, settings.frames, is_exact=True)
+        train = _boxes(settings, settings.frames, is_exact=True)
     options = MethodOptions(
         curves=settings.curves,
         is_cross_validated=settings.cross_validate,
@@ -65,7 +72,7 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
         box_sigma_px=settings.noise_px if settings.boxes == "labels" else None,
         camera_height_m=settings.camera_height_m,
     )
-    columns = measured_by(_selected(settings) or method_names(), boxes, train, options)
+    columns = measured_by(names or method_names(), boxes, train, options)
     if settings.truth == "centre":
         offset_m = centre_offset_m(boxes.class_name, boxes.xyxy_px)
         columns = {
@@ -74,14 +81,30 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
         }
     boxes = boxes.with_reference()
     methods: dict[str, Any] = {}
-    outputs = {name: filtered(boxes, column, settings.filter) for name, column in columns.items()}
-    for name, output in outputs.items():
-        scores = figures(boxes, output.column.distance_m, output.column.sigma_m)
-        closing = closing_figures(boxes, output.closing_mps) if settings.filter != "none" else {}
+    measured: dict[str, MethodColumn] = {}
+    for name, column in columns.items():
+        measured[name], closing_mps = filtered(boxes, column, settings.filter)
+        scores = figures(boxes, measured[name])
+        closing = closing_figures(boxes, closing_mps) if settings.filter != "none" else {}
         methods[name] = {class_name: {**score, **closing.get(class_name, {})} for class_name, score in scores.items()}
-    measured = {name: output.column for name, output in outputs.items()}
     return {
-        **_figures(settings, boxes, methods),
+        "labels": str(settings.labels),
+        "boxes": settings.boxes,
+        "noise_px": settings.noise_px,
+        "seed": settings.seed,
+        "filter": settings.filter,
+        "cross_validated": settings.cross_validate,
+        "same_drive": settings.same_drive,
+        "fit_on": settings.fit_on,
+        "frames": None if settings.frames is None else str(settings.frames),
+        "fit_frames": None if settings.fit_frames is None else str(settings.fit_frames),
+        "objects": settings.objects,
+        "truth": settings.truth,
+        "camera_height_m": settings.camera_height_m,
+        "n_boxes": len(boxes),
+        "n_sequences": len(boxes.sequence_names),
+        "methods": methods,
+        "notes": _notes(settings, len(boxes.sequence_names), len(list(folds(boxes)))),
         "literature": literature_metrics(boxes, measured),
         "risk_coverage": {name: curves for name, c in measured.items() if (curves := distance_risk(boxes, c))},
     }
@@ -95,13 +118,11 @@ def _boxes(settings: RangeEvaluationSettings, frames: Path | None, *, is_exact: 
         reference=settings.truth,
         velodyne=settings.velodyne,
     )
-    if is_exact:
-        return box_set(settings.labels, settings.calib, selection=selection)
     return box_set(
         settings.labels,
         settings.calib,
-        boxes=settings.boxes,
-        noise_px=settings.noise_px,
+        boxes="labels" if is_exact else settings.boxes,
+        noise_px=0.0 if is_exact else settings.noise_px,
         seed=settings.seed,
         selection=selection,
     )
@@ -118,24 +139,45 @@ def centre_offset_m(class_name: npt.NDArray[np.str_], xyxy_px: FloatArray) -> Fl
     return np.asarray(((1 - wide) * sizes[:, 2] + wide * sizes[:, 1]) / 2)
 
 
-def _selected(settings: RangeEvaluationSettings) -> tuple[str, ...]:
-    """Methods named in the settings; empty = all."""
-    return tuple(name for name in settings.methods if name)
-
-
-def _check(settings: RangeEvaluationSettings) -> None:
-    unknown = [name for name in _selected(settings) if name not in method_names()]
-    if unknown:
-        raise UsageError(f"--method {','.join(unknown)}: expected methods from {', '.join(method_names())}.")
-    if settings.boxes != "labels" and not (settings.boxes.startswith("rrc:") and settings.boxes != "rrc:"):
-        raise UsageError(f"--boxes {settings.boxes}: expected labels or rrc:DIR.")
-    if (settings.cross_validate or settings.same_drive) and settings.curves is not None:
-        raise UsageError(
-            "--curves: not allowed with --cross-validate or --same-drive, which fit the curves themselves."
-        )
-    if settings.cross_validate and settings.same_drive:
-        raise UsageError("--cross-validate: not allowed with --same-drive; give only one of them.")
-    _check_frames(settings)
+def _check(settings: RangeEvaluationSettings, names: Sequence[str]) -> None:
+    """UsageError for unknown methods, and for settings that contradict each other."""
+    is_fitted, fit_frames = settings.cross_validate or settings.same_drive, settings.fit_frames
+    unknown = ",".join(name for name in names if name not in method_names())
+    is_rrc = settings.boxes.startswith("rrc:") and settings.boxes != "rrc:"
+    checks = (
+        (not unknown, f"--method {unknown}: expected methods from {', '.join(method_names())}."),
+        (settings.boxes == "labels" or is_rrc, f"--boxes {settings.boxes}: expected labels or rrc:DIR."),
+        (
+            not is_fitted or settings.curves is None,
+            "--curves: not allowed with --cross-validate or --same-drive, which fit the curves themselves.",
+        ),
+        (
+            not (settings.cross_validate and settings.same_drive),
+            "--cross-validate: not allowed with --same-drive; give only one of them.",
+        ),
+        (
+            (settings.truth == "lidar") == (settings.velodyne is not None),
+            "expected --truth lidar with --velodyne DIR, or neither.",
+        ),
+        (
+            fit_frames is None or not (is_fitted or settings.curves),
+            "--fit-frames: not allowed with --cross-validate, --same-drive or --curves.",
+        ),
+        (
+            fit_frames is None or settings.frames is not None,
+            "--fit-frames: expected --frames with other frames, which are evaluated.",
+        ),
+    )
+    for is_met, message in checks:
+        if not is_met:
+            raise UsageError(message)
+    if fit_frames is not None and settings.frames is not None:
+        lists = (fit_frames, settings.frames)
+        fitted, evaluated = (set(read_text(path, LabelFileError, "a list of frames").split()) for path in lists)
+        if common := sorted(fitted & evaluated):
+            raise UsageError(
+                f"--fit-frames {fit_frames}: expected frames that are not in --frames, got {quoted(common[0])}."
+            )
 
 
 def _with_split(settings: RangeEvaluationSettings) -> RangeEvaluationSettings:
@@ -154,46 +196,6 @@ def _with_split(settings: RangeEvaluationSettings) -> RangeEvaluationSettings:
     raise UsageError(
         f"--split {settings.split}: expected train.txt and val.txt in {folders[0]}, found none; give their folder."
     )
-
-
-def _check_frames(settings: RangeEvaluationSettings) -> None:
-    if (settings.truth == "lidar") != (settings.velodyne is not None):
-        raise UsageError("expected --truth lidar with --velodyne DIR, or neither.")
-    if settings.fit_frames is None:
-        return
-    if settings.cross_validate or settings.same_drive or settings.curves is not None:
-        raise UsageError("--fit-frames: not allowed with --cross-validate, --same-drive or --curves.")
-    if settings.frames is None:
-        raise UsageError("--fit-frames: expected --frames with other frames, which are evaluated.")
-    lists = (settings.fit_frames, settings.frames)
-    fitted, evaluated = (set(read_text(path, LabelFileError, "a list of frames").split()) for path in lists)
-    if common := sorted(fitted & evaluated):
-        raise UsageError(
-            f"--fit-frames {settings.fit_frames}: expected frames that are not in --frames, got {quoted(common[0])}."
-        )
-
-
-def _figures(settings: RangeEvaluationSettings, boxes: BoxSet, methods: Mapping[str, Any]) -> dict[str, Any]:
-    n_sequences = len(boxes.sequence_names)
-    return {
-        "labels": str(settings.labels),
-        "boxes": settings.boxes,
-        "noise_px": settings.noise_px,
-        "seed": settings.seed,
-        "filter": settings.filter,
-        "cross_validated": settings.cross_validate,
-        "same_drive": settings.same_drive,
-        "fit_on": settings.fit_on,
-        "frames": None if settings.frames is None else str(settings.frames),
-        "fit_frames": None if settings.fit_frames is None else str(settings.fit_frames),
-        "objects": settings.objects,
-        "truth": settings.truth,
-        "camera_height_m": settings.camera_height_m,
-        "n_boxes": len(boxes),
-        "n_sequences": n_sequences,
-        "methods": dict(methods),
-        "notes": list(_notes(settings, n_sequences, len(list(folds(boxes))))),
-    }
 
 
 def _notes(settings: RangeEvaluationSettings, n_sequences: int, n_folds: int) -> list[str]:

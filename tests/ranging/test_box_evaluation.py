@@ -26,7 +26,7 @@ def test_figures_by_hand(box_set_of, row):
     """Cars at 8, 25, 40 and 60 m with errors of -25, +10, -10 and 0 %; sigma is 10 % of the true distance."""
     true_m = np.array([8.0, 25.0, 40.0, 60.0])
     boxes = box_set_of(a=[row(k, 0, "Car", d, x_m=12.0 * (k == 3)) for k, d in enumerate(true_m)])
-    car = figures(boxes, np.array([6.0, 27.5, 36.0, 60.0]), 0.11 * true_m)["car"]
+    car = figures(boxes, MethodColumn(np.array([6.0, 27.5, 36.0, 60.0]), 0.11 * true_m))["car"]
     assert (car["n"], car["n_tracks"], car["coverage"]) == (3, 1, 1.0)
     assert car["mean_relative_error_pct"] == pytest.approx(20 / 3, abs=1e-3)  # over 10-100 m, without the first
     assert car["median_relative_error_pct"] == pytest.approx(10.0, abs=1e-3)
@@ -41,7 +41,9 @@ def test_figures_by_hand(box_set_of, row):
 
 def test_classes_in_order_and_unmeasured_boxes(box_set_of, row):
     boxes = box_set_of(a=[row(0, 0, "Cyclist", 20.0), row(0, 1, "Van", 30.0, x_m=4), row(0, 2, "Van", 40.0, x_m=-6)])
-    by_class = figures(boxes, np.where(boxes.distance_m > 35, np.nan, boxes.distance_m))
+    by_class = figures(
+        boxes, MethodColumn(np.where(boxes.distance_m > 35, np.nan, boxes.distance_m), np.full(len(boxes), np.nan))
+    )
     assert list(by_class) == ["van", "bicycle"]
     assert (by_class["van"]["n"], by_class["van"]["coverage"]) == (1, 0.5)
     assert by_class["van"]["within_1_sigma"] is None

@@ -74,17 +74,17 @@ def test_paper_filter_by_hand(tmp_path, row, drives):
     """Q = R = P0 = 0.1: gains 2/3, then 5/8; with V unknown the filter lags behind an approaching car."""
     boxes = approaching(tmp_path, row, drives, n=3)
     z = np.array([10.0, 13.0, 9.0, 10.0, 13.0, 9.0])
-    result = filtered(boxes, MethodColumn(z, 0 * z + 1), "paper")
+    column, closing_mps = filtered(boxes, MethodColumn(z, 0 * z + 1), "paper")
     first, second, third = 10.0, 10.0 + 2 / 3 * 3.0, 12.0 + 5 / 8 * (9.0 - 12.0)
-    assert result.column.distance_m == pytest.approx([first, second, third] * 2)  # each drive has its own filter
-    assert result.closing_mps[1] == pytest.approx(-2.0 / FRAME_STEP_S)
-    assert filtered(boxes, MethodColumn(z, z), "none").column.distance_m is z
+    assert column.distance_m == pytest.approx([first, second, third] * 2)  # each drive has its own filter
+    assert closing_mps[1] == pytest.approx(-2.0 / FRAME_STEP_S)
+    assert filtered(boxes, MethodColumn(z, z), "none")[0].distance_m is z
 
 
 def test_filters_bridge_gaps_and_restart(tmp_path, row, drives):
     boxes = box_set(*drives(tmp_path, {"a": [row(k, 1, "Car", 20.0) for k in (0, 1, 2, 20)]}))
     z = np.array([20.0, np.nan, 21.0, 30.0])
-    paper = filtered(boxes, MethodColumn(z, z / 10), "paper").column.distance_m
+    paper = filtered(boxes, MethodColumn(z, z / 10), "paper")[0].distance_m
     third = 20.0 + (21.0 - 20.0) * 0.3 / 0.4  # P = 0.1 + 2 Q, R = 0.1
     assert paper == pytest.approx([20.0, 20.0, third, 30.0])
 
@@ -93,12 +93,12 @@ def test_default_filter_estimates_closing_speed(tmp_path, row, drives):
     boxes = approaching(tmp_path, row, drives)
     rng = np.random.default_rng(1)
     noisy = boxes.distance_m * (1 + rng.normal(0, 0.03, len(boxes)))
-    result = filtered(boxes, MethodColumn(noisy, 0.05 * noisy), "default")
+    column, closing_mps = filtered(boxes, MethodColumn(noisy, 0.05 * noisy), "default")
     late = slice(30, 60)
-    smooth = np.abs(result.column.distance_m / boxes.distance_m - 1)[late].mean()
+    smooth = np.abs(column.distance_m / boxes.distance_m - 1)[late].mean()
     assert 0.0 < smooth < 0.7 * np.abs(noisy / boxes.distance_m - 1)[late].mean()
-    assert np.nanmedian(result.closing_mps[late]) == pytest.approx(8.0, abs=1.5)
-    assert (result.column.sigma_m[late] > 0).all()
-    untold = filtered(boxes, MethodColumn(noisy, np.full(len(boxes), np.nan)), "default")
-    assert np.isfinite(untold.column.distance_m).any()
-    assert np.isnan(untold.column.sigma_m).all()
+    assert np.nanmedian(closing_mps[late]) == pytest.approx(8.0, abs=1.5)
+    assert (column.sigma_m[late] > 0).all()
+    untold, _ = filtered(boxes, MethodColumn(noisy, np.full(len(boxes), np.nan)), "default")
+    assert np.isfinite(untold.distance_m).any()
+    assert np.isnan(untold.sigma_m).all()

@@ -8,9 +8,9 @@ import pytest
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import read_kitti, read_kitti_image
 from track_range.foundation.errors import UsageError
+from track_range.ranging.evaluation.box_evaluation import metrics
 from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by
 from track_range.ranging.evaluation.labelled_ranges import centre_offset_m, evaluate_ranges
-from track_range.ranging.evaluation.literature_metrics import metrics
 from track_range.ranging.evaluation.reference_distance import lidar_distance_m, read_lidar
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
 from track_range.ranging.fitting.labelled_boxes import BoxSelection, box_set

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.ranging.evaluation.paper_filter import PaperFilter
+from track_range.ranging.evaluation.box_filters import PaperFilter
 from track_range.ranging.ranges import Ranges
 
 

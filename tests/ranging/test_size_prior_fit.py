@@ -126,9 +126,9 @@ def test_cross_validated_error_on_kitti(kitti, noise_px):
     """Two-sided bounds of the errors: smaller ones would also be a bug."""
     boxes = kitti.with_noise(noise_px, seed=0) if noise_px else kitti
     plain = measured_by(("inverse-height", "log-linear", "height-5"), boxes, kitti)
-    plain = {name: figures(boxes, column.distance_m) for name, column in plain.items()}
+    plain = {name: figures(boxes, column) for name, column in plain.items()}
     column = cross_validated(boxes, kitti, size_fitter(MONO, MethodOptions(box_sigma_px=noise_px)))
-    mono = figures(boxes, column.distance_m, column.sigma_m)
+    mono = figures(boxes, column)
     key = "mean_relative_error_pct"
     for kind, fraction, least in (("car", 0.9, 4.0), ("person", 0.9, 3.4), ("bicycle", 0.95, 2.0)):
         best = min(rows[kind][key] for rows in plain.values())
