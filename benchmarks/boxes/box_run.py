@@ -19,12 +19,10 @@ from benchmarks.boxes.box_drive import BoxDrive, BoxFrame
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, Image, IntArray
-from track_range.pipeline.detection_stage import Detected, DetectionStage
-from track_range.pipeline.ego_stage import EgoStage
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.ranging_stage import RangingStage
 from track_range.pipeline.stage_clock import StageClock
+from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, RangingStage
 from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.method import MethodContext
 from track_range.ranging.methods.patch_stereo import STEREO

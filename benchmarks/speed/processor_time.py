@@ -31,7 +31,7 @@ from track_range.foundation.prefetch import ClosableQueue
 from track_range.foundation.processes import tuned_process
 from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.pipeline.frame_pipeline import FramePipeline
-from track_range.pipeline.ranging_stage import RangingStage
+from track_range.pipeline.stages import RangingStage
 from track_range.recording.files import video_file
 from track_range.recording.pairs.pair_monitor import PairMonitor, SyncMonitor
 from track_range.results.events.finder import EventFinder

@@ -113,10 +113,7 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
 def _boxes(settings: RangeEvaluationSettings, frames: Path | None, *, is_exact: bool = False) -> BoxSet:
     """Boxes of the listed frames, all if None: those of the settings, or the labelled ones if `is_exact`."""
     selection = BoxSelection(
-        frames=frames,
-        has_all_objects=settings.objects == "all",
-        reference=settings.truth,
-        velodyne=settings.velodyne,
+        frames=frames, has_all_objects=settings.objects == "all", reference=settings.truth, velodyne=settings.velodyne
     )
     return box_set(
         settings.labels,

@@ -47,8 +47,7 @@ from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.ranger import Measured, Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
-from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES
-from track_range.ranging.size_models.surface_offset import surface_offset_m
+from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.road_horizon import RoadView, curvature_fraction, unknown_curvature_variance
@@ -451,12 +450,7 @@ def _create(context: MethodContext) -> Ranger:
     settings = replace(settings, has_visible_boxes=context.has_visible_boxes)
     if box_sigma_px is not None:
         settings = replace(settings, box_sigma_px=box_sigma_px)
-    return GroundRanger(
-        context.camera,
-        settings,
-        is_reference=height_m is not None,
-        has_stereo=context.rig is not None,
-    )
+    return GroundRanger(context.camera, settings, is_reference=height_m is not None, has_stereo=context.rig is not None)
 
 
 GROUND = RangingMethod(

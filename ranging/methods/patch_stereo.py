@@ -43,11 +43,7 @@ class StereoRanger(Ranger):
     """
 
     def __init__(
-        self,
-        rig: StereoRig,
-        matcher: BoxMatcher | None = None,
-        *,
-        alignment: AlignmentSource | None = None,
+        self, rig: StereoRig, matcher: BoxMatcher | None = None, *, alignment: AlignmentSource | None = None
     ) -> None:
         """Create a ranger for a rectified rig.
 

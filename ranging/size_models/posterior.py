@@ -15,6 +15,7 @@ type that is likely enough widens it, an unlikely one does not.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -69,35 +70,45 @@ def mixture_by_size(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_
     `body` (M, N) are the possible body types of each box, `log_fraction` (M, N) their log probabilities; `IMPOSSIBLE` =
     excluded.
     """
-    terms, n = _terms(tables, boxes, body, log_fraction), len(boxes)
-    n_terms = min(N_TERMS, terms.shape[1])
-    best = np.argpartition(-terms[0].T, n_terms - 1, axis=1)[:, :n_terms]
+    packed, n = _packed_terms(tables, boxes, body, log_fraction), len(boxes)
+    n_all = packed.shape[1]
+    n_terms = min(N_TERMS, n_all)
+    best = np.argpartition(-_Terms._make(packed).log_weight.T, n_terms - 1, axis=1)[:, :n_terms]
     index = best * n + np.arange(n)[:, None]
-    log_weight, mean, variance, noise_variance, log_contact_ratio, chi2 = (
-        terms.reshape(len(terms), -1).take(index, axis=1).astype(np.float64)
-    )
-    weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
+    terms = _Terms._make(packed.reshape(len(packed), -1).take(index, axis=1).astype(np.float64))
+    weight = np.exp(terms.log_weight - terms.log_weight.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
     return SizeMixture(
-        mean=mean,
-        variance=variance,
+        mean=terms.mean,
+        variance=terms.variance,
         weight=weight,
-        frame_variance=np.vecdot(weight, noise_variance),
-        log_contact_ratio=np.vecdot(weight, log_contact_ratio),
-        body=(np.arange(terms.shape[1]) % len(body)).take(best),
-        chi2=chi2.min(axis=1),
+        frame_variance=np.vecdot(weight, terms.noise_variance),
+        log_contact_ratio=np.vecdot(weight, terms.log_contact_ratio),
+        body=(np.arange(n_all) % len(body)).take(best),
+        chi2=terms.chi2.min(axis=1),
     )
 
 
 def log_evidence(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray) -> FloatArray:
     """(N,) log likelihood of log height and log width of N boxes, up to a constant per box; arguments as above."""
-    log_weight = _terms(tables, boxes, body, log_fraction)[0].astype(np.float64)
+    log_weight = _Terms._make(_packed_terms(tables, boxes, body, log_fraction)).log_weight.astype(np.float64)
     largest = log_weight.max(axis=0)
     return np.asarray(largest + np.log(np.exp(log_weight - largest).sum(axis=0)))
 
 
-def _terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray) -> _Float32:
-    """(6, K M, N) log weight, mean, variance, variance due to box noise, log contact ratio, chi^2 of the Gaussians.
+class _Terms(NamedTuple):
+    """Gaussians of log d, arrays of equal shape: the rows of one packed array, so that one `take` selects the best."""
+
+    log_weight: FloatArray
+    mean: FloatArray
+    variance: FloatArray
+    noise_variance: FloatArray  # part of the variance due to box noise
+    log_contact_ratio: FloatArray
+    chi2: FloatArray
+
+
+def _packed_terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray) -> _Float32:
+    """(6, K M, N) the `_Terms` of all Gaussians of N boxes.
 
     With x = log d - log_m, slopes s of the log size at the node, V = S + R and prior x ~ N(x0, 1 / p0), the log size
     relative to the node is e = s x + N(0, V). Completing the square gives one Gaussian for x:
@@ -121,9 +132,9 @@ def _terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction:
 
     x0, p0 = (mean_log_m - log_m).astype(np.float32), precision.astype(np.float32)
     R = noise.astype(np.float32)[:, None, None]
-    e = scaled.astype(np.float32)[:, None] - nodes[:2] - bearing_step.astype(np.float32) * nodes[4:6]
-    s, (b, log_contact_ratio, log_weight), (e_h, e_w) = nodes[2:4], nodes[8:], e
-    V = nodes[6:8] + R
+    e = scaled.astype(np.float32)[:, None] - nodes.log_hw - bearing_step.astype(np.float32) * nodes.per_bearing
+    s, b, (e_h, e_w) = nodes.per_log_m, nodes.covariance, e
+    V = nodes.variance + R
     det = V[0] * V[1] - b * b  # |V|
     scale = 1.0 / det
     V *= scale
@@ -136,17 +147,18 @@ def _terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction:
     h = ge[0] + ge[1] + x0 * p0
     x = h * inverse
     chi2 = (c * e_h - 2 * b * e_w) * e_h + a * e_w * e_w + x0 * x0 * p0 - h * x
-    log_weight = log_weight + log_fraction.astype(np.float32)
+    log_weight = nodes.log_weight + log_fraction.astype(np.float32)
     g *= g
     g *= np.minimum(R, _MAX_NOISE)  # box noise
-    terms = np.empty((6, *b.shape), np.float32)
-    np.subtract(log_weight, 0.5 * (chi2 + np.log(p * det / p0)), out=terms[0])
-    np.add(log_m.astype(np.float32), x, out=terms[1])
-    terms[2] = inverse
-    np.multiply(g[0] + g[1], inverse * inverse, out=terms[3])
-    terms[4] = log_contact_ratio
-    np.add(chi2, 2.0 * (log_weight.max(axis=(0, 1)) - log_weight), out=terms[5])
-    return terms.reshape(len(terms), -1, len(boxes))
+    packed = np.empty((len(_Terms._fields), *b.shape), np.float32)
+    terms = _Terms._make(packed)
+    np.subtract(log_weight, 0.5 * (chi2 + np.log(p * det / p0)), out=terms.log_weight)
+    np.add(log_m.astype(np.float32), x, out=terms.mean)
+    terms.variance[:] = inverse
+    np.multiply(g[0] + g[1], inverse * inverse, out=terms.noise_variance)
+    terms.log_contact_ratio[:] = nodes.log_contact_ratio
+    np.add(chi2, 2.0 * (log_weight.max(axis=(0, 1)) - log_weight), out=terms.chi2)
+    return packed.reshape(len(packed), -1, len(boxes))
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,8 +38,9 @@ _BEARINGS = np.arange(21) * _BEARING_STEP  # tangent of the bearing of the nodes
 _LOG_STEP = 0.1  # spacing of the nodes in log distance
 _LOG_M = np.arange(np.log(4.0), np.log(250.0), _LOG_STEP)  # log distance of the nodes, from 4 to 250 m
 NODE_RANGE = float(_LOG_M[0]), float(_LOG_M[-1])  # smallest and largest log distance of the nodes
-N_NODE_VALUES = 11  # number of values per node, in the order given by `ShapeTables.at`
+_N_NODE_VALUES = 11  # number of values per node, in the order given by `Nodes`
 _SIZE_STEP = 0.02  # step of the numerical derivatives in log size
+_Float32 = npt.NDArray[np.float32]
 _Log = Annotated[Number, Field(ge=-100, le=100)]  # logarithm in a file; larger values overflow
 
 _Correlation = Annotated[Number, Field(ge=-1, le=1)]
@@ -113,6 +114,21 @@ class SizePrior(BodySizes):
         return ""
 
 
+class Nodes(NamedTuple):
+    """Values at the nodes nearest to N boxes, for K yaw bins and M body types each.
+
+    The tables hold the 11 values of a node side by side, in this order, so that one look-up reads them all.
+    """
+
+    log_hw: _Float32  # (2, K, M, N) log height and log width
+    per_log_m: _Float32  # (2, K, M, N) their slopes in log distance
+    per_bearing: _Float32  # (2, K, M, N) their slopes in bearing
+    variance: _Float32  # (2, K, M, N) their variances, from sizes and scatter
+    covariance: _Float32  # (K, M, N) their covariance
+    log_contact_ratio: _Float32  # (K, M, N) log of the distance divided by that of the nearest point on the ground
+    log_weight: _Float32  # (K, M, N) log weight of the yaw bin
+
+
 class ShapeTables:
     """Boxes of all body types at nodes of yaw, bearing and log distance, as values with slopes.
 
@@ -136,28 +152,18 @@ class ShapeTables:
             [(np.log(sizes.hwl_m[0]), p.log_distance[0], p.log_distance[1] ** -2) for _, p, _, sizes in types]
         ).T
 
-    def at(
-        self, body: IntArray, bearing: FloatArray, log_m: FloatArray
-    ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.float32]]:
-        """The nodes nearest to the bearing and log distance of N boxes, for M body types each.
+    def at(self, body: IntArray, bearing: FloatArray, log_m: FloatArray) -> tuple[FloatArray, FloatArray, Nodes]:
+        """Bearing (N,) and log distance (M, N) of N boxes of M body types relative to the nearest nodes, and these.
 
-        Args:
-            body: (M, N) body types.
-            bearing: (N,) |tan bearing|.
-            log_m: (M, N) log distance within `NODE_RANGE`.
-
-        Returns:
-            (N,) bearing minus that of the node, (M, N) log distance minus that of the node, and (11, K, M, N) values of
-            K yaw bins: log height and log width, their slopes in log distance, their slopes in bearing, their variances
-            and their covariance (from sizes and scatter), log of the distance divided by that of the nearest point on
-            the ground, log weight of the yaw bin.
+        `bearing` (N,) is |tan bearing|, `log_m` (M, N) within `NODE_RANGE`.
         """
         b = np.minimum((bearing / _BEARING_STEP + 0.5).astype(np.int64), len(_BEARINGS) - 1)
         d = ((log_m - _LOG_M[0]) / _LOG_STEP + 0.5).astype(np.int64)
         bearing_step = np.minimum(bearing - b * _BEARING_STEP, _BEARING_STEP)
         nodes = self._nodes.take((body * len(_BEARINGS) + b) * len(_LOG_M) + d, axis=0)
         nodes = np.ascontiguousarray(nodes.reshape(log_m.size, -1).T)
-        return bearing_step, log_m - _LOG_M[d], nodes.reshape(N_NODE_VALUES, len(_YAW_RAD), *log_m.shape)
+        v = nodes.reshape(_N_NODE_VALUES, len(_YAW_RAD), *log_m.shape)
+        return bearing_step, log_m - _LOG_M[d], Nodes(v[:2], v[2:4], v[4:6], v[6:8], *v[8:])
 
 
 @lru_cache(maxsize=4 * len(SIZE_CLASSES))
@@ -165,11 +171,7 @@ def _nodes(prior: SizePrior, sizes: BodySizes) -> Floats:
     """(bearings, distances, 11, yaw bins) node values of one body type; read-only, since equal priors share them."""
     bearing, log_m, yaw = (axis.astype(np.float32) for axis in np.ix_(_BEARINGS, _LOG_M, _YAW_RAD))
     box_for = partial(
-        box_of_cuboid,
-        yaw_rad=yaw,
-        bearing=bearing,
-        distance_m=np.exp(log_m),
-        camera_height_m=NODE_CAMERA_HEIGHT_M,
+        box_of_cuboid, yaw_rad=yaw, bearing=bearing, distance_m=np.exp(log_m), camera_height_m=NODE_CAMERA_HEIGHT_M
     )
     mean = np.log(sizes.hwl_m).astype(np.float32)
     typical = box_for(mean)

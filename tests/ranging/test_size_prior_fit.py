@@ -102,7 +102,7 @@ def test_tables_interpolate_the_geometry():
     rng = np.random.default_rng(1)
     bearing, log_m = rng.uniform(0, 0.6, 50), rng.uniform(np.log(8), np.log(90), 50)
     off, step, nodes = tables.at(np.zeros(50, np.int64), bearing, log_m)
-    seen = nodes[0] + step * nodes[2] + off * nodes[4]
+    seen = nodes.log_hw[0] + step * nodes.per_log_m[0] + off * nodes.per_bearing[0]
     for k, turn in enumerate(np.radians(YAW_DEG)):
         box = box_of_cuboid(
             np.log(prior.hwl_m),
@@ -112,7 +112,7 @@ def test_tables_interpolate_the_geometry():
             camera_height_m=1.65,
         )
         np.testing.assert_allclose(seen[k], box.log_height, atol=0.02)
-        np.testing.assert_allclose(nodes[9][k] - log_m, box.log_inverse_depth, atol=0.1)
+        np.testing.assert_allclose(nodes.log_contact_ratio[k] - log_m, box.log_inverse_depth, atol=0.1)
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.pipeline.detection_stage import Detected, DetectionStage
-from track_range.pipeline.ego_stage import EgoStage
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.ranging_stage import RangingStage
 from track_range.pipeline.stage_clock import StageClock
+from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, RangingStage
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralFilters, passing_offsets
 from track_range.ranging.fusion.fusion import Fusion

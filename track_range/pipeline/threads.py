@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from track_range.foundation.prefetch import prefetch
-from track_range.pipeline.detection_stage import Detected, Prepared
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
+from track_range.pipeline.stages import Detected, Prepared
 from track_range.stereo.geometry.frames import Frame
 
 _T = TypeVar("_T")

@@ -10,10 +10,8 @@ from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.foundation.sparse_flow import BackgroundFlow
-from track_range.pipeline.detection_stage import DetectionStage
-from track_range.pipeline.ego_stage import EgoStage
 from track_range.pipeline.frame_pipeline import FramePipeline
-from track_range.pipeline.ranging_stage import RangingStage
+from track_range.pipeline.stages import DetectionStage, EgoStage, RangingStage
 from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.method import MethodContext
 from track_range.ranging.methods.ground_plane import GroundSettings

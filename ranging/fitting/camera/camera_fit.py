@@ -32,21 +32,15 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.ranging.fitting.camera.measurements import (
-    FocalGuess,
-    HorizonRow,
-    KnownLane,
-    KnownObject,
-    SceneBoxes,
-)
+from track_range.ranging.fitting.camera.measurements import FocalGuess, HorizonRow, KnownLane, KnownObject, SceneBoxes
 from track_range.ranging.size_models.size_model import (
     BORDER_PX,
     SIZE_CLASSES,
     BoxNoise,
     SizeModel,
     measured_boxes,
+    surface_offset_m,
 )
-from track_range.ranging.size_models.surface_offset import surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 
 _Real = TypeVar("_Real", float, FloatArray)

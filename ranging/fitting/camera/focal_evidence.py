@@ -29,12 +29,7 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.fitting.camera.measurements import FocalGuess, SceneBoxes
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
-from track_range.ranging.size_models.size_model import (
-    BORDER_PX,
-    SIZE_CLASSES,
-    BoxNoise,
-    measured_boxes,
-)
+from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES, BoxNoise, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera
 
 DEFAULT_FIELD_DEG = 75.0

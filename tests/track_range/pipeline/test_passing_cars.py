@@ -6,10 +6,9 @@ import numpy as np
 
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.pipeline.detection_stage import DetectionStage
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.ranging_stage import RangingStage
+from track_range.pipeline.stages import DetectionStage, RangingStage
 from track_range.pipeline.threads import run_in_threads
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges

@@ -6,9 +6,8 @@ import pytest
 from track_range.detection.detections import Detections
 from track_range.detection.detector import DetectorError
 from track_range.detection.lanes.lines import LaneLine, LaneLines
-from track_range.pipeline.detection_stage import DetectionStage
 from track_range.pipeline.frame_pipeline import FramePipeline
-from track_range.pipeline.ranging_stage import RangingStage
+from track_range.pipeline.stages import DetectionStage, RangingStage
 from track_range.pipeline.threads import run_in_threads
 from track_range.ranging.method import MethodError
 from track_range.ranging.methods.ground_plane import GroundRanger

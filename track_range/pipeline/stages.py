@@ -1,0 +1,210 @@
+"""Stages of the pipeline: DetectionStage, EgoStage and RangingStage.
+
+Detection has two steps, which threads may overlap.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+from track_range.detection.detections import Detections
+from track_range.detection.lanes.lines import LaneFinder, LaneLines
+from track_range.foundation.arrays import FloatArray, FloatArray32
+from track_range.pipeline.stage_clock import StageClock
+from track_range.ranging.ego_speed import EgoSpeed
+from track_range.ranging.method import checked_ranges
+from track_range.ranging.ranger import Ranger
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.registry import methods
+from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.camera_height import CameraHeight
+from track_range.stereo.odometry.ego_motion import CameraStep, EgoMotion, Odometry
+from track_range.stereo.odometry.ground_odometry import GroundOdometry
+from track_range.stereo.odometry.image_motion import ImageMotionEstimator
+from track_range.stereo.odometry.road_horizon import RoadView
+from track_range.tracking.tracks import Tracks
+
+_LANE_INTERVAL_S = 0.09
+"""Minimum time in seconds between two detections of lane lines; lanes change slowly, and detection is expensive."""
+
+
+class Prepared(NamedTuple):
+    """A frame with its lane lines, and the function that detects its boxes."""
+
+    frame: Frame
+    lanes: LaneLines | None
+    detect: Callable[[], Detections]
+
+
+class Detected(NamedTuple):
+    """A frame with its lane lines and boxes; `candidates` are all boxes, None = not needed."""
+
+    frame: Frame
+    lanes: LaneLines | None
+    detections: Detections
+    candidates: Detections | None = None
+
+
+@dataclass(slots=True, kw_only=True)
+class DetectionStage:
+    """First stage of the pipeline."""
+
+    detect: Callable[[Frame], Detections]  # returns the boxes of a frame
+    # does what `detect` does before the network runs, and returns a function that does the rest, which another thread
+    # may call; None = `detect` does all
+    prepare: Callable[[Frame], Callable[[], Detections]] | None = None
+    # returns all boxes of the frame of the latest detection; None = not needed
+    candidates: Callable[[Frame], Detections] | None = None
+    # detects the lines of the ego lane, about ten times per second; the last lines are used in between. None = off.
+    lane_finder: LaneFinder | None = None
+    _lanes: LaneLines | None = None
+    _lanes_due_s: float = -math.inf
+
+    def prepared(self, frame: Frame, clock: StageClock) -> Prepared:
+        """The frame in the network's input, with its lane lines."""
+        if self.lane_finder is not None and frame.time_s >= self._lanes_due_s:
+            with clock.stage("lanes"):
+                self._lanes = self.lane_finder.find(frame.left, frame.time_s)
+            self._lanes_due_s = frame.time_s + _LANE_INTERVAL_S
+        start_s = time.thread_time()
+        detect = partial(self.detect, frame) if self.prepare is None else self.prepare(frame)
+        clock.add("detect", time.thread_time() - start_s)
+        return Prepared(frame, self._lanes, detect)
+
+    def detected(self, prepared: Prepared, clock: StageClock) -> Detected:
+        """The frame with its boxes."""
+        frame, lanes, detect = prepared
+        with clock.stage("detect"):
+            detections = detect()
+            return Detected(frame, lanes, detections, None if self.candidates is None else self.candidates(frame))
+
+
+class Ego(NamedTuple):
+    """What a frame shows of the camera's own motion."""
+
+    motion: EgoMotion  # speed and yaw rate, NaN = unknown
+    road: RoadView | None = None  # the road in the frame, lengths in metres; None = unknown
+    step: CameraStep | None = None  # motion of the camera since the previous frame; None = unknown
+
+
+@dataclass(slots=True, kw_only=True)
+class EgoStage:
+    """Measures `Ego` frame by frame."""
+
+    speed: EgoSpeed | None = None  # speed of the camera from telemetry or a setting; None = unknown
+    odometry: Odometry | None = None  # measures the motion of the camera, where `speed` is None; None = off
+    # measures the horizon of the road and the yaw rate of the camera; None = off
+    road_motion: GroundOdometry | None = None
+    # measures the camera height from a known speed; None = it is known, or no speed is
+    camera_height: CameraHeight | None = None
+    # yaw rate of the camera, for the path of the ego vehicle, without `road_motion`; None = unknown
+    image_motion: ImageMotionEstimator | None = None
+
+    def update(self, frame: Frame, xyxy_px: FloatArray, clock: StageClock, known: EgoMotion | None = None) -> Ego:
+        """The motion to the next frame; frames must be passed in order.
+
+        Args:
+            frame: the images.
+            xyxy_px: (N, 4) boxes of road users, which are not static.
+            clock: takes the time of what is measured from the images.
+            known: speed of the camera that is known for this frame only; None = as the stage measures it.
+        """
+        uses_images = not (self.road_motion is None and self.odometry is None and self.image_motion is None)
+        with clock.stage("motion") if uses_images else nullcontext():
+            if self.road_motion is not None:
+                self.road_motion.update(frame, xyxy_px)
+            motion = self._motion(frame, xyxy_px, known)
+        road = self.road_motion
+        if road is None or not road.has_horizon:
+            return Ego(motion)
+        view = road.view
+        if self.camera_height is not None:
+            self.camera_height.update(frame.time_s, motion, road.ego)
+            if (height_m := self.camera_height.height_m) is not None:
+                view = replace(view.scaled(height_m[0] / road.height_m), height_m=height_m)
+        return Ego(motion, view, road.step(motion))
+
+    def _motion(self, frame: Frame, xyxy_px: FloatArray, known: EgoMotion | None) -> EgoMotion:
+        """Speed and yaw rate of the camera, NaN = unknown."""
+        if self.odometry is not None:
+            measured = self.odometry.update(frame, xyxy_px)
+            if known is None:
+                return measured
+            return replace(known, yaw_rad_s=measured.yaw_rad_s, is_still=measured.is_still)
+        motion = known or EgoMotion()
+        if known is None and self.speed is not None:
+            motion = EgoMotion(self.speed.at(frame.time_s), self.speed.sigma_at(frame.time_s))
+        if self.road_motion is not None:
+            return replace(motion, yaw_rad_s=self.road_motion.motion.yaw_rad_s)
+        if self.image_motion is not None:
+            yaw_rad_s = self.image_motion.update(frame.left, frame.time_s, xyxy_px).yaw_rad_s
+            return replace(motion, yaw_rad_s=yaw_rad_s)
+        return motion
+
+
+@dataclass(slots=True)
+class RangingStage:
+    """The ranging methods by name, in the order of execution (`ranging.registry.create_rangers`)."""
+
+    rangers: Mapping[str, Ranger]
+    _reads: Mapping[str, tuple[str, ...]] = field(
+        default_factory=lambda: {method.name: method.reads for method in methods()}
+    )
+    _lanes: LaneLines | None = None
+
+    def start(self, frame: Frame) -> None:
+        """Start the methods that work in the background, before the tracks are known."""
+        for ranger in self.rangers.values():
+            ranger.start(frame)
+
+    def measure(
+        self, tracks: Tracks, frame: Frame, lanes: LaneLines | None, ego: Ego, scale: DriveScale, clock: StageClock
+    ) -> tuple[dict[str, Ranges], list[ScaleEvidence]]:
+        """Distances of the tracks by method, and the evidence of the methods about the scale of the drive.
+
+        Raises:
+            MethodError: a ranger of another package did not return ranges of these tracks.
+        """
+        ranges: dict[str, Ranges] = {}
+        evidence: list[ScaleEvidence] = []
+        for name, ranger in self.rangers.items():
+            others = {other: ranges[other] for other in self._reads.get(name, ()) if other in ranges}
+            with clock.stage(name):
+                if ego.road is not None:
+                    ranger.update_road(ego.road)
+                if ego.step is not None:
+                    ranger.update_motion(ego.step)
+                if lanes is not None and lanes is not self._lanes:
+                    ranger.update_lanes(lanes)
+                measured = ranger.measure_at_scale(tracks, frame, others, scale)
+                ranges[name] = checked_ranges(name, measured.ranges, tracks)
+            if measured.evidence is not None:
+                evidence.append(measured.evidence)
+        self._lanes = lanes
+        return ranges, evidence
+
+    @property
+    def disparity(self) -> FloatArray32 | None:
+        """(H, W) disparities of the last frame; None = dense stereo did not run."""
+        return next((ranger.disparity for ranger in self.rangers.values() if ranger.disparity is not None), None)
+
+    def notes(self) -> tuple[str, ...]:
+        """Notes of the methods for the user, at the end."""
+        return tuple(note for ranger in self.rangers.values() for note in ranger.notes)
+
+    def summary(self) -> dict[str, Any]:
+        """Entries of the methods for summary.json."""
+        return {key: value for ranger in self.rangers.values() for key, value in ranger.summary().items()}
+
+    def close(self, clock: StageClock) -> None:
+        """End the methods' threads, and add their time to the clock."""
+        for name, ranger in self.rangers.items():
+            ranger.close()
+            clock.add(name, ranger.background_s)
