@@ -53,8 +53,7 @@ class EgoSpeedError(UserError):
 class EgoSpeed:
     """Samples of the camera's speed."""
 
-    # (N,) increasing, seconds from the video's first frame; a single sample at -inf is a constant speed
-    time_s: FloatArray
+    time_s: FloatArray  # (N,) increasing, seconds from the video's first frame; a single -inf = constant speed
     speed_mps: FloatArray  # (N,) along the camera's axis, negative = backwards
     source: str  # where the samples come from, for notes
     speed_sigma_mps: float = TABLE_SIGMA_MPS  # standard deviation of the samples

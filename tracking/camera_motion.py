@@ -50,10 +50,8 @@ class CameraMotionSettings:
     max_residual_px: float = 0.5  # largest residual of an inlier, small pixels
     min_inliers: int = 12  # minimum number of inliers of a motion
     min_inlier_fraction: float = 0.4  # minimum fraction of inliers among the tracked features
-    # minimum fraction of inliers for using the similarity, with its zoom, as the motion
-    similarity_fraction: float = 0.8
-    # minimum rms distance of the features from their mean, as a fraction of the long side; below it, only t is fitted
-    min_spread: float = 0.1
+    similarity_fraction: float = 0.8  # minimum fraction of inliers for a similarity, with its zoom
+    min_spread: float = 0.1  # minimum rms spread of the features / long side; below it, only t is fitted
     max_scale: float = 1.25  # largest plausible scale; its inverse is the smallest
     max_roll_rad: float = 0.2  # largest plausible roll
     max_shift: float = 0.25  # largest plausible shift of the image centre, as a fraction of width and of height

@@ -51,8 +51,7 @@ class ConfidenceThresholdSettings:
     """Settings of the estimation of the threshold; scores and fractions are in [0, 1]."""
 
     first: float = 0.4  # initial threshold, before any box is counted
-    # persistence that a score must reach, as a fraction of that of the better half of boxes; 0 = a fixed threshold
-    min_fraction: float = 0.85
+    min_fraction: float = 0.85  # persistence to reach / that of the better half of boxes; 0 = a fixed threshold
     # lowest, highest: limits of the threshold
     lowest: float = 0.3
     highest: float = 0.9

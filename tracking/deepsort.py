@@ -48,15 +48,9 @@ _MAX_COSINE_DISTANCE_OF_FILES = 0.2
 class AppearanceSettings:
     """Gates of appearance: which detections may match a track by their embedding."""
 
-    # largest cosine distance (1 - cos) from the nearest of the track's embeddings; 0 = appearance is not used; None =
-    # the appearance model's value, 0.2 for embeddings from a file
-    max_cosine_distance: float | None = None
-    # largest squared Mahalanobis distance from the track's prediction: the chi-square gate, 99.7 % at 4 degrees of
-    # freedom
-    gating_threshold: float = 16.0
-    # largest fraction of a detection's area inside one nearer detection; beyond it, no embedding is computed, because
-    # it would resemble the occluder's
-    max_occlusion: float = 0.5
+    max_cosine_distance: float | None = None  # from the nearest embedding; 0 = off; None = the model's, 0.2 of files
+    gating_threshold: float = 16.0  # largest squared Mahalanobis distance: 99.7 % at 4 degrees of freedom
+    max_occlusion: float = 0.5  # fraction inside a nearer detection above which no embedding is computed
     nn_budget: int = 4  # embeddings per track, including the running mean
 
 
@@ -72,21 +66,14 @@ class DeepSortSettings:
     # settings of the estimated score above which a detection has high confidence and can start a track
     track_activation_threshold: ConfidenceThresholdSettings = field(default_factory=ConfidenceThresholdSettings)
     min_iou: float = 0.2  # minimum IoU of a high-confidence detection and the predicted box of a confirmed track
-    # minimum IoU of a low-confidence detection and the predicted box of a confirmed track; stricter
-    min_iou_low_confidence: float = 0.5
-    # minimum IoU of a high-confidence detection and a tentative track, both boxes widened by `tentative_margin`
-    min_iou_tentative: float = 0.3
-    # fraction of a box's size added on every side, because the speed of a new track is unknown
-    tentative_margin: float = 0.3
+    min_iou_low_confidence: float = 0.5  # the same of a low-confidence detection; stricter
+    min_iou_tentative: float = 0.3  # minimum IoU of a high-confidence detection and a tentative track, both widened
+    tentative_margin: float = 0.3  # widening / box size, because the speed of a new track is unknown
     n_init: int = 2  # detections, one per frame, that confirm a tentative track
-    # minimum sum of their scores, so that low-confidence tracks are confirmed later; not used with `n_init` = 1
-    init_score_sum: float = 1.5
-    # longest time without any detection that counts as frames skipped by the detector, not as misses: tentative tracks
-    # survive and hit streaks continue
-    max_skipped_s: float = 1.0
+    init_score_sum: float = 1.5  # minimum sum of their scores; not used with `n_init` = 1
+    max_skipped_s: float = 1.0  # longest time without any detection that is skipped frames, not misses
     max_age_s: float = 4.0  # longest time without a detection before a track is deleted
-    # largest standard deviation of a track's position before it is deleted, in heights of its box
-    max_position_sigma: float = 2.0
+    max_position_sigma: float = 2.0  # largest standard deviation of a position, in heights of the box
     score_half_life_s: float = 0.2  # time in which the score of a predicted box halves
     classes: Classes = "similar"  # which classes may be one object
     is_camera_motion_compensated: bool = True  # whether predictions move with the background, where there are images

@@ -42,10 +42,8 @@ class PredictionGates:
     min_hit_streak: int = 5  # minimum number of successive frames with a detection, up to the last one; at least 2
     min_hit_streak_visible: int = 15  # the same for a box with an occlusion below `min_occlusion`
     min_occlusion: float = 0.3  # occlusion that explains a missing box, as a fraction of its area
-    # largest median deviation of the steps, extrapolated over the missing time, in heights of the box
-    max_deviation: float = 0.1
-    # minimum distance from the image border, in heights of the box; nearer boxes are leaving the image
-    min_margin: float = 0.05
+    max_deviation: float = 0.1  # largest median deviation of the steps over the missing time, in heights of the box
+    min_margin: float = 0.05  # minimum distance from the image border, in heights of the box
 
     def __post_init__(self) -> None:
         if min(self.min_hit_streak, self.n_kept) < 2:

@@ -79,8 +79,7 @@ class BoxFilters:
 
     x: FloatArray  # (N, 4) cx, cy, w, h in px
     v: FloatArray  # (N, 4) their rates in px/s
-    # P_xx, P_xv, P_vv: (N,) covariance, equal for all four coordinates
-    P_xx: FloatArray
+    P_xx: FloatArray  # (N,) covariance, equal for all four coordinates
     P_xv: FloatArray
     P_vv: FloatArray
     height_px: FloatArray  # (N,) s, height of the last detected box, the unit of the noise

@@ -25,8 +25,7 @@ class RefinementSettings:
 
     max_gap_s: float = 1.0  # longest gap that is interpolated
     min_boxes: int = 3  # minimum number of boxes of a track; fewer are enough in a recording with fewer frames
-    # minimum mean score of a track, as a fraction of its class's track-activation threshold
-    min_score_fraction: float = 1.0
+    min_score_fraction: float = 1.0  # minimum mean score of a track / its activation threshold
 
 
 ActivationThreshold = Callable[[IntArray], FloatArray]

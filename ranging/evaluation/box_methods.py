@@ -54,8 +54,7 @@ class MethodOptions:
     curves: Path | None = None  # curve file for mono; None = the packaged one
     is_cross_validated: bool = False  # mono is fitted by cross-validation instead; plain curves always are
     is_same_drive: bool = False  # mono and plain curves are fitted to the same drive that they measure
-    # mono and plain curves are fitted to all training boxes, which are of other drives or images
-    is_held_out: bool = False
+    is_held_out: bool = False  # mono and plain curves are fitted to training boxes of other drives or images
     box_sigma_px: float | None = None  # standard deviation of one box edge; None = the noise model of a detector
     camera_height_m: float | None = None  # camera height for the ground plane; None = unknown
 

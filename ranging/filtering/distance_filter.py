@@ -65,9 +65,7 @@ class FilteredRanges:
     rate_sigma_mps: FloatArray  # (N,) standard deviation of the rate, and of the closing speed `-rate_mps`
     ttc_s: FloatArray  # (N,) time to collision, distance / closing speed; NaN = not closing, or the rate is unknown
     ttc_sigma_s: FloatArray  # (N,) standard deviation of `ttc_s`, to first order
-    # distance and rate in m and m/s, (N,) each, with the covariance of their independent errors; also where the rate is
-    # too uncertain to be reported
-    state: ConstantVelocity
+    state: ConstantVelocity  # distance and rate, (N,) each, also where the rate is too uncertain to be reported
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -84,8 +84,7 @@ _LENGTH_M, _MIN_WIDTH_M = np.array([_SIZES_M[name] for name in ROAD_CLASSES]).T
 class LateralMotion:
     """Lateral motion of N tracks relative to the camera."""
 
-    # x in m, positive = right of the camera, and u in m/s, (N,) each with their covariance; NaN = unknown
-    state: ConstantVelocity
+    state: ConstantVelocity  # x in m, positive = right, and u in m/s, (N,) each; NaN = unknown
     half_width_m: FloatArray  # (N,) half the width of the object, from its current box; NaN = unknown distance
 
 
@@ -93,8 +92,7 @@ class LateralMotion:
 class PassingOffsets:
     """Lateral offsets at which tracks will pass the camera, (N,) each; NaN = unknown."""
 
-    # offset o of the object's centre at the time of collision, positive = right of the camera
-    lateral_offset_m: FloatArray
+    lateral_offset_m: FloatArray  # offset o of the object's centre, positive = right of the camera
     sigma_m: FloatArray  # its standard deviation
     half_width_m: FloatArray  # half the width of the object, from its current box
     may_hit: BoolArray  # False if the object will pass the ego vehicle; True also if that is unknown

@@ -93,8 +93,7 @@ class BoxSet:
     size_hwl_m: FloatArray  # (N, 3) height, width, length of the 3-D box; NaN = no 3-D box
     rotation_y_rad: FloatArray  # (N,) yaw of the 3-D box; NaN = no 3-D box
     occluded: IntArray  # (N,) 0 = fully visible, 1 = partly occluded
-    # (N,) distance by the definition of the evaluation (`BoxSelection.reference`); None = `distance_m`
-    reference_m: FloatArray | None = None
+    reference_m: FloatArray | None = None  # (N,) distance by `BoxSelection.reference`; None = `distance_m`
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -156,8 +155,7 @@ class BoxSet:
 class BoxSelection:
     """Labels that are used, and their reference distance."""
 
-    # file of names of label files without .txt, one per line, such as the frames of a published split; None = all files
-    frames: Path | None = None
+    frames: Path | None = None  # file of names of label files, one per line, such as a published split; None = all
     has_all_objects: bool = False  # whether labels that are truncated, occluded or outside 5-100 m are used too
     reference: ReferenceName = "surface"  # definition of the distance (`reference_distance`)
     velodyne: Path | None = None  # folder of lidar files NAME.bin, for the reference "lidar"

@@ -34,19 +34,15 @@ class ErrorModel:
     systematic_correlation: FloatArray  # (M, M) correlation C0 of the systematic errors
     systematic_covariance: FloatArray  # (M, M, 1) products of the systematic fractions of sigma
     independent_covariance: FloatArray  # (M, M, 1) covariance of the independent errors for sigmas of 1
-    # (2, K) indices of the pairs of methods with an error correlation above 0.5 that may both be used for a track
-    similar: IntArray
-    # indices of scale references: methods declared as such, and methods with all systematic errors in common with one
-    # of them
-    reference: IntArray
+    similar: IntArray  # (2, K) pairs of methods with an error correlation above 0.5 that may both be used
+    reference: IntArray  # indices of scale references, and of methods with no other systematic errors than theirs
     is_learnt: BoolArray  # (M, 1) whether the bias of a method is estimated: all but scale references
     superseded_by: BoolArray  # (M, M) whether method i is not used for a track that method j measures
     size: IntArray  # indices of methods that depend on the size of the object's class
     matching: IntArray  # indices of methods that match two images
     contact: IntArray  # indices of methods that depend on the contact point and not on object size
     lane: IntArray  # indices of methods that depend on the width of the lane
-    # indices of methods that depend on the contact point and neither on object size nor on the lane width
-    horizon: IntArray
+    horizon: IntArray  # indices of methods that depend on the contact point only, not on size or lane width
 
     @classmethod
     def of(cls, methods: Sequence[RangingMethod]) -> ErrorModel:

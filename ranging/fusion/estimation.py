@@ -54,10 +54,8 @@ class TrackBiases:
     log_m: FloatArray  # (N,) log distance at the last measurement; NaN = never measured
     variance: FloatArray  # (N,) variance of `log_m`; NaN = never measured
     time_s: FloatArray  # (N,) time of the last measurement; NaN = never measured
-    # (N,) number of frames in which methods agreed, minus 2 for each frame with a conflict; limited
-    n_agreements: FloatArray
-    # (N,) number of frames with a conflict between methods that the track's history did not resolve
-    n_conflicts: FloatArray
+    n_agreements: FloatArray  # (N,) frames in which methods agreed, minus 2 for each with a conflict; limited
+    n_conflicts: FloatArray  # (N,) frames with a conflict that the track's history did not resolve
     reference_s: FloatArray  # (N,) time of the last measurement of a scale reference; NaN = never
 
     @classmethod

@@ -85,8 +85,7 @@ class Fused:
 
     ranges: Ranges  # distance and sigma, NaN = no method measured the track
     scale_source: IntArray  # (N,) `ScaleSource` of each distance
-    # (N,) number of frames so far with a conflict between methods that the track's history did not resolve
-    n_conflicts: IntArray
+    n_conflicts: IntArray  # (N,) frames so far with a conflict that the track's history did not resolve
 
     @property
     def condition(self) -> IntArray:

@@ -79,8 +79,7 @@ class GroundSettings:
     pitch_memory_s: float = 5.0  # time constant of the update of `pitch_sigma_rad`
     kerb_m: float = 0.08  # standard deviation of the height of contact points above the road (kerbs, camber)
     crossfall: float = 0.007  # standard deviation of the slope of the road and its surroundings to the side
-    # whether boxes end at the tyres, as a detector sees them, and not below the bumper, as projected 3-D boxes do
-    has_visible_boxes: bool = False
+    has_visible_boxes: bool = False  # boxes end at the tyres (detector), not at the bumper (projected 3-D boxes)
     box_sigma_px: float = 1.5  # standard deviation of one box edge
     max_sigma: float = 0.5  # largest relative standard deviation of a reported distance
 

@@ -36,8 +36,7 @@ class CuboidBox:
 
     log_height: Floats  # log of the box height divided by the focal length
     log_width: Floats  # log of the box width divided by the focal length
-    # log of 1 / z of the nearest point on the ground, z in metres; determines the bottom edge
-    log_inverse_depth: Floats
+    log_inverse_depth: Floats  # log of 1 / z of the nearest point on the ground; determines the bottom edge
     xz_m: _Pair  # position of the cuboid's centre, x to the right and z ahead, in metres
 
 

@@ -59,9 +59,7 @@ class SizeMixture:
     frame_variance: FloatArray  # (N,) part of the variance of log d that comes from the noise of the box
     log_contact_ratio: FloatArray  # (N,) log of the distance divided by that of the nearest point on the ground
     body: IntArray  # (N, K) index of each Gaussian's body type among the M possible ones
-    # (N,) smallest squared deviation of the box from the sizes of a body type, in units of its covariance, plus twice
-    # the log of the weight of the most likely yaw and type over that of the best one
-    chi2: FloatArray
+    chi2: FloatArray  # (N,) smallest squared deviation from a body type, in sigmas, with the prior weight
 
 
 def mixture_by_size(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray) -> SizeMixture:
@@ -167,8 +165,7 @@ class LogGrid:
 
     log_m: FloatArray  # (N, G) grid points, evenly spaced per box
     density: FloatArray  # (N, G) density, scaled to the maximum 1 per box
-    # (K, N, G) densities of the Gaussians of the mixture by size, which further evidence leaves unchanged
-    by_term: _Float32
+    by_term: _Float32  # (K, N, G) densities of the Gaussians by size, without further evidence
 
     def times(self, likelihood: FloatArray) -> LogGrid:
         """The product with the likelihood (N, G) of further evidence."""

@@ -115,9 +115,7 @@ class SizeRanges:
 
     distance_m: FloatArray  # z of the visible surface
     sigma_m: FloatArray  # standard deviation of `distance_m`
-    # systematic part of `sigma_m`, constant over a track (the size of the object); the rest is box noise, independent
-    # from frame to frame
-    sigma_systematic_m: FloatArray
+    sigma_systematic_m: FloatArray  # constant over a track (the size of the object); the rest is box noise
 
 
 class SizeModel(Protocol):

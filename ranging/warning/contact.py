@@ -41,13 +41,11 @@ class Encounter:
     """Motion of N objects relative to the ego vehicle, (N,) each; NaN = unknown."""
 
     gap: ConstantVelocity  # distance g from the front of the ego vehicle and its rate v, negative = closing
-    # object_mps, object_mps2: speed u and acceleration u' of the object along the road
-    object_mps: FloatArray
+    object_mps: FloatArray  # speed u, and acceleration u', of the object along the road
     object_mps2: FloatArray
     object_stop_s: FloatArray  # t_u, time at which it stops; inf = not, or its speed is unknown
     acceleration_sigma_mps2: FloatArray  # standard deviation of the relative acceleration, sqrt(P_aa)
-    # ego_mps, ego_mps2, ego_stop_s: the same for the ego vehicle, V, V' and t_V
-    ego_mps: float
+    ego_mps: float  # V, V' and t_V of the ego vehicle
     ego_mps2: float
     ego_stop_s: float
     offset: ConstantVelocity  # lateral offset o of the object's centre from the ego path and its rate

@@ -48,8 +48,7 @@ class FramePipeline:
     tracker: ObjectTracker  # assigns identities to boxes
     ranging: RangingStage  # the ranging methods
     ego: EgoStage = field(default_factory=EgoStage)  # motion of the camera and the road
-    # scale of the drive, from the evidence of the frames so far; the methods get it with the next frame
-    scale: DriveScale = field(default_factory=DriveScale)
+    scale: DriveScale = field(default_factory=DriveScale)  # from the frames so far; used with the next one
     # collision warning; None = neither warnings nor times to collision, since the vehicle does not drive along the
     # camera's axis
     warning: CollisionWarning | None = field(default_factory=CollisionWarning)

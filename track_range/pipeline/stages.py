@@ -60,10 +60,8 @@ class DetectionStage:
     # does what `detect` does before the network runs, and returns a function that does the rest, which another thread
     # may call; None = `detect` does all
     prepare: Callable[[Frame], Callable[[], Detections]] | None = None
-    # returns all boxes of the frame of the latest detection; None = not needed
-    candidates: Callable[[Frame], Detections] | None = None
-    # detects the lines of the ego lane, about ten times per second; the last lines are used in between. None = off.
-    lane_finder: LaneFinder | None = None
+    candidates: Callable[[Frame], Detections] | None = None  # all boxes of the latest frame; None = not needed
+    lane_finder: LaneFinder | None = None  # lines of the ego lane, ten times per second; None = off
     _lanes: LaneLines | None = None
     _lanes_due_s: float = -math.inf
 
@@ -100,12 +98,9 @@ class EgoStage:
 
     speed: EgoSpeed | None = None  # speed of the camera from telemetry or a setting; None = unknown
     odometry: Odometry | None = None  # measures the motion of the camera, where `speed` is None; None = off
-    # measures the horizon of the road and the yaw rate of the camera; None = off
-    road_motion: GroundOdometry | None = None
-    # measures the camera height from a known speed; None = it is known, or no speed is
-    camera_height: CameraHeight | None = None
-    # yaw rate of the camera, for the path of the ego vehicle, without `road_motion`; None = unknown
-    image_motion: ImageMotionEstimator | None = None
+    road_motion: GroundOdometry | None = None  # horizon of the road and yaw rate of the camera; None = off
+    camera_height: CameraHeight | None = None  # from a known speed; None = it is known, or no speed is
+    image_motion: ImageMotionEstimator | None = None  # yaw rate without `road_motion`; None = off
 
     def update(self, frame: Frame, xyxy_px: FloatArray, clock: StageClock, known: EgoMotion | None = None) -> Ego:
         """The motion to the next frame; frames must be passed in order.

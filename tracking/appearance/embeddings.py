@@ -42,8 +42,7 @@ def has_appearance(image: Image, xyxy_px: FloatArray) -> BoolArray:
 class ColourLayoutSettings:
     """Sampling grid, histogram bins and gate of the built-in embedding."""
 
-    # n_columns, n_rows: points at which a box's colour is taken, whatever its size
-    n_columns: int = 16
+    n_columns: int = 16  # columns and rows of points at which a box's colour is taken
     n_rows: int = 24
     n_bands: int = 6  # horizontal bands of the box, each with separate histograms; divides `n_rows`
     n_bins: int = 8  # soft bins per histogram

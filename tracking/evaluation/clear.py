@@ -28,19 +28,16 @@ _CONTINUITY_BONUS = 1000.0
 class ClearCounts:
     """Counts of one or several sequences."""
 
-    # tp, fn, fp: matches, unmatched truth boxes, unmatched result boxes
-    tp: int
+    tp: int  # matches; fn and fp: unmatched truth and result boxes
     fn: int
     fp: int
     idsw: int  # identity switches
     frag: int  # fragmentations: how often a truth track is lost and matched again
-    # mt, pt, ml: truth tracks matched in more than 80 %, 20 to 80 % and less than 20 % of their frames
-    mt: int
+    mt: int  # truth tracks matched in more than 80 %, 20 to 80 % (pt), less than 20 % (ml) of their frames
     pt: int
     ml: int
     iou_sum: float  # sum of the IoU of the matches
-    # idtp, idfn, idfp: the same as tp, fn, fp under the best one-to-one mapping of whole tracks
-    idtp: int
+    idtp: int  # idtp, idfn, idfp: tp, fn, fp under the best one-to-one mapping of whole tracks
     idfn: int
     idfp: int
 

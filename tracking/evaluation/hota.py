@@ -28,8 +28,7 @@ _EPSILON = float(np.finfo(np.float64).eps)  # tolerance of comparisons, as in Tr
 class HotaCounts:
     """Counts of HOTA per IoU threshold; those of several sequences add up."""
 
-    # tp, fn, fp: (19,) matches, unmatched truth boxes, unmatched result boxes
-    tp: FloatArray
+    tp: FloatArray  # (19,) matches; fn and fp: unmatched truth and result boxes
     fn: FloatArray
     fp: FloatArray
     iou_sum: FloatArray  # (19,) sum of the IoU of the matches

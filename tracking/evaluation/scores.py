@@ -43,8 +43,7 @@ class TrackingScores:
     fp: int  # unmatched result boxes
     fn: int  # unmatched truth boxes
     frag: int  # fragmentations: how often a truth track is lost and matched again
-    # mt, pt, ml: truth tracks matched in more than 80 %, in 20 to 80 %, in less than 20 % of their frames
-    mt: int
+    mt: int  # truth tracks matched in more than 80 %, 20 to 80 % (pt), less than 20 % (ml) of their frames
     pt: int
     ml: int
     n: int  # truth boxes

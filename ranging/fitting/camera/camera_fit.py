@@ -110,11 +110,8 @@ class CameraFit:
     covariance: FloatArray  # (5, 5) their covariance; larger if measurements and priors contradict each other
     prior_sigma: FloatArray  # (5,) standard deviations of the priors
     residuals: tuple[Residual, ...] = field(default=())  # residuals of the user's measurements and the horizon rows
-    # factor of all standard deviations because measurements and priors contradict each other (Birge's ratio); 1 = they
-    # agree
-    contradiction: float = 1.0
-    # measurement or prior with the largest deviation, and this in standard deviations
-    largest_deviation: tuple[str, float] = ("", 0.0)
+    contradiction: float = 1.0  # factor of all sigmas by contradictions (Birge's ratio); 1 = none
+    largest_deviation: tuple[str, float] = ("", 0.0)  # measurement or prior, and its sigmas
 
     @property
     def focal_sigma(self) -> float:

@@ -78,8 +78,7 @@ class FocalPosterior:
     focal_px: FloatArray  # (G,) grid, evenly spaced in its logarithm
     density: FloatArray  # (G,) probability of each point
     n_tracks: int = 0  # number of objects whose shapes contribute
-    # estimated standard deviation of the edges of boxes, as a fraction of their size
-    relative_noise: float = BoxNoise().relative
+    relative_noise: float = BoxNoise().relative  # standard deviation of box edges / box size
 
     def as_guess(self, guesses: Sequence[FocalGuess]) -> FocalGuess:
         """The result as a guess that names the guesses it was computed from."""
