@@ -87,11 +87,8 @@ class EgoSpeed:
         if len(self.time_s) == 1 or not self.time_sigma_s:
             return self.speed_sigma_mps
         after = int(np.clip(np.searchsorted(self.time_s, time_s), 1, len(self.time_s) - 1))
-        step_mps, step_s = (
-            self.speed_mps[after] - self.speed_mps[after - 1],
-            self.time_s[after] - self.time_s[after - 1],
-        )
-        return math.hypot(self.speed_sigma_mps, float(step_mps) / float(step_s) * self.time_sigma_s)
+        step_mps, step_s = (float(x[after] - x[after - 1]) for x in (self.speed_mps, self.time_s))
+        return math.hypot(self.speed_sigma_mps, step_mps / step_s * self.time_sigma_s)
 
     def note(self, last_s: float) -> str | None:
         """Note for the user on a video with its last frame at `last_s`; None if the samples cover all of it."""
@@ -110,23 +107,19 @@ def open_ego_speed(text: str) -> EgoSpeed:
     Raises:
         EgoSpeedError: `text` is none of these, or the file or folder cannot be used.
     """
-    kmh = number(text)
-    if math.isnan(kmh) and text.strip().lower() != "nan":
-        return _from_path(Path(text))
-    speed_mps = _plausible(np.array([kmh]) * _MPS_PER_KMH, "--ego-speed")
-    return EgoSpeed(np.array([-np.inf]), speed_mps, f"{kmh:g} km/h", _CONSTANT_SIGMA_MPS)
-
-
-def _from_path(path: Path) -> EgoSpeed:
+    kmh, path = number(text), Path(text)
+    if not math.isnan(kmh) or text.strip().lower() == "nan":
+        speed_mps = _plausible(np.array([kmh]) * _MPS_PER_KMH, "--ego-speed")
+        return EgoSpeed(np.array([-np.inf]), speed_mps, f"{kmh:g} km/h", _CONSTANT_SIGMA_MPS)
     if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
         return _from_oxts(path)
-    if not os.path.lexists(path):
-        is_decimal = math.isfinite(number(str(path).replace(",", ".")))
-        raise EgoSpeedError(
-            f"{shortened(str(path))}: no such file; expected a speed in km/h, a CSV file or a folder of KITTI oxts "
-            f"files{'; write decimals with a point' if is_decimal else ''}."
-        )
-    return _from_csv(path)
+    if os.path.lexists(path):
+        return _from_csv(path)
+    is_decimal = math.isfinite(number(text.replace(",", ".")))
+    raise EgoSpeedError(
+        f"{shortened(str(path))}: no such file; expected a speed in km/h, a CSV file or a folder of KITTI oxts "
+        f"files{'; write decimals with a point' if is_decimal else ''}."
+    )
 
 
 def _from_csv(path: Path) -> EgoSpeed:
@@ -165,16 +158,14 @@ def _from_oxts(folder: Path) -> EgoSpeed:
 
 def _oxts_times_s(folder: Path) -> FloatArray:
     """(N,) seconds from the first line of timestamps.txt, which is in the folder or next to it."""
-    for path in (folder / "timestamps.txt", folder.parent / "timestamps.txt"):
-        if os.path.lexists(path):
-            break
-    else:
+    paths = [path / "timestamps.txt" for path in (folder, folder.parent) if os.path.lexists(path / "timestamps.txt")]
+    if not paths:
         raise EgoSpeedError(f"{folder}: expected a timestamps.txt in this folder or next to it, found none.")
-    lines = read_text(path, EgoSpeedError, "timestamps", max_bytes=MAX_TABLE_BYTES).split("\n")
-    moments = [_moment(line.strip(), f"{path}, line {i}") for i, line in enumerate(lines, start=1) if line.strip()]
+    lines = read_text(paths[0], EgoSpeedError, "timestamps", max_bytes=MAX_TABLE_BYTES).split("\n")
+    moments = [_moment(line.strip(), f"{paths[0]}, line {i}") for i, line in enumerate(lines, start=1) if line.strip()]
     times_s = np.array([(moment - moments[0]).total_seconds() for moment in moments])
     if (np.diff(times_s) <= 0).any():
-        raise EgoSpeedError(f"{path}: expected times that increase from line to line.")
+        raise EgoSpeedError(f"{paths[0]}: expected times that increase from line to line.")
     return times_s
 
 
@@ -191,13 +182,10 @@ def _moment(text: str, where: str) -> datetime:
 
 def _oxts_forward_mps(file: Path) -> float:
     cells = read_text(file, EgoSpeedError, "a KITTI oxts file").split()
-    if len(cells) != _OXTS_COLUMNS:
-        raise EgoSpeedError(
-            f"{file}: expected the {_OXTS_COLUMNS} numbers of a KITTI oxts file, got {len(cells)} numbers."
-        )
-    for cell, value in zip(cells, numbers(cells), strict=True):
-        if not math.isfinite(value):
-            raise EgoSpeedError(f"{file}: expected {_OXTS_COLUMNS} finite numbers, got {quoted(cell)}.")
+    unreadable = [cell for cell, value in zip(cells, numbers(cells), strict=True) if not math.isfinite(value)]
+    if len(cells) != _OXTS_COLUMNS or unreadable:
+        found = quoted(unreadable[0]) if len(cells) == _OXTS_COLUMNS else f"{len(cells)} numbers"
+        raise EgoSpeedError(f"{file}: expected the {_OXTS_COLUMNS} finite numbers of a KITTI oxts file, got {found}.")
     return number(cells[_OXTS_FORWARD])
 
 

@@ -156,43 +156,33 @@ class RangingMethod:
     details: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for field_name, names in (("needs", self.needs), ("reads", self.reads), ("details", self.details)):
+        for field_name, as_collection in (("needs", frozenset), ("reads", tuple), ("details", tuple)):
+            names = getattr(self, field_name)
             is_list = isinstance(names, Collection) and not isinstance(names, str)
             if not is_list or not all(isinstance(name, str) for name in names):
                 raise MethodError(
                     f"ranging method {self.name!r}: expected {field_name} as a tuple of names, got {names!r}"
                 )
-        object.__setattr__(self, "needs", frozenset(self.needs))
-        object.__setattr__(self, "reads", tuple(self.reads))
-        object.__setattr__(self, "details", tuple(self.details))
+            object.__setattr__(self, field_name, as_collection(names))
         sources, needs = get_args(SourceName), get_args(Requirement)
         parts = [part for source in self.error_sources for part in (source.systematic, source.independent)]
-        checks = (
-            (re.fullmatch(r"[a-z][a-z0-9_]*", self.name), "expected a lower-case name for columns"),
-            (not self.name.endswith(("_kf", "_sigma")), "expected a name that does not end with _kf or _sigma"),
-            (self.name not in RESERVED_NAMES, f"expected a name that is not reserved ({', '.join(RESERVED_NAMES)})"),
-            (len(self.letter) == 1 and self.letter.isprintable(), f"expected one letter, got {self.letter!r}"),
-            (re.fullmatch(r"#[0-9a-f]{6}", self.colour), f"expected a colour as #rrggbb, got {self.colour!r}"),
-            (
-                all(re.fullmatch(r"[a-z][a-z0-9_]*(?<!_m)", name) for name in self.details),
-                "expected lower-case details for columns, without the ending _m",
+        columns = [re.fullmatch(r"[a-z][a-z0-9_]*(?<!_m)", name) for name in self.details]
+        is_met = {
+            "expected a lower-case name for columns": re.fullmatch(r"[a-z][a-z0-9_]*", self.name),
+            "expected a name that does not end with _kf or _sigma": not self.name.endswith(("_kf", "_sigma")),
+            f"expected a name that is not reserved ({', '.join(RESERVED_NAMES)})": self.name not in RESERVED_NAMES,
+            f"expected one letter, got {self.letter!r}": len(self.letter) == 1 and self.letter.isprintable(),
+            f"expected a colour as #rrggbb, got {self.colour!r}": re.fullmatch(r"#[0-9a-f]{6}", self.colour),
+            "expected lower-case details for columns, without the ending _m": all(columns),
+            "expected reads and fallback_for to name other methods": self.name not in (*self.reads, self.fallback_for),
+            f"expected needs among {', '.join(needs)}, got {', '.join(self.needs)}": self.needs <= set(needs),
+            f"expected error sources among {', '.join(sources)}": {s.name for s in self.error_sources} <= set(sources),
+            f"expected non-negative error sources that sum to 1, got a sum of {sum(parts):.4f}": (
+                math.isclose(sum(parts), 1.0, abs_tol=1e-6) and min(parts) >= 0
             ),
-            (
-                self.name not in (*self.reads, self.fallback_for),
-                "expected reads and fallback_for to name other methods",
-            ),
-            (self.needs <= set(needs), f"expected needs among {', '.join(needs)}, got {', '.join(self.needs)}"),
-            (
-                {source.name for source in self.error_sources} <= set(sources),
-                f"expected error sources among {', '.join(sources)}",
-            ),
-            (
-                math.isclose(sum(parts), 1.0, abs_tol=1e-6) and min(parts) >= 0,
-                f"expected non-negative error sources that sum to 1, got a sum of {sum(parts):.4f}",
-            ),
-        )
-        for is_met, expected in checks:
-            if not is_met:
+        }
+        for expected, holds in is_met.items():
+            if not holds:
                 raise MethodError(f"ranging method {self.name!r}: {expected}")
 
     @property

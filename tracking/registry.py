@@ -109,12 +109,11 @@ def checked_tracks(tracker: ObjectTracker, result: Any) -> Tracks:
     Raises:
         TrackerError: the result has another type, or class ids that do not exist.
     """
+    name = f"{type(tracker).__module__}:{type(tracker).__qualname__}"
     if not isinstance(result, Tracks):
-        name = f"{type(tracker).__module__}:{type(tracker).__qualname__}"
         raise TrackerError(f"{name}: expected Tracks from the tracker's update, got {type(result).__name__}.")
     class_id = result.class_id
     if class_id.dtype.kind not in "iu" or not ((class_id >= 0) & (class_id < len(ROAD_CLASSES))).all():
-        name = f"{type(tracker).__module__}:{type(tracker).__qualname__}"
         raise TrackerError(f"{name}: expected class_id among {ROAD_CLASS_TABLE}, got {class_id.tolist()}.")
     return result
 

@@ -152,8 +152,20 @@ def _of_kitti(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArr
     labels = read_kitti(path)
     if not labels.has_3d_box.any():
         raise LabelFileError(f"{path}: expected KITTI tracking labels with 3-D boxes, found no label with a 3-D box.")
-    _check_identities(labels, path)
-    _check_boxes(labels, path)
+    is_object = ~np.isin(labels.kitti_type, KITTI_IGNORED)
+    if (labels.track_id[is_object] < 0).any():
+        raise LabelFileError(f"{path}: expected KITTI tracking labels with track ids, got the id -1 of object labels.")
+    identities = np.stack([labels.frame[is_object], labels.track_id[is_object]])
+    pairs, counts = np.unique(identities, axis=1, return_counts=True)
+    for frame, track_id in pairs[:, counts > 1].T[:1].tolist():
+        raise LabelFileError(
+            f"{path}: expected each track id at most once per frame, got id {track_id} twice in frame {frame}."
+        )
+    for row in np.flatnonzero(is_object & ~are_valid_boxes(labels.xyxy_px))[:1].tolist():
+        raise LabelFileError(
+            f"{path}: expected boxes with x1 < x2 and y1 < y2, got {labels.xyxy_px[row].tolist()} in frame "
+            f"{labels.frame[row]}."
+        )
     scored = labels.has_3d_box & (labels.truncated == 0) & (labels.occluded >= 0) & (labels.occluded <= MAX_OCCLUDED)
     distance_m = np.where(scored, surface_of_labels_m(labels, camera, left_from_reference_m), np.nan)
     road = map_to_road_classes([str(name) for name in labels.kitti_type])
@@ -166,30 +178,6 @@ def _of_kitti(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArr
         distance_m=distance_m,
         closing_mps=np.full(len(labels), np.nan),
     )
-
-
-def _check_identities(labels: KittiLabels, path: Path) -> None:
-    """Raise LabelFileError for object labels, which have no identities, and for an identity twice in a frame."""
-    is_object = ~np.isin(labels.kitti_type, KITTI_IGNORED)
-    if (labels.track_id[is_object] < 0).any():
-        raise LabelFileError(f"{path}: expected KITTI tracking labels with track ids, got the id -1 of object labels.")
-    identities = np.stack([labels.frame[is_object], labels.track_id[is_object]])
-    pairs, counts = np.unique(identities, axis=1, return_counts=True)
-    if (counts > 1).any():
-        frame, track_id = pairs[:, counts > 1][:, 0]
-        raise LabelFileError(
-            f"{path}: expected each track id at most once per frame, got id {track_id} twice in frame {frame}."
-        )
-
-
-def _check_boxes(labels: KittiLabels, path: Path) -> None:
-    """Raise LabelFileError for an object with an empty box."""
-    is_object = ~np.isin(labels.kitti_type, KITTI_IGNORED)
-    for row in np.flatnonzero(is_object & ~are_valid_boxes(labels.xyxy_px))[:1].tolist():
-        raise LabelFileError(
-            f"{path}: expected boxes with x1 < x2 and y1 < y2, got {labels.xyxy_px[row].tolist()} in frame "
-            f"{labels.frame[row]}."
-        )
 
 
 def surface_of_labels_m(labels: KittiLabels, camera: PinholeCamera, left_from_reference_m: FloatArray) -> FloatArray:

@@ -197,18 +197,10 @@ def fit_camera(
     scene_noise: float = BoxNoise().relative,
     height: tuple[float, float] = (HEIGHT_M, HEIGHT_SIGMA * HEIGHT_M),
 ) -> CameraFit:
-    """The camera that agrees best with all measurements.
+    """The camera that agrees best with all measurements, for images of `size_px` (width, height).
 
-    Args:
-        size_px: (width, height) of the images.
-        focal: prior of the focal length.
-        sizes: sizes of road users.
-        objects: objects with known metres.
-        lanes: lanes of known width.
-        horizon: rows of the horizon.
-        scene: boxes of other road users.
-        scene_noise: standard deviation of their edges, as a fraction of their size.
-        height: camera height in m and its standard deviation.
+    `scene` are boxes of other road users, `scene_noise` is the standard deviation of their edges as a fraction of their
+    size, `height` the camera height in m and its standard deviation.
     """
     terms = _Terms(size_px, focal, sizes, objects, lanes, horizon, scene or SceneBoxes(), scene_noise, height)
     fit = least_squares(terms.residuals, terms.prior_mean, x_scale=terms.prior_sigma)
@@ -217,7 +209,9 @@ def fit_camera(
         fit = least_squares(terms.residuals, fit.x, x_scale=terms.prior_sigma)
     jacobian = np.asarray(fit.jac, np.float64)
     deviations = terms.deviations(fit.x)
-    contradiction = _contradiction(deviations)
+    n_measurements = len(deviations) - len(PARAMETERS)
+    contradiction = math.sqrt(sum(value**2 for _, value in deviations) / max(n_measurements, 1))
+    contradiction = contradiction if contradiction > _MAX_DEVIATION else 1.0
     covariance: FloatArray = np.asarray(np.linalg.inv(jacobian.T @ jacobian), np.float64) * contradiction**2
     return CameraFit(
         camera=PinholeCamera.of_focal_length(math.exp(fit.x[_LOG_F]), size_px),
@@ -228,14 +222,6 @@ def fit_camera(
         contradiction=contradiction,
         largest_deviation=max(deviations, key=lambda deviation: abs(deviation[1])),
     )
-
-
-def _contradiction(deviations: Sequence[tuple[str, float]]) -> float:
-    """Factor of the standard deviations: the root mean square deviation per measurement if it is large, else 1."""
-    n_measurements = len(deviations) - len(PARAMETERS)
-    squared = sum(value**2 for _, value in deviations)
-    ratio = math.sqrt(squared / max(n_measurements, 1))
-    return ratio if ratio > _MAX_DEVIATION else 1.0
 
 
 class _Terms:
