@@ -219,15 +219,11 @@ class ProcessNoiseSettings:
 
 
 class ProcessNoiseScale:
-    """The scale of one stream.
-
-    Attributes:
-        value: q, the factor of the process noise's variance.
-    """
+    """The scale of one stream."""
 
     def __init__(self, settings: ProcessNoiseSettings) -> None:
         self._settings = settings
-        self.value = settings.highest
+        self.value = settings.highest  # q, the factor of the process noise's variance
 
     def update(self, before: FloatArray, now: FloatArray) -> None:
         """Update the scale from innovations of two successive frames, (N, D) each, in standard deviations."""

@@ -18,34 +18,21 @@ from track_range.tracking.motion import MotionNoise
 
 
 class TrackTable:
-    """Confirmed, tentative and lost tracks.
-
-    Attributes:
-        track_id: (N,) ascending ids.
-        filters: motion filters.
-        history: the last detected boxes.
-        class_votes: (N, classes) sum of scores by class.
-        class_id: (N,) the class with the most votes, so that it does not flicker.
-        score_sum: (N,) sum of the scores of all detections.
-        score: (N,) score of the last detection.
-        n_hits: (N,) number of detections.
-        is_confirmed: (N,) False = tentative.
-        innovation: (N, 2) innovation of the last detection's centre, in standard deviations; NaN for tracks detected
-            once.
-        gallery: appearance embeddings.
-    """
+    """Confirmed, tentative and lost tracks."""
 
     def __init__(self, *, n_boxes: int, n_embeddings: int) -> None:
         """An empty table that stores `n_boxes` boxes and `n_embeddings` embeddings per track."""
-        self.track_id: IntArray = np.zeros(0, np.int64)
-        self.filters = motion.initiate(np.zeros((0, 4)), MotionNoise())
-        self.history = history.initiate(np.zeros((0, 4)), 0.0, n_kept=n_boxes)
-        self.class_votes: FloatArray = np.zeros((0, len(ROAD_CLASSES)))
+        self.track_id: IntArray = np.zeros(0, np.int64)  # (N,) ascending
+        self.filters = motion.initiate(np.zeros((0, 4)), MotionNoise())  # motion filters
+        self.history = history.initiate(np.zeros((0, 4)), 0.0, n_kept=n_boxes)  # the last detected boxes
+        self.class_votes: FloatArray = np.zeros((0, len(ROAD_CLASSES)))  # (N, classes) sum of scores
+        # (N,) the class with the most votes, so that it does not flicker
         self.class_id: IntArray = np.zeros(0, np.int64)
-        self.score_sum: FloatArray = np.zeros(0)
-        self.score: FloatArray = np.zeros(0)
-        self.n_hits: IntArray = np.zeros(0, np.int64)
-        self.is_confirmed: BoolArray = np.zeros(0, np.bool_)
+        self.score_sum: FloatArray = np.zeros(0)  # (N,) sum of the scores of all detections
+        self.score: FloatArray = np.zeros(0)  # (N,) score of the last detection
+        self.n_hits: IntArray = np.zeros(0, np.int64)  # (N,) number of detections
+        self.is_confirmed: BoolArray = np.zeros(0, np.bool_)  # (N,) False = tentative
+        # (N, 2) of the last detection's centre, in standard deviations; NaN = detected once
         self.innovation: FloatArray = np.zeros((0, 2))
         self.gallery = Gallery.empty(nn_budget=n_embeddings)
 

@@ -93,14 +93,11 @@ class NoiseScale:
     depends on R where R is a large part of S, and on the motion elsewhere, hence the weights w. The jitter of boxes
     differs between detectors, from half a pixel to two, and detectors do not report it; a single number for all tracks
     of a method converges fast. (Covariance matching, Mehra 1972.)
-
-    Attributes:
-        factor: (M, 1) lambda, initially 1.
     """
 
     def __init__(self, n_methods: int = 1) -> None:
         """Start with factors of 1."""
-        self.factor = np.ones((n_methods, 1))
+        self.factor = np.ones((n_methods, 1))  # (M, 1) lambda
         self._ratios, self._weights = np.full((2, n_methods, 1), _PRIOR_SAMPLES)
 
     def learn(self, squared: FloatArray, predicted: FloatArray, *, noise: FloatArray, use: BoolArray) -> None:

@@ -20,12 +20,7 @@ from track_range.tracking.tracks import Tracks
 
 
 class DenseRanger(Ranger):
-    """Ranges each box by the median dense disparity in its inner half; matching runs in a background thread.
-
-    Attributes:
-        disparity: (H, W) disparity in px of the frame measured last, before alignment; NaN = unknown.
-        background_s: time spent on matching so far.
-    """
+    """Ranges each box by the median dense disparity in its inner half; matching runs in a background thread."""
 
     def __init__(
         self, rig: StereoRig, settings: SgbmSettings | None = None, *, alignment: AlignmentSource | None = None

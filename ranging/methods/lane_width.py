@@ -97,11 +97,7 @@ class LaneWidth:
 
 
 class LaneWidthRanger(Ranger):
-    """Ranges observed boxes in the ego lane or a neighbouring lane.
-
-    Attributes:
-        lane: the current estimate of the lane's width.
-    """
+    """Ranges observed boxes in the ego lane or a neighbouring lane."""
 
     def __init__(
         self,
@@ -123,7 +119,7 @@ class LaneWidthRanger(Ranger):
         """
         self._camera = camera
         self._box_sigma_px = box_sigma_px
-        self.lane = LaneWidth(width_m, width_sigma)
+        self.lane = LaneWidth(width_m, width_sigma)  # the current estimate
         self._width_from = width_from
         self._lines = LaneLines()
         self._last: tuple[Tracks, _Widths] | None = None  # cache: `update_width` needs the widths of `measure`

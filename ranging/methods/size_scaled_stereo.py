@@ -100,11 +100,7 @@ class FocalBaseline:
 
 
 class SizeScaledRanger(Ranger):
-    """Ranges boxes of an uncalibrated pair, with a scale learnt from the sizes of tracked objects.
-
-    Attributes:
-        scale: estimator of the scale.
-    """
+    """Ranges boxes of an uncalibrated pair, with a scale learnt from the sizes of tracked objects."""
 
     def __init__(self, matcher: BoxMatcher, *, focal_px: float, focal_sigma: float = 0.0) -> None:
         """Create a ranger without tracks; the focal length of distances by size and its sigma are for the summary."""

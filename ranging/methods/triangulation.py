@@ -76,18 +76,16 @@ class TrackMatcher:
     """Matches each observed box separately, with the last disparity of its track as the prior.
 
     Predicted boxes are not matched: they show what occludes the object.
-
-    Attributes:
-        outcomes: number of boxes so far by outcome: matched, or the reason for the rejection.
-        matches: matches of the observed boxes in the last frame with a right image; None = none yet.
     """
 
     def __init__(self, matcher: BoxMatcher) -> None:
         """Create a matcher of tracks from a matcher of boxes."""
+        # of the observed boxes in the last frame with a right image; None = none yet
         self.matches: PatchMatches | None = None
         self._matcher = matcher
         self._state = TrackState(np.full(3, np.nan))
         """By track: last matched disparity, its time, time of the last search over the full range."""
+        # number of boxes so far by outcome: matched, or the reason for the rejection
         self.outcomes: Counter[Outcome] = Counter()
 
     def match(

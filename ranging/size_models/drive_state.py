@@ -52,12 +52,7 @@ class GroundTerms:
 
 
 class DriveState:
-    """State of one drive.
-
-    Attributes:
-        information: (5,) sums of the terms of the normal equations over the objects that left.
-        roughness: factor lambda of the variances of pitch and of contact points.
-    """
+    """State of one drive."""
 
     def __init__(self) -> None:
         """Start without objects."""
@@ -65,8 +60,8 @@ class DriveState:
         self._track_id: IntArray = np.zeros(0, np.int64)
         self._in_view: FloatArray = np.zeros((_BODIES, 0))  # states of these tracks before the frame
         self._time_s = 0.0
-        self.information: FloatArray = np.zeros(5)
-        self.roughness = 1.0
+        self.information: FloatArray = np.zeros(5)  # (5,) sums of the normal equations over the objects that left
+        self.roughness = 1.0  # factor lambda of the variances of pitch and of contact points
 
     def start_frame(self, track_id: IntArray, time_s: float) -> None:
         """Start a frame with the tracks (N,) `track_id`, whose boxes are measured next."""

@@ -130,25 +130,19 @@ class Nodes(NamedTuple):
 
 
 class ShapeTables:
-    """Boxes of all body types at nodes of yaw, bearing and log distance, as values with slopes.
-
-    Attributes:
-        class_name: (B,) class of each body type.
-        fraction: (B,) probability of the body type within its class.
-        typical: (3, B) log height, and mean and 1 / variance of log distance.
-    """
+    """Boxes of all body types at nodes of yaw, bearing and log distance, as values with slopes."""
 
     def __init__(self, priors: Mapping[str, SizePrior]) -> None:
         """Compute the nodes of every body type from its prior, in about 15 ms each."""
         types = [
             (name, prior, fraction, sizes) for name, prior in priors.items() for fraction, sizes in prior.components
         ]
-        self.class_name = tuple(name for name, *_ in types)
-        self.fraction = np.array([fraction for _, _, fraction, _ in types])
+        self.class_name = tuple(name for name, *_ in types)  # (B,) class of each body type
+        self.fraction = np.array([fraction for _, _, fraction, _ in types])  # (B,) probability within the class
         self._nodes = np.concatenate(
             [_nodes(prior, sizes).reshape(len(_BEARINGS) * len(_LOG_M), -1) for _, prior, _, sizes in types]
         )
-        self.typical = np.array(
+        self.typical = np.array(  # (3, B) log height, and mean and 1 / variance of log distance
             [(np.log(sizes.hwl_m[0]), p.log_distance[0], p.log_distance[1] ** -2) for _, p, _, sizes in types]
         ).T
 

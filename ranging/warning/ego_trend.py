@@ -21,24 +21,16 @@ _MIN_SPEED_MPS = 2.0  # smallest speed for the curvature, m/s
 
 
 class EgoTrend:
-    """Speed, acceleration and yaw rate of the ego vehicle.
-
-    Attributes:
-        speed_mps: speed; 0 = unknown.
-        acceleration_mps2: its change; 0 = unknown.
-        path_mps: speed for the shape of the path, never 0.
-        yaw: yaw rate w and its change w', rad/s and rad/s^2, with their covariance.
-        yaw_noise: growth of the variance of w' per second.
-        has_speed, has_yaw: whether speed and yaw rate are known.
-    """
+    """Speed, acceleration and yaw rate of the ego vehicle."""
 
     def __init__(self, settings: WarningSettings) -> None:
         self._settings = settings
+        # 0 = unknown; yaw_noise: growth of the variance of w' per second
         self.speed_mps = self.acceleration_mps2 = self.yaw_noise = 0.0
-        self.path_mps = _TYPICAL_SPEED_MPS
+        self.path_mps = _TYPICAL_SPEED_MPS  # speed for the shape of the path, never 0
         self.has_speed = self.has_yaw = False
         self._speed: ConstantVelocity | None = None
-        self.yaw = _state(0.0, 0.0, 0.0)
+        self.yaw = _state(0.0, 0.0, 0.0)  # yaw rate w and its change w', rad/s and rad/s^2
         self._lateral_mps2 = _INITIAL_LATERAL_MPS2
         self._time_s = -math.inf
 

@@ -22,14 +22,11 @@ class StageClock:
 
     Stages are measured in processor time of their thread, so that waiting for a core (stages have a lower priority than
     inference) does not count. Inference, which has its own threads, is measured in wall-clock time.
-
-    Attributes:
-        busy_s: seconds so far, by stage.
     """
 
     def __init__(self) -> None:
         """Start at zero."""
-        self.busy_s = dict.fromkeys(stage_names(), 0.0)
+        self.busy_s = dict.fromkeys(stage_names(), 0.0)  # seconds so far, by stage
         self._lock = Lock()
 
     @contextmanager
