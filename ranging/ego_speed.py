@@ -27,20 +27,11 @@ from track_range.foundation.files.numeric_text import number, numbers
 _MPS_PER_KMH = 1 / 3.6
 MAX_SPEED_MPS = 120.0  # largest plausible speed (432 km/h); a faster one is most likely in another unit
 _MAX_GAP_S = 3.0  # longest interval between two samples that is interpolated
-
-_EDGE_S = 0.25
-"""Time before the first and after the last sample for which its speed holds: recordings and videos do not start on the
-same frame."""
-
+_EDGE_S = 0.25  # s before the first and after the last sample for which it holds: videos start on another frame
 _MAX_TIME_S = 1e10  # largest absolute time; seconds since 1970 are smaller
 _UNITS = {"speed_mps": 1.0, "speed_kmh": _MPS_PER_KMH}  # factor from each speed column to m/s
-
-TABLE_SIGMA_MPS = 0.2
-"""Standard deviation of the speeds in a CSV or in oxts files in m/s, which state none: that of GPS receivers."""
-
-_CONSTANT_SIGMA_MPS = 1.0
-"""Standard deviation of a constant speed in m/s; assumed: a speed that a person reads from a speedometer."""
-
+TABLE_SIGMA_MPS = 0.2  # standard deviation of the speeds of CSV and oxts files, which state none: that of GPS receivers
+_CONSTANT_SIGMA_MPS = 1.0  # of a constant speed; assumed: one that a person reads from a speedometer
 _OXTS_FORWARD = 8  # index of the forward speed vf in a line of KITTI oxts
 _OXTS_COLUMNS = 30  # number of values in a line of KITTI oxts
 

@@ -37,30 +37,18 @@ _MAY_BE_STATIC = np.array([name in _STATIC_CLASSES for name in SIZE_CLASSES])
 """(size classes,) whether objects of the class are often static, and do not move slowly."""
 
 _N_CORNERS, _MIN_CORNERS = 12, 4  # largest number of corners per object, and smallest number of a measurement
-
-_MIN_QUALITY, _MIN_DISTANCE_PX = 0.02, 3
-"""Minimum quality of a corner relative to the best one in the box, and distance between corners in the image."""
-
+_MIN_QUALITY, _MIN_DISTANCE_PX = 0.02, 3  # of corners relative to the best in the box, and between corners
 _INNER = 0.12  # margin of the box, as a fraction of its sides, that may show the background
 _MIN_SIDE_PX = 8  # smallest side of the inner box, pixels of that image
 _WINDOW_PX, _N_LEVELS = 9, 2  # tracked window and pyramid levels; the start is predicted from the distance
 _CORNER_PX = 0.15  # standard deviation of the motion of a tracked corner, pixels of that image
-
-_MAX_ACROSS_PX = 0.8
-"""Largest motion of a corner across the direction away from the epipole, in the image; if larger, the object moves."""
-
+_MAX_ACROSS_PX = 0.8  # motion of a corner across the direction from the epipole; if larger, the object moves
 _MIN_RADIUS = 0.02  # smallest distance of an object from the epipole, as a tangent
 _CORRELATED_S = 1.0  # time over which errors of the rotation are correlated
 _SURFACE_M = 0.4  # standard deviation of the distance of an object's corners from the surface at the middle of its box
-
-_MAX_SIGMA, _MIN_STATIC_S = 2.5, 0.2
-"""Largest difference from the other distance of static objects, and time for which it has to be smaller."""
-
+_MAX_SIGMA, _MIN_STATIC_S = 2.5, 0.2  # largest difference from the other distance of static objects, and for how long
 _MAX_REPORTED = 0.15  # largest relative standard deviation of a distance
-
-_MAX_GAP_S, _MIN_APPROACH = 0.3, 0.1
-"""Longest time for which an object is followed without a measurement, and lower bound of 1 - rho V dt."""
-
+_MAX_GAP_S, _MIN_APPROACH = 0.3, 0.1  # longest time without a measurement, and lower bound of 1 - rho V dt
 _MIN_WAY_M = 0.1  # smallest way between two frames that is a measurement
 
 

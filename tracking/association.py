@@ -22,9 +22,7 @@ Classes = Literal["similar", "same", "any"]
 """Classes of a track and a detection that may be matched: those that detectors confuse, equal ones, or all."""
 
 _UNRELATED_COST = 0.95  # 1 - IoU above which a track and a detection are not candidates for each other
-
-_MAX_DENSE = 128 * 128
-"""Size of a cost matrix up to which one linear assignment is faster than matching unambiguous pairs first."""
+_MAX_DENSE = 128 * 128  # size up to which one assignment is faster than matching unambiguous pairs first
 
 
 class Assignment:

@@ -32,17 +32,11 @@ from track_range.foundation.arrays import FloatArray, IntArray
 
 _N_BINS = 10  # number of bins of scores, each a tenth wide
 _MIDDLE = [(k + 0.5) / _N_BINS for k in range(_N_BINS)]  # scores in the middle of the bins
-
-_MAX_COMPARED = 64
-"""Maximum number of boxes of a frame that are compared with the next frame; of more boxes, every k-th is compared."""
-
+_MAX_COMPARED = 64  # boxes of a frame that are compared with the next frame; of more boxes, every k-th
 _MAX_PAIRS = 4096  # number of pairs of boxes after which the frames so far are compared, even if no new estimate is due
 _MIN_BEST = 0.4  # persistence of the better half of boxes below which frames are too far apart for a comparison
 _PRIOR_BEST = 0.97  # prior of the persistence of the better half of boxes: about that of the detectors above
-
-_N_EVERY_FRAME, _SAMPLING_STEP = 1000, 4
-"""After the first 1000 frames, only every fourth is compared: the others add little information."""
-
+_N_EVERY_FRAME, _SAMPLING_STEP = 1000, 4  # later, every fourth frame is compared: others add little
 _N_GROUPS = int(SAME_OBJECT_GROUP.max()) + 1  # number of groups of classes that detectors confuse
 
 

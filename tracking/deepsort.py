@@ -39,9 +39,7 @@ from track_range.tracking.tracker import AppearanceModel, TrackerOptions
 from track_range.tracking.tracks import Tracks
 
 _OUTWARDS = np.array([-1.0, -1.0, 1.0, 1.0])  # directions of the left, top, right and bottom edge
-
-_MAX_COSINE_DISTANCE_OF_FILES = 0.2
-"""Largest cosine distance for embeddings from a detection file: deep_sort's, for its 128-dimensional embeddings."""
+_MAX_COSINE_DISTANCE_OF_FILES = 0.2  # deep_sort's, for its 128-dimensional embeddings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

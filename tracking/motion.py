@@ -34,8 +34,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, row_numbers
 
-_SMALLEST_CXCYWH = np.array([-np.inf, -np.inf, 1.0, 1.0])
-"""Smallest cx, cy, w, h in px of a predicted box: IoU needs a positive size."""
+_SMALLEST_CXCYWH = np.array([-np.inf, -np.inf, 1.0, 1.0])  # of a predicted box: IoU needs a positive size
 
 # fmt: off
 _CXCYWH_OF_XYXY = np.array(

@@ -27,10 +27,7 @@ from track_range.stereo.evaluation.risk_coverage import risk_coverage
 CLASSES = tuple(CLASS_OF.values())  # evaluated classes, in the order of tables
 NEAREST_M, FAR_M = 10.0, 30.0  # smallest distance in m of the metrics of a class, and of those of far objects
 N_FOLDS = 7  # folds of the cross-validation: 3 of KITTI's 21 sequences each
-
-CLOSING_HALF_SPAN_S = 0.5
-"""Time in s before and after a label over which its true closing speed is the central difference of the distance."""
-
+CLOSING_HALF_SPAN_S = 0.5  # s before and after a label of the central difference that is its true closing speed
 _MIN_M = 0.1  # smallest distance in m in ratios and logarithms: polynomials may be negative
 
 METRICS = ("abs_rel", "sq_rel_m", "rmse_m", "rmse_log", "delta_1_25", "delta_1_25_2", "delta_1_25_3")

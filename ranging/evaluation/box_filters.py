@@ -36,8 +36,7 @@ _UNKNOWN_SIGMA = 0.1  # relative sigma that is assumed for methods without a sig
 
 FilterName = Literal["none", "paper", "default"]
 
-_Filter = Callable[[Ranges, float], FilteredRanges]
-"""Function from the measured ranges and the time of a frame to filtered ranges."""
+_Filter = Callable[[Ranges, float], FilteredRanges]  # from measured ranges and time to filtered ranges
 
 
 @dataclass(slots=True)

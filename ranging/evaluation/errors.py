@@ -23,12 +23,8 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.truth import Truth
 
 BANDS_M = (5.0, 10.0, 20.0, 30.0, 50.0, 100.0)  # edges of the distance bands for which errors are reported
-
-MIN_IOU = 0.5
-"""Smallest intersection over union of a matched track and label, as in KITTI's evaluation of people and cyclists."""
-
-_MIN_COMMON_COVERAGE = 0.5
-"""Smallest coverage of methods in the common metrics; others would leave too few common track-frames."""
+MIN_IOU = 0.5  # of a matched track and label, as in KITTI's evaluation of people and cyclists
+_MIN_COMMON_COVERAGE = 0.5  # of methods in the common metrics; others would leave too few common track-frames
 
 
 @dataclass(frozen=True, slots=True)

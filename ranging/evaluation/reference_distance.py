@@ -22,12 +22,9 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import read_text
 
 ReferenceName = Literal["surface", "centre", "lidar"]  # names of the definitions
-
 _LIDAR_FRACTION = 0.1  # fraction of the lidar points of an object that are nearer than the reference distance
 _MARGIN_M = 0.05  # margin of 3-D boxes within which lidar points belong to the object
-
-_ROWS = {"R": ("R0_rect", "R_rect"), "T": ("Tr_velo_to_cam", "Tr_velo_cam")}
-"""Names of the rows of calibration files of the object and of the tracking set."""
+_ROWS = {"R": ("R0_rect", "R_rect"), "T": ("Tr_velo_to_cam", "Tr_velo_cam")}  # of object and tracking files
 
 
 def centre_distance_m(labels: KittiLabels, left_from_reference_m: FloatArray) -> FloatArray:

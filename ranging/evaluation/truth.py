@@ -27,18 +27,10 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.stereo.geometry.camera import PinholeCamera
 
-MAX_OCCLUDED = 1
-"""Largest KITTI occlusion level (1 = partly occluded) of labels that are scored for distance: boxes of others are
-guesses."""
-
-MIN_VISIBLE_FRACTION = 0.5
-"""Smallest visible fraction of objects that are scored for distance; corresponds to KITTI's "partly occluded"."""
-
-_CUT_PX = 1.0
-"""Distance in px from the image border within which a label counts as cut; labels are clipped to the image."""
-
-_MIN_DETECTABLE_FRACTION = 0.2
-"""Smallest visible fraction of objects that are scored for detection; corresponds to KITTI's "largely occluded"."""
+MAX_OCCLUDED = 1  # largest KITTI occlusion level (partly occluded) that is scored for distance: others are guesses
+MIN_VISIBLE_FRACTION = 0.5  # of objects scored for distance; corresponds to KITTI's "partly occluded"
+_CUT_PX = 1.0  # distance from the image border within which a label counts as cut; labels are clipped to the image
+_MIN_DETECTABLE_FRACTION = 0.2  # visible fraction to be scored for detection; KITTI's "largely occluded"
 
 _SCORED = "tracks matched to labels one to one at IoU 0.5; coverage: measured track-frames over those with truth"
 

@@ -34,25 +34,16 @@ from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.ranges import Ranges
 
-MIN_CLOSING_MPS = 0.3
-"""Smallest closing speed in m/s for which a time to collision is reported; below, the time is mostly noise."""
-
-_MIN_INDEPENDENT_FRACTION = 0.1
-"""Smallest independent fraction of sigma; a method that declares less is filtered with this fraction."""
+MIN_CLOSING_MPS = 0.3  # smallest closing speed with a time to collision; below, the time is mostly noise
+_MIN_INDEPENDENT_FRACTION = 0.1  # of sigma; a method that declares less is filtered with this fraction
 
 _EGO_CORRELATION_S = 1.0
 """Time tau in seconds over which errors of the ego speed are correlated; assumed: that of receivers with one sample per
 second. Odometry's are shorter, but its sigma is a tenth of a receiver's."""
 
-_MIN_DISTANCE_M = 0.3
-"""Smallest distance in m; a track that is predicted to be nearer has passed the camera, and its filter restarts."""
-
-_PRIOR_SAMPLES, _MEMORY_SAMPLES = 30.0, 300.0
-"""Weight of the declared noise, and half-life of the estimate of lambda, as numbers of measurements."""
-
-_LIMITS = (0.2**2, 4.0**2)
-"""Smallest and largest lambda: between a fifth and four times the declared standard deviation."""
-
+_MIN_DISTANCE_M = 0.3  # a track that is predicted to be nearer has passed the camera, and its filter restarts
+_PRIOR_SAMPLES, _MEMORY_SAMPLES = 30.0, 300.0  # measurements: weight of the declared noise, and half-life of lambda
+_LIMITS = (0.2**2, 4.0**2)  # smallest and largest lambda: a fifth to four times the declared standard deviation
 _MAX_RATIO = 9.0  # largest nu^2 / S; innovations beyond 3 sigma are outliers
 
 

@@ -40,18 +40,10 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 
 EGO_HALF_WIDTH_M = 0.9  # half the width of the ego vehicle in m, of a typical passenger car
-
-_LATERAL_ACCELERATION_MPS2 = 0.25
-"""Standard deviation a of the lateral acceleration, tuned on simulated drives; a lane change reaches twice as much."""
-
+_LATERAL_ACCELERATION_MPS2 = 0.25  # a, tuned on simulated drives; a lane change reaches twice as much
 _INITIAL_RATE_SIGMA_MPS = 5.0  # standard deviation of u for a new track: lateral speed of a runner, or of a car in town
-
-_ACCELERATION_NOISE = 0.7
-"""Process noise: random walk of u in m/s per square root of a second, tuned on simulated drives."""
-
-_CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02
-"""Standard deviation of a box centre: a constant in px, plus a fraction of the box width; typical of detectors."""
-
+_ACCELERATION_NOISE = 0.7  # random walk of u in m/s per square root of a second, tuned on simulated drives
+_CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02  # of a box centre: px, plus a fraction of the box width
 _GATE_SIGMA = 5.0  # gate in standard deviations of the innovation; measurements outside are ignored
 
 _OUTSIDE_S, _MAX_GAP_S = 0.25, 1.0
@@ -62,8 +54,7 @@ _BORDER_PX, _BORDER_FRACTION = 2.0, 0.1
 """Distance from the left or right image border within which a box counts as cut by it: px, plus a fraction of the
 height of the box, since the edges of detected boxes are uncertain."""
 
-_LEAST_WIDTH_FRACTION = 0.8
-"""Width of a box, as a fraction of the smallest width of its class, below which a part of the object is hidden."""
+_LEAST_WIDTH_FRACTION = 0.8  # of the smallest width of its class; in a narrower box, a part of the object is hidden
 
 _SIZES_M = {
     "person": (0.3, 0.4),

@@ -17,15 +17,10 @@ from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.size_models.curve import CurveError
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
 
-NEAREST_M, FARTHEST_M = 5.0, 100.0
-"""Range of distances in m to fit: nearer objects are truncated, farther ones are a few pixels high."""
-
+NEAREST_M, FARTHEST_M = 5.0, 100.0  # nearer objects are truncated, farther ones are a few pixels high
 MIN_SAMPLES = 100  # smallest number of boxes of a class for a fit, which requires several objects at several distances
 _MIN_SIGMA_RELATIVE = 0.03  # smallest relative standard deviation of a curve
-
-_SLOPE_BOUNDS = ((-2.0, -0.1), (-1.0, 0.0))
-"""Bounds of the slopes of log d in log height and log width, so that the distance always decreases with size."""
-
+_SLOPE_BOUNDS = ((-2.0, -0.1), (-1.0, 0.0))  # in log height and log width: the distance decreases with size
 _HUBER_SCALE = 0.1  # residual of log d beyond which the loss is linear: 10 % of the distance
 
 STANDARD_HEIGHTS_M: Mapping[str, tuple[float, float, str]] = {

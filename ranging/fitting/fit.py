@@ -31,11 +31,8 @@ from track_range.ranging.size_models.tables import TableCurve, TableSizes
 CUBOIDS, LOG_LINEAR = "cuboids", "log-linear"
 
 MODEL_NAMES = (CUBOIDS, LOG_LINEAR, *SAFE_CURVES)  # names of the size models that can be fitted
-
 _MIN_SIGMA_RELATIVE = 0.03  # smallest relative standard deviation of a curve
-
-_MIN_HEIGHT_RATIO = 1.3
-"""Smallest ratio of the 95th to the 5th percentile of box heights of a class that determines a curve."""
+_MIN_HEIGHT_RATIO = 1.3  # of the 95th to the 5th percentile of the box heights of a class that determines a curve
 
 
 @dataclass(frozen=True, slots=True)

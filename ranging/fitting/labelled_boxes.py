@@ -44,20 +44,13 @@ CLASS_OF: Mapping[str, str] = {
 }
 """KITTI types that are measured, with their class names in the results."""
 
-DETECTED_CLASS_OF: Mapping[str, str] = {"van": "car"}
-"""Class names that are not road classes, with the road class that a detector reports for them."""
-
+DETECTED_CLASS_OF: Mapping[str, str] = {"van": "car"}  # road class that a detector reports for other classes
 FRAME_STEP_S = 0.1036  # mean frame interval of KITTI's tracking drives in s; their labels have no timestamps
 MIN_SCORE = 0.5  # smallest confidence of detections that are used
-
-REAR_VIEW_RAD, REAR_VIEW_M = 0.25, 10.0
-"""Largest difference of alpha from -pi/2 in rad, and largest lateral offset in m, of an object seen from behind."""
-
+REAR_VIEW_RAD, REAR_VIEW_M = 0.25, 10.0  # largest difference of alpha from -pi/2, and lateral offset, of a rear view
 _RRC_TYPE: Mapping[str, str] = {"Car": "Car", "Pedestrian": "Pedestrian"}  # KITTI type by folder of RRC detections
 _MIN_SIZE_PX = 1.0  # smallest width and height of a box after noise was added
-
-_OBJECT_COLUMNS = (15, 16)
-"""Numbers of columns in a line of KITTI object labels, without and with a score; tracking labels have 17 or 18."""
+_OBJECT_COLUMNS = (15, 16)  # of KITTI object labels, without and with a score; tracking labels have 17 or 18
 
 _IMAGE_SIZE_PX: Mapping[float, tuple[int, int]] = {
     721.5377: (1242, 375),

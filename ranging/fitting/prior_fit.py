@@ -22,27 +22,17 @@ from track_range.ranging.size_models.curve import CurveError
 from track_range.ranging.size_models.prior import NODE_CAMERA_HEIGHT_M, YAW_DEG, SizePrior
 from track_range.ranging.size_models.size_model import BORDER_PX
 
-MIN_OBJECTS, MIN_BOXES = 3, 100
-"""Smallest numbers of objects and boxes of a class for a fit; classes with fewer have their standard size."""
-
-_OBJECT_POWER, _BOX_POWER = 0.8, -0.5
-"""Exponents of the number n of an object's boxes in the weight of the object, and in that of each of its boxes."""
-
+MIN_OBJECTS, MIN_BOXES = 3, 100  # of a class for a fit; classes with fewer have their standard size
+_OBJECT_POWER, _BOX_POWER = 0.8, -0.5  # exponents of an object's number of boxes in the weights of object and box
 _STANDARD_OBJECTS = 1.0  # weight of the standard size of a class, as a number of objects
 
 _STANDARD_DRIVES, _STANDARD_DRIVE_SIGMA = 6.0, 0.03
 """Weight, as a number of drives, and value of the standard deviation of the mean log height of drives."""
 
 _UNIFORM_YAW_FRACTION = 0.1  # fraction of objects with a uniformly distributed yaw, so that no yaw is impossible
-
-_MIN_SCATTER = (0.01, 0.02)
-"""Smallest standard deviations of log height and log width of boxes about those of the cuboid."""
-
-_LOG_DISTANCE = (3.2, 1.2)
-"""Mean and standard deviation of log distance: 25 m with a factor of 3.3, wide enough for any road."""
-
-_CORRELATION = (0.3, 0.2, 0.2)
-"""Correlations of log height and width, height and length, width and length of standard sizes."""
+_MIN_SCATTER = (0.01, 0.02)  # of log height and log width of boxes about those of the cuboid
+_LOG_DISTANCE = (3.2, 1.2)  # mean and standard deviation: 25 m with a factor of 3.3, wide enough for any road
+_CORRELATION = (0.3, 0.2, 0.2)  # of log height and width, height and length, width and length of standard sizes
 
 STANDARD_SIZES: Mapping[str, tuple[tuple[float, float, float], tuple[float, float, float], str]] = {
     "person": ((1.70, 0.55, 0.55), (0.08, 0.25, 0.35), "adults 1.55-1.90 m, and some children"),

@@ -20,8 +20,7 @@ _MIN_OWN_NOISE = 0.1
 """Smallest fraction of the source `own` in a method's independent variance: two methods with the same sources still
 differ by rounding and implementation, and their covariance has to be positive definite."""
 
-_SIMILAR = 0.5
-"""Correlation of the errors of two methods above which fusion does not extrapolate from one through the other."""
+_SIMILAR = 0.5  # correlation above which fusion does not extrapolate from one method through the other
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,10 +49,7 @@ their variance over a distance factor of e, and none over time alone."""
 
 _MEMORY_S = 60.0  # time in s over which biases decay to 1/e; long, since KITTI shows no decay over time alone
 _MAX_GAP_S = 3.0  # longest absence in s after which the biases of a track are still used
-
-_MAX_AGREEMENTS = 2 * TRUSTED_FRAMES
-"""Largest count of frames in agreement, so that a few conflicts (-2 each) end the trust in a track's history."""
-
+_MAX_AGREEMENTS = 2 * TRUSTED_FRAMES  # so that a few conflicts (-2 each) end the trust in a track's history
 _CONFLICT_VARIANCE = 0.5  # variance added to u in a frame with a conflict
 
 _MAX_BIAS_SIGMA = 2.5
@@ -63,11 +60,8 @@ _VAGUE_SIGMA = 0.4
 """Relative sigma above which a method is not used if another one is better: biases are in units of sigma, and one that
 is learnt while sigma is several times its usual value would be too large in the frames that follow."""
 
-_REFERENCE_S = 0.5
-"""Time in s after the last measurement of a scale reference during which the scale counts as that of the reference."""
-
-_KNOWN_BIAS_VARIANCE = 0.3
-"""Largest variance of u of a size method for which its scale counts as that of the reference; 1 = nothing learnt."""
+_REFERENCE_S = 0.5  # s after a scale reference during which the scale counts as that of the reference
+_KNOWN_BIAS_VARIANCE = 0.3  # variance of a size method's u below which its scale is the reference's; 1 = unknown
 
 
 class ScaleSource(IntEnum):

@@ -25,13 +25,8 @@ from track_range.ranging.fusion.estimation import Estimate, Measurements, TrackB
 
 CONFLICT_T2 = 9.0  # value of t^2 above which methods are in conflict: 3 standard deviations
 TRUSTED_FRAMES = 5  # number of frames in agreement after which the history of a track decides which method is wrong
-
-_LOG_MAX_SIZE_RATIO = math.log(2.5)
-"""Largest plausible difference of log distance between matching and size methods: a factor of 2.5."""
-
-_OUTLIER_SIGMA = 3.0
-"""Deviation in standard deviations from the track's history or another method: above an outlier, below in agreement."""
-
+_LOG_MAX_SIZE_RATIO = math.log(2.5)  # largest plausible difference between matching and size methods
+_OUTLIER_SIGMA = 3.0  # deviation from history or another method: above an outlier, below in agreement
 _MAX_SPEED_MPS = 20.0  # largest rate of change of distances, for the prediction from the last frame
 _SAME_ERRORS = 0.5  # correlation of systematic errors above which two methods do not confirm each other
 

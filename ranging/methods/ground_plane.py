@@ -56,14 +56,10 @@ from track_range.tracking.tracks import Tracks
 GROUND_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van")
 """Size classes of objects on the ground."""
 
-_ON_GROUND = np.array([name in GROUND_CLASSES for name in SIZE_CLASSES])
-"""(size classes,) whether objects of the class are on the ground."""
-
+_ON_GROUND = np.array([name in GROUND_CLASSES for name in SIZE_CLASSES])  # (size classes,)
 _HUBER_SIGMA = 2.0  # residual in standard deviations beyond which measurements are down-weighted (Huber)
 _MAX_HEIGHT_SIGMA = 0.05  # largest relative standard deviation of a measured camera height that counts as known
-
-_REFERENCE_SIGMA = 0.015
-"""Relative error of all distances from image motion: camera height, and the horizon's mean error."""
+_REFERENCE_SIGMA = 0.015  # relative, of all distances from image motion: camera height, and the horizon's mean error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,20 +94,13 @@ class Horizon:
     height_m: float  # height H of the camera above the road
 
 
-_N = 4
-"""Number of the unknowns x = (y0, H, fy k, b)."""
-
+_N = 4  # number of the unknowns x = (y0, H, fy k, b)
 _FIXED = 1e-3  # standard deviation of unknowns that are taken to be 0, in px/m and as a fraction
-
-_N_CURVE_ROUNDS = 3
-"""Rounds of fixed-point iteration for the distance on a curved road; the fraction of the curvature changes slowly."""
-
+_N_CURVE_ROUNDS = 3  # of fixed-point iteration on a curved road; the fraction of the curvature changes slowly
 _MIN_SLOPE = 0.3  # smallest change of the row with distance, relative to that on a plane road: near a crest
 _MIN_OWN = 0.4  # smallest fraction of the variance of a distance by size that belongs to the object and the box
 _MOVING_PITCH_RAD = 0.001  # error of the horizon from image motion that is new in every frame
-
-_MIN_INFORMATION = 1e-3
-"""Smallest information of a track about the horizon, relative to a new measurement; tracks with less are dropped."""
+_MIN_INFORMATION = 1e-3  # about the horizon, relative to a new measurement; tracks with less are dropped
 
 
 # Normal equations of the weighted measurements y = a'x are arrays (4, 5), with the tracks on further axes:

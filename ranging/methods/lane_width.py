@@ -43,12 +43,8 @@ Lanes are 2.75 to 3.75 m wide depending on country and road type; wider on roads
 _ON_THE_ROAD = np.array([name not in ("traffic light", "traffic sign") for name in ROAD_CLASSES])
 """(road classes,) whether objects of the class are on the road."""
 
-_LATERAL_RANGE = (-1.1, 2.1)
-"""Lateral range in lane widths from the left line: the ego lane, 0 to 1, and one lane on either side."""
-
-_MAX_EXTRAPOLATION, _MIN_EXTRAPOLATION = 2.0, 0.5
-"""Largest and smallest distance, as factors of the distances of the farthest and nearest row with both lines."""
-
+_LATERAL_RANGE = (-1.1, 2.1)  # lane widths from the left line: the ego lane, 0 to 1, and one lane on either side
+_MAX_EXTRAPOLATION, _MIN_EXTRAPOLATION = 2.0, 0.5  # factors of the distances of the farthest and nearest row
 _MIN_WIDTH_PX = 8.0  # smallest usable width of the lane in the image
 _MAX_SIGMA = 0.3  # largest relative standard deviation of a reported distance
 

@@ -22,8 +22,7 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import CameraStep
 from track_range.tracking.tracks import Tracks
 
-_MIN_HEIGHT_PX = 4.0
-"""Height in px below which boxes are not ranged: an edge error of 1 px is then a quarter of the distance."""
+_MIN_HEIGHT_PX = 4.0  # lower boxes are not ranged: an edge error of 1 px is a quarter of the distance
 
 
 _CUT_SIGMA = 0.085
@@ -31,9 +30,7 @@ _CUT_SIGMA = 0.085
 column is not that of the object; on KITTI."""
 
 _MIN_AREA_PX2 = 1e-6  # smallest area of a box, so that one without an area is not covered
-
-_COVERED_SIGMA = 0.06
-"""Relative standard deviation of the distance of a box that nearer ones cover wholly, of a detector on KITTI."""
+_COVERED_SIGMA = 0.06  # relative, of the distance of a box that nearer ones cover wholly, of a detector on KITTI
 
 
 def incomplete_sigma(xyxy_px: FloatArray, is_cut: BoolArray) -> FloatArray:

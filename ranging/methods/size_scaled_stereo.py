@@ -25,24 +25,12 @@ from track_range.stereo.matching.patch_matches import BoxMatcher
 from track_range.tracking.tracks import Tracks
 
 _UNALIGNED_SIGMA_PX = 1.0  # standard deviation in px of the disparities of uncalibrated cameras, apart from the scale
-
-_SIZES_SIGMA = 0.08
-"""Relative standard deviation of the mean size of a class: countries, car models and detectors differ."""
-
-_TRACK_SIGMA = 0.15
-"""Relative standard deviation of K from single tracks, in addition to the sigma of their distances by size."""
-
-_MIN_TRACKS_FOR_SCATTER = 6
-"""Effective number of tracks from which the observed scatter of their K is used instead of `_TRACK_SIGMA`."""
-
-_MIN_DISPARITY_PX = 3.0
-"""Smallest disparity that K is learnt from; smaller ones depend more on the alignment than on the scale."""
-
-_MAX_WEIGHTED_SAMPLES = 10
-"""Number of samples after which the weight of a track is constant: its size error is the same in all samples."""
-
-_MAX_SAMPLES, _MAX_TRACKS = 30, 500
-"""Largest number of samples per track and of tracks, to bound memory; more do not change the median."""
+_SIZES_SIGMA = 0.08  # relative, of the mean size of a class: countries, car models and detectors differ
+_TRACK_SIGMA = 0.15  # relative, of K from single tracks, in addition to the sigma of their distances by size
+_MIN_TRACKS_FOR_SCATTER = 6  # effective number from which the observed scatter replaces `_TRACK_SIGMA`
+_MIN_DISPARITY_PX = 3.0  # that K is learnt from; smaller ones depend more on the alignment than on the scale
+_MAX_WEIGHTED_SAMPLES = 10  # after which a track's weight is constant: its size error is always the same
+_MAX_SAMPLES, _MAX_TRACKS = 30, 500  # per track and of tracks, to bound memory; more do not change the median
 
 
 class _TrackScale:

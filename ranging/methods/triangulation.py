@@ -23,13 +23,8 @@ from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matches import BoxMatcher, ExpectedDisparity, Outcome, PatchMatches
 from track_range.tracking.tracks import Tracks
 
-_PRIOR_LIFETIME_S = 1.0
-"""Time in s after the last match of a track during which its disparity restricts the search range."""
-
-_FULL_SEARCH_INTERVAL_S = 1.0
-"""Time in s after which the full disparity range is searched in any case, so that a track can leave an occluder."""
-
-
+_PRIOR_LIFETIME_S = 1.0  # after the last match, during which a track's disparity restricts the search
+_FULL_SEARCH_INTERVAL_S = 1.0  # after which the full range is searched, so that a track can leave an occluder
 _BORDER_PX = 2.0  # distance in px from the image border within which a box may show only a part of the object
 _CUT_LOG_SIGMA = 0.4  # additional standard deviation of the log disparity by size of such a box
 

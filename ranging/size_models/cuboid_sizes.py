@@ -37,14 +37,9 @@ CLASS_CONFUSION: Mapping[str, Mapping[str, float]] = {
 """Probabilities of the true classes of a detected class: detectors report some vans as cars, and KITTI labels
 lorries that are 3 m high as vans."""
 
-_QUANTILES_68 = np.array([0.158655, 0.5, 0.841345])
-"""Levels of the median and of the central 68 %: one standard deviation to either side of a Gaussian."""
-
-_QUANTILES = np.array([0.02275, 0.158655, 0.841345, 0.97725])
-"""Levels of the central 95 and 68 %: two and one standard deviations to either side of a Gaussian."""
-
-_MEDIAN = np.array([0.5])
-"""Level of the reported distance under p(log d) / d: it then has the smallest expected relative error."""
+_QUANTILES_68 = np.array([0.158655, 0.5, 0.841345])  # median and one standard deviation to either side
+_QUANTILES = np.array([0.02275, 0.158655, 0.841345, 0.97725])  # one and two standard deviations to either side
+_MEDIAN = np.array([0.5])  # under p(log d) / d, which has the smallest expected relative error
 
 _CALIBRATION, _ONE_BODY_CALIBRATION = 0.92, 0.85
 """Factors of sigma for classes with several body types and with one: the larger of the two widths is on average too

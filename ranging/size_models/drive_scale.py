@@ -27,8 +27,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
-_COMMON_SIGMA, _CLASS_SIGMA = 0.03, 0.05
-"""Standard deviations of a and c_k: together 0.06, as biases of mono on whole KITTI drives are -12 to +9 %."""
+_COMMON_SIGMA, _CLASS_SIGMA = 0.03, 0.05  # of a and c_k: together 0.06; biases of mono on KITTI drives are -12 to +9 %
 
 _PRIOR_VARIANCE = _COMMON_SIGMA**2 + _CLASS_SIGMA**2
 
@@ -37,10 +36,7 @@ _CORRELATED_S = 0.5  # time over which the errors of a track's frames are correl
 _MEMORY_S = 180.0  # time constant with which tracks are forgotten: streets change
 _OWN_S = 5.0  # time for which a track without references stays corrected by its own ones
 _MAX_TRACKS = 400  # largest number of tracks; more do not change the estimate
-
-_N_ROUNDS, _CAUCHY_SIGMA = 3, 2.0
-"""Rounds of reweighting, and scale of the weights 1 / (1 + (residual / scale)^2) in standard deviations."""
-
+_N_ROUNDS, _CAUCHY_SIGMA = 3, 2.0  # of reweighting, and scale of the weights 1 / (1 + (residual / scale)^2) in sigmas
 _MAX_LOG_RATIO = 0.5  # largest difference of log distance that is evidence; larger ones are mistakes
 
 

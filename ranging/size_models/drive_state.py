@@ -28,12 +28,8 @@ _ROUGHNESS_OBJECTS = 3.0  # weight of the prior roughness, 1, as a number of obj
 _ROUGHNESS_RANGE = (0.2, 5.0)  # smallest and largest roughness lambda
 _MAX_CHI2 = 9.0  # largest squared residual relative to its variance that counts for the roughness
 _MIN_WEIGHT = 0.02  # weight, relative to a new object, below which an object that has left is forgotten
-
-_MAX_LOG_RATIO = 1.0
-"""Largest log likelihood ratio of two body types from the earlier views of an object, since shapes are not cuboids."""
-
-_N_MEANS = 7
-"""Number of means per object for the ground: five terms of the normal equations, two moments of the residuals."""
+_MAX_LOG_RATIO = 1.0  # of two body types from the earlier views of an object, since shapes are not cuboids
+_N_MEANS = 7  # per object: five terms of the normal equations, two moments of the residuals
 
 _N_GROUND, _N_VIEWS, _TIME, _BODIES = _N_MEANS, _N_MEANS + 1, _N_MEANS + 2, _N_MEANS + 3
 """Rows of the state of an object after the means: frames on the ground, frames, time of the last one; then the mean log

@@ -108,8 +108,7 @@ _OF_ONE_MEASURE: Mapping[str, _RawFitter] = {
     "inverse-height": _RawFitter(height, _fit_inverse),
 }
 
-PLAIN_CURVES: Mapping[str, CurveFitter] = {**_OF_ONE_MEASURE, "log-linear": _fit_log_linear}
-"""Fitters of raw curves by name, for comparison."""
+PLAIN_CURVES: Mapping[str, CurveFitter] = {**_OF_ONE_MEASURE, "log-linear": _fit_log_linear}  # raw
 
 SAFE_CURVES: Mapping[str, Callable[[FloatArray, FloatArray, FloatArray], FittedTable]] = {
     name: fitter.safe for name, fitter in _OF_ONE_MEASURE.items()

@@ -40,11 +40,8 @@ _TRAPEZOIDS = (np.triu(np.ones((_N_GRID, _N_GRID))) + np.triu(np.ones((_N_GRID, 
 _TRAPEZOIDS[0] -= 0.5
 """(G, G) trapezoidal rule: `density @ _TRAPEZOIDS` is the integral from the first grid point to each one."""
 
-_NOT_ON_THE_ROAD = 0.003
-"""Likelihood, per unit of tangent, of a bottom edge that is not on the road but on a bridge or balcony."""
-
-_T_COMPONENTS = ((0.5, 0.8), (0.35, 2.0), (0.15, 5.0))
-"""(weight, scale) of Gaussians that approximate Student's t with 2 degrees of freedom."""
+_NOT_ON_THE_ROAD = 0.003  # likelihood per unit of tangent of a bottom edge on a bridge or balcony
+_T_COMPONENTS = ((0.5, 0.8), (0.35, 2.0), (0.15, 5.0))  # (weight, scale) that approximate Student's t
 
 _Float32 = npt.NDArray[np.float32]
 

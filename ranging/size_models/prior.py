@@ -26,12 +26,8 @@ from track_range.foundation.validation import Integer, Number
 from track_range.ranging.size_models.cuboid import CuboidBox, Floats, box_of_cuboid
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, Sigma, SizeM
 
-YAW_DEG = np.array([0.0, 3.0, 7.0, 12.0, 20.0, 32.0, 48.0, 68.0, 90.0])
-"""Yaw angles (to the camera's axis) of the weights of a prior; denser where the box width changes most."""
-
-NODE_CAMERA_HEIGHT_M = 1.65
-"""Camera height of the boxes in the tables, that of KITTI; the size of a box hardly depends on it."""
-
+YAW_DEG = np.array([0.0, 3.0, 7.0, 12.0, 20.0, 32.0, 48.0, 68.0, 90.0])  # denser where the box width changes
+NODE_CAMERA_HEIGHT_M = 1.65  # of the boxes in the tables, that of KITTI; box sizes hardly depend on it
 _YAW_RAD = np.radians(np.concatenate([YAW_DEG, -YAW_DEG[1:-1]]))  # (K,) yaw of the bins of the tables, to both sides
 _BEARING_STEP = 0.06  # spacing of the nodes in the tangent of the bearing
 _BEARINGS = np.arange(21) * _BEARING_STEP  # tangent of the bearing of the nodes, up to 50 degrees

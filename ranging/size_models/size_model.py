@@ -15,8 +15,7 @@ from track_range.foundation.validation import Number
 from track_range.ranging.size_models.drive_state import DriveState
 from track_range.stereo.geometry.camera import PinholeCamera
 
-SIZE_CLASSES = (*ROAD_CLASSES, "van")
-"""Names of the size classes by index: the road classes, and vans, which differ in size from their road classes."""
+SIZE_CLASSES = (*ROAD_CLASSES, "van")  # road classes, and vans, which differ in size from cars
 
 
 def _known(name: str) -> str:
@@ -26,17 +25,13 @@ def _known(name: str) -> str:
 
 
 SizeClass = Annotated[str, AfterValidator(_known)]  # name of a size class in a file
-
-Sigma = Annotated[Number, Field(ge=1e-4, le=100)]
-"""Standard deviation in a file; 1 / sigma^2 of smaller values overflows."""
-
+Sigma = Annotated[Number, Field(ge=1e-4, le=100)]  # in a file; 1 / sigma^2 of smaller values overflows
 SizeM = Annotated[Number, Field(ge=0.01, le=50)]  # height, width or length of an object in a file, metres
 
 _HAS_PERSON = np.array([name in ("person", "bicycle", "motorcycle") for name in SIZE_CLASSES])
 """(size classes,) whether the box of an object contains a person's limbs."""
 
-BORDER_PX = 1.5
-"""Distance in px from the image border within which a box counts as cut: boxes of detectors end up to 1 px inside."""
+BORDER_PX = 1.5  # from the image border within which a box counts as cut: boxes of detectors end up to 1 px inside
 
 
 @dataclass(frozen=True, slots=True)

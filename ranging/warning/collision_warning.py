@@ -48,20 +48,11 @@ _IN_THE_WAY = np.array([name not in ("traffic light", "traffic sign") for name i
 
 _RATE_FACTOR = 2.0  # factor on the variance of filtered rates, whose errors are correlated between frames
 _JUMP_SIGMA = 3.0  # change of an object's speed in standard deviations above which the track now is on another object
-
-_MAX_SPEED_MPS, _MAX_ACCELERATION_MPS2 = 70.0, 15.0
-"""Largest speed and acceleration of road users, m/s and m/s^2; above, the track is wrong."""
-
+_MAX_SPEED_MPS, _MAX_ACCELERATION_MPS2 = 70.0, 15.0  # of road users; above, the track is wrong
 _MAX_LAG_S = 0.6  # of a distance filter that is corrected
-
 _BESIDE_SIGMA = 2.0  # distance from the ego path, in standard deviations, beyond which a vehicle is beside it
-
-_STATIC_MPS, _MOVING_MPS = 2.0, 8.0
-"""Speed along the road below which an object counts as static, and prior standard deviation of that of moving ones."""
-
-_GATE_SIGMA = 6.0
-"""Lateral speed in standard deviations of the prior and its error above which the prior does not apply."""
-
+_STATIC_MPS, _MOVING_MPS = 2.0, 8.0  # static below this speed along the road; prior sigma of moving objects
+_GATE_SIGMA = 6.0  # lateral speed, in sigmas of the prior and its error, above which the prior does not apply
 _BESIDE_S = 4.0  # longest time since a vehicle was beside the path for a cut-in, s: that of a slow lane change
 _MIN_CUT_IN_SPEED_MPS = 5.0  # smallest ego speed of an alarm for a cut-in, m/s; below, vehicles merge closely in queues
 

@@ -29,9 +29,7 @@ from scipy.special import ndtr
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 
-_N_STEPS = 12
-"""Number of steps of the integral; with 256, 99 % of the probabilities of simulated drives differ by at most 0.004."""
-
+_N_STEPS = 12  # of the integral; with 256, 99 % of simulated probabilities differ by at most 0.004
 _MIN_SIGMA = 1e-3  # smallest standard deviation in m, against a division by zero
 _MIN_BRAKING_MPS = 1e-6  # smallest deceleration, against a division by zero
 

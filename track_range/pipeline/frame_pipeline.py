@@ -26,8 +26,7 @@ from track_range.tracking.registry import checked_tracks
 from track_range.tracking.tracker import ObjectTracker
 from track_range.tracking.tracks import Tracks
 
-FUSED_NOISE_FRACTION = 0.35
-"""Initial fraction of the fused sigma that is independent between frames, for the distance filter."""
+FUSED_NOISE_FRACTION = 0.35  # initial fraction of the fused sigma that is independent between frames
 
 
 def noise_fractions() -> dict[str, float]:

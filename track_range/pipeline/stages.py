@@ -31,8 +31,7 @@ from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.stereo.odometry.road_horizon import RoadView
 from track_range.tracking.tracks import Tracks
 
-_LANE_INTERVAL_S = 0.09
-"""Minimum time in seconds between two detections of lane lines; lanes change slowly, and detection is expensive."""
+_LANE_INTERVAL_S = 0.09  # between two detections of lane lines, which change slowly and are expensive to detect
 
 
 class Prepared(NamedTuple):

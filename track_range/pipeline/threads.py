@@ -30,8 +30,7 @@ class QueueDepths:
     detected: int = 2  # frames with boxes that wait for the caller
 
 
-LIVE_DEPTHS = QueueDepths(read=1, lanes=1, detected=1)
-"""Queue depths for cameras, as short as possible to reduce latency."""
+LIVE_DEPTHS = QueueDepths(read=1, lanes=1, detected=1)  # for cameras, to reduce latency
 
 
 def run_in_threads(

@@ -19,15 +19,13 @@ from track_range.foundation.arrays import FloatArray, FloatArray32, Image, check
 from track_range.tracking.appearance.embeddings import has_appearance
 from track_range.tracking.appearance.gallery import unit_rows
 
-OPEN_INPUT_HW = (256, 128)
-"""(height, width) for a network with a dynamic input size: the usual input for the re-identification of people."""
+OPEN_INPUT_HW = (256, 128)  # for a network with a dynamic input size: the usual one for people
 
 _MEAN = np.array([0.485, 0.456, 0.406], np.float32)
 _STD = np.array([0.229, 0.224, 0.225], np.float32)
 """Mean and standard deviation of ImageNet's red, green and blue values, in 0..1."""
 
-_MAX_BATCH = 8
-"""Crops per batch. Larger batches are slower on a CPU: OSNet takes 3.0 ms per crop with 8, 7.7 ms with 32."""
+_MAX_BATCH = 8  # crops; on a CPU, OSNet takes 3.0 ms per crop with 8, 7.7 ms with 32
 
 
 class ReidModel:

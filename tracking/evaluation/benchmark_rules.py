@@ -39,9 +39,7 @@ KITTI_TYPES: Mapping[str, tuple[str, tuple[str, ...]]] = {
 _MAX_OCCLUDED, _MAX_TRUNCATED = 2, 0.0  # largest occlusion level and truncation of KITTI's truth that counts
 MIN_HEIGHT_PX = 25.0  # height up to which KITTI ignores unmatched results
 _MOT_PEDESTRIAN = 1  # MOTChallenge's class number of pedestrians
-
-_MOT_DISTRACTORS = (2, 7, 8, 12)
-"""MOTChallenge's class numbers of a person on a vehicle, a static person, a distractor and a reflection."""
+_MOT_DISTRACTORS = (2, 7, 8, 12)  # person on a vehicle, static person, distractor, reflection
 
 
 def kitti_cleaned(labels: KittiLabels, results: TrackedBoxes, road_class: str) -> tuple[TrackedBoxes, TrackedBoxes]:

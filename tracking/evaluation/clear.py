@@ -19,9 +19,7 @@ from track_range.tracking.evaluation.similarity import Similarity
 
 MIN_IOU = 0.5  # minimum IoU of a match
 _EPSILON = float(np.finfo(np.float64).eps)  # tolerance of comparisons, as in TrackEval
-
-_CONTINUITY_BONUS = 1000.0
-"""Added to the IoU of a pair that was matched in the previous frame; exceeds any sum of IoUs of a frame."""
+_CONTINUITY_BONUS = 1000.0  # for a pair matched in the previous frame; exceeds any sum of IoUs of a frame
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,8 +32,7 @@ _METRICS: Mapping[str, str] = {
 }
 """motmetrics' names of the fields of `TrackingScores`, where it has them."""
 
-_RATIOS = ("mota", "motp", "idf1", "idp", "idr")
-"""Fields of `TrackingScores` in per cent, which motmetrics gives as fractions."""
+_RATIOS = ("mota", "motp", "idf1", "idp", "idr")  # in per cent here
 
 _MATCHING = (
     "different pairs are matched: motmetrics prefers the last match of each truth track, however old; "

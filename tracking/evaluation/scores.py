@@ -19,8 +19,7 @@ from track_range.tracking.evaluation.hota import HotaCounts, count_hota
 from track_range.tracking.evaluation.similarity import Similarity
 from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, TrackedBoxes
 
-_MIN_FRACTION_IGNORED = 0.5
-"""Minimum fraction of an unmatched result box inside an ignore region for which it is dropped."""
+_MIN_FRACTION_IGNORED = 0.5  # of an unmatched result box inside an ignore region for which it is dropped
 
 
 @dataclass(frozen=True, slots=True)

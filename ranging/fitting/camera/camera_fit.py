@@ -55,16 +55,9 @@ HEIGHT_M, HEIGHT_SIGMA = 1.5, 0.2
 
 PITCH_SIGMA_RAD = 0.07  # prior standard deviation of the pitch of the camera, 4 degrees
 _ROLL_SIGMA = 0.02  # prior standard deviation of the tangent of the roll
-
-_SIZE_SIGMA = 0.04
-"""Standard deviation of the log ratio of the sizes of one street's road users to those of the size model, of KITTI's
-drives."""
-
+_SIZE_SIGMA = 0.04  # of the log ratio of one street's sizes to those of the size model, of KITTI's drives
 _PICKED_EDGE_PX = 1.5  # standard deviation of an edge of a box drawn by hand
-
-_SHAPE_SIGMA = 0.015
-"""Relative standard deviation of the ratio of a box to a known height or width: objects are not flat."""
-
+_SHAPE_SIGMA = 0.015  # of the ratio of a box to a known height or width: objects are not flat
 _PITCHING_RAD = 0.004  # standard deviation of pitch and slope of the road at one time about those of the drive
 _KERB_M = 0.1  # standard deviation of the height of contact points above the road
 _VIEWS_PER_TRACK = 1.5  # number of independent views that the views of one object count as at most
@@ -82,10 +75,7 @@ _MAX_DEVIATION = 2.0
 they contradict each other; below, it hardly differs from chance with few measurements."""
 
 _N_REWEIGHTS = 2  # number of fits with updated standard deviations of the scene
-
-_MAX_SLOPE_RATIO = 2.0
-"""Largest factor between the inverse_depth by size and by the fitted road in these standard deviations."""
-
+_MAX_SLOPE_RATIO = 2.0  # largest factor between the inverse depth by size and by the fitted road in these sigmas
 _N_GRID = 13  # number of focal lengths at which distances by size are computed, for interpolation
 _GRID_LOG_SPAN = 0.7  # half width of the grid of log f
 

@@ -32,22 +32,13 @@ from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES, BoxNoise, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera
 
-DEFAULT_FIELD_DEG = 75.0
-"""Assumed horizontal field of view; most road cameras have 50 (telephones, research vehicles) to 110 degrees."""
-
-DEFAULT_FIELD_SIGMA = 0.3
-"""Relative standard deviation of the focal length with that field of view: 50 degrees is a factor of 1.6, 110 one of
-0.54."""
-
+DEFAULT_FIELD_DEG = 75.0  # assumed; most road cameras have 50 (telephones, research vehicles) to 110 degrees
+DEFAULT_FIELD_SIGMA = 0.3  # relative, of the focal length: 50 degrees is a factor of 1.6, 110 one of 0.54
 _FIELDS_DEG = 150.0, 20.0  # largest and smallest horizontal field of view of the grid
 _N_GRID = 97  # number of points of the grid
 _VIEWS_PER_TRACK = 2.0  # number of independent views that the views of one object count as at most
-
-_SHAPE_SIGMA = 0.12
-"""Standard deviation of log f that all boxes of a drive share; that of KITTI's labels, see docs/accuracy.md."""
-
-_RELATIVE_NOISE = (0.01, 0.03, 0.06, 0.1, 0.15, 0.2)
-"""Standard deviations of the edges of boxes, as fractions of their size, among which the likelihood chooses."""
+_SHAPE_SIGMA = 0.12  # of log f that all boxes of a drive share; that of KITTI's labels, see docs/accuracy.md
+_RELATIVE_NOISE = (0.01, 0.03, 0.06, 0.1, 0.15, 0.2)  # candidates of the noise of box edges / box size
 
 _ATTENUATION, _UNATTENUATED = 2.9, 0.02
 """Increase of log f with the estimated noise, and the noise from which it is counted.
