@@ -175,8 +175,8 @@ def _oxts_forward_mps(file: Path) -> float:
     cells = read_text(file, EgoSpeedError, "a KITTI oxts file").split()
     unreadable = [cell for cell, value in zip(cells, numbers(cells), strict=True) if not math.isfinite(value)]
     if len(cells) != _OXTS_COLUMNS or unreadable:
-        found = quoted(unreadable[0]) if len(cells) == _OXTS_COLUMNS else f"{len(cells)} numbers"
-        raise EgoSpeedError(f"{file}: expected the {_OXTS_COLUMNS} finite numbers of a KITTI oxts file, got {found}.")
+        given = quoted(unreadable[0]) if len(cells) == _OXTS_COLUMNS else f"{len(cells)} numbers"
+        raise EgoSpeedError(f"{file}: expected the {_OXTS_COLUMNS} finite numbers of a KITTI oxts file, got {given}.")
     return number(cells[_OXTS_FORWARD])
 
 

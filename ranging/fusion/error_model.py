@@ -34,7 +34,7 @@ class ErrorModel:
     systematic_covariance: FloatArray  # (M, M, 1) products of the systematic fractions of sigma
     independent_covariance: FloatArray  # (M, M, 1) covariance of the independent errors for sigmas of 1
     similar: IntArray  # (2, K) pairs of methods with an error correlation above 0.5 that may both be used
-    reference: IntArray  # indices of scale references, and of methods with no other systematic errors than theirs
+    reference: IntArray  # indices of scale references, and of methods with the systematic errors of one of them
     is_learnt: BoolArray  # (M, 1) whether the bias of a method is estimated: all but scale references
     superseded_by: BoolArray  # (M, M) whether method i is not used for a track that method j measures
     size: IntArray  # indices of methods that depend on the size of the object's class
