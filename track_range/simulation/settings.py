@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from track_range.foundation.options import Options, option
 
@@ -33,53 +33,34 @@ SCENARIO_NAMES: tuple[ScenarioName, ...] = get_args(ScenarioName)
 _DRIVE, _OUTPUT, _FAULTS = "Drive", "Output", "Camera faults"
 
 
+def _fault(description: str, flag: str, metavar: str, low: float, high: float) -> Any:
+    return option(description, flag=flag, metavar=metavar, panel=_FAULTS, ge=low, le=high)
+
+
 class Faults(Options):
     """Faults of a drive's cameras; none by default."""
 
-    panel: ClassVar[str | None] = _FAULTS
-
     gain: Annotated[
         float,
-        option("Brightness of the right camera relative to the left one, as a factor.", metavar="FACTOR", ge=0.1, le=4),
+        _fault("Brightness of the right camera relative to the left one, as a factor.", "--gain", "FACTOR", 0.1, 4),
     ] = 1.0
     blur_px: Annotated[
-        float,
-        option("Standard deviation in pixels of the blur of both cameras.", flag="--blur", metavar="PX", ge=0, le=20),
+        float, _fault("Standard deviation in pixels of the blur of both cameras.", "--blur", "PX", 0, 20)
     ] = 0.0
-    rain: Annotated[float, option("Density of rain, from 0 to 1.", metavar="0..1", ge=0, le=1)] = 0.0
+    rain: Annotated[float, _fault("Density of rain, from 0 to 1.", "--rain", "0..1", 0, 1)] = 0.0
     row_offset_px: Annotated[
         float,
-        option(
-            "Vertical offset of the right image in pixels, positive downwards.",
-            flag="--row-offset",
-            metavar="PX",
-            ge=-20,
-            le=20,
-        ),
+        _fault("Vertical offset of the right image in pixels, positive downwards.", "--row-offset", "PX", -20, 20),
     ] = 0.0
     disparity_offset_px: Annotated[
-        float,
-        option("Constant error of all disparities in pixels.", flag="--disparity-offset", metavar="PX", ge=-20, le=20),
+        float, _fault("Constant error of all disparities in pixels.", "--disparity-offset", "PX", -20, 20)
     ] = 0.0
     drop_fraction: Annotated[
         float,
-        option(
-            "Fraction of frames dropped by each camera, from 0 to 0.9.",
-            flag="--drop-frames",
-            metavar="FRACTION",
-            ge=0,
-            le=0.9,
-        ),
+        _fault("Fraction of frames dropped by each camera, from 0 to 0.9.", "--drop-frames", "FRACTION", 0, 0.9),
     ] = 0.0
     late_s: Annotated[
-        float,
-        option(
-            "Delay of the right camera in seconds that its timestamps do not show.",
-            flag="--late",
-            metavar="S",
-            ge=-1,
-            le=1,
-        ),
+        float, _fault("Delay of the right camera in seconds that its timestamps do not show.", "--late", "S", -1, 1)
     ] = 0.0
     wrong_rig: Annotated[
         Literal["baseline", "focal", "principal"] | None,
@@ -87,6 +68,7 @@ class Faults(Options):
             "Error in rig.yaml: baseline (5 % too long), focal (focal length 4 % too long) or principal (principal "
             "point 15 px off).",
             metavar="NAME",
+            panel=_FAULTS,
         ),
     ] = None
 
@@ -128,15 +110,7 @@ class _Recording(Options):
         ),
     ] = False
     noise_grey: Annotated[
-        float,
-        option(
-            "Standard deviation of the sensor noise in grey levels of 255.",
-            flag="--noise",
-            metavar="LEVELS",
-            panel=_FAULTS,
-            ge=0,
-            le=40,
-        ),
+        float, _fault("Standard deviation of the sensor noise in grey levels of 255.", "--noise", "LEVELS", 0, 40)
     ] = 2.0
 
 

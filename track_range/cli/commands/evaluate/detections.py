@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from track_range.cli.commands.evaluate.result_files import check_result_files
+from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files, write_json
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
@@ -18,7 +17,6 @@ from track_range.detection.evaluation.matching import SizeMeasure
 from track_range.evaluation.sequences.detector_evaluation import evaluate_source, open_candidates
 from track_range.evaluation.sequences.labelled_images import LabelledSource
 from track_range.evaluation.sequences.settings import DetectionEvaluationSettings
-from track_range.foundation.files.output_files import write_text
 from track_range.foundation.options import option
 from track_range.run.options.opened import DetectorOptions, class_names
 from track_range.run.progress import frame_progress
@@ -38,7 +36,7 @@ class DetectionsOptions(DetectionEvaluationSettings):
     figure: Annotated[
         Path | None, option("Reliability diagrams of the scores to write, an SVG or PNG file.", metavar="FILE.svg")
     ] = None
-    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
+    json_file: JsonField = None
 
 
 def _detections(options: DetectionsOptions) -> None:
@@ -62,11 +60,9 @@ def _detections(options: DetectionsOptions) -> None:
         min_height_px=options.min_height,
     )
     print_figures(figures, measure=options.by)
-    write_figures(figures, options.json_file)
+    write_json(figures, options.json_file, allow_nan=True)
     if options.figure is not None:
-        from track_range.views.report.figures import (
-            reliability_chart,
-        )  # imports matplotlib, which takes a third of a second
+        from track_range.views.report.figures import reliability_chart  # imports matplotlib: a third of a second
 
         reliability_chart({name: row["calibration"] for name, row in figures["models"].items()}, options.figure)
         print_line(console, f"Written: {options.figure}")
@@ -80,16 +76,6 @@ def print_figures(figures: dict[str, Any], *, measure: SizeMeasure | None = None
         print_grid(console, grid)
     for note in figures["notes"]:
         console.print(f"- {note}", style="dim", highlight=False, markup=False)
-
-
-def write_figures(figures: dict[str, Any], path: Path | None) -> None:
-    """Write the results as JSON if a file is given.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
-    if path is not None:
-        write_text(path, json.dumps(figures, indent=2) + "\n")
 
 
 app = single_app(command(DetectionsOptions, _detections))

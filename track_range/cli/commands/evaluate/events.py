@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from pathlib import Path
 from statistics import median
-from typing import Annotated, Any
+from typing import Any
 
-from track_range.cli.commands.evaluate.result_files import check_result_files
+from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files, write_json
 from track_range.cli.console import console, print_grid, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.evaluation.events.evaluate import evaluate_events
 from track_range.evaluation.events.settings import EventEvaluationSettings
-from track_range.foundation.files.output_files import write_text
-from track_range.foundation.options import option
 from track_range.views.report.tables import Cell, Column, Grid, figure, grid_of
 
 
 class EventsOptions(EventEvaluationSettings):
     """Options of `track-range evaluate events`."""
 
-    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
+    json_file: JsonField = None
 
 
 def _events(options: EventsOptions) -> None:
@@ -32,8 +28,7 @@ def _events(options: EventsOptions) -> None:
     for grid in (_score_grid(figures), _contact_grid(figures), _closing_grid(figures)):
         if grid.rows:
             print_grid(console, grid)
-    if options.json_file is not None:
-        write_text(options.json_file, json.dumps(figures, indent=2, allow_nan=False) + "\n")
+    write_json(figures, options.json_file)
 
 
 def _score_grid(figures: Mapping[str, Any]) -> Grid:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from track_range.cli.commands.evaluate.result_files import check_result_files
-from track_range.cli.commands.evaluate.risk_tables import draw_risk, risk_grids
+from track_range.cli.commands.evaluate.result_files import JsonField, RiskFigureField, check_result_files, write_json
+from track_range.cli.commands.evaluate.risk_tables import ColumnSpec, draw_risk, metric_columns, risk_grids
 from track_range.cli.console import console, print_grid, print_line, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
@@ -23,10 +22,8 @@ class RangesOptions(RangeEvaluationSettings):
     """Options of `track-range evaluate ranges`."""
 
     table: Annotated[Path | None, option("Markdown file for the tables.", metavar="FILE.md")] = None
-    figure: Annotated[
-        Path | None, option("Chart of the risk-coverage curves to write, an SVG or PNG file.", metavar="FILE.svg")
-    ] = None
-    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
+    figure: RiskFigureField = None
+    json_file: JsonField = None
 
 
 def _ranges(options: RangesOptions) -> None:
@@ -40,14 +37,13 @@ def _ranges(options: RangesOptions) -> None:
     if options.figure is not None:
         draw_risk(curves, options.figure)
         print_line(console, f"Written: {options.figure}")
-    if options.json_file is not None:
-        write_text(options.json_file, json.dumps(figures, indent=2, allow_nan=False) + "\n")
+    write_json(figures, options.json_file)
     if options.table is not None:
         notes = "\n".join(f"- {note}" for note in figures["notes"])
         write_text(options.table, "\n\n".join([*map(tables.markdown_table, grids), notes]) + "\n")
 
 
-_COLUMNS: tuple[tuple[str, str, str, float, tables.Cost | None], ...] = (
+_COLUMNS: tuple[ColumnSpec, ...] = (
     ("coverage %", "coverage", "{:.0f}", 100.0, None),
     ("n", "n", "{:.0f}", 1.0, None),
     ("mean %", "mean_relative_error_pct", "{:.2f}", 1.0, abs),
@@ -61,7 +57,6 @@ _COLUMNS: tuple[tuple[str, str, str, float, tables.Cost | None], ...] = (
     ("closing m/s", "closing_median_error_mps", "{:.2f}", 1.0, abs),
     ("95 % m/s", "closing_p95_error_mps", "{:.2f}", 1.0, abs),
 )
-"""Heading, key in a method's row, format, scale and cost of each column, as in `tables.METHOD_COLUMNS`."""
 
 
 def _grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
@@ -72,10 +67,7 @@ def _grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
 
 
 def _grid(kind: str, rows: Mapping[str, Mapping[str, Any]]) -> tables.Grid:
-    columns = [
-        tables.Column(heading, [tables.figure(row, key) for row in rows.values()], pattern, scale, cost)
-        for heading, key, pattern, scale, cost in _COLUMNS
-    ]
+    columns = metric_columns(rows, _COLUMNS)
     bands = [(band["from_m"], band["to_m"]) for band in next(iter(rows.values()))["bands"]]
     columns += [
         tables.Column(
@@ -87,7 +79,7 @@ def _grid(kind: str, rows: Mapping[str, Mapping[str, Any]]) -> tables.Grid:
     return tables.grid_of(f"{kind}: {n_tracks} tracks", "method", list(rows), columns)
 
 
-_LITERATURE: tuple[tuple[str, str, str, float, tables.Cost | None], ...] = (
+_LITERATURE: tuple[ColumnSpec, ...] = (
     ("n", "n", "{:.0f}", 1.0, None),
     ("coverage %", "coverage", "{:.1f}", 100.0, None),
     ("abs rel %", "abs_rel", "{:.2f}", 100.0, abs),
@@ -112,12 +104,8 @@ def _literature_grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
         return grids
     for kind in next(iter(by_method.values())):
         rows = {name: row[kind] for name, row in by_method.items()}
-        columns = [
-            tables.Column(heading, [tables.figure(row, key) for row in rows.values()], pattern, scale, cost)
-            for heading, key, pattern, scale, cost in _LITERATURE
-        ]
         title = f"{kind}, all distances, truth: {figures['truth']}"
-        grids.append(tables.grid_of(title, "method", list(rows), columns))
+        grids.append(tables.grid_of(title, "method", list(rows), metric_columns(rows, _LITERATURE)))
     return grids
 
 

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from track_range.foundation.errors import UsageError
-from track_range.foundation.files.output_files import OutputError
+from track_range.foundation.files.output_files import OutputError, write_text
+from track_range.foundation.options import option
+
+JsonField = Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")]
+RiskFigureField = Annotated[
+    Path | None, option("Chart of the risk-coverage curves to write, an SVG or PNG file.", metavar="FILE.svg")
+]
 
 _OUTPUTS = {"json_file": "--json", "table": "--table", "figure": "--figure", "out": "--out"}
 """Options that name files to write, by field."""
@@ -18,6 +25,12 @@ _INPUT_FLAGS = {"models": "--model"}
 
 CHART_SUFFIXES = (".svg", ".png")
 """Accepted endings of a chart's file name."""
+
+
+def write_json(figures: Mapping[str, Any], path: Path | None, *, allow_nan: bool = False) -> None:
+    """Write the results as JSON if a file is given."""
+    if path is not None:
+        write_text(path, json.dumps(figures, indent=2, allow_nan=allow_nan) + "\n")
 
 
 def check_result_files(options: Any) -> None:

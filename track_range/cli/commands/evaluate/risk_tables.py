@@ -1,12 +1,15 @@
-"""Tables and chart of risk-coverage curves, for `evaluate stereo` and `evaluate ranges`."""
+"""Columns of metrics, and tables and chart of risk-coverage curves, for `evaluate stereo` and `evaluate ranges`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from track_range.views.report import tables
+
+ColumnSpec = tuple[str, str, str, float, tables.Cost | None]
+"""Heading, key in a row of metrics, format, scale and cost of a column, as in `tables.METHOD_COLUMNS`."""
 
 ANSWERED_PCT = (100, 95, 90, 80, 50)
 """Answered fractions of the boxes in the risk-coverage tables, per cent."""
@@ -14,11 +17,17 @@ ANSWERED_PCT = (100, 95, 90, 80, 50)
 _Curves = Mapping[str, Mapping[str, Any]]
 
 
+def metric_columns(rows: _Curves, specs: Sequence[ColumnSpec]) -> list[tables.Column]:
+    """Columns of rows of metrics by name."""
+    return [
+        tables.Column(heading, [tables.figure(row, key) for row in rows.values()], pattern, scale, cost)
+        for heading, key, pattern, scale, cost in specs
+    ]
+
+
 def draw_risk(curves: _Curves, path: Path) -> None:
     """Draw curves by name."""
-    from track_range.views.report.figures import (
-        risk_coverage_chart,
-    )  # imports matplotlib, which takes a third of a second
+    from track_range.views.report.figures import risk_coverage_chart  # imports matplotlib: a third of a second
 
     risk_coverage_chart({name: curve["curve"] for name, curve in curves.items()}, path)
 

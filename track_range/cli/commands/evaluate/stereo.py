@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from functools import partial
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from track_range.calibration.settings import StereoEvaluationSettings
-from track_range.cli.commands.evaluate.result_files import check_result_files
-from track_range.cli.commands.evaluate.risk_tables import draw_risk, risk_grids
+from track_range.cli.commands.evaluate.result_files import JsonField, RiskFigureField, check_result_files, write_json
+from track_range.cli.commands.evaluate.risk_tables import ColumnSpec, draw_risk, metric_columns, risk_grids
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.evaluation.stereo_evaluation import evaluate_stereo
-from track_range.foundation.files.output_files import write_text
-from track_range.foundation.options import option
 from track_range.foundation.processes import one_opencv_thread
 from track_range.run.progress import step_progress
 from track_range.views.report import tables
@@ -25,10 +21,8 @@ from track_range.views.report import tables
 class StereoOptions(StereoEvaluationSettings):
     """Options of `track-range evaluate stereo`."""
 
-    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
-    figure: Annotated[
-        Path | None, option("Chart of the risk-coverage curves to write, an SVG or PNG file.", metavar="FILE.svg")
-    ] = None
+    json_file: JsonField = None
+    figure: RiskFigureField = None
 
 
 def _stereo(options: StereoOptions) -> None:
@@ -39,15 +33,11 @@ def _stereo(options: StereoOptions) -> None:
     if options.figure is not None:
         draw_risk(_curves(figures), options.figure)
         print_line(console, f"Written: {options.figure}")
-    if options.json_file is not None:
-        write_text(options.json_file, json.dumps(figures, indent=2, allow_nan=False) + "\n")
+    write_json(figures, options.json_file)
 
 
 _Rows = Mapping[str, Mapping[str, Any]]
-_ColumnSpec = tuple[str, str, str, float, tables.Cost | None]
-"""Heading, key, format, scale and cost of a column, as in `tables.METHOD_COLUMNS`."""
-
-_COLUMNS: tuple[_ColumnSpec, ...] = (
+_COLUMNS: tuple[ColumnSpec, ...] = (
     ("coverage %", "coverage", "{:.1f}", 100.0, lambda value: -value),
     ("n", "n", "{:.0f}", 1.0, None),
     ("failed %", "failures_pct", "{:.1f}", 1.0, abs),
@@ -57,7 +47,7 @@ _COLUMNS: tuple[_ColumnSpec, ...] = (
     ("bias %", "bias_pct", "{:+.2f}", 1.0, abs),
     ("error px", "median_abs_error_px", "{:.3f}", 1.0, abs),
 )
-_MORE_COLUMNS: tuple[_ColumnSpec, ...] = (
+_MORE_COLUMNS: tuple[ColumnSpec, ...] = (
     (tables.WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_1_SIGMA)),
     (tables.WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_2_SIGMA)),
     ("ms/frame", "ms_per_frame", "{:.1f}", 1.0, abs),
@@ -88,8 +78,8 @@ def _print(figures: Mapping[str, Any]) -> None:
         print_line(console, note)
 
 
-def _grid(title: str, matchers: _Rows, specs: Sequence[_ColumnSpec]) -> tables.Grid:
-    return tables.grid_of(title, "matcher", list(matchers), _columns(matchers, specs))
+def _grid(title: str, matchers: _Rows, specs: Sequence[ColumnSpec]) -> tables.Grid:
+    return tables.grid_of(title, "matcher", list(matchers), metric_columns(matchers, specs))
 
 
 def _more_grid(matchers: _Rows) -> tables.Grid:
@@ -101,7 +91,7 @@ def _more_grid(matchers: _Rows) -> tables.Grid:
         heading = f"{band['from_m']:g}-{band['to_m']:g} m (n={band['n']})"
         columns.append(tables.Column(heading, medians, "{:.2f}", cost=abs))
     title = "Median error (%) by true distance, calibration of sigma, run time"
-    return tables.grid_of(title, "matcher", list(matchers), [*columns, *_columns(matchers, _MORE_COLUMNS)])
+    return tables.grid_of(title, "matcher", list(matchers), [*columns, *metric_columns(matchers, _MORE_COLUMNS)])
 
 
 def _curves(figures: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
@@ -112,13 +102,6 @@ def _curves(figures: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
         for measure in ("sigma", *([best] if best else [])):
             curves[matcher if measure == "sigma" else f"{matcher}, {measure}"] = by_measure[measure]
     return curves
-
-
-def _columns(matchers: _Rows, specs: Sequence[_ColumnSpec]) -> list[tables.Column]:
-    return [
-        tables.Column(heading, [tables.figure(row, key) for row in matchers.values()], pattern, scale, cost)
-        for heading, key, pattern, scale, cost in specs
-    ]
 
 
 def _interval_grid(matchers: _Rows) -> tables.Grid:

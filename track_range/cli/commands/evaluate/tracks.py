@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from track_range.cli.commands.evaluate.result_files import check_result_files
+from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files, write_json
 from track_range.cli.console import console, print_grid, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.evaluation.sequences.evaluation import COUNTS, evaluate_tracks
 from track_range.evaluation.sequences.settings import TrackEvaluationSettings
-from track_range.foundation.files.output_files import write_text
-from track_range.foundation.options import option
 from track_range.tracking.evaluation.motmetrics_comparison import REASONS
 from track_range.views.report.tables import Column, Grid, figure, grid_of
 
@@ -26,7 +22,7 @@ _HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()
 class TracksOptions(TrackEvaluationSettings):
     """Options of `track-range evaluate tracks`."""
 
-    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
+    json_file: JsonField = None
 
 
 def _tracks(options: TracksOptions) -> None:
@@ -36,8 +32,7 @@ def _tracks(options: TracksOptions) -> None:
     print_grid(console, _grid(figures))
     if options.compare is not None:
         _print_comparison(figures)
-    if options.json_file is not None:
-        write_text(options.json_file, json.dumps(figures, indent=2, allow_nan=False) + "\n")
+    write_json(figures, options.json_file)
 
 
 def _print_comparison(figures: Mapping[str, Any]) -> None:

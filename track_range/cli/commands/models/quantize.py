@@ -12,7 +12,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from track_range.cli.commands.evaluate.detections import print_figures, write_figures
+from track_range.cli.commands.evaluate.detections import print_figures
+from track_range.cli.commands.evaluate.result_files import write_json
 from track_range.cli.console import console
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
@@ -144,7 +145,7 @@ def _quantize(options: QuantizeOptions) -> None:
     figures["notes"].append(f"Accuracy is measured against {truth}, on images that were not used for calibration.")
     print_figures(figures)
     console.print(f"Written: {int8}, {fp16}", highlight=False, soft_wrap=True)
-    write_figures(figures, options.json_file)
+    write_json(figures, options.json_file, allow_nan=True)
     raise typer.Exit(0 if figures["is_complete"] else 1)
 
 
