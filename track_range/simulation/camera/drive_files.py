@@ -45,11 +45,7 @@ class PngFolder:
 
 
 def make_png_folder(folder: Path) -> None:
-    """Create a folder for PNG images; those of an earlier drive are removed.
-
-    Raises:
-        OutputError: the folder cannot be created.
-    """
+    """Create a folder for PNG images; those of an earlier drive are removed."""
     make_folder(folder)
     for old in folder.glob("*.png"):
         with suppress(OSError):

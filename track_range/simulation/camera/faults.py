@@ -60,14 +60,9 @@ def rig_in_file(rig: StereoRig, faults: Faults) -> StereoRig:
 
 
 def with_rain(image: Image, rig: StereoRig, seed: list[int], *, rain: float, is_right: bool) -> Image:
-    """A copy of an image (H, W, 3) with streaks of rain; left and right show the same drops.
+    """A copy of an image (H, W, 3) with streaks of rain of a density from 0 to 1.
 
-    Args:
-        image: image of one camera.
-        rig: the rectified pair.
-        seed: random seed of the drops of this frame.
-        rain: density, from 0 to 1.
-        is_right: whether it is the right image.
+    `seed` is that of the drops of this frame; left and right image show the same drops.
     """
     camera = rig.left
     rng = np.random.default_rng(seed)

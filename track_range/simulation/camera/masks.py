@@ -21,12 +21,7 @@ MIN_SAMPLES = 2  # minimum number of a pixel's four samples that show a part
 
 
 class MaskFolder:
-    """Writes the masks of the frames in order; `OutputError` if they cannot be written.
-
-    Args:
-        folder: folder of the drive; masks of an earlier drive are removed.
-        scene: the scene, for the track ids.
-    """
+    """Writes the masks of the frames in order; those of an earlier drive are removed."""
 
     def __init__(self, folder: Path, scene: Scene) -> None:
         self._folders = (folder / "masks", folder / "mask_ids")

@@ -33,14 +33,10 @@ SCORE_FROM, SCORE_TO = 0.3, 0.95  # range of scores
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flaws:
-    """Error model of the simulated detector.
-
-    Attributes:
-        edge_min_px, edge_max_px: limits of this standard deviation.
-    """
+    """Error model of the simulated detector."""
 
     edge_fraction: float = 0.015  # standard deviation of box edges relative to the box height
-    edge_min_px: float = 0.7
+    edge_min_px: float = 0.7  # limits of this standard deviation
     edge_max_px: float = 2.0
     miss: float = 0.02  # probability that a large, fully visible object is missed in a frame
     miss_small: float = 0.25  # additional probability for a box 10 px high, falling linearly to 0 at 40 px

@@ -56,11 +56,7 @@ class WideLens:
 
     @classmethod
     def of(cls, rig: StereoRig) -> WideLens:
-        """The lens of a pair of equal, parallel cameras with wide lenses.
-
-        Raises:
-            ValueError: the cameras differ, or are not parallel.
-        """
+        """The lens of a pair of equal, parallel cameras with wide lenses."""
         camera = rig.left
         if camera != rig.right or not np.allclose(rig.right_from_left[:3, :3], np.eye(3), atol=1e-6):
             raise ValueError("rig: expected equal, parallel cameras with a wide lens")

@@ -34,13 +34,9 @@ Slices = tuple[slice, slice]
 
 
 class Canvas:
-    """An image with a depth buffer.
+    """An image with a depth buffer: (H, W, 4) uint8 `bgra`, and `inverse_depth`, (H, W) 1/z in 1/m, 0 = nothing drawn.
 
-    Attributes:
-        camera: the camera of the image.
-        bgra: (H, W, 4) uint8 colours.
-        inverse_depth: (H, W) 1/z in 1/m; 0 = nothing drawn.
-        labels: (H, W) label of the face that each sample shows (`FaceTable.label`); None = not drawn.
+    `labels` are those of the face that each sample shows, (H, W) as `FaceTable.label`; None = not drawn.
     """
 
     def __init__(self, camera: PinholeCamera, store: TextureStore, *, has_labels: bool = False) -> None:
@@ -53,11 +49,7 @@ class Canvas:
 
     @property
     def drawn_labels(self) -> npt.NDArray[np.uint16]:
-        """The labels of a canvas that has them.
-
-        Raises:
-            ValueError: the canvas has none.
-        """
+        """The labels of a canvas that has them, else a ValueError."""
         if self.labels is None:
             raise ValueError("expected a canvas with labels")
         return self.labels

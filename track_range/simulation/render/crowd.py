@@ -19,10 +19,6 @@ class Crowd:
     """Faces of many bodies, stored in the frame of each body.
 
     The labels of faces are 2 n + part for body n (`faces.IdentifyingPart`), and 0 for other faces.
-
-    Args:
-        bodies: the faces of each body.
-        store: stores their textures.
     """
 
     def __init__(self, bodies: Sequence[Sequence[Face]], store: TextureStore) -> None:
@@ -41,13 +37,9 @@ class Crowd:
     def draw(
         self, canvas: Canvas, order: IntArray, poses: tuple[FloatArray, FloatArray], is_visible: Iterable[bool]
     ) -> None:
-        """Draw bodies in a given order.
+        """Draw the bodies with the indices `order` (M,), if visible; each value is read just before its body is drawn.
 
-        Args:
-            canvas: the canvas.
-            order: (M,) indices of the bodies.
-            poses: (N, 3) locations of all bodies in the camera's frame, and (N, 3, 3) rotations to that frame.
-            is_visible: whether each body of `order` is drawn; each value is read just before its body is drawn.
+        `poses` are (N, 3) locations of all bodies in the camera's frame, and (N, 3, 3) rotations to that frame.
         """
         n_faces = self._n_faces[order]
         owner, first = np.repeat(order, n_faces), np.cumsum(n_faces) - n_faces

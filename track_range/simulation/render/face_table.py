@@ -14,21 +14,19 @@ from track_range.simulation.world.bodies.faces import Face
 
 @dataclass(frozen=True, slots=True)
 class FaceTable:
-    """Faces as arrays; see `faces.Face`.
+    """Faces as arrays, see `faces.Face`, with vectors in metres.
 
-    Attributes:
-        corner, along, down: (F, 3) corner and edges, metres.
-        label: (F,) what the masks show at the face: its `IdentifyingPart`, or a number of part and road user (`Crowd`).
+    `label` is what the masks show at the face: its `IdentifyingPart`, or a number of part and road user (`Crowd`).
     """
 
-    corner: FloatArray
-    along: FloatArray
-    down: FloatArray
+    corner: FloatArray  # (F, 3)
+    along: FloatArray  # (F, 3)
+    down: FloatArray  # (F, 3)
     texture: IntArray  # (F,) indices of the textures in a `TextureStore`
     texels: IntArray  # (F, 2) rows and columns of the textures
     two_sided: BoolArray  # (F,) whether the back is visible too
     is_shadow: BoolArray  # (F,) whether the face is a shadow
-    label: IntArray
+    label: IntArray  # (F,)
 
     def __len__(self) -> int:
         return len(self.corner)

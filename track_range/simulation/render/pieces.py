@@ -25,14 +25,10 @@ CUTS = 6  # largest number of times that a face is split
 
 @dataclass(frozen=True, slots=True)
 class Pieces:
-    """Pieces of faces in the camera's frame, in the order of their faces.
-
-    Attributes:
-        corner, along, down: (P, 3) corner and edges, metres.
-    """
+    """Pieces of faces in the camera's frame, in the order of their faces."""
 
     face: IntArray  # (P,) rows of the table
-    corner: FloatArray
+    corner: FloatArray  # (P, 3), as both edges in metres
     along: FloatArray
     down: FloatArray
     window: IntArray  # (P, 4) part of the face's texture: first row, end row, first column, end column
@@ -58,17 +54,13 @@ class Pieces:
 
 @dataclass(frozen=True, slots=True)
 class Projected:
-    """Pieces projected to the image.
-
-    Attributes:
-        texture_from_px: (P, 3, 3) homography from pixels of `window_px` to texels of the averaged texture with margin.
-    """
+    """Pieces projected to the image."""
 
     face: IntArray  # (P,) rows of the table
     texels: IntArray  # (P, 4) window of the texture: first row, end row, first column, end column
     size: IntArray  # (P, 2) rows and columns to which the window is averaged
     window_px: IntArray  # (P, 4) left, top, right, bottom in the image, inclusive
-    texture_from_px: FloatArray
+    texture_from_px: FloatArray  # (P, 3, 3) homography from `window_px` to the averaged texture with margin
     inverse_depth: FloatArray  # (P, 3) coefficients of 1/z in (u, v, 1)
     nearest: FloatArray  # (P,) 1/z of the nearest corner
 

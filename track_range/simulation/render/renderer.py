@@ -59,14 +59,11 @@ class Renderer:
     """Renders a scene for either camera at any time; textures are created once.
 
     Args:
-        scene: the scene.
+        scene: the scene; `bodies` are the faces of each of its road users.
         rig: a rectified pair; the left camera is the scene's camera.
         noise_grey: standard deviation of the sensor noise in grey levels, 0 = none.
         faults: faults of the cameras.
         wide_lens: lens of both cameras whose pinholes are `rig`; None = the pinholes. It changes images only.
-
-    Attributes:
-        bodies: faces of each road user in its frame.
     """
 
     def __init__(

@@ -34,14 +34,7 @@ _Textures = dict[tuple[float, int], tuple[int, tuple[int, ...]]]
 
 
 class Street:
-    """The faces of one street in world axes; textures are created once.
-
-    Args:
-        rng: random generator of the textures.
-        store: stores the textures.
-        surroundings: a key of `SURROUNDINGS`.
-        road: shape of the road.
-    """
+    """The faces of one street in world axes; textures are created once. `surroundings` is a key of `SURROUNDINGS`."""
 
     def __init__(
         self, rng: np.random.Generator, store: TextureStore, surroundings: str = "town", *, road: RoadShape = STRAIGHT

@@ -21,13 +21,9 @@ N_GRID = 15  # number of rays per side of the grid that is searched if the ray t
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """The faces of a body as arrays, without shadows.
+    """The faces of a body as arrays, without shadows."""
 
-    Attributes:
-        corner, along, down: (F, 3) corner and edges, metres.
-    """
-
-    corner: FloatArray
+    corner: FloatArray  # (F, 3), as both edges in metres
     along: FloatArray
     down: FloatArray
     two_sided: BoolArray  # (F,) whether the back is visible too
@@ -50,15 +46,8 @@ class Surface:
 def centre_depth_m(surface: Surface, camera: PinholeCamera, xyxy_px: FloatArray) -> float:
     """The z at which the ray through a box centre first meets a body.
 
-    If that ray misses the body, passing between legs or wheels, the nearest ray in the box that meets it is used.
-
-    Args:
-        surface: the body in the camera's frame.
-        camera: the left camera.
-        xyxy_px: (4,) the box.
-
-    Returns:
-        The z in metres; NaN if no ray meets the body.
+    If that ray misses the body, passing between legs or wheels, the nearest ray in the box that meets it is used. The
+    body is in the camera's frame; NaN if no ray meets it.
     """
     middle = (xyxy_px[:2] + xyxy_px[2:]) / 2
     at_centre = first_depths_m(surface, camera.rays(middle[None]))[0]

@@ -31,9 +31,6 @@ class TextureStore:
 
     A texture is (h, w, 4) BGRA, or (h, w) the darkness of a shadow. Threads may share a store: if two of them compute
     the same version at once, the results are equal.
-
-    Args:
-        max_bytes: size of the cache.
     """
 
     def __init__(self, max_bytes: int = MAX_BYTES) -> None:

@@ -13,9 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import Image
-from track_range.simulation.world.bodies.faces import Colour, Face, Size, Vector, chosen, coloured_face, shaded
-from track_range.simulation.world.bodies.plates import with_plate
-from track_range.simulation.world.shadows import shadow
+from track_range.simulation.world.bodies.faces import (
+    Colour,
+    Face,
+    Size,
+    Vector,
+    chosen,
+    coloured_face,
+    shaded,
+    shadow,
+    with_plate,
+)
 from track_range.simulation.world.textures.painting import SEAM, clip, fill, pane, polygon, shade_rows, wheel
 
 PAINTS: tuple[Colour, ...] = (

@@ -1,4 +1,6 @@
-"""Faces, textured parallelograms in an object's frame, and solids made of them; all are inside the object's 3-D box.
+"""Faces, textured parallelograms in an object's frame, and solids, shadows and number plates made of them.
+
+Except shadows, all are inside the object's 3-D box.
 
 The object's frame is KITTI's: x forward along the length, y down, z to the left along the width, with the origin at the
 bottom centre of the 3-D box. A face is corner + s along + t down, with s and t in [0, 1]; seen from outside, `along`
@@ -8,13 +10,15 @@ points right and `down` points down, so that along x down points away from the v
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from types import MappingProxyType
 
+import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.simulation.world.textures.painting import Box, number_plate
 from track_range.simulation.world.textures.surfaces import cut_outside, plain
 
 Colour = tuple[float, ...]  # blue, green, red, 0 to 255
@@ -31,6 +35,17 @@ N_PRISM_SIDES = 8  # number of sides of the prisms that approximate round bodies
 
 LIGHT_MEAN, LIGHT_ALONG, LIGHT_DOWN, LIGHT_LEFT = 0.92, -0.02, -0.28, -0.2
 """Brightness of a slanted side: the mean, and what its outward normal's x, y and z add; similar to `SUN`."""
+
+SHADOW_TEXELS_PER_M = 12  # resolution of the shadow's texture
+SHADOW_MARGIN_M = 0.6  # margin of the texture for the soft edge
+SHADOW_CAST = 0.45  # length of the cast shadow, to the left, relative to the body's height
+UNDER, BESIDE = 205, 105  # darkness of the shadow below the body and of the cast shadow, 0 to 255
+
+RECESS_M = 0.001  # depth of a plate below the surface that it is cut out of, so that it is inside the 3-D box
+
+MARGIN_TEXELS = 4
+"""Width of the strip of the body around a plate that belongs to the plate's face and closes gaps at the edge of the
+hole, whose resolution in the image may differ from that of the plate."""
 
 
 class IdentifyingPart(IntEnum):
@@ -195,3 +210,51 @@ def chosen(rng: np.random.Generator, colours: Sequence[Colour]) -> Colour:
 def shaded(bgr: Colour, light: float) -> Colour:
     """A colour multiplied by the factor `light`."""
     return tuple(channel * light for channel in bgr)
+
+
+def shadow(size_hwl_m: Size, *, under: float = UNDER) -> Face:
+    """The shadow of a body of the given size, in its frame, 1 cm above the road."""
+    height, width, length = size_hwl_m
+    cast_m = SHADOW_CAST * height
+    x, right, left = length / 2 + SHADOW_MARGIN_M, -width / 2 - SHADOW_MARGIN_M, width / 2 + SHADOW_MARGIN_M + cast_m
+    shape = (max(4, round((left - right) * SHADOW_TEXELS_PER_M)), max(4, round(2 * x * SHADOW_TEXELS_PER_M)))
+    dark = np.zeros(shape, np.float32)
+    edge = round(SHADOW_MARGIN_M * SHADOW_TEXELS_PER_M)
+    beside = round(cast_m * SHADOW_TEXELS_PER_M)
+    dark[edge:-edge, edge:-edge] = BESIDE
+    dark[edge + beside : -edge, edge:-edge] = under
+    picture = np.zeros((*shape, 4), np.uint8)
+    picture[:, :, 3] = cv2.GaussianBlur(dark, (0, 0), 0.14 * SHADOW_TEXELS_PER_M)
+    along, down = np.array([2 * x, 0, 0]), np.array([0.0, 0.0, right - left])
+    return Face(np.array([-x, -0.01, left]), along, down, picture, is_shadow=True)
+
+
+def with_plate(face: Face, box: Box) -> list[Face]:
+    """A face with a hole, and the number plate behind it; `box` is the plate as fractions of the texture's size.
+
+    The texture of `face` is modified: the plate is painted on it, copied to the plate's texture, and cut out.
+    """
+    picture = face.texture
+    number_plate(picture, box)
+    height, width = picture.shape[:2]
+    x1, y1, x2, y2 = np.rint(np.array(box) * (width, height, width, height)).astype(int).tolist()
+    left, top = max(x1 - MARGIN_TEXELS, 0), max(y1 - MARGIN_TEXELS, 0)
+    right, bottom = min(x2 + MARGIN_TEXELS, width), min(y2 + MARGIN_TEXELS, height)
+    inwards = np.cross(face.along, face.down)
+    inwards = inwards / np.linalg.norm(inwards)
+    plate = Face(
+        face.corner + left / width * face.along + top / height * face.down + RECESS_M * inwards,
+        (right - left) / width * face.along,
+        (bottom - top) / height * face.down,
+        picture[top:bottom, left:right].copy(),
+        part=IdentifyingPart.PLATE,
+    )
+    picture[y1:y2, x1:x2, 3] = 0
+    return [face, plate]
+
+
+def plate_face(rng: np.random.Generator, place: Place) -> Face:
+    """A number plate at `place` that is not part of another face."""
+    face = coloured_face(rng, place, (222, 228, 228), contrast=4.0)
+    number_plate(face.texture, (0.0, 0.0, 1.0, 1.0))
+    return replace(face, part=IdentifyingPart.PLATE)

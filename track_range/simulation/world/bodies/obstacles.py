@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, Image
-from track_range.simulation.world.bodies.faces import Colour, Face, Size, block, chosen, prism
+from track_range.simulation.world.bodies.faces import Colour, Face, Size, block, chosen, prism, shadow
 from track_range.simulation.world.scene import Obstacle
-from track_range.simulation.world.shadows import shadow
 from track_range.simulation.world.textures.surfaces import TEXELS_PER_M, opaque, plain, value_noise
 
 POLE_COLOURS: tuple[Colour, ...] = (

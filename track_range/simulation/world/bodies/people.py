@@ -20,12 +20,12 @@ from track_range.simulation.world.bodies.faces import (
     coloured_face,
     lid,
     loft,
+    plate_face,
     prism,
     ring,
     rings_across,
+    shadow,
 )
-from track_range.simulation.world.bodies.plates import plate_face
-from track_range.simulation.world.shadows import shadow
 from track_range.simulation.world.textures.surfaces import RUBBER_BGR, cut_outside, paint_box, paint_wheel
 
 TOPS: tuple[Colour, ...] = (

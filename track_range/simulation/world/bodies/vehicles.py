@@ -9,16 +9,24 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.simulation.world.bodies.faces import ALL_SIDES, Colour, Extent, Face, Size, block, chosen, shaded
-from track_range.simulation.world.bodies.plates import with_plate
-from track_range.simulation.world.shadows import shadow
+from track_range.simulation.world.bodies.cars import LAMP_RED, LAMP_WHITE
+from track_range.simulation.world.bodies.faces import (
+    ALL_SIDES,
+    Colour,
+    Extent,
+    Face,
+    Size,
+    block,
+    chosen,
+    shaded,
+    shadow,
+    with_plate,
+)
 from track_range.simulation.world.textures.painting import SEAM, clip, fill, pane, shade_rows, wheel
 
 VAN_PAINTS: tuple[Colour, ...] = ((208, 208, 206), (200, 202, 204), (128, 126, 122), (110, 66, 40), (44, 40, 140))
 CARGO_PAINTS: tuple[Colour, ...] = ((204, 204, 200), (190, 192, 190), (150, 96, 52), (60, 110, 60))
 BUS_PAINTS: tuple[Colour, ...] = ((60, 190, 225), (44, 40, 170), (206, 206, 204), (150, 100, 50))
-LAMP_RED: Colour = (32, 26, 190)
-LAMP_WHITE: Colour = (232, 238, 238)
 STEEL: Colour = (52, 52, 55)
 
 SILL_M = 0.34  # height of the lower edge of the body
