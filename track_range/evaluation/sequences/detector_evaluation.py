@@ -87,15 +87,9 @@ def evaluate(
 ) -> dict[str, Any]:
     """Run all detectors on the labelled images; returns their results as plain values for JSON.
 
-    After an interrupt (Ctrl-C) the results are those of the finished images.
-
-    Args:
-        candidates: the detectors.
-        frames: labelled images.
-        min_score: confidence threshold as in `--min-score`; None = `WORKING_SCORE`.
-        progress: shows the number of finished images.
-        min_height_px: smaller objects are ignored.
-        is_detailed: whether to evaluate by size of object and the calibration of the scores, too.
+    After an interrupt (Ctrl-C) the results are those of the finished images. `min_score` is a confidence threshold as
+    in `--min-score`, None = `WORKING_SCORE`; objects below `min_height_px` are ignored; `is_detailed` adds the
+    evaluation by size of object and the calibration of the scores.
 
     Raises:
         LabelFileError, VideoError: no image can be read.

@@ -111,11 +111,10 @@ class LabelledSource:
 
 class _FolderFrames:
     def __init__(self, source: LabelledSource) -> None:
-        self._of_classes = source.of_classes
         self._images = [item for item in source.labelled_files() if item.path not in source.leave_out]
         if not self._images:
             raise LabelFileError(f"{source.images}: expected labelled images for the evaluation, found none.")
-        self.n_images = len(self._images)
+        self._of_classes, self.n_images = source.of_classes, len(self._images)
         self.unreadable: list[str] = []
 
     def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]:

@@ -72,11 +72,6 @@ def track(
 
     If one of several sequences cannot be read, the others are tracked.
 
-    Args:
-        settings: input, tracker and output folder.
-        progress: shows the progress of each sequence.
-        note: called with each note for the user.
-
     Raises:
         LabelFileError, VideoError: boxes or images of the only sequence cannot be read.
         TrackerError: the tracker cannot be created.

@@ -76,14 +76,14 @@ def track_sequence(
     is_online: bool = False,
     advance: Callable[[], None] = lambda: None,
 ) -> TrackedSequence:
-    """Run a new tracker on a sequence.
+    """Run a tracker without tracks on a sequence; with images by number, from a video or folder, if there are any.
 
     Args:
         recorded: boxes by frame.
-        tracker: a tracker without tracks.
+        tracker: the tracker.
         n_frames: number of frames, including frames without boxes.
         fps: frame rate, if there is no video that states one.
-        images: video or folder with the images of the frames, by number.
+        images: the video or folder.
         is_online: output as in a live run; otherwise refined with later frames (`tracking.offline_refinement`).
         advance: called after each frame.
 
