@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,12 +18,11 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import check_outputs, write_text
 from track_range.foundation.progress import StepProgress, no_progress
-from track_range.recording.recording import Recording
 from track_range.stereo.alignment.feature_tracks import row_offset_px
 from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.from_drive import DriveAlignment
 from track_range.stereo.alignment.from_reference import fit_reference
-from track_range.stereo.alignment.health import UNSEEN, RigHealth
+from track_range.stereo.alignment.health import UNSEEN, RigHealth, Window
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.geometry.frames import whole_image
@@ -45,6 +44,22 @@ class RigAlignment:
     health: RigHealth  # what it means for distances
     notes: tuple[str, ...]  # messages for the user
 
+    @classmethod
+    def of(
+        cls, rig: StereoRig, measured: Alignment, notes: Iterable[str], windows: tuple[Window, ...] = ()
+    ) -> RigAlignment:
+        """The result of a measurement, with a note on the rows of left and right, if they differ."""
+        health = RigHealth(rig, measured, measured.if_clear(), windows)
+        if health.has_row_error:
+            note = (
+                f"Vertical offset of {measured.row_offset_px:+.2f} px between left and right, roll "
+                f"{measured.roll_deg:+.3f} degrees, focal length of the right camera "
+                f"{100 * (measured.focal_ratio - 1):+.2f} %: a run corrects this, but the rig does not fit these "
+                "images well; calibrate again."
+            )
+            notes = (*notes, note)
+        return cls(health.applied, measured, health, tuple(notes))
+
     @property
     def figures(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -57,18 +72,6 @@ class RigAlignment:
             "notes": list(self.notes),
         }
 
-    def with_row_notes(self) -> RigAlignment:
-        """A copy with a note on the rows of left and right, if they differ."""
-        if not self.health.has_row_error:
-            return self
-        m = self.measured
-        note = (
-            f"Vertical offset of {m.row_offset_px:+.2f} px between left and right, roll {m.roll_deg:+.3f} degrees, "
-            f"focal length of the right camera {100 * (m.focal_ratio - 1):+.2f} %: a run corrects this, but the rig "
-            "does not fit these images well; calibrate again."
-        )
-        return replace(self, notes=(*self.notes, note))
-
     @property
     def sentences(self) -> list[str]:
         """The alignment, its meaning for distances, and the notes, for the user."""
@@ -79,8 +82,7 @@ class RigAlignment:
     def save(self, settings: AlignmentSettings) -> None:
         """Write the alignment file and, if `settings.json_file` is given, the results.
 
-        Raises:
-            OutputError, RigError: a file cannot be written.
+        Raises OutputError or RigError if a file cannot be written.
         """
         save_alignment(self.applied, settings.out)
         if settings.json_file is not None:
@@ -90,31 +92,25 @@ class RigAlignment:
 def align(settings: AlignmentSettings, progress: StepProgress = no_progress) -> RigAlignment:
     """Estimate the disparity error of a rig; nothing is written before `RigAlignment.save`.
 
-    Raises:
-        UsageError: no source is given, or both drives and a reference.
-        RigError: the rig cannot be used, or there is too little data for an estimate.
-        PairFileError, LabelFileError, VideoError: videos, images or labels cannot be used.
-        OutputError: a result would overwrite an input.
+    Raises UsageError without a source, or with drives and a reference, RigError if the rig cannot be used, or there is
+    too little data, PairFileError, LabelFileError or VideoError if videos, images or labels cannot be used, and
+    OutputError if a result would overwrite an input.
     """
     check_outputs([file for file in (settings.out, settings.json_file) if file is not None], _inputs(settings))
-    if settings.reference is not None:
-        if settings.drives:
-            raise UsageError("--reference and --drive exclude each other; give one of them.")
-        measured = _from_reference(settings.reference, settings, progress)
-    else:
-        measured = _from_drives(settings, progress)
-    return measured.with_row_notes()
+    if settings.reference is None:
+        return _from_drives(settings, progress)
+    if settings.drives:
+        raise UsageError("--reference and --drive exclude each other; give one of them.")
+    return _from_reference(settings.reference, settings, progress)
 
 
 def check_rig_health(settings: RigCheckSettings, progress: StepProgress = no_progress) -> RigAlignment:
     """Measure the present state of a rig on drives; nothing is written except `settings.json_file`.
 
-    Raises:
-        UsageError: no drive is given.
-        RigError, VideoError, OutputError: as in `align`.
+    Raises UsageError without a drive, and RigError, VideoError and OutputError as in `align`.
     """
     check_outputs([] if settings.json_file is None else [settings.json_file], _inputs(settings))
-    checked = _from_drives(settings, progress).with_row_notes()
+    checked = _from_drives(settings, progress)
     if settings.json_file is not None:
         write_text(settings.json_file, json.dumps(checked.figures, indent=2, allow_nan=False) + "\n")
     return checked
@@ -149,28 +145,20 @@ def _from_drives(settings: AlignmentSettings | RigCheckSettings, progress: StepP
         with progress("frames") as advance:
             for recording in recordings:
                 estimator.start_drive()
-                _feed(estimator, recording, advance)
+                for number, frame in enumerate(recording.frames):
+                    if estimator.is_full:
+                        break
+                    estimator.add(frame)
+                    advance(number + 1, max(recording.n_frames or 0, number + 1))
                 recording.close()
     measured = estimator.estimate()
     if not measured.is_measured:
         raise RigError(f"{sources[0][0]}: {measured.source}; use a longer drive past static objects.")
-    named = replace(measured, source=measured.source.replace("this drive", _names(sources)))
-    health = RigHealth(rigs[0], named, named.if_clear(), estimator.windows())
+    # in the alignment file, "this drive" would be ambiguous
+    names = ", ".join(real_path(left.parent).name if left.name == LEFT else left.name for left, _ in sources)
+    named = replace(measured, source=measured.source.replace("this drive", names))
     notes = dict.fromkeys(note for recording in recordings for note in recording.calibration.file_notes)
-    return RigAlignment(health.applied, named, health, tuple(notes))
-
-
-def _names(sources: list[tuple[Path, Path]]) -> str:
-    """Names of the drives, for the alignment file, in which "this drive" would be ambiguous."""
-    return ", ".join(real_path(left.parent).name if left.name == LEFT else left.name for left, _ in sources)
-
-
-def _feed(estimator: DriveAlignment, recording: Recording, advance: Callable[[int, int | None], None]) -> None:
-    for number, frame in enumerate(recording.frames):
-        if estimator.is_full:
-            return
-        estimator.add(frame)
-        advance(number + 1, max(recording.n_frames or 0, number + 1))
+    return RigAlignment.of(rigs[0], named, notes, estimator.windows())
 
 
 def _from_reference(reference: Path, settings: AlignmentSettings, progress: StepProgress) -> RigAlignment:
@@ -191,8 +179,7 @@ def _from_reference(reference: Path, settings: AlignmentSettings, progress: Step
         seed=settings.seed,
     )
     aligned = replace(fitted, row_offset_px=float(np.median(rows_px)) if rows_px else 0.0)
-    health = RigHealth(rigs[0], aligned, aligned.if_clear())
-    return RigAlignment(health.applied, aligned, health, measured.notes)
+    return RigAlignment.of(rigs[0], aligned, measured.notes)
 
 
 def _with_row_offsets(

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from track_range.calibration.board_images import board_images
@@ -38,8 +37,8 @@ _OUT_OF_FOCUS_PX = 6.0  # median edge width of the views, px, above which the im
 class BoardCalibration:
     """A camera or a pair of cameras calibrated from images of a board."""
 
-    search: BoardSearch  # the views of the board
-    result: CameraCalibration | PairCalibration  # the calibration
+    search: BoardSearch
+    result: CameraCalibration | PairCalibration
     figures: dict[str, Any]  # all measured values, as plain values for JSON
 
     @property
@@ -57,17 +56,15 @@ class BoardCalibration:
     def save(self, settings: CalibrationSettings) -> list[Path]:
         """Write the rig, the picture and, if `settings.json_file` is given, the results; returns the files' paths.
 
-        Raises:
-            OutputError, RigError: a file cannot be written.
+        Raises OutputError or RigError if a file cannot be written.
         """
-        n_views, rms_px = len(self.result.fits), self.result.rms_px
-        comments = [f"track-range calibrate: {n_views} views, residual {rms_px:.3f} px RMS"]
+        comments = [f"track-range calibrate: {len(self.result.fits)} views, residual {self.result.rms_px:.3f} px RMS"]
         if isinstance(self.result, PairCalibration):
             save_rig(self.result.rig, settings.out, comments=comments)
         else:
             save_camera(self.result.camera, settings.out, comments=comments)
         picture = picture_file(settings)
-        write_bytes(picture, cv2.imencode(".png", calibration_picture(self.cameras))[1].tobytes())
+        write_bytes(picture, calibration_picture(self.cameras))
         if settings.json_file is None:
             return [settings.out, picture]
         write_text(settings.json_file, json.dumps(self.figures, indent=2, allow_nan=False) + "\n")
@@ -77,11 +74,9 @@ class BoardCalibration:
 def calibrate(settings: CalibrationSettings, progress: StepProgress = no_progress) -> BoardCalibration:
     """Find the board in the images and calibrate; nothing is written before `BoardCalibration.save`.
 
-    Raises:
-        UsageError: not exactly one source, or an invalid board.
-        ImageFileError, VideoError: images cannot be read.
-        CalibrationError: the views are not sufficient for a calibration.
-        OutputError: a result would overwrite an image.
+    Raises UsageError if there is not exactly one source, or the board is invalid, ImageFileError and VideoError if
+    images cannot be read, CalibrationError if the views are not sufficient, OutputError if a result would overwrite an
+    image.
     """
     return calibrate_views(find_boards(settings, progress), settings, progress)
 
@@ -101,23 +96,16 @@ def calibrate_views(
 ) -> BoardCalibration:
     """Calibrate from the views of the board; the second part of `calibrate`."""
     result: CameraCalibration | PairCalibration
-    lens = LENS_NAMES[settings.lens]
+    model: dict[str, Any] = {"n_distortion_coefficients": settings.lens_terms, "lens": LENS_NAMES[settings.lens]}
     with progress("calibrating") as advance:
         if settings.stereo is None:
-            views = [shot[0] for shot in search.shots]
-            result = calibrate_camera(views, n_distortion_coefficients=settings.lens_terms, lens=lens, advance=advance)
+            result = calibrate_camera([shot[0] for shot in search.shots], advance=advance, **model)
             measured = mono_figures(result, search)
         else:
-            pairs = [(shot[0], shot[1]) for shot in search.shots]
-            result = calibrate_pair(pairs, n_distortion_coefficients=settings.lens_terms, lens=lens, advance=advance)
+            result = calibrate_pair([(shot[0], shot[1]) for shot in search.shots], advance=advance, **model)
             measured = pair_figures(result, search)
-    board = _board(settings)
-    figures = {
-        "board": board.name,
-        "square_mm": board.square_m * 1000,
-        "sources": list(_sources(settings)),
-        **measured,
-    }
+    board, sources = _board(settings), list(_sources(settings))
+    figures = {"board": board.name, "square_mm": board.square_m * 1000, "sources": sources, **measured}
     calibration = BoardCalibration(search, result, figures)
     figures["warnings"] += _warnings(search, calibration.cameras)
     return calibration
@@ -153,7 +141,19 @@ def _warnings(search: BoardSearch, cameras: Mapping[str, CameraCalibration]) -> 
     if float(np.median([view.edge_px for shot in search.shots for view in shot])) > _OUT_OF_FOCUS_PX:
         warnings.append("most images are out of focus; focus and lock the lens before calibrating.")
     for name, calibration in cameras.items():
-        warnings += _reach_warnings(name, calibration)
+        # the corners determine a wide lens not as far from its axis as its images reach
+        if not calibration.camera.is_wide:
+            continue
+        corners_px = np.concatenate([fit.view.xy_px for fit in calibration.fits])
+        cosine = calibration.camera.recorded_rays(corners_px)[:, 2]
+        reach_deg = float(np.degrees(np.nanmax(np.arccos(np.clip(cosine, -1, 1)))))
+        image_deg = max(math.degrees(angle_rad) for angle_rad in field_of_view(calibration.camera))
+        if image_deg > reach_deg + _REACH_DEG:
+            warnings.append(
+                f"{name}: the corners reach {reach_deg:.0f} degrees from the optical axis, the image {image_deg:.0f}: "
+                "the lens model is extrapolated beyond the corners; show the board near the edges, and use at most "
+                f"--fov-deg {2 * reach_deg:.0f}."
+            )
     cameras_px = [calibration.camera for calibration in cameras.values()]
     sizes = {f"{camera.width_px}x{camera.height_px} px" for camera in cameras_px}
     if len(sizes) > 1:
@@ -161,20 +161,3 @@ def _warnings(search: BoardSearch, cameras: Mapping[str, CameraCalibration]) -> 
             f"images of the two cameras differ in size ({', '.join(sorted(sizes))}); a run needs videos of equal size."
         )
     return warnings
-
-
-def _reach_warnings(name: str, calibration: CameraCalibration) -> list[str]:
-    """A warning if the corners determine a wide lens not as far from its axis as its images reach."""
-    camera = calibration.camera
-    if not camera.is_wide:
-        return []
-    corners_px = np.concatenate([fit.view.xy_px for fit in calibration.fits])
-    reach_deg = float(np.degrees(np.nanmax(np.arccos(np.clip(camera.recorded_rays(corners_px)[:, 2], -1, 1)))))
-    image_deg = max(math.degrees(angle_rad) for angle_rad in field_of_view(camera))
-    if image_deg <= reach_deg + _REACH_DEG:
-        return []
-    return [
-        f"{name}: the corners reach {reach_deg:.0f} degrees from the optical axis, the image {image_deg:.0f}: the lens "
-        "model is extrapolated beyond the corners; show the board near the edges, and use at most --fov-deg "
-        f"{2 * reach_deg:.0f}."
-    ]

@@ -12,17 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from track_range.calibration.drive_pairs import is_drive, open_pair, read_drive, road_class_names
+from track_range.calibration.drive_pairs import KnownObjects, is_drive, known_pairs, open_pair, read_drive
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID, are_plausible_boxes
 from track_range.detection.formats.video_labels.csv_labels import has_label_columns
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.ranging.evaluation.truth import read_truth
@@ -35,86 +34,49 @@ _KNOWN = ("distance_m", "disparity_px")
 _PLAUSIBLE = {"distance_m": (0.1, 10_000.0), "disparity_px": (0.01, 10_000.0)}  # accepted range of each kind of value
 
 
-@dataclass(frozen=True, slots=True)
-class _KnownObjects:
-    """Objects of a drive, one row per object and frame."""
-
-    frame: IntArray  # (N,) frame number
-    track_id: IntArray  # (N,) id, -1 = unknown
-    xyxy_px: FloatArray  # (N, 4) box
-    true_px: FloatArray  # (N,) true disparity
-    class_id: IntArray | None = None  # (N,) road class; None = unknown
-
-
 def reference_pairs(reference: Path, *, stereo: tuple[Path, Path] | None, rig: Path | None) -> Iterator[StereoPair]:
     """The pairs with their known objects, read one by one.
 
-    Args:
-        reference: a file or folder of one of the kinds above.
-        stereo: left and right video, for a file.
-        rig: a rig file; None = the one next to the images.
-
-    Raises:
-        UsageError: a file without videos, or a folder with videos.
-        PairFileError, LabelFileError, VideoError, RigError: an input cannot be used.
+    `reference` is a file or folder of one of the kinds above, `stereo` the left and right video for a file, `rig` a rig
+    file, None = the one next to the images. Raises UsageError for a file without videos, or a folder with videos, and
+    PairFileError, LabelFileError, VideoError or RigError if an input cannot be used.
     """
     if not reference.exists():
         raise LabelFileError(f"{reference}: no such file or folder; check the name.")
     if reference.is_dir():
         if stereo is not None:
             raise UsageError("--reference DIR includes the images; omit --stereo, or give a file.")
-        return _folder_pairs(reference, rig)
+        is_labelled_drive = is_drive(reference) and not is_kitti_2015(reference)
+        return read_drive(reference, rig=rig) if is_labelled_drive else read_pairs(reference, rig=rig)
     if stereo is None:
         raise UsageError("--reference FILE needs the videos of its objects; give them with --stereo LEFT RIGHT.")
     return _video_pairs(reference, *open_pair(*stereo, rig))
 
 
-def _folder_pairs(folder: Path, rig: Path | None) -> Iterator[StereoPair]:
-    if is_drive(folder) and not is_kitti_2015(folder):
-        return read_drive(folder, rig=rig)
-    return read_pairs(folder, rig=rig)
-
-
 def _video_pairs(reference: Path, recording: Recording, rectified: StereoRig) -> Iterator[StereoPair]:
-    is_table = reference.suffix.lower() == ".csv" and not has_label_columns(reference)
-    known = _of_table(reference, rectified) if is_table else _of_labels(reference, recording, rectified)
-    last = int(known.frame.max())
+    """The pairs with known objects, up to the last object."""
     with closing(recording):
-        for frame in recording.frames:
-            if frame.index > last:
+        if reference.suffix.lower() == ".csv" and not has_label_columns(reference):
+            known = _of_table(reference, rectified)
+        else:
+            truth = read_truth(reference, rectified.left, recording.calibration.left_from_reference_m)
+            truth = truth.select((truth.class_id >= 0) & np.isfinite(truth.distance_m))
+            if not len(truth):
+                raise LabelFileError(
+                    f"{reference}: expected objects of a road class with a known distance, found none."
+                )
+            known = KnownObjects.of(truth, rectified)
+        if known.track_id is not None and (known.track_id < 0).any():
+            known = replace(known, track_id=None)
+        last = int(known.frame.max())
+        for pair in known_pairs(recording, rectified, known):
+            if len(pair.true_px):
+                yield pair
+            if int(pair.name) >= last:
                 return
-            is_in_frame = known.frame == frame.index
-            if frame.right is None or not is_in_frame.any():
-                continue
-            yield StereoPair(
-                f"{frame.index:06d}",
-                frame.left,
-                frame.right,
-                known.xyxy_px[is_in_frame],
-                known.true_px[is_in_frame],
-                rectified,
-                recording.calibration.file_notes,
-                track_id=_ids(known, is_in_frame),
-                class_names=road_class_names(known.class_id[is_in_frame]) if known.class_id is not None else (),
-            )
 
 
-def _ids(known: _KnownObjects, is_in_frame: BoolArray) -> IntArray:
-    """Ids of the objects of a frame; empty if the id of any object of the drive is unknown."""
-    ids = known.track_id[is_in_frame]
-    return ids if (known.track_id >= 0).all() else np.zeros(0, np.int64)
-
-
-def _of_labels(path: Path, recording: Recording, rig: StereoRig) -> _KnownObjects:
-    truth = read_truth(path, rig.left, recording.calibration.left_from_reference_m)
-    truth = truth.select((truth.class_id >= 0) & np.isfinite(truth.distance_m))
-    if not len(truth):
-        raise LabelFileError(f"{path}: expected objects of a road class with a known distance, found none.")
-    true_px = rig.left.fx_px * rig.baseline_m / truth.distance_m
-    return _KnownObjects(truth.frame, truth.track_id, truth.xyxy_px, true_px, truth.class_id)
-
-
-def _of_table(path: Path, rig: StereoRig) -> _KnownObjects:
+def _of_table(path: Path, rig: StereoRig) -> KnownObjects:
     expected = "a header and rows of frame,x1,y1,x2,y2 and either distance_m or disparity_px (and id, if known)"
     table = read_csv_table(path, LabelFileError, expected)
     given = [name for name in _KNOWN if name in table]
@@ -132,7 +94,7 @@ def _of_table(path: Path, rig: StereoRig) -> _KnownObjects:
         _check_integers(table, "id", -1, MAX_ID)
         ids = table.numbers("id").astype(np.int64)
     true_px = value if given[0] == "disparity_px" else rig.left.fx_px * rig.baseline_m / value
-    return _KnownObjects(frame.astype(np.int64), ids, box, true_px)
+    return KnownObjects(frame.astype(np.int64), ids, box, true_px)
 
 
 def _check_integers(table: CsvTable, name: str, low: int, high: int) -> None:

@@ -26,7 +26,7 @@ from track_range.foundation.files.output_files import check_outputs, write_text
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.ranging.fitting.camera.camera_fit import HEIGHT_M, HEIGHT_SIGMA, CameraFit, fit_camera
 from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior, focal_posterior
-from track_range.ranging.fitting.camera.measurements import FocalGuess, KnownLane, KnownObject, SceneBoxes
+from track_range.ranging.fitting.camera.measurements import FocalGuess, KnownObject, SceneBoxes
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
@@ -54,12 +54,12 @@ Detect = Callable[[Frame], Detections]
 class RoadCalibration:
     """A camera calibrated from a drive."""
 
-    fit: CameraFit  # the camera
+    source: str  # the video
+    fit: CameraFit
     guesses: tuple[FocalGuess, ...]  # guesses of the focal length from outside of the images
     by_shape: FocalPosterior  # focal length from these and the shapes of road users
     sentences: tuple[str, ...]  # what the measurements determine, in words
     n_frames: int  # number of frames that were read
-    figures: dict[str, Any]  # all values, as plain values for JSON
 
     @property
     def mounting(self) -> Mounting:
@@ -76,8 +76,7 @@ class RoadCalibration:
     def save(self, settings: CalibrationSettings) -> list[Path]:
         """Write the camera and, if `settings.json_file` is given, the results; returns the files' paths.
 
-        Raises:
-            OutputError, RigError: a file cannot be written.
+        Raises OutputError or RigError if a file cannot be written.
         """
         known = len({residual.name for residual in self.fit.residuals})
         comments = [f"track-range calibrate: from the road, {known} measurements, no lens distortion"]
@@ -87,20 +86,36 @@ class RoadCalibration:
         write_text(settings.json_file, json.dumps(self.figures, indent=2, allow_nan=False) + "\n")
         return [settings.out, settings.json_file]
 
+    @property
+    def figures(self) -> dict[str, Any]:
+        """All values, as plain values for JSON."""
+        fit, (shape_px, shape_sigma) = self.fit, self.by_shape.guess
+        return {
+            "source": self.source,
+            "frames": self.n_frames,
+            "focal_px": fit.camera.fx_px,
+            **asdict(self.mounting),
+            "roll_deg": float(np.degrees(fit.roll_rad)),
+            "focal_height_sigma": fit.product_sigma,
+            "guesses": [asdict(guess) for guess in self.guesses],
+            "by_shape": {
+                "focal_px": shape_px,
+                "sigma": shape_sigma,
+                "tracks": self.by_shape.n_tracks,
+                "box_noise": self.by_shape.relative_noise,
+            },
+            "residuals": [asdict(residual) for residual in fit.residuals],
+            "determined": list(self.sentences),
+        }
+
 
 def calibrate_on_road(
     settings: CalibrationSettings, open_detect: Callable[[], Detect], progress: StepProgress = no_progress
 ) -> RoadCalibration:
     """Calibrate the camera of the video `settings.mono`; nothing is written before `RoadCalibration.save`.
 
-    Args:
-        settings: of the command.
-        open_detect: opens the detector.
-        progress: shows the progress.
-
-    Raises:
-        UsageError: a measurement is invalid, or outside of the image or the video.
-        VideoError: the video cannot be read.
+    `open_detect` opens the detector. Raises UsageError if a measurement is invalid, or outside of the image or the
+    video, and VideoError if the video cannot be read.
     """
     if settings.mono is None:
         raise UsageError("expected --mono VIDEO; without --board one camera is calibrated from its drive.")
@@ -114,16 +129,25 @@ def calibrate_on_road(
         size_px = reader.width_px, reader.height_px
         duration_s = (reader.n_frames or 0) / reader.fps if reader.fps else 0.0
         guesses = focal_guesses(reader, settings.camera_model)
-    _check_inside(objects, size_px, duration_s)
-    _check_lanes(lanes, size_px, duration_s)
+    for known in objects:
+        hint = "a box inside of the image of {} px; measure it in the original video"
+        _check_inside(known.text, hint, known.xyxy_px, known.time_s, size_px, duration_s)
+    for lane in lanes:
+        (x1, x2), hint = sorted((lane.x1_px, lane.x2_px)), "columns and a row inside of the image of {} px"
+        name = f"--known-lane-width {lane.name}"
+        _check_inside(name, hint, (x1, lane.y_px, x2, lane.y_px), lane.time_s, size_px, duration_s)
     start = focal_posterior(guesses, SceneBoxes(), size_px, None)
     camera = PinholeCamera.of_focal_length(start.guess[0], size_px)
     detect = open_detect()
     view = RoadEvidence(camera)
     with progress("finding road users and lane lines") as advance:
-        for start_s, part_s in _parts(duration_s):
-            _add_part(view, video, (start_s, part_s), detect, advance)
-    known = _known_objects(objects, video, camera, detect)
+        is_short = duration_s <= _PART_S * len(_PARTS)
+        part_s = _PART_S * len(_PARTS) if is_short else _PART_S
+        for start_s in [0.0] if is_short else [fraction * duration_s for fraction in _PARTS]:
+            recording = open_recording(video, focal_px=camera.fx_px, start_s=start_s, duration_s=part_s)
+            with closing(recording):
+                view.add(recording.frames, detect, advance)
+    measured = _known_objects(objects, video, camera, detect)
     sizes = load_curves(settings.curves)
     cuboids = sizes if isinstance(sizes, CuboidSizes) else None
     by_shape = focal_posterior(guesses, view.scene, size_px, cuboids)
@@ -135,7 +159,7 @@ def calibrate_on_road(
         size_px,
         FocalGuess(focal_px, sigma, ""),
         sizes,
-        objects=known,
+        objects=measured,
         lanes=lanes,
         horizon=view.horizon,
         scene=view.scene,
@@ -149,9 +173,7 @@ def calibrate_on_road(
             "check the boxes, the rows of lanes, and the metres."
         )
     sentences = separability(fit, guesses, by_shape, has_height=settings.camera_height_m is not None)
-    calibration = RoadCalibration(fit, guesses, by_shape, sentences, view.n_frames, {})
-    calibration.figures.update(_figures(calibration, settings))
-    return calibration
+    return RoadCalibration(settings.mono, fit, guesses, by_shape, sentences, view.n_frames)
 
 
 def focal_from_video(
@@ -166,14 +188,8 @@ def focal_from_video(
 ) -> FocalPosterior:
     """Focal length from guesses and the shapes of road users in the first `_PART_S` of a part of a video.
 
-    Args:
-        video: the recording.
-        guesses: guesses from outside of the images.
-        detect: returns the boxes of a frame.
-        sizes: sizes of road users.
-        span_s: start and length of the part; None = to the end.
-        folder_fps: frame rate of folders of images.
-        advance: called after each frame with the number of frames so far.
+    `span_s` is the start and the length of the part, None = to the end; `advance` is called after each frame with the
+    number of frames so far.
     """
     start_s, duration_s = span_s
     duration_s = _PART_S if duration_s is None else min(duration_s, _PART_S)
@@ -186,59 +202,26 @@ def focal_from_video(
     return focal_posterior(guesses, view.scene, recording.size_px, sizes if isinstance(sizes, CuboidSizes) else None)
 
 
-def _parts(duration_s: float) -> list[tuple[float, float]]:
-    """Start and length of the parts of a video that are read."""
-    if duration_s <= _PART_S * len(_PARTS):
-        return [(0.0, _PART_S * len(_PARTS))]
-    return [(fraction * duration_s, _PART_S) for fraction in _PARTS]
-
-
-def _add_part(
-    view: RoadEvidence,
-    video: VideoName,
-    span_s: tuple[float, float],
-    detect: Detect,
-    advance: Callable[[int, int | None], None],
+def _check_inside(
+    name: str,
+    expected: str,
+    xyxy_px: tuple[float, float, float, float],
+    time_s: float,
+    size_px: tuple[int, int],
+    duration_s: float,
 ) -> None:
-    recording = open_recording(video, focal_px=view.camera.fx_px, start_s=span_s[0], duration_s=span_s[1])
-    with closing(recording):
-        view.add(recording.frames, detect, advance)
-
-
-def _check_inside(objects: Sequence[KnownMetres], size_px: tuple[int, int], duration_s: float) -> None:
-    for known in objects:
-        x1, y1, x2, y2 = known.xyxy_px
-        if x1 < -1 or y1 < -1 or x2 > size_px[0] or y2 > size_px[1]:
-            raise UsageError(
-                f"{known.text}: expected a box inside of the image of {size_px[0]}x{size_px[1]} px; measure it in the "
-                "original video."
-            )
-        if duration_s and known.time_s > duration_s + 1.0:
-            raise UsageError(f"{known.text}: expected a time up to {duration_s:.1f} s, the end of the video.")
-
-
-def _check_lanes(lanes: Sequence[KnownLane], size_px: tuple[int, int], duration_s: float) -> None:
-    width_px, height_px = size_px
-    for lane in lanes:
-        columns_px = (lane.x1_px, lane.x2_px)
-        if not (min(columns_px) >= -1 and max(columns_px) <= width_px and -1 <= lane.y_px <= height_px):
-            raise UsageError(
-                f"--known-lane-width {lane.name}: expected columns and a row inside of the image of {width_px}x"
-                f"{height_px} px."
-            )
-        if duration_s and lane.time_s > duration_s + 1.0:
-            raise UsageError(
-                f"--known-lane-width {lane.name}: expected a time up to {duration_s:.1f} s, the end of the video."
-            )
+    """Raise UsageError for a measurement outside of the image or the video; a duration of 0 is unknown."""
+    x1, y1, x2, y2 = xyxy_px
+    if x1 < -1 or y1 < -1 or x2 > size_px[0] or y2 > size_px[1]:
+        raise UsageError(f"{name}: expected {expected.format(f'{size_px[0]}x{size_px[1]}')}.")
+    if duration_s and time_s > duration_s + 1.0:
+        raise UsageError(f"{name}: expected a time up to {duration_s:.1f} s, the end of the video.")
 
 
 def _known_objects(
     objects: Sequence[KnownMetres], video: VideoName, camera: PinholeCamera, detect: Detect
 ) -> list[KnownObject]:
-    """The measured objects with their classes.
-
-    Raises UsageError if the detector finds no object in a box without a class.
-    """
+    """The measured objects with their classes; UsageError if the detector finds none in a box without a class."""
     known = []
     for metres in objects:
         name = metres.class_name or _detected_class(metres, video, camera, detect)
@@ -273,25 +256,3 @@ def _detected_class(metres: KnownMetres, video: VideoName, camera: PinholeCamera
     overlap = iou(np.array([metres.xyxy_px]), detections.xyxy_px)[0]
     best = int(np.argmax(overlap))
     return SIZE_CLASSES[int(detections.class_id[best])] if overlap[best] >= _MIN_IOU else ""
-
-
-def _figures(calibration: RoadCalibration, settings: CalibrationSettings) -> dict[str, Any]:
-    fit = calibration.fit
-    shape_px, shape_sigma = calibration.by_shape.guess
-    return {
-        "source": settings.mono,
-        "frames": calibration.n_frames,
-        "focal_px": fit.camera.fx_px,
-        **asdict(calibration.mounting),
-        "roll_deg": float(np.degrees(fit.roll_rad)),
-        "focal_height_sigma": fit.product_sigma,
-        "guesses": [asdict(guess) for guess in calibration.guesses],
-        "by_shape": {
-            "focal_px": shape_px,
-            "sigma": shape_sigma,
-            "tracks": calibration.by_shape.n_tracks,
-            "box_noise": calibration.by_shape.relative_noise,
-        },
-        "residuals": [asdict(residual) for residual in fit.residuals],
-        "determined": list(calibration.sentences),
-    }

@@ -13,7 +13,6 @@ import numpy as np
 
 from track_range.detection.detections import Detections
 from track_range.detection.lanes.edges import EdgeLaneFinder
-from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA
 from track_range.ranging.fitting.camera.measurements import HorizonRow, SceneBoxes, unhidden
@@ -33,20 +32,13 @@ _IDS_PER_PART = 1_000_000  # difference between the track ids of two parts of a 
 
 @dataclass(slots=True)
 class RoadEvidence:
-    """What was seen so far.
+    """What was seen so far."""
 
-    Attributes:
-        camera: an approximate model of the camera.
-        n_frames: number of frames.
-        boxes: boxes of tracks, not hidden by others, by frame.
-        lane_rows, travel_rows: rows of the horizon in px.
-    """
-
-    camera: PinholeCamera
+    camera: PinholeCamera  # an approximate model
     n_frames: int = 0
-    boxes: list[SceneBoxes] = field(default_factory=list)
-    lane_rows: list[float] = field(default_factory=list)
-    travel_rows: list[float] = field(default_factory=list)
+    boxes: list[SceneBoxes] = field(default_factory=list)  # of tracks, not hidden by others, by frame
+    lane_rows: list[float] = field(default_factory=list)  # rows of the horizon from lanes, px
+    travel_rows: list[float] = field(default_factory=list)  # rows of the direction of travel, px
     _n_parts: int = 0
 
     def add(
@@ -56,14 +48,7 @@ class RoadEvidence:
         advance: Callable[[int, int | None], None] | None = None,
         has_horizon: bool = True,
     ) -> None:
-        """Add a part of the video.
-
-        Args:
-            frames: its frames in order.
-            detect: returns the boxes of a frame.
-            advance: called after each frame with the number of frames so far.
-            has_horizon: whether to measure the horizon too.
-        """
+        """Add a part of the video, perhaps without horizon; `advance` is called with the number of frames so far."""
         tracker, lanes, motion = create_tracker("deepsort"), EdgeLaneFinder(), ImageMotionEstimator(self.camera)
         self._n_parts += 1
         last_s = -np.inf
@@ -77,19 +62,14 @@ class RoadEvidence:
             ids = tracks.track_id[rows] + self._n_parts * _IDS_PER_PART
             self.boxes.append(SceneBoxes(tracks.xyxy_px[rows], tracks.class_id[rows], ids))
             if has_horizon:
-                self._add_horizon(frame, lanes.find(frame.left, frame.time_s), motion, detections)
+                if (row := lanes.find(frame.left, frame.time_s).horizon_px()) is not None:
+                    self.lane_rows.append(row[0])
+                epipole_px = motion.update(frame.left, frame.time_s, detections.xyxy_px).epipole_px
+                if np.isfinite(epipole_px[1]):
+                    self.travel_rows.append(epipole_px[1])
             self.n_frames += 1
             if advance is not None:
                 advance(self.n_frames, None)
-
-    def _add_horizon(
-        self, frame: Frame, lanes: LaneLines, motion: ImageMotionEstimator, detections: Detections
-    ) -> None:
-        if (row := lanes.horizon_px()) is not None:
-            self.lane_rows.append(row[0])
-        epipole = motion.update(frame.left, frame.time_s, detections.xyxy_px).epipole_px
-        if np.isfinite(epipole[1]):
-            self.travel_rows.append(epipole[1])
 
     @property
     def scene(self) -> SceneBoxes:
