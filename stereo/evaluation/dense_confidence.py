@@ -67,8 +67,7 @@ def confidence_measures(
     for i, patch in enumerate(inner_halves(xyxy_px, disparity.shape, margin_px=0, min_side_px=1)):
         if patch is None:
             continue
-        window = np.s_[patch.top : patch.bottom + 1, patch.left : patch.right + 1]
-        inside = disparity[window]
+        inside = disparity[patch.window]
         known = inside[np.isfinite(inside)].astype(np.float64)
         if not len(known):
             continue
@@ -77,7 +76,7 @@ def confidence_measures(
         values["spread"][i] = mad_sigma(known) / median_px
         values["invalid"][i] = 1 - len(known) / inside.size
         values["disagreeing"][i] = 1 - is_near.sum() / inside.size
-        values["left_right"][i] = 1 - is_consistent[window].mean()
+        values["left_right"][i] = 1 - is_consistent[patch.window].mean()
     return values
 
 

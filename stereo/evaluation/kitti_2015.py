@@ -136,8 +136,7 @@ def labelled_instances(true_px: FloatArray, instance: npt.NDArray[np.integer]) -
         known = mask & (true_px > 0)
         if patch is None or known.sum() < MIN_TRUE_PIXELS:
             continue
-        inner = (slice(patch.top, patch.bottom + 1), slice(patch.left, patch.right + 1))
-        values_px = true_px[inner][known[inner]]
+        values_px = true_px[patch.window][known[patch.window]]
         if len(values_px) >= MIN_INNER_PIXELS:
             boxes.append(box)
             medians_px.append(float(np.median(values_px)))

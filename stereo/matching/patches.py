@@ -28,14 +28,9 @@ class Patch(NamedTuple):
     bottom: int
 
     @property
-    def width_px(self) -> int:
-        """Number of columns."""
-        return self.right - self.left + 1
-
-    @property
-    def height_px(self) -> int:
-        """Number of rows."""
-        return self.bottom - self.top + 1
+    def window(self) -> tuple[slice, slice]:
+        """Index of the pixels in an image."""
+        return np.s_[self.top : self.bottom + 1, self.left : self.right + 1]
 
 
 def inner_halves(

@@ -27,13 +27,13 @@ _STEPS_PER_PX = 16  # disparity steps per pixel: OpenCV's disparities are multip
 _MEDIAN_SIGMA_PX = 0.15  # of the median of a flat, textured patch: mostly pixel locking (0.14 px on synthetic pairs)
 _MAX_COST = 32767  # largest cost: OpenCV sums costs in 16 bits
 
+# Other names of settings in configuration files, and the fields of `SgbmSettings`, which have OpenCV's names.
 _ALIASES = {
     "uniqueness_pct": "uniqueness_ratio",
     "max_left_right_px": "disp12_max_diff",
     "speckle_px2": "speckle_window_size",
     "speckle_range_px": "speckle_range",
 }
-"""Other names of settings in configuration files, and the fields of `SgbmSettings`, which have OpenCV's names."""
 
 _OPENCV_MODE: dict[Mode, int] = {
     "3way": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
@@ -72,10 +72,7 @@ class SgbmSettings:
     def for_rig(
         cls, rig: StereoRig, *, nearest_m: float = 3.0, chosen: Mapping[str, Any] | None = None
     ) -> SgbmSettings:
-        """Settings for distances from `nearest_m` with a rectified rig, updated with the user's `chosen` values.
-
-        Raises ValueError if `chosen` has an unknown name or a wrong value.
-        """
+        """As `of`, by default for distances from `nearest_m` with a rectified rig."""
         disparity_px = min(rig.left.fx_px * rig.baseline_m / nearest_m, rig.left.width_px / 2)
         return cls.of({"n_disparities": max(16 * math.ceil(disparity_px / 16), 16), **(chosen or {})})
 
@@ -103,21 +100,17 @@ def _checks(settings: SgbmSettings) -> list[tuple[str, bool, str]]:
         value = getattr(settings, name)
         return type(value) in (int, float) and low <= value <= high
 
-    n = settings.n_disparities
+    n, block_size = settings.n_disparities, settings.block_size
     small = settings.small_step_penalty if type(settings.small_step_penalty) is int else 0
-    window_px = settings.block_size**2 if type(settings.block_size) is int else 1
-    large = (small + 1, _MAX_COST // max(window_px, 1))
+    large = (small + 1, _MAX_COST // max(block_size**2 if type(block_size) is int else 1, 1))
+    large_text = f"more than small_step_penalty, and at most {_MAX_COST} / block_size^2"
     return [
         ("min_disparity", whole("min_disparity", -512, 1024), "an integer from -512 to 1024"),
         ("n_disparities", whole("n_disparities", 16, 1024) and n % 16 == 0, "a multiple of 16 up to 1024"),
-        ("block_size", whole("block_size", 1, 21) and settings.block_size % 2 == 1, "an odd number up to 21"),
+        ("block_size", whole("block_size", 1, 21) and block_size % 2 == 1, "an odd number up to 21"),
         ("mode", settings.mode in list(_OPENCV_MODE), "one of " + ", ".join(_OPENCV_MODE)),
         ("small_step_penalty", whole("small_step_penalty", 1), "an integer of 1 or more"),
-        (
-            "large_step_penalty",
-            whole("large_step_penalty", *large),
-            f"more than small_step_penalty, and at most {_MAX_COST} / block_size^2",
-        ),
+        ("large_step_penalty", whole("large_step_penalty", *large), large_text),
         ("uniqueness_ratio", whole("uniqueness_ratio", 0, 99), "an integer from 0 to 99"),
         ("disp12_max_diff", whole("disp12_max_diff", -1, 1024), "an integer from -1 to 1024"),
         ("speckle_window_size", whole("speckle_window_size", 0, 10**9), "an integer from 0 to 1e9"),
@@ -150,17 +143,13 @@ class Sgbm:
     def dense_disparity(self, left: Image, right: Image) -> DisparityMap:
         """(H, W) float32 disparity x_left - x_right of each left pixel, NaN where unknown.
 
-        Args:
-            left: (H, W) grey or (H, W, 3) BGR, rectified.
-            right: the same size, grey or colour.
-
-        Raises:
-            ValueError: the images differ in size.
+        The images are rectified, of equal size, each (H, W) grey or (H, W, 3) BGR. Raises ValueError if they are not.
         """
         if left.shape[:2] != right.shape[:2]:
             raise ValueError(f"left and right: expected equal sizes, got {left.shape[:2]} and {right.shape[:2]}")
-        n_padded = max(self._settings.min_disparity + self._settings.n_disparities, 0)
-        steps = self._matcher.compute(_padded(left, n_padded), _padded(right, n_padded))[:, n_padded:]
+        n_padded = max(self._settings.min_disparity + self._settings.n_disparities, 0)  # columns on the left
+        padded = [cv2.copyMakeBorder(grey(image), 0, 0, n_padded, 0, cv2.BORDER_REPLICATE) for image in (left, right)]
+        steps = self._matcher.compute(padded[0], padded[1])[:, n_padded:]
         disparity = steps.astype(np.float32) / _STEPS_PER_PX
         column = np.arange(left.shape[1], dtype=np.float32)
         # OpenCV marks rejected pixels with less than the minimum, and gives the minimum itself without texture.
@@ -206,11 +195,9 @@ def centre_disparity(
 
 
 def disparity_picture(disparity: DisparityMap | FloatArray, *, largest_px: float | None = None) -> Image:
-    """(H, W, 3) uint8 BGR colour map: near is red, far is blue, unknown is black.
+    """(H, W, 3) uint8 BGR colour map of disparities (H, W): near is red, far is blue, unknown (NaN) is black.
 
-    Args:
-        disparity: (H, W) disparities, px; NaN = unknown.
-        largest_px: disparity of the nearest colour; None = the 99th percentile.
+    `largest_px` is the disparity of the nearest colour; None = the 99th percentile.
     """
     known = np.isfinite(disparity)
     if largest_px is None:
@@ -223,13 +210,8 @@ def disparity_picture(disparity: DisparityMap | FloatArray, *, largest_px: float
 def _median_and_sigma(
     disparity: DisparityMap | FloatArray, patch: Patch, settings: SgbmSettings
 ) -> tuple[float, float]:
-    inside = disparity[patch.top : patch.bottom + 1, patch.left : patch.right + 1]
+    inside = disparity[patch.window]
     known = inside[np.isfinite(inside)].astype(np.float64)
     if len(known) < max(settings.min_valid_fraction * inside.size, 1):
         return math.nan, math.nan
     return float(np.median(known)), math.hypot(_MEDIAN_SIGMA_PX, settings.shape_fraction * mad_sigma(known))
-
-
-def _padded(image: Image, n_columns: int) -> Image:
-    """The grey image with `n_columns` additional columns on the left."""
-    return np.asarray(cv2.copyMakeBorder(grey(image), 0, 0, n_columns, 0, cv2.BORDER_REPLICATE), np.uint8)

@@ -12,9 +12,10 @@ from __future__ import annotations
 import glob
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
+from typing import ClassVar
 
 from track_range.detection.formats.image_labels.labelled_images import ImageFileError, images_in, read_image
 from track_range.foundation.arrays import Image
@@ -46,7 +47,7 @@ class ImageFiles:
 
     paths: tuple[tuple[Path, ...], ...]  # one tuple of paths per shot, with one path per camera
     unpaired: tuple[RejectedView, ...] = ()  # images without a counterpart from the other camera
-    is_video: bool = field(default=False, init=False)  # false
+    is_video: ClassVar[bool] = False
 
     @property
     def n_shots(self) -> int:
@@ -62,22 +63,15 @@ class ImageFiles:
         """The shots, read one by one."""
         for paths in self.paths:
             is_ambiguous = len({path.name for path in paths}) < len(paths)
-            yield Shot(
-                tuple(_name(path, with_folder=is_ambiguous) for path in paths), tuple(_readable(path) for path in paths)
-            )
+            names = tuple(_name(path, with_folder=is_ambiguous) for path in paths)
+            yield Shot(names, tuple(_readable(path) for path in paths))
 
 
 class VideoShots:
-    """Shots from a video, or from two synchronised videos, at regular intervals.
+    """Shots from a video, or from two synchronised videos, at regular intervals; VideoError for unreadable ones."""
 
-    Attributes:
-        files: the videos.
-        n_shots: estimated number of shots; None = unknown.
-        is_video: True, since many frames of a video may not show the board.
-        unpaired: always empty.
-
-    Raises VideoError if a video cannot be read.
-    """
+    is_video: ClassVar[bool] = True  # many frames of a video may not show the board
+    unpaired: tuple[RejectedView, ...] = ()
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self.files = tuple(paths)
@@ -85,9 +79,7 @@ class VideoShots:
         first = self._readers[0]
         length_s = (first.n_frames or 0) / first.fps
         self._step_s = max(_SHORTEST_STEP_S, length_s / _MAX_VIDEO_SHOTS)
-        self.n_shots: int | None = int(length_s / self._step_s) + 1 if first.n_frames else None
-        self.is_video = True
-        self.unpaired: tuple[RejectedView, ...] = ()
+        self.n_shots: int | None = int(length_s / self._step_s) + 1 if first.n_frames else None  # estimate
 
     def __iter__(self) -> Iterator[Shot]:
         """Shots at least one step apart, named by their times."""
@@ -112,8 +104,8 @@ BoardImages = ImageFiles | VideoShots  # source of shots, which can be iterated 
 def board_images(sources: Sequence[str]) -> BoardImages:
     """The images of one camera, from one source, or of two cameras, from one source each.
 
-    Raises ImageFileError if a pattern or folder without images, sources of different kinds, or images that cannot be
-    paired. Raises VideoError if a video cannot be read.
+    Raises ImageFileError for a pattern or folder without images, sources of different kinds, or images that cannot be
+    paired, and VideoError if a video cannot be read.
     """
     are_videos = [_is_video(source) for source in sources]
     if all(are_videos):
@@ -157,7 +149,10 @@ def _natural_order(path: Path) -> list[tuple[int, str]]:
 
 def _paired(sources: Sequence[str], files: Sequence[list[Path]]) -> ImageFiles:
     """Left and right images paired by name, or by order if their names have nothing in common."""
-    for keys in _pairing_keys(sources):
+    tried: list[tuple[Key, Key]] = [(_stem, _stem), (_last_number, _last_number)]
+    if all(_WILDCARD.search(source) for source in sources):
+        tried.insert(0, (_wildcard_key(sources[0]), _wildcard_key(sources[1])))
+    for keys in tried:
         by_key = [{key(path): path for path in paths} for key, paths in zip(keys, files, strict=True)]
         common = [key for key in by_key[0] if key in by_key[1]]
         is_unique = all(len(keyed) == len(paths) for keyed, paths in zip(by_key, files, strict=True))
@@ -173,14 +168,6 @@ def _paired(sources: Sequence[str], files: Sequence[list[Path]]) -> ImageFiles:
             "name; give matching images the same number."
         )
     return ImageFiles(tuple(zip(files[0], files[1], strict=True)))
-
-
-def _pairing_keys(sources: Sequence[str]) -> list[tuple[Key, Key]]:
-    """Keys for left and right paths, in the order in which they are tried."""
-    keys: list[tuple[Key, Key]] = []
-    if all(_WILDCARD.search(source) for source in sources):
-        keys.append((_wildcard_key(sources[0]), _wildcard_key(sources[1])))
-    return [*keys, (_stem, _stem), (_last_number, _last_number)]
 
 
 def _wildcard_key(pattern: str) -> Key:

@@ -48,8 +48,7 @@ class BoardSearch:
 def find_views(images: BoardImages, board: Board, advance: Advance) -> BoardSearch:
     """Search all images for the board; `advance` is called with the numbers of searched and of all shots.
 
-    Raises CalibrationError if no board in any image, or a board of another size. Raises VideoError if a video cannot be
-    read.
+    Raises CalibrationError for no board in any image, or a board of another size, and VideoError for a damaged video.
     """
     finder = BoardFinder(board)
     shots: list[Views] = []
@@ -59,7 +58,9 @@ def find_views(images: BoardImages, board: Board, advance: Advance) -> BoardSear
     for shot in images:
         n_images += 1
         advance(n_images, max(images.n_shots or 0, n_images))
-        samples = _sampled(samples, shot, n_images, images.n_shots or 0)
+        is_sample = not (n_images - 1) % max(1, (images.n_shots or 0) // _N_SAMPLES)
+        if is_sample and len(samples) < _N_SAMPLES and shot.images[0] is not None:
+            samples.append(shot.images[0])
         views = _views(finder, shot, is_video=images.is_video)
         if isinstance(views, RejectedView):
             rejected.append(views)
@@ -69,15 +70,10 @@ def find_views(images: BoardImages, board: Board, advance: Advance) -> BoardSear
     notes: list[str] = []
     shots = _of_one_size(shots, rejected, notes)
     shots = _sharp(shots, rejected)
-    return BoardSearch(_varied(shots, notes), rejected, notes, n_images)
-
-
-def _sampled(samples: list[Image], shot: Shot, number: int, n_shots: int) -> list[Image]:
-    """The samples, with the first image of this shot added if its number is due."""
-    image = shot.images[0]
-    if image is None or (number - 1) % max(1, n_shots // _N_SAMPLES) or len(samples) >= _N_SAMPLES:
-        return samples
-    return [*samples, image]
+    if len(shots) > MAX_VIEWS:
+        notes.append(f"{MAX_VIEWS} of {len(shots)} views used, selected for variety.")
+        shots = [shots[i] for i in most_different([shot[0] for shot in shots], MAX_VIEWS)]
+    return BoardSearch(shots, rejected, notes, n_images)
 
 
 def _views(finder: BoardFinder, shot: Shot, *, is_video: bool) -> Views | RejectedView:
@@ -107,7 +103,11 @@ def _of_one_size(shots: list[Views], rejected: list[RejectedView], notes: list[s
     common = [Counter(shot[camera].size_px for shot in shots).most_common(1)[0][0] for camera in range(n_cameras)]
     accepted, cropped = [], []
     for shot in shots:
-        deviating = [camera for camera in range(n_cameras) if not _is_near(shot[camera].size_px, common[camera])]
+        deviating = [
+            camera
+            for camera in range(n_cameras)
+            if any(abs(a - b) > _MAX_CROP_PX for a, b in zip(shot[camera].size_px, common[camera], strict=True))
+        ]
         if deviating:
             view, size = shot[deviating[0]], common[deviating[0]]
             rejected.append(RejectedView(view.name, f"{_text(view.size_px)} px, while most have {_text(size)} px"))
@@ -120,10 +120,6 @@ def _of_one_size(shots: list[Views], rejected: list[RejectedView], notes: list[s
     return accepted
 
 
-def _is_near(size: Size, common: Size) -> bool:
-    return all(abs(a - b) <= _MAX_CROP_PX for a, b in zip(size, common, strict=True))
-
-
 def _text(size: Size) -> str:
     return f"{size[0]}x{size[1]}"
 
@@ -134,18 +130,11 @@ def _sharp(shots: list[Views], rejected: list[RejectedView]) -> list[Views]:
         return shots
     widths = np.array([max(view.edge_px for view in shot) for shot in shots])
     limit_px = max(_BLURRED_PX, _BLURRED_RATIO * float(np.percentile(widths, 25)))
-    blurred = [shot for shot, width in zip(shots, widths, strict=True) if width > limit_px]
-    for shot in blurred:
+    for shot in shots:
         worst = max(shot, key=lambda view: view.edge_px)
-        rejected.append(RejectedView(worst.name, f"blurred: its edges are {worst.edge_px:.1f} px wide"))
+        if worst.edge_px > limit_px:
+            rejected.append(RejectedView(worst.name, f"blurred: its edges are {worst.edge_px:.1f} px wide"))
     return [shot for shot, width in zip(shots, widths, strict=True) if width <= limit_px]
-
-
-def _varied(shots: list[Views], notes: list[str]) -> list[Views]:
-    if len(shots) <= MAX_VIEWS:
-        return shots
-    notes.append(f"{MAX_VIEWS} of {len(shots)} views used, selected for variety.")
-    return [shots[i] for i in most_different([shot[0] for shot in shots], MAX_VIEWS)]
 
 
 def _check_board(board: Board, samples: Sequence[Image], *, n_found: int, n_images: int) -> None:

@@ -18,11 +18,7 @@ def separability(
 ) -> tuple[str, ...]:
     """Sentences on focal length, camera height, pitch, and pairs of them.
 
-    Args:
-        fit: the camera.
-        guesses: guesses of the focal length from outside of the images.
-        by_shape: the prior of the fit: guesses and shapes of road users.
-        has_height: whether the height of the camera was measured.
+    `by_shape` is the prior of the fit: guesses from outside of the images, and shapes of road users.
     """
     camera, (shape_px, shape_sigma) = fit.camera, by_shape.guess
     origin = guesses[0].source if len(guesses) == 1 else " and ".join(guess.source for guess in guesses)
@@ -31,12 +27,18 @@ def separability(
             f", and the shapes of {by_shape.n_tracks} vehicles ({shape_px:.0f} px within {100 * shape_sigma:.0f} %)"
         )
     focal = f"Focal length {camera.fx_px:.0f} px within {100 * fit.focal_sigma:.1f} %"
-    sentences = _contradictions(fit)
-    sentences += [
-        f"{focal}, by the measurements (before: {shape_px:.0f} px, from {origin})."
-        if fit.gain("focal length") < _DETERMINED
-        else f"{focal}: the measurements do not determine it; it comes from {origin}."
-    ]
+    sentences = []
+    if fit.contradiction != 1.0:
+        name, deviation = fit.largest_deviation
+        sentences.append(
+            f"Warning: the measurements contradict each other, or what is usual: {name}, is off by "
+            f"{abs(deviation):.0f} sigma. All sigmas are {fit.contradiction:.1f} times as large; check boxes and "
+            "metres."
+        )
+    if fit.gain("focal length") < _DETERMINED:
+        sentences.append(f"{focal}, by the measurements (before: {shape_px:.0f} px, from {origin}).")
+    else:
+        sentences.append(f"{focal}: the measurements do not determine it; it comes from {origin}.")
     height = f"Camera height {fit.height_m:.2f} ± {fit.height_sigma_m:.2f} m"
     if has_height:
         sentences.append(f"{height}, as measured.")
@@ -59,14 +61,3 @@ def separability(
             "Camera height and pitch cannot be separated: add a distance at least twice as long or half as long."
         )
     return tuple(sentences)
-
-
-def _contradictions(fit: CameraFit) -> list[str]:
-    """Warning about measurements that contradict each other; empty if they agree."""
-    if fit.contradiction == 1.0:
-        return []
-    name, deviation = fit.largest_deviation
-    return [
-        f"Warning: the measurements contradict each other, or what is usual: {name}, is off by {abs(deviation):.0f} "
-        f"sigma. All sigmas are {fit.contradiction:.1f} times as large; check boxes and metres."
-    ]
