@@ -11,8 +11,8 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from track_range.fleet.engine.fingerprint import content_hash, present_fingerprint
 from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, FleetPlan
+from track_range.fleet.engine.remaining import content_hash, present_fingerprint
 from track_range.fleet.fleet_run import run_fleet
 from track_range.fleet.inputs.listing import clips_of
 from track_range.fleet.output.data_set import publish_record, read_clips
@@ -48,8 +48,8 @@ def publish_stub(task: ClipTask, plan: FleetPlan, _progress: ClipProgress) -> Cl
         coverage=dict.fromkeys(_METHODS, 0.9),
         labels=dict(task.clip.labels),
     )
-    publish_record(Location.of(plan.out), record.row())
-    return ClipOutcome(record.row(), is_published=True)
+    publish_record(plan.out, record.row())
+    return ClipOutcome(record.row())
 
 
 def main() -> None:

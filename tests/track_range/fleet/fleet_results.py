@@ -12,7 +12,14 @@ import pyarrow as pa
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.fleet.engine.clip_run import write_tracks
-from track_range.fleet.output.data_set import ClipTable, publish_events, publish_files, publish_record, publish_tracks
+from track_range.fleet.output.data_set import (
+    ClipTable,
+    events_location,
+    publish,
+    publish_record,
+    runs_location,
+    tracks_location,
+)
 from track_range.fleet.output.record import ClipRecord
 from track_range.fleet.output.state import FleetState
 from track_range.fleet.storage.location import Location
@@ -101,10 +108,10 @@ def write_clip(
     """Publish a complete clip, as a worker does; None = as an earlier version, without events."""
     file = scratch / "tracks.parquet"
     write_tracks(file, table, {"track_range.clip": record.clip})
-    publish_tracks(out, record.clip, file)
+    publish(out, tracks_location(out, record.clip), file)
     if events is not None:
         write_events_parquet(scratch / "events.parquet", events, {})
-        publish_events(out, record.clip, scratch / "events.parquet")
+        publish(out, events_location(out, record.clip), scratch / "events.parquet")
         record = replace(record, events=len(events))
     publish_record(out, record.row())
 
@@ -126,11 +133,8 @@ def write_fleet(out: Location, scratch: Path, *, is_compiled: bool = True) -> No
     alignment = {"row_offset_px": 0.1, "offset_px": 0.0}
     record = done_record(DAWN, start_utc="2026-05-04T07:50:00Z", errors=errors, alignment=alignment)
     write_clip(out, record, dawn, scratch)
-    files = {}
     for name in ("report.html", "overlay.mp4"):
-        files[name] = scratch / name
-        files[name].write_text("content")
-    publish_files(out, DAWN, files)
+        publish(out, runs_location(out, DAWN).child(name), b"content")
 
     noon = rows_table(track_rows(1, "car", near_m=30.0, x_m=0.0, utc_s=None))
     errors = {"fused": {"median_relative_error_pct": 4.0, "bias_pct": 3.0}}

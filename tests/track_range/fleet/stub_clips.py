@@ -12,13 +12,12 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from track_range.fleet.engine.fingerprint import content_hash, fingerprint
 from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, FleetPlan
+from track_range.fleet.engine.remaining import content_hash, fingerprint
 from track_range.fleet.inputs.clip import Clip
-from track_range.fleet.output.data_set import publish_record, publish_tracks
+from track_range.fleet.output.data_set import publish, publish_record, tracks_location
 from track_range.fleet.output.record import ClipRecord
 from track_range.fleet.storage.errors import StorageError
-from track_range.fleet.storage.location import Location
 
 
 def stub_clips(folder: Path, *names: str) -> list[Clip]:
@@ -50,7 +49,7 @@ def process_stub(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> Cli
 
 def published(task: ClipTask, plan: FleetPlan) -> ClipOutcome:
     """The outcome of a clip with one row in tracks.parquet."""
-    clip, out = task.clip, Location.of(plan.out)
+    clip, out = task.clip, plan.out
     stat = os.stat(clip.left)
     digest = Path(clip.left).read_text()
     record = ClipRecord(
@@ -74,9 +73,9 @@ def published(task: ClipTask, plan: FleetPlan) -> ClipOutcome:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "tracks.parquet"
         parquet.write_table(table, file)
-        publish_tracks(out, clip.name, file)
+        publish(out, tracks_location(out, clip.name), file)
     publish_record(out, record.row())
-    return ClipOutcome(record.row(), is_published=True)
+    return ClipOutcome(record.row())
 
 
 def _crash() -> None:

@@ -9,35 +9,34 @@ from __future__ import annotations
 
 import errno
 import platform
-import resource
-import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+import traceback
+from collections.abc import Mapping
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from track_range.fleet.engine.fingerprint import content_hash, fingerprint
-from track_range.fleet.engine.limits import plausible_s
+from track_range.fleet.engine.attempts import plausible_s
 from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, FleetPlan
+from track_range.fleet.engine.remaining import content_hash, fingerprint
+from track_range.fleet.engine.worker import peak_memory_bytes
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.inputs.dry_run import check_clips
 from track_range.fleet.output.data_set import (
     TRACKS_FILE,
-    publish_clips_of_events,
-    publish_events,
-    publish_files,
+    events_location,
+    publish,
+    publish_event_videos,
     publish_record,
-    publish_tracks,
+    runs_location,
+    tracks_location,
 )
 from track_range.fleet.output.file_names import FileNames
-from track_range.fleet.output.record import ClipRecord
+from track_range.fleet.output.record import ERROR_FIGURES, ClipRecord, utc_now
+from track_range.fleet.settings import size_bytes
 from track_range.fleet.storage.errors import StorageError
-from track_range.fleet.storage.fetch import FetchedClip, fetched
-from track_range.fleet.storage.listings import FolderListings
+from track_range.fleet.storage.fetch import fetched
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import printable
@@ -59,27 +58,14 @@ _DETECTORS = OpenedDetectors()
 _MAX_ERROR = 600
 """Longest error of a clip, in characters."""
 
-_FIGURES = ("median_relative_error_pct", "mean_relative_error_pct", "bias_pct", "within_1_sigma", "within_2_sigma")
-"""Figures of a method in clips.parquet where there is ground truth, if the summary has them."""
-
 
 class _PublishingError(Exception):
     """The results cannot be written; the fleet ends."""
 
 
-class _UnchangedError(Exception):
-    """The content of the files is that of the complete result."""
-
-
 @flags_in_errors()
 def run_clip(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> ClipOutcome:
-    """Process a clip and publish its results.
-
-    Args:
-        task: the clip.
-        plan: of the fleet.
-        progress: updated while the clip is processed.
-    """
+    """Process a clip and publish its results; `progress` is updated meanwhile."""
     clip_run = _ClipRun(task, plan, progress)
     try:
         return clip_run.outcome()
@@ -93,38 +79,32 @@ class _ClipRun:
     def __init__(self, task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> None:
         self._task, self._plan, self._progress = task, plan, progress
         self._clip = task.clip
-        self._out = Location.of(plan.out)
+        self._out = plan.out
         self._start_s = time.perf_counter()
         self._run_s = 0.0
         self._names: dict[str, str] = {}
         self._file_names = FileNames(self._clip, is_anonymized=plan.is_anonymized)
-        self._record = ClipRecord(
-            clip=self._clip.name,
-            status="failed",
-            attempts=task.attempt,
-            left=self._file_names.left,
-            right=self._file_names.right,
-            settings_hash=plan.settings_hash,
-            version=plan.version,
-            node=platform.node(),
-            labels=dict(self._clip.labels),
-        )
+        self._record = replace(plan.record(self._clip, task.attempt), node=platform.node())
 
     def outcome(self) -> ClipOutcome:
-        """Process the clip."""
-        _reset_peak_memory()
         try:
-            with ExitStack() as stack:
-                self._progress.phase = "fetching"
-                self._progress.fetch_bytes = _fetch_bytes(self._clip)
-                folder = stack.enter_context(_scratch_folder())
-                local = stack.enter_context(fetched(self._clip, folder / "inputs", self._plan.cache_bytes))
-                self._names = {str(file.path): str(Location.of(file.address)) for file in local.files.values()}
-                self._add_inputs(local)
-                self._process(local, folder)
-            return ClipOutcome(self._record.row(), is_published=True)
-        except _UnchangedError:
-            return ClipOutcome(self._record.row(), is_unchanged=True)
+            self._progress.phase = "fetching"
+            self._progress.fetch_bytes = _fetch_bytes(self._clip)
+            with (
+                tempfile.TemporaryDirectory(prefix="clip-", ignore_cleanup_errors=True) as name,
+                fetched(self._clip, Path(name, "inputs"), size_bytes(self._plan.settings.cache_size)) as (local, files),
+            ):
+                self._names = {str(file.path): str(Location.of(file.address)) for file in files.values()}
+                states = {role: (file.size, file.mtime_ns) for role, file in files.items()}
+                self._record = replace(
+                    self._record,
+                    inputs=fingerprint(self._clip, states),
+                    content_hash=content_hash(self._clip, {role: file.sha256 for role, file in files.items()}),
+                )
+                if self._record.content_hash == self._task.known_hash:
+                    return ClipOutcome(self._record.row(), is_unchanged=True)
+                self._process(local, Path(name), max(file.size for file in files.values()))
+            return ClipOutcome(self._record.row())
         except StorageError as error:
             return self._failure("fetch", error, is_transient=error.is_transient)
         except UserError as error:
@@ -146,91 +126,74 @@ class _ClipRun:
             ) from error
         message = str(error)
         if kind == "internal":
-            message = f"unexpected error, {type(error).__name__}: {message or 'no text'} ({_place(error)})"
+            at = traceback.extract_tb(error.__traceback__)[-1]
+            where = f"{Path(at.filename).name}, line {at.lineno}"
+            message = f"unexpected error, {type(error).__name__}: {message or 'no text'} ({where})"
         if kind == "memory":
             message = message or "the memory of the machine is not enough for this clip"
         return ClipOutcome(self.failed(kind, message), is_transient=is_transient)
 
-    def _add_inputs(self, local: FetchedClip) -> None:
-        """Add the fingerprint of the files to the record.
-
-        Raises:
-            _UnchangedError: the clip is complete, its files have only been touched.
-        """
-        self._record = replace(
-            self._record,
-            inputs=fingerprint(self._clip, {role: (file.size, file.mtime_ns) for role, file in local.files.items()}),
-            content_hash=content_hash(self._clip, {role: file.sha256 for role, file in local.files.items()}),
-        )
-        if self._task.known_hash and self._record.content_hash == self._task.known_hash:
-            raise _UnchangedError
-
-    def _process(self, local: FetchedClip, folder: Path) -> None:
-        """Run the clip with local files, and publish the results."""
-        progress, plan = self._progress, self._plan
-        settings = clip_settings(plan.options, local.clip)
-        names = settings.write if "write" in {**plan.options, **local.clip.settings} else ()
-        has_files = plan.has_reports or bool(set(names) - {"parquet"}) or settings.overlay or settings.disparity
+    def _process(self, clip: Clip, folder: Path, n_bytes: int) -> None:
+        """Run the clip with local files, the largest of `n_bytes`, and publish the results."""
+        progress, plan, out, name = self._progress, self._plan, self._out, self._clip.name
+        settings = clip_settings(plan.options, clip)
+        names = set(settings.write if "write" in {**plan.options, **clip.settings} else ()) - {"parquet"}
+        has_files = plan.settings.reports or bool(names) or settings.overlay or settings.disparity
         run_folder = folder / "run" if has_files else None
-        settings = settings.model_copy(update={"out": run_folder, "write": tuple(set(names) - {"parquet"})})
+        settings = settings.model_copy(update={"out": run_folder, "write": tuple(names)})
         start_s = time.perf_counter()
         progress.phase = "opening"
-        n_bytes = max(file.size for file in local.files.values())
-        progress.video_s = plausible_s(_header_s(local.clip, settings), n_bytes)
+        progress.video_s = plausible_s(_header_s(clip, settings), n_bytes)
         with Run(settings, opened_detectors=_DETECTORS) as run, tuned_process(has_dense_stereo=settings.sgbm):
             progress.phase = "processing"
             for _ in run:
                 progress.frames += 1
         self._run_s = time.perf_counter() - start_s
         progress.phase = "publishing"
-        summary = run.summary
         table = run.session.rows.table.to_arrow(is_rounded=False)
-        metadata = {**run.session.provenance.metadata(), **self._metadata()}
+        metadata = {
+            **run.session.provenance.metadata(),
+            "track_range.settings_hash": plan.settings_hash,
+            "track_range.content_hash": self._record.content_hash,
+            "track_range.clip": name,
+        }
         write_tracks(folder / TRACKS_FILE, table, metadata)
         write_events_parquet(folder / EVENTS_PARQUET, run.events, metadata)
-        self._record = self._with_summary(summary, table.num_rows, run)
-        files = {} if run_folder is None else _published_files(run_folder, has_report=plan.has_reports)
-        with _publishing():
-            publish_tracks(self._out, self._clip.name, folder / TRACKS_FILE)
-            publish_events(self._out, self._clip.name, folder / EVENTS_PARQUET)
-            publish_files(self._out, self._clip.name, files)
-            if settings.clips and run_folder is not None:
-                clips = sorted((run_folder / CLIPS_FOLDER).glob("*.mp4"))
-                publish_clips_of_events(self._out, self._clip.name, clips)
+        self._add_summary(run.summary, table.num_rows, run)
+        try:
+            publish(out, tracks_location(out, name), folder / TRACKS_FILE)
+            publish(out, events_location(out, name), folder / EVENTS_PARQUET)
+            if run_folder is not None:
+                for file in _published_files(run_folder, has_report=plan.settings.reports):
+                    publish(out, runs_location(out, name).child(file.name), file)
+                if settings.clips:
+                    publish_event_videos(out, name, sorted((run_folder / CLIPS_FOLDER).glob("*.mp4")))
             self._record = self._with_times(self._record)
-            publish_record(self._out, self._record.row())
+            publish_record(out, self._record.row())
+        except StorageError as error:
+            raise _PublishingError(str(error)) from error
 
-    def _metadata(self) -> dict[str, str]:
-        return {
-            "track_range.settings_hash": self._plan.settings_hash,
-            "track_range.content_hash": self._record.content_hash,
-            "track_range.clip": self._clip.name,
-        }
-
-    def _with_summary(self, summary: Mapping[str, Any], n_rows: int, run: Run) -> ClipRecord:
-        session = run.session
+    def _add_summary(self, summary: Mapping[str, Any], n_rows: int, run: Run) -> None:
         methods: Mapping[str, Mapping[str, Any]] = summary["methods"]
         figures = {
-            name: {figure: values[figure] for figure in _FIGURES if _is_number(values.get(figure))}
+            name: {figure: values[figure] for figure in ERROR_FIGURES if _is_number(values.get(figure))}
             for name, values in methods.items()
         }
-        alignment = {key: float(value) for key, value in summary.get("alignment", {}).items() if _is_number(value)}
-        utc = summary["utc"] or {}
-        return replace(
+        self._record = replace(
             self._record,
             status="done",
             frames=int(summary["frames"]),
             rows=n_rows,
             tracks=int(summary["tracks"]["n"]),
             events=len(run.events),
-            seconds=round(session.rows.seconds, 6),
+            seconds=round(run.session.rows.seconds, 6),
             calibration=str(summary["calibration"]),
-            start_utc=str(utc.get("start") or ""),
+            start_utc=str((summary["utc"] or {}).get("start") or ""),
             warnings=[self._with_names(note) for note in summary["notes"]],
             stages_ms=summary["stages_ms"],
             coverage={name: values.get("coverage") for name, values in methods.items()},
             errors={name: values for name, values in figures.items() if values},
-            alignment=alignment,
+            alignment={key: float(value) for key, value in summary.get("alignment", {}).items() if _is_number(value)},
         )
 
     def _with_times(self, record: ClipRecord) -> ClipRecord:
@@ -239,8 +202,8 @@ class _ClipRun:
             record,
             wall_s=round(wall_s, 3),
             overhead_s=round(wall_s - self._run_s, 3),
-            peak_memory_mb=round(_peak_memory_bytes() / 1e6, 1),
-            finished_utc=datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+            peak_memory_mb=round(peak_memory_bytes() / 1e6, 1),
+            finished_utc=utc_now(),
         )
 
     def _with_names(self, text: str) -> str:
@@ -251,11 +214,7 @@ class _ClipRun:
 
 
 def clip_settings(options: Mapping[str, Any], clip: Clip) -> RunSettings:
-    """Settings of the run of a clip.
-
-    Args:
-        options: options that all clips have in common.
-        clip: the clip, with local files; its settings have precedence.
+    """Settings of the run of a clip with local files; its settings have precedence over the options of all clips.
 
     Raises:
         UsageError: a setting of the clip is invalid, or does not suit its video.
@@ -275,37 +234,13 @@ def write_tracks(path: Path, table: pa.Table, metadata: Mapping[str, str]) -> No
     write_table(path, table.replace_schema_metadata(dict(metadata)))
 
 
-def _published_files(folder: Path, *, has_report: bool) -> dict[str, Path]:
-    """Files of a run by name, without those that contain paths of this machine, and the report only if requested."""
+def _published_files(folder: Path, *, has_report: bool) -> list[Path]:
+    """Files of a run, without those that contain paths of this machine, and the report only if requested."""
     left_out = {"settings.yaml", TRACKS_FILE, EVENTS_PARQUET} | (
         set() if has_report else {"report.html", "summary.json"}
     )
-    return {
-        file.name: file
-        for file in sorted(folder.iterdir())
-        if file.is_file() and file.name not in left_out and file.name[0] != "."
-    }
-
-
-@contextmanager
-def _publishing() -> Iterator[None]:
-    try:
-        yield
-    except StorageError as error:
-        raise _PublishingError(str(error)) from error
-
-
-@contextmanager
-def _scratch_folder() -> Iterator[Path]:
-    """A folder for one clip in that of the worker."""
-    try:
-        folder = Path(tempfile.mkdtemp(prefix="clip-"))
-    except OSError as error:
-        raise _PublishingError(f"{tempfile.gettempdir()}: cannot be written ({error.strerror}).") from error
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    files = sorted(folder.iterdir())
+    return [file for file in files if file.is_file() and file.name not in left_out and file.name[0] != "."]
 
 
 def _is_full(error: BaseException | None) -> bool:
@@ -319,14 +254,6 @@ def _is_full(error: BaseException | None) -> bool:
     return False
 
 
-def _place(error: Exception) -> str:
-    """File and line at which an error was raised."""
-    at = error.__traceback__
-    while at is not None and at.tb_next is not None:
-        at = at.tb_next
-    return "unknown place" if at is None else f"{Path(at.tb_frame.f_code.co_filename).name}, line {at.tb_lineno}"
-
-
 def _header_s(clip: Clip, settings: RunSettings) -> float:
     """Duration of a clip according to the header of its left video, s; 0 = not stated."""
     checked = next(check_clips([clip], folder_fps=settings.folder_fps, threads=1))
@@ -336,29 +263,13 @@ def _header_s(clip: Clip, settings: RunSettings) -> float:
 
 def _fetch_bytes(clip: Clip) -> float:
     """Bytes of a clip that have to be downloaded, and a twentieth of those that only have to be read."""
-    listings = FolderListings()
     n_bytes = 0.0
     for address in clip.named_files().values():
         location = Location.of(address)
-        state = listings.state(location)
-        if state is not None:
+        if (state := location.state()) is not None:
             n_bytes += max(state.size, 0) * (0.05 if location.is_local else 1.0)
     return n_bytes
 
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _reset_peak_memory() -> None:
-    """Reset the largest resident memory of this process (Linux); elsewhere it is that since the start."""
-    with suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")
-
-
-def _peak_memory_bytes() -> int:
-    try:
-        text = Path("/proc/self/status").read_text()
-        return next(int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith("VmHWM"))
-    except (OSError, StopIteration):
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

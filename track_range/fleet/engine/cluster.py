@@ -15,12 +15,12 @@ import socket
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from track_range.fleet.engine.worker import remove_dead_folders
 from track_range.fleet.errors import FleetError
 from track_range.fleet.settings import FleetSettings
 from track_range.foundation.errors import UserError
@@ -38,18 +38,18 @@ _MAX_FOLDER = 40
 _CONNECT_S = 15.0
 """Time limit for reaching the address of a cluster, s."""
 
-_HTTP2_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
-"""Start of a connection with HTTP/2, with an empty frame of settings (RFC 9113, 3.4)."""
-
-_TYPE_BYTE, _SETTINGS_TYPE = 3, 4
-"""Index of the type in the header of a frame, and type of a frame of settings (RFC 9113, 4.1 and 6.5)."""
-
 _END_S = 5.0
 """Time in which Ray's processes end after a shutdown, s."""
 
-_MAX_PORT = 65_535
-
 _FOLDER_PREFIX = "tr-ray-"
+
+_TOKEN = secrets.token_hex(32)
+"""Token of the clusters of this process; Ray reads it once."""
+
+_VARIABLES = {
+    "RAY_DEDUP_LOGS_SKIP_REGEX": "A worker died or was killed",  # a paragraph for what the driver reports by clip
+}
+"""Environment of this process, which Ray reads when it is imported."""
 
 _LOCAL_VARIABLES = {
     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # the address of the node is that of the loopback interface
@@ -57,32 +57,13 @@ _LOCAL_VARIABLES = {
 """Environment of a cluster of this machine."""
 
 
-_TOKEN = secrets.token_hex(32)
-"""Token of the clusters of this process; Ray reads it once."""
-
-
 class RayMissingError(UserError):
     """Ray is not installed."""
 
 
-@dataclass(frozen=True, slots=True)
-class Cluster:
-    """Cluster of a fleet.
-
-    Attributes:
-        is_local: whether all workers are on the machine of this driver.
-        node: id of the node of this driver.
-        n_workers: number of workers to start.
-    """
-
-    is_local: bool
-    node: str
-    n_workers: int
-
-
 @contextmanager
-def connected(settings: FleetSettings) -> Iterator[Cluster]:
-    """The cluster of the settings, until the end of the block.
+def connected(settings: FleetSettings) -> Iterator[int]:
+    """Connection to the cluster of the settings; the number of workers to start.
 
     Raises:
         RayMissingError: Ray is not installed.
@@ -91,16 +72,13 @@ def connected(settings: FleetSettings) -> Iterator[Cluster]:
     disable_telemetry()
     if find_spec("ray") is None:
         raise RayMissingError("fleet run requires the package ray: install it with pip install 'track-range[fleet]'.")
-    if settings.address is None:
-        with _local_cluster(settings) as cluster:
-            yield cluster
-        return
-    with _existing_cluster(settings) as cluster:
-        yield cluster
+    os.environ.update(_VARIABLES)
+    with _local_cluster(settings) if settings.address is None else _existing_cluster(settings) as n_workers:
+        yield n_workers
 
 
 @contextmanager
-def _local_cluster(settings: FleetSettings) -> Iterator[Cluster]:
+def _local_cluster(settings: FleetSettings) -> Iterator[int]:
     n_cores = n_usable_cores()
     n_requested = settings.workers or max(1, n_cores // settings.threads)
     # Ray requires a token on a new cluster, and would write one to the home folder
@@ -109,105 +87,57 @@ def _local_cluster(settings: FleetSettings) -> Iterator[Cluster]:
         import ray
 
         try:
-            with _without_usage_server():
+            # Ray's dashboard process asks the metadata services of three cloud providers for the kind of machine, also
+            # where the dashboard and the usage statistics are disabled; it does not start at a port that is in use
+            with socket.create_server(("127.0.0.1", 0)) as occupied:
                 _init(
                     address="local",
                     num_cpus=max(n_cores, n_requested * settings.threads),
                     include_dashboard=False,
+                    dashboard_port=occupied.getsockname()[1],
                     object_store_memory=_OBJECT_STORE_BYTES,
                     _temp_dir=str(folder),
                 )
-            n_workers = _fitting(settings, n_requested)
-            yield Cluster(True, ray.get_runtime_context().get_node_id(), n_workers)
+            yield _fitting(settings, n_requested)
         finally:
             with ignore_interrupts():
                 ray.shutdown()
 
 
 @contextmanager
-def _existing_cluster(settings: FleetSettings) -> Iterator[Cluster]:
+def _existing_cluster(settings: FleetSettings) -> Iterator[int]:
     import ray
 
     is_ours = not ray.is_initialized()
     try:
         if is_ours:
-            address = _resolved(str(settings.address))
+            address = str(settings.address)
             _check_reachable(address)
             _init(address=address)
-        n_cores = int(sum(node["Resources"].get("CPU", 0) for node in _nodes() if node["Alive"]))
-        n_requested = settings.workers or max(1, n_cores // settings.threads)
-        yield Cluster(False, ray.get_runtime_context().get_node_id(), n_requested)
+        nodes: list[dict[str, Any]] = ray.nodes()  # type: ignore[no-untyped-call]
+        n_cores = int(sum(node["Resources"].get("CPU", 0) for node in nodes if node["Alive"]))
+        yield settings.workers or max(1, n_cores // settings.threads)
     finally:
         if is_ours:
             with ignore_interrupts():
                 ray.shutdown()
 
 
-@contextmanager
-def _without_usage_server() -> Iterator[None]:
-    """Context in which Ray starts no dashboard process.
-
-    Without a dashboard, that process serves only Ray's usage statistics. Also where these are disabled, it asks the
-    metadata services of three cloud providers for the kind of machine.
-    """
-    from ray._private import services
-
-    start = services.start_api_server
-    services.start_api_server = lambda *arguments, **options: (None, None)
-    try:
-        yield
-    finally:
-        services.start_api_server = start
-
-
-def _resolved(address: str) -> str:
-    """HOST:PORT of an address that may be "auto".
-
-    Raises:
-        FleetError: no cluster is running on this machine.
-    """
-    from ray._private import services
-
-    if address != "auto":
-        return address
-    try:
-        resolved = services.canonicalize_bootstrap_address(address)
-    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        raise _no_cluster(address, error) from error
-    if resolved is None:
-        raise _no_cluster(address, "none is running on this machine")
-    return str(resolved)
-
-
 def _check_reachable(address: str) -> None:
-    """Check that a gRPC server listens at HOST:PORT; Ray itself would wait for it without end.
+    """Check that a server listens at HOST:PORT; Ray itself would wait for it for minutes.
 
     Raises:
-        FleetError: nothing or another server listens there, or the address has another form.
+        FleetError: none does, or the address has another form.
     """
-    if "://" in address:  # Ray Client, which has its own time limit
+    if address == "auto" or "://" in address:  # the latter is a Ray Client, which has its own time limit
         return
     host, _, port = address.rpartition(":")
-    if not host or not port.isdigit() or int(port) > _MAX_PORT:
-        raise _no_cluster(address, "expected HOST:PORT or auto")
     try:
-        with socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT_S) as connection:
-            is_grpc = os.environ.get("RAY_USE_TLS", "0") != "0" or _is_http2(connection)
-    except OSError as error:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT_S).close()
+    except ValueError as error:
+        raise _no_cluster(address, "expected HOST:PORT or auto") from error
+    except (OSError, OverflowError) as error:
         raise _no_cluster(address, error) from error
-    if not is_grpc:
-        raise _no_cluster(address, "another server answers")
-
-
-def _is_http2(connection: socket.socket) -> bool:
-    """Whether a server answers the preface of HTTP/2 with its settings, as that of a Ray cluster (gRPC) does.
-
-    Raises:
-        OSError: it does not answer in time.
-    """
-    connection.sendall(_HTTP2_PREFACE)
-    header = connection.recv(9)
-    return len(header) > _TYPE_BYTE and header[_TYPE_BYTE] == _SETTINGS_TYPE
 
 
 def _no_cluster(address: str, reason: object) -> FleetError:
@@ -225,15 +155,14 @@ def _init(**options: Any) -> None:
     """
     import ray
 
-    logging.getLogger("ray").setLevel(logging.ERROR)
-    with suppress(AttributeError):  # a paragraph for each worker that dies, which the driver reports by clip
-        ray._private.worker._worker_logs_enabled = False
+    logging.getLogger("ray").setLevel(logging.CRITICAL)
     try:
         ray.init(log_to_driver=False, configure_logging=False, **options)
     except (ConnectionError, RuntimeError, ValueError, TimeoutError, OSError, ray.exceptions.RayError) as error:
+        reason = shortened(" ".join(str(error).split()).rstrip("."), 120)
         if options["address"] == "local":
-            raise FleetError(f"Ray cannot be started on this machine ({_reason(error)}).") from error
-        raise _no_cluster(options["address"], _reason(error)) from error
+            raise FleetError(f"Ray cannot be started on this machine ({reason}).") from error
+        raise _no_cluster(options["address"], reason) from error
 
 
 def _fitting(settings: FleetSettings, n_requested: int) -> int:
@@ -265,17 +194,6 @@ def _fitting(settings: FleetSettings, n_requested: int) -> int:
     return fitting
 
 
-def _nodes() -> list[dict[str, Any]]:
-    import ray
-
-    nodes: list[dict[str, Any]] = ray.nodes()  # type: ignore[no-untyped-call]
-    return nodes
-
-
-def _reason(error: BaseException) -> str:
-    return shortened(" ".join(str(error).split()).rstrip("."), 120)
-
-
 @contextmanager
 def _environment(variables: Mapping[str, str]) -> Iterator[None]:
     """Context with variables of the environment, which Ray's processes inherit."""
@@ -297,10 +215,7 @@ def _ray_folder() -> Iterator[Path]:
     parent = Path(tempfile.gettempdir())
     if len(str(parent)) > _MAX_FOLDER - 20:
         parent = Path("/tmp")  # noqa: S108 - the folder below has a random name and is only for this user
-    for old in parent.glob(f"{_FOLDER_PREFIX}*-*"):
-        pid = old.name.removeprefix(_FOLDER_PREFIX).partition("-")[0]
-        if pid.isdigit() and not Path(f"/proc/{pid}").exists() and Path("/proc/self").exists():
-            shutil.rmtree(old, ignore_errors=True)
+    remove_dead_folders(parent, _FOLDER_PREFIX)
     try:
         folder = Path(tempfile.mkdtemp(prefix=f"{_FOLDER_PREFIX}{os.getpid()}-", dir=parent))
     except OSError as error:
@@ -309,14 +224,7 @@ def _ray_folder() -> Iterator[Path]:
         yield folder
     finally:
         with ignore_interrupts():
-            _remove(folder)
-
-
-def _remove(folder: Path) -> None:
-    """Remove the folder of Ray; its processes write logs until they have ended."""
-    end_s = time.monotonic() + _END_S
-    while folder.exists():
-        shutil.rmtree(folder, ignore_errors=True)
-        if time.monotonic() > end_s:
-            return
-        time.sleep(0.1)
+            end_s = time.monotonic() + _END_S
+            while folder.exists() and time.monotonic() < end_s:  # Ray's processes write logs until they have ended
+                shutil.rmtree(folder, ignore_errors=True)
+                time.sleep(0.1)

@@ -3,94 +3,107 @@
     todo -> worker -> record in the journal -> clips.parquet
              |  worker lost: again at the end of the queue, or a record with an error (`engine.attempts`)
 
-The driver has one clip per worker in flight, and of the others only the names.
+A clip is a task of Ray, which never repeats it: only the driver knows how a clip has failed. It has one clip per worker
+in flight, and of the others only the names.
 """
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
 
-from track_range.fleet.engine.attempts import Attempts, ErrorKind
-from track_range.fleet.engine.counts import Counts
-from track_range.fleet.engine.fingerprint import present_fingerprint
-from track_range.fleet.engine.plan import ClipTask, FleetPlan
-from track_range.fleet.engine.pool import Slot, WorkerEvent, WorkerPool, alive_nodes
+import ray
+
+from track_range.fleet.engine.attempts import Attempts, ErrorKind, time_limit_s
+from track_range.fleet.engine.plan import ClipOutcome, ClipTask, FleetPlan, Process
+from track_range.fleet.engine.progress import Counts
+from track_range.fleet.engine.remaining import present_fingerprint
+from track_range.fleet.engine.worker import (
+    CLIPS_PER_PROCESS,
+    FOLDER_PREFIX,
+    WorkerState,
+    process_clip,
+    remove_dead_folders,
+    shared_files,
+)
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import ClipTable, journal_row, publish_record
 from track_range.fleet.output.file_names import FileNames
-from track_range.fleet.output.record import ClipRecord, Row
-from track_range.fleet.storage.location import Location
+from track_range.fleet.output.record import Row, utc_now
 from track_range.foundation.files.input_files import shortened
 
 _POLL_S = 0.5
 """Longest wait for the workers at a time, s."""
 
 _MAX_STARTS = 3
-"""Workers that may die one after the other before their first clip."""
+"""Workers that may die before any of them has started."""
 
 _START_S = 900.0
 """Time in which the first worker has to start, s: a cluster may have to start machines."""
 
-_NODE_S = 30.0
-"""Time in which Ray notices that a node is lost, s: five health checks at intervals of 3 s, and some reserve."""
-
-
-_NODES_S = 2.0
-"""Time between two looks at the nodes of the cluster, s."""
+_CANCEL_S = 30.0
+"""Time in which Ray ends a cancelled task; its node is taken for lost afterwards."""
 
 
 @dataclass(slots=True)
-class _Waiting:
-    """A clip whose last failure may have been that of its node; decided when Ray knows."""
+class Slot:
+    """A place for a worker.
 
-    task: ClipTask
-    kind: ErrorKind
-    reason: str
-    node: str
-    until_s: float
+    Attributes:
+        task: the clip in it; None = none.
+        states: generator of Ray with the states of the worker and the outcome.
+        state: last state; None = the worker has not started yet.
+        start_s, cancel_s: times of the first state, and of the cancellation, on the monotonic clock.
+        verdict: kind and reason of the failure for which the task was cancelled.
+        n_clips: number of clips that have been finished in it.
+    """
+
+    number: int
+    task: ClipTask | None = None
+    states: Any = None
+    state: WorkerState | None = None
+    start_s: float = 0.0
+    verdict: tuple[ErrorKind, str] | None = None
+    cancel_s: float = 0.0
+    n_clips: int = 0
 
 
 class Driver:
-    """Scheduling of the clips.
-
-    Args:
-        plan: of the fleet.
-        out: folder of the results.
-        table: rows of the fleet.
-        pool: the workers.
-        todo: the clips to process.
-        counts: counts, which are updated.
-        driver_node: id of the node of this driver; "" = not known.
-        report: called about twice a second with the workers.
-    """
+    """Scheduling of the clips `todo`, with `table` and `counts` updated, and `report` called about twice a second."""
 
     def __init__(
         self,
-        *,
         plan: FleetPlan,
-        out: Location,
+        process: Process,
+        n_workers: int,
         table: ClipTable,
-        pool: WorkerPool,
         todo: Iterable[ClipTask],
         counts: Counts,
-        driver_node: str,
         report: Callable[[list[Slot]], None],
     ) -> None:
-        self._plan, self._out, self._table, self._pool = plan, out, table, pool
-        self._todo = deque(todo)
-        self._counts, self._report = counts, report
+        self._plan, self._settings, self._out = plan, plan.settings, plan.out
+        self._table, self._todo, self._counts, self._report = table, deque(todo), counts, report
+        settings = plan.settings
+        remote: Any = ray.remote
+        self._process_clip = remote(
+            num_cpus=settings.threads,
+            num_gpus=settings.gpus_per_worker,
+            memory=settings.worker_memory_bytes,
+            num_returns="streaming",
+            max_calls=CLIPS_PER_PROCESS,
+            max_retries=0,
+        )(process_clip)
+        files = {} if settings.address is None else shared_files(plan)
+        self._arguments = (ray.put(plan), process, ray.put(files))
+        self._slots = [Slot(number) for number in range(n_workers)]
         self._attempts = Attempts()
-        self._waiting: list[_Waiting] = []
-        self._driver_node = driver_node
-        self._alive: set[str] = set()
-        self._lost_nodes: set[str] = set()
-        self._next_nodes_s = 0.0
-        self._n_starts_lost = 0
-        self._has_started = False
+        self._has_started, self._n_starts_lost = False, 0
         self._start_s = time.monotonic()
 
     def run(self) -> None:
@@ -100,85 +113,93 @@ class Driver:
             FleetError: the fleet cannot continue.
             StorageError: the results cannot be written.
         """
-        while self._todo or self._waiting or any(slot.task for slot in self._pool.slots):
-            for slot in self._pool.idle:
-                if not self._todo:
-                    break
-                self._submit(slot, self._todo.popleft())
-            for event in self._pool.events(_POLL_S):
-                self._handle(event)
-            self._decide_waiting()
-            self._check_start()
+        while self._todo or any(slot.task for slot in self._slots):
+            for slot in self._slots:
+                if self._todo and slot.task is None:
+                    self._submit(slot, self._todo.popleft())
+            for slot in self._ready():
+                self._take(slot)
+            self._check_limits()
             self._table.compile_if_due()
-            self._report(self._pool.slots)
+            self._report(self._slots)
+
+    def stop(self) -> None:
+        """End all workers."""
+        for slot in self._slots:
+            if slot.states is not None:
+                with suppress(ray.exceptions.RayError, ValueError):
+                    ray.cancel(slot.states, force=True)
+        remove_dead_folders(self._settings.cache_dir or Path(tempfile.gettempdir()), FOLDER_PREFIX)
 
     def _submit(self, slot: Slot, task: ClipTask) -> None:
-        task = replace(task, attempt=self._attempts.number(task.clip.name))
         if task.clip.problem:
             self._fail(task, "input", task.clip.problem)
             return
-        self._pool.submit(slot, task)
+        slot.task = replace(task, attempt=self._attempts.n_failed(task.clip.name) + 1)
+        slot.state = slot.verdict = None
+        slot.states = self._process_clip.remote(slot.task, *self._arguments)
 
-    def _handle(self, event: WorkerEvent) -> None:
-        if event.kind == "ready":
-            self._ready(event)
-        elif event.kind == "finished":
-            self._finished(event)
+    def _ready(self) -> Iterator[Slot]:
+        """The slots in which something has happened, after waiting for it for a moment."""
+        slots = {slot.states: slot for slot in self._slots if slot.states is not None}
+        if slots:
+            ready, _ = ray.wait(list(slots), num_returns=1, timeout=_POLL_S)
+            if ready and len(slots) > 1:
+                ready, _ = ray.wait(list(slots), num_returns=len(slots), timeout=0)
+            yield from (slots[states] for states in ready)
+
+    def _take(self, slot: Slot) -> None:
+        """Take the next state of a worker, its outcome, or the error with which it ended.
+
+        Raises:
+            FleetError: the workers cannot start, or the results cannot be stored.
+        """
+        try:
+            value: WorkerState | ClipOutcome = ray.get(next(slot.states))
+        except ray.exceptions.RayTaskError as error:
+            cause = getattr(error, "cause", None) or error
+            if isinstance(cause, FleetError):
+                raise FleetError(str(cause)) from None
+            reason = next((line for line in reversed(str(cause).splitlines()) if line.strip()), repr(cause)).strip()
+            raise FleetError(f"the workers cannot start: {shortened(reason, 300)}") from error
+        except ray.exceptions.OutOfMemoryError:
+            reason = "the machine ran out of memory; start fewer --workers, or give them more --worker-memory."
+            self._repeat_or_fail(self._freed(slot), "memory", reason)
+        except ray.exceptions.NodeDiedError:
+            self._todo.append(self._freed(slot))
+        except (ray.exceptions.RayError, StopIteration) as error:
+            self._worker_died(self._freed(slot), slot.verdict, error)
         else:
-            self._lost(event)
+            if isinstance(value, ClipOutcome):
+                slot.n_clips += 1
+                self._finished(self._freed(slot), value)
+                return
+            if slot.state is None:
+                self._has_started, slot.start_s = True, time.monotonic()
+            slot.state = value
 
-    def _ready(self, event: WorkerEvent) -> None:
-        info = event.slot.info
-        if info is not None and info.version != self._plan.version:
-            raise FleetError(
-                f"node {info.host}: expected track-range {self._plan.version}, found {info.version}; install the same "
-                "version on all nodes."
-            )
-        self._has_started, self._n_starts_lost = True, 0
-
-    def _finished(self, event: WorkerEvent) -> None:
-        outcome, task = event.outcome, event.task
-        if outcome is None or task is None:
-            return
-        if outcome.fatal:
-            raise FleetError(f"the results cannot be stored: {outcome.fatal}")
-        row = outcome.row
-        if outcome.is_unchanged:
-            self._table.touch(task.clip.name, row["inputs"])
-            self._counts.skipped += 1
-        elif row["status"] == "done":
-            self._done(row, is_in_journal=outcome.is_published)
-        elif outcome.is_transient:
-            self._attempts.add(task.clip.name, row["error_kind"])
-            self._repeat_or_fail(task, row["error_kind"], row["error"], row)
-        else:
-            self._add_failed(task, row)
-
-    def _lost(self, event: WorkerEvent) -> None:
-        self._pool.replace(event.slot)
-        task = event.task
+    @staticmethod
+    def _freed(slot: Slot) -> ClipTask:
+        """The clip of a slot, which is empty afterwards."""
+        task, slot.task, slot.states, slot.state = slot.task, None, None, None
         if task is None:
-            self._n_starts_lost += 1
-            if self._n_starts_lost >= _MAX_STARTS:
-                raise FleetError(f"the workers cannot start: {shortened(event.reason, 300)}")
+            raise RuntimeError("a worker without a clip has answered")
+        return task
+
+    def _worker_died(self, task: ClipTask, verdict: tuple[ErrorKind, str] | None, error: Exception) -> None:
+        """Decide on a clip whose worker has died by itself, or was cancelled for the reason of the verdict."""
+        if verdict is not None:
+            self._repeat_or_fail(task, *verdict)
             return
-        row = None
-        if event.error_kind == "crash":  # the worker may have died after its last act for the clip
-            row = journal_row(self._out, task.clip.name)
+        self._n_starts_lost += not self._has_started
+        if self._n_starts_lost >= _MAX_STARTS:
+            raise FleetError(f"the workers cannot start: {shortened(' '.join(str(error).split()), 300)}")
+        row = journal_row(self._out, task.clip.name)  # the last act for the clip may have been complete
         if row is not None and self._is_of_attempt(row, task):
-            self._done(row, is_in_journal=True)
-            return
-        if event.node in self._lost_nodes and event.error_kind == "crash":
-            self._todo.append(task)
-            return
-        self._attempts.add(task.clip.name, event.error_kind, event.node)
-        # the node of the driver is not lost as long as the driver is at work
-        may_be_node = event.error_kind == "crash" and event.node not in ("", self._driver_node)
-        if may_be_node and not self._attempts.is_repeated(task.clip.name):
-            until_s = time.monotonic() + _NODE_S
-            self._waiting.append(_Waiting(task, event.error_kind, event.reason, event.node, until_s))
-            return
-        self._repeat_or_fail(task, event.error_kind, event.reason)
+            self._done(row)
+        else:
+            reason = "the process of the worker died (killed, or a crash in a library)."
+            self._repeat_or_fail(task, "crash", reason)
 
     def _is_of_attempt(self, row: Row, task: ClipTask) -> bool:
         return bool(
@@ -187,7 +208,24 @@ class Driver:
             and row.get("attempts") == task.attempt
         )
 
+    def _finished(self, task: ClipTask, outcome: ClipOutcome) -> None:
+        if outcome.fatal:
+            raise FleetError(f"the results cannot be stored: {outcome.fatal}")
+        row = outcome.row
+        if outcome.defect:
+            self._repeat_or_fail(task, "internal", outcome.defect)
+        elif outcome.is_unchanged:
+            self._table.touch(task.clip.name, row["inputs"])
+            self._counts.skipped += 1
+        elif row["status"] == "done":
+            self._done(row)
+        elif outcome.is_transient:
+            self._repeat_or_fail(task, row["error_kind"], row["error"], row)
+        else:
+            self._add_failed(task, row)
+
     def _repeat_or_fail(self, task: ClipTask, kind: ErrorKind, reason: str, row: Row | None = None) -> None:
+        self._attempts.add(task.clip.name, kind)
         if self._attempts.is_repeated(task.clip.name):
             self._todo.append(task)
         elif row is not None:
@@ -195,50 +233,53 @@ class Driver:
         else:
             self._fail(task, kind, reason)
 
-    def _decide_waiting(self) -> None:
-        """Take back the attempts that lost nodes have ended, and decide about the clips that wait for that."""
-        now_s = time.monotonic()
-        if now_s < self._next_nodes_s:
-            return
-        self._next_nodes_s = now_s + _NODES_S
-        alive = alive_nodes()
-        for node in self._alive - alive:
-            self._attempts.forget_node(node)
-            self._lost_nodes.add(node)
-        self._alive = alive
-        for waiting in [waiting for waiting in self._waiting if waiting.node not in alive or now_s > waiting.until_s]:
-            self._waiting.remove(waiting)
-            self._repeat_or_fail(waiting.task, waiting.kind, waiting.reason)
+    def _check_limits(self) -> None:
+        """Cancel the tasks that are over a limit.
 
-    def _check_start(self) -> None:
-        if not self._has_started and time.monotonic() - self._start_s > _START_S:
+        Raises:
+            FleetError: no worker starts.
+        """
+        now_s = time.monotonic()
+        if not self._has_started and now_s - self._start_s > _START_S:
             raise FleetError(
                 f"no worker started within {_START_S / 60:.0f} minutes: no node of the cluster has --threads CPUs, "
                 "--worker-memory and --gpus-per-worker free."
             )
+        for slot in self._slots:
+            if slot.verdict is not None and slot.task is not None and now_s - slot.cancel_s > _CANCEL_S:
+                self._repeat_or_fail(self._freed(slot), *slot.verdict)
+            elif slot.state is not None and slot.verdict is None:
+                slot.verdict = self._verdict(slot.state, now_s - slot.start_s)
+                if slot.verdict is not None:
+                    slot.cancel_s = now_s
+                    ray.cancel(slot.states, force=True)
 
-    def _done(self, row: Row, *, is_in_journal: bool) -> None:
-        self._table.add(row, is_in_journal=is_in_journal)
+    def _verdict(self, state: WorkerState, elapsed_s: float) -> tuple[ErrorKind, str] | None:
+        """Kind and sentence of the limit that a worker exceeds; None = none."""
+        if state.memory_bytes > self._settings.worker_memory_bytes:
+            return "memory", (
+                f"the worker took {state.memory_bytes / 1e9:.1f} GB, more than --worker-memory "
+                f"{self._settings.worker_memory}; give more memory."
+            )
+        at = state.progress
+        limit_s = time_limit_s(self._settings.timeout, at.video_s, at.fetch_bytes, at.frames)
+        if elapsed_s <= limit_s:
+            return None
+        return "timeout", (
+            f"not finished within the time limit of {limit_s:.0f} s (--timeout) while {at.phase}, after {at.frames} "
+            "frames."
+        )
+
+    def _done(self, row: Row) -> None:
+        self._table.add(row, is_in_journal=True)
         self._counts.done += 1
         self._counts.video_s += row.get("seconds") or 0.0
 
     def _fail(self, task: ClipTask, kind: ErrorKind, reason: str) -> None:
-        clip = task.clip
-        names = FileNames(clip, is_anonymized=self._plan.is_anonymized)
-        record = ClipRecord(
-            clip=clip.name,
-            status="failed",
-            error=names.text(reason),
-            error_kind=kind,
-            attempts=max(1, self._attempts.n_failed(clip.name)),
-            left=names.left,
-            right=names.right,
-            settings_hash=self._plan.settings_hash,
-            version=self._plan.version,
-            finished_utc=datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
-            labels=dict(clip.labels),
-        )
-        self._add_failed(task, record.row())
+        names = FileNames(task.clip, is_anonymized=self._plan.is_anonymized)
+        record = self._plan.record(task.clip, max(1, self._attempts.n_failed(task.clip.name)))
+        failed = replace(record, error=names.text(reason), error_kind=kind, finished_utc=utc_now())
+        self._add_failed(task, failed.row())
 
     def _add_failed(self, task: ClipTask, row: Row) -> None:
         if not row["inputs"]:

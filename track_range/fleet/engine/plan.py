@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sized
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -14,8 +14,10 @@ from typing import Any
 from track_range.detection.classes import road_class_ids
 from track_range.detection.models.lookup import find_model
 from track_range.fleet.inputs.clip import Clip
-from track_range.fleet.output.record import Row
+from track_range.fleet.output.file_names import FileNames
+from track_range.fleet.output.record import ClipRecord, Row
 from track_range.fleet.settings import FleetSettings
+from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import open_regular
 from track_range.foundation.files.numeric_text import number
@@ -43,7 +45,6 @@ class ClipTask:
     """A clip for a worker.
 
     Attributes:
-        clip: the clip.
         attempt: number of the attempt, from 1.
         known_hash: content hash of the complete result, if the files have only been touched since; "" = none.
     """
@@ -55,20 +56,20 @@ class ClipTask:
 
 @dataclass(frozen=True, slots=True)
 class ClipOutcome:
-    """Answer of a worker about a clip.
+    """Answer of a worker about a clip; the record of one that is done has been published.
 
     Attributes:
         row: record of the clip, by column.
-        is_published: whether the worker has published the record.
         is_unchanged: whether the content of the files is that of the complete result; only `inputs` of the row counts.
         is_transient: whether the failure may not repeat itself.
+        defect: text of an exception that the processing has not caught; "" = none.
         fatal: why the fleet cannot continue, one sentence; "" = it can.
     """
 
     row: Row
-    is_published: bool = False
     is_unchanged: bool = False
     is_transient: bool = False
+    defect: str = ""
     fatal: str = ""
 
 
@@ -77,15 +78,13 @@ class ClipProgress:
     """Progress of the clip that a worker is at; written by one thread and read by another.
 
     Attributes:
-        clip: name of the clip; "" = none.
-        phase: "idle", "fetching", "opening", "processing" or "publishing".
+        phase: "starting", "fetching", "opening", "processing" or "publishing".
         frames: frames processed.
         video_s: duration of the video, s; 0 = not known yet.
         fetch_bytes: bytes to download.
     """
 
-    clip: str = ""
-    phase: str = "idle"
+    phase: str = "starting"
     frames: int = 0
     video_s: float = 0.0
     fetch_bytes: float = 0.0
@@ -96,31 +95,41 @@ class FleetPlan:
     """What every worker has to know.
 
     Attributes:
-        out: folder of the results, as text.
         options: options of the runs by name of the setting.
-        threads: CPU threads of a worker.
-        has_reports: whether the report of each run is published.
-        cache_dir: folder for remote recordings; None = the temporary folder.
-        cache_bytes: size limit of a remote clip.
         settings_hash: hash of the settings that all clips have in common.
-        shared: SHA-256 of the files that all clips share, by setting.
+        shared: settings that are files, which all clips share.
         version: version of track-range.
     """
 
-    out: str
+    settings: FleetSettings
     options: Mapping[str, Any]
-    threads: int = 1
-    has_reports: bool = False
-    cache_dir: Path | None = None
-    cache_bytes: int = 20 * 10**9
     settings_hash: str = ""
-    shared: Mapping[str, str] = field(default_factory=dict)
+    shared: Collection[str] = ()
     version: str = field(default_factory=lambda: version("track-range"))
+
+    @property
+    def out(self) -> Location:
+        """Folder of the results."""
+        return Location.of(self.settings.out)
 
     @property
     def is_anonymized(self) -> bool:
         """Whether the results contain no folder names."""
         return bool(self.options.get("anonymize"))
+
+    def record(self, clip: Clip, attempts: int) -> ClipRecord:
+        """Record of a clip without a result."""
+        names = FileNames(clip, is_anonymized=self.is_anonymized)
+        return ClipRecord(
+            clip=clip.name,
+            status="failed",
+            attempts=attempts,
+            left=names.left,
+            right=names.right,
+            settings_hash=self.settings_hash,
+            version=self.version,
+            labels=dict(clip.labels),
+        )
 
 
 Process = Callable[[ClipTask, FleetPlan, ClipProgress], ClipOutcome]
@@ -143,15 +152,11 @@ def common_options(file: Path) -> dict[str, Any]:
 
 
 def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan:
-    """Plan of the settings.
-
-    Args:
-        settings: of the fleet.
-        options: given options of the runs, by name of the setting.
+    """Plan with given options of the runs, by name of the setting.
 
     Raises:
         UsageError: an option is invalid, or one that a fleet does not take.
-        ModelError, ConfigError: a shared file cannot be read.
+        ModelError, ConfigError, CurveError: a shared file cannot be used.
     """
     for name in options:
         field = RunSettings.model_fields.get(name)
@@ -159,19 +164,27 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
             raise UsageError(f"{RunSettings.flag(name)}: not an option of a fleet; {instead}.")
     given = {"overlay": False, **options, "threads": settings.threads}
     checked = _validated(given)
-    _check_ego_speed(checked.ego_speed)
+    if checked.ego_speed not in (AUTO, OFF) and math.isnan(number(checked.ego_speed)):
+        raise UsageError(
+            "--ego-speed: expected auto, off, or a number of km/h for all clips; give files in the column ego_speed of "
+            "a manifest."
+        )
     files = _shared_files(checked)
-    shared = {name: _sha256(path) for name, path in files.items()}
-    _check_models(checked, files)
+    hashes = {name: f"sha256:{_sha256(path)}" for name, path in files.items()}
+    # the detector and the size curves are checked once, instead of in every clip
+    load_curves(checked.curves)
+    road_class_ids(checked.classes)
+    if (detector := files.get("detector")) is not None:
+        open_detector(detector, replace(DetectorOptions.of(checked), device="cpu"))
+    values = checked.model_dump(mode="json", exclude_none=True)
+    hashed = {key: value for key, value in values.items() if key not in _NOT_TAKEN} | hashes
+    content = {"run": hashed, "reports": settings.reports, "version": version("track-range")}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return FleetPlan(
-        out=settings.out,
+        settings=settings,
         options={**given, **{name: str(path) for name, path in files.items() if name in given}},
-        threads=settings.threads,
-        has_reports=settings.reports,
-        cache_dir=settings.cache_dir,
-        cache_bytes=settings.cache_bytes,
-        settings_hash=_settings_hash(checked, shared, has_reports=settings.reports),
-        shared=shared,
+        settings_hash=f"sha256:{hashlib.sha256(text.encode()).hexdigest()}",
+        shared=tuple(files),
     )
 
 
@@ -182,19 +195,9 @@ def _validated(options: Mapping[str, Any]) -> RunSettings:
         UsageError: an option is unknown or invalid.
     """
     topics = options.get("topics") or ()
-    n_topics = (
-        len(topics.split(",")) if isinstance(topics, str) else len(topics) if isinstance(topics, list | tuple) else 0
-    )
+    n_topics = len(topics.split(",")) if isinstance(topics, str) else len(topics) if isinstance(topics, Sized) else 0
     is_pair = options.get("disparity") or options.get("overlay_disparity") or n_topics > 1
     return settings_from({**options, **({"stereo": ("left.mp4", "right.mp4")} if is_pair else {"mono": "clip.mp4"})})
-
-
-def _check_ego_speed(setting: str) -> None:
-    if setting not in (AUTO, OFF) and math.isnan(number(setting)):
-        raise UsageError(
-            "--ego-speed: expected auto, off, or a number of km/h for all clips; give files in the column ego_speed of "
-            "a manifest."
-        )
 
 
 def _shared_files(settings: RunSettings) -> dict[str, Path]:
@@ -211,28 +214,6 @@ def _shared_files(settings: RunSettings) -> dict[str, Path]:
     return files
 
 
-def _check_models(settings: RunSettings, files: Mapping[str, Path]) -> None:
-    """Check the detector and the size curves once, instead of in every clip.
-
-    Raises:
-        ModelError, ConfigError, CurveError, ...: they cannot be used.
-    """
-    load_curves(settings.curves)
-    road_class_ids(settings.classes)
-    if (detector := files.get("detector")) is not None:
-        open_detector(detector, replace(DetectorOptions.of(settings), device="cpu"))
-
-
 def _sha256(path: Path) -> str:
     with open_regular(path, UsageError, "a file of the settings") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _settings_hash(settings: RunSettings, shared: Mapping[str, str], *, has_reports: bool) -> str:
-    """Hash of the settings in canonical JSON: files by their content, and the version of track-range."""
-    values = settings.model_dump(mode="json", exclude_none=True)
-    hashed = {key: value for key, value in values.items() if key not in _NOT_TAKEN}
-    hashed.update({name: f"sha256:{digest}" for name, digest in shared.items()})
-    content = {"run": hashed, "reports": has_reports, "version": version("track-range")}
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -12,12 +13,11 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from track_range.fleet.output.status import duration_text
+from track_range.fleet.output.state import duration_text
 from track_range.foundation.files.input_files import printable, shortened
 
 if TYPE_CHECKING:
-    from track_range.fleet.engine.counts import Counts
-    from track_range.fleet.engine.pool import Slot
+    from track_range.fleet.engine.driver import Slot
 
 _LINE_S = 30.0
 """Time between two lines, s."""
@@ -29,68 +29,80 @@ _MAX_NAME = 40
 """Longest name of a clip in the table."""
 
 
-class FleetProgress:
-    """Shows the progress; see `shown_progress`."""
+@dataclass(slots=True)
+class Counts:
+    """Clips of a run by result.
 
-    def __init__(self, console: Console, counts: Counts, live: Live | None) -> None:
-        self._console, self._counts, self._live = console, counts, live
-        self._next_s = time.monotonic() + _LINE_S
+    Attributes:
+        total: all clips.
+        skipped: complete before, or found to be unchanged by a worker.
+        done: completed in this run.
+        failed: failed in this run, or before and not repeated.
+        video_s: duration of the clips completed in this run, s.
+        start_s: start on the monotonic clock.
+    """
 
-    def __call__(self, slots: Sequence[Slot]) -> None:
-        """Show the counts and the workers."""
-        if self._live is not None:
-            self._live.update(self._table(slots))
-        elif time.monotonic() >= self._next_s:
-            self._next_s = time.monotonic() + _LINE_S
-            self._console.print(progress_text(self._counts), highlight=False, markup=False, soft_wrap=True)
+    total: int = 0
+    skipped: int = 0
+    done: int = 0
+    failed: int = 0
+    video_s: float = 0.0
+    start_s: float = field(default_factory=time.monotonic)
 
-    def _table(self, slots: Sequence[Slot]) -> Table:
-        table = Table(title=progress_text(self._counts), title_justify="left", box=None, padding=(0, 1))
-        for heading in ("worker", "node", "clip", "phase", "frames", "MB"):
-            table.add_column(heading, justify="right" if heading in ("frames", "MB") else "left")
-        for slot in slots[:_MAX_WORKERS]:
-            values = worker_state(slot)
-            texts = (str(values["number"]), values["host"], shortened(values["clip"], _MAX_NAME), values["phase"])
-            table.add_row(*map(Text, (*texts, str(values["frames"]), str(values["memory_mb"]))))
-        if len(slots) > _MAX_WORKERS:
-            table.add_row("...", f"{len(slots) - _MAX_WORKERS} more")
-        return table
+    def text(self) -> str:
+        """One line: clips done of all, rate, time left, failures."""
+        parts = [f"{self.skipped + self.done} of {self.total} clips done"]
+        if self.failed:
+            parts.append(f"{self.failed} failed")
+        if self.done:
+            per_clip_s = (time.monotonic() - self.start_s) / self.done
+            n_left = self.total - self.skipped - self.done - self.failed
+            parts += [f"{3600 / per_clip_s:.0f} clips/h", f"{duration_text(per_clip_s * n_left)} left"]
+        return ", ".join(parts)
 
 
 @contextmanager
-def shown_progress(console: Console, counts: Counts) -> Iterator[FleetProgress]:
-    """Context in which the progress is shown on the console."""
-    if not console.is_terminal:
-        yield FleetProgress(console, counts, None)
+def shown_progress(console: Console, counts: Counts) -> Iterator[Callable[[Sequence[Slot]], None]]:
+    """Context with a function that shows the counts and the workers on the console."""
+    if console.is_terminal:
+        with Live(console=console, refresh_per_second=2, transient=True) as live:
+            yield lambda slots: live.update(_table(counts, slots))
         return
-    with Live(console=console, refresh_per_second=2, transient=True) as live:
-        yield FleetProgress(console, counts, live)
+    next_s = time.monotonic() + _LINE_S
+
+    def print_line(_slots: Sequence[Slot]) -> None:
+        nonlocal next_s
+        if time.monotonic() >= next_s:
+            next_s = time.monotonic() + _LINE_S
+            console.print(counts.text(), highlight=False, markup=False, soft_wrap=True)
+
+    yield print_line
+
+
+def _table(counts: Counts, slots: Sequence[Slot]) -> Table:
+    table = Table(title=counts.text(), title_justify="left", box=None, padding=(0, 1))
+    for heading in ("worker", "node", "clip", "phase", "frames", "MB"):
+        table.add_column(heading, justify="right" if heading in ("frames", "MB") else "left")
+    for slot in slots[:_MAX_WORKERS]:
+        values = worker_state(slot)
+        texts = (str(values["number"]), values["host"], shortened(values["clip"], _MAX_NAME), values["phase"])
+        table.add_row(*map(Text, (*texts, str(values["frames"]), str(values["memory_mb"]))))
+    if len(slots) > _MAX_WORKERS:
+        table.add_row("...", f"{len(slots) - _MAX_WORKERS} more")
+    return table
 
 
 def worker_state(slot: Slot) -> dict[str, Any]:
     """State of a worker as plain values, for fleet.json and the table."""
-    state, info = slot.state, slot.info
-    task = "" if slot.task is None else slot.task.clip.name
-    is_current = state is not None and state.clip == task and bool(task)
-    phase = "starting" if info is None else "idle" if not task else "waiting" if not is_current else state.phase  # type: ignore[union-attr]
+    state = slot.state
+    phase = "idle" if slot.task is None else "starting" if state is None else state.progress.phase
     return {
         "number": slot.number,
-        "host": "" if info is None else printable(info.host),
-        "pid": None if info is None else info.pid,
-        "clip": task,
+        "host": "" if state is None else printable(state.host),
+        "pid": None if state is None else state.pid,
+        "clip": "" if slot.task is None else slot.task.clip.name,
         "phase": phase,
-        "frames": state.frames if is_current and state is not None else 0,
+        "frames": 0 if state is None else state.progress.frames,
         "memory_mb": 0 if state is None else round(state.memory_bytes / 1e6),
         "clips": slot.n_clips,
     }
-
-
-def progress_text(counts: Counts) -> str:
-    """One line: clips done of all, rate, time left, failures."""
-    finished = counts.skipped + counts.done
-    parts = [f"{finished} of {counts.total} clips done"]
-    if counts.failed:
-        parts.append(f"{counts.failed} failed")
-    if (rate := counts.clips_per_hour) is not None:
-        parts += [f"{rate:.0f} clips/h", f"{duration_text(3600 * counts.left / rate)} left"]
-    return ", ".join(parts)

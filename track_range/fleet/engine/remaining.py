@@ -1,18 +1,21 @@
-"""Which clips of a fleet are left to process, after earlier runs."""
+"""Which clips of a fleet are left to process: fingerprints of their inputs, and those of earlier results."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 from sys import intern
+from typing import Any, NamedTuple
 
-from track_range.fleet.engine.fingerprint import present_fingerprint
 from track_range.fleet.engine.plan import ClipTask
-from track_range.fleet.inputs.clip import Clip
+from track_range.fleet.inputs.clip import Clip, is_file_setting
 from track_range.fleet.output.data_set import ClipTable
-from track_range.fleet.storage.listings import FolderListings
+from track_range.fleet.storage.errors import StorageError
+from track_range.fleet.storage.location import FolderListings, Location
 
 _N_CONNECTIONS = 32
 """Requests for sizes and times of change at a time."""
@@ -21,23 +24,7 @@ _N_BATCH = 2000
 """Clips whose files are looked up together; a request that waits takes about 1.5 kB."""
 
 
-@dataclass(frozen=True, slots=True)
-class Remaining:
-    """Clips by what is left to do.
-
-    Attributes:
-        todo: clips to process.
-        n_complete: clips with a complete result, which are skipped.
-        n_failed: clips that failed before and are not repeated.
-    """
-
-    todo: list[ClipTask]
-    n_complete: int
-    n_failed: int
-
-
-@dataclass(frozen=True, slots=True)
-class _Known:
+class _Known(NamedTuple):
     """Result of an earlier run."""
 
     status: str
@@ -46,16 +33,13 @@ class _Known:
     content_hash: str
 
 
-def remaining(clips: Sequence[Clip], table: ClipTable, settings_hash: str, *, is_failed_repeated: bool) -> Remaining:
-    """The clips without a result for the present files and settings.
+def remaining(
+    clips: Sequence[Clip], table: ClipTable, settings_hash: str, *, is_failed_repeated: bool
+) -> tuple[list[ClipTask], int, int]:
+    """Clips without a result for the present files and settings; numbers of complete ones, and of failed ones.
 
-    Files are compared by size and time of change; where these differ, the worker compares the content.
-
-    Args:
-        clips: all clips.
-        table: results of earlier runs.
-        settings_hash: hash of the present settings.
-        is_failed_repeated: whether failed clips are processed again though nothing has changed.
+    Files are compared by size and time of change; where these differ, the worker compares the content. Failed clips
+    are repeated if something has changed, or `is_failed_repeated`.
     """
     known = dict(_known(table))
     todo: list[ClipTask] = []
@@ -67,7 +51,7 @@ def remaining(clips: Sequence[Clip], table: ClipTable, settings_hash: str, *, is
             todo.append(ClipTask(clip))
         else:
             compared.append((clip, result))
-    n_complete = n_failed = 0
+    n_equal: Counter[str] = Counter()
     fingerprint = partial(present_fingerprint, listings=FolderListings())
     with ThreadPoolExecutor(_N_CONNECTIONS) as threads:
         for start in range(0, len(compared), _N_BATCH):
@@ -75,19 +59,45 @@ def remaining(clips: Sequence[Clip], table: ClipTable, settings_hash: str, *, is
             present = threads.map(fingerprint, [clip for clip, _ in batch])
             for (clip, result), inputs in zip(batch, present, strict=True):
                 if inputs and inputs == result.inputs:
-                    n_complete += result.status == "done"
-                    n_failed += result.status == "failed"
+                    n_equal[result.status] += 1
                 else:
                     todo.append(ClipTask(clip, known_hash=result.content_hash if result.status == "done" else ""))
-    return Remaining(todo, n_complete, n_failed)
+    return todo, n_equal["done"], n_equal["failed"]
 
 
-def _known(table: ClipTable) -> Iterable[tuple[str, _Known]]:
-    names = ("clip", "status", "settings_hash", "inputs", "content_hash")
+def _known(table: ClipTable) -> Iterator[tuple[str, _Known]]:
+    names = ("clip", *_Known._fields)
     for batch in table.table.select(names).to_batches(max_chunksize=10_000):
         for name, status, settings_hash, *others in zip(*(column.to_pylist() for column in batch.columns), strict=True):
             # these two are equal in most rows
             shared = (intern(value or "") for value in (status, settings_hash))
             yield name, _Known(*shared, *(value or "" for value in others))
     for name, row in table.newer.items():
-        yield name, _Known(*(row.get(column) or "" for column in names[1:]))
+        yield name, _Known(*(row.get(column) or "" for column in _Known._fields))
+
+
+def present_fingerprint(clip: Clip, listings: FolderListings | None = None) -> str:
+    """`fingerprint` of a clip's files as they are (`listings`: were); "" if the storage cannot be reached."""
+    listings = listings or FolderListings()
+    try:
+        states = {role: listings.state(Location.of(address)) for role, address in clip.files(listings.stat).items()}
+    except StorageError:
+        return ""
+    return fingerprint(
+        clip, {role: (-1, -1) if state is None else (state.size, state.mtime_ns) for role, state in states.items()}
+    )
+
+
+def fingerprint(clip: Clip, files: Mapping[str, tuple[int, int]]) -> str:
+    """Files of a clip with size and time of change, and its settings, as canonical JSON."""
+    return _canonical(clip, {role: list(state) for role, state in files.items()})
+
+
+def content_hash(clip: Clip, digests: Mapping[str, str]) -> str:
+    """Hash of the content of the files of a clip, given as SHA-256, and of its settings."""
+    return f"sha256:{hashlib.sha256(_canonical(clip, digests).encode()).hexdigest()}"
+
+
+def _canonical(clip: Clip, files: Mapping[str, Any]) -> str:
+    settings = {name: value for name, value in clip.settings.items() if not is_file_setting(name, value)}
+    return json.dumps({"files": files, "settings": settings}, sort_keys=True, separators=(",", ":"))

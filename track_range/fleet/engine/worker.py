@@ -1,124 +1,90 @@
-"""Worker: the actor that processes clips in its own process, one after the other."""
+"""A worker: a process of Ray that processes clips one after the other, each as a task that yields its state.
+
+Ray replaces a process that dies or is cancelled, and one that has processed `CLIPS_PER_PROCESS` clips.
+"""
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import os
 import platform
 import resource
 import shutil
 import sys
-import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+import tempfile
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 
 from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, FleetPlan, Process
-from track_range.fleet.engine.scratch import open_scratch
-from track_range.fleet.engine.shared_files import SharedFile, with_shared_files
-from track_range.foundation.processes import owned_process
+from track_range.fleet.errors import FleetError
+from track_range.foundation.files.input_files import read_bytes
+from track_range.foundation.processes import is_running, owned_process
 
-_PAGE_BYTES = resource.getpagesize()
+CLIPS_PER_PROCESS = 10
+"""Clips after which a process is replaced: a process grows by 20 to 45 MB per clip (free parts of the heaps of its
+threads), and a new one takes 2 s for its imports."""
 
-_FREE_INTERVAL_S = 3.0
-"""Shortest time between two returns of free memory, s; one takes about 0.1 s, as long as a very short clip."""
+FOLDER_PREFIX = f"track-range-fleet-{platform.node() or 'host'}-"
 
+_STATE_S = 1.0
+"""Time between two states, s."""
 
-@dataclass(frozen=True, slots=True)
-class WorkerInfo:
-    """A worker that has started.
+_MAX_SHARED_BYTES = 2_000_000_000
 
-    Attributes:
-        pid: its process.
-        host: its machine.
-        node: id of its node in Ray's cluster.
-        version: its version of track-range.
-    """
-
-    pid: int
-    host: str
-    node: str
-    version: str
+SharedFiles = Mapping[str, tuple[str, bytes]]
+"""Name and content of the files that all clips share, by setting."""
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerState:
-    """State of a worker at one moment.
+    """Process, machine, progress and resident memory of a worker that is at a clip."""
 
-    Attributes:
-        clip: name of the clip that it is at; "" = none.
-        phase: see `ClipProgress`.
-        frames: frames processed of the clip.
-        video_s: duration of the clip's video, s; 0 = not known yet.
-        fetch_bytes: bytes to download for the clip.
-        memory_bytes: resident memory of its process.
-    """
-
-    clip: str
-    phase: str
-    frames: int
-    video_s: float
-    fetch_bytes: float
+    pid: int
+    host: str
+    progress: ClipProgress
     memory_bytes: int
 
 
-class Worker:
-    """Actor of a fleet.
+def process_clip(
+    task: ClipTask, plan: FleetPlan, process: Process, files: SharedFiles
+) -> Iterator[WorkerState | ClipOutcome]:
+    """States of the worker while it processes a clip, then the outcome.
 
     Args:
+        task: the clip.
         plan: of the fleet.
         process: processes a clip.
         files: files that all clips share, if the driver is on another machine.
+
+    Raises:
+        FleetError: the version of track-range is not that of the driver.
     """
-
-    def __init__(self, plan: FleetPlan, process: Process, files: Mapping[str, SharedFile]) -> None:
-        limit_threads(plan.threads)
-        self._folder = open_scratch(plan.cache_dir)
-        self._plan, self._process = with_shared_files(plan, files, self._folder / "shared"), process
-        self._progress = ClipProgress()
-        self._freed_s = time.monotonic()
-
-    def info(self) -> WorkerInfo:
-        """Process, machine and version."""
-        from importlib.metadata import version
-
-        import ray
-
-        node = ray.get_runtime_context().get_node_id()
-        return WorkerInfo(os.getpid(), platform.node(), node, version("track-range"))
-
-    def run(self, task: ClipTask) -> ClipOutcome:
-        """Process a clip."""
-        self._progress = ClipProgress(clip=task.clip.name)
-        try:
-            with owned_process():
-                return self._process(task, self._plan, self._progress)
-        finally:
-            self._progress = ClipProgress()
-            if time.monotonic() - self._freed_s > _FREE_INTERVAL_S:
-                return_free_memory()
-                self._freed_s = time.monotonic()
-
-    def close(self) -> None:
-        """Remove the folder of this worker, before its end."""
-        shutil.rmtree(self._folder, ignore_errors=True)
-
-    def state(self) -> WorkerState:
-        """Progress and memory at this moment; called in another thread while `run` is at work."""
-        progress = self._progress
-        return WorkerState(
-            clip=progress.clip,
-            phase=progress.phase,
-            frames=progress.frames,
-            video_s=progress.video_s,
-            fetch_bytes=progress.fetch_bytes,
-            memory_bytes=resident_bytes(),
+    if (installed := version("track-range")) != plan.version:
+        raise FleetError(
+            f"node {platform.node()}: expected track-range {plan.version}, found {installed}; install the same version "
+            "on all nodes."
         )
+    _limit_threads(plan.settings.threads)
+    progress = ClipProgress()
+    with scratch_folder(plan.settings.cache_dir) as folder, owned_process(), ThreadPoolExecutor(1) as thread:
+        future = thread.submit(process, task, with_shared_files(plan, files, folder / "shared"), progress)
+        is_done = False
+        while not is_done:
+            yield WorkerState(os.getpid(), platform.node(), replace(progress), _resident_bytes())
+            is_done = bool(wait([future], _STATE_S).done)
+        error = future.exception()  # raised here, Ray's driver could not tell it from a worker that cannot start
+        defect = " ".join(str(error).split())[-300:] or repr(error)
+        outcome = future.result() if error is None else ClipOutcome({}, defect=defect)
+    gc.collect()  # PyAV's frames refer to themselves
+    yield outcome  # the driver may not ask for more
 
 
-def limit_threads(n_threads: int) -> None:
-    """Limit the threads of the libraries in this process; has to be called before they are imported.
+def _limit_threads(n_threads: int) -> None:
+    """Limit the threads of the libraries in this process.
 
     Linear algebra gets one thread whatever the number is: its sums, and with them the last digits of the results,
     depend on the number of threads.
@@ -130,24 +96,69 @@ def limit_threads(n_threads: int) -> None:
     cv2.setNumThreads(n_threads)
 
 
-def return_free_memory() -> None:
-    """Return the memory that this process no longer needs to the operating system, where the C library is glibc.
-
-    PyAV's frames refer to themselves, so that they and the images beside them stay until Python looks for such cycles,
-    which it rarely does by itself; the free parts of the heaps, one for each thread, stay for ever. Together they make
-    a worker grow by 20 to 45 MB per clip.
-    """
-    gc.collect()
+def _resident_bytes() -> int:
     try:
-        ctypes.CDLL(None).malloc_trim(0)
-    except (OSError, AttributeError, TypeError):  # another C library
-        return
-
-
-def resident_bytes() -> int:
-    """Resident memory of this process."""
-    try:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * _PAGE_BYTES
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
     except (OSError, ValueError, IndexError):
-        largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return largest if sys.platform == "darwin" else largest * 1024
+        return peak_memory_bytes()
+
+
+def peak_memory_bytes() -> int:
+    """Largest resident memory of this process since its start."""
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return largest if sys.platform == "darwin" else largest * 1024
+
+
+@contextmanager
+def scratch_folder(cache_dir: Path | None) -> Iterator[Path]:
+    """Folder of this process in `cache_dir` (None = the temporary folder), which is its temporary folder meanwhile.
+
+    Those of processes that were killed are removed.
+
+    Raises:
+        OSError: it cannot be created.
+    """
+    before = tempfile.tempdir
+    parent = cache_dir or Path(tempfile.gettempdir())
+    remove_dead_folders(parent, FOLDER_PREFIX)
+    folder = parent / f"{FOLDER_PREFIX}{os.getpid()}"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    tempfile.tempdir = str(folder)
+    try:
+        yield folder
+    finally:
+        tempfile.tempdir = before
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def remove_dead_folders(parent: Path, prefix: str) -> None:
+    """Remove the folders PREFIX-PID-... of processes of this machine that were killed."""
+    for folder in parent.glob(f"{prefix}*"):
+        pid = folder.name.removeprefix(prefix).partition("-")[0]
+        if pid.isdigit() and not is_running(int(pid)):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def shared_files(plan: FleetPlan) -> SharedFiles:
+    """The files in the options of a plan, for workers on other machines.
+
+    Raises:
+        FleetError: a file cannot be read.
+    """
+    paths = {name: Path(plan.options[name]) for name in plan.shared if name in plan.options}
+    return {
+        name: (path.name, read_bytes(path, FleetError, f"the file of --{name}", max_bytes=_MAX_SHARED_BYTES))
+        for name, path in paths.items()
+    }
+
+
+def with_shared_files(plan: FleetPlan, files: SharedFiles, folder: Path) -> FleetPlan:
+    """The plan with the paths of copies of the files in a folder; without a copy, the path is that of the driver."""
+    options = dict(plan.options)
+    for setting, (name, content) in files.items():
+        path = folder / setting / name
+        path.parent.mkdir(parents=True)
+        path.write_bytes(content)
+        options[setting] = str(path)
+    return replace(plan, options=options)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from track_range.fleet.storage.entry import FileStat
-from track_range.fleet.storage.location import Location
+from track_range.fleet.storage.location import FileStat, Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.options import is_file, option_of, value_type
@@ -62,68 +61,43 @@ class Clip:
         """All files on which the results depend, by role.
 
         These are the named files, a calibration file and telemetry beside the left video, and the timestamps.txt
-        beside a folder of images.
-
-        Args:
-            stat: looks a file up; `FolderListings.stat` does it with fewer requests.
+        beside a folder of images. `stat` looks a file up; `FolderListings.stat` does it with fewer requests.
 
         Raises:
             StorageError: the storage cannot be reached.
         """
+
+        def exists(location: Location, *, is_folder: bool = False) -> bool:
+            status = stat(location)
+            return status is not None and status.is_folder == is_folder
+
         files = self.named_files()
         videos = {role: Location.of(files[role]) for role in ("left", "right") if role in files}
-        folders = {role for role, video in videos.items() if may_be_folder(video) and _is_folder(stat(video))}
+        left = videos["left"]
+        # elsewhere than on this machine, only a name without a suffix may be that of a folder
+        maybe = [role for role, video in videos.items() if video.is_local or "." not in video.name[1:]]
+        folders = [role for role in maybe if exists(videos[role], is_folder=True)]
         if "rig" not in files and "focal_px" not in self.settings:
-            left = videos["left"]
-            parents = ((left,) if "left" in folders else ()) + ((left.parent,) if left.parent else ())
-            candidates = (parent.child(name) for parent in parents for name in RIG_NAMES)
-            if (rig := _first(candidates, stat)) is not None:
+            parents = (left if "left" in folders else None, left.parent)
+            candidates = (parent.child(name) for parent in parents if parent is not None for name in RIG_NAMES)
+            if (rig := next(filter(exists, candidates), None)) is not None:
                 files["rig"] = rig.address
         for role in sorted(folders):
             parent = videos[role].parent
-            stamps = None if parent is None else _first([parent.child(_TIMESTAMPS)], stat)
-            if stamps is not None:
-                files[f"{role}_timestamps"] = stamps.address
-        if self.settings.get("ego_speed", "auto") == "auto":
-            files.update(_telemetry(videos["left"], is_folder="left" in folders, stat=stat))
+            if parent is not None and exists(parent.child(_TIMESTAMPS)):
+                files[f"{role}_timestamps"] = parent.child(_TIMESTAMPS).address
+        if self.settings.get("ego_speed", "auto") == "auto" and left.parent is not None:
+            names = [TABLE_NAME, OXTS_NAME, *(() if "left" in folders else sidecar_names(left.name))]
+            sidecars = [left.parent.child(name) for name in names]
+            telemetry = [
+                sidecar.address
+                for sidecar in sidecars
+                if sidecar != left and exists(sidecar, is_folder=sidecar.name == OXTS_NAME)
+            ]
+            if sidecars[1].address in telemetry and exists(left.parent.child(_TIMESTAMPS)):
+                telemetry.append(left.parent.child(_TIMESTAMPS).address)
+            files.update({f"{TELEMETRY_ROLE}{index}": address for index, address in enumerate(telemetry)})
         return files
-
-
-def _telemetry(video: Location, *, is_folder: bool, stat: Callable[[Location], FileStat | None]) -> dict[str, str]:
-    """Addresses of the files and folders of telemetry beside a video, by role: telemetry_0, telemetry_1 ..."""
-    if (parent := video.parent) is None:
-        return {}
-    places = [parent.child(TABLE_NAME), parent.child(OXTS_NAME)]
-    if not is_folder:
-        places += [parent.child(name) for name in sidecar_names(video.name)]
-    named = [place for place in places if place.address != video.address]
-    existing = [
-        place.address for place in named if (status := stat(place)) and status.is_folder == (place.name == OXTS_NAME)
-    ]
-    if (
-        any(address == places[1].address for address in existing)
-        and _first([parent.child(_TIMESTAMPS)], stat) is not None
-    ):
-        existing.append(parent.child(_TIMESTAMPS).address)
-    return {f"{TELEMETRY_ROLE}{index}": address for index, address in enumerate(existing)}
-
-
-def may_be_folder(video: Location) -> bool:
-    """Whether the name of a video may be that of a folder: on this machine always, elsewhere without a suffix."""
-    return video.is_local or "." not in video.name[1:]
-
-
-def _is_folder(status: FileStat | None) -> bool:
-    return status is not None and status.is_folder
-
-
-def _first(candidates: Iterable[Location], stat: Callable[[Location], FileStat | None]) -> Location | None:
-    """The first file that exists."""
-    for candidate in candidates:
-        status = stat(candidate)
-        if status is not None and not status.is_folder:
-            return candidate
-    return None
 
 
 def is_file_setting(name: str, value: str) -> bool:

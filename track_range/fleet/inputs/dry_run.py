@@ -6,12 +6,10 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 
 from track_range.fleet.inputs.clip import TELEMETRY_ROLE, Clip
-from track_range.fleet.storage.listings import FolderListings
-from track_range.fleet.storage.location import Location
+from track_range.fleet.storage.location import FolderListings, Location
 from track_range.foundation.errors import UserError
 from track_range.recording.bags.bag import is_bag
 from track_range.recording.bags.bag_video import BagVideo
@@ -38,14 +36,10 @@ class CheckedClip:
     """Properties of a clip in the headers of its files.
 
     Attributes:
-        clip: the clip.
-        size_px: (width, height) of the left video; None = not known.
-        fps: frames per second; None = not known.
-        duration_s: length in seconds; None = not known.
-        n_bytes: size of its files; None = not known.
+        size_px: (width, height) of the left video; None = not known, as for `fps`, `duration_s`, and `n_bytes`, the
+            size of its files.
         calibration: "file", "focal length", "bag", "none", or "" = not known.
-        problems: reasons why it cannot be processed, sentences.
-        notes: other remarks, sentences.
+        problems: reasons why it cannot be processed, sentences; `notes` are other remarks.
     """
 
     clip: Clip
@@ -58,27 +52,13 @@ class CheckedClip:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class _Header:
-    """Properties of a video; 0 = not stated."""
-
-    size_px: tuple[int, int]
-    fps: float
-    duration_s: float
-    has_bag_calibration: bool = False
+_Header = tuple[tuple[int, int], float, float, bool]
+"""Size in px, frame rate and duration in s of a video (0 = not stated), and whether a bag has its calibration."""
 
 
 @dataclass(slots=True)
 class _Check:
-    """Check of one clip.
-
-    Attributes:
-        clip: the clip.
-        listings: for the sizes of its files.
-        focal_px: focal length of clips without a calibration; None = not given.
-        folder_fps: frame rate of folders of images.
-        problems, notes: sentences so far.
-    """
+    """Check of one clip, with the problems and notes so far; see `check_clips`."""
 
     clip: Clip
     listings: FolderListings
@@ -110,16 +90,12 @@ class _Check:
             self.notes.append("The videos were not opened, since they are not on this machine.")
             return checked
         headers = [self._header(video.path, index) for index, video in enumerate(videos)]
-        left, right = headers[0], headers[1] if len(headers) == 2 else None
-        calibration = self._calibration(left, right, files.get("rig"))
-        if right is not None:
-            self._compare(left, right, has_rig=calibration in ("file", "bag"))
+        size_px, fps, duration_s, _ = headers[0]
+        calibration = self._calibration(headers, files.get("rig"))
+        if len(headers) == 2:
+            self._compare(headers[0], headers[1], has_rig=calibration in ("file", "bag"))
         return replace(
-            checked,
-            size_px=left.size_px,
-            fps=left.fps or None,
-            duration_s=left.duration_s or None,
-            calibration=calibration,
+            checked, size_px=size_px, fps=fps or None, duration_s=duration_s or None, calibration=calibration
         )
 
     def _size(self, files: dict[str, Location]) -> int:
@@ -136,40 +112,34 @@ class _Check:
         return n_bytes
 
     def _header(self, path: Path, index: int) -> _Header:
-        """Properties of a video, index 1 = right.
-
-        Raises:
-            VideoError: it cannot be read.
-        """
+        """Properties of a video, index 1 = right."""
         bag = is_bag(path)
-        if bag or path.is_dir():
-            topics = [topic.strip() for topic in self.clip.settings.get("topics", "").split(",")]
-            topic = topics[index] if index < len(topics) else ""
-            fps = float(self.clip.settings.get("folder_fps", self.folder_fps))
-            with closing(open_video(BagTopic(path, topic or None) if bag else path, folder_fps=fps)) as reader:
-                camera = reader.camera if isinstance(reader, BagVideo) else None
-                size_px = (reader.width_px, reader.height_px)
-                return _Header(size_px, reader.fps, (reader.n_frames or 0) / reader.fps, camera is not None)
-        header = VideoHeader.read(path)
-        return _Header(header.size_px, header.fps, header.duration_s)
+        if not (bag or path.is_dir()):
+            header = VideoHeader.read(path)
+            return header.size_px, header.fps, header.duration_s, False
+        topics = [topic.strip() for topic in self.clip.settings.get("topics", "").split(",")]
+        topic = topics[index] if index < len(topics) else ""
+        fps = float(self.clip.settings.get("folder_fps", self.folder_fps))
+        with closing(open_video(BagTopic(path, topic or None) if bag else path, folder_fps=fps)) as reader:
+            has_camera = isinstance(reader, BagVideo) and reader.camera is not None
+            return (reader.width_px, reader.height_px), reader.fps, (reader.n_frames or 0) / reader.fps, has_camera
 
     def _compare(self, left: _Header, right: _Header, *, has_rig: bool) -> None:
         """Compare the videos of a pair; without a rig, they must have the same size."""
-        (lw, lh), (rw, rh) = left.size_px, right.size_px
+        ((lw, lh), _, left_s, _), ((rw, rh), _, right_s, _) = left, right
         if not has_rig and max(abs(lw - rw), abs(lh - rh)) > _CODEC_CROP_PX:
             self.problems.append(f"{self.clip.right}: expected {lw}x{lh} px like the left video, found {rw}x{rh}.")
-        if left.duration_s and right.duration_s and abs(left.duration_s - right.duration_s) > _MAX_DIFFERENCE_S:
+        if left_s and right_s and abs(left_s - right_s) > _MAX_DIFFERENCE_S:
             self.notes.append(
-                f"The left video has {left.duration_s:.1f} s and the right one {right.duration_s:.1f} s; frames of "
-                "only one are not used."
+                f"The left video has {left_s:.1f} s and the right one {right_s:.1f} s; frames of only one are not used."
             )
 
-    def _calibration(self, left: _Header, right: _Header | None, rig: Location | None) -> str:
+    def _calibration(self, headers: Sequence[_Header], rig: Location | None) -> str:
         """Kind of the calibration; one that cannot be used is a problem, none is noted."""
         if "rig" not in self.clip.settings:
             if "focal_px" in self.clip.settings or self.focal_px is not None:
                 return "focal length"
-            if left.has_bag_calibration:
+            if headers[0][3]:
                 return "bag"
             neighbour = find_rig(Path(self.clip.left))
             rig = None if neighbour is None else Location.of(neighbour)
@@ -177,14 +147,11 @@ class _Check:
             if self.clip.right is None:
                 self.notes.append("No calibration: the focal length is estimated from the video, with its uncertainty.")
             return "none"
-        if rig.is_local:
-            self._check_rig(rig.path, left.size_px, left.size_px if right is None else right.size_px)
+        if rig.is_local and max(headers[0][0]) <= _MAX_CALIBRATION_SIDE_PX:
+            self._check_rig(rig.path, headers[0][0], headers[-1][0])
         return "file"
 
     def _check_rig(self, path: Path, left_px: tuple[int, int], right_px: tuple[int, int]) -> None:
-        if max(left_px) > _MAX_CALIBRATION_SIDE_PX:
-            return
-
         def load(left_px: tuple[int, int], right_px: tuple[int, int]) -> None:
             if self.clip.right is None:
                 load_camera(path, size_px=left_px)
@@ -218,11 +185,9 @@ def check_clips(
         folder_fps: frame rate of folders of images without timestamps.txt.
         threads: number of clips that are checked at the same time.
     """
-    check = partial(_checked, FolderListings(), focal_px, folder_fps)
+    listings = FolderListings()
     with ThreadPoolExecutor(threads) as pool:
         for start in range(0, len(clips), _BATCH):
-            yield from pool.map(check, clips[start : start + _BATCH])
-
-
-def _checked(listings: FolderListings, focal_px: float | None, folder_fps: float, clip: Clip) -> CheckedClip:
-    return _Check(clip, listings, focal_px, folder_fps).result()
+            yield from pool.map(
+                lambda clip: _Check(clip, listings, focal_px, folder_fps).result(), clips[start : start + _BATCH]
+            )

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from urllib.parse import quote
 
 from track_range.fleet.inputs.clip import Clip, FleetInputError
-from track_range.fleet.inputs.globs import matching, split_pattern
-from track_range.fleet.inputs.manifest import is_manifest, manifest_clips
-from track_range.fleet.inputs.matches import matched_clips
-from track_range.fleet.inputs.pattern import FilePattern
-from track_range.fleet.inputs.rigs import RigOption
-from track_range.fleet.inputs.tree import FileTree, without_suffix
-from track_range.fleet.storage.entry import Entry
+from track_range.fleet.inputs.manifest import manifest_clips
+from track_range.fleet.inputs.pattern import CLIP, FilePattern, Template
+from track_range.fleet.inputs.tree import FileTree, is_image_name, wildcard_tree, without_suffix
 from track_range.fleet.storage.location import Location, shown
 from track_range.foundation.files.input_files import quoted, shortened
 
 MAX_NAME_BYTES = 200
 """Largest length of a clip's name in the results, percent-encoded; file systems allow 255 bytes with what is added."""
+
+_N_CONNECTIONS = 16
+"""Files that are looked up at a time."""
 
 
 def clips_of(recordings: Sequence[str], pattern: str | None, rig: str | None) -> list[Clip]:
@@ -37,11 +37,11 @@ def clips_of(recordings: Sequence[str], pattern: str | None, rig: str | None) ->
         StorageError: a storage cannot be reached.
     """
     file_pattern = None if pattern is None else FilePattern.of(pattern)
-    rig_option = None if rig is None else RigOption.of(rig)
+    rig_template = None if rig is None else Template.of(rig, "--rig")
     clips: list[Clip] = []
     for text in recordings:
         location = Location.of(text)
-        if is_manifest(location):
+        if location.name.lower().endswith((".csv", ".parquet")):
             if file_pattern is not None:
                 raise FleetInputError(f"{location}: --pattern is for folders; a manifest names the files of each clip.")
             clips.extend(manifest_clips(location))
@@ -49,16 +49,13 @@ def clips_of(recordings: Sequence[str], pattern: str | None, rig: str | None) ->
             clips.extend(_clips_in(location, file_pattern))
     if not clips:
         raise FleetInputError("expected at least one folder, pattern or manifest, found none.")
-    if rig_option is not None:
-        clips = rig_option.added(clips)
-    return _checked(clips)
+    return _checked(clips if rig_template is None else _with_rigs(clips, rig_template))
 
 
 def _clips_in(location: Location, pattern: FilePattern | None) -> list[Clip]:
     """The clips of a folder, file or pattern of files."""
-    wildcards = split_pattern(location)
-    if wildcards is not None:
-        tree = _expanded(*wildcards)
+    tree = wildcard_tree(location)
+    if tree is not None:
         if not (tree.files or tree.folders):
             raise FleetInputError(f"{location}: no file matches this pattern; check it.")
     elif _is_file(location):
@@ -66,7 +63,7 @@ def _clips_in(location: Location, pattern: FilePattern | None) -> list[Clip]:
             raise FleetInputError(f"{location}: expected a folder with --pattern, found a file.")
         return [Clip(without_suffix(location.name), location.address)]
     else:
-        tree = FileTree.of(location)
+        tree = FileTree.of_entries(location, location.list(recursive=True))
     return _recordings(tree, location) if pattern is None else matched_clips(tree, pattern, location)
 
 
@@ -84,17 +81,6 @@ def _is_file(location: Location) -> bool:
     return not status.is_folder
 
 
-def _expanded(folder: Location, names: list[str]) -> FileTree:
-    """The tree of the files that match, and of all that is in the folders that match."""
-    entries: list[Entry] = []
-    for entry in matching(folder, names):
-        entries.append(entry)
-        if entry.stat.is_folder:
-            below = folder.child(entry.name).list(recursive=True)
-            entries += (Entry(f"{entry.name}/{inner.name}", inner.stat) for inner in below)
-    return FileTree.of_entries(folder, entries)
-
-
 def _recordings(tree: FileTree, location: Location) -> list[Clip]:
     """One clip for each recording below a folder."""
     names = tree.recordings()
@@ -110,6 +96,100 @@ def _recordings(tree: FileTree, location: Location) -> list[Clip]:
         )
         for name in names
     ]
+
+
+def matched_clips(tree: FileTree, pattern: FilePattern, location: Location) -> list[Clip]:
+    """One clip for each match of a pattern below a folder; one with half of a pair has a problem.
+
+    Args:
+        tree: all files.
+        pattern: names of the videos.
+        location: the folder or pattern of folders, for messages.
+
+    Raises:
+        FleetInputError: no file matches, or there is no complete pair.
+    """
+    left_names, recorded = pattern.left.expression(), tree.recorded_folders()
+    candidates = [*(name for name in tree.files if not is_image_name(name)), *(recorded - {""})]
+    clips = []
+    for name in candidates:
+        if (match := left_names.fullmatch(name)) is not None:
+            values = match.groupdict()
+            right = None if pattern.right is None else pattern.right.filled(values)
+            clips.append(_matched_clip(tree, values, name, right, "" if right is None or right in tree else "right"))
+    if not clips:
+        example = f", such as {quoted(min(candidates))}" if candidates else ""
+        raise FleetInputError(
+            f"{location}: expected files named {quoted(pattern.text)}, found none among {len(candidates)} "
+            f"files{example}; change --pattern."
+        )
+    if all(clip.problem for clip in clips):
+        raise FleetInputError(
+            f"{location}: expected pairs of files named {quoted(pattern.text)}, found {len(clips)} left videos without "
+            f"a right one, such as {quoted(min(clip.name for clip in clips))}; change --pattern."
+        )
+    names = {clip.name for clip in clips}
+    lone: dict[str, Clip] = {}
+    if pattern.right is not None:
+        right_names = pattern.right.expression()
+        for name in candidates:
+            match = right_names.fullmatch(name)
+            if match is None or match[CLIP] in names or left_names.fullmatch(name) is not None:
+                continue
+            left = pattern.left.filled(match.groupdict())
+            if left not in tree.files and left not in recorded:
+                lone[match[CLIP]] = _matched_clip(tree, match.groupdict(), left, name, "left")
+    return [*clips, *lone.values()]
+
+
+def _matched_clip(tree: FileTree, values: Mapping[str, str], left: str, right: str | None, missing: str) -> Clip:
+    """The clip with these values of the placeholders; `missing`: the video that does not exist, "" = none."""
+    addresses = {"left": tree.folder.child(left).address}
+    if right is not None:
+        addresses["right"] = tree.folder.child(right).address
+    problem = ""
+    if missing:
+        reason = "a folder without images" if left in tree.folders else "no such file"
+        problem = f"{shortened(shown(addresses[missing]), 200)}: {reason}; expected the {missing} video of the clip."
+    labels = {name: value for name, value in values.items() if name != CLIP}
+    return Clip(values[CLIP], addresses["left"], addresses.get("right"), labels=labels, problem=problem)
+
+
+def _with_rigs(clips: Sequence[Clip], template: Template) -> list[Clip]:
+    """The clips with the calibration file of --rig, unless they have one or a focal length already.
+
+    A clip without the file of its placeholders has a problem.
+
+    Raises:
+        FleetInputError: a placeholder is unknown, or no file exists.
+        StorageError: the storage cannot be reached.
+    """
+    rigs = [None if clip.settings.keys() & {"rig", "focal_px"} else _rig(clip, template) for clip in clips]
+    locations = {text: Location.of(text) for text in rigs if text is not None}
+    with ThreadPoolExecutor(_N_CONNECTIONS) as threads:
+        exists = dict(zip(locations, threads.map(Location.exists, locations.values()), strict=True))
+    if locations and not any(exists.values()):
+        raise FleetInputError(f"{locations[min(locations)]}: no such file; expected the calibration of --rig.")
+    result = []
+    for clip, text in zip(clips, rigs, strict=True):
+        if text is None:
+            result.append(clip)
+            continue
+        missing = f"{shortened(str(locations[text]), 200)}: no such file; expected the calibration of the clip."
+        problem = clip.problem or ("" if exists[text] else missing)
+        result.append(replace(clip, settings={**clip.settings, "rig": locations[text].address}, problem=problem))
+    return result
+
+
+def _rig(clip: Clip, template: Template) -> str:
+    values = {CLIP: clip.name, **clip.labels}
+    try:
+        return template.filled(values)
+    except KeyError as error:
+        raise FleetInputError(
+            f"--rig {quoted(template.text)}: {{{error.args[0]}}} is unknown; expected one of "
+            f"{shortened(', '.join(values), 100)}."
+        ) from error
 
 
 def _checked(clips: list[Clip]) -> list[Clip]:

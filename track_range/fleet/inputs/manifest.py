@@ -11,9 +11,7 @@ from __future__ import annotations
 import math
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,11 +39,6 @@ _MAX_COLUMNS, _MAX_CELLS, _MAX_CELL = 1000, 50_000_000, 10_000
 """Largest numbers of columns, of cells in a Parquet file, and of characters in a cell."""
 
 
-def is_manifest(location: Location) -> bool:
-    """Whether a name is that of a manifest, by its suffix."""
-    return location.name.lower().endswith((".csv", ".parquet"))
-
-
 def manifest_clips(location: Location) -> list[Clip]:
     """The clips of a manifest, in its order.
 
@@ -53,45 +46,44 @@ def manifest_clips(location: Location) -> list[Clip]:
         FleetInputError: it cannot be read, or has no clips or a wrong value; with the line.
         StorageError: the storage cannot be reached.
     """
-    with _local_copy(location) as path:
-        is_csv = location.name.lower().endswith(".csv")
-        rows = _csv_rows(path) if is_csv else _parquet_rows(path)
-        return _Manifest(location, path, rows).clips()
-
-
-@dataclass(frozen=True, slots=True)
-class _Rows:
-    """Cells of a manifest as text.
-
-    Attributes:
-        names: names of the columns, in lower case.
-        columns: cells of each column.
-        unit: "line" or "row".
-        numbers: number of each row in the file, from 1.
-    """
-
-    names: tuple[str, ...]
-    columns: list[list[str]]
-    unit: str
-    numbers: Sequence[int]
+    if location.is_local:
+        return _Manifest(location, location.path).clips()
+    with tempfile.TemporaryDirectory(prefix="track-range-manifest-") as folder:
+        path = Path(folder) / f"manifest{Path(location.name).suffix.lower()}"
+        location.download(path, MAX_TABLE_BYTES)
+        try:
+            return _Manifest(location, path).clips()
+        except FleetInputError as error:
+            raise FleetInputError(str(error).replace(str(path), str(location))) from error
 
 
 class _Manifest:
     """Conversion of the rows of a manifest to clips."""
 
-    def __init__(self, location: Location, path: Path, rows: _Rows) -> None:
-        self._path, self._rows = path, rows
+    def __init__(self, location: Location, path: Path) -> None:
+        self._path = path
         self._folder = location.parent or location
         self._local_folder = str(self._folder) if location.is_local else ""
-        if not rows.numbers:
-            raise FleetInputError(f"{path}: expected a {rows.unit} for each clip, found none.")
+        if path.suffix.lower() == ".csv":
+            table = read_csv_table(path, FleetInputError, _EXPECTED)
+            self._columns = tuple(name for name in table.header if name)
+            _check_columns(path, self._columns)
+            self._cells = [table.texts(name) for name in self._columns]
+            self._unit = "line"
+            self._numbers: Sequence[int] = table.lines
+        else:
+            self._columns, self._cells = _parquet_columns(path)
+            self._unit = "row"
+            self._numbers = range(1, len(self._cells[0]) + 1)
+        if not self._numbers:
+            raise FleetInputError(f"{path}: expected a {self._unit} for each clip, found none.")
         self._names: dict[str, int] = {}
         self._values: dict[tuple[str, str], str] = {}
 
     def clips(self) -> list[Clip]:
         """The clip of each row."""
-        names, cells = self._rows.names, zip(*self._rows.columns, strict=True)
-        return [self._clip(row, dict(zip(names, texts, strict=True))) for row, texts in enumerate(cells)]
+        rows = zip(*self._cells, strict=True)
+        return [self._clip(row, dict(zip(self._columns, texts, strict=True))) for row, texts in enumerate(rows)]
 
     def _clip(self, row: int, cells: dict[str, str]) -> Clip:
         if long := next((name for name, text in cells.items() if len(text) > _MAX_CELL), None):
@@ -118,7 +110,7 @@ class _Manifest:
             raise self._fault(row, f"expected a name in the column clip, found none for {quoted(shown(left))}")
         other = self._names.setdefault(name, row)
         if other != row:
-            place = f"{self._rows.unit} {self._rows.numbers[other]}"
+            place = f"{self._unit} {self._numbers[other]}"
             raise self._fault(row, f"expected a different name for each clip, found {quoted(name)} as in {place}")
         return name
 
@@ -152,7 +144,7 @@ class _Manifest:
             raise self._fault(row, f"expected a path or an address, found {quoted(shown(text))}") from error
 
     def _fault(self, row: int, message: str) -> FleetInputError:
-        return FleetInputError(f"{self._path}, {self._rows.unit} {self._rows.numbers[row]}: {message}.")
+        return FleetInputError(f"{self._path}, {self._unit} {self._numbers[row]}: {message}.")
 
 
 def _default_name(left: str) -> str:
@@ -162,29 +154,8 @@ def _default_name(left: str) -> str:
     return without_suffix(left.removeprefix("./") if is_below else left.rstrip("/").rpartition("/")[2])
 
 
-@contextmanager
-def _local_copy(location: Location) -> Iterator[Path]:
-    """A local path of a manifest; errors that name a copy name the manifest instead."""
-    if location.is_local:
-        yield location.path
-        return
-    with tempfile.TemporaryDirectory(prefix="track-range-manifest-") as folder:
-        path = Path(folder) / f"manifest{Path(location.name).suffix.lower()}"
-        location.download(path, MAX_TABLE_BYTES)
-        try:
-            yield path
-        except FleetInputError as error:
-            raise FleetInputError(str(error).replace(str(path), str(location))) from error
-
-
-def _csv_rows(path: Path) -> _Rows:
-    table = read_csv_table(path, FleetInputError, _EXPECTED)
-    names = tuple(name for name in table.header if name)
-    _check_columns(path, names)
-    return _Rows(names, [table.texts(name) for name in names], "line", table.lines)
-
-
-def _parquet_rows(path: Path) -> _Rows:
+def _parquet_columns(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
+    """Names of the columns in lower case, and their cells as text."""
     from pyarrow import ArrowException, parquet, types
 
     check_regular(path, FleetInputError, "a manifest", max_bytes=MAX_TABLE_BYTES)
@@ -200,12 +171,11 @@ def _parquet_rows(path: Path) -> _Rows:
         with parquet.ParquetFile(path, read_dictionary=texts) as file:
             table = file.read(use_threads=False)
         table.validate(full=True)
-        columns = [_cells(path, name, table.column(index)) for index, name in enumerate(names)]
+        return names, [_cells(path, name, table.column(index)) for index, name in enumerate(names)]
     except (ArrowException, OSError, ValueError, LookupError, MemoryError) as error:
         raise FleetInputError(
             f"{path}: expected {_EXPECTED}, found a damaged Parquet file ({shortened(str(error))})."
         ) from error
-    return _Rows(names, columns, "row", range(1, n_rows + 1))
 
 
 def _cells(path: Path, name: str, column: pa.ChunkedArray) -> list[str]:

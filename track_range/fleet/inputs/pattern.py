@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,12 +23,7 @@ _MAX_FIELDS = 8
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """A text with placeholders in braces; a double brace is a brace.
-
-    Attributes:
-        text: the text.
-        parts: pairs of a literal text and the placeholder after it; None = none.
-    """
+    """A text with placeholders in braces: pairs of a literal text and the name after it; a double brace is a brace."""
 
     text: str
     parts: tuple[tuple[str, str | None], ...]
@@ -40,19 +36,18 @@ class Template:
             FleetInputError: a brace is not closed, or a placeholder is not a name.
         """
         try:
-            parts = [(literal, name) for literal, name, spec, conversion in _parsed(text) if not (spec or conversion)]
-            is_plain = len(parts) == sum(1 for _ in _parsed(text))
+            parsed = list(Formatter().parse(text))
         except ValueError as error:
             raise FleetInputError(
                 f"{option} {quoted(text)}: expected names in braces such as {{clip}} ({error}); write {{{{ for a brace."
             ) from error
-        wrong = next((name for _, name in parts if name is not None and not name.isidentifier()), None)
-        if wrong is not None or not is_plain:
-            raise FleetInputError(
-                f"{option} {quoted(text)}: expected names of letters, digits and underscores in braces, such as "
-                "{clip} or {vehicle}."
-            )
-        return cls(text, tuple(parts))
+        for _, name, spec, conversion in parsed:
+            if spec or conversion or (name is not None and not name.isidentifier()):
+                raise FleetInputError(
+                    f"{option} {quoted(text)}: expected names of letters, digits and underscores in braces, such as "
+                    "{clip} or {vehicle}."
+                )
+        return cls(text, tuple((literal, name) for literal, name, _, _ in parsed))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -60,11 +55,7 @@ class Template:
         return tuple(dict.fromkeys(name for _, name in self.parts if name is not None))
 
     def filled(self, values: Mapping[str, str]) -> str:
-        """The text with values for its placeholders.
-
-        Raises:
-            KeyError: a placeholder has no value.
-        """
+        """The text with values for its placeholders; raises KeyError for one without a value."""
         return "".join(literal + ("" if name is None else values[name]) for literal, name in self.parts)
 
     def expression(self) -> re.Pattern[str]:
@@ -85,13 +76,7 @@ class Template:
 
 @dataclass(frozen=True, slots=True)
 class FilePattern:
-    """Names of the left or only video of a clip, and of the right one.
-
-    Attributes:
-        text: the value of --pattern.
-        left: name of the left or only video, relative to the folder of the recordings.
-        right: name of the right video; None = one camera.
-    """
+    """Value of --pattern: names of the left or only video of a clip, and of the right one, relative to a folder."""
 
     text: str
     left: Template
@@ -106,18 +91,15 @@ class FilePattern:
         """
         names = text.split(",")
         if len(names) > 2 or not all(name.strip() for name in names):
-            raise FleetInputError(
-                f"--pattern {quoted(text)}: expected the name of one video, or of the left and the right one separated "
-                "by a comma."
-            )
-        templates = [Template.of(name.strip().removeprefix("./"), "--pattern") for name in names]
-        for template in templates:
+            raise _fault(text, "expected the name of one video, or of the left and the right one separated by a comma.")
+        left, *others = (Template.of(name.strip().removeprefix("./"), "--pattern") for name in names)
+        for template in (left, *others):
             _check(template)
-        left, right = templates[0], templates[1] if len(templates) == 2 else None
+        right = others[0] if others else None
         if right is not None and (right.text == left.text or set(right.names) != set(left.names)):
-            raise FleetInputError(
-                f"--pattern {quoted(text)}: expected two different names with the same placeholders, such as "
-                "'{clip}_left.mp4,{clip}_right.mp4'."
+            raise _fault(
+                text,
+                "expected two different names with the same placeholders, such as '{clip}_left.mp4,{clip}_right.mp4'.",
             )
         return cls(text, left, right)
 
@@ -126,23 +108,17 @@ def _check(template: Template) -> None:
     """Raise an error unless a template is the relative name of a file with {clip} and distinct placeholders."""
     text, names = template.text, template.names
     if CLIP not in names:
-        raise FleetInputError(f"--pattern {quoted(text)}: expected {{clip}} in the name of each video, found none.")
+        raise _fault(text, "expected {clip} in the name of each video, found none.")
     if text.startswith("/") or "://" in text or ".." in text.split("/"):
-        raise FleetInputError(f"--pattern {quoted(text)}: expected a name relative to the folder of the recordings.")
+        raise _fault(text, "expected a name relative to the folder of the recordings.")
     if reserved := [name for name in names if name in _RESERVED]:
-        raise FleetInputError(
-            f"--pattern {quoted(text)}: {{{reserved[0]}}} is an option of a run; give it in a manifest, or choose "
-            "another name."
-        )
+        raise _fault(text, f"{{{reserved[0]}}} is an option of a run; give it in a manifest, or choose another name.")
     if len(names) > _MAX_FIELDS:
-        raise FleetInputError(f"--pattern {quoted(text)}: expected at most {_MAX_FIELDS} placeholders.")
-    used = [name for _, name in template.parts]
-    for index, (literal, name) in enumerate(template.parts[1:], 1):
-        if not literal and name is not None and used[index - 1] is not None:
-            raise FleetInputError(
-                f"--pattern {quoted(text)}: expected a separator between {{{used[index - 1]}}} and {{{name}}}."
-            )
+        raise _fault(text, f"expected at most {_MAX_FIELDS} placeholders.")
+    for (_, before), (literal, name) in itertools.pairwise(template.parts):
+        if not literal and name is not None and before is not None:
+            raise _fault(text, f"expected a separator between {{{before}}} and {{{name}}}.")
 
 
-def _parsed(text: str) -> list[tuple[str, str | None, str | None, str | None]]:
-    return list(Formatter().parse(text))
+def _fault(text: str, message: str) -> FleetInputError:
+    return FleetInputError(f"--pattern {quoted(text)}: {message}")

@@ -1,13 +1,15 @@
-"""FileTree: names of all files and folders below a folder, and which of them are recordings."""
+"""FileTree: names of all files and folders below a folder, or that match a pattern such as `DIR/*/front_*.mp4`."""
 
 from __future__ import annotations
 
+import posixpath
+import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 
-from track_range.fleet.storage.entry import Entry, is_hidden
-from track_range.fleet.storage.location import Location
+from track_range.fleet.storage.location import Entry, Location, is_hidden
 from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.recording.segments.segmented_video import VIDEO_SUFFIXES
 from track_range.results.events.event import CLIPS_FOLDER, is_clip_name
@@ -31,40 +33,28 @@ _MIN_IMAGES = 2
 """Smallest number of numbered images that make a folder a recording; a single one may be a preview."""
 
 
+_MAGIC = re.compile(r"[*?\[]")
+
+
 @dataclass(frozen=True, slots=True)
 class FileTree:
-    """Names relative to the folder, without hidden files and the results of fleets.
-
-    Attributes:
-        folder: the folder.
-        files: names of the files.
-        folders: names of the folders.
-    """
+    """Names of files and folders relative to a folder, without hidden files and the results of fleets."""
 
     folder: Location
     files: frozenset[str]
     folders: frozenset[str]
 
     @classmethod
-    def of(cls, folder: Location) -> FileTree:
-        """All that is below a folder.
-
-        Raises:
-            StorageError: it cannot be read.
-        """
-        return cls.of_entries(folder, folder.list(recursive=True))
-
-    @classmethod
     def of_entries(cls, folder: Location, entries: Iterable[Entry]) -> FileTree:
         """The tree of a listing of `folder`."""
-        files: list[str] = []
-        folders: list[str] = []
+        names: dict[bool, list[str]] = {False: [], True: []}
         for entry in entries:
             if not is_hidden(entry.name):
-                (folders if entry.stat.is_folder else files).append(entry.name)
-        fleets = {_folder(name) for name in files if _last(name) == _FLEET_STATE}
-        results = tuple(f"{_joined(fleet, name)}/" for fleet in fleets for name in _FLEET_FOLDERS)
-        return cls(folder, _outside(files, results), _outside(folders, results))
+                names[entry.stat.is_folder].append(entry.name)
+        fleets = {posixpath.dirname(name) for name in names[False] if posixpath.basename(name) == _FLEET_STATE}
+        results = tuple(f"{posixpath.join(fleet, name)}/" for fleet in fleets for name in _FLEET_FOLDERS)
+        files, folders = (frozenset(n for n in names[key] if not n.startswith(results)) for key in (False, True))
+        return cls(folder, files, folders)
 
     def __contains__(self, name: str) -> bool:
         return name in self.files or name in self.folders
@@ -72,37 +62,37 @@ class FileTree:
     def recordings(self) -> list[str]:
         """Names of the videos, bags and folders of numbered images, sorted; "" = the folder itself."""
         folders = self.recorded_folders()
-        videos = (
-            name
-            for name in self.files
-            if (is_video_name(name) or is_bag_name(name))
-            and _last(name) not in _RESULT_NAMES
-            and not (_last(_folder(name)) == CLIPS_FOLDER and is_clip_name(_last(name)))
-            and not (is_bag_name(name) and _folder(name) in folders)
-        )
-        return sorted((*videos, *folders))
+        names = list(folders)
+        for name in self.files:
+            folder, last = posixpath.split(name)
+            is_event_clip = posixpath.basename(folder) == CLIPS_FOLDER and is_clip_name(last)
+            is_bag = _is_bag_name(name)
+            if (_is_video_name(name) and last not in _RESULT_NAMES and not is_event_clip) or (
+                is_bag and last not in _RESULT_NAMES and folder not in folders
+            ):
+                names.append(name)
+        return sorted(names)
 
     def recorded_folders(self) -> set[str]:
         """Names of the folders that are one recording: numbered images without videos, or a ROS 2 bag."""
-        n_images = Counter(_folder(name) for name in self.files if is_image_name(name) and _has_digit(_last(name)))
-        with_videos = {_folder(name) for name in self.files if is_video_name(name)}
+        n_images: Counter[str] = Counter()
+        with_videos, bags = set[str](), set[str]()
+        for name in self.files:
+            folder, last = posixpath.split(name)
+            n_images[folder] += is_image_name(name) and any(map(str.isdigit, without_suffix(last)))
+            if _is_video_name(name):
+                with_videos.add(folder)
+            if _is_bag_name(name):
+                bags.add(folder)
         images = {folder for folder, n in n_images.items() if n >= _MIN_IMAGES and folder not in with_videos}
-        bags = {_folder(name) for name in self.files if is_bag_name(name)}
-        return images | {folder for folder in bags if _joined(folder, _BAG_METADATA) in self.files}
+        return images | {folder for folder in bags if posixpath.join(folder, _BAG_METADATA) in self.files}
 
 
-def _outside(names: list[str], folders: tuple[str, ...]) -> frozenset[str]:
-    """The names that are not in one of the folders, which end with a slash."""
-    return frozenset(name for name in names if not name.startswith(folders)) if folders else frozenset(names)
-
-
-def is_video_name(name: str) -> bool:
-    """Whether a name has the suffix of a video file."""
+def _is_video_name(name: str) -> bool:
     return name.lower().endswith(_VIDEO_SUFFIXES)
 
 
-def is_bag_name(name: str) -> bool:
-    """Whether a name has the suffix of an MCAP file or ROS bag."""
+def _is_bag_name(name: str) -> bool:
     return name.lower().endswith(_BAG_SUFFIXES)
 
 
@@ -113,27 +103,51 @@ def is_image_name(name: str) -> bool:
 
 def without_suffix(name: str) -> str:
     """A relative path without the suffix of its last part."""
-    suffix = _suffix(name)
-    return name[: len(name) - len(suffix)] if suffix else name
+    return posixpath.splitext(name)[0]
 
 
-def _suffix(name: str) -> str:
-    """Suffix in lower case, with its point; "" = none."""
-    stem, point, suffix = _last(name).rpartition(".")
-    return f".{suffix.lower()}" if stem and point else ""
+def wildcard_tree(location: Location) -> FileTree | None:
+    """The files that match a pattern, and all that is in the folders that match; None = no wildcard, or it exists.
+
+    `**` matches any number of folders. Hidden files match no `*`.
+
+    Raises:
+        StorageError: a folder cannot be read.
+    """
+    address, query = location.address_and_options()
+    if not _MAGIC.search(address) or location.exists():
+        return None
+    parts = address.split("/")
+    first = next(index for index, part in enumerate(parts) if _MAGIC.search(part))
+    folder = Location.of("/".join(parts[:first]) + query if any(parts[:first]) else "/")
+    entries: list[Entry] = []
+    for entry in _matching(folder, "", parts[first:]):
+        entries.append(entry)
+        if entry.stat.is_folder:
+            below = folder.child(entry.name).list(recursive=True)
+            entries += (Entry(f"{entry.name}/{inner.name}", inner.stat) for inner in below)
+    return FileTree.of_entries(folder, entries)
 
 
-def _last(name: str) -> str:
-    return name.rpartition("/")[2]
+def _matching(folder: Location, prefix: str, patterns: Sequence[str]) -> Iterator[Entry]:
+    """Entries of a folder that match the patterns of their parts."""
+    if patterns[0] == "**":
+        for entry in folder.list(recursive=True):
+            if not is_hidden(entry.name) and _is_match(entry.name.split("/"), patterns):
+                yield Entry(prefix + entry.name, entry.stat)
+        return
+    for entry in folder.list():
+        if not fnmatchcase(entry.name, patterns[0]) or (is_hidden(entry.name) and not patterns[0].startswith(".")):
+            continue
+        if len(patterns) == 1:
+            yield Entry(prefix + entry.name, entry.stat)
+        elif entry.stat.is_folder:
+            yield from _matching(folder.child(entry.name), f"{prefix}{entry.name}/", patterns[1:])
 
 
-def _folder(name: str) -> str:
-    return name.rpartition("/")[0]
-
-
-def _joined(folder: str, name: str) -> str:
-    return f"{folder}/{name}" if folder else name
-
-
-def _has_digit(name: str) -> bool:
-    return any(character.isdigit() for character in without_suffix(name))
+def _is_match(parts: Sequence[str], patterns: Sequence[str]) -> bool:
+    if not patterns:
+        return not parts
+    if patterns[0] == "**":
+        return any(_is_match(parts[n:], patterns[1:]) for n in range(len(parts) + 1))
+    return bool(parts) and fnmatchcase(parts[0], patterns[0]) and _is_match(parts[1:], patterns[1:])

@@ -17,8 +17,11 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import platform
+import shutil
 import time
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -26,9 +29,8 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
 from track_range.fleet.errors import FleetError
-from track_range.fleet.output.publishing import publish_bytes, publish_file
 from track_range.fleet.output.record import SCHEMA_VERSION, Row, merged_table, records_table
-from track_range.fleet.storage.errors import StorageError
+from track_range.fleet.storage.errors import StorageError, storage_errors
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.input_files import shortened
 from track_range.foundation.files.structured_text import parse_json
@@ -38,8 +40,9 @@ from track_range.results.events.files import EVENTS_PARQUET
 if TYPE_CHECKING:
     import pyarrow as pa
 
-CLIPS_FILE, JOURNAL, TRACKS, RUNS, TRACKS_FILE = "clips.parquet", "journal", "tracks", "runs", "tracks.parquet"
-EVENTS = "events"
+CLIPS_FILE, JOURNAL, RUNS, TRACKS_FILE, UNFINISHED = (
+    *("clips.parquet", "journal", "runs", "tracks.parquet", "unfinished"),
+)
 
 _COMPILE_S, _COMPILE_FRACTION = 10.0, 20.0
 """Shortest time between two compilations, s, and relative to the time that one takes."""
@@ -52,6 +55,10 @@ _MAX_NEWER = 3000
 
 _N_CONNECTIONS = 16
 """Requests to the storage at a time."""
+
+
+_PAUSES_S = (1.0, 3.0, 10.0)
+"""Pauses after failed uploads, s."""
 
 
 def partition(name: str) -> str:
@@ -67,76 +74,81 @@ def encoded(name: str) -> str:
 
 def tracks_location(out: Location, name: str) -> Location:
     """Location of the rows of a clip."""
-    return out.child(TRACKS, partition(name), TRACKS_FILE)
-
-
-def publish_tracks(out: Location, name: str, file: Path) -> None:
-    """Publish the rows of a clip; they count once its record is published.
-
-    Raises:
-        StorageError: they cannot be written.
-    """
-    publish_file(out, tracks_location(out, name), file)
+    return out.child("tracks", partition(name), TRACKS_FILE)
 
 
 def events_location(out: Location, name: str) -> Location:
     """Location of the events of a clip."""
-    return out.child(EVENTS, partition(name), EVENTS_PARQUET)
+    return out.child("events", partition(name), EVENTS_PARQUET)
 
 
-def publish_events(out: Location, name: str, file: Path) -> None:
-    """Publish the events of a clip; they count once its record is published.
+def runs_location(out: Location, name: str) -> Location:
+    """Folder of the other files of a clip."""
+    return out.child(RUNS, partition(name))
+
+
+def publish(out: Location, location: Location, content: Path | bytes) -> None:
+    """Write a file, or copy a local one, to its location in the output `out`; it appears as a whole.
+
+    In a local folder it is written to OUT/unfinished first: a worker that is killed leaves nothing beside the results,
+    where readers of the data set would find it. Uploads to an object store are atomic, and repeated after errors of
+    the network. Files of a clip count once its record is published.
 
     Raises:
-        StorageError: they cannot be written.
+        StorageError: it cannot be written.
     """
-    publish_file(out, events_location(out, name), file)
+    if not out.is_local:
+        for pause_s in (*_PAUSES_S, None):
+            try:
+                return location.write_bytes(content) if isinstance(content, bytes) else location.upload(content)
+            except StorageError as error:
+                if not error.is_transient or pause_s is None:
+                    raise
+                time.sleep(pause_s)
+    partial = out.path / UNFINISHED / f"{platform.node()}-{os.getpid()}"
+    with storage_errors(location, "written"):
+        try:
+            partial.parent.mkdir(parents=True, exist_ok=True)
+            location.path.parent.mkdir(parents=True, exist_ok=True)
+            if isinstance(content, bytes):
+                partial.write_bytes(content)
+            else:
+                shutil.copyfile(content, partial)
+            with partial.open("r+b") as file:
+                os.fsync(file.fileno())
+            partial.replace(location.path)
+        except BaseException:
+            with suppress(OSError):
+                partial.unlink(missing_ok=True)
+            raise
 
 
-def publish_clips_of_events(out: Location, name: str, files: Sequence[Path]) -> None:
-    """Publish the videos of the events of a clip, and remove those of an earlier result.
+def remove_unfinished(out: Location) -> None:
+    """Remove what workers that were killed have left, as far as possible."""
+    if out.is_local:
+        shutil.rmtree(out.path / UNFINISHED, ignore_errors=True)
 
-    Raises:
-        StorageError: one of them cannot be written or removed.
-    """
-    folder = out.child(RUNS, partition(name), CLIPS_FOLDER)
+
+def publish_event_videos(out: Location, name: str, files: Collection[Path]) -> None:
+    """Publish the videos of the events of a clip, and remove those of an earlier result; raises as `publish`."""
+    folder = runs_location(out, name).child(CLIPS_FOLDER)
     for file in files:
-        publish_file(out, folder.child(file.name), file)
+        publish(out, folder.child(file.name), file)
     names = {file.name for file in files}
     for entry in list(folder.list()) if folder.exists() else ():
         if entry.name not in names:
             folder.child(entry.name).remove()
 
 
-def publish_files(out: Location, name: str, files: Mapping[str, Path]) -> None:
-    """Publish other files of a clip, by name.
-
-    Raises:
-        StorageError: one of them cannot be written.
-    """
-    folder = out.child(RUNS, partition(name))
-    for file_name, file in files.items():
-        publish_file(out, folder.child(file_name), file)
-
-
 def publish_record(out: Location, row: Row) -> None:
-    """Publish the record of a clip, after which the clip is complete.
-
-    Raises:
-        StorageError: it cannot be written.
-    """
+    """Publish the record of a clip, after which the clip is complete; raises as `publish`."""
     text = json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    publish_bytes(out, _journal_location(out, row["clip"]), text.encode())
+    publish(out, _journal_location(out, row["clip"]), text.encode())
 
 
 def journal_row(out: Location, name: str) -> Row | None:
-    """The row of a clip in the journal; None without one.
-
-    Raises:
-        StorageError: the storage cannot be read.
-    """
-    location = _journal_location(out, name)
-    return _row_in(location) if location.exists() else None
+    """The row of a clip in the journal; None without one."""
+    return _journal_rows(out, [name]).get(name)
 
 
 def read_clips(out: Location) -> pa.Table:
@@ -152,11 +164,7 @@ def read_clips(out: Location) -> pa.Table:
 
 
 def read_journal(out: Location) -> pa.Table:
-    """The rows of the clips in the journal alone.
-
-    Raises:
-        StorageError: the storage cannot be read.
-    """
+    """The rows of the clips in the journal alone."""
     return records_table(_journal_rows(out, _journal_names(out)).values())
 
 
@@ -184,30 +192,25 @@ class ClipTable:
         self._is_sorted = True
 
     def add(self, row: Row, *, is_in_journal: bool) -> None:
-        """Add or replace the row of a clip.
-
-        Args:
-            row: the row.
-            is_in_journal: whether a worker has published it; otherwise only the next compilation does.
-        """
+        """Add or replace the row of a clip; one that is not in the journal is stored by the next compilation."""
         self.newer[row["clip"]] = row
         if is_in_journal:
             self._in_journal.add(row["clip"])
 
     def touch(self, name: str, inputs: str) -> None:
         """Set the fingerprint of the inputs of a clip whose result is unchanged."""
-        row = self.newer.get(name) or self.compiled_row(name)
+        import pyarrow.compute as pc
+
+        row = self.newer.get(name)
+        if row is None and (index := pc.index(self.table["clip"], name).as_py()) >= 0:
+            row = self.table.slice(index, 1).to_pylist()[0]
         if row is not None:
             self.add({**row, "inputs": inputs}, is_in_journal=False)
 
     def collect_journal(self) -> int:
         """Add the rows that workers have published and the driver does not know, because it was interrupted.
 
-        Returns:
-            Number of clips among them that are done.
-
-        Raises:
-            StorageError: the storage cannot be read.
+        The result is the number of clips among them that are done.
         """
         names = [name for name in _journal_names(self._out) if name not in self._in_journal]
         rows = _journal_rows(self._out, names).values()
@@ -221,14 +224,7 @@ class ClipTable:
             self.compile()
 
     def compile(self, *, is_sorted: bool = False) -> None:
-        """Write clips.parquet, then remove the rows in it from the journal.
-
-        Args:
-            is_sorted: as in `write_clips`.
-
-        Raises:
-            StorageError: it cannot be written.
-        """
+        """Write clips.parquet, then remove the rows in it from the journal; raises as `write_clips`."""
         from pyarrow import default_memory_pool
 
         start_s = time.monotonic()
@@ -252,13 +248,6 @@ class ClipTable:
         with suppress(StorageError):  # a row that stays in the journal is compiled again by the next run
             _journal_location(self._out, name).remove()
 
-    def compiled_row(self, name: str) -> Row | None:
-        """The compiled row of a clip; None without one."""
-        import pyarrow.compute as pc
-
-        index = pc.index(self.table["clip"], name).as_py()
-        return None if index < 0 else dict(self.table.slice(index, 1).to_pylist()[0])
-
     def failed(self, names: Collection[str]) -> list[tuple[str, str]]:
         """Names and errors of the failed clips among `names`."""
         import pyarrow.compute as pc
@@ -273,12 +262,7 @@ class ClipTable:
 
 
 def write_clips(out: Location, table: pa.Table, *, is_sorted: bool = False) -> None:
-    """Write clips.parquet.
-
-    Args:
-        out: folder of the results.
-        table: the rows.
-        is_sorted: whether they are written in the order of the clips.
+    """Write clips.parquet, in the order of the clips if `is_sorted`.
 
     Raises:
         StorageError: it cannot be written.
@@ -293,7 +277,7 @@ def write_clips(out: Location, table: pa.Table, *, is_sorted: bool = False) -> N
         for start in range(0, max(1, table.num_rows), _ROWS_PER_GROUP):  # a sorted table would be a second one
             group = slice(start, start + _ROWS_PER_GROUP)
             writer.write_table(table[group] if order is None else table.take(order[group]))
-    publish_bytes(out, out.child(CLIPS_FILE), stream.getvalue().to_pybytes())
+    publish(out, out.child(CLIPS_FILE), stream.getvalue().to_pybytes())
 
 
 def _compiled(out: Location) -> pa.Table:
@@ -326,11 +310,10 @@ def _journal_location(out: Location, name: str) -> Location:
 
 def _journal_names(out: Location) -> list[str]:
     """Names of the clips in the journal."""
-    folder = out.child(JOURNAL)
     try:
-        names = [entry.name for entry in folder.list()] if folder.exists() else []
+        names = [entry.name for entry in out.child(JOURNAL).list()]
     except StorageError as error:
-        if error.kind != "missing":  # the last object was removed meanwhile
+        if error.kind != "missing":
             raise
         names = []
     # hidden files are those of a write that was killed
@@ -349,8 +332,8 @@ def _row_in(location: Location) -> Row | None:
         row: Any = parse_json(location.read_bytes().decode(), location, FleetError, "a record")
     except (FleetError, UnicodeDecodeError):
         return None
-    except StorageError:
-        if location.exists():
+    except StorageError as error:
+        if error.kind != "missing":
             raise
         return None
     is_row = isinstance(row, dict) and isinstance(row.get("clip"), str) and row.get("status") in ("done", "failed")

@@ -11,27 +11,18 @@ from track_range.fleet.storage.location import Location
 
 
 class FileNames:
-    """Names of the files of a clip.
+    """Names of the left and right video of a clip ("" = one camera); anonymized ones are without folders.
 
-    Args:
-        clip: the clip, as it was listed.
-        is_anonymized: whether the names are without folders, which may contain the name of a person.
+    Folders may contain the name of a person.
     """
 
     def __init__(self, clip: Clip, *, is_anonymized: bool) -> None:
-        self._clip, self._is_anonymized = clip, is_anonymized
+        self._is_anonymized = is_anonymized
+        left, right = Location.of(clip.left), None if clip.right is None else Location.of(clip.right)
+        self.left = left.name if is_anonymized else str(left)
+        self.right = "" if right is None else right.name if is_anonymized else str(right)
         folders = {text for address in clip.named_files().values() for text in _folders(Location.of(address))}
         self._folders = sorted(folders, key=len, reverse=True) if is_anonymized else []
-
-    @property
-    def left(self) -> str:
-        """Name of the left or only video."""
-        return self._name(self._clip.left)
-
-    @property
-    def right(self) -> str:
-        """Name of the right video; "" = one camera."""
-        return "" if self._clip.right is None else self._name(self._clip.right)
 
     def text(self, text: str) -> str:
         """A message about the clip with these names."""
@@ -40,10 +31,6 @@ class FileNames:
         for folder in self._folders:
             text = text.replace(folder, "")
         return text.replace(str(Path.home()), "~")
-
-    def _name(self, address: str) -> str:
-        location = Location.of(address)
-        return location.name if self._is_anonymized else str(location)
 
 
 def _folders(location: Location) -> Iterable[str]:

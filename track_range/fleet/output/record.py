@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -15,42 +16,34 @@ Row = dict[str, Any]
 SCHEMA_VERSION = 1
 """Version of clips.parquet; increased when a column changes its meaning or is removed."""
 
-_TEXT, _INTEGER, _NUMBER = "text", "integer", "number"
+ERROR_FIGURES = ("median_relative_error_pct", "mean_relative_error_pct", "bias_pct", "within_1_sigma", "within_2_sigma")
+"""Figures of a method where there is ground truth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClipRecord:
-    """Result of a clip; the fields up to `node` are the first columns of clips.parquet, in this order.
+    """Result of a clip; the fields up to `finished_utc` are the first columns of clips.parquet, in this order.
 
     Attributes:
         clip: name, the text that `{clip}` matched.
         status: "done" or "failed".
-        error: reason of the failure, one sentence; "" = none.
-        error_kind: "", "input", "crash", "memory", "timeout", "fetch" or "internal".
-        attempts: number of attempts.
-        left: path or address of the left or only video.
-        right: that of the right video; "" = one camera.
+        error, error_kind: reason of the failure, one sentence; "input", "crash", "memory", "timeout", "fetch" or
+            "internal"; "" = none.
+        left, right: path or address of the videos; "" = one camera.
         inputs: files of the clip with size and time of change, and its settings, as JSON.
         content_hash: hash of the content of the files and of the clip's settings; "" = not read.
         settings_hash: hash of the settings that all clips have in common.
-        version: version of track-range.
-        frames: number of frames.
-        rows: number of rows in tracks.parquet.
-        tracks: number of tracks.
         events: number of events; None = a result of an earlier version, without a file of events.
         seconds: duration of the processed video, s.
-        wall_s: time for the clip in the worker, s.
-        overhead_s: part of `wall_s` that is not the run: fetching, hashing, publishing.
-        calibration: kind of calibration.
-        alignment_px: vertical offset or disparity error of the pair, px; None = not estimated.
-        start_utc: UTC of the first frame, ISO 8601; "" = unknown.
+        wall_s: time for the clip in the worker, s; `overhead_s` is the part that is not the run: fetching, hashing,
+            publishing.
+        start_utc, finished_utc: UTC of the first frame ("" = unknown), and of the end of the attempt, ISO 8601.
         warnings: notes of the run.
-        node: name of the machine.
-        peak_memory_mb: largest resident memory of the worker during the clip, MB.
-        finished_utc: end of the attempt, ISO 8601.
+        peak_memory_mb: largest resident memory of the worker's process until the end of the clip, MB.
         stages_ms: time of each stage, ms per frame; columns `STAGE_ms`.
         coverage: fraction of boxes with a distance by method; columns `METHOD_coverage`.
         errors: figures by method where there is ground truth; columns `METHOD_FIGURE`.
+        alignment: of a pair, px; columns `alignment_FIGURE`.
         labels: other placeholders of the pattern or columns of the manifest; columns of these names.
     """
 
@@ -100,11 +93,14 @@ class ClipRecord:
 
 _GROUPS = ("stages_ms", "coverage", "errors", "alignment", "labels")
 _FIXED: Mapping[str, str] = {
-    column.name: _INTEGER if "int" in str(column.type) else _NUMBER if "float" in str(column.type) else _TEXT
-    for column in fields(ClipRecord)
-    if column.name not in _GROUPS
+    column.name: str(column.type) for column in fields(ClipRecord) if column.name not in _GROUPS
 }
-"""Kind of the columns that every clips.parquet has."""
+"""Annotations of the columns that every clips.parquet has."""
+
+
+def utc_now() -> str:
+    """This moment in ISO 8601, to the second."""
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def records_table(rows: Iterable[Mapping[str, Any]]) -> pa.Table:
@@ -114,13 +110,32 @@ def records_table(rows: Iterable[Mapping[str, Any]]) -> pa.Table:
     rows = list(rows)
     others = sorted({name for row in rows for name in row} - set(_FIXED))
     types = {name: _arrow_type(name, rows) for name in (*_FIXED, *others)}
-    arrays = [pa.array([_converted(row.get(name), kind) for row in rows], kind) for name, kind in types.items()]
+    texts = {name for name, kind in types.items() if pa.types.is_string(kind)}
+    plain = [
+        {name: str(value) if name in texts and value is not None else value for name, value in row.items()}
+        for row in rows
+    ]
     metadata = {"track_range.fleet_schema_version": str(SCHEMA_VERSION)}
-    return pa.Table.from_arrays(arrays, schema=pa.schema(list(types.items()), metadata=metadata))
+    return pa.Table.from_pylist(plain, schema=pa.schema(list(types.items()), metadata=metadata))
+
+
+def _arrow_type(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.DataType:
+    import pyarrow as pa
+
+    annotation = _FIXED.get(name, "")
+    if annotation.startswith("Sequence"):
+        return pa.list_(pa.string())
+    if annotation:
+        return pa.int64() if "int" in annotation else pa.float64() if "float" in annotation else pa.string()
+    values = [row[name] for row in rows if row.get(name) is not None]
+    return pa.float64() if values and all(isinstance(value, int | float) for value in values) else pa.string()
 
 
 def merged_table(base: pa.Table, rows: Mapping[str, Mapping[str, Any]]) -> pa.Table:
-    """The table with rows added, or replaced by name of the clip; parts that stay are not copied."""
+    """The table with rows added, or replaced by name of the clip; parts that stay are not copied.
+
+    Columns whose types differ become text.
+    """
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -128,40 +143,12 @@ def merged_table(base: pa.Table, rows: Mapping[str, Mapping[str, Any]]) -> pa.Ta
     is_replaced = pc.is_in(base["clip"], value_set=pa.array(list(rows), pa.string()))
     if pc.any(is_replaced).as_py():
         base = base.filter(pc.invert(is_replaced))
-    base, added = _with_equal_types(base, added)
-    table = pa.concat_tables([base, added], promote_options="default")
-    others = sorted(set(table.column_names) - set(_FIXED))
-    return table.select([*_FIXED, *others]).replace_schema_metadata(added.schema.metadata)
-
-
-def _with_equal_types(base: pa.Table, added: pa.Table) -> tuple[pa.Table, pa.Table]:
-    """Both tables with text for the columns whose types differ."""
-    import pyarrow as pa
-
     for name in set(base.column_names) & set(added.column_names):
         if base.schema.field(name).type != added.schema.field(name).type:
             base, added = (
                 table.set_column(table.column_names.index(name), name, table[name].cast(pa.string()))
                 for table in (base, added)
             )
-    return base, added
-
-
-def _arrow_type(name: str, rows: Sequence[Mapping[str, Any]]) -> Any:
-    import pyarrow as pa
-
-    if name == "warnings":
-        return pa.list_(pa.string())
-    if name in _FIXED:
-        return {_TEXT: pa.string(), _INTEGER: pa.int64(), _NUMBER: pa.float64()}[_FIXED[name]]
-    values = [row[name] for row in rows if row.get(name) is not None]
-    is_number = bool(values) and all(isinstance(value, int | float) for value in values)
-    return pa.float64() if is_number else pa.string()
-
-
-def _converted(value: Any, kind: Any) -> Any:
-    import pyarrow as pa
-
-    if value is None or not pa.types.is_string(kind) or isinstance(value, str):
-        return value
-    return str(value)
+    table = pa.concat_tables([base, added], promote_options="default")
+    others = sorted(set(table.column_names) - set(_FIXED))
+    return table.select([*_FIXED, *others]).replace_schema_metadata(added.schema.metadata)

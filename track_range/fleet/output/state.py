@@ -1,4 +1,4 @@
-"""fleet.json: state of the run of a fleet, rewritten every few seconds."""
+"""fleet.json: state of the run of a fleet, rewritten every few seconds; status of a fleet as text."""
 
 from __future__ import annotations
 
@@ -6,16 +6,18 @@ import json
 import os
 import socket
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from pydantic import TypeAdapter
 
 from track_range.fleet.errors import FleetError
-from track_range.fleet.output.publishing import publish_bytes
+from track_range.fleet.output.data_set import publish, read_clips
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.folder_lock import FolderLock
+from track_range.foundation.files.input_files import counted, shortened
 from track_range.foundation.files.structured_text import parse_json
 from track_range.foundation.processes import is_running
 
@@ -26,6 +28,9 @@ HEARTBEAT_S = 5.0
 
 STALE_S = 60.0
 """Age of a state above which its run has ended without saying so, s."""
+
+_MAX_FAILED = 10
+"""Largest number of failed clips that are named."""
 
 _STALE_HERE_S = 600.0
 """The same on this machine, s: a missing process shows it earlier, but its number may be that of another one since."""
@@ -38,16 +43,10 @@ class FleetState:
     """State of the run of a fleet.
 
     Attributes:
-        state: "running", "finished", "stopped" by the user, or "failed" for a reason that is not a clip.
-        reason: why it failed.
-        host: machine of the driver.
-        pid: process of the driver.
-        started_s: start, Unix time.
-        heartbeat_s: time of this state, Unix time.
-        total: number of clips.
-        skipped: clips that were complete at the start.
-        done: clips that were completed in this run.
-        failed: clips that failed in this run, or before and are not repeated.
+        state: "running", "finished", "stopped" by the user, or "failed" for a `reason` that is not a clip.
+        started_s, heartbeat_s: start, and time of this state, Unix time; `host` and `pid` are those of the driver.
+        total, skipped, done, failed: clips: all; complete at the start; completed in this run; failed in this run, or
+            before and not repeated.
         video_s: duration of the clips completed in this run, s.
         settings_hash: hash of the settings that all clips have in common.
         options: options of the run.
@@ -70,13 +69,9 @@ class FleetState:
     workers: Sequence[Mapping[str, Any]] = ()
 
     def write(self, out: Location) -> None:
-        """Write fleet.json.
-
-        Raises:
-            StorageError: it cannot be written.
-        """
+        """Write fleet.json; raises as `publish`."""
         text = json.dumps({"track_range_fleet": 1, **asdict(self)}, indent=1, ensure_ascii=False, allow_nan=False)
-        publish_bytes(out, out.child(STATE_FILE), text.encode())
+        publish(out, out.child(STATE_FILE), text.encode())
 
     @property
     def worker_pids(self) -> tuple[int, ...]:
@@ -95,24 +90,20 @@ class FleetState:
 
 
 def read_state(out: Location) -> FleetState | None:
-    """The state in fleet.json; None without a readable one.
-
-    Raises:
-        StorageError: the storage cannot be read.
-    """
+    """The state in fleet.json; None without a readable one."""
     location = out.child(STATE_FILE)
     if not location.exists():
         return None
     try:
         content: Any = parse_json(location.read_bytes().decode(), location, FleetError, "the state of a fleet")
-        if not isinstance(content, dict) or content.pop("track_range_fleet", None) != 1:
-            return None
-        return TypeAdapter(FleetState).validate_python(content)
-    except (FleetError, UnicodeDecodeError, TypeError, ValueError):
+        is_state = isinstance(content, dict) and content.pop("track_range_fleet", None) == 1
+        return TypeAdapter(FleetState).validate_python(content) if is_state else None
+    except (FleetError, ValueError, TypeError):
         return None
 
 
-class OutputLock:
+@contextmanager
+def locked_output(out: Location) -> Iterator[None]:
     """Lock of the output of a fleet: one driver at a time.
 
     A local folder is locked by the operating system, an object store by the heartbeat in fleet.json.
@@ -121,27 +112,78 @@ class OutputLock:
         FolderLockError, FleetError: another driver is at work.
         StorageError: the storage cannot be read or written.
     """
-
-    def __init__(self, out: Location) -> None:
-        self._lock: FolderLock | None = None
-        if out.is_local:
-            local = out.path
-            try:
-                local.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise FleetError(
-                    f"{local}: the folder cannot be created ({error.strerror}); choose another --out."
-                ) from error
-            self._lock = FolderLock(local)
-            return
+    if not out.is_local:
         state = read_state(out)
         if state is not None and state.is_alive and (state.host, state.pid) != (socket.gethostname(), os.getpid()):
             raise FleetError(
                 f"{out}: another fleet run (process {state.pid} on {state.host}) is writing here; wait for its end, or "
                 "choose another --out."
             )
+        yield
+        return
+    try:
+        out.path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FleetError(
+            f"{out.path}: the folder cannot be created ({error.strerror}); choose another --out."
+        ) from error
+    lock = FolderLock(out.path)
+    try:
+        yield
+    finally:
+        lock.release()
 
-    def release(self) -> None:
-        """Release the lock."""
-        if self._lock is not None:
-            self._lock.release()
+
+def status_lines(out: Location) -> Iterator[str]:
+    """Lines of text about the fleet in a folder or an object store.
+
+    Raises:
+        FleetError: there is no fleet, or clips.parquet is damaged.
+        StorageError: the storage cannot be read.
+    """
+    state, table = read_state(out), read_clips(out)
+    if state is None and not table.num_rows:
+        raise FleetError(f"{out}: expected the results of `track-range fleet run`, found neither fleet.json nor clips.")
+    rows = table.select(["clip", "status", "error", "seconds"]).to_pylist()
+    failed = [(row["clip"], row["error"] or "") for row in rows if row["status"] == "failed"]
+    n_done = sum(row["status"] == "done" for row in rows)
+    video_h = sum(row["seconds"] or 0.0 for row in rows) / 3600
+    total = max(state.total if state is not None else 0, n_done + len(failed))
+    yield state_text(state)
+    yield f"{n_done} of {counted(total, 'clip')} done, {video_h:.2f} h of video"
+    if state is not None and state.is_alive:
+        elapsed_s = state.heartbeat_s - state.started_s
+        if state.done and elapsed_s > 0:
+            per_hour = 3600 * state.done / elapsed_s
+            left_s = 3600 * (total - n_done - len(failed)) / per_hour
+            yield f"{per_hour:.0f} clips/h, {duration_text(left_s)} left"
+        for worker in state.workers:
+            clip = f" {shortened(str(worker['clip']))}, {worker['frames']} frames" if worker["clip"] else ""
+            yield f"  worker {worker['number']} on {shortened(str(worker['host']))}: {worker['phase']}{clip}"
+    if failed:
+        yield f"{len(failed)} failed:"
+        yield from (f"  {shortened(name)}: {error}" for name, error in failed[:_MAX_FAILED])
+    if len(failed) > _MAX_FAILED:
+        yield f"  and {len(failed) - _MAX_FAILED} more, see clips.parquet"
+
+
+def state_text(state: FleetState | None) -> str:
+    """Sentence on the last run."""
+    if state is None:
+        return "fleet.json is missing or damaged; the state of the last run is unknown."
+    driver = f"process {state.pid} on {shortened(state.host)}"
+    if state.is_alive:
+        return f"running ({driver}), for {duration_text(time.time() - state.started_s)}"
+    age = duration_text(time.time() - state.heartbeat_s)
+    if state.state == "running":
+        return f"ended without notice ({driver}, {age} ago); the same command continues"
+    reason = f": {state.reason}" if state.reason and state.state == "failed" else ""
+    return f"{state.state} {age} ago{reason}"
+
+
+def duration_text(seconds: float) -> str:
+    """A duration as "45 s", "12 min" or "3 h 20 min"."""
+    if seconds < 90:
+        return f"{max(seconds, 0):.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"

@@ -5,24 +5,17 @@ from __future__ import annotations
 import re
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from typing import Any
+from datetime import datetime
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from track_range.fleet.report.clip_columns import ClipColumns
-from track_range.foundation.arrays import FloatArray
+from track_range.fleet.output.record import ERROR_FIGURES
+from track_range.fleet.report.track_figures import Figures
+from track_range.foundation.arrays import BoolArray, FloatArray
 
-Figures = dict[str, Any]
-"""Figures by name, as in the JSON file; None = unknown."""
-
-ERROR_FIGURES = (
-    "median_relative_error_pct",
-    "mean_relative_error_pct",
-    "bias_pct",
-    "within_1_sigma",
-    "within_2_sigma",
-)
-"""Figures of a method where there is ground truth."""
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 ALIGNMENT_FIGURES = ("row_offset_px", "offset_px")
 """Figures of the alignment that show a drift: vertical offset, and constant error of the disparities."""
@@ -43,6 +36,71 @@ _MAX_ROWS = 20
 """Largest number of reasons, notes, nodes and clips in a table."""
 
 _S_PER_H, _S_PER_DAY = 3600.0, 86400.0
+
+
+class ClipColumns:
+    """Rows of clips.parquet by column; a column that is missing or has another type than expected is empty."""
+
+    def __init__(self, table: pa.Table) -> None:
+        self._table = table
+        self.names: list[str] = table.column_names
+
+    def __len__(self) -> int:
+        return int(self._table.num_rows)
+
+    def where(self, rows: BoolArray) -> ClipColumns:
+        """The rows of a mask (N,)."""
+        import pyarrow as pa
+
+        return ClipColumns(self._table.filter(pa.array(rows)))
+
+    def with_status(self, status: str) -> ClipColumns:
+        """The clips that are "done" or "failed"."""
+        return self.where(np.array(self.texts("status"), np.str_) == status)
+
+    def _has(self, name: str, *types: str) -> bool:
+        """Whether there is a column of one of these kinds of types."""
+        import pyarrow as pa
+
+        return name in self.names and any(
+            getattr(pa.types, f"is_{kind}")(self._table.schema.field(name).type) for kind in types
+        )
+
+    def texts(self, name: str) -> list[str]:
+        """Column as text; "" = null."""
+        if name not in self.names or self._has(name, "nested"):
+            return [""] * len(self)
+        return ["" if value is None else str(value) for value in self._table[name].to_pylist()]
+
+    def numbers(self, name: str) -> FloatArray:
+        """Column (N,) as numbers; NaN = null, or not a column of numbers."""
+        if not self._has(name, "floating", "integer"):
+            return np.full(len(self), np.nan)
+        values: FloatArray = self._table[name].cast("float64").to_numpy()
+        return values
+
+    def lists(self, name: str) -> list[list[str]]:
+        """Column of lists of texts."""
+        lists = self._table[name].to_pylist() if self._has(name, "list") else [None] * len(self)
+        return [[str(text) for text in texts or ()] for texts in lists]
+
+    def utc_s(self, name: str) -> FloatArray:
+        """Column of times (N,) in ISO 8601 as Unix time; NaN = unknown."""
+        return np.array([_unix_time(text) for text in self.texts(name)], np.float64)
+
+    def prefixes(self, suffix: str) -> list[str]:
+        """The columns of numbers with a suffix, without it, if they have a value."""
+        names = [name.removesuffix(suffix) for name in self.names if name.endswith(suffix) and name != suffix]
+        return [name for name in names if np.isfinite(self.numbers(f"{name}{suffix}")).any()]
+
+
+def _unix_time(text: str) -> float:
+    """Unix time of a time in ISO 8601; NaN = not a time, or without a time zone."""
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        return float("nan")
+    return moment.timestamp() if moment.tzinfo is not None else float("nan")
 
 
 def video_s_by_hour(done: ClipColumns) -> dict[int | None, float]:

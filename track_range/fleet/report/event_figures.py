@@ -5,44 +5,32 @@ from __future__ import annotations
 import heapq
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
-from track_range.fleet.report.clip_figures import Figures
-from track_range.fleet.report.track_figures import N_RANKED
+from track_range.fleet.report.track_figures import N_RANKED, Figures
 from track_range.results.events.event import CLIPS_FOLDER, EVENT_KINDS, Event, clip_name, severity_key
 from track_range.results.events.files import rounded_values
 
 
-@dataclass(frozen=True, slots=True)
-class ClipEvent:
-    """An event of a clip.
-
-    Attributes:
-        clip: name of the clip.
-        number: number of the event's row in its file, from 1.
-        event: the event.
-    """
+class ClipEvent(NamedTuple):
+    """An event of a clip; `number` is that of its row in its file, from 1."""
 
     clip: str
     number: int
     event: Event
 
-    @property
-    def video(self) -> str:
-        """Name of its video among the files of the clip, if it was written."""
-        return f"{CLIPS_FOLDER}/{clip_name(self.number, self.event.kind, self.event.track_id)}"
+    def row(self, start_utc_s: float) -> Figures:
+        """Clip, number, the columns of events.csv, and Unix time of the peak (of the start: `start_utc_s`)."""
+        utc_s = start_utc_s + self.event.peak_s
+        values = {"clip": self.clip, "number": self.number, **rounded_values(self.event)}
+        return {**values, "utc_s": utc_s if math.isfinite(utc_s) else None}
 
 
 @dataclass(slots=True)
 class EventFigures:
-    """Figures of the events of one or more clips.
-
-    Attributes:
-        n_by_kind: number of events by kind.
-        n_warnings: number of events with a collision warning.
-        worst: the most severe events.
-    """
+    """Events of one or more clips by kind, those with a collision warning, and the most severe ones."""
 
     n_by_kind: Counter[str] = field(default_factory=Counter)
     n_warnings: int = 0
@@ -65,27 +53,14 @@ class EventFigures:
 
     def by_kind(self, hours: float) -> list[Figures]:
         """Number of events, and per hour of video, of the kinds that occur."""
-        return [
-            {"kind": kind, "events": self.n_by_kind[kind], "per_hour": self.n_by_kind[kind] / hours if hours else None}
-            for kind in EVENT_KINDS
-            if self.n_by_kind[kind]
-        ]
+        counts = {kind: self.n_by_kind[kind] for kind in EVENT_KINDS if self.n_by_kind[kind]}
+        return [{"kind": kind, "events": n, "per_hour": n / hours if hours else None} for kind, n in counts.items()]
 
 
 def _worst(events: Iterable[ClipEvent]) -> list[ClipEvent]:
     return heapq.nsmallest(N_RANKED, events, key=lambda item: (severity_key(item.event), item.clip, item.number))
 
 
-def ranked_rows(events: Iterable[ClipEvent], starts_utc_s: dict[str, float]) -> list[Figures]:
-    """Rows of ranked events: clip, number, the columns of events.csv, utc_s of the peak (None = unknown).
-
-    Args:
-        events: the events.
-        starts_utc_s: Unix time of the start of each clip's video; NaN = unknown.
-    """
-    rows = []
-    for item in events:
-        utc_s = starts_utc_s.get(item.clip, math.nan) + item.event.peak_s
-        known = utc_s if math.isfinite(utc_s) else None
-        rows.append({"clip": item.clip, "number": item.number, **rounded_values(item.event), "utc_s": known})
-    return rows
+def event_video(row: Mapping[str, Any]) -> str:
+    """Name of the video of an event in a row of figures among the files of its clip, if it was written."""
+    return f"{CLIPS_FOLDER}/{clip_name(row['number'], row['kind'], row['track_id'])}"

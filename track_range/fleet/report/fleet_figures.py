@@ -8,33 +8,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import islice
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import (
     CLIPS_FILE,
-    RUNS,
     events_location,
-    partition,
     read_clips,
     read_journal,
+    runs_location,
     tracks_location,
 )
-from track_range.fleet.output.state import FleetState, read_state
-from track_range.fleet.output.status import state_text
+from track_range.fleet.output.state import FleetState, read_state, state_text
 from track_range.fleet.report import clip_figures
-from track_range.fleet.report.clip_columns import ClipColumns
-from track_range.fleet.report.clip_figures import Figures
-from track_range.fleet.report.event_figures import EventFigures, ranked_rows
-from track_range.fleet.report.track_figures import (
-    EDGES_M,
-    TrackFigures,
-    needed_columns,
-    track_figures,
-)
+from track_range.fleet.report.clip_figures import ClipColumns
+from track_range.fleet.report.event_figures import EventFigures, event_video
+from track_range.fleet.report.track_figures import EDGES_M, Figures, TrackFigures, needed_columns, track_figures
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.input_files import shortened
@@ -44,8 +36,6 @@ from track_range.results.events.files import EventFileError, events_in_parquet
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-_Item = TypeVar("_Item")
 
 _N_READERS = 8
 """Files that are read at a time; each clip takes memory for its rows meanwhile."""
@@ -92,43 +82,50 @@ def fleet_figures(
     if state is None and not len(clips):
         content = f"only a damaged {CLIPS_FILE}" if problems else "neither fleet.json nor clips"
         raise FleetError(f"{out}: expected the results of `track-range fleet run`, found {content}.")
-    done = clips.done
+    done, failed = clips.with_status("done"), clips.with_status("failed")
     tracks, events = _rows(out, done, problems, progress)
     starts_utc_s = dict(zip(done.texts("clip"), done.utc_s("start_utc").tolist(), strict=True))
     column = clip_figures.group_column(clips, group)
     if group is not None and column is None:
         problems.append(f"clips.parquet: expected a column {shortened(group)} for --by; all clips are one group.")
+    work = clip_figures.work_figures(done)
+    total = max(state.total if state is not None else 0, len(done) + len(failed))
     figures = {
         "out": str(out),
         "written_utc": datetime.now(UTC).strftime("%Y-%m-%d %H:%M"),
         "state": state_text(state),
         "problems": problems,
-        "clips": _clip_counts(clips, done, state),
-        **clip_figures.work_figures(done),
+        "clips": {
+            "total": total,
+            "done": len(done),
+            "failed": len(failed),
+            "left": total - len(done) - len(failed),
+        },
+        **work,
         "clips_per_hour": _clips_per_hour(state),
         "tracks": sum(tracks.n_tracks.values()),
         "rows": tracks.n_rows,
-        "classes": _classes(tracks, done),
+        "classes": _classes(tracks, work["video_h"]),
         "hours": _hours(tracks, done),
         "coverage": _coverage(tracks),
-        "event_kinds": events.by_kind(clip_figures.work_figures(done)["video_h"]),
+        "event_kinds": events.by_kind(work["video_h"]),
         "warnings": events.n_warnings,
-        "events": ranked_rows(events.worst, starts_utc_s),
-        "closest": [asdict(item) for item in tracks.closest],
-        "collisions": [asdict(item) for item in tracks.collisions],
+        "events": [item.row(starts_utc_s.get(item.clip, math.nan)) for item in events.worst],
+        "closest": tracks.closest,
+        "collisions": tracks.collisions,
         "errors": clip_figures.error_figures(done),
         "drift_by": column,
         "drift": clip_figures.drift_figures(done, column),
-        "failures": clip_figures.failure_figures(clips.failed),
+        "failures": clip_figures.failure_figures(failed),
         "notes": clip_figures.note_figures(done),
         "stages_ms": clip_figures.stage_figures(done),
         "nodes": clip_figures.node_figures(done),
     }
-    ranked = [*(item.clip for item in (*tracks.closest, *tracks.collisions)), *(item.clip for item in events.worst)]
-    files = {name: list(LINKED_FILES) for name in ranked}
-    for item in events.worst:
-        files[item.clip].append(item.video)
-    return FleetFigures(figures, _published(out, files), _starts_s(done, set(files), state))
+    files = {row["clip"]: [*LINKED_FILES] for row in (*tracks.closest, *tracks.collisions, *figures["events"])}
+    for row in figures["events"]:
+        files[row["clip"]].append(event_video(row))
+    published = {name: tuple(_existing(runs_location(out, name), names)) for name, names in sorted(files.items())}
+    return FleetFigures(figures, published, _starts_s(done, set(files), state))
 
 
 def _clips(out: Location, problems: list[str]) -> pa.Table:
@@ -144,84 +141,59 @@ def _rows(
     out: Location, done: ClipColumns, problems: list[str], progress: Callable[[int, int | None], None]
 ) -> tuple[TrackFigures, EventFigures]:
     """Figures of the rows and events of all complete clips; problems with their files are added to `problems`."""
-    tracks, events, n_problems = TrackFigures(), EventFigures(), 0
-    clips = list(zip(done.texts("clip"), done.numbers("events").tolist(), strict=True))
+    tracks, events, faults = TrackFigures(), EventFigures(), list[str]()
+    clips = zip(done.texts("clip"), done.numbers("events").tolist(), strict=True)
     with ThreadPoolExecutor(_N_READERS) as threads:
-        for i, (of_tracks, of_events, more) in enumerate(_mapped(threads, lambda clip: _of_clip(out, *clip), clips)):
-            tracks.add(of_tracks)
-            events.add(of_events)
-            for problem in more:
-                n_problems += 1
-                if n_problems <= _MAX_PROBLEMS:
-                    problems.append(problem)
-            progress(i + 1, len(clips))
-    if n_problems > _MAX_PROBLEMS:
-        problems.append(f"{n_problems - _MAX_PROBLEMS} more files of tracks or events are missing or damaged.")
+        futures = [threads.submit(_read_clip, out, *clip) for clip in islice(clips, 4 * _N_READERS)]
+        for i in range(len(done)):
+            clip_tracks, clip_events, clip_faults = futures.pop(0).result()
+            futures += [threads.submit(_read_clip, out, *clip) for clip in islice(clips, 1)]
+            tracks.add(clip_tracks)
+            events.add(clip_events)
+            faults += clip_faults
+            progress(i + 1, len(done))
+    problems += faults[:_MAX_PROBLEMS]
+    if len(faults) > _MAX_PROBLEMS:
+        problems.append(f"{len(faults) - _MAX_PROBLEMS} more files of tracks or events are missing or damaged.")
     return tracks, events
 
 
-def _mapped(threads: ThreadPoolExecutor, function: Callable[[_Item], Any], items: list[_Item]) -> Iterator[Any]:
-    """Results of a function in the order of the items, a few of them in advance."""
-    remaining = iter(items)
-    futures = [threads.submit(function, item) for item in islice(remaining, 4 * _N_READERS)]
-    while futures:
-        result = futures.pop(0).result()
-        futures += [threads.submit(function, item) for item in islice(remaining, 1)]
-        yield result
-
-
-def _of_clip(out: Location, name: str, n_events: float) -> tuple[TrackFigures, EventFigures, list[str]]:
+def _read_clip(out: Location, name: str, n_events: float) -> tuple[TrackFigures, EventFigures, list[str]]:
     """Figures of the rows and events of a clip, and the problems with its files in one sentence each.
 
-    Args:
-        out: results of the fleet.
-        name: name of the clip.
-        n_events: number of its events; NaN = unknown, and without a file.
+    NaN = unknown number of events, and no file of them.
     """
-    tracks, problem = _tracks_of_clip(out, name)
-    events, other_problem = _events_of_clip(out, name) if n_events > 0 else (EventFigures(), "")
-    return tracks, events, [text for text in (problem, other_problem) if text]
-
-
-def _events_of_clip(out: Location, name: str) -> tuple[EventFigures, str]:
-    """Figures of the events of a clip, and the problem with its file in one sentence; "" = none."""
-    location = events_location(out, name)
-    try:
-        system, path = location.arrow()
-        with system.open_input_file(path) as stream:
-            return EventFigures.of(name, events_in_parquet(stream, location)), ""
-    except FileNotFoundError:
-        return EventFigures(), f"{location}: the file is missing; clips.parquet lists events of the clip."
-    except EventFileError as error:
-        return EventFigures(), str(error)
-    except OSError as error:
-        return EventFigures(), f"{location}: expected the events of a clip, found a damaged file ({_reason(error)})."
-
-
-def _tracks_of_clip(out: Location, name: str) -> tuple[TrackFigures, str]:
-    """Figures of the rows of a clip, and the problem with its file in one sentence; "" = none."""
     from pyarrow import ArrowException
     from pyarrow.parquet import ParquetFile
 
+    tracks, events, faults = TrackFigures(), EventFigures(), []
     location = tracks_location(out, name)
     try:
         system, path = location.arrow()
         with system.open_input_file(path) as stream, ParquetFile(stream) as file:
-            return track_figures(name, file.read(columns=needed_columns(file.schema_arrow.names))), ""
+            tracks = track_figures(name, file.read(columns=needed_columns(file.schema_arrow.names)))
     except FileNotFoundError:
-        return TrackFigures(), f"{location}: the file is missing; clips.parquet lists the clip as done."
+        faults.append(f"{location}: the file is missing; clips.parquet lists the clip as done.")
     except (ArrowException, OSError, ValueError, LookupError, MemoryError) as error:
-        return TrackFigures(), f"{location}: expected the rows of a clip, found a damaged file ({_reason(error)})."
+        faults.append(f"{location}: expected the rows of a clip, found a damaged file ({_reason(error)}).")
+    if not n_events > 0:
+        return tracks, events, faults
+    location = events_location(out, name)
+    try:
+        system, path = location.arrow()
+        with system.open_input_file(path) as stream:
+            events = EventFigures.of(name, events_in_parquet(stream, location))
+    except FileNotFoundError:
+        faults.append(f"{location}: the file is missing; clips.parquet lists events of the clip.")
+    except EventFileError as error:
+        faults.append(str(error))
+    except OSError as error:
+        faults.append(f"{location}: expected the events of a clip, found a damaged file ({_reason(error)}).")
+    return tracks, events, faults
 
 
 def _reason(error: Exception) -> str:
     return shortened(" ".join(str(error).split()), 100)
-
-
-def _clip_counts(clips: ClipColumns, done: ClipColumns, state: FleetState | None) -> Figures:
-    n_failed = len(clips.failed)
-    total = max(state.total if state is not None else 0, len(done) + n_failed)
-    return {"total": total, "done": len(done), "failed": n_failed, "left": total - len(done) - n_failed}
 
 
 def _clips_per_hour(state: FleetState | None) -> float | None:
@@ -231,9 +203,8 @@ def _clips_per_hour(state: FleetState | None) -> float | None:
     return 3600 * state.done / (state.heartbeat_s - state.started_s)
 
 
-def _classes(tracks: TrackFigures, done: ClipColumns) -> list[Figures]:
+def _classes(tracks: TrackFigures, hours: float) -> list[Figures]:
     """Tracks by class, most frequent first."""
-    hours = clip_figures.work_figures(done)["video_h"]
     return [
         {
             "class": name,
@@ -273,11 +244,6 @@ def _coverage(tracks: TrackFigures) -> list[Figures]:
         for method in methods
         for band in sorted(tracks.n_boxes)
     ]
-
-
-def _published(out: Location, files: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
-    """Those of the files of clips that exist."""
-    return {name: tuple(_existing(out.child(RUNS, partition(name)), names)) for name, names in sorted(files.items())}
 
 
 def _existing(folder: Location, names: Sequence[str]) -> Iterator[str]:

@@ -3,48 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
-from track_range.fleet.report.clip_figures import ALIGNMENT_FIGURES, ERROR_FIGURES, MAX_GROUPS, Figures
+from track_range.fleet.output.record import ERROR_FIGURES
+from track_range.fleet.report.clip_figures import ALIGNMENT_FIGURES, MAX_GROUPS
+from track_range.fleet.report.track_figures import Figures
 from track_range.views.report import tables
 from track_range.views.report.tables import NOTHING, SIGMA, Cell, Column, Grid, figure, grid_of
 
-_Row = Figures
-_Link = Callable[[_Row], str]
-
-
-def _no_link(_row: _Row) -> str:
-    return ""
+_Link = Callable[[Figures], str]
 
 
 @dataclass(frozen=True, slots=True)
 class Links:
-    """Addresses of the files of a ranked track; "" = none.
+    """Functions of a ranked row; "" = no address.
 
-    Attributes:
-        report: of the report of its clip.
-        overlay: of the overlay at its moment.
-        event: of the video of an event, or of the overlay at its moment.
+    They give the address of the report of its clip, of the overlay at its moment, and of the video of an event (without
+    one, of the overlay).
     """
 
-    report: _Link = _no_link
-    overlay: _Link = _no_link
-    event: _Link = _no_link
+    report: _Link = lambda _row: ""
+    overlay: _Link = lambda _row: ""
+    event: _Link = lambda _row: ""
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """Tables about one subject.
-
-    Attributes:
-        anchor: name of the section in addresses.
-        title: heading.
-        text: sentences above the tables.
-        grids: tables with at least one row.
-        absence: sentence without tables.
-    """
+    """Tables about one subject: sentences above them, and the sentence that replaces them if none has a row."""
 
     anchor: str
     title: str
@@ -56,12 +43,19 @@ class Section:
 def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section]:
     """All tables of a fleet, by subject."""
     links = links or Links()
+    per_hour, visible = ("per hour of video", "per_hour", "{:.1f}"), ("mean s visible", "mean_visible_s", "{:.1f}")
+    kinds = ("Events by kind", figures["event_kinds"], "kind", ("events", "events", "{:.0f}"), per_hour)
     sections = [
         Section(
             "road-users",
             "Road users",
             "Tracks by their most frequent class. Hours of the day are those of the first frame of a track, in UTC.",
-            (_class_grid(figures["classes"]), _hour_grid(figures["hours"])),
+            (
+                _grid(
+                    "Tracks by class", figures["classes"], "class", ("tracks", "tracks", "{:.0f}"), per_hour, visible
+                ),
+                _hour_grid(figures["hours"]),
+            ),
             "No clip has tracks.",
         ),
         Section(
@@ -76,7 +70,7 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
             "Events",
             "The most severe events of all clips: warnings first, then the largest probability of contact, the "
             "shortest time to collision, the smallest distance.",
-            (_event_kind_grid(figures["event_kinds"]), _event_grid(figures["events"], links)),
+            (_grid(*kinds), _event_grid(figures["events"], links)),
             "No clip has events.",
         ),
         Section(
@@ -114,7 +108,13 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
             "failures",
             "Failures",
             "Failed clips by reason; the option --retry-failed repeats them.",
-            (_failure_grid(figures["failures"]),),
+            (
+                _text_grid(
+                    "Failures by reason",
+                    ("kind", "clips", "reason", "names"),
+                    ((row["kind"], str(row["n"]), row["reason"], _names(row)) for row in figures["failures"]),
+                ),
+            ),
             "No clip failed.",
         ),
         Section(
@@ -128,46 +128,44 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
             "notes",
             "Notes of the runs",
             "The most frequent ones, with one of the clips.",
-            (_note_grid(figures["notes"]),),
+            (
+                _text_grid(
+                    "Notes",
+                    ("clip", "clips", "note"),
+                    ((row["clip"], str(row["n"]), row["note"]) for row in figures["notes"]),
+                ),
+            ),
             "The runs have no notes.",
         ),
     ]
     replaced = ("closest", "collisions") if figures["events"] else ()
     return [
-        Section(part.anchor, part.title, part.text, tuple(grid for grid in part.grids if grid.rows), part.absence)
-        for part in sections
-        if part.anchor not in replaced
+        replace(section, grids=tuple(grid for grid in section.grids if grid.rows))
+        for section in sections
+        if section.anchor not in replaced
     ]
 
 
-def _class_grid(rows: Sequence[_Row]) -> Grid:
-    columns = [
-        Column("tracks", _values(rows, "tracks"), "{:.0f}"),
-        Column("per hour of video", _values(rows, "per_hour")),
-        Column("mean s visible", _values(rows, "mean_visible_s")),
-    ]
-    return grid_of("Tracks by class", "class", _texts(rows, "class"), columns)
+_Column = tuple[str, str, str]
+"""Heading, key and format of a column."""
 
 
-def _hour_grid(rows: Sequence[_Row]) -> Grid:
-    classes = list(rows[0]["tracks"]) if rows else []
+def _grid(title: str, rows: Sequence[Figures], name: str, *columns: _Column) -> Grid:
+    """Table of the rows, whose names are the values of the key `name`."""
+    cells = [Column(heading, [figure(row, key) for row in rows], pattern) for heading, key, pattern in columns]
+    return grid_of(title, name, [str(row[name]) for row in rows], cells)
+
+
+def _hour_grid(rows: Sequence[Figures]) -> Grid:
     names = [NOTHING if row["hour_utc"] is None else f"{row['hour_utc']:02}:00" for row in rows]
-    columns = [Column("video h", _values(rows, "video_h"), "{:.2f}")]
-    for name in classes:
+    columns = [Column("video h", [figure(row, "video_h") for row in rows], "{:.2f}")]
+    for name in rows[0]["tracks"] if rows else ():
         per_hour = [row["tracks"][name] / row["video_h"] if row["video_h"] > 0 else None for row in rows]
         columns.append(Column(name, per_hour, "{:.0f}"))
     return grid_of("Tracks per hour of video, by hour of the day", "hour UTC", names, columns)
 
 
-def _event_kind_grid(rows: Sequence[_Row]) -> Grid:
-    columns = [
-        Column("events", _values(rows, "events"), "{:.0f}"),
-        Column("per hour of video", _values(rows, "per_hour")),
-    ]
-    return grid_of("Events by kind", "kind", _texts(rows, "kind"), columns)
-
-
-def _event_grid(rows: Sequence[_Row], links: Links) -> Grid:
+def _event_grid(rows: Sequence[Figures], links: Links) -> Grid:
     measures = (
         ("contact %", "probability", "{:.0%}"),
         ("TTC s", "min_ttc_s", "{:.1f}"),
@@ -175,25 +173,45 @@ def _event_grid(rows: Sequence[_Row], links: Links) -> Grid:
         (f"{SIGMA} m", "min_distance_sigma_m", "{:.2f}"),
         ("closing m/s", "closing_mps", "{:.1f}"),
     )
-    headings = ("clip", "event", "track", "class", *(heading for heading, _, _ in measures), "at s", "UTC")
+    keys = (("event", "kind"), ("track", "track_id"), ("class", "class"))
+    return _ranked_grid("Most severe events", rows, links.report, keys, measures, "peak_s", links.event)
+
+
+def _ranking(title: str, rows: Sequence[Figures], links: Links, *, is_collision: bool = False) -> Grid:
+    distance = (("distance m", "distance_m", "{:.1f}"), (f"{SIGMA} m", "sigma_m", "{:.2f}"), ("x m", "x_m", "{:+.1f}"))
+    ttc = (("TTC s", "ttc_s", "{:.1f}"), (f"{SIGMA} s", "ttc_sigma_s", "{:.1f}"))
+    keys = (("track", "track_id"), ("class", "road_class"))
+    measures = (*ttc, *distance) if is_collision else distance
+    return _ranked_grid(title, rows, links.report, keys, measures, "time_s", links.overlay)
+
+
+def _ranked_grid(
+    title: str,
+    rows: Sequence[Figures],
+    report: _Link,
+    keys: Sequence[tuple[str, str]],
+    measures: Sequence[_Column],
+    moment: str,
+    video: _Link,
+) -> Grid:
+    """Table of ranked rows: clip with a link, texts, measures, time in the video with a link, UTC."""
+    headings = ("clip", *(heading for heading, _ in keys), *(heading for heading, _, _ in measures), "at s", "UTC")
     cells = tuple(
         (
-            Cell(row["clip"], link=links.report(row)),
-            Cell(row["kind"]),
-            Cell(str(row["track_id"])),
-            Cell(row["class"]),
+            Cell(row["clip"], link=report(row)),
+            *(Cell(str(row[key])) for _, key in keys),
             *(Cell(_text(row[key], pattern)) for _, key, pattern in measures),
-            Cell(f"{row['peak_s']:.1f}", link=links.event(row)),
+            Cell(f"{row[moment]:.1f}", link=video(row)),
             Cell(utc_text(row["utc_s"])),
         )
         for row in rows
     )
-    return Grid("Most severe events", headings, cells)
+    return Grid(title, headings, cells)
 
 
-def _coverage_grid(rows: Sequence[_Row]) -> Grid:
+def _coverage_grid(rows: Sequence[Figures]) -> Grid:
     methods = [*dict.fromkeys(row["method"] for row in rows)]
-    by_band: dict[tuple[float, float | None], dict[str, _Row]] = {}
+    by_band: dict[tuple[float, float | None], dict[str, Figures]] = {}
     for row in rows:
         by_band.setdefault((row["from_m"], row["to_m"]), {})[row["method"]] = row
     bands = sorted(by_band, key=lambda band: band[0])
@@ -206,33 +224,14 @@ def _coverage_grid(rows: Sequence[_Row]) -> Grid:
     return grid_of("Coverage by distance band", "distance", names, columns)
 
 
-def _ranking(title: str, rows: Sequence[_Row], links: Links, *, is_collision: bool = False) -> Grid:
-    measures = [("distance m", "distance_m", "{:.1f}"), (f"{SIGMA} m", "sigma_m", "{:.2f}"), ("x m", "x_m", "{:+.1f}")]
-    ttc = [("TTC s", "ttc_s", "{:.1f}"), (f"{SIGMA} s", "ttc_sigma_s", "{:.1f}")]
-    measures = [*ttc, *measures] if is_collision else measures
-    headings = ("clip", "track", "class", *(heading for heading, _, _ in measures), "at s", "UTC")
-    cells = tuple(
-        (
-            Cell(row["clip"], link=links.report(row)),
-            Cell(str(row["track_id"])),
-            Cell(row["road_class"]),
-            *(Cell(_text(row[key], pattern)) for _, key, pattern in measures),
-            Cell(f"{row['time_s']:.1f}", link=links.overlay(row)),
-            Cell(utc_text(row["utc_s"])),
-        )
-        for row in rows
-    )
-    return Grid(title, headings, cells)
-
-
-def _error_grid(rows: Sequence[_Row]) -> Grid:
+def _error_grid(rows: Sequence[Figures]) -> Grid:
     patterns = {key: (heading, pattern, scale, cost) for heading, key, pattern, scale, cost in tables.METHOD_COLUMNS}
-    columns = [Column("clips", _values(rows, "clips"), "{:.0f}")]
+    columns = [Column("clips", [figure(row, "clips") for row in rows], "{:.0f}")]
     for key in ("coverage", *ERROR_FIGURES):
         heading, pattern, scale, cost = patterns[key]
-        columns.append(Column(heading, _values(rows, key), pattern, scale, cost))
-    columns.append(Column("worst clip %", _values(rows, "worst_pct")))
-    grid = grid_of("Distance error, median over the clips", "method", _texts(rows, "method"), columns)
+        columns.append(Column(heading, [figure(row, key) for row in rows], pattern, scale, cost))
+    columns.append(Column("worst clip %", [figure(row, "worst_pct") for row in rows]))
+    grid = grid_of("Distance error, median over the clips", "method", [row["method"] for row in rows], columns)
     worst = (Cell(row["worst_clip"]) for row in rows)
     with_clip = tuple((*cells, cell) for cells, cell in zip(grid.rows, worst, strict=True))
     return Grid(grid.title, (*grid.columns, "worst clip"), with_clip)
@@ -242,7 +241,7 @@ DRIFT_TITLES = dict(zip(ALIGNMENT_FIGURES, ("Vertical offset", "Constant error o
 """Titles of the tables of the calibration drift."""
 
 
-def _drift_grid(rows: Sequence[_Row], name: str, group: str | None) -> Grid:
+def _drift_grid(rows: Sequence[Figures], name: str, group: str | None) -> Grid:
     headings = ("clips", "from", "to", "median px", "first px", "last px", "change px")
     cells = (
         (
@@ -257,27 +256,15 @@ def _drift_grid(rows: Sequence[_Row], name: str, group: str | None) -> Grid:
     return Grid(DRIFT_TITLES[name], (group or "", *headings), rows_of_text)
 
 
-def _failure_grid(rows: Sequence[_Row]) -> Grid:
-    cells = (
-        (row["kind"], str(row["n"]), row["reason"], ", ".join(row["clips"]) + (", ..." if _has_more(row) else ""))
-        for row in rows
-    )
-    return _text_grid("Failures by reason", ("kind", "clips", "reason", "names"), cells)
-
-
-def _has_more(row: _Row) -> bool:
-    return int(row["n"]) > len(row["clips"])
-
-
-def _note_grid(rows: Sequence[_Row]) -> Grid:
-    return _text_grid("Notes", ("clip", "clips", "note"), ((row["clip"], str(row["n"]), row["note"]) for row in rows))
+def _names(failure: Figures) -> str:
+    return ", ".join(failure["clips"]) + (", ..." if failure["n"] > len(failure["clips"]) else "")
 
 
 def _text_grid(title: str, headings: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Grid:
     return Grid(title, headings, tuple(tuple(map(Cell, row)) for row in rows), has_sentences=True)
 
 
-_WORK: tuple[tuple[str, str, str], ...] = (
+_WORK: tuple[_Column, ...] = (
     ("clips/h", "clips_per_hour", "{:.0f}"),
     ("video h", "video_h", "{:.2f}"),
     ("worker h", "worker_h", "{:.2f}"),
@@ -285,7 +272,6 @@ _WORK: tuple[tuple[str, str, str], ...] = (
     ("video s per worker s", "video_s_per_worker_s", "{:.2f}"),
     ("overhead s per clip", "median_overhead_s", "{:.2f}"),
 )
-"""Heading, key and format of each column."""
 
 
 def _work_grid(figures: Figures) -> Grid:
@@ -293,28 +279,16 @@ def _work_grid(figures: Figures) -> Grid:
     return grid_of("Work", "", ["all clips"] if figures["nodes"] else [], columns)
 
 
-def _node_grid(rows: Sequence[_Row]) -> Grid:
-    columns = [Column("clips", _values(rows, "clips"), "{:.0f}")]
-    columns += [Column(heading, _values(rows, key), pattern) for heading, key, pattern in _WORK[1:]]
-    columns += [
-        Column("median MB", _values(rows, "median_memory_mb"), "{:.0f}"),
-        Column("peak MB", _values(rows, "max_memory_mb"), "{:.0f}"),
-    ]
-    return grid_of("Nodes, with the memory of a worker", "node", _texts(rows, "node"), columns)
+def _node_grid(rows: Sequence[Figures]) -> Grid:
+    memory = (("median MB", "median_memory_mb", "{:.0f}"), ("peak MB", "max_memory_mb", "{:.0f}"))
+    columns = (("clips", "clips", "{:.0f}"), *_WORK[1:], *memory)
+    return _grid("Nodes, with the memory of a worker", rows, "node", *columns)
 
 
 def _stage_grid(stages_ms: dict[str, float]) -> Grid:
     values = list(stages_ms.values())
     columns = [Column("ms/frame", values, "{:.2f}"), Column("frames/s", [1000 / ms for ms in values])]
     return grid_of("Run time by stage (stages overlap)", "stage", list(stages_ms), columns)
-
-
-def _values(rows: Sequence[_Row], key: str) -> list[float | None]:
-    return [figure(row, key) for row in rows]
-
-
-def _texts(rows: Sequence[_Row], key: str) -> list[str]:
-    return [str(row[key]) for row in rows]
 
 
 def _text(value: Any, pattern: str) -> str:

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from track_range.fleet.output.data_set import RUNS, partition
-from track_range.fleet.report.clip_figures import Figures
+from track_range.fleet.report.event_figures import event_video
 from track_range.fleet.report.fleet_figures import FleetFigures
 from track_range.fleet.report.fleet_grids import DRIFT_TITLES, Links, fleet_sections, utc_text
+from track_range.fleet.report.track_figures import Figures
 from track_range.fleet.storage.location import Location
 from track_range.pipeline.colours import FUSED_COLOUR, OTHER_COLOURS, method_colours
-from track_range.results.events.event import CLIPS_FOLDER, clip_name
 from track_range.views.report.content.series import thinned
 from track_range.views.report.page import embedded, rendered
 from track_range.views.report.sentences import address, card
@@ -110,8 +110,7 @@ def _links(fleet: FleetFigures, out: Location, page: Location) -> Links:
         return link(row, "overlay.mp4", f"#t={max(0.0, time_s - _LEAD_S):.1f}")
 
     def event(row: Figures) -> str:
-        video = f"{CLIPS_FOLDER}/{clip_name(row['number'], row['kind'], row['track_id'])}"
-        return link(row, video) or at_moment(row, row["start_s"])
+        return link(row, event_video(row)) or at_moment(row, row["start_s"])
 
     return Links(
         report=lambda row: link(row, "report.html"), overlay=lambda row: at_moment(row, row["time_s"]), event=event

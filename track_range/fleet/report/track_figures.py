@@ -10,7 +10,7 @@ A track is on a collision course if its lateral offset at the time of collision,
 from __future__ import annotations
 
 import heapq
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
@@ -56,33 +56,8 @@ _NEEDED = ("time_s", "track_id", "class")
 _OTHERS = ("observed", "ttc_s", "ttc_sigma_s", "closing_mps", "x_m", "utc")
 
 
-@dataclass(frozen=True, slots=True)
-class Approach:
-    """The moment of a track at which it is closest, or at which its time to collision is shortest.
-
-    Attributes:
-        clip: name of the clip.
-        track_id: track in the clip.
-        road_class: class of the track.
-        time_s: time in the video.
-        utc_s: Unix time; None = unknown.
-        distance_m: distance.
-        sigma_m: its standard deviation; None = unknown.
-        x_m: lateral position, positive = right of the camera; None = unknown.
-        ttc_s: time to collision; None = not closing.
-        ttc_sigma_s: its standard deviation; None = unknown.
-    """
-
-    clip: str
-    track_id: int
-    road_class: str
-    time_s: float
-    utc_s: float | None
-    distance_m: float
-    sigma_m: float | None
-    x_m: float | None
-    ttc_s: float | None
-    ttc_sigma_s: float | None
+Figures = dict[str, Any]
+"""Figures by name, as in the JSON file; None = unknown."""
 
 
 @dataclass(slots=True)
@@ -96,45 +71,38 @@ class TrackFigures:
         n_by_hour: number of tracks by hour of the day (UTC; None = unknown) of their first row, and class.
         n_boxes: number of observed boxes with a reference distance, by index of the distance band.
         n_measured: number of these with a distance of a method, by method and index of the band.
-        closest: closest moments of the closest tracks.
+        closest: closest moments of the closest tracks; see `_approach`.
         collisions: moments with the shortest times to collision.
     """
 
     n_rows: int = 0
     n_tracks: Counter[str] = field(default_factory=Counter)
-    visible_s: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    visible_s: dict[str, float] = field(default_factory=dict)
     n_by_hour: Counter[tuple[int | None, str]] = field(default_factory=Counter)
     n_boxes: Counter[int] = field(default_factory=Counter)
     n_measured: Counter[tuple[str, int]] = field(default_factory=Counter)
-    closest: list[Approach] = field(default_factory=list)
-    collisions: list[Approach] = field(default_factory=list)
+    closest: list[Figures] = field(default_factory=list)
+    collisions: list[Figures] = field(default_factory=list)
 
     def add(self, other: TrackFigures) -> None:
         """Add the figures of other clips."""
         self.n_rows += other.n_rows
         self.n_tracks.update(other.n_tracks)
         for name, seconds in other.visible_s.items():
-            self.visible_s[name] += seconds
+            self.visible_s[name] = self.visible_s.get(name, 0.0) + seconds
         self.n_by_hour.update(other.n_by_hour)
         self.n_boxes.update(other.n_boxes)
         self.n_measured.update(other.n_measured)
-        self.closest = _closest([*self.closest, *other.closest])
-        self.collisions = _most_urgent([*self.collisions, *other.collisions])
+        self.closest = _ranked([*self.closest, *other.closest], "distance_m")
+        self.collisions = _ranked([*self.collisions, *other.collisions], "ttc_s")
 
 
-def _closest(approaches: Iterable[Approach]) -> list[Approach]:
-    return heapq.nsmallest(N_RANKED, approaches, key=lambda item: (item.distance_m, item.clip, item.track_id))
-
-
-def _most_urgent(approaches: Iterable[Approach]) -> list[Approach]:
-    return heapq.nsmallest(N_RANKED, approaches, key=lambda item: (item.ttc_s or 0.0, item.clip, item.track_id))
+def _ranked(approaches: Iterable[Figures], key: str) -> list[Figures]:
+    return heapq.nsmallest(N_RANKED, approaches, key=lambda item: (item[key], item["clip"], item["track_id"]))
 
 
 def needed_columns(names: Sequence[str]) -> list[str]:
-    """Columns of tracks.parquet that the figures need.
-
-    Args:
-        names: columns of the file.
+    """Those of the columns of tracks.parquet that the figures need.
 
     Raises:
         ValueError: one that every file has is missing.
@@ -153,11 +121,7 @@ def _methods(names: Sequence[str]) -> list[str]:
 
 
 def track_figures(clip: str, table: pa.Table) -> TrackFigures:
-    """Figures of the rows of a clip.
-
-    Args:
-        clip: its name.
-        table: the columns `needed_columns` of its tracks.parquet.
+    """Figures of the rows of a clip, from the columns `needed_columns` of its tracks.parquet.
 
     Raises:
         ValueError: a row has no track or time.
@@ -165,55 +129,55 @@ def track_figures(clip: str, table: pa.Table) -> TrackFigures:
     """
     figures = TrackFigures(n_rows=table.num_rows)
     if table.num_rows:
-        rows = _Rows(clip, table)
+        rows = _Rows(table)
         rows.count_tracks(figures)
         rows.count_coverage(figures)
-        figures.closest = _closest(rows.approaches(rows.precise_m()))
-        figures.collisions = _most_urgent(rows.approaches(rows.ttc_on_course_s()))
+        figures.closest = _ranked(rows.approaches(clip, rows.precise_m()), "distance_m")
+        figures.collisions = _ranked(rows.approaches(clip, rows.ttc_on_course_s()), "ttc_s")
     return figures
 
 
 class _Rows:
-    """Rows of a clip as arrays, by track and time."""
+    """Rows of a clip as arrays (N,), by track and time; those of a column that is missing are NaN.
 
-    def __init__(self, clip: str, table: pa.Table) -> None:
-        self._clip = clip
-        names = table.column_names
-        track_id, time_s = (_numbers(table, name) for name in ("track_id", "time_s"))
-        if not np.all((np.abs(track_id) < _MAX_NUMBER) & (np.abs(time_s) < _MAX_NUMBER)):
+    Attributes:
+        starts: first row of each track (T,); `track` is the index of the track of each row.
+        class_of_track: most frequent class of each track.
+        distance_m, sigma_m: reference distance and its standard deviation; NaN = unknown.
+    """
+
+    def __init__(self, table: pa.Table) -> None:
+        import pyarrow as pa
+
+        classes = table["class"].cast(pa.string()).combine_chunks().fill_null("").dictionary_encode()
+        numbers = {name: table[name].cast(pa.float64()).to_numpy() for name in table.column_names if name != "class"}
+        keys = np.array([numbers["time_s"], numbers["track_id"]])
+        if not np.all(np.abs(keys) < _MAX_NUMBER):
             raise ValueError("rows without a track or time")
-        order = np.lexsort((time_s, track_id))
-        self._columns = {name: _numbers(table, name)[order] for name in names if name != "class"}
-        self._class_code, self._classes = _encoded_classes(table, order)
-        self._methods = _methods(names)
-        self.track_id = track_id[order].astype(np.int64)
-        self.time_s = time_s[order]
-        is_first = np.diff(self.track_id, prepend=self.track_id[:1] - 1) != 0
+        order = np.lexsort(keys)
+        self._columns: dict[str, FloatArray] = {name: values[order] for name, values in numbers.items()}
+        self._unknown = np.full(len(order), np.nan)
+        self._methods = _methods(table.column_names)
+        is_first = np.diff(self._columns["track_id"], prepend=np.nan) != 0
         self.starts: IntArray = np.flatnonzero(is_first)
         self.track: IntArray = np.cumsum(is_first) - 1
+        self.time_s = self._columns["time_s"]
         self.observed: BoolArray = self._column("observed") != 0
-        self.reference_m, self._sigma_m = self._reference()
-        codes = self._majority_classes()
-        self.class_of_track = [self._classes[code] for code in codes]
+
+        names = classes.dictionary.to_pylist()
+        codes = classes.indices.to_numpy()[order].astype(np.int64)
+        n_cells = len(self.starts) * len(names)
+        counts = np.bincount(self.track * len(names) + codes, minlength=n_cells).reshape(-1, len(names))
+        self.class_of_track = [names[code] for code in counts.argmax(axis=1)]
+
+        self.distance_m, self.sigma_m = self._unknown, self._unknown
+        for method in _REFERENCES:
+            is_new = np.isnan(self.distance_m)
+            self.distance_m = np.where(is_new, self._column(f"{method}_m"), self.distance_m)
+            self.sigma_m = np.where(is_new, self._column(f"{method}_sigma_m"), self.sigma_m)
 
     def _column(self, name: str) -> FloatArray:
-        return self._columns.get(name, np.full(len(self.track_id), np.nan))
-
-    def _reference(self) -> tuple[FloatArray, FloatArray]:
-        """Reference distance of each row and its standard deviation, NaN = unknown."""
-        distance_m, sigma_m = self._column(""), self._column("")
-        for method in _REFERENCES:
-            is_new = np.isnan(distance_m)
-            distance_m = np.where(is_new, self._column(f"{method}_m"), distance_m)
-            sigma_m = np.where(is_new, self._column(f"{method}_sigma_m"), sigma_m)
-        return distance_m, sigma_m
-
-    def _majority_classes(self) -> IntArray:
-        """Code of the most frequent class of each track."""
-        n_classes = len(self._classes)
-        counts = np.bincount(self.track * n_classes + self._class_code, minlength=len(self.starts) * n_classes)
-        majority: IntArray = counts.reshape(len(self.starts), n_classes).argmax(axis=1)
-        return majority
+        return self._columns.get(name, self._unknown)
 
     def count_tracks(self, figures: TrackFigures) -> None:
         """Add the tracks by class and hour."""
@@ -222,23 +186,22 @@ class _Rows:
         utc_s = self._column("utc")[self.starts]
         for name, seconds, utc in zip(self.class_of_track, visible_s.tolist(), utc_s.tolist(), strict=True):
             figures.n_tracks[name] += 1
-            figures.visible_s[name] += seconds
-            hour = int(utc // 3600 % 24) if np.isfinite(utc) else None
-            figures.n_by_hour[hour, name] += 1
+            figures.visible_s[name] = figures.visible_s.get(name, 0.0) + seconds
+            figures.n_by_hour[int(utc // 3600 % 24) if np.isfinite(utc) else None, name] += 1
 
     def count_coverage(self, figures: TrackFigures) -> None:
         """Add the boxes and the distances of each method by distance band."""
-        rows = self.observed & np.isfinite(self.reference_m)
-        band = np.searchsorted(EDGES_M, self.reference_m[rows], side="right") - 1
-        figures.n_boxes.update(_counts(band))
+        rows = self.observed & np.isfinite(self.distance_m)
+        band = np.searchsorted(EDGES_M, self.distance_m[rows], side="right") - 1
+        figures.n_boxes.update(band.tolist())
         for method in self._methods:
             is_measured = np.isfinite(self._column(f"{method}_m")[rows])
-            figures.n_measured.update({(method, i): n for i, n in _counts(band[is_measured]).items()})
+            figures.n_measured.update((method, i) for i in band[is_measured].tolist())
 
     def precise_m(self) -> FloatArray:
         """Reference distance of the rows where its sigma is small enough or unknown, else NaN."""
         with np.errstate(invalid="ignore"):
-            return np.where(self._sigma_m > MAX_RELATIVE_SIGMA * self.reference_m, np.nan, self.reference_m)
+            return np.where(self.sigma_m > MAX_RELATIVE_SIGMA * self.distance_m, np.nan, self.distance_m)
 
     def ttc_on_course_s(self) -> FloatArray:
         """Time to collision of the rows that are on a collision course and whose sigma is small enough, else NaN."""
@@ -275,58 +238,33 @@ class _Rows:
         windows: FloatArray = sums[:, 1:] - sums[:, first]
         return windows
 
-    def approaches(self, values: FloatArray) -> list[Approach]:
-        """The observed row of each road user with the smallest value."""
-        ranked = np.where(self.observed & np.isfinite(self.reference_m) & ~np.isnan(values), values, np.inf)
+    def approaches(self, clip: str, values: FloatArray) -> list[Figures]:
+        """The observed row of each road user with the smallest value, as the moment of the track.
+
+        Times are in s of the video (`time_s`) and Unix time (`utc_s`), x positive to the right of the camera, m; None =
+        unknown.
+        """
+        ranked = np.where(self.observed & np.isfinite(self.distance_m) & ~np.isnan(values), values, np.inf)
         smallest = np.minimum.reduceat(ranked, self.starts)
-        tracks = np.argsort(smallest, kind="stable")
-        chosen = (i for i in tracks.tolist() if smallest[i] < np.inf and self.class_of_track[i] not in NOT_ROAD_USERS)
-        return [self._approach(i, ranked, smallest[i]) for i in islice(chosen, N_RANKED)]
-
-    def _approach(self, track: int, ranked: FloatArray, smallest: float) -> Approach:
-        row = self.starts[track] + int(np.argmax(ranked[self.starts[track] :] == smallest))
-
-        def value(name: str) -> float | None:
-            return _known(self._column(name)[row])
-
-        return Approach(
-            clip=self._clip,
-            track_id=int(self.track_id[row]),
-            road_class=self.class_of_track[track],
-            time_s=float(self.time_s[row]),
-            utc_s=value("utc"),
-            distance_m=float(self.reference_m[row]),
-            sigma_m=_known(self._sigma_m[row]),
-            x_m=value("x_m"),
-            ttc_s=value("ttc_s"),
-            ttc_sigma_s=value("ttc_sigma_s"),
-        )
-
-
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _counts(band: IntArray) -> dict[int, int]:
-    return {i: int(n) for i, n in enumerate(np.bincount(band)) if n}
-
-
-def _numbers(table: pa.Table, name: str) -> FloatArray:
-    """Column as floating-point numbers, NaN = null.
-
-    Raises:
-        ArrowException: the column does not consist of numbers.
-    """
-    import pyarrow as pa
-
-    values: FloatArray = table[name].cast(pa.float64()).to_numpy()
-    return values
-
-
-def _encoded_classes(table: pa.Table, order: IntArray) -> tuple[IntArray, list[str]]:
-    """(N,) codes of the classes, and the names by code."""
-    import pyarrow as pa
-
-    texts: Any = table["class"].cast(pa.string()).combine_chunks().fill_null("").dictionary_encode()
-    codes: IntArray = texts.indices.to_numpy().astype(np.int64)[order]
-    return codes, texts.dictionary.to_pylist()
+        tracks = [i for i in np.argsort(smallest, kind="stable").tolist() if smallest[i] < np.inf]
+        road_users = (i for i in tracks if self.class_of_track[i] not in NOT_ROAD_USERS)
+        rows = {
+            i: self.starts[i] + int(np.argmax(ranked[self.starts[i] :] == smallest[i]))
+            for i in islice(road_users, N_RANKED)
+        }
+        columns = {
+            "time_s": self.time_s,
+            "utc_s": self._column("utc"),
+            "distance_m": self.distance_m,
+            "sigma_m": self.sigma_m,
+            **{name: self._column(name) for name in ("x_m", "ttc_s", "ttc_sigma_s")},
+        }
+        return [
+            {
+                "clip": clip,
+                "track_id": int(self._columns["track_id"][row]),
+                "road_class": self.class_of_track[i],
+                **{name: float(v[row]) if np.isfinite(v[row]) else None for name, v in columns.items()},
+            }
+            for i, row in rows.items()
+        ]

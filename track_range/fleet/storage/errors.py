@@ -4,96 +4,68 @@ from __future__ import annotations
 
 import errno
 import re
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Literal
+from typing import Any, Literal
 
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.input_files import printable, shortened
 
 StorageFault = Literal["missing", "permission", "full", "network", "other"]
-"""Kind of a storage error: no such file, folder or bucket; no permission or credentials; no space left; an error that
-may disappear when the call is repeated (network, overload); another one."""
+"""No such file, folder or bucket; no permission or credentials; no space left; an error that may disappear when the
+call is repeated (network, overload); another one."""
 
 _MAX_REASON = 140
 """Largest number of characters of a library's error text in a message."""
 
-_ERRNO_FAULTS: dict[StorageFault, frozenset[int]] = {
-    "missing": frozenset((errno.ENOENT, errno.ENOTDIR)),
-    "permission": frozenset((errno.EACCES, errno.EPERM, errno.EROFS)),
-    "full": frozenset((errno.ENOSPC, errno.EDQUOT)),
-    "network": frozenset(
-        (
-            *(errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.ECONNREFUSED, errno.ECONNRESET),
-            *(errno.ECONNABORTED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EHOSTDOWN, errno.EPIPE),
-        )
-    ),
-}
-"""Operating system's error numbers by kind."""
-
-_TEXT_FAULTS: tuple[tuple[StorageFault, re.Pattern[str]], ...] = (
-    (
-        "permission",
-        re.compile(
-            r"\bACCESS_DENIED|\bINVALID_ACCESS_KEY|\bSIGNATURE_DOES_NOT_MATCH|\bINVALID_SIGNATURE|\bEXPIRED_TOKEN"
-            r"|\bINVALID_CLIENT_TOKEN|\bMISSING_AUTHENTICATION|\bUNRECOGNIZED_CLIENT|\bNOT_INITIALIZED|ExpiredToken"
-            r"|\bOPT_IN_REQUIRED|\bPERMISSION_DENIED|\bUNAUTHENTICATED|status 40[13]|AccountProblem|OAuth2 access token"
-        ),
-    ),
-    ("missing", re.compile(r"\bNO_SUCH_\w+|\bRESOURCE_NOT_FOUND|\bNOT_FOUND\b|status 404|Bucket '.*' not found")),
-    ("full", re.compile(r"QuotaExceeded|InsufficientStorage|StorageFull|status 507|No space left")),
-    (
-        "network",
-        re.compile(
-            r"\bNETWORK_CONNECTION|\bSLOW_DOWN|\bSERVICE_UNAVAILABLE|\bINTERNAL_FAILURE|\bTHROTTLING|\bREQUEST_TIME"
-            r"|\bUNAVAILABLE|\bDEADLINE_EXCEEDED|\bRESOURCE_EXHAUSTED|\bINTERNAL\b|\bABORTED\b|status (?:408|429|5\d\d)"
-            r"|curlCode|[Tt]imed? ?out|CURL error|onnection (?:reset|closed|refused)|resolve host"
-        ),
-    ),
+_NETWORK_ERRORS = (
+    *(errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.ECONNREFUSED, errno.ECONNRESET, errno.EPIPE),
+    *(errno.ECONNABORTED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EHOSTDOWN),
 )
+_ERRNO_FAULTS: dict[int, StorageFault] = {
+    **dict.fromkeys((errno.ENOENT, errno.ENOTDIR), "missing"),
+    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), "permission"),
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "full"),
+    **dict.fromkeys(_NETWORK_ERRORS, "network"),
+}
+
+_STATUS_FAULTS: dict[int, StorageFault] = {
+    **dict.fromkeys((401, 403), "permission"),
+    **dict.fromkeys((404, 410), "missing"),
+    **dict.fromkeys((408, 429), "network"),
+}
+"""Kinds by HTTP status; from 500 on "network", else "other"."""
+
+_TEXT_FAULTS: dict[StorageFault, str] = {
+    "permission": r"ACCESS_?DENIED|INVALID_\w*(?:KEY|SIGNATURE|TOKEN)|SIGNATURE_DOES_NOT|EXPIRED_?TOKEN|UNAUTHENTICATED"
+    r"|MISSING_AUTH|UNRECOGNIZED_CLIENT|NOT_INITIALIZED|PERMISSION_DENIED|status 40[13]|AccountProblem|OAuth2 access",
+    "missing": r"NO_SUCH_|NOT_FOUND|status 404|Bucket '.*' not found",
+    "full": r"QuotaExceeded|InsufficientStorage|StorageFull|status 507|No space left",
+    "network": r"NETWORK_|SLOW_DOWN|UNAVAILABLE|INTERNAL|THROTTLING|REQUEST_TIME|DEADLINE|EXHAUSTED|ABORTED|curl"
+    r"|status (?:408|429|5\d\d)|timed? ?out|onnection (?:reset|closed|refused)|resolve host",
+}
 """Texts of the errors of pyarrow's object stores (AWS, Google Cloud) by kind; the first that matches counts."""
 
-_PLACE = re.compile(r"^When .*?: (?=AWS Error)", re.DOTALL)
-"""Start of such a text, which contains names of objects."""
-
-_AWS = re.compile(r"AWS Error (\w+)(?: \(HTTP status \d+\))? during \w+ operation:?\s*(.*)", re.DOTALL)
-"""Code and text of an error of S3."""
-
-_GOOGLE = re.compile(r".*?Status\((\w+): (?:.*?with a last message of )?(?:PerformWork\(\) - )?(.*)", re.DOTALL)
-"""Code and text of an error of Google Cloud Storage."""
-
-_NOISE = re.compile(
-    r"\s*\(Request ID: [^)]*\)|^curlCode: \d+, .*; Details: |^curlCode: \d+, |^No response body\.?$"
-    r"|\s*Detail: \[errno \d+\].*$|\s+error_info=.*$|^\[Errno \d+\] ",
-    re.DOTALL,
-)
-"""Parts of these texts that are of no use to a user."""
+_NAMES = re.compile(r"^When .*?: (?=AWS Error)", re.DOTALL)
+"""Start of a text about S3, which contains names of objects."""
 
 _SECRETS = re.compile(
     r"(?i)((?:access.?key(?:.?id)?|secret\w*|token|signature|credential|authorization|password)\s*[=:]\s*)[\w%+/=.~-]+"
 )
-"""Credentials that a library's text may contain."""
 
 _ADVICE: dict[StorageFault, str] = {
-    "missing": "check the name",
-    "permission": "check the credentials and permissions",
-    "full": "free space, or choose another place",
-    "network": "check the connection and the endpoint, or try again later",
+    "missing": "; check the name",
+    "permission": "; check the credentials and permissions",
+    "full": "; free space, or choose another place",
+    "network": "; check the connection and the endpoint, or try again later",
     "other": "",
 }
 
 
 class StorageError(UserError):
-    """A file, folder or bucket that cannot be read or written.
-
-    Args:
-        message: one sentence with the address.
-        kind: kind of the fault.
-
-    Attributes:
-        kind: kind of the fault.
-    """
+    """A file, folder or bucket that cannot be read or written, for a reason of a kind."""
 
     def __init__(self, message: str, kind: StorageFault = "other") -> None:
         super().__init__(message)
@@ -110,49 +82,52 @@ class StorageError(UserError):
 
 @contextmanager
 def storage_errors(address: object, action: str) -> Iterator[None]:
-    """Context in which errors of the operating system and of pyarrow become a StorageError.
+    """Context in which errors of the operating system, pyarrow and aiohttp become a StorageError.
 
     Args:
         address: file or folder, for messages, without credentials.
         action: what is done, as a participle: "read", "written".
     """
+    aiohttp: Any = sys.modules.get("aiohttp")
+    web_error = () if aiohttp is None else (aiohttp.ClientError,)
     try:
         yield
-    except (OSError, ValueError, NotImplementedError) as error:
+    except (OSError, ValueError, NotImplementedError, *web_error) as error:
         raise storage_error(address, action, error) from error
 
 
-def storage_error(address: object, action: str, error: Exception, kind: StorageFault | None = None) -> StorageError:
-    """The error of one file or folder; see `storage_errors`. `kind`: None = derived from `error`."""
-    fault = fault_of(error) if kind is None else kind
+def storage_error(address: object, action: str, error: Exception) -> StorageError:
+    """The error of one file or folder; see `storage_errors`."""
+    # fsspec reports each failure of a request for the size as a missing file, with the reason as its cause
+    if isinstance(error, FileNotFoundError) and isinstance(error.__cause__, Exception):
+        error = error.__cause__
+    fault = fault_of(error)
     address = printable(str(address))
-    advice = f"; {_ADVICE[fault]}" if _ADVICE[fault] else ""
     if fault == "missing" and action == "read":
-        return StorageError(f"{address}: no such file or folder{advice}.", fault)
-    return StorageError(f"{address}: cannot be {action} ({reason_of(error)}){advice}.", fault)
+        return StorageError(f"{address}: no such file or folder{_ADVICE[fault]}.", fault)
+    return StorageError(f"{address}: cannot be {action} ({reason_of(error)}){_ADVICE[fault]}.", fault)
 
 
 def fault_of(error: Exception) -> StorageFault:
-    """Kind of an error of the operating system or of pyarrow."""
+    """Kind of an error of the operating system, pyarrow or aiohttp."""
+    status = getattr(error, "status", None)
+    if status is not None:
+        return _STATUS_FAULTS.get(status, "network" if status >= 500 else "other")
     if isinstance(error, FileNotFoundError):
         return "missing"
-    number = getattr(error, "errno", None)
-    for fault, numbers in _ERRNO_FAULTS.items():
-        if number in numbers:
-            return fault
-    text = _PLACE.sub("", str(error))
-    if isinstance(error, TimeoutError | ConnectionError):
+    if (number := getattr(error, "errno", None)) in _ERRNO_FAULTS:
+        return _ERRNO_FAULTS[number]
+    is_web = type(error).__module__.startswith("aiohttp") and not isinstance(error, ValueError)
+    if is_web or isinstance(error, TimeoutError | ConnectionError):
         return "network"
-    return next((fault for fault, pattern in _TEXT_FAULTS if pattern.search(text)), "other")
+    text = _NAMES.sub("", str(error))
+    return next((fault for fault, pattern in _TEXT_FAULTS.items() if re.search(pattern, text)), "other")
 
 
 def reason_of(error: Exception) -> str:
-    """Text of an error without credentials, request numbers and the address."""
+    """Text of an error without credentials and names of objects."""
+    if (status := getattr(error, "status", None)) is not None:
+        return f"HTTP status {status}"
     text = describe(error) if isinstance(error, OSError) and error.errno is not None else str(error)
-    code = ""
-    if (match := _AWS.fullmatch(_PLACE.sub("", text))) is not None:
-        code, text = match[1].replace("_", " ").lower(), match[2]
-    elif (match := _GOOGLE.fullmatch(text)) is not None:
-        code, text = match[1].replace("_", " ").lower(), match[2].strip(" )")
-    text = _SECRETS.sub(r"\1...", " ".join(_NOISE.sub("", text).split())).strip(" .:")
-    return shortened(text or code or type(error).__name__, _MAX_REASON)
+    text = _SECRETS.sub(r"\1...", " ".join(_NAMES.sub("", text).split())).strip(" .:")
+    return shortened(text or type(error).__name__, _MAX_REASON)

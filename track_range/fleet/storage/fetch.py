@@ -17,9 +17,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from track_range.fleet.inputs.clip import TELEMETRY_ROLE, Clip, FleetInputError
-from track_range.fleet.storage.entry import Entry, FileStat, folder_state, is_hidden
 from track_range.fleet.storage.errors import StorageError, storage_errors
-from track_range.fleet.storage.location import Location
+from track_range.fleet.storage.location import Entry, FileStat, Location, folder_state, is_hidden
 from track_range.foundation.files.input_files import open_regular, shortened
 
 _N_CONNECTIONS = 8
@@ -36,8 +35,7 @@ class FetchedFile:
     Attributes:
         address: where it is stored.
         path: local path.
-        size: bytes as its storage states it; see `FileStat`.
-        mtime_ns: time of the last change as its storage states it; see `FileStat`.
+        size, mtime_ns: as its storage states them; see `FileStat`.
         sha256: hash of the content in hexadecimal digits; of a folder, of the names and contents of its files.
     """
 
@@ -48,22 +46,9 @@ class FetchedFile:
     sha256: str
 
 
-@dataclass(frozen=True, slots=True)
-class FetchedClip:
-    """A clip with all of its files on this machine.
-
-    Attributes:
-        clip: the clip, with local paths.
-        files: its files by role, as in `Clip.files`.
-    """
-
-    clip: Clip
-    files: Mapping[str, FetchedFile]
-
-
 @contextmanager
-def fetched(clip: Clip, cache_folder: Path, limit_bytes: int) -> Iterator[FetchedClip]:
-    """A clip with its remote files downloaded; they are removed at the end. Local files are used in place.
+def fetched(clip: Clip, cache_folder: Path, limit_bytes: int) -> Iterator[tuple[Clip, Mapping[str, FetchedFile]]]:
+    """A clip with local paths, and its files by role; remote ones are downloaded, and removed at the end.
 
     Args:
         clip: the clip.
@@ -79,22 +64,20 @@ def fetched(clip: Clip, cache_folder: Path, limit_bytes: int) -> Iterator[Fetche
     with ExitStack() as stack:
         fetch = _Fetch(clip, limit_bytes)
         folder = None
-        if fetch.has_remote:
+        if not all(location.is_local for location in fetch.locations.values()):
             with storage_errors(cache_folder, "written"):
                 cache_folder.mkdir(parents=True, exist_ok=True)
                 folder = Path(stack.enter_context(TemporaryDirectory(dir=cache_folder, ignore_cleanup_errors=True)))
             fetch.check_space(folder)
         files = {role: fetch.file(role, folder) for role in fetch.locations}
-        yield FetchedClip(_with_paths(clip, files), files)
+        # a calibration that a run finds beside the left video is not a setting
+        settings = {name: str(files[name].path) if name in files else value for name, value in clip.settings.items()}
+        right = None if clip.right is None else str(files["right"].path)
+        yield replace(clip, left=str(files["left"].path), right=right, settings=settings), files
 
 
 class _Fetch:
-    """Download of the files of one clip.
-
-    Attributes:
-        locations: the files by role.
-        has_remote: whether some of them are not on this machine.
-    """
+    """Download of the files of one clip, which are in `locations` by role."""
 
     def __init__(self, clip: Clip, limit_bytes: int) -> None:
         self.locations = {role: Location.of(address) for role, address in clip.files().items()}
@@ -102,23 +85,18 @@ class _Fetch:
         self._lock = threading.Lock()
         self._entries: dict[str, list[Entry]] = {}
         self._states = {role: self._state(role, location) for role, location in self.locations.items()}
-        self.has_remote = not all(location.is_local for location in self.locations.values())
 
     def _state(self, role: str, location: Location) -> FileStat:
         status = location.stat()
         if status is None:
-            raise StorageError(f"{location}: no such file; expected {_title(role)} of the clip.", "missing")
+            title = _TITLES.get(role, f"the {role} file")
+            raise StorageError(f"{location}: no such file; expected {title} of the clip.", "missing")
         if not status.is_folder:
             return status
-        self._entries[role] = sorted(
-            (
-                entry
-                for entry in location.list(recursive=True)
-                if not (entry.stat.is_folder or is_hidden(entry.name)) and _is_below(entry.name)
-            ),
-            key=lambda entry: entry.name,
-        )
-        return folder_state(self._entries[role])
+        entries = (entry for entry in location.list(recursive=True) if not entry.stat.is_folder)
+        known = [entry for entry in entries if not is_hidden(entry.name) and _is_below(entry.name)]
+        self._entries[role] = sorted(known, key=lambda entry: entry.name)
+        return folder_state(known)
 
     def check_space(self, folder: Path) -> None:
         """Check the size of the downloads against the limit and the free space.
@@ -126,7 +104,8 @@ class _Fetch:
         Raises:
             StorageError: they are larger.
         """
-        size = sum(max(self._states[role].size, 0) for role, place in self.locations.items() if not place.is_local)
+        remote = [role for role, location in self.locations.items() if not location.is_local]
+        size = sum(max(self._states[role].size, 0) for role in remote)
         if size > self._limit_bytes:
             raise StorageError(
                 f"{self.locations['left']}: expected a clip of at most {_megabytes(self._limit_bytes)}, found "
@@ -142,48 +121,38 @@ class _Fetch:
             )
 
     def file(self, role: str, folder: Path | None) -> FetchedFile:
-        """The file of a role on this machine, with its hash.
-
-        Raises:
-            StorageError: it cannot be read.
-        """
-        location, state = self.locations[role], self._states[role]
-        path = location.path if location.is_local or folder is None else self._downloaded(role, folder)
-        entries = self._entries.get(role)
+        """The file of a role on this machine, downloaded to `folder` if it is remote, with its hash."""
+        location, state, entries = self.locations[role], self._states[role], self._entries.get(role)
+        if location.is_local or folder is None:
+            path = location.path
+        else:
+            path = folder / self._cache_path(role)
+            if entries is None:
+                self._download(location, path, state.size)
+            else:
+                with ThreadPoolExecutor(_N_CONNECTIONS) as threads:
+                    downloads = [
+                        threads.submit(self._download, location.child(entry.name), path / entry.name, entry.stat.size)
+                        for entry in entries
+                    ]
+                for download in downloads:
+                    download.result()
         sha256 = _file_hash(path) if entries is None else _folder_hash(path, entries)
         return FetchedFile(location.address, path, state.size, state.mtime_ns, sha256)
 
-    def _downloaded(self, role: str, folder: Path) -> Path:
-        location = self.locations[role]
-        path = folder / self._place(role)
-        if role in self._entries:
-            entries = self._entries[role]
-            with ThreadPoolExecutor(_N_CONNECTIONS) as threads:
-                # the list re-raises the first error
-                list(threads.map(lambda e: self._download(location.child(e.name), path / e.name, e.stat.size), entries))
-        else:
-            self._download(location, path, self._states[role].size)
-        return path
-
-    def _place(self, role: str) -> Path:
+    def _cache_path(self, role: str) -> Path:
         """Relative path of a role's file in the cache; files that are found by their place stay beside their video."""
+        location, name = self.locations[role], _safe_name(self.locations[role])
         video = role.removesuffix("_timestamps")
         if video != role:
-            return self._place(video).parent / _safe_name(self.locations[role])
-        location = self.locations[role]
-        if role.startswith(TELEMETRY_ROLE):
-            return self._place("left").parent / _safe_name(location)
-        if role == "rig" and self._is_beside_left():
-            left = self._place("left")
-            return (left if location.parent == self.locations["left"] else left.parent) / _safe_name(location)
-        parent = location.parent
-        if role in self._entries and parent is not None:
-            return Path(role, _safe_name(parent), _safe_name(location))
-        return Path(role, _safe_name(location))
-
-    def _is_beside_left(self) -> bool:
+            return self._cache_path(video).parent / name
         left = self.locations["left"]
-        return self.locations["rig"].parent in (left.parent, left)
+        if role.startswith(TELEMETRY_ROLE) or (role == "rig" and location.parent == left.parent):
+            return self._cache_path("left").parent / name
+        if role == "rig" and location.parent == left:
+            return self._cache_path("left") / name
+        parent = location.parent
+        return Path(role, name) if role not in self._entries or parent is None else Path(role, _safe_name(parent), name)
 
     def _download(self, location: Location, path: Path, size: int) -> None:
         with storage_errors(path, "written"):
@@ -195,13 +164,6 @@ class _Fetch:
             raise StorageError(
                 f"{location}: changed while it was downloaded ({size}, then {n_bytes} bytes).", "network"
             )
-
-
-def _with_paths(clip: Clip, files: Mapping[str, FetchedFile]) -> Clip:
-    """The clip with local paths; a calibration that a run finds beside the left video is not a setting."""
-    settings = {name: str(files[name].path) if name in files else value for name, value in clip.settings.items()}
-    right = None if clip.right is None else str(files["right"].path)
-    return replace(clip, left=str(files["left"].path), right=right, settings=settings)
 
 
 def _file_hash(path: Path) -> str:
@@ -236,10 +198,7 @@ def _safe_name(location: Location) -> str:
     return f"{short}-{hashlib.sha256(data).hexdigest()[:16]}{point}{shortened(suffix, 20)}"
 
 
-def _title(role: str) -> str:
-    return {"left": "the left video", "right": "the right video", "rig": "the calibration"}.get(
-        role, f"the {role} file"
-    )
+_TITLES = {"left": "the left video", "right": "the right video", "rig": "the calibration"}
 
 
 def _megabytes(n_bytes: int) -> str:

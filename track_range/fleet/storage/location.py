@@ -10,64 +10,80 @@ from __future__ import annotations
 import os
 import posixpath
 import re
-from collections.abc import Iterator
-from functools import lru_cache
+import shutil
+import stat
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from email.utils import parsedate_to_datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import IO, TYPE_CHECKING
 from urllib.parse import parse_qsl, quote, unquote
 
-from track_range.fleet.storage.entry import Entry, FileStat, folder_state
-from track_range.fleet.storage.errors import StorageError
-from track_range.fleet.storage.local import LocalStorage
-from track_range.fleet.storage.object_store import ObjectStore
-from track_range.foundation.files.input_files import printable, quoted, shortened
+from track_range.fleet.storage.errors import StorageError, storage_errors
+from track_range.fleet.storage.file_systems import object_store, web_files
+from track_range.foundation.files.atomic_files import atomic_path, write_bytes
+from track_range.foundation.files.input_files import open_regular, printable, quoted, shortened
 
 if TYPE_CHECKING:
-    from pyarrow.fs import FileSystem
+    from pyarrow.fs import FileInfo, FileSystem
 
 MAX_READ_BYTES = 2_000_000_000
 """Size limit, bytes, of a file that is read into memory."""
 
+_BLOCK_BYTES = 4 << 20
+"""Size of the blocks in which files are copied."""
+
+_MAX_WEB_DEPTH = 8
+"""Largest depth of the folders of a web server that are listed."""
+
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
 _SCHEMES = {"s3": "s3", "gs": "gs", "gcs": "gs", "http": "http", "https": "https", "file": "file"}
-"""Storage by scheme of an address."""
 
 _OPTION_NAMES = frozenset(("endpoint_override", "scheme", "region", "anonymous"))
 """Options of an object store in an address."""
 
 _USER = re.compile(r"(?<=://)[^/@]*@")
-_QUERY = re.compile(r"\?.*$", re.DOTALL)
+_QUERY, _LINK_QUERY = re.compile(r"\?.*$", re.DOTALL), re.compile(r"[?#].*$", re.DOTALL)
 
 
-class Storage(Protocol):
-    """A kind of storage.
+@dataclass(frozen=True, slots=True)
+class FileStat:
+    """Size and time of the last change of a file, by which a changed file is recognised.
 
-    Keys are what follows the scheme of an address, or a local path; `address` is for messages. All methods raise
-    StorageError.
+    Attributes:
+        size: bytes; -1 = not stated by a web server.
+        mtime_ns: time of the last change in ns since 1970; 0 = not stated.
+        is_folder: whether it is a folder; its size and time are 0, or those of its files.
     """
 
-    is_read_only: bool
+    size: int
+    mtime_ns: int
+    is_folder: bool = False
 
-    def stat(self, key: str, address: str) -> FileStat | None:
-        """Size and time of change; None = no such file or folder."""
 
-    def entries(self, key: str, address: str, *, recursive: bool) -> Iterator[Entry]:
-        """Files and folders in a folder, in no particular order."""
+_FOLDER = FileStat(0, 0, is_folder=True)
 
-    def read(self, key: str, address: str, max_bytes: int) -> bytes:
-        """Content of a file of at most `max_bytes`."""
 
-    def write(self, key: str, address: str, content: bytes) -> None:
-        """Write a file atomically."""
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A file or folder in a listing; `name` is its path relative to the listed folder, with "/" between its parts."""
 
-    def upload(self, key: str, address: str, file: Path) -> None:
-        """Copy a local file here atomically."""
+    name: str
+    stat: FileStat
 
-    def download(self, key: str, address: str, file: Path, max_bytes: int) -> int:
-        """Copy a file of at most `max_bytes` to a local path; returns its size, bytes."""
 
-    def remove(self, key: str, address: str) -> None:
-        """Remove a file; a missing one is no error."""
+def is_hidden(name: str) -> bool:
+    """Whether a relative path is that of a hidden file, or is in a hidden folder."""
+    return name.startswith(".") or "/." in name
+
+
+def folder_state(entries: Iterable[Entry]) -> FileStat:
+    """Total size and latest time of change of the files in a listing, hidden ones excluded."""
+    files = [entry.stat for entry in entries if not (entry.stat.is_folder or is_hidden(entry.name))]
+    size = sum(max(file.size, 0) for file in files)
+    return FileStat(size, max((file.mtime_ns for file in files), default=0), is_folder=True)
 
 
 class Location:
@@ -81,7 +97,7 @@ class Location:
 
     def __init__(self, scheme: str, key: str, options: tuple[tuple[str, str], ...] = ()) -> None:
         self._scheme, self._key, self._options = scheme, key, options
-        self.address = _address(scheme, key, options)
+        self.address = f"{scheme}://{key}{_options_text(options)}" if scheme else key
 
     @classmethod
     def of(cls, name: str | Path | Location) -> Location:
@@ -151,9 +167,9 @@ class Location:
         return not self._scheme
 
     @property
-    def is_read_only(self) -> bool:
+    def is_web(self) -> bool:
         """Whether it is on a web server, to which nothing can be written."""
-        return self._storage.is_read_only
+        return self._scheme in ("http", "https")
 
     @property
     def path(self) -> Path:
@@ -211,7 +227,19 @@ class Location:
         Raises:
             StorageError: the storage cannot be reached, or refuses.
         """
-        return self._storage.stat(self._key, str(self))
+        try:
+            with storage_errors(self, "read"):
+                if self.is_local:
+                    return _local_stat(os.stat(self._key))
+                if self.is_web:
+                    info = web_files().info(self.address)
+                    size = info.get("size")
+                    return FileStat(-1 if size is None else int(size), _header_ns(info.get("Last-Modified", "")))
+                return _arrow_stat(self.arrow()[0].get_file_info(self._key))
+        except StorageError as error:
+            if error.kind == "missing":
+                return None
+            raise
 
     def state(self) -> FileStat | None:
         """As `stat`; of a folder, the total size and the latest change of all its files, hidden ones excluded."""
@@ -222,18 +250,51 @@ class Location:
         """Whether there is such a file or folder; raises as `stat`."""
         return self.stat() is not None
 
-    def is_folder(self) -> bool:
-        """Whether it is a folder, in an object store the prefix of an object; raises as `stat`."""
-        status = self.stat()
-        return status is not None and status.is_folder
-
     def list(self, *, recursive: bool = False) -> Iterator[Entry]:
-        """Files and folders in this folder, with names relative to it, in no particular order.
+        """Files and folders in this folder, in no particular order.
+
+        Links to folders are followed, except back to a folder above. The sizes and times of files on a web server, to
+        which the pages of its folders link, are not known.
 
         Raises:
             StorageError: there is no such folder, or it cannot be read.
         """
-        return self._storage.entries(self._key, str(self), recursive=recursive)
+        if self.is_local:
+            with storage_errors(self, "read"):
+                status = os.stat(self._key)
+            yield from _scanned(self._key, "", ((status.st_dev, status.st_ino),), recursive=recursive)
+        elif self.is_web:
+            folder = f"{self._scheme}://{_LINK_QUERY.sub('', self._key).rstrip('/')}/"
+            yield from self._linked(folder, folder, depth=_MAX_WEB_DEPTH if recursive else 1)
+        elif self._scheme == "gs":
+            # pyarrow lists no folders of Google Cloud Storage, except those that exist as empty objects
+            for entry in with_folders(self._objects(recursive=True)):
+                if recursive or "/" not in entry.name:
+                    yield entry
+        else:
+            yield from self._objects(recursive=recursive)
+
+    def _objects(self, *, recursive: bool) -> Iterator[Entry]:
+        from pyarrow.fs import FileSelector
+
+        files, key = self.arrow()
+        with storage_errors(self, "read"):
+            infos = files.get_file_info(FileSelector(key, recursive=recursive))
+        n_prefix = len(key.rstrip("/")) + 1
+        for info in infos:
+            if (status := _arrow_stat(info)) is not None:
+                yield Entry(info.path[n_prefix:], status)
+
+    def _linked(self, folder: str, base: str, *, depth: int) -> Iterator[Entry]:
+        with storage_errors(self, "read"):
+            links = {_LINK_QUERY.sub("", link) for link in web_files().ls(folder, detail=False)}
+        for link in sorted(links):
+            name = unquote(link[len(base) :])
+            if not link.startswith(folder) or link == folder or ".." in name.split("/"):
+                continue
+            yield Entry(posixpath.normpath(name), _FOLDER if link.endswith("/") else FileStat(-1, 0))
+            if link.endswith("/") and depth > 1:
+                yield from self._linked(link, base, depth=depth - 1)
 
     def read_bytes(self, max_bytes: int = MAX_READ_BYTES) -> bytes:
         """Content of a file.
@@ -241,7 +302,35 @@ class Location:
         Raises:
             StorageError: it does not exist, is larger, or cannot be read.
         """
-        return self._storage.read(self._key, str(self), max_bytes)
+        return b"".join(self._blocks(max_bytes))
+
+    def download(self, file: Path, max_bytes: int = 1 << 62) -> int:
+        """Copy this file to a local path, which is incomplete if an error is raised; returns its size in bytes.
+
+        Raises as `read_bytes`, and if the local file cannot be written.
+        """
+        with storage_errors(file, "written"), open(file, "wb") as target:
+            return sum(target.write(block) for block in self._blocks(max_bytes))
+
+    def _blocks(self, max_bytes: int) -> Iterator[bytes]:
+        size = 0
+        with storage_errors(self, "read"), self._opened() as stream:
+            while block := stream.read(_BLOCK_BYTES):
+                size += len(block)
+                if size > max_bytes:
+                    raise StorageError(f"{self}: expected a file of at most {max_bytes} bytes, found a larger one.")
+                yield block
+
+    def _opened(self) -> IO[bytes]:
+        if self.is_local:
+            os.stat(self._key)  # raises for a missing file, with its kind
+            return open_regular(Path(self._key), StorageError, "a file")
+        stream: IO[bytes]
+        if self.is_web:
+            stream = web_files().open(self.address, "rb", block_size=0)
+        else:
+            stream = self.arrow()[0].open_input_stream(self._key, compression=None)
+        return stream
 
     def write_bytes(self, content: bytes) -> None:
         """Write a file atomically; readers see the old or the new content. Folders are created, buckets are not.
@@ -249,57 +338,60 @@ class Location:
         Raises:
             StorageError: it cannot be written.
         """
-        self._storage.write(self._key, str(self), content)
+        with storage_errors(self, "written"):
+            if self.is_local:
+                os.makedirs(os.path.dirname(self._key), exist_ok=True)
+                write_bytes(Path(self._key), content)
+            else:
+                with self.arrow()[0].open_output_stream(self._key, compression=None) as stream:
+                    stream.write(content)
 
     def upload(self, file: Path) -> None:
         """Copy a local file here atomically; raises as `write_bytes`."""
-        self._storage.upload(self._key, str(self), file)
-
-    def download(self, file: Path, max_bytes: int = 1 << 62) -> int:
-        """Copy this file to a local path, which is incomplete if an error is raised; returns its size in bytes.
-
-        Raises:
-            StorageError: it does not exist, is larger than `max_bytes`, or cannot be read; or the local file cannot be
-                written.
-        """
-        return self._storage.download(self._key, str(self), file, max_bytes)
+        with storage_errors(self, "written"), open(file, "rb") as source:
+            if self.is_local:
+                os.makedirs(os.path.dirname(self._key), exist_ok=True)
+                with atomic_path(Path(self._key)) as partial:
+                    shutil.copyfile(file, partial)
+                return
+            stream = self.arrow()[0].open_output_stream(self._key, compression=None)
+            try:
+                shutil.copyfileobj(source, stream, _BLOCK_BYTES)
+            except BaseException:
+                stream.close()  # pyarrow's streams cannot be aborted: closing publishes what has been sent
+                self.remove()
+                raise
+            stream.close()
 
     def remove(self) -> None:
-        """Remove a file; a missing one is no error.
-
-        Raises:
-            StorageError: it cannot be removed.
-        """
-        self._storage.remove(self._key, str(self))
+        """Remove a file; a missing one is no error."""
+        with storage_errors(self, "removed"), suppress(FileNotFoundError):
+            if self.is_local:
+                os.unlink(self._key)
+            else:
+                self.arrow()[0].delete_file(self._key)
 
     def arrow(self) -> tuple[FileSystem, str]:
-        """File system of pyarrow and the path in it, for data sets.
+        """File system of pyarrow and the path in it.
 
         Raises:
             StorageError: the storage cannot be reached, or is a web server.
         """
-        storage = self._storage
-        if isinstance(storage, ObjectStore):
-            return storage.file_system(self._key, str(self)), self._key
-        if self._scheme:
-            raise StorageError(f"{self}: expected a folder on this machine or in an object store, found a web server.")
-        from pyarrow.fs import LocalFileSystem
+        if self.is_web:
+            raise StorageError(
+                f"{self}: expected a folder on this machine or in an object store, found a web server.", "permission"
+            )
+        with storage_errors(self, "read"):
+            if not self.is_local:
+                return object_store(self._scheme, self._key.partition("/")[0], dict(self._options)), self._key
+            from pyarrow.fs import LocalFileSystem
 
-        return LocalFileSystem(), self._key
-
-    @property
-    def is_web(self) -> bool:
-        """Whether it is on a web server."""
-        return self._scheme in ("http", "https")
+            return LocalFileSystem(), self._key
 
     def address_and_options(self) -> tuple[str, str]:
         """The address without options, and the options with their question mark; "" = none."""
         address, options = self.address, _options_text(self._options)
         return (_QUERY.sub("", address) if self.is_web else address.removesuffix(options)), options
-
-    @property
-    def _storage(self) -> Storage:
-        return _storage_of(self._scheme, self._options)
 
 
 def shown(address: str) -> str:
@@ -315,21 +407,87 @@ def has_scheme(text: str) -> bool:
     return _SCHEME.match(text) is not None
 
 
-def _address(scheme: str, key: str, options: tuple[tuple[str, str], ...]) -> str:
-    return f"{scheme}://{key}{_options_text(options)}" if scheme else key
-
-
 def _options_text(options: tuple[tuple[str, str], ...]) -> str:
     query = "&".join(f"{name}={value}" for name, value in options)
     return f"?{query}" if query else ""
 
 
-@lru_cache(maxsize=64)
-def _storage_of(scheme: str, options: tuple[tuple[str, str], ...]) -> Storage:
-    if not scheme:
-        return LocalStorage()
-    if scheme in ("http", "https"):
-        from track_range.fleet.storage.web import WebStorage
+def _scanned(folder: str, prefix: str, above: tuple[tuple[int, int], ...], *, recursive: bool) -> Iterator[Entry]:
+    """Entries of a folder; `above` are device and inode of it and of the folders that contain it."""
+    with storage_errors(folder, "read"), os.scandir(folder) as items:
+        for item in items:
+            try:
+                status = item.stat()
+            except FileNotFoundError:  # a broken link, or removed meanwhile
+                continue
+            yield Entry(prefix + item.name, _local_stat(status))
+            identity = (status.st_dev, status.st_ino)
+            if recursive and stat.S_ISDIR(status.st_mode) and identity not in above:
+                yield from _scanned(item.path, f"{prefix}{item.name}/", (*above, identity), recursive=True)
 
-        return WebStorage(scheme)
-    return ObjectStore(scheme, dict(options))
+
+def with_folders(entries: Iterable[Entry]) -> Iterator[Entry]:
+    """A recursive listing of files with the folders that contain them."""
+    listed = list(entries)
+    yield from listed
+    known = {entry.name for entry in listed if entry.stat.is_folder}
+    for entry in listed:
+        name = entry.name.rpartition("/")[0]
+        while name and name not in known:
+            known.add(name)
+            yield Entry(name, _FOLDER)
+            name = name.rpartition("/")[0]
+
+
+def _local_stat(status: os.stat_result) -> FileStat:
+    return _FOLDER if stat.S_ISDIR(status.st_mode) else FileStat(status.st_size, status.st_mtime_ns)
+
+
+def _arrow_stat(info: FileInfo) -> FileStat | None:
+    from pyarrow.fs import FileType
+
+    if info.type == FileType.NotFound:
+        return None
+    return _FOLDER if info.type == FileType.Directory else FileStat(info.size, info.mtime_ns or 0)
+
+
+def _header_ns(text: str) -> int:
+    """Date in a header as ns since 1970; 0 = none."""
+    try:
+        return int(parsedate_to_datetime(text).timestamp()) * 10**9
+    except (ValueError, TypeError, OverflowError):
+        return 0
+
+
+class FolderListings:
+    """Sizes and times of many files as they are when a folder is first needed; several threads may use it.
+
+    In an object store, one request lists a folder, instead of one or more for each file.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._folder_locks: dict[str, threading.Lock] = {}
+        self._stats: dict[str, dict[str, FileStat]] = {}
+
+    def stat(self, location: Location) -> FileStat | None:
+        """As `Location.stat`."""
+        parent = location.parent
+        if location.is_local or location.is_web or parent is None:
+            return location.stat()
+        with self._lock:
+            folder_lock = self._folder_locks.setdefault(parent.address, threading.Lock())
+        with folder_lock:
+            if parent.address not in self._stats:
+                try:
+                    self._stats[parent.address] = {entry.name: entry.stat for entry in parent.list()}
+                except StorageError as error:
+                    if error.kind != "missing":
+                        raise
+                    self._stats[parent.address] = {}
+            return self._stats[parent.address].get(location.name)
+
+    def state(self, location: Location) -> FileStat | None:
+        """As `Location.state`."""
+        status = self.stat(location)
+        return status if status is None or not status.is_folder else folder_state(location.list(recursive=True))

@@ -13,8 +13,7 @@ from tests.track_range.fleet.stub_clips import process_stub, stub_clips
 from track_range.fleet.errors import FleetError
 from track_range.fleet.fleet_run import run_fleet
 from track_range.fleet.output.data_set import read_clips
-from track_range.fleet.output.state import FleetState, read_state
-from track_range.fleet.output.status import fleet_status
+from track_range.fleet.output.state import FleetState, read_state, status_lines
 from track_range.fleet.settings import FleetSettings
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.location import Location
@@ -55,7 +54,7 @@ def test_results_in_a_bucket(run, out):
     }
     again = run("a", "b c", "crash", "crash-once", "new")
     assert (again.counts.skipped, again.counts.failed, again.counts.done) == (3, 1, 1)
-    assert any("4 of 5 clips done" in line for line in fleet_status(location).lines())
+    assert any("4 of 5 clips done" in line for line in status_lines(location))
 
 
 def test_second_driver_is_refused_by_heartbeat(run, out):

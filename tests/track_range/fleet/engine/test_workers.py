@@ -16,12 +16,12 @@ from tests.track_range.fleet.killing import killed_workers
 from tests.track_range.fleet.ray_clusters import OBJECT_STORE_BYTES
 from tests.track_range.fleet.stub_clips import process_stub, stub_clips
 from track_range.fleet import fleet_run
-from track_range.fleet.engine import limits, plan, pool
-from track_range.fleet.engine.shared_files import shared_files, with_shared_files
+from track_range.fleet.engine import attempts, driver, plan
+from track_range.fleet.engine.worker import shared_files, with_shared_files
 from track_range.fleet.errors import FleetError
 from track_range.fleet.fleet_run import run_fleet
 from track_range.fleet.output.data_set import read_clips
-from track_range.fleet.output.state import OutputLock, read_state
+from track_range.fleet.output.state import locked_output, read_state
 from track_range.fleet.settings import FleetSettings
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.folder_lock import FolderLockError
@@ -78,7 +78,7 @@ def test_defect_of_the_program_is_a_row(run):
 
 
 def test_hanging_clip(run, monkeypatch):
-    monkeypatch.setattr(limits, "BASE_S", 2.0)
+    monkeypatch.setattr(attempts, "BASE_S", 2.0)
     _, rows = run("a", "hang", "hang-once", timeout=1.0)
     assert rows["hang"]["error_kind"] == "timeout"
     assert rows["hang"]["attempts"] == 2
@@ -185,7 +185,7 @@ def test_full_disk_of_a_worker_ends_the_run(run):
 
 
 def test_killed_workers_leave_no_files(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(limits, "BASE_S", 2.0)
+    monkeypatch.setattr(attempts, "BASE_S", 2.0)
     cache = tmp_path / "cache"
     run("a", "crash", "hang-once", "b", cache_dir=cache, timeout=0.1)
     assert list(cache.iterdir()) == []
@@ -196,7 +196,7 @@ def test_shared_files_reach_other_machines(tmp_path):
     names = tmp_path / "names.txt"
     names.write_text("car\nbus\n")
     settings = FleetSettings(recordings=("x",), out=str(tmp_path))
-    made = plan.FleetPlan(out=settings.out, options={"names": str(names), "sgbm": False}, shared={"names": "1"})
+    made = plan.FleetPlan(settings=settings, options={"names": str(names), "sgbm": False}, shared=("names",))
     files = shared_files(made)
     copied = with_shared_files(made, files, tmp_path / "worker")
     assert Path(copied.options["names"]).read_text() == "car\nbus\n"
@@ -205,10 +205,8 @@ def test_shared_files_reach_other_machines(tmp_path):
 
 
 def test_second_driver_is_refused(run, tmp_path):
-    lock = OutputLock(Location.of(tmp_path / "out"))
-    with pytest.raises(FolderLockError):
+    with locked_output(Location.of(tmp_path / "out")), pytest.raises(FolderLockError):
         run("a")
-    lock.release()
     assert run("a")[0].counts.done == 1
 
 
@@ -219,17 +217,12 @@ def test_versions_must_be_equal(run, monkeypatch):
 
 
 def test_worker_that_cannot_start(run, monkeypatch):
-    monkeypatch.setattr(pool, "Worker", Unusable)
-    with pytest.raises(FleetError, match="cannot start"):
+    monkeypatch.setattr(driver, "process_clip", unusable)
+    with pytest.raises(FleetError, match=r"cannot start.*'av'"):
         run("a")
 
 
-class Unusable:
-    def __init__(self, *arguments):
-        raise ModuleNotFoundError("No module named 'av'")
-
-    def info(self):
-        """Not reached."""
-
-    def close(self):
-        """Not reached."""
+def unusable(*arguments):
+    """As a worker without a package."""
+    yield from ()
+    raise ModuleNotFoundError("No module named 'av'")

@@ -6,13 +6,11 @@ import re
 import pytest
 
 from track_range.fleet.inputs.clip import Clip, FleetInputError
-from track_range.fleet.inputs.listing import clips_of
-from track_range.fleet.inputs.matches import matched_clips
+from track_range.fleet.inputs.listing import clips_of, matched_clips
 from track_range.fleet.inputs.pattern import FilePattern
 from track_range.fleet.inputs.tree import FileTree
-from track_range.fleet.storage.entry import Entry, FileStat, with_folders
 from track_range.fleet.storage.errors import StorageError
-from track_range.fleet.storage.location import Location
+from track_range.fleet.storage.location import Entry, FileStat, Location, with_folders
 
 PAIR = "{clip}_left.mp4,{clip}_right.mp4"
 VEHICLE_PAIR = "{vehicle}/{clip}_left.mp4,{vehicle}/{clip}_right.mp4"

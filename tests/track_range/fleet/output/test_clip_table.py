@@ -19,8 +19,7 @@ from track_range.fleet.output.data_set import (
     tracks_location,
 )
 from track_range.fleet.output.record import ClipRecord, merged_table, records_table
-from track_range.fleet.output.state import FleetState, read_state
-from track_range.fleet.output.status import fleet_status, state_text
+from track_range.fleet.output.state import FleetState, read_state, state_text, status_lines
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.location import Location
 
@@ -172,7 +171,7 @@ def test_touched_row_has_the_new_fingerprint(out):
 def test_failed_write_leaves_nothing(out, tmp_path):
     (tmp_path / "tracks" / "clip=a").mkdir(parents=True)
     with pytest.raises(StorageError, match="clip=a"):
-        data_set.publish_tracks(out, "a", tmp_path / "missing.parquet")
+        data_set.publish(out, tracks_location(out, "a"), tmp_path / "missing.parquet")
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
@@ -197,7 +196,7 @@ def test_status_of_a_killed_driver(out):
     publish_record(out, record("a", seconds=7200.0))
     publish_record(out, record("b", "failed", error="a reason"))
     FleetState(state="running", pid=2**22 + 1, total=5).write(out)
-    lines = list(fleet_status(out).lines())
+    lines = list(status_lines(out))
     assert "without notice" in lines[0]
     assert lines[1] == "1 of 5 clips done, 2.00 h of video"
     assert any("a reason" in line for line in lines)

@@ -12,8 +12,9 @@ from tests.track_range.results.events.event_builder import event
 from track_range.fleet.output.data_set import (
     ClipTable,
     events_location,
-    publish_clips_of_events,
-    publish_files,
+    publish,
+    publish_event_videos,
+    runs_location,
 )
 from track_range.fleet.report.event_figures import EventFigures
 from track_range.fleet.report.fleet_figures import fleet_figures
@@ -78,11 +79,11 @@ def test_events_replace_the_approaches(out, tmp_path):
 def test_links_lead_to_the_video_of_an_event(out, tmp_path):
     video = tmp_path / "overlay.mp4"
     video.write_text("content")
-    publish_files(out, DAWN, {"overlay.mp4": video})
-    publish_files(out, NOON, {"overlay.mp4": video})
+    publish(out, runs_location(out, DAWN).child("overlay.mp4"), video)
+    publish(out, runs_location(out, NOON).child("overlay.mp4"), video)
     clip = tmp_path / "01-cut_in-9.mp4"
     clip.write_text("content")
-    publish_clips_of_events(out, NOON, [clip])
+    publish_event_videos(out, NOON, [clip])
     page = fleet_page(fleet_figures(out), out, out.child("fleet.html"))
     assert "clips/01-cut_in-9.mp4" in page
     assert "overlay.mp4#t=0.0" in page
@@ -95,7 +96,7 @@ def test_clips_of_an_earlier_result_are_removed(out, tmp_path):
         files = [tmp_path / name for name in names]
         for file in files:
             file.write_text("content")
-        publish_clips_of_events(out, NOON, files)
+        publish_event_videos(out, NOON, files)
         assert sorted(path.name for path in folder.iterdir()) == sorted(names)
 
 

@@ -16,12 +16,15 @@ from tests.track_range.fleet.fleet_results import BROKEN, DAWN, NOON, rows_table
 from tests.track_range.fleet.fleet_results import done_record as record
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import ClipTable, tracks_location
-from track_range.fleet.report.clip_columns import ClipColumns
-from track_range.fleet.report.clip_figures import MAX_GROUPS, drift_figures
+from track_range.fleet.report.clip_figures import MAX_GROUPS, ClipColumns, drift_figures
 from track_range.fleet.report.fleet_figures import fleet_figures
 from track_range.fleet.report.fleet_page import fleet_page
 from track_range.fleet.report.track_figures import N_RANKED, TrackFigures, needed_columns, track_figures
 from track_range.fleet.storage.location import Location
+
+
+def row_of(table, clip):
+    return next(row for row in table.table.to_pylist() if row["clip"] == clip)
 
 
 @pytest.fixture
@@ -93,7 +96,7 @@ def test_ranking_is_limited(tmp_path):
     for clip in ("b", "a"):
         total.add(track_figures(clip, table.select(needed_columns(table.column_names))))
     assert len(total.closest) == len(total.collisions) == N_RANKED
-    assert [(item.clip, item.track_id) for item in total.closest[:3]] == [("a", 1), ("b", 1), ("a", 2)]
+    assert [(item["clip"], item["track_id"]) for item in total.closest[:3]] == [("a", 1), ("b", 1), ("a", 2)]
 
 
 def test_uncertain_distances_are_not_ranked():
@@ -102,7 +105,7 @@ def test_uncertain_distances_are_not_ranked():
     assert track_figures("a", rows_table(rows)).closest == []
     rows["fused_kf_sigma_m"][-4:] = 0.4 * rows["fused_kf_m"][-4:]
     (approach,) = track_figures("a", rows_table(rows)).closest
-    assert approach.distance_m in rows["fused_kf_m"][-4:]
+    assert approach["distance_m"] in rows["fused_kf_m"][-4:]
 
 
 def test_crossing_track_is_on_course():
@@ -136,14 +139,14 @@ def test_drift_by_another_column(out):
 def test_drift_of_many_groups(out):
     """Each clip is a group; those with the largest change are in the report."""
     table = ClipTable(out)
-    row = table.compiled_row(NOON)
+    row = row_of(table, NOON)
     for number in range(2 * MAX_GROUPS):
         for day, offset_px in (("01", 0.0), ("02", 0.01 * number)):
             utc = f"2026-05-{day}T12:00:00Z"
             changed = {"vehicle": f"v{number:03}", "alignment_offset_px": offset_px, "start_utc": utc}
             table.add({**row, **changed, "clip": f"{number}-{day}"}, is_in_journal=False)
     table.compile()
-    groups = [row["group"] for row in drift_figures(ClipColumns(table.table).done, "vehicle")]
+    groups = [row["group"] for row in drift_figures(ClipColumns(table.table).with_status("done"), "vehicle")]
     assert groups == [f"v{number:03}" for number in range(MAX_GROUPS, 2 * MAX_GROUPS)]
 
 
@@ -285,7 +288,7 @@ def test_page_links_to_files(out, tmp_path, page):
 def test_overlay_time_after_start_s(out, scratch):
     inputs = json.dumps({"files": {}, "settings": {"start_s": "-5"}})
     table = ClipTable(out)
-    table.add({**table.compiled_row(DAWN), "inputs": inputs}, is_in_journal=False)
+    table.add({**row_of(table, DAWN), "inputs": inputs}, is_in_journal=False)
     table.compile()
     assert "#t=4.9" in fleet_page(fleet_figures(out), out, out.child("fleet.html"))
 

@@ -11,9 +11,7 @@ from pathlib import Path
 import pytest
 
 from track_range.fleet.storage.errors import StorageError, fault_of, reason_of, storage_error
-from track_range.fleet.storage.listings import FolderListings
-from track_range.fleet.storage.location import Location, shown
-from track_range.fleet.storage.object_store import ObjectStore
+from track_range.fleet.storage.location import FolderListings, Location, shown
 
 NAMES = ["a b.bin", "ü=%41?#+&.gz", "..x", "-", "a\\b", "x" * 200]
 
@@ -48,7 +46,7 @@ def test_write_read_list_remove(folder, tmp_path_factory):
     assert sorted(entry.name for entry in folder.child("sub").list()) == sorted(NAMES)
     listed = {entry.name: entry.stat.is_folder for entry in folder.list(recursive=True)}
     assert listed == {"sub": True, **{f"sub/{name}": False for name in NAMES}}
-    assert folder.child("sub").is_folder()
+    assert folder.child("sub").stat().is_folder
     assert folder.child("sub").state().size == sum(len(name.encode()) for name in NAMES if name[0] != ".")
     folder.child("sub", "-").remove()
     folder.child("sub", "-").remove()
@@ -124,7 +122,7 @@ def test_server_that_refuses_or_is_silent(s3, monkeypatch):
         for port in (9, silent.getsockname()[1]):
             location = Location.of(f"s3://bucket/x?endpoint_override=127.0.0.1:{port}&scheme=http")
             monkeypatch.delenv("AWS_ENDPOINT_URL", raising=False)
-            monkeypatch.setattr("track_range.fleet.storage.object_store._REQUEST_TIMEOUT_S", 2.0)
+            monkeypatch.setattr("track_range.fleet.storage.file_systems.REQUEST_TIMEOUT_S", 2.0)
             start_s = time.monotonic()
             with pytest.raises(StorageError, match="connection") as error:
                 location.stat()
@@ -262,5 +260,5 @@ def test_web_server(web, tmp_path):
 
 def test_options_of_a_bucket_reach_pyarrow(monkeypatch):
     monkeypatch.delenv("AWS_ENDPOINT_URL", raising=False)
-    options = {"endpoint_override": "127.0.0.1:1", "scheme": "http", "region": "eu-west-1"}
-    assert ObjectStore("s3", options).file_system("bucket/x", "s3://bucket/x").region == "eu-west-1"
+    location = Location.of("s3://bucket/x?endpoint_override=127.0.0.1:1&scheme=http&region=eu-west-1")
+    assert location.arrow()[0].region == "eu-west-1"

@@ -7,7 +7,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from track_range.fleet.storage import web
+from track_range.fleet.storage import file_systems
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.location import Location
 
@@ -93,18 +93,18 @@ def test_redirected_and_without_length(address, tmp_path):
 
 
 def test_silent_server(address, monkeypatch):
-    monkeypatch.setattr(web, "_READ_TIMEOUT_S", 0.2)
-    storage = web.WebStorage("http")
+    monkeypatch.setattr(file_systems, "REQUEST_TIMEOUT_S", 0.2)
     start_s = time.monotonic()
     with pytest.raises(StorageError) as error:
-        storage.read(f"{address.partition('://')[2]}/silent", f"{address}/silent", 10**6)
+        Location.of(f"{address}/silent").read_bytes()
     assert error.value.kind == "network"
     assert time.monotonic() - start_s < 30
 
 
 def test_packages_are_missing(monkeypatch):
+    monkeypatch.setattr(file_systems, "REQUEST_TIMEOUT_S", 0.3)  # a file system that does not exist yet
     monkeypatch.setitem(sys.modules, "aiohttp", None)
-    storage = web.WebStorage("http")
-    for act in (lambda: storage.stat("host/x", "x"), lambda: storage.read("host/x", "x", 10)):
+    location = Location.of("http://host/x")
+    for act in (location.stat, location.read_bytes):
         with pytest.raises(StorageError, match="pip install"):
             act()

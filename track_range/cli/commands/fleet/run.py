@@ -25,11 +25,10 @@ _MAX_NAMED = 10
 def _fleet_run(**values: Any) -> None:
     from track_range.cli.console import console, print_line
     from track_range.fleet.engine.plan import common_options
-    from track_range.fleet.engine.progress import progress_text
     from track_range.fleet.errors import ClipsFailedError
     from track_range.fleet.fleet_run import run_fleet
     from track_range.fleet.inputs.listing import clips_of
-    from track_range.fleet.output.status import duration_text
+    from track_range.fleet.output.state import duration_text
     from track_range.foundation.files.input_files import printable
 
     settings = FleetSettings.of(given_values(FleetSettings, values))
@@ -46,7 +45,7 @@ def _fleet_run(**values: Any) -> None:
         return
     result = run_fleet(settings, options, clips, console=console)
     counts = result.counts
-    print_line(console, f"{progress_text(counts)}; {counts.skipped} of them before, in {duration_text(result.wall_s)}")
+    print_line(console, f"{counts.text()}; {counts.skipped} of them before, in {duration_text(result.wall_s)}")
     print_line(console, f"Results in {settings.out}")
     if result.failed:
         for name, error in result.failed[:_MAX_NAMED]:
@@ -75,17 +74,17 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
     from track_range.fleet.errors import ClipsFailedError
     from track_range.fleet.inputs.dry_run import check_clips
     from track_range.fleet.output.data_set import ClipTable
-    from track_range.fleet.output.status import duration_text
+    from track_range.fleet.output.state import duration_text
     from track_range.fleet.storage.location import Location
     from track_range.foundation.files.input_files import counted, printable
 
     plan = fleet_plan(settings, options)
     table = ClipTable(Location.of(settings.out))
-    left = remaining(clips, table, plan.settings_hash, is_failed_repeated=settings.retry_failed)
+    todo, n_complete, n_failed = remaining(clips, table, plan.settings_hash, is_failed_repeated=settings.retry_failed)
     problems: list[tuple[str, str]] = []
     seconds = 0.0
     checked_settings = {key: options[key] for key in ("focal_px", "folder_fps") if key in options}
-    for checked in check_clips([task.clip for task in left.todo], **checked_settings):
+    for checked in check_clips([task.clip for task in todo], **checked_settings):
         seconds += checked.duration_s or 0.0
         size = "" if checked.size_px is None else f", {checked.size_px[0]}x{checked.size_px[1]}"
         rate = "" if checked.fps is None else f" at {checked.fps:.3g} Hz"
@@ -98,8 +97,8 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
         problems += [(checked.clip.name, problem) for problem in checked.problems[:1]]
     print_line(
         console,
-        f"{counted(len(left.todo), 'clip')} to process, {duration_text(seconds)} of video; {left.n_complete} complete, "
-        f"{left.n_failed} failed before",
+        f"{counted(len(todo), 'clip')} to process, {duration_text(seconds)} of video; {n_complete} complete, "
+        f"{n_failed} failed before",
     )
     if problems:
         raise ClipsFailedError(f"{len(problems)} of {len(clips)} clips cannot be processed; see the list.")

@@ -13,11 +13,11 @@ def _status(
     out: Annotated[str, typer.Argument(metavar="OUT", help="Folder of the results, as given to fleet run --out.")],
 ) -> None:
     from track_range.cli.console import console, print_line
-    from track_range.fleet.output.status import fleet_status
+    from track_range.fleet.output.state import status_lines
     from track_range.fleet.storage.location import Location
     from track_range.foundation.files.input_files import printable
 
-    for line in fleet_status(Location.of(out)).lines():
+    for line in status_lines(Location.of(out)):
         print_line(console, printable(line))
 
 
