@@ -24,8 +24,7 @@ from track_range.foundation.files.input_files import counted
 from track_range.run.interrupts import ignore_interrupts, stop_on_interrupt
 from track_range.run.settings_files import without_folders
 
-_MAX_STATES = 1000
-"""Largest number of workers in fleet.json."""
+_MAX_STATES = 1000  # largest number of workers in fleet.json
 
 _WITH_FOLDERS = ("recordings", "out", "pattern", "rig", "settings", "cache_dir")
 """Settings that fleet.json of an anonymized fleet does not contain, since they name folders."""

@@ -13,11 +13,8 @@ from track_range.foundation.options import Options, option
 
 _input, _output, _workers = (partial(option, panel=heading) for heading in ("Recordings", "Results", "Workers"))
 
-_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}
-"""Bytes by prefix of the unit."""
-
-_SIZE = re.compile(r"(\d{1,12}(?:\.\d{1,3})?)\s*([kmgt]?)i?b?", re.IGNORECASE)
-"""A size as text: 2GB, 500 MB."""
+_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}  # bytes by prefix of the unit
+_SIZE = re.compile(r"(\d{1,12}(?:\.\d{1,3})?)\s*([kmgt]?)i?b?", re.IGNORECASE)  # a size as text: 2GB, 500 MB
 
 
 def size_bytes(text: str) -> int:

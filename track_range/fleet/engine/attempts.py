@@ -18,20 +18,17 @@ ErrorKind = Literal["", "input", "crash", "memory", "timeout", "fetch", "interna
 
 _REPEATED: frozenset[ErrorKind] = frozenset(("crash", "memory", "timeout", "fetch"))
 
-_N_ATTEMPTS, _N_ATTEMPTS_ELSEWHERE = 2, 4
-"""Attempts for a clip, and those if workers died with other clips as well."""
+_N_ATTEMPTS, _N_ATTEMPTS_ELSEWHERE = 2, 4  # attempts for a clip, and those if workers died with other clips as well
 
 BASE_S = 60.0
 """Time for opening a clip, in addition to that for its frames."""
 
-_FETCH_BYTES_PER_S = 1e6
-"""Lowest rate of downloads that is not taken for a hang."""
+_FETCH_BYTES_PER_S = 1e6  # lowest rate of downloads that is not taken for a hang
 
 _FRAMES_PER_S = 10.0
 """Processed frames that extend the limit like a second of video: slow machines, and videos of high rate or size."""
 
-_MIN_BYTES_PER_S = 1000.0
-"""Lowest plausible data rate of a video; a damaged header may state any duration."""
+_MIN_BYTES_PER_S = 1000.0  # lowest plausible data rate of a video; a damaged header may state any duration
 
 
 class Attempts:

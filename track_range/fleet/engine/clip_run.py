@@ -52,11 +52,8 @@ from track_range.run.settings_files import settings_from
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_DETECTORS = OpenedDetectors()
-"""Detector of this process, which its clips share."""
-
-_MAX_ERROR = 600
-"""Longest error of a clip, in characters."""
+_DETECTORS = OpenedDetectors()  # detector of this process, which its clips share
+_MAX_ERROR = 600  # longest error of a clip, in characters
 
 
 class _PublishingError(Exception):

@@ -32,19 +32,13 @@ from track_range.run.interrupts import ignore_interrupts
 _OBJECT_STORE_BYTES = 80 * 2**20
 """Object store of a cluster of this machine: Ray's minimum is 75 MB, and only settings and records pass through it."""
 
-_MAX_FOLDER = 40
-"""Longest temporary folder for Ray, whose sockets have paths of at most 107 characters."""
-
-_CONNECT_S = 15.0
-"""Time limit for reaching the address of a cluster, s."""
-
-_END_S = 5.0
-"""Time in which Ray's processes end after a shutdown, s."""
+_MAX_FOLDER = 40  # longest temporary folder for Ray, whose sockets have paths of at most 107 characters
+_CONNECT_S = 15.0  # time limit for reaching the address of a cluster, s
+_END_S = 5.0  # time in which Ray's processes end after a shutdown, s
 
 _FOLDER_PREFIX = "tr-ray-"
 
-_TOKEN = secrets.token_hex(32)
-"""Token of the clusters of this process; Ray reads it once."""
+_TOKEN = secrets.token_hex(32)  # token of the clusters of this process; Ray reads it once
 
 _VARIABLES = {
     "RAY_DEDUP_LOGS_SKIP_REGEX": "A worker died or was killed",  # a paragraph for what the driver reports by clip

@@ -38,17 +38,10 @@ from track_range.fleet.output.file_names import FileNames
 from track_range.fleet.output.record import Row, utc_now
 from track_range.foundation.files.input_files import shortened
 
-_POLL_S = 0.5
-"""Longest wait for the workers at a time, s."""
-
-_MAX_STARTS = 3
-"""Workers that may die before any of them has started."""
-
-_START_S = 900.0
-"""Time in which the first worker has to start, s: a cluster may have to start machines."""
-
-_CANCEL_S = 30.0
-"""Time in which Ray ends a cancelled task; its node is taken for lost afterwards."""
+_POLL_S = 0.5  # longest wait for the workers at a time, s
+_MAX_STARTS = 3  # workers that may die before any of them has started
+_START_S = 900.0  # time in which the first worker has to start, s: a cluster may have to start machines
+_CANCEL_S = 30.0  # time in which Ray ends a cancelled task; its node is taken for lost afterwards
 
 
 @dataclass(slots=True)

@@ -19,14 +19,9 @@ from track_range.foundation.files.input_files import printable, shortened
 if TYPE_CHECKING:
     from track_range.fleet.engine.driver import Slot
 
-_LINE_S = 30.0
-"""Time between two lines, s."""
-
-_MAX_WORKERS = 32
-"""Largest number of workers in the table."""
-
-_MAX_NAME = 40
-"""Longest name of a clip in the table."""
+_LINE_S = 30.0  # time between two lines, s
+_MAX_WORKERS = 32  # largest number of workers in the table
+_MAX_NAME = 40  # longest name of a clip in the table
 
 
 @dataclass(slots=True)

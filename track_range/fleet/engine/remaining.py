@@ -17,11 +17,8 @@ from track_range.fleet.output.data_set import ClipTable
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.location import FolderListings, Location
 
-_N_CONNECTIONS = 32
-"""Requests for sizes and times of change at a time."""
-
-_N_BATCH = 2000
-"""Clips whose files are looked up together; a request that waits takes about 1.5 kB."""
+_N_CONNECTIONS = 32  # requests for sizes and times of change at a time
+_N_BATCH = 2000  # clips whose files are looked up together; a request that waits takes about 1.5 kB
 
 
 class _Known(NamedTuple):

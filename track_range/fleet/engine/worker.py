@@ -30,8 +30,7 @@ threads), and a new one takes 2 s for its imports."""
 
 FOLDER_PREFIX = f"track-range-fleet-{platform.node() or 'host'}-"
 
-_STATE_S = 1.0
-"""Time between two states, s."""
+_STATE_S = 1.0  # time between two states, s
 
 _MAX_SHARED_BYTES = 2_000_000_000
 

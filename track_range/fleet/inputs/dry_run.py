@@ -18,17 +18,10 @@ from track_range.recording.names import BagTopic
 from track_range.recording.open_video import open_video
 from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig
 
-_BATCH = 256
-"""Number of clips that are handed to the threads at a time."""
-
-_CODEC_CROP_PX = 2
-"""Tolerated difference in size between left and right, px, as in a run."""
-
-_MAX_DIFFERENCE_S = 1.0
-"""Difference between the lengths of left and right above which there is a note, s."""
-
-_MAX_CALIBRATION_SIDE_PX = 16_384
-"""Largest side of an image for which a calibration is checked, px."""
+_BATCH = 256  # number of clips that are handed to the threads at a time
+_CODEC_CROP_PX = 2  # tolerated difference in size between left and right, px, as in a run
+_MAX_DIFFERENCE_S = 1.0  # difference between the lengths of left and right above which there is a note, s
+_MAX_CALIBRATION_SIDE_PX = 16_384  # largest side of an image for which a calibration is checked, px
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,7 @@ from track_range.foundation.files.input_files import quoted, shortened
 MAX_NAME_BYTES = 200
 """Largest length of a clip's name in the results, percent-encoded; file systems allow 255 bytes with what is added."""
 
-_N_CONNECTIONS = 16
-"""Files that are looked up at a time."""
+_N_CONNECTIONS = 16  # files that are looked up at a time
 
 
 def clips_of(recordings: Sequence[str], pattern: str | None, rig: str | None) -> list[Clip]:
@@ -221,8 +220,11 @@ def _checked(clips: list[Clip]) -> list[Clip]:
 
 def _printable(clip: Clip) -> Clip:
     """The clip; one with a file name that is not UTF-8 has escaped names and a problem."""
-    texts = (clip.name, clip.left, clip.right or "", *clip.labels.values())
-    if all(map(_is_utf8, texts)):
+    try:
+        "".join((clip.name, clip.left, clip.right or "", *clip.labels.values())).encode()
+    except UnicodeEncodeError:  # bytes of a file name that could not be decoded
+        pass
+    else:
         return clip
     return replace(
         clip,
@@ -232,17 +234,6 @@ def _printable(clip: Clip) -> Clip:
         labels={name: _escaped(value) for name, value in clip.labels.items()},
         problem=f"{_escaped(clip.left)}: expected a file name in UTF-8, found other bytes; rename the file.",
     )
-
-
-def _is_utf8(text: str) -> bool:
-    """Whether a text has no bytes of a file name that could not be decoded."""
-    if text.isascii():
-        return True
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 def _escaped(text: str) -> str:

@@ -17,8 +17,7 @@ CLIP = "clip"
 _RESERVED = CLIP_SETTINGS | {"left", "right"}
 """Names that a placeholder cannot have: a column of a manifest with this name is an option of the clip."""
 
-_MAX_FIELDS = 8
-"""Largest number of placeholders; the time of a comparison grows with them."""
+_MAX_FIELDS = 8  # largest number of placeholders; the time of a comparison grows with them
 
 
 @dataclass(frozen=True, slots=True)

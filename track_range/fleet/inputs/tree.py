@@ -17,8 +17,7 @@ from track_range.results.events.event import CLIPS_FOLDER, is_clip_name
 _VIDEO_SUFFIXES, _IMAGE_SUFFIXES = tuple(sorted(VIDEO_SUFFIXES)), tuple(sorted(IMAGE_SUFFIXES))
 """Suffixes as `str.endswith` needs them, which is called for every file."""
 
-_BAG_SUFFIXES = (".mcap", ".db3", ".bag")
-"""Suffixes of MCAP files and ROS bags."""
+_BAG_SUFFIXES = (".mcap", ".db3", ".bag")  # suffixes of MCAP files and ROS bags
 
 _RESULT_NAMES = frozenset(("overlay.mp4", "disparity.mp4", "run.mcap"))
 """Files that runs write, which are not recordings."""
@@ -26,11 +25,8 @@ _RESULT_NAMES = frozenset(("overlay.mp4", "disparity.mp4", "run.mcap"))
 _FLEET_STATE, _FLEET_FOLDERS = "fleet.json", ("tracks", "events", "runs", "journal", "unfinished")
 """File and folders in the results of a fleet, which may be below the recordings."""
 
-_BAG_METADATA = "metadata.yaml"
-"""File that makes a folder a ROS 2 bag."""
-
-_MIN_IMAGES = 2
-"""Smallest number of numbered images that make a folder a recording; a single one may be a preview."""
+_BAG_METADATA = "metadata.yaml"  # file that makes a folder a ROS 2 bag
+_MIN_IMAGES = 2  # smallest number of numbered images that make a folder a recording; a single one may be a preview
 
 
 _MAGIC = re.compile(r"[*?\[]")

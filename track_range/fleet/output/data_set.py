@@ -47,18 +47,12 @@ CLIPS_FILE, JOURNAL, RUNS, TRACKS_FILE, UNFINISHED = (
 _COMPILE_S, _COMPILE_FRACTION = 10.0, 20.0
 """Shortest time between two compilations, s, and relative to the time that one takes."""
 
-_ROWS_PER_GROUP = 10_000
-"""Rows per row group of clips.parquet, about 7 MB in memory."""
-
-_MAX_NEWER = 3000
-"""Rows in memory that are not compiled, of about 5 kB each."""
-
-_N_CONNECTIONS = 16
-"""Requests to the storage at a time."""
+_ROWS_PER_GROUP = 10_000  # rows per row group of clips.parquet, about 7 MB in memory
+_MAX_NEWER = 3000  # rows in memory that are not compiled, of about 5 kB each
+_N_CONNECTIONS = 16  # requests to the storage at a time
 
 
-_PAUSES_S = (1.0, 3.0, 10.0)
-"""Pauses after failed uploads, s."""
+_PAUSES_S = (1.0, 3.0, 10.0)  # pauses after failed uploads, s
 
 
 def partition(name: str) -> str:

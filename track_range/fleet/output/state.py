@@ -29,8 +29,7 @@ HEARTBEAT_S = 5.0
 STALE_S = 60.0
 """Age of a state above which its run has ended without saying so, s."""
 
-_MAX_FAILED = 10
-"""Largest number of failed clips that are named."""
+_MAX_FAILED = 10  # largest number of failed clips that are named
 
 _STALE_HERE_S = 600.0
 """The same on this machine, s: a missing process shows it earlier, but its number may be that of another one since."""

@@ -26,14 +26,9 @@ GROUP_COLUMNS = ("vehicle", "label_vehicle", "camera", "rig")
 MAX_GROUPS = 100
 """Largest number of rows of the calibration drift."""
 
-_ENDS = 5
-"""Number of clips whose median is the first or last value of a drift."""
-
-_MAX_NAMED = 5
-"""Largest number of clips that are named in a row."""
-
-_MAX_ROWS = 20
-"""Largest number of reasons, notes, nodes and clips in a table."""
+_ENDS = 5  # number of clips whose median is the first or last value of a drift
+_MAX_NAMED = 5  # largest number of clips that are named in a row
+_MAX_ROWS = 20  # largest number of reasons, notes, nodes and clips in a table
 
 _S_PER_H, _S_PER_DAY = 3600.0, 86400.0
 

@@ -37,11 +37,8 @@ from track_range.results.events.files import EventFileError, events_in_parquet
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_N_READERS = 8
-"""Files that are read at a time; each clip takes memory for its rows meanwhile."""
-
-_MAX_PROBLEMS = 10
-"""Largest number of damaged or missing files that are named."""
+_N_READERS = 8  # files that are read at a time; each clip takes memory for its rows meanwhile
+_MAX_PROBLEMS = 10  # largest number of damaged or missing files that are named
 
 LINKED_FILES = ("overlay.mp4", "report.html")
 """Files of a clip to which the page links."""

@@ -17,11 +17,8 @@ from track_range.views.report.content.series import thinned
 from track_range.views.report.page import embedded, rendered
 from track_range.views.report.sentences import address, card
 
-_LEAD_S = 2.0
-"""Time before the moment of a ranked track at which the overlay starts, s."""
-
-_MAX_LINES, _MAX_POINTS = 10, 300
-"""Largest number of lines in a chart, and of points of a line."""
+_LEAD_S = 2.0  # time before the moment of a ranked track at which the overlay starts, s
+_MAX_LINES, _MAX_POINTS = 10, 300  # largest number of lines in a chart, and of points of a line
 
 
 def fleet_page(fleet: FleetFigures, out: Location, page: Location) -> str:

@@ -46,11 +46,8 @@ _COURSE_S, _MIN_ROWS = 1.0, 4
 _STEADY_S, _MIN_STEADY_ROWS = 0.5, 3
 """Time in s for which a track has to be on a collision course, and number of rows in it."""
 
-_REFERENCES = ("fused_kf", "fused")
-"""Distances that give the band and the closest approach, the first that a row has."""
-
-_MAX_NUMBER = 1e12
-"""Limit of track numbers, and of times in s."""
+_REFERENCES = ("fused_kf", "fused")  # distances that give the band and the closest approach, the first that a row has
+_MAX_NUMBER = 1e12  # limit of track numbers, and of times in s
 
 _NEEDED = ("time_s", "track_id", "class")
 _OTHERS = ("observed", "ttc_s", "ttc_sigma_s", "closing_mps", "x_m", "utc")

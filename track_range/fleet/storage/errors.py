@@ -17,8 +17,7 @@ StorageFault = Literal["missing", "permission", "full", "network", "other"]
 """No such file, folder or bucket; no permission or credentials; no space left; an error that may disappear when the
 call is repeated (network, overload); another one."""
 
-_MAX_REASON = 140
-"""Largest number of characters of a library's error text in a message."""
+_MAX_REASON = 140  # largest number of characters of a library's error text in a message
 
 _NETWORK_ERRORS = (
     *(errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.ECONNREFUSED, errno.ECONNRESET, errno.EPIPE),

@@ -21,11 +21,8 @@ from track_range.fleet.storage.errors import StorageError, storage_errors
 from track_range.fleet.storage.location import Entry, FileStat, Location, folder_state, is_hidden
 from track_range.foundation.files.input_files import open_regular, shortened
 
-_N_CONNECTIONS = 8
-"""Files of a folder that are downloaded at a time."""
-
-_MAX_NAME = 200
-"""Largest length of a file name in the cache, bytes; object stores allow longer ones."""
+_N_CONNECTIONS = 8  # files of a folder that are downloaded at a time
+_MAX_NAME = 200  # largest length of a file name in the cache, bytes; object stores allow longer ones
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,14 +14,12 @@ if TYPE_CHECKING:
     from fsspec.implementations.http import HTTPFileSystem
     from pyarrow.fs import FileSystem
 
-_N_ATTEMPTS = 3
-"""Attempts of a request to S3; the caller decides on further ones."""
+_N_ATTEMPTS = 3  # attempts of a request to S3; the caller decides on further ones
 
 CONNECT_TIMEOUT_S, REQUEST_TIMEOUT_S = 5.0, 20.0
 """Time limits of the connection, and between two parts of an answer."""
 
-_GCS_TIME_LIMIT_S = 10
-"""Time for which pyarrow repeats a request to Google Cloud Storage (default: 15 minutes)."""
+_GCS_TIME_LIMIT_S = 10  # time for which pyarrow repeats a request to Google Cloud Storage (default: 15 minutes)
 
 
 def object_store(scheme: str, bucket: str, options: Mapping[str, str]) -> FileSystem:

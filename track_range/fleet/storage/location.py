@@ -32,11 +32,8 @@ if TYPE_CHECKING:
 MAX_READ_BYTES = 2_000_000_000
 """Size limit, bytes, of a file that is read into memory."""
 
-_BLOCK_BYTES = 4 << 20
-"""Size of the blocks in which files are copied."""
-
-_MAX_WEB_DEPTH = 8
-"""Largest depth of the folders of a web server that are listed."""
+_BLOCK_BYTES = 4 << 20  # size of the blocks in which files are copied
+_MAX_WEB_DEPTH = 8  # largest depth of the folders of a web server that are listed
 
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
 _SCHEMES = {"s3": "s3", "gs": "gs", "gcs": "gs", "http": "http", "https": "https", "file": "file"}
