@@ -24,7 +24,7 @@ from track_range.fleet.errors import FleetError
 from track_range.foundation.files.input_files import read_bytes
 from track_range.foundation.processes import is_running, owned_process
 
-CLIPS_PER_PROCESS = 10
+CLIPS_PER_PROCESS = 20
 """Clips after which a process is replaced: a process grows by 20 to 45 MB per clip (free parts of the heaps of its
 threads), and a new one takes 2 s for its imports."""
 
