@@ -118,7 +118,7 @@ def _existing_cluster(settings: FleetSettings) -> Iterator[int]:
 
 
 def _check_reachable(address: str) -> None:
-    """Check that a server listens at HOST:PORT; Ray itself would wait for it for minutes.
+    """Check that the server of a cluster listens at HOST:PORT; Ray itself would wait for it for minutes.
 
     Raises:
         FleetError: none does, or the address has another form.
@@ -127,7 +127,9 @@ def _check_reachable(address: str) -> None:
         return
     host, _, port = address.rpartition(":")
     try:
-        socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT_S).close()
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT_S) as connection:
+            if os.environ.get("RAY_USE_TLS", "0") == "0":
+                connection.recv(1)  # the server of a cluster (gRPC) speaks first; most others wait for a request
     except ValueError as error:
         raise _no_cluster(address, "expected HOST:PORT or auto") from error
     except (OSError, OverflowError) as error:

@@ -12,6 +12,7 @@ import resource
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
@@ -30,6 +31,7 @@ threads), and a new one takes 2 s for its imports."""
 
 FOLDER_PREFIX = f"track-range-fleet-{platform.node() or 'host'}-"
 
+_COLLECT_S = 3.0  # shortest clip after which free objects are searched, which takes 0.1 s
 _STATE_S = 1.0  # time between two states, s
 
 _MAX_SHARED_BYTES = 2_000_000_000
@@ -68,7 +70,7 @@ def process_clip(
             "on all nodes."
         )
     _limit_threads(plan.settings.threads)
-    progress = ClipProgress()
+    progress, start_s = ClipProgress(), time.monotonic()
     with scratch_folder(plan.settings.cache_dir) as folder, owned_process(), ThreadPoolExecutor(1) as thread:
         future = thread.submit(process, task, with_shared_files(plan, files, folder / "shared"), progress)
         is_done = False
@@ -78,7 +80,8 @@ def process_clip(
         error = future.exception()  # raised here, Ray's driver could not tell it from a worker that cannot start
         defect = " ".join(str(error).split())[-300:] or repr(error)
         outcome = future.result() if error is None else ClipOutcome({}, defect=defect)
-    gc.collect()  # PyAV's frames refer to themselves
+    if time.monotonic() - start_s > _COLLECT_S:
+        gc.collect()  # PyAV's frames refer to themselves
     yield outcome  # the driver may not ask for more
 
 
