@@ -77,7 +77,7 @@ def process_clip(
         while not is_done:
             yield WorkerState(os.getpid(), platform.node(), replace(progress), _resident_bytes())
             is_done = bool(wait([future], _STATE_S).done)
-        error = future.exception()  # raised here, Ray's driver could not tell it from a worker that cannot start
+        error = future.exception()  # raised here, it would look like a worker that cannot start
         defect = " ".join(str(error).split())[-300:] or repr(error)
         outcome = future.result() if error is None else ClipOutcome({}, defect=defect)
     if time.monotonic() - start_s > _COLLECT_S:
