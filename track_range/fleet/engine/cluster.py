@@ -22,7 +22,7 @@ from typing import Any
 
 from track_range.fleet.engine.worker import remove_dead_folders
 from track_range.fleet.errors import FleetError
-from track_range.fleet.settings import FleetSettings
+from track_range.fleet.settings import FleetSettings, size_bytes
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import counted, shortened
 from track_range.foundation.library_telemetry import disable_telemetry
@@ -170,24 +170,24 @@ def _fitting(settings: FleetSettings, n_requested: int) -> int:
     import ray
 
     resources: Mapping[str, float] = ray.cluster_resources()  # type: ignore[no-untyped-call]
-    fitting = n_requested
-    needs = {"memory": float(settings.worker_memory_bytes), "GPU": settings.gpus_per_worker}
-    for name, needed in needs.items():
-        if needed and (n_fitting := int(resources.get(name, 0.0) / needed)) < fitting:
-            fitting = n_fitting
-            if settings.workers is None and fitting:
-                continue
-            available = resources.get(name, 0.0)
-            if name == "memory":
-                raise FleetError(
-                    f"--worker-memory {settings.worker_memory}: expected memory for {counted(n_requested, 'worker')}, "
-                    f"found {available / 1e9:.1f} GB for all of them; give fewer --workers or less memory."
-                )
-            raise FleetError(
-                f"--gpus-per-worker {needed:g}: expected GPUs for {counted(n_requested, 'worker')}, found "
-                f"{available:g}; give fewer --workers or a smaller fraction."
-            )
-    return fitting
+    memory, gpus = resources.get("memory", 0.0), resources.get("GPU", 0.0)
+    size, n_gpus = settings.worker_memory, settings.gpus_per_worker
+    n_fitting = n_requested
+    for needed, available, expected, found, remedy in (
+        (
+            size_bytes(size),
+            memory,
+            f"--worker-memory {size}: expected memory",
+            f"{memory / 1e9:.1f} GB for all of them",
+            "less memory",
+        ),
+        (n_gpus, gpus, f"--gpus-per-worker {n_gpus:g}: expected GPUs", f"{gpus:g}", "a smaller fraction"),
+    ):
+        n_fitting = min(n_fitting, int(available / needed)) if needed else n_fitting
+        if n_fitting < n_requested and (settings.workers is not None or not n_fitting):
+            workers = counted(n_requested, "worker")
+            raise FleetError(f"{expected} for {workers}, found {found}; give fewer --workers or {remedy}.")
+    return n_fitting
 
 
 @contextmanager

@@ -259,14 +259,9 @@ def _starts_s(done: ClipColumns, names: set[str], state: FleetState | None) -> d
     starts_s = {}
     for name, inputs in zip(done.texts("clip"), done.texts("inputs"), strict=True):
         if name in names:
-            starts_s[name] = next(filter(math.isfinite, (_start_s(inputs), number(str(shared)))), 0.0)
+            try:
+                own = parse_json(inputs, CLIPS_FILE, FleetError, "the inputs of a clip")["settings"]["start_s"]
+            except (FleetError, LookupError, TypeError):
+                own = None
+            starts_s[name] = next(filter(math.isfinite, (number(str(own)), number(str(shared)))), 0.0)
     return starts_s
-
-
-def _start_s(inputs: str) -> float:
-    """Value of --start-s in the column `inputs` of a clip; NaN = none."""
-    try:
-        content = parse_json(inputs, "clips.parquet", FleetError, "the inputs of a clip")
-        return number(str(content["settings"]["start_s"]))
-    except (FleetError, LookupError, TypeError):
-        return math.nan
