@@ -11,7 +11,7 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from track_range.fleet.engine import driver
+from track_range.fleet.engine import worker
 from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, FleetPlan
 from track_range.fleet.engine.remaining import content_hash, present_fingerprint
 from track_range.fleet.fleet_run import run_fleet
@@ -60,7 +60,7 @@ def main() -> None:
     clips = clips_of((manifest,), None, None)
     listed_s = time.perf_counter() - start_s
     # the start of new processes is a part of the overhead of real clips, not of the driver
-    driver.CLIPS_PER_PROCESS = len(clips)
+    worker.CLIPS_PER_PROCESS = len(clips)
     settings = FleetSettings(recordings=(manifest,), out=out, workers=int(n_workers), worker_memory="1GB")
     result = run_fleet(settings, {}, clips, process=publish_stub)
     peak_mb = _peak_mb()  # before the results are read for the times below

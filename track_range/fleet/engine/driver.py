@@ -20,12 +20,12 @@ from typing import Any
 
 import ray
 
+from track_range.fleet.engine import worker
 from track_range.fleet.engine.attempts import Attempts, ErrorKind, time_limit_s
 from track_range.fleet.engine.plan import ClipOutcome, ClipTask, FleetPlan, Process
 from track_range.fleet.engine.progress import Counts
 from track_range.fleet.engine.remaining import present_fingerprint
 from track_range.fleet.engine.worker import (
-    CLIPS_PER_PROCESS,
     FOLDER_PREFIX,
     WorkerState,
     process_clip,
@@ -89,7 +89,7 @@ class Driver:
             num_gpus=settings.gpus_per_worker,
             memory=settings.worker_memory_bytes,
             num_returns="streaming",
-            max_calls=CLIPS_PER_PROCESS,
+            max_calls=worker.CLIPS_PER_PROCESS,
             max_retries=0,
         )(process_clip)
         files = {} if settings.address is None else shared_files(plan)
