@@ -173,7 +173,7 @@ def _fitting(settings: FleetSettings, n_requested: int) -> int:
     memory, gpus = resources.get("memory", 0.0), resources.get("GPU", 0.0)
     size, n_gpus = settings.worker_memory, settings.gpus_per_worker
     n_fitting = n_requested
-    for needed, available, expected, found, remedy in (
+    for needed, available, requirement, stock, remedy in (
         (
             size_bytes(size),
             memory,
@@ -186,7 +186,7 @@ def _fitting(settings: FleetSettings, n_requested: int) -> int:
         n_fitting = min(n_fitting, int(available / needed)) if needed else n_fitting
         if n_fitting < n_requested and (settings.workers is not None or not n_fitting):
             workers = counted(n_requested, "worker")
-            raise FleetError(f"{expected} for {workers}, found {found}; give fewer --workers or {remedy}.")
+            raise FleetError(f"{requirement} for {workers}, found {stock}; give fewer --workers or {remedy}.")
     return n_fitting
 
 
