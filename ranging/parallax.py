@@ -4,9 +4,9 @@ With the rotation between two frames removed, the points of a static object move
 
     p' - e = (1 + g) (R p - e),   g = V dt / Z
 
-so the way V dt of the camera and the growth g give the distance Z, the better the farther the object is from e. Corners
-inside each box are tracked from frame to frame, in an image of twice the size of odometry's; g is their median. A
-filter of 1 / Z follows the object:
+so V dt, which the camera travels, and the growth g give the distance Z, the better the farther the object is from e.
+Corners inside each box are tracked from frame to frame, in an image of twice the size of odometry's; g is their median.
+A filter of 1 / Z follows the object:
 
     rho' = rho / (1 - rho V dt)
 
@@ -49,7 +49,7 @@ _SURFACE_M = 0.4  # standard deviation of the distance of an object's corners fr
 _MAX_SIGMA, _MIN_STATIC_S = 2.5, 0.2  # largest difference from the other distance of static objects, and for how long
 _MAX_REPORTED = 0.15  # largest relative standard deviation of a distance
 _MAX_GAP_S, _MIN_APPROACH = 0.3, 0.1  # longest time without a measurement, and lower bound of 1 - rho V dt
-_MIN_WAY_M = 0.1  # smallest way between two frames that is a measurement
+_MIN_TRAVELLED_M = 0.1  # smallest distance travelled between two frames for a measurement
 
 
 class _Picture(NamedTuple):
@@ -80,7 +80,7 @@ class Parallax:
             return Ranges.unmeasured(tracks.track_id)
         n_halved = max(step.now.n_halved - 1, 0)
         self._before = now = _Picture(tracks, small_grey(step.now.grey, n_halved), n_halved)
-        if before is None or before.image.shape != now.image.shape or step.travelled_m < _MIN_WAY_M:
+        if before is None or before.image.shape != now.image.shape or step.travelled_m < _MIN_TRAVELLED_M:
             return Ranges.unmeasured(tracks.track_id)
         with np.errstate(invalid="ignore", divide="ignore"):  # NaN = unknown
             rho, P, measured_s, agreed_s = self._filtered(before, now, step, other)

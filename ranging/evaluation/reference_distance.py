@@ -69,15 +69,15 @@ def read_lidar(path: Path, calib: Path) -> FloatArray:
     return np.asarray((points_m @ transform[:, :3].T + transform[:, 3]) @ rotation.T)
 
 
-def _matrix(calib: Path, kind: str, shape: tuple[int, int]) -> FloatArray:
+def _matrix(calib: Path, matrix: str, shape: tuple[int, int]) -> FloatArray:
     """A matrix of a calibration file by the names of its row."""
     for line in read_text(calib, LabelFileError, "a calibration file of KITTI").splitlines():
         name, *values = line.replace(":", " ").split()[: 1 + shape[0] * shape[1]] or [""]
-        if name in _ROWS[kind] and len(values) == shape[0] * shape[1]:
+        if name in _ROWS[matrix] and len(values) == shape[0] * shape[1]:
             try:
                 return np.array(values, np.float64).reshape(shape)
             except ValueError:
                 break
     raise LabelFileError(
-        f"{calib}: expected the row {' or '.join(_ROWS[kind])} of the lidar, found none that is valid."
+        f"{calib}: expected the row {' or '.join(_ROWS[matrix])} of the lidar, found none that is valid."
     )

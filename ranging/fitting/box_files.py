@@ -72,8 +72,8 @@ def _numbers(table: CsvTable, name: str) -> FloatArray:
     is_valid = (values >= low) & (values <= high)
     if name in _POSITIVE:
         is_valid &= values > 0
-    kind = "a positive number" if name in _POSITIVE else "a finite number"
-    table.check(name, values, is_valid, f"{kind} up to {high:,.0f}")
+    expected = "a positive number" if name in _POSITIVE else "a finite number"
+    table.check(name, values, is_valid, f"{expected} up to {high:,.0f}")
     return values
 
 

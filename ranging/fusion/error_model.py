@@ -74,21 +74,23 @@ class ErrorModel:
         )
 
 
-def _parts(method: RangingMethod, kind: str) -> dict[str, float]:
-    """Fraction of the variance by error source, of one kind ("systematic" or "independent")."""
+def _parts(method: RangingMethod, component: str) -> dict[str, float]:
+    """Fraction of the variance by error source, of one component ("systematic" or "independent")."""
     parts: dict[str, float] = {}
     for source in method.error_sources:
-        parts[source.name] = parts.get(source.name, 0.0) + getattr(source, kind)
+        parts[source.name] = parts.get(source.name, 0.0) + getattr(source, component)
     return {name: part for name, part in parts.items() if part > 0}
 
 
-def _correlation(methods: Sequence[RangingMethod], kind: str, *, min_own: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """(M, 1) fraction of sigma and (M, M) correlation of the errors of one kind ("systematic" or "independent").
+def _correlation(
+    methods: Sequence[RangingMethod], component: str, *, min_own: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """(M, 1) fraction of sigma and (M, M) correlation of the errors of one component ("systematic" or "independent").
 
     A source that only one method declares counts as `own`. If `own` is less than the fraction `min_own` of a method's
-    variance of this kind, the shared sources are scaled down.
+    variance of this component, the shared sources are scaled down.
     """
-    parts = [_parts(method, kind) for method in methods]
+    parts = [_parts(method, component) for method in methods]
     variance = np.array([sum(part.values()) for part in parts])
     names = sorted({name for part in parts for name in part} - {"own"})
     shared = np.array([[part.get(name, 0.0) for name in names] for part in parts]).reshape(len(parts), len(names))

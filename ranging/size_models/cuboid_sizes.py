@@ -147,14 +147,14 @@ class CuboidSizes:
         """(B, N) log likelihoods of all body types by size and ground; 0 = the most likely one, -inf = impossible."""
         (m, n), n_bodies = body.shape, len(self._tables.class_name)
         by_term = np.vecdot(grid.by_term, likelihood)
-        place = by_size.body.T * n + np.arange(n)
-        evidence = np.bincount(place.ravel(), weights=by_term.ravel(), minlength=m * n).reshape(m, n)
+        index = by_size.body.T * n + np.arange(n)
+        evidence = np.bincount(index.ravel(), weights=by_term.ravel(), minlength=m * n).reshape(m, n)
         log_likelihood = np.log(np.maximum(evidence, 1e-300)) - log_fraction
         is_possible = log_fraction > IMPOSSIBLE / 2
         log_likelihood -= log_likelihood.max(axis=0, where=is_possible, initial=-np.inf)
         result = np.full((n_bodies, n), -np.inf)
-        place = body * n + np.arange(n)
-        result.ravel()[place[is_possible]] = log_likelihood[is_possible]
+        index = body * n + np.arange(n)
+        result.ravel()[index[is_possible]] = log_likelihood[is_possible]
         return result
 
     def log_evidence(self, boxes: BoxExtents) -> FloatArray:

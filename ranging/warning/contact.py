@@ -14,7 +14,7 @@ r"""Probability that a track touches the ego vehicle within a horizon.
         o(t) ~ N(o + o' t, P_oo + 2 t P_oo' + t^2 P_o'o' + (A t^2 / 2)^2)
 
 F is made monotonic in t, since the first contact counts. c_1 and c_2 extend the overlap on the side from which the
-object comes by the way that it moves while the ego vehicle passes: it may run into the side. A is the standard
+object comes by the distance it travels while the ego vehicle passes: it may run into the side. A is the standard
 deviation of the lateral acceleration of the object. Arrival time and lateral offset are independent given the means:
 their common error, a factor of the scale, does not move an object that is ahead out of the path.
 """
@@ -110,7 +110,7 @@ def stop_s(speed_mps: FloatArray, acceleration_mps2: FloatArray, manoeuvre_s: fl
 
 
 def manoeuvre(t: FloatArray | float, tau: float) -> FloatArray:
-    """h(t): way per acceleration that decays with the time constant tau."""
+    """h(t): distance travelled per acceleration that decays with the time constant tau."""
     return np.asarray(tau * tau * np.expm1(-t / tau) + tau * t)
 
 

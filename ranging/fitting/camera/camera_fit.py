@@ -169,10 +169,10 @@ class _BySize:
     def at(self, log_f: float) -> FloatArray:
         """(N,) log distance with the focal length exp(log_f), extrapolated in proportion to f."""
         inside = min(max(log_f, self.log_f[0]), self.log_f[-1])
-        place = (inside - self.log_f[0]) / (self.log_f[1] - self.log_f[0])
-        k = min(int(place), len(self.log_f) - 2)
-        part = place - k
-        return np.asarray((1 - part) * self.log_m[k] + part * self.log_m[k + 1] + (log_f - inside))
+        position = (inside - self.log_f[0]) / (self.log_f[1] - self.log_f[0])
+        k = min(int(position), len(self.log_f) - 2)
+        fraction = position - k
+        return np.asarray((1 - fraction) * self.log_m[k] + fraction * self.log_m[k + 1] + (log_f - inside))
 
 
 def fit_camera(
