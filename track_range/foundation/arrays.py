@@ -40,11 +40,11 @@ def row_numbers(rows: Rows, n_rows: int) -> IntArray:
         return np.arange(n_rows)[rows]
     if not isinstance(rows, np.ndarray):
         rows = np.asarray(rows)
-    kind = rows.dtype.kind
-    if kind == "b":
+    code = rows.dtype.kind
+    if code == "b":
         if rows.shape != (n_rows,):
             raise IndexError(f"rows: expected a mask of shape ({n_rows},), got {rows.shape}")
         return rows.nonzero()[0]
-    if kind not in "iu" and rows.size:
+    if code not in "iu" and rows.size:
         raise IndexError(f"rows: expected a mask or integers, got {rows.dtype}")
     return np.asarray(rows, np.int64)

@@ -43,7 +43,9 @@ class KeywordsInErrors(ContextDecorator):
     def __enter__(self) -> None:
         pass
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self, _type: type[BaseException] | None, error: BaseException | None, _at: TracebackType | None
+    ) -> None:
         if isinstance(error, UserError) and not _is_command_line.get():
             error.args = tuple(
                 with_keywords(part, self._model) if isinstance(part, str) else part for part in error.args

@@ -85,15 +85,15 @@ def value_type(field: FieldInfo) -> Any:
     """The type of a field's value, None excluded."""
     annotation = field.annotation
     if get_origin(annotation) in (Union, UnionType):
-        kinds = [kind for kind in get_args(annotation) if kind is not type(None)]
-        return kinds[0] if len(kinds) == 1 else Union[tuple(kinds)]  # noqa: UP007 - built at run time
+        types = [part for part in get_args(annotation) if part is not type(None)]
+        return types[0] if len(types) == 1 else Union[tuple(types)]  # noqa: UP007 - built at run time
     return annotation
 
 
 def is_list(field: FieldInfo) -> bool:
     """Whether a field is a list, `tuple[X, ...]`."""
-    kind = value_type(field)
-    return get_origin(kind) is tuple and get_args(kind)[-1] is Ellipsis
+    python_type = value_type(field)
+    return get_origin(python_type) is tuple and get_args(python_type)[-1] is Ellipsis
 
 
 def is_file(field: FieldInfo) -> bool:
@@ -103,8 +103,8 @@ def is_file(field: FieldInfo) -> bool:
 
 def choices_of(field: FieldInfo) -> Sequence[str]:
     """The values of a field that has no others; () for other fields."""
-    kind, listed = value_type(field), option_of(field).choices
-    return get_args(kind) if get_origin(kind) is Literal else () if listed is None else tuple(listed())
+    python_type, listed = value_type(field), option_of(field).choices
+    return get_args(python_type) if get_origin(python_type) is Literal else () if listed is None else tuple(listed())
 
 
 class Options(BaseModel):
@@ -140,10 +140,10 @@ class Options(BaseModel):
     def _in_its_type(cls, value: Any, info: ValidationInfo) -> Any:
         """A value from Python or YAML in the type of its field where the meaning is clear; the choices are checked."""
         field = cls.model_fields[info.field_name or ""]
-        kind, declaration = value_type(field), option_of(field)
+        python_type, declaration = value_type(field), option_of(field)
         if isinstance(value, str) and is_list(field):
             return tuple(part.strip() for part in value.split(",")) if value.strip() else ()
-        if kind is not str:
+        if python_type is not str:
             return value
         if value is False and "off" in declaration.words:
             return "off"  # YAML reads an unquoted `off` as false

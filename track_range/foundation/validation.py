@@ -66,15 +66,15 @@ def first_problem(error: ValidationError) -> tuple[str, str]:
     """Key of the first invalid value, such as "left.fx_px", and what was expected and found."""
     first = error.errors(include_url=False)[0]
     key = shortened(repr(".".join(str(part) for part in first["loc"] if part != "[key]"))[1:-1])
-    kind, limits = first["type"], first.get("ctx", {})
-    if kind == "missing":
+    error_type, limits = first["type"], first.get("ctx", {})
+    if error_type == "missing":
         return key, "expected a value, found none"
-    if kind == "extra_forbidden":
+    if error_type == "extra_forbidden":
         return key, "this key is unknown"
-    if kind in ("value_error", "assertion_error"):
+    if error_type in ("value_error", "assertion_error"):
         return key, shortened(first["msg"].partition(", ")[2].removesuffix("."), _MAX_PROBLEM)
-    if kind in _EXPECTED:
-        expected = _EXPECTED[kind].format_map(defaultdict(lambda: "?", limits))
+    if error_type in _EXPECTED:
+        expected = _EXPECTED[error_type].format_map(defaultdict(lambda: "?", limits))
     else:
         expected = first["msg"].removeprefix("Input should be ").removeprefix("a valid ")
     return key, f"expected {shortened(expected, _MAX_PROBLEM)}, found {quoted(first['input'])}"

@@ -177,9 +177,9 @@ def _is_complete_png(png: bytes) -> bool:
     """Whether all chunks of a PNG file are in it; OpenCV takes seconds and gigabytes to refuse a chunk of 2 GB."""
     at = len(_PNG_START)
     while at + 12 <= len(png):
-        kind = png[at + 4 : at + 8]
-        at += 12 + int.from_bytes(png[at : at + 4], "big")  # length, kind, data, checksum
-        if kind == b"IEND":
+        chunk_type = png[at + 4 : at + 8]
+        at += 12 + int.from_bytes(png[at : at + 4], "big")  # length, type, data, checksum
+        if chunk_type == b"IEND":
             return at <= len(png)
     return False
 
@@ -217,14 +217,14 @@ def _tiff_size_px(file: BinaryIO, order: str, *, is_big: bool) -> tuple[int, int
 
 
 def _webp_size_px(start: bytes) -> tuple[int, int] | None:
-    kind = start[12:16]
-    if kind == b"VP8X":
+    chunk_type = start[12:16]
+    if chunk_type == b"VP8X":
         width, height = (int.from_bytes(start[at : at + 3], "little") for at in (24, 27))
         return width + 1, height + 1
-    if kind == b"VP8L":
+    if chunk_type == b"VP8L":
         (bits,) = struct.unpack_from("<I", start, 21)
         return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
-    if kind == b"VP8 ":
+    if chunk_type == b"VP8 ":
         width, height = _pair("<HH", start, 26)
         return width & 0x3FFF, height & 0x3FFF
     return None

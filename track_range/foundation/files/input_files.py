@@ -154,7 +154,7 @@ def printable(text: str) -> str:
 
 def _decoded(content: bytes, path: Path, error: type[Exception], expected: str, *, is_complete: bool = True) -> str:
     """Text of a file's content in UTF-8; the last character may be incomplete unless `is_complete`."""
-    if archive := next((kind for mark, kind in _ARCHIVES.items() if content.startswith(mark)), None):
+    if archive := next((noun for mark, noun in _ARCHIVES.items() if content.startswith(mark)), None):
         raise error(f"{path}: expected {expected} as text, found {archive}; unpack it first.")
     if content.startswith(_UTF_16_MARKS):
         raise error(f"{path}: expected {expected} as text in UTF-8, found UTF-16; save the file as UTF-8.")

@@ -31,7 +31,7 @@ digits before the decimal point."""
 _TAGS = frozenset(f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str", "seq", "map"))
 """Tags of the values that JSON has, too; other tags are refused."""
 
-_KINDS = {"int": "an integer of at most 64 bits", "float": "a number", "bool": "true or false", "str": "text"}
+_NOUNS = {"int": "an integer of at most 64 bits", "float": "a number", "bool": "true or false", "str": "text"}
 """Noun phrases for messages by the last part of a tag."""
 
 _BaseLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -47,13 +47,13 @@ class _Loader(_BaseLoader):  # type: ignore[misc]
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         """The value of a node."""
-        kind = str(node.tag).rpartition(":")[2]
+        type_name = str(node.tag).rpartition(":")[2]
         try:
-            if kind in ("int", "float") and len(node.value) > _MAX_DIGITS:
+            if type_name in ("int", "float") and len(node.value) > _MAX_DIGITS:
                 raise ValueError("too many digits")
             return _checked(super().construct_object(node, deep=deep))
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as reason:
-            problem = f"expected {_KINDS.get(kind, kind)}, got {quoted(node.value, 20)}"
+            problem = f"expected {_NOUNS.get(type_name, type_name)}, got {quoted(node.value, 20)}"
             raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from reason
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:

@@ -282,9 +282,9 @@ def _opened(address: LiveAddress) -> InputContainer:
             timeout=(_OPEN_S, SILENCE_S),
         )
     except (av.FFmpegError, ValueError) as error:
-        kind = "camera" if address.is_camera else "stream"
+        noun = "camera" if address.is_camera else "stream"
         reason = _reason(error, timeout_s=_OPEN_S)
-        raise VideoError(f"{address}: the {kind} cannot be opened ({reason}); check the address.") from error
+        raise VideoError(f"{address}: the {noun} cannot be opened ({reason}); check the address.") from error
     if not container.streams.video:
         container.close()
         raise VideoError(f"{address}: the stream contains no video; check the address.")

@@ -30,12 +30,12 @@ _MAX_START_DIFFERENCE_MS = 600_000
 def read_blackvue(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:
     """Telemetry of the box `free/gps ` of a movie; None = there is none."""
     for box in movie.top[:64]:
-        if box.kind not in (b"free", b"skip") or box.end - box.start < 16:
+        if box.type not in (b"free", b"skip") or box.end - box.start < 16:
             continue
         if not read_at(file, box.start + 4, 4).strip(b"\0 ").isalnum():
             continue
         content = read_at(file, box.start, min(box.end - box.start, MAX_GPS_BYTES))
-        parts = {part.kind: content[part.start : part.end] for part in boxes(content)}
+        parts = {part.type: content[part.start : part.end] for part in boxes(content)}
         if b"gps " in parts and (telemetry := _stamped_track(parts[b"gps "], parts.get(b"sttm", b""), str(path))):
             return telemetry
     return None

@@ -67,7 +67,7 @@ def _places(file: BinaryIO, movie: Movie) -> Iterator[bytes]:
     if end[:4] in _TERMINATORS and 16 <= n_bytes <= min(movie.n_bytes, MAX_TRAILER_BYTES):
         yield read_at(file, movie.n_bytes - n_bytes, n_bytes)
     for box in movie.top:
-        if box.kind in (b"skip", b"SKIP", b"free") and b"GPSINFO" in read_at(file, box.start, 24):
+        if box.type in (b"skip", b"SKIP", b"free") and b"GPSINFO" in read_at(file, box.start, 24):
             yield read_at(file, box.start, min(box.end - box.start, MAX_TRAILER_BYTES))
     for content in movie.inner.values():
         if b"LIGOGPSINFO" in content[:65_536]:

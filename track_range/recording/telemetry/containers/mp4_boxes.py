@@ -40,7 +40,7 @@ _MAX_INTEGER = 2**53  # limit of offsets and times, with which sums do not overf
 class Box(NamedTuple):
     """A box: its type, and where its content is in the file."""
 
-    kind: bytes
+    type: bytes
     start: int
     end: int
 
@@ -107,22 +107,22 @@ def read_movie(file: BinaryIO) -> Movie | None:
     """The movie in an open file; None = it is no MP4 or QuickTime file."""
     n_bytes = os.fstat(file.fileno()).st_size
     top = tuple(_walk(lambda offset: read_at(file, offset, 16), 0, n_bytes))
-    if not any(box.kind in (b"ftyp", b"moov", b"mdat") for box in top[:8]):
+    if not any(box.type in (b"ftyp", b"moov", b"mdat") for box in top[:8]):
         return None
-    place = next((box for box in top if box.kind == b"moov"), None)
+    place = next((box for box in top if box.type == b"moov"), None)
     if place is None or place.end - place.start > MAX_MOVIE_BYTES:
         return Movie(top, n_bytes=n_bytes)
     content = read_at(file, place.start, place.end - place.start)
     inner: dict[bytes, bytes] = {}
     traks = []
     for box in boxes(content):
-        if box.kind == b"trak":
+        if box.type == b"trak":
             traks.append(content[box.start : box.end])
-        elif box.kind == b"udta":
+        elif box.type == b"udta":
             for part in boxes(content, box.start, box.end):
-                inner.setdefault(part.kind, content[part.start : part.end])
+                inner.setdefault(part.type, content[part.start : part.end])
         else:
-            inner.setdefault(box.kind, content[box.start : box.end])
+            inner.setdefault(box.type, content[box.start : box.end])
     scale = _timescale(inner.get(b"mvhd", b""))
     tracks = [track for trak in traks[:MAX_TRACKS] if (track := _track(trak, scale)) is not None]
     if b"mvex" in inner:
@@ -165,7 +165,7 @@ def _walk(header_at: Callable[[int], bytes], start: int, end: int) -> Iterator[B
         if start + 8 > end:
             return
         header = header_at(start)
-        n_bytes, kind = struct.unpack_from(">I4s", header)
+        n_bytes, box_type = struct.unpack_from(">I4s", header)
         n_header = 8
         if n_bytes == 1 and len(header) >= 16:
             n_bytes, n_header = struct.unpack_from(">Q", header, 8)[0], 16
@@ -173,14 +173,14 @@ def _walk(header_at: Callable[[int], bytes], start: int, end: int) -> Iterator[B
             n_bytes = end - start
         if n_bytes < n_header:
             return
-        yield Box(kind, start + n_header, min(start + n_bytes, end))
+        yield Box(box_type, start + n_header, min(start + n_bytes, end))
         start += n_bytes
 
 
 def _first(content: bytes, *path: bytes) -> bytes:
     """Content of the first box at a path of types; b"" = there is none."""
-    for kind in path:
-        box = next((box for box in boxes(content) if box.kind == kind), None)
+    for box_type in path:
+        box = next((box for box in boxes(content) if box.type == box_type), None)
         if box is None:
             return b""
         content = content[box.start : box.end]
@@ -305,13 +305,13 @@ def _with_fragments(file: BinaryIO, top: Sequence[Box], tracks: Sequence[Track],
     """Tracks with the samples of their fragments; `extends` is the box `mvex`."""
     defaults = {}
     for box in boxes(extends):
-        if box.kind == b"trex" and box.end - box.start >= 20:
+        if box.type == b"trex" and box.end - box.start >= 20:
             number, _, duration, size = struct.unpack_from(">4I", extends, box.start + 4)
             defaults[number] = duration, size
     samples = {t.number: _Samples(end=round(float(t.durations_s.sum()) * t.ticks_per_s)) for t in tracks}
     start = 0
     for box in top:
-        if box.kind == b"moof" and box.end - box.start <= MAX_FRAGMENT_BYTES:
+        if box.type == b"moof" and box.end - box.start <= MAX_FRAGMENT_BYTES:
             with suppress(struct.error, ValueError, OverflowError):  # cut off or damaged
                 _add_fragment(read_at(file, box.start, box.end - box.start), start, defaults, samples)
         start = box.end
@@ -336,10 +336,10 @@ def _add_fragment(
     """Add the samples of a box `moof` that starts at `start` in the file."""
     end_of_data = start
     for box in boxes(content):
-        if box.kind != b"traf":
+        if box.type != b"traf":
             continue
-        parts = [(part.kind, content[part.start : part.end]) for part in boxes(content, box.start, box.end)]
-        header = next((body for kind, body in parts if kind == b"tfhd"), b"")
+        parts = [(part.type, content[part.start : part.end]) for part in boxes(content, box.start, box.end)]
+        header = next((body for part_type, body in parts if part_type == b"tfhd"), b"")
         flags, number = struct.unpack_from(">II", header)
         duration, size = defaults.get(number, (0, 0))
         base, place = start if flags & 0x20000 else end_of_data, 8  # the base is the `moof`, or the data before
@@ -354,11 +354,11 @@ def _add_fragment(
         if track is None:
             continue
         end_of_data = base
-        for kind, body in parts:
-            if kind == b"tfdt":
+        for part_type, body in parts:
+            if part_type == b"tfdt":
                 (end,) = struct.unpack_from(">Q" if body[:1] == b"\x01" else ">I", body, 4)
                 track.end = min(end, _MAX_INTEGER)
-            elif kind == b"trun":
+            elif part_type == b"trun":
                 end_of_data = _add_run(track, body, base, end_of_data, duration, size)
 
 

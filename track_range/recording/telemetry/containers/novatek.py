@@ -63,14 +63,14 @@ def _indexed(movie: Movie) -> Iterator[int]:
 def _top_level(movie: Movie) -> Iterator[int]:
     """Places of boxes `free` of the file: the type is the first half of the mark, or it is followed by all of it."""
     for box in movie.top:
-        if box.kind in (b"free", b"skip"):
+        if box.type in (b"free", b"skip"):
             yield box.start - 8
             yield box.start - 4
 
 
 def _between_samples(file: BinaryIO, movie: Movie) -> Iterator[int]:
     """Places of boxes in the parts of the media data that belong to no track."""
-    media = [box for box in movie.top if box.kind == b"mdat"]
+    media = [box for box in movie.top if box.type == b"mdat"]
     tracks = [part for part in movie.tracks if len(part)]
     if not media or not tracks:
         return
@@ -149,7 +149,7 @@ def _timed(groups: Iterable[Sequence[Sample]], times_s: FloatArray) -> list[Samp
 
 def _seventymai_table(file: BinaryIO, movie: Movie) -> TelemetryTrack | None:
     """Telemetry of the box `GPS ` of older 70mai cameras: rows of 36 bytes with seconds of the video and m/h."""
-    box = next((box for box in movie.top if box.kind == b"GPS "), None)
+    box = next((box for box in movie.top if box.type == b"GPS "), None)
     content = read_at(file, box.start, min(box.end - box.start, 36 * MAX_BLOCKS)) if box else b""
     samples = []
     for start in range(0, len(content) - 35, 36):
