@@ -22,10 +22,7 @@ _Handler = Callable[[int, FrameType | None], None] | signal.Handlers
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[None]:
-    """Context in which the first Ctrl-C or SIGTERM raises KeyboardInterrupt; later ones are ignored.
-
-    After the first signal, threads, videos and the summary are finished in order, which a second one would prevent.
-    """
+    """Context in which the first Ctrl-C or SIGTERM raises KeyboardInterrupt; later ones are ignored."""
     handled = _active_signals()
 
     def stop(number: int, at: FrameType | None) -> None:
@@ -39,11 +36,7 @@ def stop_on_interrupt() -> Iterator[None]:
 
 @contextmanager
 def defer_interrupts() -> Iterator[None]:
-    """Context in which Ctrl-C and SIGTERM are deferred to the end of the block.
-
-    Raises:
-        KeyboardInterrupt: at the end of the block, if a signal was received.
-    """
+    """Context in which Ctrl-C and SIGTERM are deferred: they raise KeyboardInterrupt at the end of the block."""
     received: list[int] = []
     with _handled_signals(_active_signals(), lambda number, at: received.append(number)):
         yield

@@ -12,10 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 @contextmanager
 def frame_progress(console: Console, n_frames: int | None) -> Iterator[Callable[[], None]]:
-    """Progress bar with frames, frame rate and remaining time; yields a callable that advances it by one frame.
-
-    Nothing is shown if the console is not a terminal.
-    """
+    """Progress bar with frames, rate and remaining time (on a terminal); yields a callable that advances it."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

@@ -14,15 +14,8 @@ from track_range.detection.models.lookup import find_model, models_folder
 def ready_model(name_or_path: str | Path, console: Console) -> Path:
     """ONNX file of a model: an existing file, else a packaged, cached or catalogue model, in that order.
 
-    A model of the catalogue is downloaded to the cache folder.
-
-    Args:
-        name_or_path: a file, or a name from `track-range models list`.
-        console: for the licence notice and the progress bar of a download.
-
-    Raises:
-        ModelError: there is no such model.
-        DownloadError: the model cannot be downloaded.
+    A model of the catalogue is downloaded to the cache folder, with its licence notice and progress on the console.
+    ModelError: there is no such model; DownloadError: it cannot be downloaded.
     """
     model = find_model(name_or_path)
     if model.origin != "catalogue" or model.entry is None:

@@ -18,24 +18,12 @@ from track_range.foundation.files.numeric_text import number
 from track_range.tracking.appearance.reid import ReidModel
 from track_range.tracking.tracker import TrackerOptions
 
-_MAX_NAME = 200
-"""Largest number of characters of a class name."""
+_MAX_NAME = 200  # largest number of characters of a class name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectorOptions:
-    """Options of a detector; None = not given.
-
-    Attributes:
-        names: class names of the network, `a,b,c` or a file with one name per line.
-        anchors: see `detection.models.metadata`.
-        letterbox: see `detection.models.metadata`.
-        min_score: minimum confidence, `0.25`, or `0.1,car=0.3,person=0.2` with separate thresholds for classes.
-        size_px: longer side of the network input for a network of variable input size; None = that in the model file.
-        threads: CPU threads of the network; 0 = one per core.
-        device: device that runs the network.
-        classes: road classes to detect; empty = all.
-    """
+    """Options of a detector as on the command line (see `DetectionOptions`); None = not given."""
 
     names: str | None = None
     anchors: str | None = None
@@ -85,11 +73,7 @@ def _engine_folder(device: Device) -> Path | None:
 
 
 def class_names(option: str | None) -> tuple[str, ...] | None:
-    """Class names from `a,b,c` or from a file with one name per line; None if the option is None.
-
-    Raises:
-        ConfigError: the file cannot be read, or a name is empty.
-    """
+    """Class names from `a,b,c` or from a file with one name per line; ConfigError for unreadable or empty ones."""
     if option is None:
         return None
     path = Path(option)
@@ -112,8 +96,13 @@ def thresholds(option: str | None, *, otherwise: float) -> tuple[float, tuple[tu
     """
     min_score, by_class = None, []
     for part in option.split(",") if option else ():
-        name, separator, number = part.rpartition("=")
-        score = _score(number)
+        name, separator, text = part.rpartition("=")
+        score = number(text)
+        if not 0 <= score <= 1:
+            raise UsageError(
+                "--min-score: expected confidences from 0 to 1, such as 0.25 or 0.1,car=0.3, "
+                f"got {quoted(text.strip())}."
+            )
         if separator:
             by_class.append((road_class_id(name), score))
         elif min_score is None:
@@ -126,36 +115,20 @@ def thresholds(option: str | None, *, otherwise: float) -> tuple[float, tuple[tu
     return (otherwise if min_score is None else min_score), tuple(by_class)
 
 
-def _score(text: str) -> float:
-    score = number(text)
-    if not 0 <= score <= 1:
-        raise UsageError(
-            f"--min-score: expected confidences from 0 to 1, such as 0.25 or 0.1,car=0.3, got {quoted(text.strip())}."
-        )
-    return score
-
-
 def open_tracker_options(reid: Path | None, runtime: Runtime | None = None) -> TrackerOptions:
     """Options for trackers, with the re-identification network (else ModelError) loaded if there is one."""
     return TrackerOptions(reid=None if reid is None else ReidModel(reid, runtime))
 
 
 class OpenedDetectors:
-    """The last opened detector, which a run with the same file and options uses again.
-
-    The results are those of a newly opened detector. One run at a time may use it.
-    """
+    """The last opened detector, which the next run with the same file and options uses again; one run at a time."""
 
     def __init__(self) -> None:
         self._key: tuple[object, ...] | None = None
         self._detector: YoloDetector | None = None
 
     def __call__(self, path: Path, options: DetectorOptions) -> YoloDetector:
-        """The detector of a file and options.
-
-        Raises:
-            ModelError, ClassNameError, ConfigError: see `open_detector`.
-        """
+        """The detector of a file and options; errors as of `open_detector`."""
         key = (path, options, _state(path), None if options.names is None else _state(Path(options.names)))
         if self._detector is None or key != self._key:
             self._detector = self._key = None  # two networks at a time would need twice the memory
