@@ -19,26 +19,22 @@ from track_range.foundation.files.input_files import MAX_TEXT_BYTES, read_bytes
 from track_range.foundation.files.numeric_text import number, numbers
 
 _ALIASES = {"network": "net", "conv": "convolutional", "max": "maxpool"}
-"""Short and alternative names of sections."""
 
-_MAX_INTEGER = 65535
-"""Largest integer accepted: numbers of pixels, channels and layers are smaller."""
+_MAX_INTEGER = 65535  # numbers of pixels, channels and layers are smaller
 
-_MAX_NUMBER = 1e10
-"""Largest absolute number accepted; Darknet's default of share_index is -1,000,000,000."""
+_MAX_NUMBER = 1e10  # Darknet's default of share_index is -1,000,000,000
 
 _INTEGER = re.compile(r"[+-]?[0-9]+")
 
-_MAX_SHOWN = 40
-"""Longest excerpt of a line in messages, in characters."""
+_MAX_SHOWN = 40  # characters of a line in messages
 
 
 @dataclass(frozen=True, slots=True)
 class CfgSection:
-    """One section of a cfg.
+    """One section of a cfg; all methods raise ModelError for missing or invalid values.
 
     Attributes:
-        path, line: file and line of its header; lines count from 1.
+        line: line of its header, from 1.
         kind: name in the header's brackets, aliases resolved.
         options: values by key, without blanks.
     """
@@ -53,27 +49,15 @@ class CfgSection:
         return ModelError(f"{self.path}, line {self.line}, [{_short(self.kind)}]: {reason}.")
 
     def integer(self, key: str, default: int | None = None, *, minimum: int = 0) -> int:
-        """The integer under `key`.
-
-        Raises:
-            ModelError: another value or one below `minimum`, or no value and no default.
-        """
+        """The integer under `key`, at least `minimum`."""
         return self._bounded(key, self._text(key, default), minimum)
 
     def integers(self, key: str) -> tuple[int, ...]:
-        """The integers under `key`, which may be negative.
-
-        Raises:
-            ModelError: there are none, or other values.
-        """
+        """The integers under `key`, which may be negative."""
         return tuple(self._bounded(key, text, -_MAX_INTEGER) for text in self._list(key))
 
     def numbers(self, key: str, default: float | None = None) -> tuple[float, ...]:
-        """The numbers under `key`.
-
-        Raises:
-            ModelError: other values, a number that is not finite, or no value and no default.
-        """
+        """The finite numbers under `key`."""
         if default is not None and key not in self.options:
             return (default,)
         values = tuple(numbers(self._list(key)))
@@ -82,22 +66,14 @@ class CfgSection:
         return values
 
     def word(self, key: str, default: str, known: Collection[str]) -> str:
-        """The word under `key`, one of `known`.
-
-        Raises:
-            ModelError: the word is not in `known`.
-        """
+        """The word under `key`, one of `known`."""
         word = self.options.get(key, default)
         if word not in known:
             raise self._invalid(key, f"one of {', '.join(known)}")
         return word
 
     def require_defaults(self, defaults: Mapping[str, float]) -> None:
-        """Check that options that are not supported are absent or have their default values.
-
-        Raises:
-            ModelError: an option has another value.
-        """
+        """Check that options that are not supported are absent or have their default values."""
         for key, value in defaults.items():
             if key in self.options and self.numbers(key) != (value,):
                 raise self._invalid(key, f"{key}={value:g} (the only supported value)")
@@ -120,20 +96,11 @@ class CfgSection:
         return int(value)
 
     def _invalid(self, key: str, expected: str) -> ModelError:
-        """An error on the value of `key`."""
         return self.error(f"expected {expected}, got '{_short(f'{key}={self.options.get(key)}')}'")
 
 
 def read_sections(path: Path, known: Collection[str]) -> list[CfgSection]:
-    """The sections of a cfg; the first one is [net].
-
-    Args:
-        path: the cfg.
-        known: names of the sections that may follow [net].
-
-    Raises:
-        ModelError: the file is not a readable cfg, or has an unknown section.
-    """
+    """The sections of a cfg, [net] and then `known` ones; ModelError if it is not readable, or has others."""
     sections = list(_sections(path, _text_of(path)))
     if not sections or sections[0].kind != "net":
         first = f"[{_short(sections[0].kind)}]" if sections else "no section"
@@ -166,7 +133,6 @@ def _sections(path: Path, text: str) -> Iterator[CfgSection]:
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
-    """Line numbers and lines without blanks and comments; empty lines are left out."""
     for line_number, raw in enumerate(text.split("\n"), start=1):
         line = "".join(raw.partition("#")[0].split())
         if line and not line.startswith(";"):
@@ -174,6 +140,5 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _short(text: str) -> str:
-    """The text in printable characters, cut off after `_MAX_SHOWN`."""
     shown = text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
     return "".join(character if character.isprintable() else "?" for character in shown)

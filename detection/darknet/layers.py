@@ -54,12 +54,9 @@ class Convolution:
     """A convolution with batch norm and activation.
 
     Attributes:
-        n_filters, n_channels: number of output and input channels.
         size: side of the kernel in pixels.
-        stride_yx: strides in y and x.
         pad: padding of each side in pixels.
         groups: number of channel groups.
-        has_batch_norm: batch norm follows the convolution.
         activation: key of `ACTIVATIONS`.
     """
 
@@ -125,7 +122,6 @@ class YoloHead:
 
     Attributes:
         anchors_px: (width, height) in input pixels of the anchors in its mask.
-        n_classes: number of classes.
         scale_x_y: factor on the range of the centre offsets.
     """
 

@@ -28,70 +28,52 @@ from track_range.foundation.files.input_files import quoted, shortened
 
 
 def read_network(path: Path) -> Network:
-    """The network that the cfg at `path` describes.
-
-    Raises:
-        ModelError: the file is not a readable cfg, is inconsistent, or has unsupported layers or options.
-    """
-    net, heads, network = read_layers(path)
-    _check_heads(net, [head for _, head in network.heads])
-    for section, (source, _) in zip(heads, network.heads, strict=True):
-        _check_grid(section, network.input_shape, network.layers[source].shape)
+    """The network that the cfg at `path` describes; ModelError if it is invalid or has unsupported options."""
+    net, sections, network = read_layers(path)
+    heads = [head for _, head in network.heads]
+    if len(heads) not in (2, 3):
+        raise net.error(f"expected two or three [yolo] sections as in YOLOv3 and YOLOv4, got {len(heads)}")
+    if len({(len(head.anchors_px), head.n_classes) for head in heads}) != 1:
+        raise net.error("expected the same number of classes and of anchors per mask in all [yolo] sections")
+    image = network.input_shape
+    for section, (source, _) in zip(sections, network.heads, strict=True):
+        grid = network.layers[source].shape
+        if image[1] % grid[1] or image[2] % grid[2]:
+            raise section.error(
+                f"expected width and height of [net] that are multiples of the strides (usually of 32), got an input "
+                f"of {image[2]}x{image[1]} pixels for a grid of {grid[2]}x{grid[1]} cells; check width, height and the "
+                "strides"
+            )
     return network
 
 
 def read_layers(path: Path) -> tuple[CfgSection, list[CfgSection], Network]:
-    """The section [net], the [yolo] sections and the network of a cfg, without checks of the heads together.
-
-    Raises:
-        ModelError: the file is not a readable cfg, is inconsistent, or has unsupported layers or options.
-    """
+    """The section [net], the [yolo] sections and the network of a cfg, without checks of the heads together."""
     net, *sections = read_sections(path, tuple(_READERS))
     n_channels, height, width = (net.integer(key, default, minimum=1) for key, default in _NET_SIZES.items())
     if n_channels != 3:
         raise net.error(f"expected channels=3, got channels={n_channels}")
+    if (side := max(height, width)) > _MAX_SIDE_PX:
+        raise net.error(f"expected an input of at most {_MAX_SIDE_PX} pixels a side, got {side}")
     trunk = _Trunk((n_channels, height, width))
-    for side in (height, width):
-        if side > _MAX_SIDE_PX:
-            raise net.error(f"expected an input of at most {_MAX_SIDE_PX} pixels a side, got {side}")
     for section in sections:
         layer = _READERS[section.kind](section, trunk)
         if math.prod(layer.shape) > _MAX_VALUES:
             raise section.error(f"expected an output of at most {_MAX_VALUES:,} values, got {_sizes([layer.shape])}")
         trunk.layers.append(layer)
-    network = Network(
-        trunk.image, net.integer("letter_box") if "letter_box" in net.options else None, tuple(trunk.layers)
-    )
+    letter_box = net.integer("letter_box") if "letter_box" in net.options else None
+    network = Network(trunk.image, letter_box, tuple(trunk.layers))
     return net, [section for section in sections if section.kind == "yolo"], network
-
-
-def _check_grid(section: CfgSection, image: Shape, grid: Shape) -> None:
-    """Raise an error unless the cells of a [yolo] layer have a whole number of input pixels a side."""
-    if image[1] % grid[1] or image[2] % grid[2]:
-        raise section.error(
-            f"expected width and height of [net] that are multiples of the strides (usually of 32), got an input of "
-            f"{image[2]}x{image[1]} pixels for a grid of {grid[2]}x{grid[1]} cells; check width, height and the strides"
-        )
-
-
-def _check_heads(net: CfgSection, heads: Sequence[YoloHead]) -> None:
-    if len(heads) not in (2, 3):
-        raise net.error(f"expected two or three [yolo] sections as in YOLOv3 and YOLOv4, got {len(heads)}")
-    if len({(len(head.anchors_px), head.n_classes) for head in heads}) != 1:
-        raise net.error("expected the same number of classes and of anchors per mask in all [yolo] sections")
 
 
 _NET_SIZES: Mapping[str, int | None] = {"channels": 3, "height": None, "width": None}
 """Options of [net] with the input's shape, and their defaults; None = no default."""
 
-_MAX_SIDE_PX = 8192
-"""Largest width and height of the input, as for ONNX models."""
+_MAX_SIDE_PX = 8192  # of the input, as for ONNX models
 
-_MAX_VALUES = 2**28
-"""Largest number of values of a layer's output: 1 GB."""
+_MAX_VALUES = 2**28  # of a layer's output: 1 GB
 
 _MAX_ANCHOR_PX = 65535
-"""Largest width and height of an anchor."""
 
 
 class _Trunk:

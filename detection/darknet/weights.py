@@ -27,16 +27,12 @@ from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.files.input_files import open_regular, readable
 
 _EPSILON = 0.00001
-"""Number added to the variance of batch norm, as in AlexeyAB's Darknet."""
 
-_VERSION_BYTES = 12
-"""Size of the three version numbers at the start of the file."""
+_VERSION_BYTES = 12  # three version numbers at the start of the file
 
-_MAX_VERSION = 999
-"""Largest plausible version number; Darknet transposes the weights of files with larger ones."""
+_MAX_VERSION = 999  # Darknet transposes the weights of files with larger ones
 
 _BYTES_PER_VALUE = 4
-"""Size of a float32."""
 
 
 def read_convolutions(path: Path, network: Network) -> Iterator[tuple[FloatArray32, FloatArray32]]:
@@ -63,7 +59,6 @@ def read_convolutions(path: Path, network: Network) -> Iterator[tuple[FloatArray
 
 
 def _values(path: Path, n_expected: int) -> npt.NDArray[np.float32]:
-    """(n_expected,) the values after the header."""
     with open_regular(path, ModelError, "Darknet weights") as file, readable(path, ModelError):
         n_bytes = os.fstat(file.fileno()).st_size
         version = np.frombuffer(file.read(_VERSION_BYTES).ljust(_VERSION_BYTES, b"\0"), "<i4").tolist()
@@ -89,7 +84,6 @@ def _values(path: Path, n_expected: int) -> npt.NDArray[np.float32]:
 
 
 def _folded(operation: Convolution, values: npt.NDArray[np.float64]) -> tuple[FloatArray32, FloatArray32]:
-    """Weights and bias of one convolution, including its batch norm, from its values in the file."""
     n_filters = operation.n_filters
     columns, weights = np.split(values, [operation.n_values - operation.n_weights])
     bias, *norm = columns.reshape(-1, n_filters)

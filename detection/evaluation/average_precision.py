@@ -21,8 +21,7 @@ from track_range.detection.evaluation.matching import ClassMatches, match_class
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.foundation.arrays import FloatArray, IntArray
 
-RECALL_POINTS: FloatArray = np.linspace(0.0, 1.0, 101)
-"""Recall values at which the interpolated precision is averaged, as in COCO."""
+RECALL_POINTS: FloatArray = np.linspace(0.0, 1.0, 101)  # as in COCO
 
 PRECISIONS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 """Precisions at which the recall is reported, so that detectors can be compared at equal precision."""
@@ -65,10 +64,7 @@ class DetectionScores:
     by_class: Mapping[int, ClassScores]
 
     def mean(self, figure: str, class_id: Iterable[int] | None = None) -> float:
-        """Mean of the `ClassScores` attribute `figure` over the averaged classes, or over those in `class_id`.
-
-        NaN if none of the classes is averaged.
-        """
+        """Mean of a figure of `ClassScores` over the averaged classes (in `class_id`); NaN if there are none."""
         class_ids = self.by_class if class_id is None else class_id
         values = [getattr(self.by_class[i], figure) for i in class_ids if self.by_class[i].is_averaged]
         return float(np.mean(values)) if values else float("nan")
@@ -150,7 +146,6 @@ def accuracy(matches: ClassMatches, working_score: float) -> dict[str, Any]:
 
 
 def _average_precision(precision: FloatArray, recall: FloatArray) -> float:
-    """AP, the mean of p_interp(r) over `RECALL_POINTS`, from precision and recall, (K,) each, by decreasing score."""
     p_interp = np.maximum.accumulate(np.nan_to_num(precision)[::-1])[::-1]
     index = np.searchsorted(recall, RECALL_POINTS, side="left")
     return float(np.append(p_interp, 0.0)[np.minimum(index, len(p_interp))].mean())

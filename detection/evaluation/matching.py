@@ -22,11 +22,9 @@ from track_range.detection.detections import Detections
 from track_range.detection.formats.image_labels.image_truth import ANY_CLASS, ImageTruth
 from track_range.foundation.arrays import BoolArray, FloatArray
 
-IOU_THRESHOLDS: FloatArray = np.linspace(0.5, 0.95, 10)
-"""IoU thresholds of AP50-95, as in COCO."""
+IOU_THRESHOLDS: FloatArray = np.linspace(0.5, 0.95, 10)  # of AP50-95, as in COCO
 
-MAX_DETECTIONS = 100
-"""Largest number of detections evaluated per image and class, as in COCO."""
+MAX_DETECTIONS = 100  # per image and class, as in COCO
 
 SizeMeasure = Literal["area", "height"]
 """Measure of the size of a box: its area in square pixels or its height in pixels, both of the image."""
@@ -34,13 +32,7 @@ SizeMeasure = Literal["area", "height"]
 
 @dataclass(frozen=True, slots=True)
 class SizeBin:
-    """A range of sizes of boxes, low <= size < high.
-
-    Attributes:
-        name: name in the tables.
-        measure: what the limits refer to.
-        low, high: limits, in square pixels of the image for areas, in pixels of the image for heights.
-    """
+    """Range of sizes of boxes, low <= size < high, in square pixels of the image for areas, else in pixels."""
 
     name: str
     measure: SizeMeasure
@@ -96,12 +88,7 @@ def match_class(
 ) -> list[ClassMatches]:
     """The matches of one class in the images in which it is labelled completely, for each bin.
 
-    Args:
-        detections: the detections of each image.
-        truth: the labels of each image, in the same order.
-        class_id: road class.
-        min_height_px: labels below this height are ignored, and so are unmatched detections below it (KITTI's rule).
-        bins: bins of sizes.
+    `min_height_px`: labels below this height are ignored, and so are unmatched detections below it (KITTI's rule).
 
     Raises:
         ValueError: `detections` and `truth` differ in length.
@@ -119,7 +106,6 @@ def match_class(
 def _match_image(
     detections: Detections, truth: ImageTruth, class_id: int, *, min_height_px: float, bins: Sequence[SizeBin]
 ) -> list[ClassMatches]:
-    """The matches of one class in one image, for each bin."""
     chosen = np.flatnonzero(detections.class_id == class_id)
     chosen = chosen[np.argsort(-detections.score[chosen], kind="stable")][:MAX_DETECTIONS]
     of_class = np.flatnonzero((truth.class_id == class_id) | (truth.class_id == ANY_CLASS))

@@ -47,14 +47,7 @@ _FIGURES = ("ap50", "ap50_95", "recall")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SizeClassScores:
-    """Scores of one class in one bin, as fractions 0..1; NaN without labels.
-
-    Attributes:
-        n_boxes: number of labels in the bin, without labels to ignore.
-        ap50, ap50_95: average precision.
-        recall: of the detections at or above the confidence threshold, at IoU >= 0.5.
-        is_averaged: the class is included in the bin's means.
-    """
+    """Scores of one class in one bin, as in `ClassScores`; NaN without labels."""
 
     n_boxes: int
     ap50: float
@@ -71,7 +64,7 @@ class SizeScores:
     by_class: Mapping[int, SizeClassScores]
 
     def mean(self, figure: str) -> float:
-        """Mean of the `SizeClassScores` attribute `figure` over the averaged classes; NaN if there are none."""
+        """Mean of a figure of `SizeClassScores` over the averaged classes; NaN if there are none."""
         values = [getattr(scores, figure) for scores in self.by_class.values() if scores.is_averaged]
         return float(np.mean(values)) if values else float("nan")
 

@@ -32,13 +32,11 @@ from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 N_BINS = 10
-"""Number of bins of the score."""
 
 MIN_SCORE = 0.05
 """Lowest score of the detections: the many boxes below it, which no tracker uses, would dominate the ECE."""
 
 MIN_IOU = 0.5
-"""Lowest IoU of a match with a label."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +57,7 @@ class Reliability:
 
     @classmethod
     def of(cls, score: FloatArray, is_true: BoolArray, *, n_bins: int = N_BINS) -> Reliability:
-        """Reliability of detections with scores (K,) in [0, 1], of which those in the mask (K,) match a label.
-
-        Raises:
-            ValueError: there is no bin.
-        """
+        """Reliability of detections with scores (K,) in [0, 1], of which those in the mask (K,) match a label."""
         if n_bins < 1:
             raise ValueError(f"n_bins: expected at least 1, got {n_bins}")
         index = np.minimum((score * n_bins).astype(np.int64), n_bins - 1)  # a score of 1 is in the last bin
@@ -111,22 +105,14 @@ class Reliability:
         return self._weighted_mean(self.mean_score - self.precision)
 
     def _weighted_mean(self, by_bin: FloatArray) -> float:
-        """Mean of a quantity of the bins, weighted by their number of detections."""
         used = self.n > 0
         return float(np.average(by_bin[used], weights=self.n[used])) if used.any() else float("nan")
 
     def as_dict(self) -> dict[str, Any]:
         """The errors and the bins, for JSON; None instead of NaN."""
-        bins = zip(
-            self.edges[:-1].tolist(),
-            self.edges[1:].tolist(),
-            self.n.tolist(),
-            self.n_true.tolist(),
-            map(json_number, self.mean_score.tolist()),
-            map(json_number, self.precision.tolist()),
-            strict=True,
-        )
+        columns = (self.edges[:-1], self.edges[1:], self.n, self.n_true, self.mean_score, self.precision)
         keys = ("from", "to", "n", "n_true", "mean_score", "precision")
+        bins = zip(*(map(json_number, column.tolist()) for column in columns), strict=True)
         return {
             "n": int(self.n.sum()),
             "mean_score": json_number(self._weighted_mean(self.mean_score)),

@@ -40,14 +40,11 @@ BACKGROUND_SCORE = 1e-4
 MIN_POSITIVES = 40
 """Minimum number of matches for which a class has its own coefficients."""
 
-_SHARED_PENALTY, _SLOPE_PENALTY, _OFFSET_PENALTY = 2.0, 8.0, 2.0
-"""Penalties of alpha, alpha_c and beta_c."""
+_SHARED_PENALTY, _SLOPE_PENALTY, _OFFSET_PENALTY = 2.0, 8.0, 2.0  # of alpha, alpha_c and beta_c
 
-_N_BLOCKS = 10
-"""Number of blocks of successive images in the cross-validation."""
+_N_BLOCKS = 10  # of successive images in the cross-validation
 
-_LIMIT = 1e-4
-"""Smallest distance of a score from 0 and 1, so that its logit is finite."""
+_LIMIT = 1e-4  # distance of a score from 0 and 1, so that its logit is finite
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,16 +65,7 @@ class ScoreSamples:
     def of(
         cls, detections: Sequence[Detections], truth: Sequence[ImageTruth], known_class_id: IntArray
     ) -> ScoreSamples:
-        """The samples of detections (one item per image) and labels, matched as for the average precision.
-
-        Args:
-            detections: the detections of each image.
-            truth: the labels of each image, in the same order.
-            known_class_id: road classes that the detector has a name for.
-
-        Raises:
-            ValueError: `detections` and `truth` differ in length.
-        """
+        """The samples of detections (one item per image) and labels, matched as for the average precision."""
         parts = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.bool_))]
         for class_id in range(len(ROAD_CLASSES)):
             matches = match_class(detections, truth, class_id)[0]

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
+from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 HALF_PIXEL_PX = 0.5
@@ -26,10 +28,8 @@ class VideoFacts:
 
     Attributes:
         name: name of the video or sequence; "" = unknown.
-        n_frames: number of frames.
         first_frame: number of the first frame that has labels if there are any objects in it.
         size_px: (width, height) of its images.
-        fps: frame rate.
         is_rectified: whether boxes are in rectified pixels, as in the results of a run, not in those of the video.
         provenance: program version, model and so on of the boxes, by name, for the metadata of written files.
     """
@@ -42,9 +42,36 @@ class VideoFacts:
     is_rectified: bool = False
     provenance: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def pixels(self) -> str:
+        """`is_rectified` as written files state it."""
+        return "rectified" if self.is_rectified else "original"
 
-_MAX_NAME_BYTES = 100
-"""Largest number of bytes of a video's name in file names, which have at most 255."""
+    def completed_by(self, stated: VideoFacts, path: Path) -> VideoFacts:
+        """These facts, where they are known, and else those that a file states; the first frame is the file's.
+
+        Raises:
+            LabelFileError: the images of the file have another size.
+        """
+        if stated.size_px is not None and self.size_px not in (None, stated.size_px):
+            expected, found = ("x".join(map(str, size or ())) for size in (self.size_px, stated.size_px))
+            raise LabelFileError(
+                f"{path}: expected boxes in images of {expected} px as in the video, found {found} px."
+            )
+        return VideoFacts(
+            name=self.name or stated.name,
+            n_frames=self.n_frames or stated.n_frames,
+            first_frame=stated.first_frame,
+            size_px=self.size_px or stated.size_px,
+            fps=self.fps or stated.fps,
+            is_rectified=self.is_rectified or stated.is_rectified,
+            provenance=self.provenance,
+        )
+
+
+NO_FACTS = VideoFacts()
+
+_MAX_NAME_BYTES = 100  # of a video's name in file names, which have at most 255
 
 
 def file_name_part(name: str) -> str:
@@ -53,15 +80,16 @@ def file_name_part(name: str) -> str:
     return safe.lstrip(".").encode()[:_MAX_NAME_BYTES].decode(errors="ignore")
 
 
+def image_name(video: VideoFacts, frame: int) -> str:
+    """File name of a frame's image: NAME_000000.jpg, without a folder."""
+    return f"{file_name_part(video.name) or 'frame'}_{frame:06}.jpg"
+
+
 class Written(NamedTuple):
     """Result of writing a table: the number of boxes in the file, and notes for the user on what it cannot hold."""
 
     n_boxes: int
     notes: tuple[str, ...] = ()
-
-
-NO_FACTS = VideoFacts()
-"""Facts about an unknown video."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +101,12 @@ class BoxTable:
         track_id: (N,) int64 identity from 0; -1 = no identity.
         class_name: (N,) str class in the file, in lower case; "" = the format has no classes.
         class_id: (N,) int64 road class; -1 = not a road class, or a region that is not evaluated.
-        xyxy_px: (N, 4) float64 box.
+        xyxy_px: (N, 4) float64.
         score: (N,) float64 confidence; NaN = unknown.
         observed: (N,) bool, False where the box is predicted or interpolated.
         distance_m: (N,) float64 z of the visible surface in the camera's frame; NaN = unknown.
         sigma_m: (N,) float64 standard deviation of the distance; NaN = unknown.
         location_m: (N, 3) float64 bottom centre of the object in the camera's frame; NaN = unknown.
-        video: the video.
         notes: notes for the user about the file.
     """
 
@@ -113,38 +140,48 @@ class BoxTable:
         class_name: Sequence[str],
         xyxy_px: npt.ArrayLike,
         *,
-        is_region: npt.ArrayLike | None = None,
-        score: npt.ArrayLike | None = None,
-        observed: npt.ArrayLike | None = None,
-        distance_m: npt.ArrayLike | None = None,
-        sigma_m: npt.ArrayLike | None = None,
-        location_m: npt.ArrayLike | None = None,
+        is_region: npt.ArrayLike = False,
+        score: npt.ArrayLike = np.nan,
+        observed: npt.ArrayLike = True,
+        distance_m: npt.ArrayLike = np.nan,
+        sigma_m: npt.ArrayLike = np.nan,
+        location_m: npt.ArrayLike = np.nan,
         video: VideoFacts = NO_FACTS,
         notes: Sequence[str] = (),
     ) -> BoxTable:
-        """A table of arrays or lists with rows in any order; None = unknown, or True for `observed`.
+        """A table of arrays or lists with rows in any order, or of one value for all rows.
 
         Rows of `is_region` (N,) are regions that are not evaluated: they have neither a road class nor an identity.
         """
         frames = np.asarray(frame, np.int64).reshape(-1)
         n = len(frames)
         names = [name.strip().lower() for name in class_name]
-        region = np.zeros(n, np.bool_) if is_region is None else np.asarray(is_region, np.bool_).reshape(-1)
+        region = np.broadcast_to(np.asarray(is_region, np.bool_), n)
         table = cls(
             frame=frames,
             track_id=np.where(region, -1, np.asarray(track_id, np.int64).reshape(-1)),
             class_name=np.array(names, np.str_) if names else np.zeros(0, np.str_),
             class_id=np.where(region, -1, map_to_road_classes(names)),
             xyxy_px=np.asarray(xyxy_px, np.float64).reshape(-1, 4),
-            score=_floats(score, (n,)),
-            observed=np.ones(n, np.bool_) if observed is None else np.asarray(observed, np.bool_).reshape(-1),
-            distance_m=_floats(distance_m, (n,)),
-            sigma_m=_floats(sigma_m, (n,)),
-            location_m=_floats(location_m, (n, 3)),
+            score=np.broadcast_to(np.asarray(score, np.float64), n),
+            observed=np.broadcast_to(np.asarray(observed, np.bool_), n),
+            distance_m=np.broadcast_to(np.asarray(distance_m, np.float64), n),
+            sigma_m=np.broadcast_to(np.asarray(sigma_m, np.float64), n),
+            location_m=np.broadcast_to(np.asarray(location_m, np.float64), (n, 3)),
             video=video,
             notes=tuple(notes),
         )
         return table.select(np.lexsort((table.track_id, table.frame)))
+
+    @property
+    def label(self) -> list[str]:
+        """(N,) class name for formats in which each box has one: "object" if it is unknown."""
+        return [str(name) or "object" for name in self.class_name]
+
+    @property
+    def all_labels(self) -> list[str]:
+        """Names of the classes in written files, in the order of their numbers: the road classes, then others."""
+        return list(dict.fromkeys((*ROAD_CLASSES, *sorted(set(self.label)))))
 
     @property
     def is_region(self) -> BoolArray:
@@ -165,10 +202,6 @@ class BoxTable:
 
 
 _COLUMNS = tuple(column.name for column in fields(BoxTable) if column.name not in ("video", "notes"))
-
-
-def _floats(values: npt.ArrayLike | None, shape: tuple[int, ...]) -> FloatArray:
-    return np.full(shape, np.nan) if values is None else np.asarray(values, np.float64).reshape(shape)
 
 
 def frames_listed(table: BoxTable) -> range:

@@ -18,7 +18,7 @@ import numpy as np
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.detections import Descriptors, Detections
-from track_range.detection.formats.box_table import BoxTable, VideoFacts
+from track_range.detection.formats.box_table import VideoFacts
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import is_blank, label_format_of
 from track_range.detection.formats.limits import MAX_FRAME, are_plausible_boxes
@@ -31,33 +31,26 @@ from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, first_line, quoted, read_text
 from track_range.foundation.files.numeric_text import are_integers, number
 
-_MOT_COLUMNS = range(7, 11)
-"""Numbers of columns that MOTChallenge's files have."""
+_MAX_FEATURE = 1e15  # of an embedding: sums of squares do not overflow in float32
 
-_PLAIN_COLUMNS = 6
-"""Number of columns of plain rows frame,x1,y1,x2,y2,score."""
-
-_FEATURES_NAME = "feat.npy"
-
-_MAX_FEATURE = 1e15
-"""Largest absolute value of an embedding: sums of squares do not overflow in float32."""
-
-_MAX_SCORE = 1e6
-"""Largest absolute score; scores are probabilities, or margins of a few units."""
+_MAX_SCORE = 1e6  # scores are probabilities, or margins of a few units
 
 DetectionFormat = Literal["mot", "kitti", "rrc", "tracks", "labels"]
 """Format of a file: MOTChallenge, KITTI, plain rows as published by RRC, track-range's tracks.csv, or other labels."""
 
 
 class _Rows(NamedTuple):
-    """All N rows of a file, also those without a valid frame number, box, score or road class; `kind` is for notes."""
+    """All N rows of a file, also those without a valid frame number, box, score or road class."""
 
-    kind: str
+    form: DetectionFormat
+    description: str
     frame: IntArray
     xyxy_px: FloatArray
     score: FloatArray
     class_id: IntArray
     descriptor: Descriptors | None = None
+    notes: tuple[str, ...] = ()
+    is_rectified: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,115 +101,92 @@ def read_detections(
         LabelFileError: the file cannot be read, or its format is unknown or not `form`. An empty file is no error: it
             has no boxes.
     """
-    if _is_empty(path):
+    if is_blank(path, "detections") and not _text(path).strip():
         notes = [f"Read {path.name} as an empty file: 0 boxes.", f"{path.name} is empty: there are no boxes."]
         return RecordedDetections(np.zeros(0, np.int64), Detections.empty(), form or "rrc", notes=tuple(notes))
-    file_format = _format_of(path)
-    table = _label_table(path, VideoFacts(size_px=size_px)) if file_format == "labels" else None
-    if table is None:
-        rows = _FORMATS[file_format](path, default_class_id)
-    else:
-        known = np.where(np.isnan(table.score), 1.0, table.score)
-        kind = label_format_of(path, "detections").title
-        rows = _Rows(kind, table.frame, table.xyxy_px, known, table.class_id)
-    file_form = _form_of(file_format, rows.kind)
-    if form not in (None, file_form):
-        raise LabelFileError(f"{path}: expected the format {form}, got {file_form} ({rows.kind}).")
+    rows = _rows(path, default_class_id, size_px)
+    if form not in (None, rows.form):
+        raise LabelFileError(f"{path}: expected the format {form}, got {rows.form} ({rows.description}).")
     score, score_note = _as_probability(np.where(np.abs(rows.score) <= _MAX_SCORE, rows.score, np.nan))
     is_plausible = are_valid_boxes(rows.xyxy_px) & are_plausible_boxes(rows.xyxy_px)
     is_valid = is_plausible & np.isfinite(score) & (rows.class_id >= 0) & (rows.frame >= 0)
     if np.any(rows.frame > MAX_FRAME):
         raise LabelFileError(f"{path}: expected frame numbers up to {MAX_FRAME}, got {rows.frame.max()}.")
     order = np.flatnonzero(is_valid)[np.argsort(rows.frame[is_valid], kind="stable")]
-    notes = [f"Read {path.name} as {rows.kind}: {len(order)} boxes."]
+    notes = [f"Read {path.name} as {rows.description}: {len(order)} boxes."]
     if len(order) < len(rows.frame):
         n_dropped = len(rows.frame) - len(order)
         notes.append(f"{path.name}: ignored {n_dropped} rows that are not a valid box of a road class.")
-    if table is not None:
-        notes += [*table.notes, *other_labels_note(table, path)]
     detections = Detections.of(rows.xyxy_px[order], score[order], rows.class_id[order])
     if rows.descriptor is not None:
         detections = replace(detections, descriptor=rows.descriptor[order])
-    return RecordedDetections(
-        rows.frame[order],
-        detections,
-        file_form,
-        notes=(*notes, *score_note),
-        is_rectified=file_form == "tracks" or (table is not None and table.video.is_rectified),
-    )
+    notes += [*rows.notes, *score_note]
+    return RecordedDetections(rows.frame[order], detections, rows.form, tuple(notes), rows.is_rectified)
 
 
-def _label_table(path: Path, video: VideoFacts) -> BoxTable:
-    """The boxes of a label file that are observed, as those of tracks.csv."""
-    table = label_format_of(path, "detections").read(path, video)
-    return table.select(table.observed)
-
-
-def _is_empty(path: Path) -> bool:
-    return (
-        is_blank(path, "detections")
-        and not read_text(path, LabelFileError, "detections", max_bytes=MAX_TABLE_BYTES).strip()
-    )
-
-
-def _format_of(path: Path) -> str:
-    if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
-        return "labels" if label_format_of(path, "detections").is_general else "kitti"
-    if label_format_of(path, "detections").is_general:
-        return "labels"
-    first = first_line(path, LabelFileError, "detections")
+def _rows(path: Path, default_class_id: int, size_px: tuple[int, int] | None) -> _Rows:
+    label_format = label_format_of(path, "detections")
+    if label_format.is_general:
+        table = label_format.read(path, VideoFacts(size_px=size_px))
+        table = table.select(table.observed)  # as of tracks.csv
+        score = np.where(np.isnan(table.score), 1.0, table.score)
+        notes = (*table.notes, *other_labels_note(table, path))
+        columns = (table.frame, table.xyxy_px, score, table.class_id)
+        return _Rows("labels", label_format.title, *columns, None, notes, table.video.is_rectified)
+    is_folder = os.path.isdir(path)  # unlike Path.is_dir, False for a name that is too long
+    first = "" if is_folder else first_line(path, LabelFileError, "detections")
     if "," not in first:
-        return "kitti"
-    return "tracks" if first.startswith("frame,") else "comma"
+        labels = read_kitti(path)
+        score = np.where(np.isfinite(labels.score), labels.score, 1.0)
+        class_id = map_to_road_classes([str(name) for name in labels.kitti_type])
+        return _Rows("kitti", "KITTI rows", labels.frame, labels.xyxy_px, score, class_id)
+    return _tracks_csv_rows(path) if first.startswith("frame,") else _comma_rows(path, default_class_id)
 
 
-def _form_of(file_format: str, kind: str) -> DetectionFormat:
-    if file_format == "labels":
-        return "labels"
-    if file_format != "comma":
-        return "kitti" if file_format == "kitti" else "tracks"
-    return "mot" if kind.startswith("MOT") else "rrc"
+def _tracks_csv_rows(path: Path) -> _Rows:
+    expected = ("frame", "x1_px", "y1_px", "x2_px", "y2_px", "score", "observed")
+    table = read_csv_table(path, LabelFileError, f"columns {', '.join(expected)}, class")
+    table.require((*expected, "class"))
+    cells = np.stack([table.finite(name) for name in expected], axis=1)
+    is_frame = (np.abs(cells[:, 0]) <= MAX_FRAME) & (np.rint(cells[:, 0]) == cells[:, 0])
+    table.check("frame", cells[:, 0], is_frame, f"an integer from 0 to {MAX_FRAME}")
+    class_id = map_to_road_classes(table.texts("class"))
+    observed = cells[:, 6] == 1
+    cells, class_id = cells[observed], class_id[observed]
+    columns = (cells[:, 0].astype(np.int64), cells[:, 1:5], cells[:, 5], class_id)
+    return _Rows("tracks", "the observed rows of a tracks.csv", *columns, is_rectified=True)
 
 
-def _read_kitti(path: Path, _: int) -> _Rows:
-    labels = read_kitti(path)
-    score = np.where(np.isfinite(labels.score), labels.score, 1.0)
-    class_id = map_to_road_classes([str(name) for name in labels.kitti_type])
-    return _Rows("KITTI rows", labels.frame, labels.xyxy_px, score, class_id)
-
-
-def _read_comma(path: Path, default_class_id: int) -> _Rows:
-    table = _comma_table(path)
-    frame, class_id = table[:, 0].astype(np.int64), np.full(len(table), default_class_id, np.int64)
-    name = ROAD_CLASSES[default_class_id]
-    if table.shape[1] == _PLAIN_COLUMNS:
-        kind = f"rows frame,x1,y1,x2,y2,score of class {name}"
-        return _Rows(kind, frame, table[:, 1:5], table[:, 5], class_id)
-    if table.shape[1] not in _MOT_COLUMNS:
-        raise LabelFileError(
-            f"{path}: expected 7 to 10 columns frame,id,x,y,w,h,score,... (MOTChallenge) or 6 columns "
-            f"frame,x1,y1,x2,y2,score, got {table.shape[1]}."
-        )
-    score = np.where(table[:, 6] == -1, 1.0, table[:, 6])  # -1 = no score in MOTChallenge
-    descriptor = _descriptors(path, table)
-    with_embeddings = "" if descriptor is None else f" with embeddings of {descriptor.shape[1]} numbers"
-    kind = f"MOTChallenge rows of class {name}{with_embeddings}"
-    return _Rows(kind, frame - 1, xyxy_from_mot(table[:, 2:6]), score, class_id, descriptor)
-
-
-def _comma_table(path: Path) -> FloatArray:
-    """(N, C) numbers of a file with commas between them and frame numbers in its first column; `#` starts a comment."""
-    lines = read_text(path, LabelFileError, "detections", max_bytes=MAX_TABLE_BYTES).split("\n")
+def _comma_rows(path: Path, default_class_id: int) -> _Rows:
+    """Rows of numbers with commas between them and frame numbers in the first column; `#` starts a comment."""
+    lines = _text(path).split("\n")
     if not any(line.partition("#")[0].strip() for line in lines):
         raise LabelFileError(f"{path}: expected detections, got only comments.")
     try:
         table = np.loadtxt(lines, delimiter=",", ndmin=2)
     except ValueError as error:
         raise _fault(path, lines) from error
-    frame = table[:, 0]
-    if not are_integers(frame, -MAX_FRAME - 1, MAX_FRAME + 1):  # MOTChallenge counts from 1
+    if not are_integers(table[:, 0], -MAX_FRAME - 1, MAX_FRAME + 1):  # MOTChallenge counts from 1
         raise LabelFileError(f"{path}: expected integers up to {MAX_FRAME} as frame numbers.")
-    return table
+    frame, class_id = table[:, 0].astype(np.int64), np.full(len(table), default_class_id, np.int64)
+    name, n_columns = ROAD_CLASSES[default_class_id], table.shape[1]
+    if n_columns == 6:
+        description = f"rows frame,x1,y1,x2,y2,score of class {name}"
+        return _Rows("rrc", description, frame, table[:, 1:5], table[:, 5], class_id)
+    if not 7 <= n_columns <= 10:
+        raise LabelFileError(
+            f"{path}: expected 7 to 10 columns frame,id,x,y,w,h,score,... (MOTChallenge) or 6 columns "
+            f"frame,x1,y1,x2,y2,score, got {n_columns}."
+        )
+    score = np.where(table[:, 6] == -1, 1.0, table[:, 6])  # -1 = no score in MOTChallenge
+    descriptor = _descriptors(path, table)
+    with_embeddings = "" if descriptor is None else f" with embeddings of {descriptor.shape[1]} numbers"
+    description = f"MOTChallenge rows of class {name}{with_embeddings}"
+    return _Rows("mot", description, frame - 1, xyxy_from_mot(table[:, 2:6]), score, class_id, descriptor)
+
+
+def _text(path: Path) -> str:
+    return read_text(path, LabelFileError, "detections", max_bytes=MAX_TABLE_BYTES)
 
 
 def _fault(path: Path, lines: list[str]) -> LabelFileError:
@@ -235,12 +205,8 @@ def _fault(path: Path, lines: list[str]) -> LabelFileError:
 
 
 def _descriptors(path: Path, table: FloatArray) -> Descriptors | None:
-    """(N, D) float32 embeddings from the feat.npy in the folder of `path`; None if there is no such file.
-
-    Raises:
-        LabelFileError: feat.npy cannot be read, or its rows differ from those of `path`.
-    """
-    features_path = path.with_name(_FEATURES_NAME)
+    """(N, D) float32 embeddings from the feat.npy in the folder of `path`; None if there is no such file."""
+    features_path = path.with_name("feat.npy")
     if not os.path.lexists(features_path):
         return None
     features = np.asarray(read_array(features_path, LabelFileError, f"embeddings of {path.name}"), np.float64)
@@ -255,23 +221,6 @@ def _descriptors(path: Path, table: FloatArray) -> Descriptors | None:
             f"{features_path}: expected finite numbers up to {_MAX_FEATURE:g} and the same boxes as in {path.name}."
         )
     return features[:, n_columns:].astype(np.float32)
-
-
-def _read_tracks_csv(path: Path, _: int) -> _Rows:
-    expected = ("frame", "x1_px", "y1_px", "x2_px", "y2_px", "score", "observed")
-    table = read_csv_table(path, LabelFileError, f"columns {', '.join(expected)}, class")
-    table.require((*expected, "class"))
-    cells = np.stack([table.finite(name) for name in expected], axis=1)
-    is_frame = (np.abs(cells[:, 0]) <= MAX_FRAME) & (np.rint(cells[:, 0]) == cells[:, 0])
-    table.check("frame", cells[:, 0], is_frame, f"an integer from 0 to {MAX_FRAME}")
-    class_id = map_to_road_classes(table.texts("class"))
-    observed = cells[:, 6] == 1
-    cells, class_id = cells[observed], class_id[observed]
-    kind = "the observed rows of a tracks.csv"
-    return _Rows(kind, cells[:, 0].astype(np.int64), cells[:, 1:5], cells[:, 5], class_id)
-
-
-_FORMATS = {"kitti": _read_kitti, "comma": _read_comma, "tracks": _read_tracks_csv}
 
 
 def _as_probability(score: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:

@@ -36,8 +36,7 @@ class LabelFormat:
     """One format of label files.
 
     Attributes:
-        name: name on the command line.
-        title: name for messages.
+        name, title: name on the command line, and for messages.
         is_format: whether a file or folder has the format, from its path and its first line that is not blank ("" for a
             folder, the first bytes of Parquet).
         read: returns the boxes of a file or folder; facts about the video fill in what the file does not state.
@@ -65,58 +64,36 @@ def _starts(*starts: str) -> Callable[[Path, str], bool]:
     return lambda path, first: first.startswith(starts)
 
 
-LABEL_FORMATS = {
-    label_format.name: label_format
-    for label_format in (
-        LabelFormat(
-            "mot", "MOTChallenge", _starts(""), read_mot_table, write_mot_table, has_classes=False, precision_px=0.01
-        ),
-        LabelFormat(
-            "kitti",
-            "KITTI",
-            lambda path, first: "," not in first,
-            read_kitti_table,
-            write_kitti_table,
-            precision_px=0.005,
-        ),
-        LabelFormat("tracks", "a tracks.csv", _starts("frame,time_s,"), read_tracks_table, is_of_run=True),
-        LabelFormat(
-            "csv",
-            "a CSV of labels",
-            lambda path, first: "," in first and has_label_columns(path),
-            read_csv_table_of_labels,
-        ),
-        LabelFormat("coco", "COCO", _starts("{", "["), read_coco, write_coco, is_general=True, precision_px=0.0005),
-        LabelFormat(
-            "cvat", "CVAT for video 1.1", _starts("<"), read_cvat, write_cvat, is_general=True, precision_px=0.0005
-        ),
-        LabelFormat(
-            "yolo",
-            "YOLO",
-            lambda path, first: not first and is_yolo_folder(path),
-            read_yolo_folder,
-            write_yolo,
-            is_general=True,
-            is_folder=True,
-        ),
-        LabelFormat(
-            "parquet", "a tracks.parquet", _starts(_PARQUET_MARK), read_parquet_table, is_general=True, is_of_run=True
-        ),
-    )
-}
+def _is_label_csv(path: Path, first: str) -> bool:
+    return "," in first and has_label_columns(path)
+
+
+def _is_yolo(path: Path, first: str) -> bool:
+    return not first and is_yolo_folder(path)
+
+
+# fmt: off
+_FORMATS = (
+    LabelFormat("mot", "MOTChallenge", _starts(""), read_mot_table, write_mot_table, has_classes=False,
+                precision_px=0.01),
+    LabelFormat("kitti", "KITTI", lambda path, first: "," not in first, read_kitti_table, write_kitti_table,
+                precision_px=0.005),
+    LabelFormat("tracks", "a tracks.csv", _starts("frame,time_s,"), read_tracks_table, is_of_run=True),
+    LabelFormat("csv", "a CSV of labels", _is_label_csv, read_csv_table_of_labels),
+    LabelFormat("coco", "COCO", _starts("{", "["), read_coco, write_coco, is_general=True, precision_px=0.0005),
+    LabelFormat("cvat", "CVAT for video 1.1", _starts("<"), read_cvat, write_cvat, is_general=True,
+                precision_px=0.0005),
+    LabelFormat("yolo", "YOLO", _is_yolo, read_yolo_folder, write_yolo, is_general=True, is_folder=True),
+    LabelFormat("parquet", "a tracks.parquet", _starts(_PARQUET_MARK), read_parquet_table, is_general=True,
+                is_of_run=True),
+)
+# fmt: on
+LABEL_FORMATS = {label_format.name: label_format for label_format in _FORMATS}
 """All formats by name, the least specific one first: a file has the last one that recognises it."""
 
 
 def label_format_of(path: Path, expected: str = "labels") -> LabelFormat:
-    """The format of a file or folder, recognised from its content.
-
-    Args:
-        path: the file or folder.
-        expected: noun phrase for the content, for messages.
-
-    Raises:
-        LabelFileError: it cannot be read, or is empty.
-    """
+    """The format of a file or folder, recognised from its content; LabelFileError if it cannot be read, or is empty."""
     first = ""
     if not os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
         is_parquet = _starts_as_parquet(path, expected)
@@ -127,25 +104,15 @@ def label_format_of(path: Path, expected: str = "labels") -> LabelFormat:
 
 
 def read_labels(path: Path, video: VideoFacts = NO_FACTS, *, expected: str = "labels") -> BoxTable:
-    """The boxes of a file or folder in any format.
+    """The boxes of a file or folder in any format; LabelFileError if it is invalid.
 
-    Args:
-        path: the file or folder.
-        video: facts about the video, which the file may lack, such as the image size for YOLO.
-        expected: noun phrase for the content, for messages.
-
-    Raises:
-        LabelFileError: the file cannot be read, or is invalid.
+    `video` has facts that the file may lack, such as the image size for YOLO; `expected` is the content for messages.
     """
     return label_format_of(path, expected).read(path, video)
 
 
 def is_blank(path: Path, expected: str) -> bool:
-    """Whether a file has no text in its first 64 kB; False for folders and Parquet files.
-
-    Raises:
-        LabelFileError: the file cannot be read.
-    """
+    """Whether a file has no text in its first 64 kB; False for folders and Parquet files."""
     if os.path.isdir(path) or _starts_as_parquet(path, expected):
         return False
     return not first_line(path, LabelFileError, expected)

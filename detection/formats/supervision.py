@@ -15,10 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.classes import COCO_CLASSES, ROAD_CLASSES, map_to_road_classes
+from track_range.detection.formats.box_table import HALF_PIXEL_PX
 from track_range.foundation.arrays import FloatArray, IntArray
-
-_CORNER_FROM_CENTRE_PX = 0.5
-"""Offset of coordinates in the corner convention from those with pixel centres at integers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,22 +66,15 @@ def read_supervision(
     rows = np.flatnonzero(class_id >= 0)
     known = np.ones(len(rows)) if score is None else score[rows].astype(np.float64)
     numbers = None if tracker_id is None else tracker_id[rows].astype(np.int64)
-    return xyxy[rows] - _CORNER_FROM_CENTRE_PX, known, class_id[rows], numbers
+    return xyxy[rows] - HALF_PIXEL_PX, known, class_id[rows], numbers
 
 
 def supervision_boxes(
     xyxy_px: FloatArray, score: FloatArray, class_id: IntArray, tracker_id: IntArray | None = None
 ) -> Any:
-    """The boxes as supervision's `Detections` if it is installed, else as `SupervisionBoxes`.
-
-    Args:
-        xyxy_px: (N, 4) boxes, pixel centres at integers.
-        score: (N,) confidence.
-        class_id: (N,) index into `ROAD_CLASSES`.
-        tracker_id: (N,) identities, or None.
-    """
+    """The boxes (N, 4), pixel centres at integers, as supervision's `Detections` or, without it, `SupervisionBoxes`."""
     attributes: dict[str, Any] = {
-        "xyxy": (xyxy_px + _CORNER_FROM_CENTRE_PX).astype(np.float32),
+        "xyxy": (xyxy_px + HALF_PIXEL_PX).astype(np.float32),
         "confidence": score.astype(np.float32),
         "class_id": class_id.astype(np.int64),
         "tracker_id": tracker_id,
@@ -95,11 +86,7 @@ def supervision_boxes(
 
 
 def _class_names(boxes: Any, class_names: Sequence[str] | None, n: int) -> list[str]:
-    """Class name of each of the n boxes.
-
-    Raises:
-        ValueError: the boxes have neither class names nor class ids, or a class id has no name.
-    """
+    """Class name of each of the n boxes; ValueError if they have none."""
     named = (getattr(boxes, "data", None) or {}).get("class_name")
     if class_names is None and named is not None:
         if len(named) != n:

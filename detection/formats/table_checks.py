@@ -14,21 +14,13 @@ from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_FRAME
 from track_range.foundation.files.input_files import counted, quoted, shortened
 
-_MOST_NAMED = 5
-"""Largest number of labels that a note names."""
-
+_MOST_NAMED = 5  # labels in a note
 _LAST_NUMBER = re.compile(r"(\d+)\D*$")
-
-_MAX_DIGITS = 18
-"""Largest number of digits of a number in a file name."""
+_MAX_DIGITS = 18  # of a number in a file name
 
 
 def check_identities(table: BoxTable, path: Path) -> None:
-    """Check that no identity occurs twice in a frame.
-
-    Raises:
-        LabelFileError: one does.
-    """
+    """LabelFileError if an identity occurs twice in a frame."""
     is_same = (np.diff(table.frame) == 0) & (np.diff(table.track_id) == 0) & (table.track_id[1:] >= 0)
     for row in np.flatnonzero(is_same)[:1].tolist():
         raise LabelFileError(
@@ -46,11 +38,7 @@ def frame_in_name(name: str) -> int | None:
 
 
 def check_names(names: Iterable[str], path: Path) -> None:
-    """Check that names without suffix differ only in their last number, as those of the frames of one video.
-
-    Raises:
-        LabelFileError: they do not.
-    """
+    """LabelFileError unless names without suffix differ only in their last number, as the frames of one video."""
     first: tuple[str, str] | None = None
     for name in names:
         start = name[: match.start()] if (match := _LAST_NUMBER.search(name)) else name
@@ -63,13 +51,7 @@ def check_names(names: Iterable[str], path: Path) -> None:
 
 
 def first_frame_note(path: Path, first: int, n_frames: int) -> tuple[str, ...]:
-    """A note if the frames that a file lists start at 1, since the first frame of a video is 0.
-
-    Args:
-        path: the file.
-        first: smallest frame number.
-        n_frames: how many frames it lists.
-    """
+    """A note if the `n_frames` that a file lists start at 1, since the first frame of a video is 0."""
     if first != 1 or n_frames < 2:
         return ()
     return (

@@ -33,19 +33,14 @@ ROW_ANCHORS: Mapping[int, FloatArray] = {
 `tusimple_row_anchor` of the official implementation."""
 
 ROW_ANCHOR_LINES = 4
-"""Number of lines of a row-anchor head."""
 
-_ANCHOR_IMAGE_ROWS = 288.0
-"""Height of the input that `ROW_ANCHORS` refers to, in pixels."""
+_ANCHOR_IMAGE_ROWS = 288.0  # height of the input that `ROW_ANCHORS` refers to
 
-_N_CURVE_SAMPLES = 40
-"""Number of pixels per curve."""
+_N_CURVE_SAMPLES = 40  # pixels per curve
 
-_MIN_CURVE_SCORE = 0.5
-"""Smallest probability of a curve."""
+_MIN_CURVE_SCORE = 0.5  # probability of a curve
 
-_ROW_STEP = 2
-"""Every second row of a mask is used, because neighbouring rows are redundant."""
+_ROW_STEP = 2  # neighbouring rows of a mask are redundant
 
 _MAX_RUN = 0.08
 """Largest width of a run of line pixels, as a fraction of the mask's width; wider runs are stop lines or distant lines
@@ -54,16 +49,12 @@ that merge."""
 
 def mask_points(scores: FloatArray32) -> Points:
     """Centres of the runs of line pixels in every second row of scores (channels, h, w)."""
-    on_line = scores[1] > scores[0] if len(scores) == 2 else scores[0] > _even(scores[0])
+    is_probability = scores[0].min() >= 0.0 and scores[0].max() <= 1.0  # else logits
+    on_line = scores[1] > scores[0] if len(scores) == 2 else scores[0] > (0.5 if is_probability else 0.0)
     rows = np.arange(0, on_line.shape[0], _ROW_STEP)
     row, x = run_middles(on_line[rows], widest_px=_MAX_RUN * on_line.shape[1])
     xy = np.stack([x, rows[row]], axis=1).astype(np.float64)
     return xy, np.full(len(xy), -1, np.int64)
-
-
-def _even(scores: FloatArray32) -> float:
-    """The score at which line and road are equally likely: 0.5 for probabilities, 0 for logits."""
-    return 0.5 if scores.min() >= 0.0 and scores.max() <= 1.0 else 0.0
 
 
 def curve_points(logits: FloatArray32, curves: FloatArray32, input_hw: tuple[int, int]) -> Points:

@@ -62,16 +62,11 @@ class EdgeLaneFinder:
     """
 
     def __init__(self) -> None:
-        """Start without a lane."""
         self.notes: tuple[str, ...] = ()
         self._lane = EgoLane()
 
     def find(self, image: Image, time_s: float) -> LaneLines:
-        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`.
-
-        Raises:
-            ValueError: the image is not (H, W, 3).
-        """
+        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`; ValueError for another shape."""
         check_shape("image", image, (None, None, 3))
         image_hw = (image.shape[0], image.shape[1])
         shrink = max(min(round(image_hw[1] / _WIDTH_PX), image_hw[0]), 1)
@@ -88,12 +83,7 @@ class EdgeLaneFinder:
 
 
 def paint_points(image: Image, horizon_px: float) -> FloatArray:
-    """(N, 2) centres of bright bars in every second row below the horizon.
-
-    Args:
-        image: (H, W, 3) uint8 BGR.
-        horizon_px: row of the horizon; it may be above the image.
-    """
+    """(N, 2) centres of bright bars in every second row below the horizon, which may be above the image."""
     first = _first_row(horizon_px, len(image))
     both = cv2.transform(np.asarray(image[first::_ROW_STEP], np.float32), _GREY_AND_YELLOW)
     grey, yellow = cv2.split(cv2.blur(both, (3, 1)))  # smoothed along the rows
@@ -109,7 +99,6 @@ def paint_points(image: Image, horizon_px: float) -> FloatArray:
 
 
 def _first_row(horizon_px: float, height_px: int) -> int:
-    """First row to search in an image with this height and horizon."""
     return int(np.clip(horizon_px + _MIN_DEPTH * height_px, 0, max(height_px - _N_BANDS, 0)))
 
 

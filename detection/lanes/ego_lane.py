@@ -20,41 +20,30 @@ from track_range.detection.lanes.markings import Markings, Proposals, proposals
 from track_range.detection.lanes.model import HORIZON, HORIZON_SIGMA, WIDTH_SLOPE, WIDTH_SLOPE_LOG_SIGMA, LaneState
 from track_range.foundation.arrays import FloatArray
 
-_MAX_UNSEEN_S = 0.5
-"""Time without observations after which a line is no longer reported."""
+_MAX_UNSEEN_S = 0.5  # after which a line without observations is no longer reported
 
-_MAX_CONTRADICTED_S = 0.25
-"""Time of observations that contradict the state after which the state is replaced by the observed lane."""
+_MAX_CONTRADICTED_S = 0.25  # of observations that contradict the state, after which the observed lane replaces it
 
-_MAX_JUMP = 0.25
-"""Largest change of the lane between images, in lane widths in a near row."""
+_MAX_JUMP = 0.25  # of the lane between images, in lane widths in a near row
 
-_WIDTH_SLOPE_LIMITS = (0.8, 6.0)
-"""Smallest and largest plausible lane width / camera height."""
+_WIDTH_SLOPE_LIMITS = (0.8, 6.0)  # plausible lane width / camera height
 
 _MAX_CLUTTER = 1.2
 """Largest `LaneFit.clutter` of a lane: it is 0 to 0.7 on roads, and 2 to 3 in tree shade, which has edges all over."""
 
-_MIN_SUPPORT = 0.3
-"""Smallest support of a line, relative to the line with the largest support in the image."""
+_MIN_SUPPORT = 0.3  # of a line, relative to the one with the largest support in the image
 
-_MAX_SIGMAS = 3.0
-"""Largest deviation of a pair in each of the quantities of a typical lane, in sigmas."""
+_MAX_SIGMAS = 3.0  # deviation of a pair in each of the quantities of a typical lane
 
-_OFFSET_SIGMA = 0.25
-"""Standard deviation of the camera's lateral offset from the lane centre, in lane widths."""
+_OFFSET_SIGMA = 0.25  # of the camera's lateral offset from the lane centre, in lane widths
 
-_CENTRE_SIGMA = 0.15
-"""Standard deviation of the vanishing point's x from the image centre, in image widths."""
+_CENTRE_SIGMA = 0.15  # of the vanishing point's x from the image centre, in image widths
 
-_COST = 0.2
-"""Cost of a deviation of one sigma, in units of support."""
+_COST = 0.2  # of a deviation of one sigma, in units of support
 
-_MIN_SCORE = 0.3
-"""Smallest score of a pair: two lines of full support (2) may deviate by a total of 3 sigmas."""
+_MIN_SCORE = 0.3  # of a pair: two lines of full support (2) may deviate by a total of 3 sigmas
 
-_TRACKED_SIGMA = 0.12
-"""Standard deviation of a line's x from the tracked lane, in lane widths."""
+_TRACKED_SIGMA = 0.12  # of a line's x from the tracked lane, in lane widths
 
 _MAX_DEPARTURE = 1.5
 """Largest squared distance from the tracked lane, in sigmas squared; the limit allows recovery from a wrong lane."""
@@ -68,7 +57,6 @@ class EgoLane:
     """
 
     def __init__(self) -> None:
-        """Start without a lane."""
         self.state: LaneState | None = None
         self._time_s = -np.inf
         self._agreed_s = -np.inf
@@ -101,7 +89,6 @@ class EgoLane:
         return LaneLines(*lines)
 
     def _fit(self, markings: Markings, expected: LaneState | None, image_hw: tuple[int, int]) -> LaneFit | None:
-        """The lane in this image: the tracked one or a new one; None = no plausible lane."""
         proposed = proposals(markings, image_hw)
         pair = own_pair(proposed, image_hw, expected)
         observed, numbers = None, (-1, -1)
@@ -143,13 +130,7 @@ def _jump(state: LaneState, expected: LaneState) -> float:
 
 
 def own_pair(proposed: Proposals, image_hw: tuple[int, int], tracked: LaneState | None) -> tuple[int, int] | None:
-    """Indices of the proposals that are the left and the right line of the ego lane; None = there is no such pair.
-
-    Args:
-        proposed: straight lines in the image.
-        image_hw: (height, width) of the image.
-        tracked: predicted lane; None = no lane is tracked.
-    """
+    """Numbers of the proposals that are the lane's left and right line, given a `tracked` lane; None = no such pair."""
     if len(proposed) < 2:
         return None
     sigmas = _deviations(proposed, image_hw)

@@ -20,29 +20,21 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 SIDES = (-1.0, 1.0)
 """`side` of the left and the right line in `LaneState`'s methods."""
 
-_N_ROUNDS = 4
-"""Number of reweighting iterations."""
+_N_ROUNDS = 4  # of reweighting
 
-_FIRST_GATE, _LAST_GATE = 0.10, 0.03
-"""Largest distance of a line's pixels from it in the first and the last iteration, in lane widths."""
+_FIRST_GATE, _LAST_GATE = 0.10, 0.03  # distance of a line's pixels from it in the first and last round, in lane widths
 
-_TUKEY = 4.0
-"""Residual in sigmas above which pixels have no weight (Tukey's constant)."""
+_TUKEY = 4.0  # residual in sigmas above which pixels have no weight (Tukey's constant)
 
-_PAINT_SIGMA = 0.01
-"""Standard deviation in lane widths of the detected centre of a painted line, which is 0.1 to 0.3 m wide."""
+_PAINT_SIGMA = 0.01  # in lane widths, of the detected centre of a painted line, which is 0.1 to 0.3 m wide
 
-_MAX_INDEPENDENT = 8.0
-"""Largest total weight of a line's pixels, in independent pixels."""
+_MAX_INDEPENDENT = 8.0  # total weight of a line's pixels, in independent pixels
 
-_MIN_PIXELS = 6
-"""Smallest number of pixels of a visible line."""
+_MIN_PIXELS = 6  # of a visible line
 
-_MARGIN = 0.12
-"""Distance from the lines in lane widths within which markings are not clutter, for double lines."""
+_MARGIN = 0.12  # from the lines in lane widths, within which markings are not clutter, for double lines
 
-_MIN_SPAN = 0.06
-"""Smallest extent in y of a visible line, in image heights."""
+_MIN_SPAN = 0.06  # extent in y of a visible line, in image heights
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +53,9 @@ class LaneFit:
 
 
 def fit_lane(markings: Markings, expected: LaneState, lines: tuple[int, int] = (-1, -1)) -> LaneFit:
-    """The lane fitted to the markings near `expected`.
+    """The lane fitted to the markings near `expected`, the prior and first value of the fit.
 
-    Args:
-        markings: pixels on any lines.
-        expected: the prior, and the initial value of the fit.
-        lines: numbers of the left and the right line among the markings; -1 = all markings near the line.
+    `lines` are the numbers of the left and the right line among the markings; -1 = all markings near the line.
     """
     state = expected
     prior = np.asarray(np.linalg.inv(expected.covariance), np.float64)
@@ -112,7 +101,7 @@ def _updated(
 
 
 def _clutter(markings: Markings, state: LaneState, on_lines: BoolArray) -> float:
-    """Number of markings between the lines divided by the number on them, in the rows of the lines."""
+    """See `LaneFit`."""
     if not on_lines.any():
         return 0.0
     x, y = markings.xy_px.T

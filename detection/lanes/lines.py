@@ -42,7 +42,7 @@ class LaneLine:
             raise ValueError(f"expected y_top_px <= y_bottom_px, got {self.y_top_px} and {self.y_bottom_px}")
 
     def x_px(self, y_px: FloatArray) -> FloatArray:
-        """X of the line in the given rows, in the shape of `y_px`."""
+        """X of the line in the given rows."""
         c = self.coefficients
         return np.asarray(c[0] + y_px * (c[1] + y_px * c[2]))
 

@@ -16,23 +16,17 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check
 _CANVAS_WIDTH_PX = 480
 """Width of the Hough transform's image; smaller than the input to save time, larger than needed to separate lines."""
 
-_MIN_VOTES = 6
-"""Smallest number of votes of a line in the Hough transform."""
+_MIN_VOTES = 6  # of a line in the Hough transform
 
-_MAX_HOUGH_LINES, _MAX_PROPOSALS = 400, 40
-"""Largest number of lines from the Hough transform, and of proposals."""
+_MAX_HOUGH_LINES, _MAX_PROPOSALS = 400, 40  # lines of the Hough transform, and proposals
 
-_MIN_DISTANCE = 0.015
-"""Smallest distance of two proposals in a near or a middle row, in image widths."""
+_MIN_DISTANCE = 0.015  # of two proposals in a near or a middle row, in image widths
 
-_MAX_SLOPE = 3.5
-"""Largest |dx/dy| of a proposal; lines of the ego lane have up to 2.5."""
+_MAX_SLOPE = 3.5  # |dx/dy| of a proposal; lines of the ego lane have up to 2.5
 
-_TOLERANCE = 0.006
-"""Largest distance of a pixel from the straight line that it supports, in image widths."""
+_TOLERANCE = 0.006  # distance of a pixel from the straight line that it supports, in image widths
 
-_MIN_POINTS = 4
-"""Smallest number of pixels of a numbered line."""
+_MIN_POINTS = 4  # pixels of a numbered line
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +100,6 @@ def run_middles(is_marked: BoolArray, *, widest_px: float = np.inf) -> tuple[Int
 
 
 def _numbered_lines(markings: Markings) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Constant, slope and number of a straight line through the lower half of each numbered line's pixels."""
     rows = []
     for number in np.unique(markings.line):
         x, y = markings.xy_px[markings.line == number].T
@@ -119,7 +112,6 @@ def _numbered_lines(markings: Markings) -> tuple[FloatArray, FloatArray, IntArra
 
 
 def _hough_lines(xy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Constant, slope and number -1 of the strongest straight lines through pixels (N, 2)."""
     scale = _CANVAS_WIDTH_PX / image_hw[1]
     canvas = np.zeros((round(image_hw[0] * scale) + 1, _CANVAS_WIDTH_PX + 1), np.uint8)
     x, y = np.rint(xy_px.T * scale).astype(np.int64)

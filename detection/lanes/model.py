@@ -23,8 +23,7 @@ the roof of a car, 2.5 behind a windscreen, 1.4 in a truck."""
 HORIZON, HORIZON_SIGMA = 0.48, 0.12
 """Typical row of the horizon of a forward-looking camera and its standard deviation, in image heights."""
 
-_REFERENCE_ROW = 0.75
-"""y0, in image heights."""
+_REFERENCE_ROW = 0.75  # y0, in image heights
 
 _PRIOR_SIGMA = np.array([0.3, 0.6, np.nan, np.nan, 0.5])
 """Initial standard deviations of a, b and c, in image heights; those of d and s follow from the observed width."""
@@ -35,12 +34,11 @@ _RANDOM_WALK = np.array([0.15, 0.25, 0.03, 0.04, 0.2])
 
 @dataclass(frozen=True, slots=True)
 class LaneState:
-    """Estimate of the ego lane.
+    """Estimate of the ego lane in images of (height, width) `image_hw`.
 
     Attributes:
         mean: (5,) a, b, d, s, c in pixels.
-        covariance: (5, 5) covariance of `mean`.
-        image_hw: (height, width) of the images.
+        covariance: (5, 5).
     """
 
     mean: FloatArray

@@ -38,8 +38,7 @@ _LSTR = ((0.40789654, 0.44719302, 0.47026115), (0.28863828, 0.27408164, 0.278098
 
 _UNSCALED = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
-_MAX_VIEWS = 5
-"""Largest number of views of one image while the row of the horizon is unknown."""
+_MAX_VIEWS = 5  # of one image while the row of the horizon is unknown
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,23 +70,17 @@ _CURVES = _Family(is_rgb=False, scale=_LSTR, sigma_px=2.0, horizon=0.35)
 _ROW_ANCHORS = _Family(is_rgb=True, scale=_IMAGENET, sigma_px=2.0, input_hw=(288, 800))
 
 
-CLASSICAL = "classical"
-"""Name of the lane finder without a network, `edges.EdgeLaneFinder`."""
+CLASSICAL = "classical"  # name of the lane finder without a network, `EdgeLaneFinder`
 
 
 class NetLaneFinder:
-    """Detector of lane lines with a network.
+    """Detector of lane lines with a network; ModelError if it cannot be read, or is not a known lane network.
 
     Attributes:
         notes: notes for the user.
     """
 
     def __init__(self, model: Path, runtime: Runtime | None = None) -> None:
-        """Load the network and run it once.
-
-        Raises:
-            ModelError: the model cannot be read, or is not a known lane network.
-        """
         session = OnnxSession(model, runtime)
         self.notes = session.notes
         self._family, self._network, self._decode = _opened(session)
@@ -99,7 +92,7 @@ class NetLaneFinder:
 
         Raises:
             ModelError: onnxruntime fails.
-            ValueError: the image is not (H, W, 3).
+            ValueError: the image has another shape.
         """
         check_shape("image", image, (None, None, 3))
         image_hw = (image.shape[0], image.shape[1])
@@ -109,80 +102,48 @@ class NetLaneFinder:
         for _ in range(_MAX_VIEWS):
             lines = self._lane.update(self._markings(image, view), time_s, image_hw)
             previous, view = view, self._view(image_hw)
-            if (
-                not is_new
-                or abs(view.top_px - previous.top_px) < self._family.aim * image_hw[0]
-                or self._lane.state is None
-            ):
+            is_aimed = abs(view[0].start - previous[0].start) < self._family.aim * image_hw[0]
+            if not is_new or is_aimed or self._lane.state is None:
                 break
             self._lane.reset()  # the same image is not independent evidence
         return lines
 
-    def _view(self, image_hw: tuple[int, int]) -> _View:
-        """The view for the tracked lane."""
-        state = self._lane.state
-        at_px = None if state is None else (state.vanishing_x_px, state.horizon_px)
-        return _View.of(image_hw, self._family, at_px)
+    def _view(self, image_hw: tuple[int, int]) -> tuple[slice, slice]:
+        """Rows and columns of the largest view with the tracked horizon, or the typical one, in the family's row.
 
-    def _markings(self, image: Image, view: _View) -> Markings:
+        The whole image if the family has no such row.
+        """
+        height, width = image_hw
+        horizon, aspect, state = self._family.horizon, self._family.aspect, self._lane.state
+        if horizon is None:
+            return slice(0, height), slice(0, width)
+        x_px, y_px = (width / 2, horizon * height) if state is None else (state.vanishing_x_px, state.horizon_px)
+        tallest = min((height - y_px) / (1 - horizon), width / aspect)
+        rows = round(float(np.clip(tallest, height / 3, height)))
+        columns = min(round(rows * aspect), width)
+        top = round(float(np.clip(y_px - horizon * rows, 0, height - rows)))
+        left = round(float(np.clip(x_px - columns / 2, 0, width - columns)))
+        return slice(top, top + rows), slice(left, left + columns)
+
+    def _markings(self, image: Image, view: tuple[slice, slice]) -> Markings:
         """The markings that the network detects in a view of the image."""
-        self._write(image[view.rows, view.columns])
-        xy, line = self._decode(self._network.run())
-        scale = np.array([view.width_px / self._input_hw[1], view.height_px / self._input_hw[0]])
-        xy_px = (xy + 0.5) * scale - 0.5 + np.array([view.left_px, view.top_px])
-        return Markings(xy_px, line, self._family.sigma_px * float(scale[0]))
-
-    def _write(self, part: Image) -> None:
-        """Write part of an image into the network's input."""
+        part = image[view]
         pixels = cv2.resize(part, self._input_hw[::-1], interpolation=cv2.INTER_LINEAR)
         mean, deviation = self._family.scale
         for channel in range(3):
             source = pixels[..., 2 - channel if self._family.is_rgb else channel]
             factor, shift = np.float32(1 / 255 / deviation[channel]), np.float32(mean[channel] / deviation[channel])
             self._network.blob[0, channel] = source * factor - shift
-
-
-@dataclass(frozen=True, slots=True)
-class _View:
-    """The part of an image that is the network's input, in pixels."""
-
-    left_px: int
-    top_px: int
-    width_px: int
-    height_px: int
-
-    @classmethod
-    def of(cls, image_hw: tuple[int, int], family: _Family, vanishing_px: tuple[float, float] | None) -> _View:
-        """The largest view with the horizon in the family's row; the whole image if the family has no such row."""
-        height, width = image_hw
-        if family.horizon is None:
-            return cls(0, 0, width, height)
-        x_px, y_px = vanishing_px or (width / 2, family.horizon * height)
-        tallest = min((height - y_px) / (1 - family.horizon), width / family.aspect)
-        rows = round(float(np.clip(tallest, height / 3, height)))
-        columns = min(round(rows * family.aspect), width)
-        top = round(float(np.clip(y_px - family.horizon * rows, 0, height - rows)))
-        left = round(float(np.clip(x_px - columns / 2, 0, width - columns)))
-        return cls(left, top, columns, rows)
-
-    @property
-    def rows(self) -> slice:
-        return slice(self.top_px, self.top_px + self.height_px)
-
-    @property
-    def columns(self) -> slice:
-        return slice(self.left_px, self.left_px + self.width_px)
+        xy, line = self._decode(self._network.run())
+        scale = np.array([part.shape[1] / self._input_hw[1], part.shape[0] / self._input_hw[0]])
+        xy_px = (xy + 0.5) * scale - 0.5 + np.array([view[1].start, view[0].start])
+        return Markings(xy_px, line, self._family.sigma_px * float(scale[0]))
 
 
 _Decode = Callable[[Sequence[FloatArray32]], Points]
 
 
 def _opened(session: OnnxSession) -> tuple[_Family, BoundNetwork, _Decode]:
-    """Family, bound network and decoder of a session.
-
-    Raises:
-        ModelError: not a known lane network.
-    """
     _, channels, height, width = session.input_shape
     if channels != 3:
         shape = "[" + ", ".join("any" if side is None else str(side) for side in session.input_shape) + "]"
@@ -201,10 +162,9 @@ def _opened(session: OnnxSession) -> tuple[_Family, BoundNetwork, _Decode]:
 def _matched(
     session: OnnxSession, network: BoundNetwork, input_hw: tuple[int, int]
 ) -> tuple[_Family, BoundNetwork, _Decode]:
-    """Family, bound network and decoder by the shapes of the outputs."""
     shapes = network.output_shapes
     names = list(shapes)
-    masks = [name for name, shape in shapes.items() if _is_mask(shape)]
+    masks = [name for name, shape in shapes.items() if len(shape) == 4 and shape[1] in (1, 2) and min(shape[2:]) >= 32]
     anchors = [i for i, shape in enumerate(shapes.values()) if is_row_anchor_shape(shape)]
     scores = [i for i, shape in enumerate(shapes.values()) if len(shape) == 3 and shape[2] == 2]
     curves = [i for i, shape in enumerate(shapes.values()) if len(shape) == 3 and shape[2] == 8]
@@ -213,7 +173,8 @@ def _matched(
     if anchors:
         return _ROW_ANCHORS, network, lambda out: row_anchor_points(out[anchors[0]][0], input_hw)
     if masks:
-        mask = names.index(_lane_mask(masks))
+        named = [name for name in masks if any(word in name.lower() for word in ("lane", "line", "ll"))]
+        mask = names.index((named or masks)[-1])  # the last one is after that of the drivable area
         return _SEGMENTATION, network, lambda out: _scaled(mask_points(out[mask][0]), out[mask].shape[2:], input_hw)
     outputs = ", ".join(f"{name} {list(shape)}" for name, shape in shapes.items())
     raise ModelError(
@@ -222,26 +183,11 @@ def _matched(
     )
 
 
-def _is_mask(shape: tuple[int, ...]) -> bool:
-    return len(shape) == 4 and shape[1] in (1, 2) and min(shape[2:]) >= 32
-
-
-def _lane_mask(names: Sequence[str]) -> str:
-    """Name of the mask of lines: by the name, else the last mask (after that of the drivable area)."""
-    named = [name for name in names if any(word in name.lower() for word in ("lane", "line", "ll"))]
-    return (named or list(names))[-1]
-
-
 def _scaled(points: Points, mask_hw: tuple[int, ...], input_hw: tuple[int, int]) -> Points:
-    """Points of a mask in pixels of the network's input."""
     scale: FloatArray = np.array([input_hw[1] / mask_hw[1], input_hw[0] / mask_hw[0]])
     return (points[0] + 0.5) * scale - 0.5, points[1]
 
 
 def open_lane_finder(name_or_path: str, runtime: Runtime | None = None) -> LaneFinder:
-    """The `EdgeLaneFinder` for `CLASSICAL`, otherwise a `NetLaneFinder` with the network at this path.
-
-    Raises:
-        ModelError: the file cannot be read, or is not a known lane network.
-    """
+    """`EdgeLaneFinder` for `CLASSICAL`, otherwise a `NetLaneFinder` with the network at this path."""
     return EdgeLaneFinder() if name_or_path == CLASSICAL else NetLaneFinder(Path(name_or_path), runtime)

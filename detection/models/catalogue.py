@@ -14,7 +14,7 @@ from track_range.detection.classes import COCO_CATEGORIES, COCO_CLASSES
 
 @dataclass(frozen=True, slots=True)
 class Licence:
-    """A licence: its name, and in one sentence what it requires from users of the model."""
+    """A licence, and in one sentence what it requires from users of the model."""
 
     name: str
     meaning: str
@@ -26,7 +26,6 @@ class ModelFile:
 
     Attributes:
         name: file name in the cache folder.
-        url: http(s) address.
         checksum: published checksum, algorithm and hexadecimal digest, such as `sha256:...`.
         size_bytes: published size; None = not published.
     """
@@ -46,7 +45,6 @@ class CatalogueEntry:
         family: family of the network, as shown by `track-range models info`.
         input: size and number type of the network's input, for display.
         files: an ONNX file, or Darknet's cfg and weights, which are imported after the download.
-        licence: licence of the model.
         project, release: project and release that publish the model.
         classes: class names in the network's order.
         size_px: side of the input in pixels for a network of variable input size that was trained at one size; None =
@@ -102,172 +100,108 @@ _OPENCV_ZOO = (
 _ONNX_COMMUNITY = "https://huggingface.co/onnx-community"
 
 
+def _onnx(name: str, url: str, checksum: str, size_bytes: int) -> tuple[ModelFile]:
+    return (ModelFile(f"{name}.onnx", url, checksum, size_bytes),)
+
+
 def _yolox(name: str, side_px: int, checksum: str, size_bytes: int) -> CatalogueEntry:
     return CatalogueEntry(
         name=name,
         family="yolox",
         input=f"{side_px}x{side_px}",
-        files=(ModelFile(f"{name}.onnx", f"{_YOLOX}/{name}.onnx", checksum, size_bytes),),
+        files=_onnx(name, f"{_YOLOX}/{name}.onnx", checksum, size_bytes),
         licence=APACHE,
         project="Megvii-BaseDetection/YOLOX",
         release="0.1.1rc0",
     )
 
 
+# fmt: off
 CATALOGUE: tuple[CatalogueEntry, ...] = (
     _yolox("yolox_nano", 416, "sha256:c789161ed43c8269fcd4e67c67eeeb4e80c622da2eb296a20bc6007bd18a0b7d", 3_659_407),
     _yolox("yolox_tiny", 416, "sha256:427cc366d34e27ff7a03e2899b5e3671425c262ea2291f88bb942bc1cc70b0f7", 20_219_662),
     _yolox("yolox_s", 640, "sha1:0249e66522b38462e6962915a8850a5908023a1c", 35_858_002),
     CatalogueEntry(
-        name="yolov4-tiny",
-        family="yolov4-tiny",
-        input="416x416",
+        name="yolov4-tiny", family="yolov4-tiny", input="416x416", licence=PUBLIC_DOMAIN,
+        project="AlexeyAB/darknet", release="yolov4 (weights of December 2020)",
         files=(
             ModelFile(
-                "yolov4-tiny.cfg",
-                f"{_DARKNET_TEXT}/0faed3e60e52f742bbef43b83f6be51dd30f373e/cfg/yolov4-tiny.cfg",
-                "sha256:f858e3724962eedf3ac44e3b6cb3f0c3d9ed067c306bb831f539c578b924c90e",
-                3_231,
+                "yolov4-tiny.cfg", f"{_DARKNET_TEXT}/0faed3e60e52f742bbef43b83f6be51dd30f373e/cfg/yolov4-tiny.cfg",
+                "sha256:f858e3724962eedf3ac44e3b6cb3f0c3d9ed067c306bb831f539c578b924c90e", 3_231,
             ),
             ModelFile(
-                "yolov4-tiny.weights",
-                f"{_DARKNET}/yolov4/yolov4-tiny.weights",
-                "sha1:451caaab22fb9831aa1a5ee9b5ba74a35ffa5dcb",
-                24_251_276,
+                "yolov4-tiny.weights", f"{_DARKNET}/yolov4/yolov4-tiny.weights",
+                "sha1:451caaab22fb9831aa1a5ee9b5ba74a35ffa5dcb", 24_251_276,
             ),
         ),
-        licence=PUBLIC_DOMAIN,
-        project="AlexeyAB/darknet",
-        release="yolov4 (weights of December 2020)",
     ),
     CatalogueEntry(
-        name="yolov4",
-        family="yolov4",
-        input="608x608",
+        name="yolov4", family="yolov4", input="608x608", licence=PUBLIC_DOMAIN,
+        project="AlexeyAB/darknet", release="darknet_yolo_v3_optimal",
         files=(
             ModelFile(
-                "yolov4.cfg",
-                f"{_DARKNET_TEXT}/59596d7880f6504768df41d6daa586f5cb2b932f/cfg/yolov4.cfg",
-                "sha256:a6d0f8e5c62cc8378384f75a8159b95fa2964d4162e33351b00ac82e0fc46a34",
-                None,
+                "yolov4.cfg", f"{_DARKNET_TEXT}/59596d7880f6504768df41d6daa586f5cb2b932f/cfg/yolov4.cfg",
+                "sha256:a6d0f8e5c62cc8378384f75a8159b95fa2964d4162e33351b00ac82e0fc46a34", None,
             ),
             ModelFile(
-                "yolov4.weights",
-                f"{_DARKNET}/darknet_yolo_v3_optimal/yolov4.weights",
-                "sha1:0143deb6c46fcc7f74dd35bf3c14edc3784e99ee",
-                257_717_640,
+                "yolov4.weights", f"{_DARKNET}/darknet_yolo_v3_optimal/yolov4.weights",
+                "sha1:0143deb6c46fcc7f74dd35bf3c14edc3784e99ee", 257_717_640,
             ),
         ),
-        licence=PUBLIC_DOMAIN,
-        project="AlexeyAB/darknet",
-        release="darknet_yolo_v3_optimal",
     ),
     CatalogueEntry(
-        name="yolov5n",
-        family="yolov5",
-        input="640x640 FP16",
-        files=(
-            ModelFile(
-                "yolov5n.onnx",
-                "https://github.com/ultralytics/yolov5/releases/download/v7.0/yolov5n.onnx",
-                "sha1:90aa4b5f8e1ba19166f214f3e4258e5d1d05070b",
-                3_981_910,
-            ),
+        name="yolov5n", family="yolov5", input="640x640 FP16", licence=AGPL,
+        project="ultralytics/yolov5", release="v7.0",
+        files=_onnx(
+            "yolov5n", "https://github.com/ultralytics/yolov5/releases/download/v7.0/yolov5n.onnx",
+            "sha1:90aa4b5f8e1ba19166f214f3e4258e5d1d05070b", 3_981_910,
         ),
-        licence=AGPL,
-        project="ultralytics/yolov5",
-        release="v7.0",
     ),
     CatalogueEntry(
-        name="yolov10n",
-        family="yolov10",
-        input="640x640",
-        files=(
-            ModelFile(
-                "yolov10n.onnx",
-                "https://github.com/THU-MIG/yolov10/releases/download/v1.1/yolov10n.onnx",
-                "sha256:7025ea1913f9a259cf8a8465ed608e10610d1bb376db2e0348b13e3bd286e0d3",
-                9_386_466,
-            ),
+        name="yolov10n", family="yolov10", input="640x640", licence=AGPL, project="THU-MIG/yolov10", release="v1.1",
+        files=_onnx(
+            "yolov10n", "https://github.com/THU-MIG/yolov10/releases/download/v1.1/yolov10n.onnx",
+            "sha256:7025ea1913f9a259cf8a8465ed608e10610d1bb376db2e0348b13e3bd286e0d3", 9_386_466,
         ),
-        licence=AGPL,
-        project="THU-MIG/yolov10",
-        release="v1.1",
     ),
     CatalogueEntry(
-        name="yolo26n",
-        family="yolo26",
-        input="640x640",
-        files=(
-            ModelFile(
-                "yolo26n.onnx",
-                "https://github.com/ultralytics/assets/releases/download/v8.4.0/yolo26n.onnx",
-                "sha256:2e947b787d9e787b93a16772a5f55b1d4d8c4d86f53146149c5d6a642442d6f7",
-                9_941_957,
-            ),
+        name="yolo26n", family="yolo26", input="640x640", licence=AGPL, project="ultralytics/assets", release="v8.4.0",
+        files=_onnx(
+            "yolo26n", "https://github.com/ultralytics/assets/releases/download/v8.4.0/yolo26n.onnx",
+            "sha256:2e947b787d9e787b93a16772a5f55b1d4d8c4d86f53146149c5d6a642442d6f7", 9_941_957,
         ),
-        licence=AGPL,
-        project="ultralytics/assets",
-        release="v8.4.0",
     ),
     CatalogueEntry(
-        name="nanodet-m",
-        family="nanodet",
-        input="416x416",
-        files=(
-            ModelFile(
-                "nanodet-m.onnx",
-                f"{_OPENCV_ZOO}/object_detection_nanodet/object_detection_nanodet_2022nov.onnx",
-                "sha256:4b82da9944b88577175ee23a459dce2e26e6e4be573def65b1055dc2d9720186",
-                3_800_954,
-            ),
+        name="nanodet-m", family="nanodet", input="416x416", licence=APACHE,
+        project="opencv/opencv_zoo", release="object_detection_nanodet_2022nov",
+        files=_onnx(
+            "nanodet-m", f"{_OPENCV_ZOO}/object_detection_nanodet/object_detection_nanodet_2022nov.onnx",
+            "sha256:4b82da9944b88577175ee23a459dce2e26e6e4be573def65b1055dc2d9720186", 3_800_954,
         ),
-        licence=APACHE,
-        project="opencv/opencv_zoo",
-        release="object_detection_nanodet_2022nov",
     ),
     CatalogueEntry(
-        name="dfine-s",
-        family="d-fine",
-        input="640x640",
-        files=(
-            ModelFile(
-                "dfine-s.onnx",
-                f"{_ONNX_COMMUNITY}/dfine_s_coco-ONNX/resolve/a3cf03147a9b86c78475139115c8ac142577352d/onnx/model.onnx",
-                "sha256:cd8a49a945feda6d28c6304ae8ae85c2759ba1d78a5a83a22c5ce8db82ef7238",
-                41_535_197,
-            ),
+        name="dfine-s", family="d-fine", input="640x640", size_px=640, licence=APACHE,
+        project="onnx-community/dfine_s_coco-ONNX", release="a3cf0314",
+        files=_onnx(
+            "dfine-s",
+            f"{_ONNX_COMMUNITY}/dfine_s_coco-ONNX/resolve/a3cf03147a9b86c78475139115c8ac142577352d/onnx/model.onnx",
+            "sha256:cd8a49a945feda6d28c6304ae8ae85c2759ba1d78a5a83a22c5ce8db82ef7238", 41_535_197,
         ),
-        licence=APACHE,
-        project="onnx-community/dfine_s_coco-ONNX",
-        release="a3cf0314",
-        size_px=640,
     ),
     CatalogueEntry(
-        name="rf-detr-nano",
-        family="rf-detr",
-        input="384x384",
-        files=(
-            ModelFile(
-                "rf-detr-nano.onnx",
-                f"{_ONNX_COMMUNITY}/rfdetr_nano-ONNX/resolve/eae21cee0687a91bcf9fa071605c48d7705d2d91/onnx/model.onnx",
-                "sha256:9cbac6b11ce34a03034e4d5a24cfac5f18632fd6761d1311dd640232088d7fee",
-                108_074_865,
-            ),
+        name="rf-detr-nano", family="rf-detr", input="384x384", size_px=384, classes=COCO_CATEGORIES, licence=APACHE,
+        project="onnx-community/rfdetr_nano-ONNX", release="eae21cee",
+        files=_onnx(
+            "rf-detr-nano",
+            f"{_ONNX_COMMUNITY}/rfdetr_nano-ONNX/resolve/eae21cee0687a91bcf9fa071605c48d7705d2d91/onnx/model.onnx",
+            "sha256:9cbac6b11ce34a03034e4d5a24cfac5f18632fd6761d1311dd640232088d7fee", 108_074_865,
         ),
-        licence=APACHE,
-        project="onnx-community/rfdetr_nano-ONNX",
-        release="eae21cee",
-        classes=COCO_CATEGORIES,
-        size_px=384,
     ),
 )
+# fmt: on
 
 
 def entry_named(name: str) -> CatalogueEntry | None:
     """The catalogue entry with this name, or None; case is ignored, and - and _ are equivalent."""
-    return next((entry for entry in CATALOGUE if _key(entry.name) == _key(name)), None)
-
-
-def _key(name: str) -> str:
-    return name.strip().lower().replace("_", "-")
+    key = name.strip().lower().replace("_", "-")
+    return next((entry for entry in CATALOGUE if entry.name.replace("_", "-") == key), None)

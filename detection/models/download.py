@@ -14,7 +14,6 @@ import urllib.request
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlparse
 
 from track_range.detection.darknet.importer import import_darknet
@@ -27,19 +26,14 @@ Progress = Callable[[int, int | None], None]
 """Called with the number of bytes downloaded so far, and the total if the server reports it."""
 
 _CHUNK_BYTES = 1 << 18
-"""Bytes per read; progress is reported after each."""
 
-_MAX_UNPUBLISHED_BYTES = 1_000_000
-"""Size limit of files of unpublished size, which are text of a few kB."""
+_MAX_UNPUBLISHED_BYTES = 1_000_000  # files of unpublished size are text of a few kB
 
 _TIMEOUT_S = 30.0
-"""Longest wait for the server."""
 
-_RANGE_NOT_SATISFIABLE = 416
-"""HTTP status: the requested range starts at or after the end of the file."""
+_RANGE_NOT_SATISFIABLE = 416  # HTTP status: the requested range starts at or after the end of the file
 
-_PARTIAL_CONTENT = 206
-"""HTTP status: the answer contains only the requested range."""
+_PARTIAL_CONTENT = 206  # HTTP status: the answer contains only the requested range
 
 
 class DownloadError(UserError):
@@ -64,8 +58,12 @@ def pull(entry: CatalogueEntry, cache: Path, progress: Progress | None = None) -
         raise DownloadError(
             f"{cache}: cannot create this folder for models ({error.strerror}); set TRACK_RANGE_CACHE to another one."
         ) from error
-    if entry.size_px is not None:
-        _write_size(cache / f"{entry.name}.yaml", entry.size_px)
+    sidecar = cache / f"{entry.name}.yaml"
+    if entry.size_px is not None and not sidecar.exists():  # else the user has attributes for this model
+        try:
+            write_text(sidecar, f"size: {entry.size_px}\n")
+        except OSError as error:
+            raise DownloadError(f"{sidecar}: cannot be written ({error.strerror or error}).") from error
     paths = {Path(file.name).suffix: fetch(file, cache / file.name, progress) for file in entry.files}
     if entry.is_darknet:
         import_darknet(paths[".cfg"], paths[".weights"], model, names=entry.classes)
@@ -73,23 +71,11 @@ def pull(entry: CatalogueEntry, cache: Path, progress: Progress | None = None) -
     return model
 
 
-def _write_size(sidecar: Path, size_px: int) -> None:
-    """Write the attribute `size`, unless the user has attributes for this model."""
-    if sidecar.exists():
-        return
-    try:
-        write_text(sidecar, f"size: {size_px}\n")
-    except OSError as error:
-        raise DownloadError(f"{sidecar}: cannot be written ({error.strerror or error}).") from error
-
-
 def fetch(file: ModelFile, target: Path, progress: Progress | None = None) -> Path:
     """Download one file to `target` and return that path; an earlier partial download is resumed.
 
-    Nothing is downloaded if `target` exists and has the correct checksum.
-
-    Raises:
-        DownloadError: the file cannot be downloaded or written, or its checksum is wrong.
+    Nothing is downloaded if `target` exists and has the correct checksum. DownloadError if the file cannot be
+    downloaded or written, or its checksum is wrong.
     """
     if target.is_file() and _has_checksum(target, file.checksum):
         return target
@@ -98,7 +84,7 @@ def fetch(file: ModelFile, target: Path, progress: Progress | None = None) -> Pa
     part = target.with_name(target.name + ".part")
     advice = f"try again later to resume the download, or save the file as {target} by other means."
     try:
-        _append(file, part, progress or _no_progress)
+        _append(file, part, progress or (lambda done_bytes, total_bytes: None))
     except urllib.error.HTTPError as error:
         raise DownloadError(
             f"{file.url}: the server responded {error.code} {shortened(str(error.reason))}; {advice}"
@@ -119,10 +105,6 @@ def fetch(file: ModelFile, target: Path, progress: Progress | None = None) -> Pa
         )
     os.replace(part, target)
     return target
-
-
-def _no_progress(done_bytes: int, total_bytes: int | None) -> None:
-    """Progress callback that does nothing."""
 
 
 def _append(model_file: ModelFile, part: Path, progress: Progress) -> None:
@@ -148,18 +130,12 @@ def _append(model_file: ModelFile, part: Path, progress: Progress) -> None:
         total_bytes = done_bytes + int(length) if length.isascii() and length.isdecimal() else None
         max_bytes = max(model_file.size_bytes or 0, _MAX_UNPUBLISHED_BYTES)
         with part.open("ab" if is_resumed else "wb") as file:
-            _copy(response, file, done_bytes, total_bytes, progress, max_bytes=max_bytes)
-
-
-def _copy(
-    response: Any, file: Any, done_bytes: int, total_bytes: int | None, progress: Progress, *, max_bytes: int
-) -> None:
-    while chunk := response.read(_CHUNK_BYTES):
-        if done_bytes > max_bytes:
-            return
-        file.write(chunk)
-        done_bytes += len(chunk)
-        progress(done_bytes, total_bytes)
+            while chunk := response.read(_CHUNK_BYTES):
+                if done_bytes > max_bytes:
+                    return
+                file.write(chunk)
+                done_bytes += len(chunk)
+                progress(done_bytes, total_bytes)
     if total_bytes is not None and done_bytes < total_bytes:
         raise http.client.HTTPException(f"received {done_bytes} of {total_bytes} bytes")
 
@@ -171,7 +147,6 @@ def _has_checksum(path: Path, checksum: str) -> bool:
 
 
 def _digest(path: Path, checksum: str) -> str:
-    """Checksum of a file by the algorithm of `checksum`, such as `sha256:...`."""
     algorithm = checksum.partition(":")[0]
     with path.open("rb") as file:
         return f"{algorithm}:{hashlib.file_digest(file, algorithm).hexdigest()}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -14,11 +14,8 @@ from track_range.detection.models.onnx_session import ModelError
 from track_range.foundation.files.cache_folder import cache_folder
 from track_range.foundation.files.input_files import shortened
 
-PACKAGED_FOLDER = Path(__file__).parents[1] / "weights"
-"""Folder of the models that are part of track-range."""
-
-DEFAULT_MODEL = "road"
-"""Name of the packaged detector of road users that is used by default."""
+PACKAGED_FOLDER = Path(__file__).parents[1] / "weights"  # of the models that are part of track-range
+DEFAULT_MODEL = "road"  # the packaged detector of road users
 
 _FILE_SUFFIXES = frozenset({".onnx", ".weights", ".cfg", ".pt", ".pth", ".engine", ".tflite"})
 """Suffixes that mark a name as a path, for the error message."""
@@ -82,7 +79,9 @@ def find_model(
     if os.path.isfile(path):  # unlike Path.is_file, False for a name that is too long
         return ModelLocation(path, "file", None)
     if path.name != text or path.suffix.lower() in _FILE_SUFFIXES:
-        raise ModelError(_no_such_file(path))
+        raise ModelError(
+            f"{path}: no such model file; `track-range models list` lists the models that can be downloaded."
+        )
     entry = entry_named(text)
     name = text.strip() if entry is None else entry.name
     folders: tuple[tuple[Path, Origin], ...] = ((packaged, "packaged"), (cache or models_folder(), "cached"))
@@ -90,43 +89,31 @@ def find_model(
         if os.path.isfile(model := folder / f"{name}.onnx"):
             return ModelLocation(model, origin, entry)
     if entry is None:
-        raise ModelError(_no_such_name(text, _names_in(folder for folder, _ in folders)))
+        known = list(dict.fromkeys([*_names_in(folder for folder, _ in folders), *(e.name for e in CATALOGUE)]))
+        near = difflib.get_close_matches(text[:60].lower(), known, n=2, cutoff=0.5)
+        hint = f"did you mean {' or '.join(near)}?" if near else f"known models: {', '.join(known)}."
+        raise ModelError(
+            f"{shortened(text)}: no model file or model of this name; {hint} See `track-range models list`."
+        )
     return ModelLocation(model, "catalogue", entry)
 
 
 def model_rows(*, cache: Path | None = None, packaged: Path = PACKAGED_FOLDER) -> list[ModelRow]:
     """Rows of all models that `--detector NAME` accepts: packaged, in the catalogue, and others in the cache folder."""
     folder = cache or models_folder()
-    rows = [_packaged_row(packaged / f"{name}.onnx") for name in _names_in([packaged])]
+    rows = []
+    for name in _names_in([packaged]):  # the README in the folder is the model card
+        size = f"{(packaged / f'{name}.onnx').stat().st_size / 1e6:.1f} MB"
+        rows.append(ModelRow(name, "variable", size, "Apache-2.0", "track-range", "packaged"))
     for entry in CATALOGUE:
         state = "downloaded" if (folder / f"{entry.name}.onnx").is_file() else "not downloaded"
         size = f"{entry.size_bytes / 1e6:.1f} MB"
         rows.append(ModelRow(entry.name, entry.input, size, entry.licence.name, entry.project, state))
     known = {entry.name for entry in CATALOGUE}
-    return rows + [_row_of_file(name, "in the cache folder") for name in _names_in([folder]) if name not in known]
-
-
-def _packaged_row(file: Path) -> ModelRow:
-    """Row of a packaged model; the README in its folder is the model card."""
-    size = f"{file.stat().st_size / 1e6:.1f} MB"
-    return ModelRow(file.stem, "variable", size, "Apache-2.0", "track-range", "packaged")
-
-
-def _row_of_file(name: str, state: str) -> ModelRow:
-    return ModelRow(name, "", "", "", "", state)
+    others = (name for name in _names_in([folder]) if name not in known)
+    return [*rows, *(ModelRow(name, "", "", "", "", "in the cache folder") for name in others)]
 
 
 def _names_in(folders: Iterable[Path]) -> list[str]:
     """Names without suffix of the ONNX files in the folders, without duplicates; folders may be missing."""
     return list(dict.fromkeys(file.stem for folder in folders for file in sorted(folder.glob("*.onnx"))))
-
-
-def _no_such_file(path: Path) -> str:
-    return f"{path}: no such model file; `track-range models list` lists the models that can be downloaded."
-
-
-def _no_such_name(text: str, local_names: Sequence[str]) -> str:
-    names = list(dict.fromkeys([*local_names, *(entry.name for entry in CATALOGUE)]))
-    near = difflib.get_close_matches(text[:60].lower(), names, n=2, cutoff=0.5)
-    hint = f"did you mean {' or '.join(near)}?" if near else f"known models: {', '.join(names)}."
-    return f"{shortened(text)}: no model file or model of this name; {hint} See `track-range models list`."

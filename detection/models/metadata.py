@@ -19,9 +19,11 @@ RF-DETR's exporter writes one JSON document, `rfdetr_inference`, whose class nam
 from __future__ import annotations
 
 import ast
+import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +32,7 @@ from track_range.detection.yolo.input_format import placement_and_grey
 from track_range.foundation.files.input_files import MAX_TEXT_BYTES, quoted, shortened
 from track_range.foundation.files.structured_text import parse_json, read_yaml
 
-_MAX_REASON = 160
-"""Longest description of an invalid value, in characters."""
+_MAX_REASON = 160  # characters of the description of an invalid value
 
 Anchors = tuple[tuple[tuple[float, float], ...], ...]
 """For each output head, usually the coarsest grid first, (width, height) of its anchors in input pixels."""
@@ -79,9 +80,13 @@ def read_metadata(path: Path, metadata: Mapping[str, str], options: ModelOptions
         ModelError: a value is invalid, or `MODEL.yaml` cannot be read.
     """
     option_values = {key: getattr(options, key) for key in ModelOptions.__dataclass_fields__}
-    metadata = {**_rfdetr_metadata(metadata), **_ultralytics_head(metadata), **metadata}
+    is_rt_detr = "rtdetr" in metadata.get("description", "").lower().replace("-", "")  # as "Ultralytics rtdetr-l model"
+    head = {"head": RT_DETR_DESCRIPTION} if is_rt_detr else {}
+    metadata = {**_rfdetr_metadata(metadata), **head, **metadata}
     sidecar = path.with_suffix(".yaml")
-    sidecar_values = _read_yaml(sidecar) if sidecar.is_file() else {}
+    sidecar_values: Any = read_yaml(sidecar, ModelError, "the attributes of a model") if sidecar.is_file() else None
+    if sidecar.is_file() and not (isinstance(sidecar_values, dict) and sidecar_values.keys() & _PARSERS.keys()):
+        raise ModelError(f"{sidecar}: expected one of the keys {', '.join(_PARSERS)}; add them or remove the file.")
     attributes: dict[str, Attribute] = {}
     for key, parse in _PARSERS.items():
         if option_values.get(key) is not None:
@@ -89,18 +94,16 @@ def read_metadata(path: Path, metadata: Mapping[str, str], options: ModelOptions
         elif key in metadata:
             place = f"{path}: metadata '{key}'"
             attributes[key] = Attribute(_parsed(parse, _literal(metadata[key]), place), "from the model's metadata")
-        elif key in sidecar_values:
+        elif key in (sidecar_values or {}):
             source = f"from {sidecar.name}"
             attributes[key] = Attribute(_parsed(parse, sidecar_values[key], f"{sidecar}: '{key}'"), source)
     return ModelMetadata(attributes)
 
 
-_RFDETR_KEY = "rfdetr_inference"
-"""Key of RF-DETR's JSON document in a model's metadata."""
+_RFDETR_KEY = "rfdetr_inference"  # of RF-DETR's JSON document in a model's metadata
 
 
 def _rfdetr_metadata(metadata: Mapping[str, str]) -> dict[str, str]:
-    """Class names, mean and std from RF-DETR's JSON document, as metadata texts; empty without one."""
     document = _literal(metadata.get(_RFDETR_KEY, ""))
     if not isinstance(document, Mapping):
         return {}
@@ -115,27 +118,13 @@ RT_DETR_DESCRIPTION = "RT-DETR by its description"
 """Value of `head` for RT-DETR of older versions of Ultralytics, whose metadata only have a description."""
 
 
-def _ultralytics_head(metadata: Mapping[str, str]) -> dict[str, str]:
-    """`head` of files whose description, such as "Ultralytics rtdetr-l model", names RT-DETR; else empty."""
-    is_rt_detr = "rtdetr" in metadata.get("description", "").lower().replace("-", "")
-    return {"head": RT_DETR_DESCRIPTION} if is_rt_detr else {}
-
-
 def _parsed(parse: Callable[[Any], Any], value: object, place: str) -> Any:
-    """`parse(value)`; errors name the `place` of the value."""
     try:
         return parse(value)
     except ValueError as error:
         raise ModelError(f"{place}: {shortened(str(error), _MAX_REASON)}.") from error
     except (TypeError, KeyError, OverflowError) as error:
         raise ModelError(f"{place}: expected other values, found {quoted(value)}.") from error
-
-
-def _read_yaml(sidecar: Path) -> dict[str, Any]:
-    document = read_yaml(sidecar, ModelError, "the attributes of a model")
-    if not isinstance(document, dict) or not document.keys() & _PARSERS.keys():
-        raise ModelError(f"{sidecar}: expected one of the keys {', '.join(_PARSERS)}; add them or remove the file.")
-    return document
 
 
 def _literal(text: str) -> object:
@@ -154,19 +143,13 @@ def _literal(text: str) -> object:
         return text
 
 
-_MAX_NAME = 100
-"""Largest number of characters of a class name."""
+_MAX_NAME = 100  # characters of a class name
 
-_MAX_CLASSES = 10_000
-"""Largest number of classes in RF-DETR's metadata."""
+_MAX_CLASSES = 10_000  # in RF-DETR's metadata
 
 
 def names_of(value: object) -> tuple[str, ...]:
-    """Names from a list, or from a mapping of numbers from 0 to names, as in Ultralytics' files.
-
-    Raises:
-        ValueError: another type, an empty list, or numbers with gaps.
-    """
+    """Names from a list, or from a mapping of numbers from 0 to names, as in Ultralytics' files; else ValueError."""
     if isinstance(value, Mapping):
         try:
             numbers = {int(key): name for key, name in value.items()}
@@ -204,20 +187,20 @@ def _anchors(value: Any) -> Anchors:
     return anchors
 
 
-def _scales(value: Any) -> tuple[float, ...]:
-    values: Sequence[Any] = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
-    scales = tuple(_number(scale) for scale in values)
-    if not all(1 <= scale <= 2 for scale in scales):
-        raise ValueError(f"expected numbers from 1 to 2, got {quoted(list(scales))}")
-    return scales
-
-
 def _number(value: Any) -> float:
     """A number from a number or text; NaN for other values."""
     try:
         return float("nan") if isinstance(value, bool) else float(value)
     except (ValueError, TypeError, OverflowError):
         return float("nan")
+
+
+def _scales(value: Any) -> tuple[float, ...]:
+    values: Sequence[Any] = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+    scales = tuple(_number(scale) for scale in values)
+    if not all(1 <= scale <= 2 for scale in scales):
+        raise ValueError(f"expected numbers from 1 to 2, got {quoted(list(scales))}")
+    return scales
 
 
 def _family(value: object) -> str:
@@ -231,53 +214,34 @@ def _letterbox(value: object) -> str:
     return str(value).strip().lower()
 
 
-def _colours(value: object) -> str:
-    if str(value).lower() not in ("rgb", "bgr"):
-        raise ValueError(f"expected rgb or bgr, got {quoted(value)}")
-    return str(value).lower()
-
-
-def _divisor(value: Any) -> float:
-    if not 0 < _number(value) <= 65535:
-        raise ValueError(f"expected a positive number such as 255, got {quoted(value)}")
-    return float(value)
-
-
-def _triple(value: Any) -> tuple[float, ...]:
+def _triple(value: Any, *, is_positive: bool = False) -> tuple[float, ...]:
     numbers = tuple(_number(item) for item in value) if isinstance(value, Sequence) else ()
     if len(numbers) != 3 or not all(abs(number) <= 65535 for number in numbers):
         raise ValueError(f"expected three numbers, one for each channel, got {quoted(value)}")
-    return numbers
-
-
-def _std(value: Any) -> tuple[float, ...]:
-    numbers = _triple(value)
-    if not all(number > 0 for number in numbers):
+    if is_positive and not all(number > 0 for number in numbers):
         raise ValueError(f"expected three positive numbers, one for each channel, got {quoted(value)}")
     return numbers
 
 
-def _score_function(value: object) -> str:
-    if str(value).lower() not in ("sigmoid", "softmax"):
-        raise ValueError(f"expected sigmoid or softmax, got {quoted(value)}")
-    return str(value).lower()
+def _one_of(first: str, second: str) -> Callable[[object], str]:
+    def parse(value: object) -> str:
+        if str(value).lower() not in (first, second):
+            raise ValueError(f"expected {first} or {second}, got {quoted(value)}")
+        return str(value).lower()
+
+    return parse
 
 
-def _flag(value: object) -> bool:
-    return str(value).lower() == "true"
+def _between(low: float, high: float, expected: str) -> Callable[[Any], float]:
+    def parse(value: Any) -> float:
+        if not low <= _number(value) <= high:
+            raise ValueError(f"expected {expected}, got {quoted(value)}")
+        return float(value)
+
+    return parse
 
 
-def _size(value: Any) -> int:
-    if not 32 <= _number(value) <= 4096:
-        raise ValueError(f"expected 32 to 4096 pixels, got {quoted(value)}")
-    return int(float(value))
-
-
-def _area(value: Any) -> float:
-    if not 32**2 <= _number(value) <= 4096**2:
-        raise ValueError(f"expected {32**2} to {4096**2} pixels, got {quoted(value)}")
-    return float(value)
-
+_size_px = _between(32, 4096, "32 to 4096 pixels")
 
 _PARSERS: Mapping[str, Callable[[Any], Any]] = {
     "family": _family,
@@ -285,13 +249,13 @@ _PARSERS: Mapping[str, Callable[[Any], Any]] = {
     "anchors": _anchors,
     "scale_x_y": _scales,
     "letterbox": _letterbox,
-    "colours": _colours,
-    "divisor": _divisor,
+    "colours": _one_of("rgb", "bgr"),
+    "divisor": _between(sys.float_info.min, 65535, "a positive number such as 255"),
     "mean": _triple,
-    "std": _std,
-    "scores": _score_function,
-    "size": _size,
-    "area": _area,
-    "end2end": _flag,
+    "std": partial(_triple, is_positive=True),
+    "scores": _one_of("sigmoid", "softmax"),
+    "size": lambda value: int(_size_px(value)),
+    "area": _between(32**2, 4096**2, f"{32**2} to {4096**2} pixels"),
+    "end2end": lambda value: str(value).lower() == "true",
     "head": _family,
 }

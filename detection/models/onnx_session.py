@@ -26,29 +26,22 @@ Device = Literal["auto", "cpu", "cuda", "tensorrt"]
 _CUDA, _TENSORRT = "CUDAExecutionProvider", "TensorrtExecutionProvider"
 _PROVIDERS: Mapping[str, tuple[str, ...]] = {"cpu": (), "cuda": (_CUDA,), "tensorrt": (_TENSORRT, _CUDA)}
 
-_MAX_MODEL_BYTES = 2**31
-"""Size limit of a model file: protobuf's."""
+_MAX_MODEL_BYTES = 2**31  # protobuf's limit
 
-_MAX_SIDE = 8192
-"""Largest length of the input in any dimension."""
+_MAX_SIDE = 8192  # of the input in any dimension
 
-_MAX_VALUES = 2**28
-"""Largest number of values of the input: 1 GB of float32."""
+_MAX_VALUES = 2**28  # of the input: 1 GB of float32
 
 _INPUT_TYPES = ("tensor(float)", "tensor(float16)")
-"""Number types of image inputs."""
 
 TARGET_SIZES = "orig_target_sizes"
 """Name of the input [batch, 2] of RT-DETR, D-FINE and DEIM: width and height to which the network scales its boxes."""
 
 _SIZE_TYPES = {"tensor(int64)": np.int64, "tensor(int32)": np.int32, "tensor(float)": np.float32}
-"""Number types of that input."""
 
-_LOCATION_KEY = b"location"
-"""Key of the path of external data in ONNX files."""
+_LOCATION_KEY = b"location"  # of the path of external data in ONNX files
 
-_MAX_REASON = 160
-"""Longest excerpt of a library's message, in characters."""
+_MAX_REASON = 160  # characters of a library's message
 
 
 class ModelError(UserError):
@@ -76,13 +69,12 @@ def available_providers() -> list[str]:
 
 
 class OnnxSession:
-    """A network with one image input, ready to run.
+    """A network with one image input, ready to run; ModelError if the file is no such network.
 
     DETR-like networks may have the input `orig_target_sizes` as well; it is the size of the image input, so that boxes
     are in pixels of that input.
 
     Attributes:
-        path: the model's file.
         input_shape: shape of the image input; None for dimensions of variable size.
         metadata: metadata that the exporter wrote into the file; often empty.
         device: "cpu", "cuda" or "tensorrt", the device in use.
@@ -90,11 +82,6 @@ class OnnxSession:
     """
 
     def __init__(self, path: Path, runtime: Runtime | None = None) -> None:
-        """Load the model.
-
-        Raises:
-            ModelError: the file does not exist, or is not an ONNX network with one image input.
-        """
         self.path = path
         self.notes: tuple[str, ...] = ()
         runtime = runtime or Runtime()
@@ -141,11 +128,7 @@ class OnnxSession:
         return inputs
 
     def run(self, blob: FloatArray32) -> list[FloatArray32]:
-        """The outputs as float32, in the file's order, for one input blob (batch, 3, height, width).
-
-        Raises:
-            ModelError: onnxruntime fails on this input.
-        """
+        """The outputs as float32, in the file's order, for one input blob (batch, 3, height, width)."""
         try:
             outputs = self._session.run(None, self.inputs(blob.astype(self.input_dtype, copy=False)))
         except Exception as error:  # as above
@@ -153,11 +136,7 @@ class OnnxSession:
         return [np.asarray(output, np.float32) for output in outputs]
 
     def bound(self, input_hw: tuple[int, int]) -> BoundNetwork:
-        """The network with buffers for one image of this size; one trial run determines the outputs' shapes.
-
-        Raises:
-            ModelError: onnxruntime fails on this size.
-        """
+        """The network with buffers for one image of this size; one trial run determines the outputs' shapes."""
         return BoundNetwork(self, input_hw)
 
     def _failure(self, error: Exception) -> ModelError:
@@ -170,11 +149,7 @@ class OnnxSession:
 
 
 def check_model_file(path: Path) -> None:
-    """Check an ONNX file, and that its external data are in its folder.
-
-    Raises:
-        ModelError: it is not a regular file of at most 2 GB, or refers to files elsewhere.
-    """
+    """Check that an ONNX file has at most 2 GB, and its external data are in its folder; else ModelError."""
     check_regular(path, ModelError, "an ONNX model", max_bytes=_MAX_MODEL_BYTES)
     if path.stat().st_size == 0:
         raise ModelError(f"{path}: expected an ONNX model, got an empty file.")
@@ -200,11 +175,6 @@ def check_model_file(path: Path) -> None:
 
 
 def _checked_inputs(path: Path, inputs: Sequence[Any]) -> tuple[Any, Any | None]:
-    """The image input and, if there is one, the input `orig_target_sizes`.
-
-    Raises:
-        ModelError: there are other inputs, or the image input has an implausible size or another type.
-    """
     images = [i for i in inputs if len(i.shape) == 4]
     sizes = [i for i in inputs if i.name == TARGET_SIZES and len(i.shape) == 2 and i.type in _SIZE_TYPES]
     if len(images) != 1 or len(inputs) != 1 + len(sizes):
@@ -270,14 +240,7 @@ class BoundNetwork:
             self._binding.bind_output(key, "cpu", 0, buffer.dtype, buffer.shape, buffer.ctypes.data)
 
     def run(self, blob: npt.NDArray[Any] | None = None) -> list[FloatArray32]:
-        """The outputs as float32, in the file's order, for `blob`; the next run overwrites them.
-
-        Args:
-            blob: another input than the attribute of this name, of equal shape and type; None = the attribute.
-
-        Raises:
-            ModelError: onnxruntime fails on this input.
-        """
+        """The outputs as float32, in the file's order, for `blob` or the attribute; the next run overwrites them."""
         source = self.blob if blob is None else blob
         if self._owner.device != "cpu" or self._bound_inputs[self._image_name] is not source:
             self._binding.bind_cpu_input(self._image_name, source)
@@ -290,7 +253,6 @@ class BoundNetwork:
 
 
 def _providers(runtime: Runtime) -> list[tuple[str, dict[str, Any]]]:
-    """Available onnxruntime providers for the device with their options, the preferred one first, the CPU last."""
     preferred = _PROVIDERS["cuda" if runtime.device == "auto" else runtime.device]
     available = available_providers()
     options = {_TENSORRT: _tensorrt_options(runtime.engine_folder)}
@@ -299,7 +261,6 @@ def _providers(runtime: Runtime) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _tensorrt_options(engine_folder: Path | None) -> dict[str, Any]:
-    """TensorRT's options: half precision, and cached engines if there is a folder for them."""
     if engine_folder is None:
         return {"trt_fp16_enable": True}
     cache = {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(engine_folder)}
@@ -307,6 +268,5 @@ def _tensorrt_options(engine_folder: Path | None) -> dict[str, Any]:
 
 
 def _device_of(providers: list[str]) -> str:
-    """Name of the device of the first provider."""
     first = providers[0]
     return {_TENSORRT: "tensorrt", _CUDA: "cuda"}.get(first, "cpu")

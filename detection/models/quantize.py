@@ -44,25 +44,21 @@ from track_range.detection.models.onnx_session import ModelError, OnnxSession, R
 from track_range.detection.models.writing import atomic_output, silent_conversion
 from track_range.foundation.arrays import FloatArray, FloatArray32
 
-_PER_CHANNEL_OPSET = 13
-"""First ONNX operator set in which DequantizeLinear supports one scale per channel."""
+_PER_CHANNEL_OPSET = 13  # the first in which DequantizeLinear supports one scale per channel
 
-_N_NOISE_BLOBS = 4
-"""Number of images on which the rounding noise of every tensor is measured before the calibration."""
+_N_NOISE_BLOBS = 4  # images on which the rounding noise of every tensor is measured before the calibration
 
 _MAX_NOISE_RATIO = 0.1
 """Largest `_noise_ratio` of the inputs and outputs of a quantised convolution. The ratio is at most 0.05 for all
 tensors of YOLOv5n, YOLOv4-tiny and YOLOX-nano, except two of YOLOX-nano (0.21 and 0.26) whose quantization halves its
 average precision."""
 
-_N_BIAS_BLOBS = 32
-"""Largest number of images on which the shift of a convolution's output is measured."""
+_N_BIAS_BLOBS = 32  # images on which the shift of a convolution's output is measured
 
 _BETWEEN = frozenset("Add Concat LeakyRelu MaxPool Mul Resize Sigmoid Slice".split())
 """Operators that are quantised if they lie between quantised convolutions, to avoid conversions to float and back."""
 
 _QUANTISED = frozenset("ConvInteger DequantizeLinear DynamicQuantizeLinear QLinearConv QuantizeLinear".split())
-"""Operators that only quantised networks contain."""
 
 
 def quantize_int8(
@@ -89,7 +85,10 @@ def quantize_int8(
     session = OnnxSession(path, Runtime(device="cpu"))
     stream = iter(blobs)
     first = list(itertools.islice(stream, _N_NOISE_BLOBS))
-    _check_blobs(session, first)
+    if not first:
+        raise ModelError(f"{path}: no calibration images; specify images that are typical of the network's use.")
+    for blob in first:  # raises a ModelError for a wrong shape
+        session.run(blob)
     with atomic_output(out) as folder:
         with silent_conversion(path, "quantised"):
             prepared = _prepared(model, folder)
@@ -139,15 +138,6 @@ def _float_model(path: Path) -> onnx.ModelProto:
     if "Conv" not in operators:
         raise ModelError(f"{path}: expected a network with convolutions, found none; there is nothing to quantise.")
     return model
-
-
-def _check_blobs(session: OnnxSession, blobs: list[FloatArray32]) -> None:
-    if not blobs:
-        raise ModelError(
-            f"{session.path}: no calibration images; specify images that are typical of the network's use."
-        )
-    for blob in blobs:
-        session.run(blob)
 
 
 def _name_nodes(graph: onnx.GraphProto) -> None:
@@ -206,7 +196,6 @@ def _prepared(model: onnx.ModelProto, folder: Path) -> onnx.ModelProto:
 
 
 def _add_biases(graph: onnx.GraphProto) -> None:
-    """Give every convolution with constant weights a bias that no other convolution uses; zeros if it has none."""
     constants = {tensor.name: tensor for tensor in graph.initializer}
     used: set[str] = set()
     for node in graph.node:
@@ -238,7 +227,6 @@ def _noisy_tensors(model: onnx.ModelProto, blobs: list[FloatArray32], folder: Pa
 
 
 def _probe(model: onnx.ModelProto, tensors: Sequence[str], folder: Path) -> OnnxSession:
-    """The network with these tensors as outputs."""
     probe = _copy(model)
     del probe.graph.output[:]
     float32 = onnx.TensorProto.FLOAT
@@ -274,18 +262,13 @@ def _quantisable(graph: onnx.GraphProto, noisy: set[str]) -> list[str]:
 
 
 class _BlobReader(CalibrationDataReader):  # type: ignore[misc]  # onnxruntime ships no types
-    """Adapter from an iterator of blobs to onnxruntime's calibration.
-
-    Attributes:
-        first: the first `_N_BIAS_BLOBS` blobs that were read.
-    """
+    """Adapter from an iterator of blobs to onnxruntime's calibration; `first` has the first `_N_BIAS_BLOBS` blobs."""
 
     def __init__(self, session: OnnxSession, blobs: Iterator[FloatArray32]) -> None:
         self._session, self._blobs = session, blobs
         self.first: list[FloatArray32] = []
 
     def get_next(self) -> dict[str, npt.NDArray[Any]] | None:
-        """All inputs by name for the next blob; None after the last."""
         blob = next(self._blobs, None)
         if blob is None:
             return None
@@ -340,7 +323,12 @@ def _correct_biases(
             bias, step = source.input[0], onnx.numpy_helper.to_array(constants[source.input[1]])
         if bias in constants:
             (mean,) = _mean_outputs(quantised, node.output, blobs, folder)
-            _add(constants[bias], (expected[node.name] - mean) / step)
+            values = onnx.numpy_helper.to_array(constants[bias])
+            total = values + (expected[node.name] - mean) / step
+            if values.dtype.kind == "i":
+                limits = np.iinfo(values.dtype)
+                total = np.clip(np.rint(total), limits.min, limits.max)
+            constants[bias].CopyFrom(onnx.numpy_helper.from_array(total.astype(values.dtype), bias))
 
 
 def _mean_outputs(
@@ -350,22 +338,9 @@ def _mean_outputs(
     session = _probe(model, tensors, folder)
     sums = [np.zeros(1)] * len(tensors)
     for blob in blobs:
-        values = session.run(blob)
-        sums = [
-            old + new.mean(axis=(0, *range(2, new.ndim)), dtype=np.float64)
-            for old, new in zip(sums, values, strict=True)
-        ]
+        means = [values.mean(axis=(0, *range(2, values.ndim)), dtype=np.float64) for values in session.run(blob)]
+        sums = [old + new for old, new in zip(sums, means, strict=True)]
     return [total / len(blobs) for total in sums]
-
-
-def _add(tensor: onnx.TensorProto, change: FloatArray) -> None:
-    """Add an array to a constant of the network, rounded and limited to its type if that is an integer."""
-    values = onnx.numpy_helper.to_array(tensor)
-    total = values + change
-    if values.dtype.kind == "i":
-        limits = np.iinfo(values.dtype)
-        total = np.clip(np.rint(total), limits.min, limits.max)
-    tensor.CopyFrom(onnx.numpy_helper.from_array(total.astype(values.dtype), tensor.name))
 
 
 def _without_redundant_casts(model: onnx.ModelProto) -> onnx.ModelProto:
@@ -403,7 +378,6 @@ def _is_cast(node: onnx.NodeProto, to: int) -> bool:
 
 
 def _save(model: onnx.ModelProto, original: onnx.ModelProto, target: Path) -> None:
-    """Write a converted network with the original's metadata."""
     del model.metadata_props[:]
     model.metadata_props.extend(original.metadata_props)
     onnx.save(model, target)

@@ -19,8 +19,7 @@ from track_range.detection.models.onnx_session import ModelError, OnnxSession, R
 from track_range.detection.models.writing import atomic_output
 from track_range.foundation.arrays import FloatArray
 
-_SMALLEST = 1e-6
-"""Smallest distance from 0 and 1 of a score whose logit is computed; in half precision, its resolution."""
+_SMALLEST = 1e-6  # distance from 0 and 1 of a score whose logit is computed; in half precision, its resolution
 
 
 def write_calibrated(
@@ -90,7 +89,6 @@ def _calibrate(graph: onnx.GraphProto, output: str, prefix: str) -> None:
 
 
 def _rename(graph: onnx.GraphProto, old: str, new: str) -> None:
-    """Rename a tensor in all nodes."""
     for node in graph.node:
         for names in (node.input, node.output):
             names[:] = [new if name == old else name for name in names]

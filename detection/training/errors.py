@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 from track_range.foundation.errors import UserError
 
 
@@ -11,3 +13,9 @@ class TrainingError(UserError):
 
 class CheckpointError(TrainingError):
     """A checkpoint cannot be read, used or written; the message gives the reason and what to do."""
+
+
+def check_torch() -> None:
+    """TrainingError unless PyTorch is installed."""
+    if find_spec("torch") is None:
+        raise TrainingError("training requires PyTorch; install it with: pip install 'track-range[train]'.")

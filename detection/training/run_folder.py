@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
+from types import UnionType
 from typing import Any
 
 import torch
@@ -18,27 +20,15 @@ LAST, BEST, RESULTS = "last.pt", "best.pt", "results.csv"
 
 _FORMAT = 1
 
+# fmt: off
 _OPTION = {
-    "model": "--model",
-    "attention": "--attention",
-    "classes": "--data (its names)",
-    "anchors": "--anchors",
-    "data": "--data",
-    "teacher": "--teacher",
-    "size_px": "--size",
-    "n_epochs": "--epochs",
-    "n_last_epochs": "--last-epochs",
-    "n_int8_epochs": "--int8-epochs",
-    "batch_size": "--batch",
-    "seed": "--seed",
-    "box_loss": "--box-loss",
-    "precision": "--precision",
-    "optimiser": "--optimiser",
-    "learning_rate": "--learning-rate",
-    "mosaic": "--mosaic",
-    "min_gain": "--gain",
-    "max_gain": "--gain",
+    "model": "--model", "attention": "--attention", "classes": "--data (its names)", "anchors": "--anchors",
+    "data": "--data", "teacher": "--teacher", "size_px": "--size", "n_epochs": "--epochs",
+    "n_last_epochs": "--last-epochs", "n_int8_epochs": "--int8-epochs", "batch_size": "--batch", "seed": "--seed",
+    "box_loss": "--box-loss", "precision": "--precision", "optimiser": "--optimiser",
+    "learning_rate": "--learning-rate", "mosaic": "--mosaic", "min_gain": "--gain", "max_gain": "--gain",
 }
+# fmt: on
 """Command line option by the key of a run's identity, for messages."""
 
 _DEFAULT = {"n_last_epochs": 0, "n_int8_epochs": 0}
@@ -46,11 +36,7 @@ _DEFAULT = {"n_last_epochs": 0, "n_int8_epochs": 0}
 
 
 def save_checkpoint(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a checkpoint of tensors and plain values atomically.
-
-    Raises:
-        CheckpointError: the file cannot be written.
-    """
+    """Write a checkpoint of tensors and plain values atomically; CheckpointError if it cannot be written."""
     try:
         with atomic_path(path) as partial:
             torch.save({"format": _FORMAT, **content}, partial)
@@ -61,11 +47,7 @@ def save_checkpoint(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
-    """The content of a checkpoint; code in the file is not executed.
-
-    Raises:
-        CheckpointError: the file does not exist, is damaged, or is not a checkpoint of track-range.
-    """
+    """The content of a checkpoint, without executing code; CheckpointError if it is damaged or another file."""
     if not path.is_file():
         raise CheckpointError(f"{path}: no such checkpoint.")
     try:
@@ -88,16 +70,21 @@ def load_mean(paths: Sequence[Path]) -> dict[str, Any]:
     them (Izmailov et al., "Averaging Weights Leads to Wider Optima and Better Generalization", UAI 2018); that of runs
     from different random weights is useless.
 
-    Args:
-        paths: at least one checkpoint.
-
     Raises:
         CheckpointError: as `load_checkpoint`, or the checkpoints are those of different networks.
     """
     contents = [load_checkpoint(path) for path in paths]
     first = contents[0]
+    before = _network_of(first)
     for path, other in zip(paths[1:], contents[1:], strict=True):
-        _check_same_network(path, other, paths[0], first)
+        after = _network_of(other)
+        for part in before | after:
+            old, new = before.get(part, "none"), after.get(part, "none")
+            if old != new:
+                raise CheckpointError(
+                    f"{path}: expected {part} {old} as in {paths[0]}, got {new}; the mean of several --weights is that "
+                    "of checkpoints of the same network and the same classes."
+                )
     if len(contents) > 1:
         try:
             parts = {name: torch.stack([other["average"][name] for other in contents]) for name in first["average"]}
@@ -108,65 +95,33 @@ def load_mean(paths: Sequence[Path]) -> dict[str, Any]:
     return first
 
 
-def _check_same_network(path: Path, content: Mapping[str, Any], first: Path, expected: Mapping[str, Any]) -> None:
-    """Compare the network of a checkpoint with that of the first one.
-
-    Raises:
-        CheckpointError: they differ; the message has the first part that differs.
-    """
-    before, after = _network_of(expected), _network_of(content)
-    for part in before | after:
-        old, new = before.get(part, "none"), after.get(part, "none")
-        if old != new:
-            raise CheckpointError(
-                f"{path}: expected {part} {old} as in {first}, got {new}; the mean of several --weights is that of "
-                "checkpoints of the same network and the same classes."
-            )
-
-
 def _network_of(content: Mapping[str, Any]) -> dict[str, str]:
-    """The parts, by name, in which checkpoints are equal whose weights have a mean."""
     identity = content["identity"]
     parts = {"model": str(identity.get("model", "unknown")), "classes": ", ".join(identity["classes"])}
     return parts | {f"weights {name} of shape": str(tuple(value.shape)) for name, value in content["average"].items()}
 
 
+def _is_dictionary(value: object, of: type | UnionType) -> bool:
+    """Whether a value is a dictionary of `of` by name."""
+    return isinstance(value, dict) and all(isinstance(k, str) and isinstance(v, of) for k, v in value.items())
+
+
 def _is_identity(value: object) -> bool:
     """Whether a value is a dictionary by name with a list of class names."""
-    if not isinstance(value, dict) or not isinstance(classes := value.get("classes"), list):
-        return False
-    return all(isinstance(name, str) for name in (*value, *classes))
-
-
-def _is_weights(value: object) -> bool:
-    """Whether a value is a dictionary of tensors by name."""
-    return isinstance(value, dict) and all(isinstance(k, str) and isinstance(v, Tensor) for k, v in value.items())
-
-
-def _is_history(value: object) -> bool:
-    """Whether a value is a list of dictionaries of numbers by name."""
-    return isinstance(value, list) and all(
-        isinstance(row, dict) and all(isinstance(k, str) and isinstance(v, int | float) for k, v in row.items())
-        for row in value
-    )
+    classes = value.get("classes") if isinstance(value, dict) else None
+    return _is_dictionary(value, object) and isinstance(classes, list) and all(isinstance(n, str) for n in classes)
 
 
 _IS_VALID: Mapping[str, Callable[[object], bool]] = {
     "identity": _is_identity,
-    "network": _is_weights,
-    "average": _is_weights,
-    "feature_loss": _is_weights,
-    "history": _is_history,
+    "history": lambda value: isinstance(value, list) and all(_is_dictionary(row, int | float) for row in value),
+    **dict.fromkeys(("network", "average", "feature_loss"), partial(_is_dictionary, of=Tensor)),
 }
 """Check of the structure of a part of a checkpoint, by key."""
 
 
 def check_same_run(path: Path, saved: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
-    """Compare the identity of a run saved in a checkpoint with that of the current run.
-
-    Raises:
-        CheckpointError: they differ; the message has the first option that differs.
-    """
+    """Raise CheckpointError, with the first option that differs, if a checkpoint is that of another run."""
     for key, value in expected.items():
         before = saved.get(key, _DEFAULT.get(key))
         if value != before:
@@ -178,11 +133,7 @@ def check_same_run(path: Path, saved: Mapping[str, Any], expected: Mapping[str, 
 
 
 def write_results(path: Path, history: Sequence[Mapping[str, float]]) -> None:
-    """Write results.csv: one row per epoch, columns in the order of their first appearance, empty = not measured.
-
-    Raises:
-        CheckpointError: the file cannot be written.
-    """
+    """Write results.csv: one row per epoch, columns in the order of their first appearance, empty = not measured."""
     columns = list(dict.fromkeys(key for row in history for key in row))
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, columns, restval="")

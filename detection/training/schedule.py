@@ -61,9 +61,8 @@ class Schedule:
         rate = learning_rate * (last_fraction + (1 - last_fraction) * (1 + cos(pi step / n_steps)) / 2)
         """
         cosine = (1 + math.cos(math.pi * min(step / self._n_steps, 1.0))) / 2
-        return self._settings.learning_rate * (
-            self._settings.last_fraction + (1 - self._settings.last_fraction) * cosine
-        )
+        last = self._settings.last_fraction
+        return self._settings.learning_rate * (last + (1 - last) * cosine)
 
     def set(self, optimiser: torch.optim.Optimizer, step: int) -> None:
         """Set the optimiser's learning rates and momentum for a step."""

@@ -13,11 +13,9 @@ from track_range.detection.training.errors import TrainingError
 from track_range.detection.training.losses.box_losses import BoxLoss
 from track_range.detection.training.schedule import ScheduleSettings
 
-COARSEST_STRIDE_PX = 32
-"""Largest stride of the networks; the input size must be a multiple of it."""
+COARSEST_STRIDE_PX = 32  # the input size must be a multiple of it
 
-MIN_GAIN, MAX_GAIN = 0.05, 16.0
-"""Limits of `AugmentationSettings.min_gain` and `max_gain`."""
+MIN_GAIN, MAX_GAIN = 0.05, 16.0  # limits of `AugmentationSettings.min_gain` and `max_gain`
 
 
 Precision = Literal["float32", "bfloat16", "float16"]
@@ -29,16 +27,10 @@ class TrainingSettings:
 
     Attributes:
         size_px: side of the square training images, and longer side of the validation images.
-        n_epochs: number of epochs.
-        batch_size: number of images per batch.
-        seed: random seed.
-        box_loss: "ciou" or "eiou".
         device: torch device, such as "cpu" or "cuda".
         precision: precision of the network's arithmetic; losses and weights are float32.
         validate_every: epochs between validations; the last epoch is always validated.
         min_boxes: classes with fewer labels are excluded from the means of the validation.
-        schedule: optimiser and learning rate.
-        augmentation: augmentation of the training images.
         n_last_epochs: number of epochs at the end in which no training image is a mosaic, so that the network learns
             from whole images at last (Ge et al., "YOLOX", 2021).
         n_int8_epochs: number of epochs at the end in which INT8 rounding is simulated.
@@ -103,21 +95,15 @@ def usable_device(name: str) -> tuple[str, str]:
         raise TrainingError(f"--device: expected auto, cpu or cuda, got '{name}'.") from error
     if kind not in ("cpu", "cuda"):
         raise TrainingError(f"--device: training supports cpu and cuda, got '{name}'.")
-    if kind == "cuda" and not _is_usable(name):
-        return (
-            "cpu",
-            f"--device {name} is not available on this machine (no GPU, or PyTorch without CUDA); training on cpu.",
-        )
+    if kind == "cuda":
+        try:
+            torch.zeros(1, device=name)
+        except (RuntimeError, AssertionError):  # no such GPU; a PyTorch without CUDA
+            note = (
+                f"--device {name} is not available on this machine (no GPU, or PyTorch without CUDA); training on cpu."
+            )
+            return "cpu", note
     return name, ""
-
-
-def _is_usable(device: str) -> bool:
-    """Whether torch can allocate a tensor on the device."""
-    try:
-        torch.zeros(1, device=device)
-    except (RuntimeError, AssertionError):  # no such GPU; a PyTorch without CUDA
-        return False
-    return True
 
 
 def best_precision(device: str) -> Precision:

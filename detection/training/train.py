@@ -8,10 +8,10 @@ resumed run takes the same steps as an uninterrupted one (bit by bit on a CPU, w
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -22,7 +22,6 @@ from track_range.detection.evaluation import DetectionScores
 from track_range.detection.training.data.batches import BatchMaker, scaled
 from track_range.detection.training.data.data_set import TrainingSets
 from track_range.detection.training.errors import CheckpointError, TrainingError
-from track_range.detection.training.listener import Listener
 from track_range.detection.training.losses.aligned_loss import AlignedLoss
 from track_range.detection.training.losses.detection_loss import Batch, DetectionLoss, Losses
 from track_range.detection.training.losses.feature_loss import FeatureLoss
@@ -42,11 +41,24 @@ from track_range.detection.training.run_folder import (
 )
 from track_range.detection.training.schedule import Schedule, WeightAverage, optimiser_of
 from track_range.detection.training.settings import TrainingSettings
-from track_range.detection.training.teacher import Teacher, TeacherOutputs
+from track_range.detection.training.teacher import Teacher
 from track_range.detection.training.validation import NetworkDetector, validate
 
 _MAX_GRADIENT = 10.0
 """Norm to which the gradient is clipped, as in YOLOv5."""
+
+
+class Listener(Protocol):
+    """Callbacks on the progress of training, for example for a progress bar."""
+
+    def step(self, epoch: int, i: int, n: int, losses: Losses) -> None:
+        """Called after batch `i` of `n`."""
+
+    def validated(self, epoch: int, i: int, n: int) -> None:
+        """Called after validation image `i` of `n`."""
+
+    def epoch(self, row: dict[str, float]) -> None:
+        """Called after each epoch with its row of results.csv."""
 
 
 class Training:
@@ -76,7 +88,12 @@ class Training:
         self._batches = BatchMaker(
             sets.train, size_px=settings.size_px, batch_size=settings.batch_size, seed=settings.seed
         )
-        self._loss = _loss_of(self.network, settings)
+        if isinstance(self.network, RoadNet):
+            self._loss: AlignedLoss | DetectionLoss = AlignedLoss(self.network, box_loss=settings.box_loss)
+        elif isinstance(self.network, AnchorNetwork):
+            self._loss = DetectionLoss(self.network, box_loss=settings.box_loss)
+        else:
+            raise TrainingError(f"{network.name}: expected a network with a loss function, found none.")
         self._feature_loss: FeatureLoss | None = None
         if teacher is not None and isinstance(self.network, RoadNet):
             self._feature_loss = FeatureLoss(teacher, self.network).to(self._device)
@@ -87,11 +104,7 @@ class Training:
         self.history: list[dict[str, float]] = []
 
     def resume(self) -> None:
-        """Continue from the last checkpoint in the run folder.
-
-        Raises:
-            CheckpointError: the checkpoint does not exist, is damaged, or belongs to another run.
-        """
+        """Continue from the last checkpoint in the run folder; CheckpointError if it is damaged or of another run."""
         path = self._out / LAST
         content = load_checkpoint(path)
         try:
@@ -116,7 +129,11 @@ class Training:
             CheckpointError: the checkpoint does not exist, is damaged, or has another network.
         """
         content = load_mean([first, *others])
-        shared = self._shared_body(content)
+        shared: dict[str, Tensor] = {}
+        if content["identity"].get("model") != self.network.name:
+            body = {name: value for name, value in self.network.state_dict().items() if name.startswith(BODY_PREFIX)}
+            saved = content["average"]
+            shared = {name: saved[name] for name in body} if _same_shapes(body, saved) else {}
         for network in (self.network, self.average.network):
             if shared:
                 network.load_state_dict(shared, strict=False)
@@ -127,20 +144,8 @@ class Training:
             if _same_shapes(own, saved):
                 self._feature_loss.load_state_dict({name: saved[name] for name in own})
 
-    def _shared_body(self, content: Mapping[str, Any]) -> dict[str, Tensor]:
-        """Weights of the backbone and neck of another kind of network; empty if it is the same kind or has others."""
-        if content.get("identity", {}).get("model") == self.network.name:
-            return {}
-        own = {name: value for name, value in self.network.state_dict().items() if name.startswith(BODY_PREFIX)}
-        saved = content.get("average", {})
-        return {name: saved[name] for name in own} if _same_shapes(own, saved) else {}
-
     def load_best(self) -> None:
-        """Set `average` to that of the best epoch, if there was a validation.
-
-        Raises:
-            CheckpointError: the checkpoint is damaged.
-        """
+        """Set `average` to that of the best epoch, if there was a validation."""
         if (self._out / BEST).is_file():
             self._set_weights(self.average.network, load_checkpoint(self._out / BEST), self._out / BEST)
 
@@ -171,7 +176,9 @@ class Training:
             while len(self.history) < self._settings.n_epochs:
                 self._epoch(listener)
         except (MemoryError, RuntimeError) as error:
-            if not _is_out_of_memory(error):
+            text = str(error).lower()
+            is_known = isinstance(error, MemoryError | torch.OutOfMemoryError)
+            if not is_known and "allocate" not in text and "out of memory" not in text:
                 raise
             batch = min(self._settings.batch_size, len(self._sets.train))
             raise TrainingError(
@@ -234,9 +241,15 @@ class Training:
         """One step of the optimiser."""
         settings, device = self._settings, self._device
         images = scaled(batch.images.to(device, memory_format=torch.channels_last))
-        batch = Batch(batch.images, batch.objects.to(device), batch.complete.to(device), self._teacher_outputs(images))
+        targets = None if self._teacher is None or self._feature_loss is not None else self._teacher.outputs(images)
+        batch = Batch(batch.images, batch.objects.to(device), batch.complete.to(device), targets)
+        losses: Losses = {}
         with torch.autocast(device.type, settings.dtype, settings.precision != "float32"):
-            raw, losses = self._forward(images)
+            if self._feature_loss is not None and isinstance(self.network, RoadNet):
+                levels = self.network.features(images)
+                raw, losses = self.network.outputs(levels), {"features": self._feature_loss(levels, images)}
+            else:
+                raw = self.network(images)
         losses = {**self._loss([head.float() for head in raw], batch), **losses}
         torch.autograd.backward(self._scaler.scale(torch.stack(list(losses.values())).sum() * len(images)))
         self._scaler.unscale_(self._optimiser)
@@ -246,19 +259,6 @@ class Training:
         self._scaler.update()
         self._optimiser.zero_grad(set_to_none=True)
         return losses
-
-    def _forward(self, images: Tensor) -> tuple[list[Tensor], Losses]:
-        """The network's raw outputs, and the loss of its features if it imitates those of a teacher."""
-        if self._feature_loss is None or not isinstance(self.network, RoadNet):
-            return self.network(images), {}
-        levels = self.network.features(images)
-        return self.network.outputs(levels), {"features": self._feature_loss(levels, images)}
-
-    def _teacher_outputs(self, images: Tensor) -> list[TeacherOutputs] | None:
-        """The teacher's outputs if the network has heads that learn from them."""
-        if self._teacher is None or self._feature_loss is not None:
-            return None
-        return self._teacher.outputs(images)
 
     def _start_hint(self) -> str:
         return f", and --weights {self._out / LAST}" if self.history else ""
@@ -302,19 +302,6 @@ def _same_shapes(own: Mapping[str, Tensor], saved: Mapping[str, Tensor]) -> bool
     return bool(own) and all(name in saved and saved[name].shape == value.shape for name, value in own.items())
 
 
-def _loss_of(network: DetectionNetwork, settings: TrainingSettings) -> Callable[[list[Tensor], Batch], Losses]:
-    """The loss function of a network.
-
-    Raises:
-        TrainingError: there is none.
-    """
-    if isinstance(network, RoadNet):
-        return AlignedLoss(network, box_loss=settings.box_loss)
-    if isinstance(network, AnchorNetwork):
-        return DetectionLoss(network, box_loss=settings.box_loss)
-    raise TrainingError(f"{network.name}: expected a network with a loss function, found none.")
-
-
 def prepare_torch(*, seed: int, n_threads: int = 0) -> None:
     """Set torch's random seed and number of threads; 0 = do not change the number of threads."""
     torch.manual_seed(seed)
@@ -335,8 +322,3 @@ def _figures(scores: DetectionScores) -> dict[str, float]:
     """Columns of results.csv with the validation's scores; NaN if no class is averaged."""
     by_class = {f"ap50_{ROAD_CLASSES[i].replace(' ', '_')}": figures.ap50 for i, figures in scores.by_class.items()}
     return {"ap50": scores.mean("ap50"), "ap50_95": scores.mean("ap50_95"), **by_class}
-
-
-def _is_out_of_memory(error: BaseException) -> bool:
-    text = str(error).lower()
-    return isinstance(error, MemoryError | torch.OutOfMemoryError) or "allocate" in text or "out of memory" in text

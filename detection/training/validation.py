@@ -13,7 +13,7 @@ from track_range.detection.detections import Detections
 from track_range.detection.evaluation import DetectionScores, evaluate_detections
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.training.networks.network import DetectionNetwork
-from track_range.detection.yolo.decoders import RowDecoder
+from track_range.detection.yolo.decoders import decode_rows
 from track_range.detection.yolo.input_format import InputFormat
 from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
 from track_range.foundation.arrays import Image, IntArray
@@ -54,7 +54,7 @@ class NetworkDetector:
         with torch.no_grad(), torch.autocast(self._device.type, self._precision, self._precision != torch.float32):
             raw = self._network(torch.from_numpy(blob).to(self._device, memory_format=torch.channels_last))
         rows = self._network.decode([head.float() for head in raw]).cpu().numpy()
-        candidates = RowDecoder(0).decode([rows], self._min_score)
+        candidates = decode_rows(0, [rows], self._min_score)
         class_id, group = self._road_class_id[candidates.class_index], SAME_OBJECT_GROUP
         best = nms(candidates.xyxy_net, candidates.score, group[class_id], max_iou=_MAX_IOU, max_boxes=_MAX_BOXES)
         xyxy_px = letterbox.to_image_clipped(candidates.xyxy_net[best])

@@ -28,14 +28,13 @@ from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, map_t
 from track_range.detection.detections import Detections
 from track_range.detection.models.metadata import Attribute, ModelMetadata, ModelOptions, read_metadata
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
-from track_range.detection.yolo.layouts import YoloModel, identify_layout
+from track_range.detection.yolo.layouts import identify_layout
 from track_range.detection.yolo.letterbox import Letterbox, input_hw_of_area, rectangular_input_hw
-from track_range.detection.yolo.network_outputs import NetworkOutputs
+from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray
 from track_range.foundation.files.input_files import quoted, shortened
 
-_MAX_BOUND = 8
-"""Largest number of input sizes whose buffers are cached; binding a new size costs one run of the network."""
+_MAX_BOUND = 8  # input sizes whose buffers are cached; binding a new size costs one run of the network
 
 DEFAULT_SIZE_PX = 640
 """Longer side of a network's input of variable size, unless specified; most public networks were trained at it."""
@@ -43,8 +42,7 @@ DEFAULT_SIZE_PX = 640
 _SAME_BOX_IOU = 0.95
 """IoU above which two boxes of an end-to-end network are the same box with two classes that are easily confused."""
 
-_UNREACHABLE_SCORE = 2.0
-"""Score threshold of classes that are left out; scores are at most 1."""
+_UNREACHABLE_SCORE = 2.0  # threshold of classes that are left out; scores are at most 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,12 +82,7 @@ class YoloSettings:
 
 @dataclass(frozen=True, slots=True)
 class _Buffers:
-    """Buffers for one image.
-
-    Attributes:
-        blob: (1, 3, height, width) input of the network, with its padding.
-        scaled: (*resized_hw, 3) uint8 buffer of the resized image.
-    """
+    """(1, 3, height, width) input of the network for one image, with its padding, and buffer of the resized image."""
 
     blob: npt.NDArray[Any]
     scaled: Image
@@ -126,6 +119,10 @@ class YoloDetector:
         size: longer side in pixels of an input of variable size, and the source of this value.
         area: number of pixels of an input of variable size, which `size` does not determine then; None = it does.
         n_invalid: number of boxes dropped so far because of NaN, infinite numbers or labels without a class name.
+
+    Raises:
+        ModelError: the model cannot be read, its outputs have no known layout, the number of class names differs from
+            the number of classes, or none of its classes is to be detected.
     """
 
     def __init__(
@@ -136,15 +133,11 @@ class YoloDetector:
         options: ModelOptions | None = None,
         runtime: Runtime | None = None,
     ) -> None:
-        """Load the network and run it once.
-
-        Raises:
-            ModelError: the model cannot be read, its outputs have no known layout, the number of class names differs
-                from the number of classes, or none of its classes is to be detected.
-        """
         self._settings = settings or YoloSettings()
         self._session = OnnxSession(path, runtime)
-        _check_is_detector(self._session)
+        task = self._session.metadata.get("task", "detect")  # written by Ultralytics' exporter
+        if task != "detect":
+            raise ModelError(f"{path}: expected a network for the task 'detect', got one for {quoted(task)}.")
         self._metadata: ModelMetadata = read_metadata(path, self._session.metadata, options or ModelOptions())
         self._bound: dict[tuple[int, int], tuple[BoundNetwork, YoloModel]] = {}
         self._last: tuple[list[FloatArray32], _Input] | None = None
@@ -209,13 +202,7 @@ class YoloDetector:
         """Write `image` into an input of the network, and return the function that detects the road users in it.
 
         The function must be called once, in the order of the images, in the thread of the other methods. Another thread
-        may prepare images meanwhile; the image of `fill` remains as it is.
-
-        Args:
-            image: (H, W, 3) uint8 BGR.
-
-        Raises:
-            ValueError: `image` is not (H, W, 3) uint8, or empty.
+        may prepare images meanwhile; the image of `fill` remains as it is. Images and errors: see `fill`.
         """
         prepared = self._input_for(image)
         free = prepared.free  # only this method takes buffers out
@@ -232,11 +219,8 @@ class YoloDetector:
     def candidates(self, min_score: FloatArray) -> Detections:
         """The boxes in the image of the latest detection, and those with lower scores and of other classes.
 
-        Args:
-            min_score: (8,) minimum score by road class; classes that are not in the settings are detected too.
-
-        Raises:
-            ValueError: `detect` was not called before.
+        `min_score` (8,) is by road class; classes that are not in the settings are detected too. ValueError if `detect`
+        was not called before.
         """
         if self._last is None:
             raise ValueError("expected an earlier call of detect")
@@ -252,11 +236,7 @@ class YoloDetector:
         return np.array(self._fill_buffers.blob, np.float32)
 
     def fill(self, image: Image) -> None:
-        """Write `image` into the network's input.
-
-        Raises:
-            ValueError: `image` is not (H, W, 3) uint8, or empty.
-        """
+        """Write `image` into the network's input; ValueError if it is not (H, W, 3) uint8, or empty."""
         filled = self._input_for(image)
         if filled is not self._filled:
             self._filled, self._fill_buffers = filled, filled.buffers_for(filled.network.blob)
@@ -268,18 +248,12 @@ class YoloDetector:
         return self._filled.network.run()
 
     def decode(self, outputs: list[FloatArray32], min_score: FloatArray | None = None) -> Detections:
-        """The road users in the latest image passed to `fill`, from the network's outputs for it.
-
-        Args:
-            outputs: result of `infer`.
-            min_score: (C,) minimum score by class of the network; None = those of the settings.
-        """
+        """The road users in the latest image of `fill`; `min_score` (C,) by class, else those of the settings."""
         return self._decoded(outputs, self._filled, self._min_score if min_score is None else min_score)
 
     def _decoded(self, outputs: list[FloatArray32], source: _Input, min_score: FloatArray) -> Detections:
-        """The road users in an image from the network's outputs for `source`."""
         with np.errstate(over="ignore", invalid="ignore"):  # the decoder drops and counts what is not finite
-            candidates = source.model.decoder.decode(outputs, min_score)
+            candidates = source.model.decoder(outputs, min_score)
         self.n_invalid += candidates.n_invalid
         class_id = self._road_class[candidates.class_index]
         best = nms(
@@ -295,11 +269,6 @@ class YoloDetector:
         return Detections.of(xyxy_px[is_valid], candidates.score[best], class_id[best])
 
     def _input_for(self, image: Image) -> _Input:
-        """The input for images of this size.
-
-        Raises:
-            ValueError: `image` is not (H, W, 3) uint8, or empty.
-        """
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
             raise ValueError(f"image: expected shape (H, W, 3) of uint8, got {image.shape} of {image.dtype}")
         with self._preparing:  # `fill` and `prepared` may be in progress at once
@@ -337,9 +306,3 @@ class YoloDetector:
         if self.area is not None:
             return input_hw_of_area(shape_hw, area_px2=self.area.value)
         return rectangular_input_hw(shape_hw, size_px=int(self.size.value))
-
-
-def _check_is_detector(session: OnnxSession) -> None:
-    task = session.metadata.get("task", "detect")  # written by Ultralytics' exporter
-    if task != "detect":
-        raise ModelError(f"{session.path}: expected a network for the task 'detect', got one for {quoted(task)}.")

@@ -14,32 +14,25 @@ al., "PP-PicoDet", 2021; NanoDet's and PaddleDetection's heads, for the centres 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from track_range.detection.yolo.decoders import Candidates
 from track_range.detection.yolo.input_format import IMAGENET_MEAN, IMAGENET_STD, InputFormat
-from track_range.detection.yolo.network_outputs import MatchedLayout, NetworkOutputs
+from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.arrays import FloatArray, FloatArray32
 
 _N_BINS = 8
 """Number of bins per side, R + 1 with the R = 7 of all published NanoDet and PicoDet networks."""
 
-_STRIDES_PX = {3: (8, 16, 32), 4: (8, 16, 32, 64)}
-"""Strides by number of levels."""
+_STRIDES_PX = {3: (8, 16, 32), 4: (8, 16, 32, 64)}  # by number of levels
 
 _NANODET_INPUT = InputFormat(
-    placement="centred",
-    pad_grey=0,
-    colours="bgr",
-    divisor=1.0,
-    mean=(103.53, 116.28, 123.675),
-    std=(57.375, 57.12, 58.395),
+    pad_grey=0, colours="bgr", divisor=1.0, mean=(103.53, 116.28, 123.675), std=(57.375, 57.12, 58.395)
 )
-_NANODET_PLUS_INPUT = InputFormat(
-    placement="stretch", colours="bgr", divisor=1.0, mean=_NANODET_INPUT.mean, std=_NANODET_INPUT.std
-)
+_NANODET_PLUS_INPUT = replace(_NANODET_INPUT, placement="stretch", pad_grey=114)
 _PICODET_INPUT = InputFormat(placement="stretch", mean=IMAGENET_MEAN, std=IMAGENET_STD)
 
 
@@ -64,43 +57,34 @@ class Level:
     stride_px: int
 
 
-@dataclass(frozen=True, slots=True)
-class DistributionDecoder:
-    """Decoder of scores and distributions of the distances from a cell's centre to the four sides of the box.
+def decode_distributions(
+    levels: Sequence[Level], input_hw: tuple[int, int], outputs: Sequence[FloatArray32], min_score: FloatArray
+) -> Candidates:
+    """Candidates of scores and distributions of the distances from a cell's centre to the four sides of the box.
 
         P(k) = exp(t_k) / sum over j of exp(t_j)          k = 0 .. R
         distance = s * sum over k of k P(k)
         left = x - distance_0, top = y - distance_1, right = x + distance_2, bottom = y + distance_3
 
     Boxes are clipped to the input, as in the original implementations.
-
-    Attributes:
-        levels: the levels, one for each stride.
-        input_hw: (height, width) of the network's input in pixels.
     """
-
-    levels: tuple[Level, ...]
-    input_hw: tuple[int, int]
-
-    def decode(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
-        """See `Decoder`."""
-        boxes, scores = [], []
-        for level in self.levels:
-            level_scores = outputs[level.scores_output][0, level.rows, level.score_columns]
-            kept = np.flatnonzero(~(level_scores.max(axis=1) < float(min_score.min())))
-            t = outputs[level.bins_output][0, level.rows, level.bin_columns][kept].astype(np.float64)
-            t = t.reshape(-1, 4, _N_BINS)
-            powers = np.exp(t - t.max(axis=2, keepdims=True))
-            distance = level.stride_px * (powers @ np.arange(_N_BINS)) / powers.sum(axis=2)
-            centre = level.centre_px[kept]
-            boxes.append(np.concatenate([centre - distance[:, :2], centre + distance[:, 2:]], axis=1))
-            scores.append(level_scores[kept])
-        height, width = self.input_hw
-        clipped = np.clip(np.concatenate(boxes), 0, np.array([width, height, width, height], np.float64))
-        return Candidates.of(clipped, np.concatenate(scores), min_score)
+    boxes, scores = [], []
+    for level in levels:
+        level_scores = outputs[level.scores_output][0, level.rows, level.score_columns]
+        kept = np.flatnonzero(~(level_scores.max(axis=1) < float(min_score.min())))
+        t = outputs[level.bins_output][0, level.rows, level.bin_columns][kept].astype(np.float64)
+        t = t.reshape(-1, 4, _N_BINS)
+        powers = np.exp(t - t.max(axis=2, keepdims=True))
+        distance = level.stride_px * (powers @ np.arange(_N_BINS)) / powers.sum(axis=2)
+        centre = level.centre_px[kept]
+        boxes.append(np.concatenate([centre - distance[:, :2], centre + distance[:, 2:]], axis=1))
+        scores.append(level_scores[kept])
+    height, width = input_hw
+    clipped = np.clip(np.concatenate(boxes), 0, np.array([width, height, width, height], np.float64))
+    return Candidates.of(clipped, np.concatenate(scores), min_score)
 
 
-def scores_and_bins(network: NetworkOutputs) -> MatchedLayout | None:
+def scores_and_bins(network: NetworkOutputs) -> YoloModel | None:
     """Match of scores [1, n(s), C] and bins [1, n(s), 32] for each of three or four strides, in any order.
 
     If C is also 32, the scores of a stride are the output that comes first, as in all exports.
@@ -121,16 +105,17 @@ def scores_and_bins(network: NetworkOutputs) -> MatchedLayout | None:
     if len(n_classes) != 1:
         return None
     is_picodet = len(strides_px) == len(_STRIDES_PX[4])
-    return MatchedLayout(
-        family="PicoDet" if is_picodet else "NanoDet",
-        text=f"scores and distances of {len(levels)} strides, {_N_BINS} bins",
-        n_classes=n_classes.pop(),
-        input_format=_PICODET_INPUT if is_picodet else _NANODET_INPUT,
-        decoder=DistributionDecoder(tuple(levels), network.input_hw),
+    return YoloModel(
+        "PicoDet" if is_picodet else "NanoDet",
+        f"scores and distances of {len(levels)} strides, {_N_BINS} bins",
+        n_classes.pop(),
+        _PICODET_INPUT if is_picodet else _NANODET_INPUT,
+        partial(decode_distributions, levels, network.input_hw),
+        score_outputs=tuple(level.scores_output for level in levels),
     )
 
 
-def score_and_bin_rows(network: NetworkOutputs) -> MatchedLayout | None:
+def score_and_bin_rows(network: NetworkOutputs) -> YoloModel | None:
     """Match of one output [1, n, C + 32] with the cells of three or four strides.
 
     With three strides, YOLOX's rows of 5 + C' columns have the same shape: C is then the number of explicit names, else
@@ -150,12 +135,12 @@ def score_and_bin_rows(network: NetworkOutputs) -> MatchedLayout | None:
                 Level(i, i, slice(end - len(centre), end), *columns, centre, stride)
                 for centre, end, stride in zip(centres, ends, strides_px, strict=True)
             )
-            return MatchedLayout(
-                family="NanoDet-Plus" if is_plus else "NanoDet",
-                text=f"rows {[1, n_rows, n_columns]}: classes, distances of {len(levels)} strides, {_N_BINS} bins",
-                n_classes=n_classes,
-                input_format=_NANODET_PLUS_INPUT if is_plus else _NANODET_INPUT,
-                decoder=DistributionDecoder(levels, network.input_hw),
+            return YoloModel(
+                "NanoDet-Plus" if is_plus else "NanoDet",
+                f"rows {[1, n_rows, n_columns]}: classes, distances of {len(levels)} strides, {_N_BINS} bins",
+                n_classes,
+                _NANODET_PLUS_INPUT if is_plus else _NANODET_INPUT,
+                partial(decode_distributions, levels, network.input_hw),
             )
     return None
 

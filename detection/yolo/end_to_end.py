@@ -16,106 +16,67 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from track_range.detection.boxes import xyxy_from_cxcywh
-from track_range.detection.models.metadata import RT_DETR_DESCRIPTION, Attribute
+from track_range.detection.models.metadata import RT_DETR_DESCRIPTION
 from track_range.detection.models.onnx_session import TARGET_SIZES, ModelError
-from track_range.detection.yolo.decoders import Candidates, sigmoid
+from track_range.detection.yolo.decoders import Candidates, Decoder, sigmoid
 from track_range.detection.yolo.input_format import IMAGENET_MEAN, IMAGENET_STD, InputFormat
-from track_range.detection.yolo.network_outputs import MatchedLayout, NetworkOutputs
+from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.arrays import FloatArray, FloatArray32
 
 _MAX_BOXES = 1000
 """Largest number of boxes of end-to-end networks (100 to 900 in the papers); grids have more."""
 
-_N_CATEGORIES = 91
-"""Number of logits of networks trained on COCO's category ids 0 to 90."""
+_N_CATEGORIES = 91  # logits of networks trained on COCO's category ids 0 to 90
 
-_RT_DETR_HEAD = "RTDETRDecoder"
-"""Class of RT-DETR's head in the metadata that Ultralytics' exporter writes."""
+_RT_DETR_HEAD = "RTDETRDecoder"  # class of RT-DETR's head in the metadata that Ultralytics' exporter writes
 
-_LETTERBOX_INPUT = InputFormat()
 _STRETCHED_INPUT = InputFormat(placement="stretch")
 _IMAGENET_INPUT = replace(_STRETCHED_INPUT, mean=IMAGENET_MEAN, std=IMAGENET_STD)
 
 
-@dataclass(frozen=True, slots=True)
-class LabelledRowDecoder:
-    """Decoder of one output [1, N, 6]: left, top, right, bottom in input pixels, score, label.
-
-    Attributes:
-        output: index of the output.
-    """
-
-    output: int
-
-    def decode(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
-        """See `Decoder`."""
-        rows = outputs[self.output][0].astype(np.float64)
-        rows = rows[~(rows[:, 4] < min_score.min())]
-        return Candidates.of_labels(rows[:, :4], rows[:, 4], rows[:, 5], min_score)
+def _decode_labelled_rows(output: int, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
+    """Candidates of one output [1, N, 6]: left, top, right, bottom in input pixels, score, label."""
+    rows = outputs[output][0].astype(np.float64)
+    rows = rows[~(rows[:, 4] < min_score.min())]
+    return Candidates.of_labels(rows[:, :4], rows[:, 4], rows[:, 5], min_score)
 
 
-@dataclass(frozen=True, slots=True)
-class LabelledQueryDecoder:
-    """Decoder of one output [1, N, 6]: centre x, y, width, height as fractions of the input size, score, label.
-
-    Attributes:
-        output: index of the output.
-        input_hw: (height, width) of the network's input in pixels.
-    """
-
-    output: int
-    input_hw: tuple[int, int]
-
-    def decode(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
-        """See `Decoder`."""
-        rows = outputs[self.output][0]
-        rows = rows[~(rows[:, 4] < min_score.min())]
-        boxes = _boxes_of_fractions(rows[:, :4], self.input_hw)
-        return Candidates.of_labels(boxes, rows[:, 4].astype(np.float64), rows[:, 5].astype(np.float64), min_score)
+def _decode_labelled_queries(
+    output: int, input_hw: tuple[int, int], outputs: Sequence[FloatArray32], min_score: FloatArray
+) -> Candidates:
+    """Candidates of one output [1, N, 6]: centre x, y, width, height as fractions of the input size, score, label."""
+    rows = outputs[output][0]
+    rows = rows[~(rows[:, 4] < min_score.min())]
+    boxes = _boxes_of_fractions(rows[:, :4], input_hw)
+    return Candidates.of_labels(boxes, rows[:, 4].astype(np.float64), rows[:, 5].astype(np.float64), min_score)
 
 
-@dataclass(frozen=True, slots=True)
-class LabelledBoxDecoder:
-    """Decoder of labels [1, N], boxes [1, N, 4] (left, top, right, bottom in input pixels) and scores [1, N].
+def _decode_labelled_boxes(
+    labels: int, boxes: int, scores: int, outputs: Sequence[FloatArray32], min_score: FloatArray
+) -> Candidates:
+    """Candidates of labels [1, N], boxes [1, N, 4] (left, top, right, bottom in input pixels) and scores [1, N].
 
     The network scales its boxes to `orig_target_sizes`, which is the size of its input here.
-
-    Attributes:
-        labels_output, boxes_output, scores_output: indices of the outputs.
     """
-
-    labels_output: int
-    boxes_output: int
-    scores_output: int
-
-    def decode(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
-        """See `Decoder`."""
-        label, xyxy, score = (
-            outputs[i][0].astype(np.float64) for i in (self.labels_output, self.boxes_output, self.scores_output)
-        )
-        kept = ~(score < min_score.min())
-        return Candidates.of_labels(xyxy[kept], score[kept], label[kept], min_score)
+    label, xyxy, score = (outputs[i][0].astype(np.float64) for i in (labels, boxes, scores))
+    kept = ~(score < min_score.min())
+    return Candidates.of_labels(xyxy[kept], score[kept], label[kept], min_score)
 
 
 @dataclass(frozen=True, slots=True)
-class QueryDecoder:
+class _QueryDecoder:
     """Decoder of logits [1, N, K] and boxes [1, N, 4]: centre x, y, width, height as fractions of the input size.
 
         score = sigmoid(logit_c)                          networks trained with focal loss
         score = exp(logit_c) / sum over K of exp(logit)   DETR, whose last logit means "no object"
 
     Each query gives its best class; RF-DETR's and RT-DETR's own postprocessing also returns further classes of the same
-    box with lower scores.
-
-    Attributes:
-        logits_output, boxes_output: indices of the outputs.
-        input_hw: (height, width) of the network's input in pixels.
-        n_classes: number C of classes; further logits mean "no object".
-        is_softmax: whether scores are a softmax instead of sigmoids.
+    box with lower scores. Logits after the first `n_classes` mean "no object".
     """
 
     logits_output: int
@@ -124,8 +85,7 @@ class QueryDecoder:
     n_classes: int
     is_softmax: bool
 
-    def decode(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
-        """See `Decoder`."""
+    def __call__(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
         logits = outputs[self.logits_output][0].astype(np.float64)
         scores = (_softmax(logits) if self.is_softmax else sigmoid(logits))[:, : self.n_classes]
         kept = np.flatnonzero(~(scores.max(axis=1) < min_score.min()))
@@ -133,23 +93,13 @@ class QueryDecoder:
         return Candidates.of(boxes, scores[kept].astype(np.float32), min_score)
 
 
-@dataclass(frozen=True, slots=True)
-class QueryRowDecoder:
-    """Decoder of one output [1, N, 4 + C]: centre x, y, width, height as fractions of the input size, class scores.
-
-    Attributes:
-        output: index of the output.
-        input_hw: (height, width) of the network's input in pixels.
-    """
-
-    output: int
-    input_hw: tuple[int, int]
-
-    def decode(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
-        """See `Decoder`."""
-        rows = outputs[self.output][0]
-        rows = rows[~(rows[:, 4:].max(axis=1) < min_score.min())]
-        return Candidates.of(_boxes_of_fractions(rows[:, :4], self.input_hw), rows[:, 4:], min_score)
+def _decode_query_rows(
+    output: int, input_hw: tuple[int, int], outputs: Sequence[FloatArray32], min_score: FloatArray
+) -> Candidates:
+    """Candidates of one output [1, N, 4 + C]: box as fractions of the input size, class scores."""
+    rows = outputs[output][0]
+    rows = rows[~(rows[:, 4:].max(axis=1) < min_score.min())]
+    return Candidates.of(_boxes_of_fractions(rows[:, :4], input_hw), rows[:, 4:], min_score)
 
 
 def _boxes_of_fractions(cxcywh: FloatArray32, input_hw: tuple[int, int]) -> FloatArray:
@@ -159,30 +109,24 @@ def _boxes_of_fractions(cxcywh: FloatArray32, input_hw: tuple[int, int]) -> Floa
 
 
 def _softmax(logits: FloatArray) -> FloatArray:
-    """Softmax over the last axis."""
     powers = np.exp(logits - logits.max(axis=-1, keepdims=True))
     return np.asarray(powers / powers.sum(axis=-1, keepdims=True))
 
 
-def labelled_rows(network: NetworkOutputs) -> MatchedLayout | None:
+def labelled_rows(network: NetworkOutputs) -> YoloModel | None:
     """Match of [1, N, 6], left, top, right, bottom, score, label: few rows, or marked `end2end` in the metadata."""
     is_marked = network.metadata.get("end2end", False, "").value
     if network.metadata.get("head", None, "").value == RT_DETR_DESCRIPTION:
         return None
     for i, n_rows, n_columns in network.matrices():
         if n_columns == 6 and (n_rows <= _MAX_BOXES or is_marked):
-            return MatchedLayout(
-                family="YOLOv10/YOLO26",
-                text=f"end-to-end rows {[1, n_rows, n_columns]}: corners, score, label",
-                n_classes=None,
-                input_format=_LETTERBOX_INPUT,
-                decoder=LabelledRowDecoder(i),
-                is_end_to_end=True,
-            )
+            layout = f"end-to-end rows {[1, n_rows, n_columns]}: corners, score, label"
+            decoder = partial(_decode_labelled_rows, i)
+            return YoloModel("YOLOv10/YOLO26", layout, None, InputFormat(), decoder, is_end_to_end=True)
     return None
 
 
-def labelled_query_rows(network: NetworkOutputs) -> MatchedLayout | None:
+def labelled_query_rows(network: NetworkOutputs) -> YoloModel | None:
     """Match of [1, N, 6], box as fractions, score, label: as `labelled_rows`, with RT-DETR's head in the metadata.
 
     Older versions of Ultralytics return [1, N, 4 + C] (`query_rows`), which is the same shape for two classes; their
@@ -193,19 +137,16 @@ def labelled_query_rows(network: NetworkOutputs) -> MatchedLayout | None:
         return None
     for i, n_rows, n_columns in network.matrices():
         if n_columns == 6 and n_rows <= _MAX_BOXES:
-            return MatchedLayout(
-                family="RT-DETR",
-                text=f"rows {[1, n_rows, n_columns]}: box as fractions, score, label",
-                n_classes=None,
-                input_format=_STRETCHED_INPUT,
-                decoder=LabelledQueryDecoder(i, network.input_hw),
-                is_end_to_end=True,
-                is_square=True,
-            )
+            layout = f"rows {[1, n_rows, n_columns]}: box as fractions, score, label"
+            return _square_model("RT-DETR", layout, None, partial(_decode_labelled_queries, i, network.input_hw))
     return None
 
 
-def labels_boxes_scores(network: NetworkOutputs) -> MatchedLayout | None:
+def _square_model(family: str, layout: str, n_classes: int | None, decoder: Decoder) -> YoloModel:
+    return YoloModel(family, layout, n_classes, _STRETCHED_INPUT, decoder, is_end_to_end=True, is_square=True)
+
+
+def labels_boxes_scores(network: NetworkOutputs) -> YoloModel | None:
     """Match of integer labels [1, N], boxes [1, N, 4] and scores [1, N], in any order.
 
     Raises:
@@ -225,18 +166,12 @@ def labels_boxes_scores(network: NetworkOutputs) -> MatchedLayout | None:
             "unit of the boxes is unknown; export again with D-FINE's or DEIM's export_onnx.py."
         )
     (scores,) = (i for i in vectors if i != labels[0])
-    return MatchedLayout(
-        family="D-FINE/DEIM/RT-DETR",
-        text=f"{n_boxes} labels, boxes and scores, with {TARGET_SIZES}",
-        n_classes=None,
-        input_format=_STRETCHED_INPUT,
-        decoder=LabelledBoxDecoder(labels[0], boxes[0], scores),
-        is_end_to_end=True,
-        is_square=True,
-    )
+    layout = f"{n_boxes} labels, boxes and scores, with {TARGET_SIZES}"
+    decoder = partial(_decode_labelled_boxes, labels[0], boxes[0], scores)
+    return _square_model("D-FINE/DEIM/RT-DETR", layout, None, decoder)
 
 
-def logits_and_boxes(network: NetworkOutputs) -> MatchedLayout | None:
+def logits_and_boxes(network: NetworkOutputs) -> YoloModel | None:
     """Match of logits [1, N, K] and boxes [1, N, 4], in any order; masks and other outputs are ignored."""
     pair = _logits_and_boxes(network)
     if pair is None:
@@ -249,16 +184,13 @@ def logits_and_boxes(network: NetworkOutputs) -> MatchedLayout | None:
     has_no_object = scores.value == "softmax" or network.n_names == n_logits - 1
     has_category_ids = n_logits in (_N_CATEGORIES, _N_CATEGORIES + 1)
     is_rf_detr = network.names[boxes] == "dets" or n_logits == _N_CATEGORIES
-    return MatchedLayout(
-        family="RF-DETR" if is_rf_detr else "DETR" if is_detr else "RT-DETR/D-FINE",
-        text=f"logits {[1, n_boxes, n_logits]} and boxes of {n_boxes} queries",
-        n_classes=n_logits - has_no_object,
-        input_format=_IMAGENET_INPUT if is_rf_detr or has_category_ids else _STRETCHED_INPUT,
-        decoder=QueryDecoder(logits, boxes, network.input_hw, n_logits - has_no_object, scores.value == "softmax"),
-        attributes={"scores": Attribute(scores.value, scores.source)},
-        is_end_to_end=True,
-        is_square=True,
-    )
+    n_classes = n_logits - has_no_object
+    family = "RF-DETR" if is_rf_detr else "DETR" if is_detr else "RT-DETR/D-FINE"
+    layout = f"logits {[1, n_boxes, n_logits]} and boxes of {n_boxes} queries"
+    decoder = _QueryDecoder(logits, boxes, network.input_hw, n_classes, scores.value == "softmax")
+    input_format = _IMAGENET_INPUT if is_rf_detr or has_category_ids else _STRETCHED_INPUT
+    model = _square_model(family, layout, n_classes, decoder)
+    return replace(model, input_format=input_format, attributes={"scores": scores})
 
 
 def _logits_and_boxes(network: NetworkOutputs) -> tuple[int, int] | None:
@@ -276,18 +208,11 @@ def _logits_and_boxes(network: NetworkOutputs) -> tuple[int, int] | None:
     return (logits[0], boxes[0]) if len(logits) == 1 else None
 
 
-def query_rows(network: NetworkOutputs) -> MatchedLayout | None:
+def query_rows(network: NetworkOutputs) -> YoloModel | None:
     """Match of [1, N, 4 + C]: boxes as fractions and class scores, for the C names in the metadata, else COCO's 80."""
     n_classes = network.n_names or 80
     for i, n_rows, n_columns in network.matrices():
         if n_rows <= _MAX_BOXES and n_columns == 4 + n_classes:
-            return MatchedLayout(
-                family="RT-DETR",
-                text=f"rows {[1, n_rows, n_columns]}: box as fractions, classes",
-                n_classes=n_classes,
-                input_format=_STRETCHED_INPUT,
-                decoder=QueryRowDecoder(i, network.input_hw),
-                is_end_to_end=True,
-                is_square=True,
-            )
+            layout = f"rows {[1, n_rows, n_columns]}: box as fractions, classes"
+            return _square_model("RT-DETR", layout, n_classes, partial(_decode_query_rows, i, network.input_hw))
     return None

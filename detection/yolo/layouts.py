@@ -16,8 +16,8 @@ overridden (`detection.models.metadata`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,13 +26,13 @@ from track_range.detection.classes import COCO_CATEGORIES, COCO_CLASSES, VOC_CLA
 from track_range.detection.models.metadata import Anchors, Attribute, ModelMetadata
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.decoders import (
-    ColumnDecoder,
-    CornerDecoder,
-    Decoder,
-    GridRowDecoder,
     Head,
-    HeadDecoder,
-    RowDecoder,
+    decode_columns,
+    decode_corners,
+    decode_grid_rows,
+    decode_heads,
+    decode_rows,
+    grid_cells,
 )
 from track_range.detection.yolo.distribution import score_and_bin_rows, scores_and_bins
 from track_range.detection.yolo.end_to_end import (
@@ -43,23 +43,19 @@ from track_range.detection.yolo.end_to_end import (
     query_rows,
 )
 from track_range.detection.yolo.input_format import InputFormat, placement_and_grey
-from track_range.detection.yolo.network_outputs import DetectorLayout, MatchedLayout, NetworkOutputs
+from track_range.detection.yolo.network_outputs import DetectorLayout, NetworkOutputs, YoloModel
 from track_range.foundation.files.input_files import shortened
 
 _EXPORT_HINT = "export with batch size 1 and without postprocessing (docs/detectors.md)"
-"""Advice at the end of the message on unknown outputs."""
-
 _SUPPRESSED_HINT = "they are the result of a suppression that returns any number of boxes: export without it"
 """Advice on outputs [N, 6] and [N, 7], as of PaddleDetection and of YOLOv7's `--end2end`."""
 
-_STRIDES_PX = (8, 16, 32)
-"""Strides of the grids of YOLOX, YOLOv8 and YOLO11."""
+_STRIDES_PX = (8, 16, 32)  # of the grids of YOLOX, YOLOv8 and YOLO11
 
 _ANCHOR_STRIDES_PX = {(8, 16, 32): "YOLOv5", (8, 16, 32, 64): "YOLOv5", (16, 32): "YOLOv4-tiny"}
 """Default family by the strides of the grids, for networks with anchors."""
 
-_ANCHORS_PER_CELL = 3
-"""Anchors per cell of YOLOv3, v4 and v5."""
+_ANCHORS_PER_CELL = 3  # of YOLOv3, v4 and v5
 
 _DEFAULT_NAMES = {80: ("COCO", COCO_CLASSES), 20: ("VOC", VOC_CLASSES), 91: ("COCO", COCO_CATEGORIES)}
 """Class list by number of classes, for networks without class names."""
@@ -82,31 +78,6 @@ _DARKNET_INPUT = InputFormat(pad_grey=128)
 _YOLOX_INPUT = InputFormat(placement="top-left", colours="bgr", divisor=1.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class YoloModel:
-    """Everything needed to run a detection network on images and decode its outputs.
-
-    Attributes:
-        family: name of the family, for display.
-        layout: description of the outputs, for display.
-        decoder: decoder of the outputs.
-        input_format: format of the input image.
-        names: class names in the network's order.
-        attributes: explicit and default attributes by key, for `models info`.
-        is_end_to_end: whether the network itself returns one box per object, without non-maximum suppression.
-        is_square: whether an input of variable size has to be square.
-    """
-
-    family: str
-    layout: str
-    decoder: Decoder
-    input_format: InputFormat
-    names: tuple[str, ...]
-    attributes: Mapping[str, Attribute]
-    is_end_to_end: bool
-    is_square: bool
-
-
 def identify_layout(network: NetworkOutputs) -> YoloModel:
     """The model with these outputs.
 
@@ -122,22 +93,25 @@ def identify_layout(network: NetworkOutputs) -> YoloModel:
         is_suppressed = any(len(shape) == 2 and shape[1] in (6, 7) for shape in network.shapes)
         hint = _SUPPRESSED_HINT if is_suppressed else _EXPORT_HINT
         raise ModelError(f"{path}: unknown outputs {shortened(shapes, 80)}; expected those of {known}; {hint}.")
-    used = {"family": metadata.get("family", matched.family, "from its outputs")}
-    used["names"] = _names(path, matched.n_classes, metadata)
-    input_format = _input_format(matched.input_format, matched.family, metadata, used)
-    return YoloModel(
-        family=str(used["family"].value),
-        layout=matched.text,
-        decoder=matched.decoder,
-        input_format=input_format,
-        names=used["names"].value,
-        attributes={**used, **matched.attributes},
-        is_end_to_end=matched.is_end_to_end,
-        is_square=matched.is_square,
+    used = {
+        "family": metadata.get("family", matched.family, "from its outputs"),
+        "names": _names(path, matched.n_classes, metadata),
+    }
+    for key in ("letterbox", "colours", "divisor", "mean", "std"):
+        used[key] = metadata.get(key, getattr(matched.input_format, key), f"default of {matched.family}")
+    placement, pad_grey = placement_and_grey(used["letterbox"].value)
+    input_format = replace(
+        matched.input_format,
+        placement=placement,
+        pad_grey=pad_grey,
+        **{key: used[key].value for key in ("colours", "divisor", "mean", "std")},
     )
+    family, names = str(used["family"].value), used["names"].value
+    attributes = {**used, **matched.attributes}
+    return replace(matched, family=family, names=names, input_format=input_format, attributes=attributes)
 
 
-def _boxes_and_scores(network: NetworkOutputs) -> MatchedLayout | None:
+def _boxes_and_scores(network: NetworkOutputs) -> YoloModel | None:
     """Match of two outputs in any order: boxes [1, N, 1, 4] or [1, N, 4], and scores [1, N, C]."""
     if len(network.shapes) != 2:
         return None
@@ -145,67 +119,54 @@ def _boxes_and_scores(network: NetworkOutputs) -> MatchedLayout | None:
         box, score = network.shapes[boxes], network.shapes[scores]
         if len(score) == 3 and box in ((1, score[1], 1, 4), (1, score[1], 4)) and score[0] == 1:
             is_tiny = score[1] == _ANCHORS_PER_CELL * network.n_cells((16, 32))
-            return MatchedLayout(
-                family="YOLOv4-tiny" if is_tiny else "YOLOv4",
-                text=f"decoded boxes {list(box)} and scores {list(score)}",
-                n_classes=score[2],
-                input_format=_DARKNET_INPUT,
-                decoder=CornerDecoder(boxes, scores, network.input_hw),
-            )
+            layout = f"decoded boxes {list(box)} and scores {list(score)}"
+            decoder = partial(decode_corners, boxes, scores, network.input_hw)
+            return YoloModel("YOLOv4-tiny" if is_tiny else "YOLOv4", layout, score[2], _DARKNET_INPUT, decoder)
     return None
 
 
-def _anchor_rows(network: NetworkOutputs) -> MatchedLayout | None:
+def _anchor_rows(network: NetworkOutputs) -> YoloModel | None:
     """Match of [1, 3 n, 5 + C]: three decoded boxes per cell."""
     for i, n_rows, n_columns in network.matrices():
         for strides, family in _ANCHOR_STRIDES_PX.items():
             if n_rows == _ANCHORS_PER_CELL * network.n_cells(strides) and n_columns > 5:
-                return MatchedLayout(
-                    family=family,
-                    text=f"decoded rows {[1, n_rows, n_columns]}: box, objectness, classes",
-                    n_classes=n_columns - 5,
-                    input_format=_PLAIN_INPUT if family == "YOLOv5" else _DARKNET_INPUT,
-                    decoder=RowDecoder(i),
-                )
+                layout = f"decoded rows {[1, n_rows, n_columns]}: box, objectness, classes"
+                input_format = _PLAIN_INPUT if family == "YOLOv5" else _DARKNET_INPUT
+                return YoloModel(family, layout, n_columns - 5, input_format, partial(decode_rows, i))
     return None
 
 
-def _cell_rows(network: NetworkOutputs) -> MatchedLayout | None:
+def _cell_rows(network: NetworkOutputs) -> YoloModel | None:
     """Match of [1, n, 5 + C]: one box per cell, relative to the cell."""
     for i, n_rows, n_columns in network.matrices():
         if n_rows == network.n_cells(_STRIDES_PX) and n_columns > 5:
-            return MatchedLayout(
-                family="YOLOX",
-                text=f"rows per cell {[1, n_rows, n_columns]}: box, objectness, classes",
-                n_classes=n_columns - 5,
-                input_format=_YOLOX_INPUT,
-                decoder=GridRowDecoder.for_input(i, network.input_hw, _STRIDES_PX),
-            )
+            layout = f"rows per cell {[1, n_rows, n_columns]}: box, objectness, classes"
+            decoder = partial(decode_grid_rows, i, *grid_cells(network.input_hw, _STRIDES_PX))
+            return YoloModel("YOLOX", layout, n_columns - 5, _YOLOX_INPUT, decoder)
     return None
 
 
-def _cell_columns(network: NetworkOutputs) -> MatchedLayout | None:
+def _cell_columns(network: NetworkOutputs) -> YoloModel | None:
     """Match of [1, 4 + C, n]: one decoded box per cell, without objectness."""
     for i, n_rows, n_columns in network.matrices():
         if n_columns == network.n_cells(_STRIDES_PX) and n_rows > 4:
-            return MatchedLayout(
-                family="YOLOv8/YOLO11",
-                text=f"decoded columns {[1, n_rows, n_columns]}: box, classes",
-                n_classes=n_rows - 4,
-                input_format=_PLAIN_INPUT,
-                decoder=ColumnDecoder(i),
-            )
+            layout = f"decoded columns {[1, n_rows, n_columns]}: box, classes"
+            return YoloModel("YOLOv8/YOLO11", layout, n_rows - 4, _PLAIN_INPUT, partial(decode_columns, i))
     return None
 
 
-def _raw_heads(network: NetworkOutputs) -> MatchedLayout | None:
+def _raw_heads(network: NetworkOutputs) -> YoloModel | None:
     """Match of two or three outputs [1, A (5 + C), rows, columns] with the same number of channels."""
     shapes, metadata = network.shapes, network.metadata
     if len(shapes) not in (2, 3) or any(len(shape) != 4 or shape[0] != 1 for shape in shapes):
         return None
     anchors = metadata.get("anchors", None, "")
-    if anchors.value:
-        _check_anchors(network.path, anchors, len(shapes))
+    if anchors.value and (len(anchors.value) != len(shapes) or len({len(head) for head in anchors.value}) != 1):
+        raise ModelError(
+            f"{network.path}: expected the same number of anchors for each of {len(shapes)} output heads, got "
+            f"{shortened(', '.join(str(len(head)) for head in anchors.value))} ({anchors.source}); "
+            "give --anchors 'w,h w,h w,h / w,h w,h w,h' in the order of the outputs."
+        )
     n_anchors = len(anchors.value[0]) if anchors.value else _ANCHORS_PER_CELL
     n_columns, rest = divmod(shapes[0][1], n_anchors)
     if len({shape[1] for shape in shapes}) != 1 or rest or n_columns < 6:
@@ -225,33 +186,17 @@ def _raw_heads(network: NetworkOutputs) -> MatchedLayout | None:
     if len(scales) not in (1, len(shapes)):
         raise ModelError(
             f"{network.path}: expected one scale_x_y for each of {len(shapes)} output heads, got "
-            f"{shortened(str(list(scales)))} "
-            f"({used['scale_x_y'].source})."
+            f"{shortened(str(list(scales)))} ({used['scale_x_y'].source})."
         )
     height, width = network.input_hw
-    heads = tuple(
-        Head(i, np.array(anchor, np.float64), np.array([width / shape[3], height / shape[2]]), scale)
-        for i, (shape, anchor, scale) in enumerate(
-            zip(shapes, used["anchors"].value, scales * len(shapes) if len(scales) == 1 else scales, strict=True)
+    heads = [
+        Head(np.array(anchor, np.float64), np.array([width / shape[3], height / shape[2]]), scale)
+        for shape, anchor, scale in zip(
+            shapes, used["anchors"].value, scales * len(shapes) if len(scales) == 1 else scales, strict=True
         )
-    )
-    return MatchedLayout(
-        family=family,
-        text=f"raw heads {', '.join(str(list(shape)) for shape in shapes)}: {n_anchors} anchors per cell",
-        n_classes=n_columns - 5,
-        input_format=_DARKNET_INPUT,
-        decoder=HeadDecoder(heads),
-        attributes=used,
-    )
-
-
-def _check_anchors(path: Path, anchors: Attribute, n_heads: int) -> None:
-    if len(anchors.value) != n_heads or len({len(head) for head in anchors.value}) != 1:
-        raise ModelError(
-            f"{path}: expected the same number of anchors for each of {n_heads} output heads, got "
-            f"{shortened(', '.join(str(len(head)) for head in anchors.value))} ({anchors.source}); "
-            "give --anchors 'w,h w,h w,h / w,h w,h w,h' in the order of the outputs."
-        )
+    ]
+    layout = f"raw heads {', '.join(str(list(shape)) for shape in shapes)}: {n_anchors} anchors per cell"
+    return YoloModel(family, layout, n_columns - 5, _DARKNET_INPUT, partial(decode_heads, heads), attributes=used)
 
 
 def _names(path: Path, n_classes: int | None, metadata: ModelMetadata) -> Attribute:
@@ -274,28 +219,6 @@ def _names(path: Path, n_classes: int | None, metadata: ModelMetadata) -> Attrib
             "specify all names in the network's order."
         )
     return explicit
-
-
-def _input_format(
-    default: InputFormat, family: str, metadata: ModelMetadata, used: dict[str, Attribute]
-) -> InputFormat:
-    """The network's input format; the attributes that it consists of are added to `used`."""
-    source = f"default of {family}"
-    used["letterbox"] = metadata.get("letterbox", default.letterbox, source)
-    used["colours"] = metadata.get("colours", default.colours, source)
-    used["divisor"] = metadata.get("divisor", default.divisor, source)
-    used["mean"] = metadata.get("mean", default.mean, source)
-    used["std"] = metadata.get("std", default.std, source)
-    placement, pad_grey = placement_and_grey(used["letterbox"].value)
-    return replace(
-        default,
-        placement=placement,
-        pad_grey=pad_grey,
-        colours=used["colours"].value,
-        divisor=used["divisor"].value,
-        mean=used["mean"].value,
-        std=used["std"].value,
-    )
 
 
 DETECTOR_LAYOUTS: tuple[DetectorLayout, ...] = (

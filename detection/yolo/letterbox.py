@@ -22,8 +22,7 @@ from track_range.foundation.arrays import FloatArray, Image
 
 Placement = Literal["centred", "top-left", "stretch"]
 
-_MAX_LONGER_SIDE = 2.5
-"""Largest longer side of an input, in sides of a square of the same area."""
+_MAX_LONGER_SIDE = 2.5  # of an input, in sides of a square of the same area
 
 
 @dataclass(frozen=True, slots=True)

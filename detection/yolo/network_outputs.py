@@ -1,4 +1,4 @@
-"""NetworkOutputs, from which a layout is identified, and MatchedLayout, the result."""
+"""NetworkOutputs, from which a layout is identified, and YoloModel, the result."""
 
 from __future__ import annotations
 
@@ -11,27 +11,31 @@ from track_range.detection.yolo.decoders import Decoder
 from track_range.detection.yolo.input_format import InputFormat
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MatchedLayout:
-    """A known output layout and its defaults, matched to a network.
+@dataclass(frozen=True, slots=True)
+class YoloModel:
+    """Everything needed to run a detection network on images and decode its outputs.
+
+    The function of a layout returns the family's defaults; `identify_layout` adds the explicit attributes of the model.
 
     Attributes:
-        family: default family of networks with this layout.
-        text: description of the outputs, for display.
+        family: name of the family, for display.
+        layout: description of the outputs, for display.
         n_classes: number of classes; None = not determined by the outputs.
-        input_format: default input format of the family.
-        decoder: decoder of the outputs.
-        attributes: attributes used by the decoder, by key, for `models info`.
+        names: class names in the network's order.
+        attributes: explicit and default attributes by key, for `models info`.
+        score_outputs: outputs that consist of class scores alone.
         is_end_to_end: whether the network itself returns one box per object, without non-maximum suppression.
         is_square: whether an input of variable size has to be square, as it was in training.
     """
 
     family: str
-    text: str
+    layout: str
     n_classes: int | None
     input_format: InputFormat
     decoder: Decoder
+    names: tuple[str, ...] = ()
     attributes: Mapping[str, Attribute] = field(default_factory=dict)
+    score_outputs: tuple[int, ...] = ()
     is_end_to_end: bool = False
     is_square: bool = False
 
@@ -44,10 +48,8 @@ class NetworkOutputs:
         path: the model's file, for messages.
         input_hw: (height, width) of the network's input in pixels.
         names: name of each output, in the network's order.
-        shapes: shape of each output.
         is_integer: whether each output consists of integers.
         has_target_sizes: whether the network has the input `orig_target_sizes`.
-        metadata: explicit attributes of the model, such as its anchors.
     """
 
     path: Path
@@ -77,12 +79,7 @@ class NetworkOutputs:
 
 @dataclass(frozen=True, slots=True)
 class DetectorLayout:
-    """One known output layout of detectors.
-
-    Attributes:
-        name: description of the layout, for messages that list the known ones.
-        match: function that returns the matched layout of a network's outputs, None if they have another layout.
-    """
+    """One known output layout: a name for messages, and the function that matches it with a network's outputs."""
 
     name: str
-    match: Callable[[NetworkOutputs], MatchedLayout | None]
+    match: Callable[[NetworkOutputs], YoloModel | None]

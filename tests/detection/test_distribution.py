@@ -59,7 +59,7 @@ def reference(heads, *, offset):
 def candidates(detector):
     """All boxes of IMAGE before non-maximum suppression, as the reference has them."""
     detector.fill(IMAGE)
-    found = detector.model.decoder.decode(detector.infer(), detector._min_score)
+    found = detector.model.decoder(detector.infer(), detector._min_score)
     return np.column_stack([found.xyxy_net, found.score, found.class_index])
 
 

@@ -197,7 +197,7 @@ def test_candidates_equal_the_reference(shared_data, images, model, name):
     expected = np.array([row for row in rows_of(outputs, hw) if row[4] >= MIN_SCORE and road[row[5]] >= 0])
     assert len(expected) >= 5
 
-    candidates = detector.model.decoder.decode(detector.infer(), detector._min_score)
+    candidates = detector.model.decoder(detector.infer(), detector._min_score)
     n = len(candidates.score)
     assert n == len(expected)
     candidate_rows = np.column_stack([candidates.xyxy_net, candidates.score, candidates.class_index])

@@ -11,17 +11,13 @@ from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
-ANY_CLASS = -1
-"""class_id of labels that are ignored for every class, such as KITTI's Misc."""
+ANY_CLASS = -1  # class_id of labels that are ignored for every class, such as KITTI's Misc
 
 ALL_COMPLETE: BoolArray = np.ones(len(ROAD_CLASSES), np.bool_)
 """(8,) `ImageTruth.is_complete` of an image in which all road classes are labelled."""
 
 _KITTI_NEIGHBOUR = {"Van": "car", "Person_sitting": "person"}
 """Types that KITTI's evaluation ignores, and the similar class that is evaluated."""
-
-_KITTI_REGION = "DontCare"
-"""KITTI's type of regions that are not evaluated."""
 
 _KITTI_COMPLETE: BoolArray = np.isin(ROAD_CLASSES, ("person", "bicycle", "car", "truck"))
 """(8,) classes that KITTI labels: all but motorcycles, buses, traffic lights and traffic signs."""
@@ -50,19 +46,18 @@ class ImageTruth:
 
     def __post_init__(self) -> None:
         n = len(self.class_id)
+        for name in ("class_id", "is_ignored", "is_region", "confidence"):
+            check_shape(name, getattr(self, name), (n,))
         check_shape("xyxy_px", self.xyxy_px, (n, 4))
-        check_shape("class_id", self.class_id, (n,))
-        check_shape("is_ignored", self.is_ignored, (n,))
-        check_shape("is_region", self.is_region, (n,))
         check_shape("is_complete", self.is_complete, (len(ROAD_CLASSES),))
-        check_shape("confidence", self.confidence, (n,))
 
     @classmethod
-    def of(cls, xyxy_px: Any, class_id: Any, *, is_ignored: Any = None, is_region: Any = None) -> ImageTruth:
+    def of(cls, xyxy_px: Any, class_id: Any, *, is_ignored: Any = False, is_region: Any = False) -> ImageTruth:
         """Labels of an image in which all classes are labelled, from arrays or lists; see the attributes."""
         ids = np.asarray(class_id, np.int64).reshape(-1)
-        regions = np.zeros(len(ids), np.bool_) if is_region is None else np.asarray(is_region, np.bool_).reshape(-1)
-        ignored = np.zeros(len(ids), np.bool_) if is_ignored is None else np.asarray(is_ignored, np.bool_).reshape(-1)
+        regions, ignored = (
+            np.broadcast_to(np.asarray(flags, np.bool_), ids.shape) for flags in (is_region, is_ignored)
+        )
         boxes = np.asarray(xyxy_px, np.float64).reshape(-1, 4)
         return cls(boxes, ids, ignored | regions | (ids == ANY_CLASS), regions, ALL_COMPLETE, np.ones(len(ids)))
 
@@ -75,13 +70,9 @@ def truth_of_kitti(labels: KittiLabels) -> ImageTruth:
     bicycle does not, so the score of a detector with COCO's classes is too low for this class.
     """
     types = [str(name) for name in labels.kitti_type]
-    class_id = np.array([_kitti_class_id(name) for name in types], np.int64)
+    roads = [_KITTI_NEIGHBOUR.get(name) or ROAD_CLASS_OF.get(name.lower()) for name in types]
+    class_id = np.array([ANY_CLASS if road is None else ROAD_CLASSES.index(road) for road in roads], np.int64)
     ignored = np.array([name in _KITTI_NEIGHBOUR for name in types], np.bool_)
-    regions = np.array([name == _KITTI_REGION for name in types], np.bool_)
+    regions = np.array([name == "DontCare" for name in types], np.bool_)
     truth = ImageTruth.of(labels.xyxy_px, class_id, is_ignored=ignored, is_region=regions)
     return replace(truth, is_complete=_KITTI_COMPLETE)
-
-
-def _kitti_class_id(name: str) -> int:
-    road = _KITTI_NEIGHBOUR.get(name) or ROAD_CLASS_OF.get(name.lower())
-    return ANY_CLASS if road is None else ROAD_CLASSES.index(road)

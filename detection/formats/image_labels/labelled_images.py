@@ -10,7 +10,8 @@ centres are at integers. KITTI labels are used without change (`detection.format
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -60,29 +61,13 @@ class LabelledImage:
         return replace(self.truth, xyxy_px=self.truth.xyxy_px * np.array([width, height, width, height]) - 0.5)
 
 
-@dataclass(frozen=True, slots=True)
-class ManifestRow:
-    """Row of a manifest: split of an image, and (8,) which road classes are completely labelled in it."""
-
-    split: str
-    is_complete: BoolArray
-
-
 def read_image(path: Path) -> Image:
-    """An image as (H, W, 3) uint8 BGR, from colour or grey images of 8 or 16 bits; rotated according to EXIF.
-
-    Raises:
-        ImageFileError: the file cannot be read, is not a valid image, or is too large.
-    """
+    """An image as BGR, from colour or grey of 8 or 16 bits, rotated according to EXIF; ImageFileError if invalid."""
     return np.asarray(image_files.read_image(path, ImageFileError), np.uint8)
 
 
 def images_in(folder: Path) -> list[Path]:
-    """The paths of the images in a folder, sorted by name.
-
-    Raises:
-        ImageFileError: the folder does not exist, cannot be read, or has no images.
-    """
+    """The paths of the images in a folder, sorted by name; ImageFileError if there are none."""
     if not folder.is_dir():
         raise ImageFileError(f"{folder}: expected a folder of images, found none.")
     try:
@@ -99,12 +84,8 @@ def read_labelled(
 ) -> list[LabelledImage]:
     """The images of a folder that have labels, sorted by name.
 
-    Args:
-        images: folder of images.
-        labels: folder of label files, or the file of a COCO data set or a KITTI sequence.
-        label_format: format of the labels, a name in `IMAGE_LABELS`.
-        names: class names for the numbers in YOLO labels; None = from classes.txt or data.yaml in the folder of labels,
-            else the 8 road classes.
+    `labels` is a folder of label files, or the file of a COCO data set or a KITTI sequence; `label_format` is a name in
+    `IMAGE_LABELS`; `names` are class names for the numbers in YOLO labels, by default those for the folder.
 
     Raises:
         ImageFileError: there are no images.
@@ -117,19 +98,15 @@ def read_labelled(
 
 
 def read_sequence(labels: Path) -> Callable[[int], ImageTruth]:
-    """Function that returns the truth of a frame number, from KITTI tracking labels.
-
-    Raises:
-        LabelFileError: the file cannot be read.
-    """
+    """Function that returns the truth of a frame number, from KITTI tracking labels."""
     rows = read_kitti(labels)
     return lambda frame: truth_of_kitti(rows.select(rows.frame == frame))
 
 
-def read_manifest(path: Path) -> dict[str, ManifestRow]:
-    """Rows of a manifest by file name: a CSV with columns file, split, labels_complete.
+def read_manifest(path: Path) -> dict[str, tuple[str, BoolArray]]:
+    """Split, and (8,) which road classes are completely labelled, by file name, from a CSV.
 
-    `labels_complete` consists of eight flags such as 10111100, in the order of the road classes.
+    Its columns are file, split, and labels_complete: eight flags such as 10111100, in the order of the road classes.
 
     Raises:
         LabelFileError: the file cannot be read, lacks a column, or has an invalid value.
@@ -141,18 +118,20 @@ def read_manifest(path: Path) -> dict[str, ManifestRow]:
     for row, (file, split, flags) in enumerate(zip(*columns, strict=True)):
         if len(flags) != len(ROAD_CLASSES) or set(flags) - {"0", "1"}:
             raise table.fault(row, f"labels_complete: expected {len(ROAD_CLASSES)} flags 0 or 1, got {quoted(flags)}.")
-        manifest[file] = ManifestRow(split, np.array([flag == "1" for flag in flags]))
+        manifest[file] = (split, np.array([flag == "1" for flag in flags]))
     return manifest
 
 
-def of_split(labelled: Sequence[LabelledImage], manifest: Mapping[str, ManifestRow], split: str) -> list[LabelledImage]:
+def of_split(
+    labelled: Sequence[LabelledImage], manifest: Mapping[str, tuple[str, BoolArray]], split: str
+) -> list[LabelledImage]:
     """The images of one split of a manifest, with the manifest's completely labelled classes."""
-    rows = [(item, manifest[item.path.name]) for item in labelled if item.path.name in manifest]
-    return [
-        replace(item, truth=replace(item.truth, is_complete=row.is_complete))
-        for item, row in rows
-        if row.split == split
-    ]
+    items = []
+    for item in labelled:
+        listed, is_complete = manifest.get(item.path.name, (None, None))
+        if listed == split and is_complete is not None:
+            items.append(replace(item, truth=replace(item.truth, is_complete=is_complete)))
+    return items
 
 
 def _with_files(paths: Sequence[Path], folder: Path) -> Iterator[tuple[Path, Path]]:
@@ -176,43 +155,30 @@ def _kitti(paths: Sequence[Path], labels: Path, names: Sequence[str] | None) -> 
 
 
 def _coco(paths: Sequence[Path], file: Path, names: Sequence[str] | None) -> list[LabelledImage]:
-    """The images that a COCO file has labels for, by file name."""
-    coco = CocoFile.read(file)
-    class_names, images = coco.category_names(), coco.images()
-    rows = coco.rows({image_id: number for number, image_id in enumerate(images)}, class_names)
-    class_id = map_to_road_classes(rows.class_name)
-    order = np.argsort(rows.frame, kind="stable")
-    order = order[class_id[order] >= 0]
-    number, class_id, is_region = (
-        np.array(rows.frame, np.int64)[order],
-        class_id[order],
-        np.array(rows.is_region)[order],
-    )
-    boxes = (np.array(rows.xyxy, np.float64).reshape(-1, 4) - HALF_PIXEL_PX)[order]
-    number_of = _numbers_by_name(coco, {path.name for path in paths})
+    """The images that a COCO file has labels for, by file name without folder."""
+    coco = CocoFile(file)
+    boxes, n_empty = coco.boxes({image_id: number for number, image_id in enumerate(coco.images)})
+    class_id = map_to_road_classes([box.class_name for box in boxes])
+    boxes_of = defaultdict(list)
+    for box, road in zip(boxes, class_id.tolist(), strict=True):
+        if road >= 0:
+            boxes_of[box.frame].append((box, road))
+    wanted = {path.name for path in paths}
+    number_of: dict[str, int] = {}
+    for number, image in enumerate(coco.images.values()):
+        name = Path(coco.file_name(image, number)).name
+        if name in wanted and number_of.setdefault(name, number) != number:
+            raise LabelFileError(f"{file}, images[{number}]: expected each file name once, found {quoted(name)} twice.")
     labelled: list[LabelledImage] = []
     for path in paths:
-        if (image := number_of.get(path.name)) is not None:
-            of_image = slice(*np.searchsorted(number, [image, image + 1]))
-            truth = ImageTruth.of(boxes[of_image], class_id[of_image], is_region=is_region[of_image])
-            notes = () if labelled else ignored_note(file, rows.n_empty, "without width or height")
-            labelled.append(LabelledImage(path, truth, False, notes))
+        if (number := number_of.get(path.name, -1)) < 0:
+            continue
+        found = boxes_of[number]
+        xyxy_px = np.array([box.xyxy for box, _ in found], np.float64).reshape(-1, 4) - HALF_PIXEL_PX
+        truth = ImageTruth.of(xyxy_px, [road for _, road in found], is_region=[box.is_region for box, _ in found])
+        notes = () if labelled else ignored_note(file, n_empty, "without width or height")
+        labelled.append(LabelledImage(path, truth, False, notes))
     return labelled
-
-
-def _numbers_by_name(coco: CocoFile, names: Collection[str]) -> dict[str, int]:
-    """Number of the image, in the order of the file, by its name without folder, for some names.
-
-    Raises:
-        LabelFileError: two images have one of the names.
-    """
-    numbers: dict[str, int] = {}
-    for number, image in enumerate(coco.images().values()):
-        where = f"images[{number}]"
-        name = Path(coco.text(image, "file_name", where)).name
-        if name in names and numbers.setdefault(name, number) != number:
-            raise LabelFileError(f"{coco.path}, {where}: expected each file name once, found {quoted(name)} twice.")
-    return numbers
 
 
 IMAGE_LABELS: Mapping[str, Callable[[Sequence[Path], Path, Sequence[str] | None], list[LabelledImage]]] = {

@@ -21,11 +21,8 @@ from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, re
 from track_range.foundation.files.numeric_text import numbers
 from track_range.foundation.files.structured_text import read_yaml
 
-_NAME_FILES = ("classes.txt", "data.yaml", "data.yml", "obj.names")
-"""Files that may have the class names, in the order in which they are tried."""
-
-_MAX_VALUE = 100_000
-"""Largest class number, fraction or score accepted."""
+_NAME_FILES = ("classes.txt", "data.yaml", "data.yml", "obj.names")  # in the order in which they are tried
+_MAX_VALUE = 100_000  # of a class number, fraction or score
 
 _TOLERANCE = 2e-3
 """Distance outside the image, as a fraction of its size, up to which boxes are clipped without a note (rounding)."""
@@ -49,27 +46,14 @@ class YoloLabels:
 
 
 class YoloLabelReader:
-    """Reader of label files with one list of classes."""
+    """Reader of label files with one list of class names; None = those for `folder`, else the 8 road classes."""
 
     def __init__(self, names: Sequence[str] | None, folder: Path | None = None) -> None:
-        """Determine the road classes of the class numbers.
-
-        Args:
-            names: class names; None = from classes.txt or data.yaml in `folder` or above it, else the 8 road classes.
-            folder: folder of the label files.
-
-        Raises:
-            LabelFileError: the file of class names cannot be read or has no names.
-        """
         known = tuple(names) if names is not None else names_for_folder(folder) if folder is not None else ()
         self._road: IntArray = map_to_road_classes(known or ROAD_CLASSES)
 
     def read(self, file: Path) -> YoloLabels:
-        """The labels of one image.
-
-        Raises:
-            LabelFileError: the file cannot be read, a line is invalid, or a class number has no name.
-        """
+        """The labels of one image; LabelFileError if a line is invalid, or a class number has no name."""
         rows, line = _rows(file)
         number = rows[:, 0].astype(np.int64)
         if len(unknown := np.flatnonzero((number < 0) | (number >= len(self._road)))):
@@ -91,11 +75,7 @@ class YoloLabelReader:
 
 
 def names_for_folder(folder: Path) -> tuple[str, ...]:
-    """Class names in classes.txt, data.yaml or obj.names of a folder of labels or its parent; empty if there are none.
-
-    Raises:
-        LabelFileError: the file cannot be read, or has no names.
-    """
+    """Class names in classes.txt, data.yaml or obj.names of a folder of labels or its parent; () if there are none."""
     for file in (parent / name for parent in (folder, folder.parent) for name in _NAME_FILES):
         if not file.is_file():
             continue
@@ -107,11 +87,7 @@ def names_for_folder(folder: Path) -> tuple[str, ...]:
 
 
 def names_in(document: object, file: Path) -> tuple[str, ...]:
-    """Class names in the content of a data.yaml.
-
-    Raises:
-        LabelFileError: there are no names, or they are not a list of texts or numbered from 0.
-    """
+    """Class names in the content of a data.yaml; LabelFileError unless they are a list, or numbered from 0."""
     if not isinstance(document, dict) or document.get("names") is None:
         raise LabelFileError(f"{file}: expected 'names', the class names in the order of their numbers, found none.")
     try:
@@ -122,30 +98,22 @@ def names_in(document: object, file: Path) -> tuple[str, ...]:
 
 def _rows(file: Path) -> tuple[FloatArray, IntArray]:
     """(N, 6) class, centre, size and score of the objects in a file, and (N,) their line numbers from 1."""
-    text = read_text(file, LabelFileError, "YOLO labels", max_bytes=MAX_TABLE_BYTES).split("\n")
+    text = read_text(file, LabelFileError, "YOLO labels", max_bytes=MAX_TABLE_BYTES)
     rows, lines = [], []
-    for number, line in enumerate(text, start=1):
-        if cells := line.split():
-            row = _row(cells)
-            if not (np.abs(row) <= _MAX_VALUE).all() or min(row[3:5]) < 0 or row[0] % 1:
-                raise LabelFileError(
-                    f"{file}, line {number}: expected 'class cx cy w h', an integer and fractions of the image size, "
-                    f"got {quoted(line.strip())}."
-                )
-            rows.append(row)
-            lines.append(number)
+    for number, line in enumerate(text.split("\n"), start=1):
+        if not (cells := line.split()):
+            continue
+        row = numbers(cells)
+        if len(row) >= 7 and len(row) % 2 and (np.abs(row) <= _MAX_VALUE).all():  # a polygon
+            points = np.array(row[1:]).reshape(-1, 2)
+            first, last = points.min(axis=0), points.max(axis=0)
+            row = [row[0], *((first + last) / 2).tolist(), *(last - first).tolist()]
+        row = row if len(row) == 6 else [*row, 1.0]
+        if len(row) != 6 or not (np.abs(row) <= _MAX_VALUE).all() or min(row[3:5]) < 0 or row[0] % 1:
+            raise LabelFileError(
+                f"{file}, line {number}: expected 'class cx cy w h', an integer and fractions of the image size, "
+                f"got {quoted(line.strip())}."
+            )
+        rows.append(row)
+        lines.append(number)
     return np.array(rows, np.float64).reshape(-1, 6), np.array(lines, np.int64)
-
-
-def _row(cells: Sequence[str]) -> list[float]:
-    """Class, centre, size and score of one line; NaN if the line is invalid."""
-    values = numbers(cells)
-    if len(values) in (5, 6):
-        return values if len(values) == 6 else [*values, 1.0]
-    if len(values) < 7 or len(values) % 2 == 0:
-        return [np.nan] * 6
-    points = np.array(values[1:]).reshape(-1, 2)
-    if not (np.abs(points) <= _MAX_VALUE).all():
-        return [np.nan] * 6
-    first, last = points.min(axis=0), points.max(axis=0)
-    return [values[0], *((first + last) / 2).tolist(), *(last - first).tolist(), 1.0]

@@ -19,25 +19,23 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import (
     HALF_PIXEL_PX,
     BoxTable,
     VideoFacts,
     Written,
-    file_name_part,
     frames_listed,
+    image_name,
 )
 from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
+from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID, MAX_SIDE_PX
 from track_range.detection.formats.table_checks import (
     check_identities,
     check_names,
@@ -52,43 +50,28 @@ from track_range.foundation.files.structured_text import read_json
 MAX_COCO_BYTES = 250_000_000
 """Size limit, bytes: about 1.2 million boxes, which take 2.5 GB of memory while they are read."""
 
-_DECIMALS = 3
-"""Decimals of pixels and metres in written files."""
-
-_SCORE_DECIMALS = 4
-
+_DECIMALS, _SCORE_DECIMALS = 3, 4  # of pixels and metres, and of scores, in written files
 _FRAME_KEYS = ("frame_index", "frame_id")
 _IDENTITY_KEYS = ("track_id", "instance_id")
-
-_MAX_PATH = 4096
-"""Largest number of characters of the path of an image."""
-
-_MAX_TEXT = 200
-"""Largest number of characters of a name."""
-
-_MAX_SIDE_PX = 65_535
-"""Largest width or height of an image."""
-
+_MAX_PATH, _MAX_TEXT = 4096, 200  # characters of the path of an image, and of a name
 _MAX_FPS = 10_000.0
 
+_Object = Mapping[str, Any]
+"""An object of the file."""
 
-@dataclass(slots=True)
-class CocoRows:
-    """Columns of the annotations, with `xyxy` in the corner convention and `frame` the number of the image.
 
-    Annotations without width or height are left out; `n_empty` counts them.
-    """
+class CocoBox(NamedTuple):
+    """One annotation: `frame` is the number of its image, `xyxy` has the corner convention."""
 
-    frame: list[int] = field(default_factory=list)
-    track_id: list[int] = field(default_factory=list)
-    class_name: list[str] = field(default_factory=list)
-    xyxy: list[tuple[float, ...]] = field(default_factory=list)
-    is_region: list[bool] = field(default_factory=list)
-    score: list[float] = field(default_factory=list)
-    observed: list[bool] = field(default_factory=list)
-    distance_m: list[float] = field(default_factory=list)
-    sigma_m: list[float] = field(default_factory=list)
-    n_empty: int = 0
+    frame: int
+    track_id: int
+    class_name: str
+    xyxy: tuple[float, ...]
+    is_region: bool
+    score: float
+    observed: bool
+    distance_m: float
+    sigma_m: float
 
 
 def read_coco(path: Path, video: VideoFacts) -> BoxTable:
@@ -98,117 +81,60 @@ def read_coco(path: Path, video: VideoFacts) -> BoxTable:
         LabelFileError: the file cannot be read, is larger than `MAX_COCO_BYTES`, has several videos, contradictory or
             unknown ids, annotations without a box, or implausible numbers.
     """
-    reader = CocoFile.read(path)
-    names = reader.category_names()
-    frame_of, notes = reader.frames()
-    rows = reader.rows(frame_of, names)
-    if rows.xyxy and np.max(rows.xyxy) <= 1:
+    coco = CocoFile(path)
+    frame_of, notes = coco.frames()
+    boxes, n_empty = coco.boxes(frame_of)
+    columns = zip(*boxes, strict=True) if boxes else iter([()] * 9)
+    frame, track_id, names, xyxy, is_region, score, observed, distance_m, sigma_m = columns
+    if boxes and np.max(xyxy) <= 1:
         raise LabelFileError(f"{path}: expected each bbox in pixels, found only fractions of the image size.")
     table = BoxTable.of(
-        rows.frame,
-        rows.track_id,
-        rows.class_name,
-        np.array(rows.xyxy, np.float64).reshape(-1, 4) - HALF_PIXEL_PX,
-        is_region=rows.is_region,
-        score=rows.score,
-        observed=rows.observed,
-        distance_m=rows.distance_m,
-        sigma_m=rows.sigma_m,
-        video=reader.video_facts(frame_of, video),
-        notes=(*notes, *ignored_note(path, rows.n_empty, "without width or height")),
+        frame,
+        track_id,
+        names,
+        np.array(xyxy, np.float64).reshape(-1, 4) - HALF_PIXEL_PX,
+        is_region=is_region,
+        score=score,
+        observed=observed,
+        distance_m=distance_m,
+        sigma_m=sigma_m,
+        video=video.completed_by(coco.video_facts(frame_of), path),
+        notes=(*notes, *ignored_note(path, n_empty, "without width or height")),
     )
     check_identities(table, path)
     return table
 
 
-@dataclass(frozen=True, slots=True)
 class CocoFile:
-    """Sections of one file, which are checked when they are read."""
+    """The objects of one file, which are checked when they are read; all methods raise LabelFileError.
 
-    path: Path
-    document: Any
+    Attributes:
+        images: images by id, in the order of the file.
+    """
 
-    @classmethod
-    def read(cls, path: Path) -> CocoFile:
-        """The content of a file.
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._document = read_json(path, LabelFileError, "a COCO data set", max_bytes=MAX_COCO_BYTES)
+        self._names = self._category_names()
+        self.images = self._images_by_id()
 
-        Raises:
-            LabelFileError: the file cannot be read, is larger than `MAX_COCO_BYTES`, or is not JSON.
-        """
-        return cls(path, read_json(path, LabelFileError, "a COCO data set", max_bytes=MAX_COCO_BYTES))
-
-    def section(self, key: str) -> list[dict[str, Any]]:
-        """The objects of a list at the top of the file.
-
-        Raises:
-            LabelFileError: there is no such list, or it has other values.
-        """
-        if isinstance(self.document, list):
+    def _section(self, key: str) -> list[dict[str, Any]]:
+        if isinstance(self._document, list):
             raise LabelFileError(
                 f"{self.path}: expected a COCO data set with images, annotations and categories, found a list, as of "
                 "detection results; add its boxes to a data set."
             )
-        values = self.document.get(key) if isinstance(self.document, dict) else None
+        values = self._document.get(key) if isinstance(self._document, dict) else None
         if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
             raise LabelFileError(f"{self.path}: expected a COCO data set with a list of {key}, found none.")
         return values
 
-    def fault(self, where: str, expected: str, value: object) -> LabelFileError:
-        """An exception about a value, that the caller raises."""
-        text = "none" if value is None else quoted(value)
-        return LabelFileError(f"{self.path}, {where}: expected {expected}, found {text}.")
-
-    def integer(self, item: Mapping[str, Any], key: str, where: str, low: int, high: int) -> int:
-        """An integer of an object; raises LabelFileError if it is missing or out of range."""
-        value = item.get(key)
-        if isinstance(value, float) and value.is_integer():
-            value = int(value)
-        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            raise self.fault(where, f"an integer from {low} to {high} as {key}", value)
-        return value
-
-    def key(self, item: Mapping[str, Any], name: str, where: str) -> int | str:
-        """An id, an integer or a text."""
-        value = item.get(name)
-        if isinstance(value, bool) or not isinstance(value, int | str):
-            raise self.fault(where, f"an integer as {name}", value)
-        return value
-
-    def text(self, item: Mapping[str, Any], key: str, where: str) -> str:
-        """A text of an object."""
-        value = item.get(key)
-        limit = _MAX_PATH if key == "file_name" else _MAX_TEXT
-        if not isinstance(value, str) or not 0 < len(value.strip()) <= limit:
-            raise self.fault(where, f"a text of at most {limit} characters as {key}", value)
-        return value.strip()
-
-    def number(self, item: Mapping[str, Any], key: str, where: str, low: float, high: float) -> float:
-        """A number of an object; NaN if it is missing or null."""
-        value = item.get(key)
-        return math.nan if value is None else self._in_range(value, key, where, low, high)
-
-    def attribute(self, item: Mapping[str, Any], key: str, where: str, low: float, high: float) -> float:
-        """A number of an object with its attributes, which may be a text; NaN if it is missing, null or empty."""
-        value = item.get(key)
-        if isinstance(value, str):
-            value = number(value) if value.strip() else None
-        return math.nan if value is None else self._in_range(value, key, where, low, high)
-
-    def _in_range(self, value: object, key: str, where: str, low: float, high: float) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-            raise self.fault(where, f"a number from {low:g} to {high:g} as {key}", value)
-        return float(value)
-
-    def category_names(self) -> dict[int | str, str]:
-        """Name by category id.
-
-        Raises:
-            LabelFileError: an id has two names.
-        """
+    def _category_names(self) -> dict[int | str, str]:
+        """Name by category id."""
         names: dict[int | str, str] = {}
-        for index, category in enumerate(self.section("categories")):
+        for index, category in enumerate(self._section("categories")):
             where = f"categories[{index}]"
-            number, name = self.key(category, "id", where), self.text(category, "name", where)
+            number, name = self._id(category, "id", where), self._text(category, "name", where)
             if names.setdefault(number, name) != name:
                 raise LabelFileError(
                     f"{self.path}, {where}: expected one name for each category id, found {quoted(names[number])} and "
@@ -216,43 +142,46 @@ class CocoFile:
                 )
         return names
 
-    def images(self) -> dict[int | str, dict[str, Any]]:
-        """Images by id, in the order of the file.
-
-        Raises:
-            LabelFileError: an id occurs twice, or is not an id.
-        """
+    def _images_by_id(self) -> dict[int | str, dict[str, Any]]:
         images: dict[int | str, dict[str, Any]] = {}
-        for index, image in enumerate(self.section("images")):
-            where = f"images[{index}]"
-            number = self.key(image, "id", where)
+        for index, image in enumerate(self._section("images")):
+            number = self._id(image, "id", f"images[{index}]")
             if images.setdefault(number, image) is not image:
                 raise LabelFileError(
-                    f"{self.path}, {where}: expected each image id once, found {quoted(number)} twice."
+                    f"{self.path}, images[{index}]: expected each image id once, found {quoted(number)} twice."
                 )
         return images
 
-    def frames(self) -> tuple[dict[int | str, int], tuple[str, ...]]:
-        """Frame number by image id, and notes for the user.
+    def file_name(self, image: _Object, index: int) -> str:
+        """Path of the image with an index."""
+        return self._text(image, "file_name", f"images[{index}]")
 
-        Raises:
-            LabelFileError: an image id or a frame occurs twice, there are several videos, or no frame numbers.
-        """
-        images, notes = self.images(), []
-        self._check_one_video(list(images.values()))
+    def frames(self) -> tuple[dict[int | str, int], tuple[str, ...]]:
+        """Frame number by image id, and notes for the user."""
+        images = self.images
+        ids = {self._id(image, "video_id", "images") for image in images.values() if image.get("video_id") is not None}
+        if len(ids) > 1:
+            raise LabelFileError(
+                f"{self.path}: expected the images of one video, found {len(ids)} videos; split the file."
+            )
         key = next((key for key in _FRAME_KEYS if any(key in image for image in images.values())), None)
-        frame_of = {
-            number: self._number_in_name(image, f"images[{index}]")
-            if key is None
-            else self.integer(image, key, f"images[{index}]", 0, MAX_FRAME)
-            for index, (number, image) in enumerate(images.items())
-        }
+        frame_of: dict[int | str, int] = {}
+        for index, (image_id, image) in enumerate(images.items()):
+            if key is not None:
+                frame_of[image_id] = self._integer(image, key, f"images[{index}]", 0, MAX_FRAME)
+                continue
+            name = self.file_name(image, index)
+            frame = frame_in_name(Path(name).stem)
+            if frame is None:
+                raise self._fault(f"images[{index}]", "a frame_index, or a file_name with a frame number", name)
+            frame_of[image_id] = frame
         if key is None:
             check_names((str(Path(image["file_name"]).with_suffix("")) for image in images.values()), self.path)
         numbers = sorted(frame_of.values())
         for frame, after in pairwise(numbers):
             if frame == after:
                 raise LabelFileError(f"{self.path}: expected one image for each frame, found two for frame {frame}.")
+        notes = []
         if numbers and key is None:
             notes.append(
                 f"{self.path.name}: frame numbers are the numbers in the names of the images, {numbers[0]} to "
@@ -260,117 +189,109 @@ class CocoFile:
             )
         return frame_of, (*notes, *first_frame_note(self.path, numbers[0] if numbers else 0, len(numbers)))
 
-    def _check_one_video(self, images: list[dict[str, Any]]) -> None:
-        ids = {self.key(image, "video_id", "images") for image in images if image.get("video_id") is not None}
-        if len(ids) > 1:
-            raise LabelFileError(
-                f"{self.path}: expected the images of one video, found {len(ids)} videos; split the file."
-            )
-
-    def _number_in_name(self, image: Mapping[str, Any], where: str) -> int:
-        name = self.text(image, "file_name", where)
-        frame = frame_in_name(Path(name).stem)
-        if frame is None:
-            raise self.fault(where, "a frame_index, or a file_name with a frame number", name)
-        return frame
-
-    def video_facts(self, frame_of: Mapping[int | str, int], video: VideoFacts) -> VideoFacts:
-        """Name, number of frames, image size and frame rate; those of `video` where the file states none.
-
-        Raises:
-            LabelFileError: the images of the file have another size than the video.
-        """
-        images = self.section("images")
+    def video_facts(self, frame_of: Mapping[int | str, int]) -> VideoFacts:
+        """Name, number of frames, image size and frame rate of the video."""
         sizes = {
-            (
-                self.integer(image, "width", where, 1, _MAX_SIDE_PX),
-                self.integer(image, "height", where, 1, _MAX_SIDE_PX),
-            )
-            for image, where in ((image, f"images[{index}]") for index, image in enumerate(images))
+            tuple(self._integer(image, key, f"images[{index}]", 1, MAX_SIDE_PX) for key in ("width", "height"))
+            for index, image in enumerate(self.images.values())
             if image.get("width") and image.get("height")  # some programs write 0 for an unknown size
         }
-        size_px = next(iter(sizes)) if len(sizes) == 1 else None
-        if size_px is not None and video.size_px not in (None, size_px):
-            raise LabelFileError(
-                f"{self.path}: expected boxes in images of {_size(video.size_px)} px as in the video, found "
-                f"{_size(size_px)} px."
-            )
-        described = self.document.get("videos")
-        first = described[0] if isinstance(described, list) and described and isinstance(described[0], dict) else {}
-        fps = self.number(first, "fps", "videos[0]", 0.001, _MAX_FPS)
-        info = self.document.get("info")
-        is_rectified = isinstance(info, dict) and info.get("pixels") == "rectified"
-        return replace(
-            video,
-            name=video.name or str(first.get("name") or "")[:_MAX_TEXT],
-            n_frames=video.n_frames or (max(frame_of.values()) + 1 if frame_of else None),
+        width, height = next(iter(sizes)) if len(sizes) == 1 else (0, 0)
+        videos, info = self._document.get("videos"), self._document.get("info")
+        first = videos[0] if isinstance(videos, list) and videos and isinstance(videos[0], dict) else {}
+        fps = first.get("fps")
+        return VideoFacts(
+            name=str(first.get("name") or "")[:_MAX_TEXT],
+            n_frames=max(frame_of.values()) + 1 if frame_of else None,
             first_frame=min(frame_of.values(), default=0),
-            size_px=video.size_px or size_px,
-            fps=video.fps or (None if math.isnan(fps) else fps),
-            is_rectified=video.is_rectified or is_rectified,
+            size_px=(width, height) if width else None,
+            fps=None if fps is None else self._in_range(fps, "fps", "videos[0]", 0.001, _MAX_FPS),
+            is_rectified=isinstance(info, dict) and info.get("pixels") == "rectified",
         )
 
-    def rows(self, frame_of: Mapping[int | str, int], names: Mapping[int | str, str]) -> CocoRows:
-        """Columns of all annotations.
-
-        Args:
-            frame_of: number by image id.
-            names: name by category id.
-
-        Raises:
-            LabelFileError: an annotation is invalid, or refers to an unknown image or category.
-        """
-        rows = CocoRows()
-        for index, item in enumerate(self.section("annotations")):
+    def boxes(self, frame_of: Mapping[int | str, int]) -> tuple[list[CocoBox], int]:
+        """All annotations with width and height, and the number of the others; `frame_of` is a number by image id."""
+        boxes, n_empty = [], 0
+        for index, item in enumerate(self._section("annotations")):
             where = f"annotations[{index}]"
-            image, category = self.key(item, "image_id", where), self.key(item, "category_id", where)
+            image, category = self._id(item, "image_id", where), self._id(item, "category_id", where)
             if image not in frame_of:
-                raise self.fault(where, "the id of one of the images as image_id", image)
-            if category not in names:
-                raise self.fault(where, "the id of one of the categories as category_id", category)
+                raise self._fault(where, "the id of one of the images as image_id", image)
+            if category not in self._names:
+                raise self._fault(where, "the id of one of the categories as category_id", category)
             x, y, width, height = self._bbox(item, where)
             if width <= 0 or height <= 0:
-                rows.n_empty += 1
+                n_empty += 1
                 continue
             attributes = item.get("attributes")
             both = attributes | item if isinstance(attributes, dict) else item
             if both.get("outside") is True:
                 continue
-            rows.frame.append(frame_of[image])
-            rows.track_id.append(self._identity(item, both, where))
-            rows.class_name.append(names[category])
-            rows.xyxy.append((x, y, x + width, y + height))
-            rows.is_region.append(item.get("iscrowd") in (1, True))
-            rows.score.append(self.attribute(both, "score", where, -1e6, 1e6))
-            rows.observed.append(str(both.get("predicted")).lower() != "true")
-            rows.distance_m.append(self.attribute(both, "distance_m", where, 0.0, MAX_DISTANCE_M))
-            rows.sigma_m.append(self.attribute(both, "sigma_m", where, 0.0, MAX_DISTANCE_M))
-        return rows
+            given = [(source, key) for source in (item, both) for key in _IDENTITY_KEYS if source.get(key) is not None]
+            boxes.append(
+                CocoBox(
+                    frame_of[image],
+                    self._integer(*given[0], where, -1, MAX_ID) if given else -1,
+                    self._names[category],
+                    (x, y, x + width, y + height),
+                    item.get("iscrowd") in (1, True),
+                    self._attribute(both, "score", where, -1e6, 1e6),
+                    str(both.get("predicted")).lower() != "true",
+                    self._attribute(both, "distance_m", where, 0.0, MAX_DISTANCE_M),
+                    self._attribute(both, "sigma_m", where, 0.0, MAX_DISTANCE_M),
+                )
+            )
+        return boxes, n_empty
 
-    def _identity(self, item: Mapping[str, Any], both: Mapping[str, Any], where: str) -> int:
-        """The identity of an annotation; -1 = none."""
-        for source in (item, both):
-            for key in _IDENTITY_KEYS:
-                if source.get(key) is not None:
-                    return self.integer(source, key, where, -1, MAX_ID)
-        return -1
+    def _fault(self, where: str, expected: str, value: object) -> LabelFileError:
+        found = "none" if value is None else quoted(value)
+        return LabelFileError(f"{self.path}, {where}: expected {expected}, found {found}.")
 
-    def _bbox(self, item: Mapping[str, Any], where: str) -> tuple[float, ...]:
+    def _integer(self, item: _Object, key: str, where: str, low: int, high: int) -> int:
+        value = item.get(key)
+        if isinstance(value, float) and value.is_integer():
+            value = int(value)
+        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+            raise self._fault(where, f"an integer from {low} to {high} as {key}", value)
+        return value
+
+    def _id(self, item: _Object, key: str, where: str) -> int | str:
+        value = item.get(key)
+        if isinstance(value, bool) or not isinstance(value, int | str):
+            raise self._fault(where, f"an integer as {key}", value)
+        return value
+
+    def _text(self, item: _Object, key: str, where: str) -> str:
+        value = item.get(key)
+        limit = _MAX_PATH if key == "file_name" else _MAX_TEXT
+        if not isinstance(value, str) or not 0 < len(value.strip()) <= limit:
+            raise self._fault(where, f"a text of at most {limit} characters as {key}", value)
+        return value.strip()
+
+    def _attribute(self, item: _Object, key: str, where: str, low: float, high: float) -> float:
+        """A number, which may be a text; NaN if it is missing, null or empty."""
+        value = item.get(key)
+        if isinstance(value, str):
+            value = number(value) if value.strip() else None
+        return math.nan if value is None else self._in_range(value, key, where, low, high)
+
+    def _in_range(self, value: object, key: str, where: str, low: float, high: float) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+            raise self._fault(where, f"a number from {low:g} to {high:g} as {key}", value)
+        return float(value)
+
+    def _bbox(self, item: _Object, where: str) -> tuple[float, ...]:
         bbox = item.get("bbox")
         if bbox is None and item.get("segmentation"):
-            kind = "an RLE mask" if isinstance(item["segmentation"], dict) else "a polygon"
-            raise LabelFileError(f"{self.path}, {where}: expected a bbox, found only {kind}; export boxes.")
+            shape = "an RLE mask" if isinstance(item["segmentation"], dict) else "a polygon"
+            raise LabelFileError(f"{self.path}, {where}: expected a bbox, found only {shape}; export boxes.")
         if not isinstance(bbox, list) or len(bbox) != 4 or not all(map(_is_coordinate, bbox)) or min(bbox[2:]) < 0:
-            raise self.fault(where, f"a bbox of four numbers x, y, w, h up to {MAX_COORDINATE_PX:g}", bbox)
+            raise self._fault(where, f"a bbox of four numbers x, y, w, h up to {MAX_COORDINATE_PX:g}", bbox)
         return tuple(map(float, bbox))
 
 
 def _is_coordinate(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MAX_COORDINATE_PX
-
-
-def _size(size_px: tuple[int, ...] | None) -> str:
-    return "x".join(map(str, size_px or ()))
 
 
 def write_coco(table: BoxTable, path: Path) -> Written:
@@ -379,71 +300,56 @@ def write_coco(table: BoxTable, path: Path) -> Written:
     Raises:
         OSError: the file cannot be written.
     """
-    categories = _categories(table)
+    video = table.video
+    width, height = video.size_px or (None, None)
+    info = {"description": "Road users tracked by track-range", "version": "1", "pixels": video.pixels}
+    facts = _known({"id": 1, "name": video.name or "video", "width": width, "height": height, "fps": video.fps})
+    category_ids = {name: number for number, name in enumerate(table.all_labels, start=1)}
+    categories = ({"id": number, "name": name} for name, number in category_ids.items())
+    images = (
+        _known({"id": frame + 1, "file_name": image_name(video, frame), "width": width, "height": height})
+        | {"video_id": 1, "frame_index": frame}
+        for frame in frames_listed(table)
+    )
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write("{\n")
-        file.write(f'"info": {_json(_info(table.video))},\n"licenses": [],\n')
-        file.write(f'"videos": [{_json(_video(table.video))}],\n"categories": [\n')
-        file.writelines(_lines({"id": number, "name": name} for name, number in categories.items()))
+        file.write(f'{{\n"info": {_json(info | dict(video.provenance))},\n"licenses": [],\n')
+        file.write(f'"videos": [{_json(facts)}],\n"categories": [\n')
+        file.writelines(_lines(categories))
         file.write('],\n"images": [\n')
-        file.writelines(_lines(_image(table.video, frame) for frame in frames_listed(table)))
+        file.writelines(_lines(images))
         file.write('],\n"annotations": [\n')
-        file.writelines(_lines(_annotations(table, categories)))
+        file.writelines(_lines(_annotations(table, category_ids)))
         file.write("]\n}\n")
     return Written(len(table))
 
 
-def image_name(video: VideoFacts, frame: int) -> str:
-    """File name of a frame's image, also for the images of other formats: NAME_000000.jpg, without a folder."""
-    return f"{file_name_part(video.name) or 'frame'}_{frame:06}.jpg"
+def _known(values: _Object) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if value is not None}
 
 
-def _categories(table: BoxTable) -> dict[str, int]:
-    """Category id by name: the road classes, then other names of the table."""
-    names = dict.fromkeys((*ROAD_CLASSES, *sorted({str(name) or "object" for name in table.class_name})))
-    return {name: number for number, name in enumerate(names, start=1)}
-
-
-def _info(video: VideoFacts) -> dict[str, Any]:
-    pixels = "rectified" if video.is_rectified else "original"
-    return {"description": "Road users tracked by track-range", "version": "1", "pixels": pixels, **video.provenance}
-
-
-def _video(video: VideoFacts) -> dict[str, Any]:
-    width, height = video.size_px or (None, None)
-    facts = {"id": 1, "name": video.name or "video", "width": width, "height": height, "fps": video.fps}
-    return {key: value for key, value in facts.items() if value is not None}
-
-
-def _image(video: VideoFacts, frame: int) -> dict[str, Any]:
-    size = {} if video.size_px is None else {"width": video.size_px[0], "height": video.size_px[1]}
-    return {"id": frame + 1, "file_name": image_name(video, frame), **size, "video_id": 1, "frame_index": frame}
-
-
-def _annotations(table: BoxTable, categories: Mapping[str, int]) -> Iterator[dict[str, Any]]:
-    edges, is_region = np.round(table.xyxy_px + HALF_PIXEL_PX, _DECIMALS), table.is_region
+def _annotations(table: BoxTable, category_ids: Mapping[str, int]) -> Iterator[dict[str, Any]]:
+    edges, is_region, labels = np.round(table.xyxy_px + HALF_PIXEL_PX, _DECIMALS), table.is_region, table.label
     for row in range(len(table)):
         x, y, right, bottom = edges[row].tolist()
         width, height = round(right - x, _DECIMALS), round(bottom - y, _DECIMALS)
         track_id, score = int(table.track_id[row]), float(table.score[row])
         measured = {"distance_m": float(table.distance_m[row]), "sigma_m": float(table.sigma_m[row])}
         attributes: dict[str, Any] = {key: round(m, _DECIMALS) for key, m in measured.items() if math.isfinite(m)}
-        attributes |= {} if table.observed[row] else {"predicted": True}
         yield {
             "id": row + 1,
             "image_id": int(table.frame[row]) + 1,
-            "category_id": categories[str(table.class_name[row]) or "object"],
+            "category_id": category_ids[labels[row]],
             "bbox": [x, y, width, height],
             "area": round(width * height, _DECIMALS),
             "segmentation": [],
             "iscrowd": int(is_region[row]),
             **({"track_id": track_id} if track_id >= 0 else {}),
             **({"score": round(score, _SCORE_DECIMALS)} if math.isfinite(score) else {}),
-            "attributes": attributes,
+            "attributes": attributes | ({} if table.observed[row] else {"predicted": True}),
         }
 
 
-def _lines(items: Iterator[dict[str, Any]]) -> Iterator[str]:
+def _lines(items: Iterable[_Object]) -> Iterator[str]:
     """One line of JSON for each object, separated by commas."""
     before = ""
     for item in items:

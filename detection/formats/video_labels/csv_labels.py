@@ -33,18 +33,12 @@ from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.files.input_files import first_line, quoted
 
 REQUIRED = ("frame", "id", "class", "x1", "y1", "x2", "y2", "distance_m")
-"""Required columns."""
-
 OPTIONAL = ("visible_share", "closing_mps")
-"""Optional columns."""
 
-DONT_CARE = "dontcare"
-"""Class of regions that are not evaluated."""
+DONT_CARE = "dontcare"  # class of regions that are not evaluated
 
 _BOX = ("x1", "y1", "x2", "y2")
 _MAX_SPEED_MPS = 1e3
-"""Largest plausible closing speed."""
-
 _PLAUSIBLE = {
     "frame": (0.0, MAX_FRAME, "an integer from 0"),
     "id": (0.0, MAX_ID, "an integer from 0"),
@@ -54,10 +48,6 @@ _PLAUSIBLE = {
     "closing_mps": (-_MAX_SPEED_MPS, _MAX_SPEED_MPS, "a speed in m/s, or an empty cell if unknown"),
 }
 """Smallest and largest value of each column, and the expected value for messages."""
-
-_MAY_BE_EMPTY = ("distance_m", *OPTIONAL)
-_UNKNOWN = ("", "nan")
-_INTEGER = ("frame", "id")
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,39 +104,12 @@ def read_csv_labels(path: Path) -> CsvLabels:
         LabelFileError: the file cannot be read, is empty or lacks a required column; or a value is out of range, a box
             has x1 >= x2 or y1 >= y2, a class is unknown, or an id occurs twice in a frame.
     """
-    table = _read_table(path)
-    class_names = _class_names(table)
-    is_region = class_names == DONT_CARE
-    numbers = {name: _numbers(table, name, is_region) for name in (*REQUIRED, *OPTIONAL) if name != "class"}
-    boxes = np.stack([numbers[name] for name in _BOX], axis=1)
-    for row in np.flatnonzero(~are_valid_boxes(boxes)).tolist():
-        raise table.fault(row, "expected a box with x1 < x2 and y1 < y2.")
-    labels = CsvLabels(
-        frame=numbers["frame"].astype(np.int64),
-        track_id=np.where(is_region, -1, numbers["id"]).astype(np.int64),
-        class_name=class_names,
-        class_id=map_to_road_classes([str(name) for name in class_names]),
-        xyxy_px=boxes,
-        distance_m=np.where(is_region, np.nan, numbers["distance_m"]),
-        visible_share=np.where(np.isnan(numbers["visible_share"]), 1.0, numbers["visible_share"]),
-        closing_mps=np.where(is_region, np.nan, numbers["closing_mps"]),
-    )
-    _check_unique(table, labels)
-    return labels
-
-
-def _read_table(path: Path) -> CsvTable:
     expected = f"a first line with the columns {','.join(REQUIRED)} (optional: {','.join(OPTIONAL)})"
     table = read_csv_table(path, LabelFileError, expected, exact=True)
     if len(table.header) == 1 or not set(REQUIRED) & set(table.header):
         raise LabelFileError(f"{path}: expected {expected}, got a file without them.")
     table.require(REQUIRED)
     table.refuse_duplicates(OPTIONAL)
-    return table
-
-
-def _class_names(table: CsvTable) -> npt.NDArray[np.str_]:
-    """(N,) class names in lower case."""
     names = [name.lower() for name in table.texts("class")]
     for row, name in enumerate(names):
         if name not in ROAD_CLASS_OF and name != DONT_CARE:
@@ -154,30 +117,42 @@ def _class_names(table: CsvTable) -> npt.NDArray[np.str_]:
             raise table.fault(
                 row, f"expected one of the classes {known}, or {DONT_CARE} for a region, got {quoted(name)}."
             )
-    return np.array(names, np.str_)
+    is_region = np.array([name == DONT_CARE for name in names], np.bool_)
+    numbers = {name: _numbers(table, name, is_region) for name in _PLAUSIBLE}
+    boxes = np.stack([numbers[name] for name in _BOX], axis=1)
+    for row in np.flatnonzero(~are_valid_boxes(boxes)).tolist():
+        raise table.fault(row, "expected a box with x1 < x2 and y1 < y2.")
+    frame = numbers["frame"].astype(np.int64)
+    track_id = np.where(is_region, -1, numbers["id"]).astype(np.int64)
+    seen: set[tuple[int, int]] = set()
+    for row, key in enumerate(zip(frame.tolist(), track_id.tolist(), strict=True)):
+        if key in seen and key[1] >= 0:
+            raise table.fault(row, f"expected each id once per frame, got id {key[1]} twice in frame {key[0]}.")
+        seen.add(key)
+    return CsvLabels(
+        frame=frame,
+        track_id=track_id,
+        class_name=np.array(names, np.str_),
+        class_id=map_to_road_classes(names),
+        xyxy_px=boxes,
+        distance_m=np.where(is_region, np.nan, numbers["distance_m"]),
+        visible_share=np.where(np.isnan(numbers["visible_share"]), 1.0, numbers["visible_share"]),
+        closing_mps=np.where(is_region, np.nan, numbers["closing_mps"]),
+    )
 
 
 def _numbers(table: CsvTable, name: str, is_region: npt.NDArray[np.bool_]) -> FloatArray:
-    """(N,) numbers of a column; NaN for empty cells where allowed, and for a missing column."""
+    """(N,) checked numbers of a column; NaN for empty cells where allowed, and for a missing column."""
     values = table.numbers(name)
     low, high, expected = _PLAUSIBLE[name]
     is_valid = (values >= low) & (values <= high)
     if name == "distance_m":
         is_valid &= values > 0
-    if name in _INTEGER:
+    if name in ("frame", "id"):
         is_valid &= np.rint(values) == values
-    if name in _MAY_BE_EMPTY:
-        is_valid |= np.array([cell.lower() in _UNKNOWN for cell in table.texts(name)], np.bool_)
+    if name in ("distance_m", *OPTIONAL):
+        is_valid |= np.array([cell.lower() in ("", "nan") for cell in table.texts(name)], np.bool_)
     if name not in ("frame", *_BOX):
         is_valid |= is_region
     table.check(name, values, is_valid, expected)
     return values
-
-
-def _check_unique(table: CsvTable, labels: CsvLabels) -> None:
-    """Check that no id occurs twice in a frame."""
-    seen: set[tuple[int, int]] = set()
-    for row, key in enumerate(zip(labels.frame.tolist(), labels.track_id.tolist(), strict=True)):
-        if key in seen and key[1] >= 0:
-            raise table.fault(row, f"expected each id once per frame, got id {key[1]} twice in frame {key[0]}.")
-        seen.add(key)

@@ -25,20 +25,22 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from operator import attrgetter
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
+import numpy.typing as npt
 
-from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts, Written, frames_listed
 from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
+from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID, MAX_SIDE_PX
 from track_range.detection.formats.table_checks import check_identities
 from track_range.detection.formats.video_labels.csv_labels import DONT_CARE
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, IntArray
 from track_range.foundation.files.input_files import counted, open_regular, quoted, shortened
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.xml_events import parse_xml
@@ -49,20 +51,14 @@ MAX_CVAT_BYTES = 500_000_000
 MAX_BOXES = 2_000_000
 """Largest number of boxes, including interpolated ones; they take 300 MB."""
 
-_MAX_NAME = 200
-"""Largest number of characters of a label or name."""
-
-_MAX_META = 10_000
-"""Largest number of elements of `meta` that are used."""
-
-_MAX_SIDE_PX = 65_535
-"""Largest width or height of an image."""
+_MAX_NAME = 200  # characters of a label or name
+_MAX_META = 10_000  # elements of `meta` that are used
 
 _SHAPES = frozenset({"polygon", "polyline", "points", "mask", "cuboid", "ellipse", "skeleton"})
 """Shapes of tracks other than boxes."""
 
 _EDGES = ("xtl", "ytl", "xbr", "ybr")
-_FLAGS = {"0": 0.0, "1": 1.0, "false": 0.0, "true": 1.0}
+_FLAGS = {"0": False, "1": True, "false": False, "true": True}
 
 _TOLERANCE_PX, _TOLERANCE_OF_SIZE, _TOLERANCE_OF_DISTANCE = 1.0, 0.02, 0.02
 """Largest difference between a written box and its interpolation: of an edge in px or as a fraction of the box's longer
@@ -71,32 +67,46 @@ side, whichever is larger, and of the distance as a fraction of it."""
 _MAX_STEP = 50
 """Largest number of boxes from one keyframe to the next, which limits the time to choose them."""
 
-_DECIMALS, _SCORE_DECIMALS = 3, 4
+_LIMITS = {"distance_m": (0.0, MAX_DISTANCE_M), "sigma_m": (0.0, MAX_DISTANCE_M), "score": (-1e6, 1e6)}
+"""Smallest and largest value of each attribute that is a number."""
 
-_FRAME, _OUTSIDE, _DISTANCE, _SIGMA, _SCORE, _PREDICTED, _KEYFRAME = 0, 5, 6, 7, 8, 9, 10
-"""Columns of the boxes of a track; columns 1 to 4 are the edges."""
-
-_N_COLUMNS = 11
-
-_LIMITS = {
-    "distance_m": (_DISTANCE, 0.0, MAX_DISTANCE_M),
-    "sigma_m": (_SIGMA, 0.0, MAX_DISTANCE_M),
-    "score": (_SCORE, -1e6, 1e6),
-}
-"""Column, smallest and largest value of each attribute that is a number."""
+_DECIMALS = {"distance_m": 3, "sigma_m": 3, "score": 4}
 
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML cannot contain."""
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class _Track:
-    """One track; `boxes` has a row of `_N_COLUMNS` numbers for each box, in the order of the file."""
-
     track_id: int
     label: str
     line: int
-    boxes: list[list[float]] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _Box:
+    """One box of the file; `track` is the number of its track in the file."""
+
+    track: int
+    frame: int
+    edges: list[float]
+    is_outside: bool
+    is_keyframe: bool
+    distance_m: float = math.nan
+    sigma_m: float = math.nan
+    score: float = math.nan
+    is_predicted: bool = False
+
+
+_BOX = np.dtype(
+    [
+        *(("track", np.int64), ("frame", np.int64), ("edges", np.float64, 4), ("is_outside", np.bool_)),
+        *(("is_keyframe", np.bool_), ("distance_m", np.float64), ("sigma_m", np.float64), ("score", np.float64)),
+        ("is_predicted", np.bool_),
+    ]
+)
+_Boxes = npt.NDArray[Any]
+"""(K,) boxes with the columns of `_BOX`."""
 
 
 def read_cvat(path: Path, video: VideoFacts) -> BoxTable:
@@ -109,28 +119,32 @@ def read_cvat(path: Path, video: VideoFacts) -> BoxTable:
     content = _Content(path)
     with open_regular(path, LabelFileError, "CVAT's annotations", max_bytes=MAX_CVAT_BYTES) as file:
         parse_xml(file, path, content, LabelFileError, "CVAT's annotations")
-    content.check()
-    tracks = [track for track in content.tracks if track.boxes]
-    rows = _interpolated(path, tracks, has_repeated=not content.is_of_track_range)
-    counts = [len(part) for part in rows]
-    columns = np.concatenate([np.zeros((0, _N_COLUMNS)), *rows])
-    table = BoxTable.of(
-        columns[:, _FRAME],
-        np.repeat(np.array([track.track_id for track in tracks], np.int64), counts),
-        [track.label for track, count in zip(tracks, counts, strict=True) for _ in range(count)],
-        columns[:, 1:5] - HALF_PIXEL_PX,
-        is_region=np.repeat(np.array([track.label.lower() == DONT_CARE for track in tracks], np.bool_), counts),
-        score=columns[:, _SCORE],
-        observed=columns[:, _PREDICTED] == 0,
-        distance_m=columns[:, _DISTANCE],
-        sigma_m=columns[:, _SIGMA],
-        video=content.video_facts(video),
-        notes=content.notes(),
-    )
-    last = content.integer_of_meta("stop_frame")
-    if last is not None and len(table) and table.frame[-1] > last:
+    if len(content.tasks) > 1:
         raise LabelFileError(
-            f"{path}: expected boxes up to frame {last}, the last of the task, found one in frame {table.frame[-1]}."
+            f"{path}: expected the tracks of one task, found {len(content.tasks)} tasks of a project; export each task."
+        )
+    boxes = np.array([attrgetter(*_BOX.names or ())(box) for box in content.boxes], _BOX)
+    boxes = boxes[np.lexsort((boxes["frame"], boxes["track"]))]
+    facts, notes = content.video_facts(), content.notes(boxes)
+    boxes = _interpolated(path, boxes, content.tracks, has_repeated="track_range/pixels" not in content.meta)
+    labels = [content.tracks[track].label for track in boxes["track"].tolist()]
+    table = BoxTable.of(
+        boxes["frame"],
+        np.array([track.track_id for track in content.tracks], np.int64)[boxes["track"]],
+        labels,
+        boxes["edges"] - HALF_PIXEL_PX,
+        is_region=[label.lower() == DONT_CARE for label in labels],
+        score=boxes["score"],
+        observed=~boxes["is_predicted"],
+        distance_m=boxes["distance_m"],
+        sigma_m=boxes["sigma_m"],
+        video=video.completed_by(facts, path),
+        notes=notes,
+    )
+    if facts.n_frames is not None and len(table) and table.frame[-1] >= facts.n_frames:
+        raise LabelFileError(
+            f"{path}: expected boxes up to frame {facts.n_frames - 1}, the last of the task, found one in frame "
+            f"{table.frame[-1]}."
         )
     check_identities(table, path)
     return table
@@ -141,13 +155,13 @@ class _Content:
 
     def __init__(self, path: Path) -> None:
         self.tracks: list[_Track] = []
+        self.boxes: list[_Box] = []
+        self.meta: dict[str, str] = {}  # by the names of the last two elements
+        self.tasks: set[str] = set()
         self._path = path
-        self._meta: dict[str, str] = {}  # by the names of the last two elements
         self._root = ""
-        self._tasks: set[str] = set()
         self._ids: set[int] = set()
         self._attribute = ""
-        self._n_elements = 0
 
     def start(self, path: list[str], attributes: Mapping[str, str], line: int) -> None:
         """An element begins."""
@@ -162,7 +176,10 @@ class _Content:
         elif depth == 2 and name == "track":
             self._add_track(attributes, line)
         elif path[1] == "track" and depth == 3:
-            self._add_shape(name, attributes, line)
+            if name in _SHAPES:
+                raise self._fault(line, "tracks of boxes", f"the shape {name} in track {self.tracks[-1].track_id}")
+            if name == "box":
+                self._add_box(attributes, line)
         elif path[1:3] == ["track", "box"] and name == "attribute":
             self._attribute = attributes.get("name", "")
 
@@ -170,18 +187,12 @@ class _Content:
         """An element ends."""
         if path[1:3] == ["track", "box"] and path[-1] == "attribute":
             self._set_attribute(self._attribute, text.strip(), line)
-        elif path[1:2] == ["meta"] and len(path) >= 4 and len(self._meta) < _MAX_META:
+        elif path[1:2] == ["meta"] and len(path) >= 4 and len(self.meta) < _MAX_META:
             self._root = self._root or path[2]
-            self._meta.setdefault("/".join(path[-2:]), text.strip())
-
-    def _count(self, line: int) -> None:
-        """Count a track or a box, before memory is used for it."""
-        self._n_elements += 1
-        if self._n_elements > MAX_BOXES:
-            raise self._fault(line, f"at most {MAX_BOXES} tracks and boxes", "more")
+            self.meta.setdefault("/".join(path[-2:]), text.strip())
 
     def _add_track(self, attributes: Mapping[str, str], line: int) -> None:
-        self._count(line)
+        self._check_number(line)
         track_id = self._integer(attributes, "id", MAX_ID, line)
         label = attributes.get("label", "").strip()
         if not 0 < len(label) <= _MAX_NAME:
@@ -189,108 +200,80 @@ class _Content:
         if track_id in self._ids:
             raise self._fault(line, "each track id once", f"the id {track_id} twice")
         self._ids.add(track_id)
-        self._tasks |= {attributes["task_id"]} if "task_id" in attributes else set()
+        self.tasks |= {attributes["task_id"]} if "task_id" in attributes else set()
         self.tracks.append(_Track(track_id, label, line))
 
-    def _add_shape(self, name: str, attributes: Mapping[str, str], line: int) -> None:
-        if name in _SHAPES:
-            raise self._fault(line, "tracks of boxes", f"the shape {name} in track {self.tracks[-1].track_id}")
-        if name != "box":
-            return
+    def _add_box(self, attributes: Mapping[str, str], line: int) -> None:
         if number(attributes.get("rotation", "0")) != 0:
             raise self._fault(line, "upright boxes", f"the rotation {quoted(attributes['rotation'])}")
-        self._count(line)
+        self._check_number(line)
         frame = self._integer(attributes, "frame", MAX_FRAME, line)
-        outside = _FLAGS.get(attributes.get("outside", "0").lower(), math.nan)
+        outside = _FLAGS.get(attributes.get("outside", "0").lower())
         edges = [number(attributes.get(edge, "")) for edge in _EDGES]
         is_box = all(abs(edge) <= MAX_COORDINATE_PX for edge in edges)
         is_box = is_box and edges[0] < edges[2] and edges[1] < edges[3]
-        if math.isnan(outside) or not (is_box or outside):
+        if outside is None or not (is_box or outside):
             raise self._fault(
                 line,
                 f"a box with outside 0 or 1, xtl < xbr, ytl < ybr and edges up to {MAX_COORDINATE_PX:g}",
                 shortened(" ".join(f"{key}={attributes.get(key)}" for key in ("outside", *_EDGES)), 100),
             )
+        is_keyframe = _FLAGS.get(attributes.get("keyframe", "1").lower(), True)
         edges = edges if is_box else [math.nan] * 4
-        is_keyframe = _FLAGS.get(attributes.get("keyframe", "1").lower(), 1.0)
-        self.tracks[-1].boxes.append([float(frame), *edges, outside, math.nan, math.nan, math.nan, 0.0, is_keyframe])
+        self.boxes.append(_Box(len(self.tracks) - 1, frame, edges, outside, is_keyframe))
 
     def _set_attribute(self, name: str, text: str, line: int) -> None:
-        box = self.tracks[-1].boxes[-1]
         if name == "predicted":
-            box[_PREDICTED] = _FLAGS.get(text.lower(), 0.0)
+            self.boxes[-1].is_predicted = _FLAGS.get(text.lower(), False)
         elif name in _LIMITS and text:
-            column, low, high = _LIMITS[name]
-            box[column] = number(text)
-            if not low <= box[column] <= high:
+            value, (low, high) = number(text), _LIMITS[name]
+            if not low <= value <= high:
                 raise self._fault(line, f"a number from {low:g} to {high:g} as {name}, or no text", quoted(text))
+            setattr(self.boxes[-1], name, value)
 
-    def check(self) -> None:
-        """Check what is known at the end of the file.
-
-        Raises:
-            LabelFileError: the tracks are of several tasks.
-        """
-        if len(self._tasks) > 1:
-            raise LabelFileError(
-                f"{self._path}: expected the tracks of one task, found {len(self._tasks)} tasks of a project; export "
-                "each task."
-            )
-
-    @property
-    def is_of_track_range(self) -> bool:
-        """Whether track-range wrote the file, and CVAT did not write it again."""
-        return "track_range/pixels" in self._meta
-
-    def integer_of_meta(self, name: str) -> int | None:
-        """An integer in `meta`, of the task or job; None if it is missing."""
-        value = number(self._meta.get(f"{self._root}/{name}", ""))
-        return int(value) if 0 <= value <= MAX_FRAME and value % 1 == 0 else None
-
-    def video_facts(self, video: VideoFacts) -> VideoFacts:
-        """Name, number of frames and image size; those of `video` where the file states none.
-
-        Raises:
-            LabelFileError: the images of the file have another size than the video.
-        """
-        sides = [number(self._meta.get(f"original_size/{name}", "")) for name in ("width", "height")]
-        is_size = all(1 <= side <= _MAX_SIDE_PX and side % 1 == 0 for side in sides)
-        size_px = (int(sides[0]), int(sides[1])) if is_size else None
-        if size_px is not None and video.size_px not in (None, size_px):
-            width, height = video.size_px or size_px
-            raise LabelFileError(
-                f"{self._path}: expected boxes in images of {width}x{height} px as in the video, found "
-                f"{size_px[0]}x{size_px[1]} px."
-            )
-        last = self.integer_of_meta("stop_frame")
-        return replace(
-            video,
-            name=video.name or self._meta.get(f"{self._root}/name", "")[:_MAX_NAME],
-            n_frames=video.n_frames or (None if last is None else last + 1),
-            first_frame=self.integer_of_meta("start_frame") or 0,
-            size_px=video.size_px or size_px,
-            is_rectified=video.is_rectified or self._meta.get("track_range/pixels") == "rectified",
+    def video_facts(self) -> VideoFacts:
+        """Name, number of frames and image size of the task."""
+        sides = [number(self.meta.get(f"original_size/{name}", "")) for name in ("width", "height")]
+        is_size = all(1 <= side <= MAX_SIDE_PX and side % 1 == 0 for side in sides)
+        last = self._integer_of_meta("stop_frame")
+        return VideoFacts(
+            name=self.meta.get(f"{self._root}/name", "")[:_MAX_NAME],
+            n_frames=None if last is None else last + 1,
+            first_frame=self._integer_of_meta("start_frame") or 0,
+            size_px=(int(sides[0]), int(sides[1])) if is_size else None,
+            is_rectified=self.meta.get("track_range/pixels") == "rectified",
         )
 
-    def notes(self) -> tuple[str, ...]:
-        """Notes for the user on tracks without boxes, open ends, and exports of a part of the video."""
-        notes = []
-        if empty := sum(not track.boxes for track in self.tracks):
-            notes.append(f"{self._path.name}: ignored {counted(empty, 'track')} without boxes.")
-        first, last = self.integer_of_meta("start_frame"), self.integer_of_meta("stop_frame")
-        if (first and last is not None) or (self._root == "job" and last is not None):
+    def notes(self, boxes: _Boxes) -> list[str]:
+        """Notes on tracks without boxes, open ends, and exports of a part of the video; `boxes` are in order."""
+        name, notes = self._path.name, []
+        is_end = np.append(np.diff(boxes["track"]) != 0, np.ones(len(boxes[:1]), np.bool_))
+        if empty := len(self.tracks) - int(is_end.sum()):
+            notes.append(f"{name}: ignored {counted(empty, 'track')} without boxes.")
+        first, last = self._integer_of_meta("start_frame"), self._integer_of_meta("stop_frame")
+        if last is None:
+            return notes
+        if first or self._root == "job":
             notes.append(
-                f"{self._path.name}: covers frames {first or 0} to {last} only, so tracks in other frames have no "
-                "labels; for a task with several jobs, export the task."
+                f"{name}: covers frames {first or 0} to {last} only, so tracks in other frames have no labels; for a "
+                "task with several jobs, export the task."
             )
-        ends = [max(track.boxes, key=lambda box: box[_FRAME]) for track in self.tracks if track.boxes]
-        n_open = sum(end[_OUTSIDE] == 0 and last is not None and end[_FRAME] < last for end in ends)
-        if n_open:
+        ends = boxes[is_end]
+        if n_open := int((~ends["is_outside"] & (ends["frame"] < last)).sum()):
             notes.append(
-                f"{self._path.name}: no box is marked as outside at the end of {counted(n_open, 'track')}; the last "
-                "box is taken to be the end."
+                f"{name}: no box is marked as outside at the end of {counted(n_open, 'track')}; the last box is taken "
+                "to be the end."
             )
-        return tuple(notes)
+        return notes
+
+    def _check_number(self, line: int) -> None:
+        """Check the number of tracks and boxes before memory is used for another one."""
+        if len(self.tracks) + len(self.boxes) >= MAX_BOXES:
+            raise self._fault(line, f"at most {MAX_BOXES} tracks and boxes", "more")
+
+    def _integer_of_meta(self, name: str) -> int | None:
+        value = number(self.meta.get(f"{self._root}/{name}", ""))
+        return int(value) if 0 <= value <= MAX_FRAME and value % 1 == 0 else None
 
     def _integer(self, attributes: Mapping[str, str], key: str, high: int, line: int) -> int:
         value = number(attributes.get(key, ""))
@@ -302,68 +285,54 @@ class _Content:
         return LabelFileError(f"{self._path}, line {line}: expected {expected}, found {content}.")
 
 
-def _interpolated(path: Path, tracks: Sequence[_Track], *, has_repeated: bool) -> list[FloatArray]:
-    """The visible boxes of each track in every frame, (N, `_N_COLUMNS`) each.
+def _interpolated(path: Path, boxes: _Boxes, tracks: Sequence[_Track], *, has_repeated: bool) -> _Boxes:
+    """The visible boxes of each track in every frame.
 
     Args:
         path: the file, for messages.
-        tracks: tracks with at least one box.
+        boxes: boxes of the file, sorted by track and frame.
+        tracks: the tracks of the file.
         has_repeated: whether boxes that are not keyframes repeat the attributes of the keyframe before.
 
     Raises:
         LabelFileError: a track has two boxes in a frame, or there are more than `MAX_BOXES` boxes.
     """
-    parts, n_boxes = [], 0  # the number is checked before memory is used
-    for track in tracks:
-        boxes = np.array(track.boxes)
-        boxes = boxes[np.argsort(boxes[:, _FRAME], kind="stable")]
-        steps = np.diff(boxes[:, _FRAME], append=boxes[-1, _FRAME] + 1)
-        if (steps == 0).any():
-            raise LabelFileError(
-                f"{path}, line {track.line}: expected one box for each frame of track {track.track_id}, found two in "
-                f"frame {boxes[np.argmin(steps), _FRAME]:.0f}."
-            )
-        counts = np.where(boxes[:, _OUTSIDE] == 0, steps, 0).astype(np.int64)
-        n_boxes += int(counts.sum())
-        if n_boxes > MAX_BOXES:
-            raise LabelFileError(
-                f"{path}: expected at most {MAX_BOXES} boxes, found more, including interpolated ones."
-            )
-        parts.append((boxes, steps, counts))
-    for boxes, _, _ in parts if has_repeated else ():
+    steps = np.append(np.where(np.diff(boxes["track"]) == 0, np.diff(boxes["frame"]), 1), 1)[: len(boxes)]
+    for box in boxes[steps == 0][:1]:
+        track = tracks[box["track"]]
+        raise LabelFileError(
+            f"{path}, line {track.line}: expected one box for each frame of track {track.track_id}, found two in "
+            f"frame {box['frame']}."
+        )
+    counts = np.where(boxes["is_outside"], 0, steps)
+    if counts.sum() > MAX_BOXES:  # before memory is used for them
+        raise LabelFileError(f"{path}: expected at most {MAX_BOXES} boxes, found more, including interpolated ones.")
+    if has_repeated:
         _interpolate_repeated(boxes)
-    return [_between(*part) for part in parts]
-
-
-def _interpolate_repeated(boxes: FloatArray) -> None:
-    """Interpolate the distances (K, `_N_COLUMNS`) that repeat those of a keyframe, up to the next visible keyframe."""
-    keyframes = np.flatnonzero((boxes[:, _KEYFRAME] == 1) | (boxes[:, _OUTSIDE] == 1))
-    for first, last in pairwise(keyframes.tolist()):
-        between = boxes[first + 1 : last]
-        for column in (_DISTANCE, _SIGMA):
-            start, end = boxes[first, column], boxes[last, column]
-            if (
-                len(between)
-                and not boxes[last, _OUTSIDE]
-                and math.isfinite(end)
-                and (between[:, column] == start).all()
-            ):
-                fraction = (between[:, _FRAME] - boxes[first, _FRAME]) / (boxes[last, _FRAME] - boxes[first, _FRAME])
-                between[:, column] = start + fraction * (end - start)
-
-
-def _between(boxes: FloatArray, steps: FloatArray, counts: IntArray) -> FloatArray:
-    """Boxes (K, `_N_COLUMNS`), each with interpolated ones after it: `counts` (K,) boxes for `steps` (K,) frames."""
     before = np.repeat(np.arange(len(boxes)), counts)
     after = np.minimum(before + 1, len(boxes) - 1)
     offset = np.arange(len(before)) - np.repeat(np.cumsum(counts) - counts, counts)
-    fraction = (offset / steps[before])[:, None]
+    fraction = offset / steps[before]  # 0 at the last box of a track
     filled = boxes[before]
-    columns = [1, 2, 3, 4, _DISTANCE, _SIGMA]
-    start, end = filled[:, columns], boxes[after][:, columns]
-    filled[:, columns] = np.where((fraction == 0) | np.isnan(end), start, (1 - fraction) * start + fraction * end)
-    filled[:, _FRAME] += offset
+    filled["frame"] += offset
+    for name in ("edges", "distance_m", "sigma_m"):
+        start, end = boxes[name][before], boxes[name][after]
+        f = fraction[:, None] if name == "edges" else fraction
+        filled[name] = np.where((f == 0) | np.isnan(end), start, (1 - f) * start + f * end)
     return filled
+
+
+def _interpolate_repeated(boxes: _Boxes) -> None:
+    """Interpolate the distances that repeat those of a keyframe, up to the next visible keyframe of the track."""
+    keyframes = np.flatnonzero(boxes["is_keyframe"] | boxes["is_outside"])
+    for first, last in pairwise(keyframes.tolist()):
+        between, start, end = boxes[first + 1 : last], boxes[first], boxes[last]
+        if not len(between) or end["is_outside"] or start["track"] != end["track"]:
+            continue
+        fraction = (between["frame"] - start["frame"]) / (end["frame"] - start["frame"])
+        for name in ("distance_m", "sigma_m"):
+            if math.isfinite(end[name]) and (between[name] == start[name]).all():
+                between[name] = start[name] + fraction * (end[name] - start[name])
 
 
 def write_cvat(table: BoxTable, path: Path) -> Written:
@@ -395,8 +364,8 @@ def _identities(table: BoxTable) -> tuple[IntArray, tuple[str, ...]]:
     n_boxes = n_new - int(table.is_region.sum())
     notes = [f"Boxes without an identity, each written as a track of one frame: {n_boxes}."] if n_boxes else []
     _, class_number = np.unique(table.class_name, return_inverse=True)
-    pairs, first, pair_number = np.unique(np.stack([ids, class_number]), axis=1, return_index=True, return_inverse=True)
-    is_other = np.append(False, np.diff(pairs[0]) == 0) if len(first) else np.zeros(0, np.bool_)
+    pairs, pair_number = np.unique(np.stack([ids, class_number]), axis=1, return_inverse=True)
+    is_other = np.diff(pairs[0], prepend=-1) == 0
     if n_other := int(is_other.sum()):
         notes.append(
             f"Tracks with boxes of several classes are written as one track for each class, with {n_other} new ids."
@@ -412,11 +381,12 @@ def _meta_lines(table: BoxTable, frames: range) -> Iterator[str]:
     yield f"      <size>{len(frames)}</size>\n      <mode>interpolation</mode>\n      <overlap>0</overlap>\n"
     yield f"      <start_frame>{frames.start}</start_frame>\n      <stop_frame>{max(frames.stop - 1, 0)}</stop_frame>\n"
     yield "      <frame_filter></frame_filter>\n      <labels>\n"
-    for name in dict.fromkeys((*ROAD_CLASSES, *sorted({_label(name) for name in table.class_name}))):
+    for name in table.all_labels:
         yield f"        <label>\n          <name>{_text(name)}</name>\n          <attributes>\n"
-        for attribute, kind, default in CVAT_ATTRIBUTES:
+        for attribute, input_type, default in CVAT_ATTRIBUTES:
             yield (
-                f"            <attribute><name>{attribute}</name><mutable>True</mutable><input_type>{kind}</input_type>"
+                f"            <attribute><name>{attribute}</name><mutable>True</mutable>"
+                f"<input_type>{input_type}</input_type>"
                 f"<default_value>{default}</default_value><values>{default}</values></attribute>\n"
             )
         yield "          </attributes>\n        </label>\n"
@@ -426,8 +396,7 @@ def _meta_lines(table: BoxTable, frames: range) -> Iterator[str]:
         yield f"      <original_size>\n        <width>{width}</width>\n        <height>{height}</height>\n"
         yield "      </original_size>\n"
     yield "    </task>\n    <track_range>\n"
-    facts = {"pixels": "rectified" if video.is_rectified else "original", **video.provenance}
-    for key, value in facts.items():
+    for key, value in {"pixels": video.pixels, **video.provenance}.items():
         yield f"      <{key}>{_text(str(value))}</{key}>\n"
     yield "    </track_range>\n  </meta>\n"
 
@@ -443,33 +412,24 @@ CVAT_ATTRIBUTES = (
 
 def _track_lines(rows: BoxTable, track_id: int, n_frames: int) -> Iterator[str]:
     """The element of one track, whose boxes have one class."""
-    yield f'  <track id={quoteattr(str(track_id))} label={_quoted(_label(rows.class_name[0]))} source="auto">\n'
+    label = quoteattr(_NOT_XML.sub("?", rows.label[0]))
+    yield f'  <track id={quoteattr(str(track_id))} label={label} source="auto">\n'
     edges = rows.xyxy_px + HALF_PIXEL_PX
     is_last = np.append(np.diff(rows.frame) > 1, True)
     is_keyframe = _keyframes(rows, is_last)
-    for row in range(len(rows)):
-        frame = int(rows.frame[row])
+    for row, frame in enumerate(rows.frame.tolist()):
+        corners = " ".join(f'{name}="{edge:.3f}"' for name, edge in zip(_EDGES, edges[row].tolist(), strict=True))
         is_predicted = not rows.observed[row]
-        yield _box_start(frame, edges[row], is_keyframe=bool(is_keyframe[row]), is_occluded=is_predicted) + ">\n"
-        for name, value, decimals in (
-            ("distance_m", rows.distance_m[row], _DECIMALS),
-            ("sigma_m", rows.sigma_m[row], _DECIMALS),
-            ("score", rows.score[row], _SCORE_DECIMALS),
-        ):
-            if math.isfinite(value):
+        flags = f'keyframe="{is_keyframe[row]:d}" outside="0" occluded="{is_predicted:d}"'
+        yield f'    <box frame="{frame}" {flags} {corners} z_order="0">\n'
+        for name, decimals in _DECIMALS.items():
+            if math.isfinite(value := getattr(rows, name)[row]):
                 yield f'      <attribute name="{name}">{value:.{decimals}f}</attribute>\n'
         yield f'      <attribute name="predicted">{"true" if is_predicted else "false"}</attribute>\n    </box>\n'
         if is_last[row] and frame + 1 < n_frames:
-            yield _box_start(frame + 1, edges[row], is_keyframe=True, is_outside=True) + "></box>\n"
+            flags = 'keyframe="1" outside="1" occluded="0"'
+            yield f'    <box frame="{frame + 1}" {flags} {corners} z_order="0"></box>\n'
     yield "  </track>\n"
-
-
-def _box_start(
-    frame: int, edges: FloatArray, *, is_keyframe: bool, is_outside: bool = False, is_occluded: bool = False
-) -> str:
-    corners = " ".join(f'{name}="{edge:.{_DECIMALS}f}"' for name, edge in zip(_EDGES, edges.tolist(), strict=True))
-    flags = f'keyframe="{is_keyframe:d}" outside="{is_outside:d}" occluded="{is_occluded:d}"'
-    return f'    <box frame="{frame}" {flags} {corners} z_order="0"'
 
 
 def _keyframes(rows: BoxTable, is_last: BoolArray) -> BoolArray:
@@ -501,13 +461,5 @@ def _keyframes(rows: BoxTable, is_last: BoolArray) -> BoolArray:
     return is_keyframe
 
 
-def _label(name: str) -> str:
-    return str(name) or "object"
-
-
 def _text(text: str) -> str:
     return escape(_NOT_XML.sub("?", text))
-
-
-def _quoted(text: str) -> str:
-    return quoteattr(_NOT_XML.sub("?", text))

@@ -15,6 +15,7 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import NamedTuple
@@ -28,33 +29,28 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text
 from track_range.foundation.files.numeric_text import numbers
 
-_TRACKING_COLUMNS = 17
-"""Number of columns of tracking labels, without the score."""
-
-_OBJECT_COLUMNS = 15
-"""Number of columns of object labels, without the score."""
-
-_MAX_VALUE = 1e6
-"""Largest absolute value in metres, radians, or of a score; -1000 = unknown."""
-
-_MAX_TYPE = 64
-"""Largest number of characters of a type."""
+_TRACKING_COLUMNS, _OBJECT_COLUMNS = 17, 15  # without the score
+_MAX_TYPE = 64  # characters
 
 _SEPARATOR = re.compile(r"[\s,]")
 """Characters that a type cannot contain: white space, and the comma, since files with commas are not read as KITTI."""
 
-_LIMITS = {
-    0: (0, MAX_FRAME, f"an integer from 0 to {MAX_FRAME} as the frame number"),
-    1: (-MAX_ID, MAX_ID, "an integer as the track id"),
-    3: (-100, 100, "an integer as the occlusion"),
-    **dict.fromkeys(
-        range(5, 9), (-MAX_COORDINATE_PX, MAX_COORDINATE_PX, f"pixels up to {MAX_COORDINATE_PX:g} as the box")
-    ),
-}
-"""Smallest and largest value by column without the type, and the expected value for messages."""
+_MAX_VALUE = 1e6
+"""Largest absolute value in metres, radians, or of a score; -1000 = unknown."""
 
-_INTEGERS = (0, 1, 3)
-"""Columns without the type that are integers: frame, track id, occlusion."""
+_LIMITS = (
+    (0, MAX_FRAME, f"an integer from 0 to {MAX_FRAME} as the frame number"),
+    (-MAX_ID, MAX_ID, "an integer as the track id"),
+    (-_MAX_VALUE, _MAX_VALUE, f"finite numbers up to {_MAX_VALUE:,.0f}"),
+    (-100, 100, "an integer as the occlusion"),
+    (-_MAX_VALUE, _MAX_VALUE, f"finite numbers up to {_MAX_VALUE:,.0f}"),
+    *[(-MAX_COORDINATE_PX, MAX_COORDINATE_PX, f"pixels up to {MAX_COORDINATE_PX:g} as the box")] * 4,
+    *[(-_MAX_VALUE, _MAX_VALUE, f"finite numbers up to {_MAX_VALUE:,.0f}")] * 8,
+)
+"""Smallest and largest value of each column without the type, and the expected value for messages."""
+
+_LOW, _HIGH = (np.array(limits, np.float64) for limits in list(zip(*_LIMITS, strict=True))[:2])
+_INTEGERS = [0, 1, 3]  # columns: frame, track id, occlusion
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,22 +97,14 @@ class KittiLabels:
 KITTI_TYPE_OF: Mapping[str, str] = {"person": "Pedestrian", "bicycle": "Cyclist", "car": "Car", "truck": "Truck"}
 """KITTI's type of each road class that it has."""
 
-UNKNOWN_LOCATION_M = -1000.0
-"""Coordinate of an unknown location."""
-
 
 def kitti_line(
     frame: int, track_id: int, kitti_type: str, xyxy_px: Sequence[float], location_m: Sequence[float], score: float
 ) -> str:
     """Row of a tracking result, with its newline: no size (-1), truncation, occlusion (-1) and angles (-10).
 
-    Args:
-        frame: frame number from 0.
-        track_id: identity.
-        kitti_type: type, without spaces.
-        xyxy_px: box.
-        location_m: bottom centre in the camera's frame; NaN = unknown, written as -1000.
-        score: confidence; NaN = unknown, which leaves the column out.
+    `frame` counts from 0; `location_m` is the bottom centre in the camera's frame. An unknown coordinate (NaN) is
+    written as -1000; an unknown score (NaN) leaves the column out.
     """
     edges = " ".join(f"{edge:.2f}" for edge in xyxy_px)
     location = " ".join("-1000" if math.isnan(value) else f"{value:.3f}" for value in location_m)
@@ -137,26 +125,18 @@ def read_kitti(path: Path) -> KittiLabels:
             implausible number.
     """
     if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
-        return _read_folder(path)
+        files = sorted(file for file in path.glob("*.txt") if file.stem.isdecimal())
+        if not files:
+            raise LabelFileError(f"{path}: expected label files such as 000000.txt, found none.")
+        return _labels([row for file in files for row in _object_rows(file, frame=file.stem)])
     rows = [_Row(path, line, cells, len(cells)) for line, cells in _lines(path)]
     if not rows:
         raise LabelFileError(f"{path}: expected KITTI labels, got an empty file.")
     return _labels(rows)
 
 
-def _read_folder(folder: Path) -> KittiLabels:
-    files = sorted(file for file in folder.glob("*.txt") if file.stem.isdecimal())
-    if not files:
-        raise LabelFileError(f"{folder}: expected label files such as 000000.txt, found none.")
-    return _labels([row for file in files for row in _object_rows(file, frame=file.stem)])
-
-
 def read_kitti_image(path: Path) -> KittiLabels:
-    """The object labels of one image, with frame number 0; the file may be empty.
-
-    Raises:
-        LabelFileError: the file cannot be read, or has an invalid row.
-    """
+    """The object labels of one image, with frame number 0; the file may be empty. Errors: see `read_kitti`."""
     return _labels(_object_rows(path, frame="0"))
 
 
@@ -179,58 +159,33 @@ def _lines(path: Path) -> list[tuple[int, list[str]]]:
     return [(number, cells) for number, line in enumerate(text.split("\n"), 1) if (cells := line.split())]
 
 
-def _fast_numbers(rows: list[_Row]) -> FloatArray | None:
-    """(N, 17) numbers of `_numbers`, checked together in a third of the time; None if a row needs the checks there."""
-    n_cells = len(rows[0].cells)
-    if n_cells not in (_TRACKING_COLUMNS, _TRACKING_COLUMNS + 1):
-        return None
-    if not all(len(row.cells) == n_cells and len(row.cells[2]) <= _MAX_TYPE for row in rows):
-        return None
-    texts = [text for row in rows for text in (*row.cells[:2], *row.cells[3:])]
-    joined = "".join(texts)
-    if not joined.isascii() or "_" in joined:
-        return None
-    try:
-        table = np.array(list(map(float, texts)), np.float64).reshape(len(rows), -1)
-    except ValueError:
-        return None
-    low, high, _ = zip(*(_limits(column) for column in range(table.shape[1])), strict=True)
-    if not ((table >= low) & (table <= high)).all() or (table[:, _INTEGERS] % 1).any():
-        return None
-    return table if n_cells > _TRACKING_COLUMNS else np.pad(table, ((0, 0), (0, 1)), constant_values=np.nan)
-
-
-def _limits(column: int) -> tuple[float, float, str]:
-    return _LIMITS.get(column, (-_MAX_VALUE, _MAX_VALUE, f"finite numbers up to {_MAX_VALUE:,.0f}"))
-
-
-def _numbers(row: _Row) -> list[float]:
-    """Columns of a row without the type; the score is NaN if there is none.
+def _labels(rows: list[_Row]) -> KittiLabels:
+    """The columns of checked rows.
 
     Raises:
-        LabelFileError: the row has a wrong length, or an implausible number.
+        LabelFileError: a row has a wrong length, or an implausible number.
     """
-    path, line, cells, n_columns = row
-    if len(cells) not in (_TRACKING_COLUMNS, _TRACKING_COLUMNS + 1):
-        raise LabelFileError(
-            f"{path}, line {line}: expected {_TRACKING_COLUMNS} columns (18 with a score) of KITTI tracking labels, "
-            f"or {_OBJECT_COLUMNS} (16) of object labels in a folder with one file per image; got {n_columns}."
-        )
-    if len(cells[2]) > _MAX_TYPE:
-        raise LabelFileError(f"{path}, line {line}: expected a type such as Car, got {quoted(cells[2])}.")
-    texts = [*cells[:2], *cells[3:]]
-    values = numbers(texts)
-    for column, value in enumerate(values):
-        low, high, expected = _limits(column)
-        if not low <= value <= high or (column in _INTEGERS and value % 1):
-            raise LabelFileError(f"{path}, line {line}: expected {expected}, got {quoted(texts[column])}.")
-    return values if len(values) == _TRACKING_COLUMNS else [*values, np.nan]
-
-
-def _labels(rows: list[_Row]) -> KittiLabels:
-    table = _fast_numbers(rows) if rows else None
-    if table is None:
-        table = np.array([_numbers(row) for row in rows], np.float64).reshape(-1, _TRACKING_COLUMNS)
+    texts: list[str] = []
+    for path, line, cells, n_columns in rows:
+        if len(cells) not in (_TRACKING_COLUMNS, _TRACKING_COLUMNS + 1):
+            raise LabelFileError(
+                f"{path}, line {line}: expected {_TRACKING_COLUMNS} columns (18 with a score) of KITTI tracking "
+                f"labels, or {_OBJECT_COLUMNS} (16) of object labels in a folder with one file per image; got "
+                f"{n_columns}."
+            )
+        if len(cells[2]) > _MAX_TYPE:
+            raise LabelFileError(f"{path}, line {line}: expected a type such as Car, got {quoted(cells[2])}.")
+        texts += cells[:2]
+        texts += cells[3:]
+        if len(cells) == _TRACKING_COLUMNS:
+            texts.append("nan")
+    table = np.array(_numbers(texts), np.float64).reshape(-1, _TRACKING_COLUMNS)
+    is_valid = (table >= _LOW) & (table <= _HIGH)
+    is_valid[:, _INTEGERS] &= np.rint(table[:, _INTEGERS]) == table[:, _INTEGERS]
+    is_valid[:, -1] |= np.array([len(row.cells) == _TRACKING_COLUMNS for row in rows], np.bool_)
+    for index, column in np.argwhere(~is_valid)[:1].tolist():
+        row, text = rows[index], texts[index * _TRACKING_COLUMNS + column]
+        raise LabelFileError(f"{row.path}, line {row.line}: expected {_LIMITS[column][2]}, got {quoted(text)}.")
     return KittiLabels(
         frame=table[:, 0].astype(np.int64),
         track_id=table[:, 1].astype(np.int64),
@@ -243,3 +198,12 @@ def _labels(rows: list[_Row]) -> KittiLabels:
         rotation_y_rad=table[:, 15],
         score=table[:, 16],
     )
+
+
+def _numbers(texts: list[str]) -> list[float]:
+    """`numbers` of the texts, checked together in a third of the time where all are valid."""
+    joined = "".join(texts)
+    if joined.isascii() and "_" not in joined:
+        with suppress(ValueError):
+            return list(map(float, texts))
+    return numbers(texts)

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -53,47 +52,24 @@ class MotRows:
     visibility: FloatArray
 
     def __post_init__(self) -> None:
-        n = len(self.frame)
-        check_shape("frame", self.frame, (n,))
-        check_shape("track_id", self.track_id, (n,))
-        check_shape("xyxy_px", self.xyxy_px, (n, 4))
-        check_shape("score", self.score, (n,))
-        check_shape("mot_class", self.mot_class, (n,))
-        check_shape("visibility", self.visibility, (n,))
+        for name in self.__dataclass_fields__:
+            shape = (len(self.frame), 4) if name == "xyxy_px" else (len(self.frame),)
+            check_shape(name, getattr(self, name), shape)
 
     def __len__(self) -> int:
         return len(self.frame)
 
 
-class TrackedBoxesOfFrame(Protocol):
-    """Boxes of one frame with identities, such as `tracking.tracks.Tracks`; see there for the attributes."""
-
-    @property
-    def track_id(self) -> IntArray:
-        """(N,) identity."""
-        ...
-
-    @property
-    def xyxy_px(self) -> FloatArray:
-        """(N, 4) box."""
-        ...
-
-    @property
-    def score(self) -> FloatArray:
-        """(N,) confidence."""
-        ...
-
-
-def mot_lines(tracks: TrackedBoxesOfFrame, frame: int) -> list[str]:
-    """One line per track, with its newline: frame + 1,id,x,y,w,h,score,-1,-1,-1.
+def mot_lines(frame: int, track_id: IntArray, xyxy_px: FloatArray, score: FloatArray) -> list[str]:
+    """One line per track of a frame, with its newline: frame + 1,id,x,y,w,h,score,-1,-1,-1.
 
     `frame` counts from 0. Predicted boxes are written like observed ones: the format cannot distinguish them.
     """
-    x1, y1, x2, y2 = tracks.xyxy_px.T
-    rows = np.stack([x1 + _FIRST_PIXEL, y1 + _FIRST_PIXEL, x2 - x1, y2 - y1, tracks.score], axis=1)
+    x1, y1, x2, y2 = xyxy_px.T
+    rows = np.stack([x1 + _FIRST_PIXEL, y1 + _FIRST_PIXEL, x2 - x1, y2 - y1, score], axis=1)
     return [
-        f"{frame + _FIRST_FRAME},{track_id},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{score:.4f},-1,-1,-1\n"
-        for track_id, (x, y, w, h, score) in zip(tracks.track_id.tolist(), rows.tolist(), strict=True)
+        f"{frame + _FIRST_FRAME},{number},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{s:.4f},-1,-1,-1\n"
+        for number, (x, y, w, h, s) in zip(track_id.tolist(), rows.tolist(), strict=True)
     ]
 
 

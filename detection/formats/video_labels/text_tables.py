@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.formats.box_table import BoxTable, VideoFacts, Written
@@ -18,7 +16,7 @@ from track_range.detection.formats.table_checks import check_identities, ignored
 from track_range.detection.formats.video_labels.csv_labels import DONT_CARE, read_csv_labels
 from track_range.detection.formats.video_labels.kitti import kitti_line, kitti_type_of, read_kitti
 from track_range.detection.formats.video_labels.mot import mot_lines, read_mot
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, quoted
 from track_range.foundation.schema_version import check_schema_version
@@ -32,8 +30,7 @@ _MOT_CLASSES: Mapping[int, str] = {
 # fmt: on
 """Names of MOT16's and MOT20's class numbers (Milan et al., "MOT16", 2016, table 3); 0 = the file has no classes."""
 
-_UNKNOWN_M = -999.0
-"""KITTI's coordinates up to this value (-1000) are unknown."""
+_UNKNOWN_M = -999.0  # KITTI's coordinates up to this value (-1000) are unknown
 
 _COLUMNS = ("frame", "track_id", "score", "observed", "x1_px", "y1_px", "x2_px", "y2_px")
 _DISTANCES = ("fused_m", "fused_sigma_m")
@@ -42,10 +39,7 @@ _DISTANCES = ("fused_m", "fused_sigma_m")
 def read_mot_table(path: Path, video: VideoFacts) -> BoxTable:
     """The rows of a gt.txt, det.txt or result file of MOTChallenge; only ground truth since MOT16 has classes.
 
-    Rows of ground truth that are flagged as not evaluated (score 0) are regions.
-
-    Raises:
-        MotFormatError: the file cannot be read, or has an invalid row.
+    Rows of ground truth that are flagged as not evaluated (score 0) are regions. Errors: see `read_mot`.
     """
     rows = read_mot(path)
     is_truth = rows.mot_class > 0
@@ -64,10 +58,7 @@ def read_kitti_table(path: Path, video: VideoFacts) -> BoxTable:
     """The rows of KITTI tracking labels, of a result file, or of a folder of object files.
 
     The distance is the z of the location where there is no 3-D box, as in result files of track-range; the surface of
-    a 3-D box has another distance (`ranging.evaluation.truth`).
-
-    Raises:
-        LabelFileError: the file or folder cannot be read, or has an invalid row.
+    a 3-D box has another distance (`ranging.evaluation.truth`). Errors: see `read_kitti`.
     """
     labels = read_kitti(path)
     is_region = labels.kitti_type == "DontCare"
@@ -88,11 +79,7 @@ def read_kitti_table(path: Path, video: VideoFacts) -> BoxTable:
 
 
 def read_csv_table_of_labels(path: Path, video: VideoFacts) -> BoxTable:
-    """The rows of a CSV of labels with distances (`csv_labels`).
-
-    Raises:
-        LabelFileError: the file cannot be read, or has an invalid row.
-    """
+    """The rows of a CSV of labels with distances; errors: see `read_csv_labels`."""
     labels = read_csv_labels(path)
     return BoxTable.of(
         labels.frame,
@@ -106,11 +93,7 @@ def read_csv_table_of_labels(path: Path, video: VideoFacts) -> BoxTable:
 
 
 def read_tracks_table(path: Path, video: VideoFacts) -> BoxTable:
-    """The rows of a run's tracks.csv; the distance is the fused one.
-
-    Raises:
-        LabelFileError: the file cannot be read, lacks a column, or has an invalid row.
-    """
+    """The rows of a run's tracks.csv; the distance is the fused one. LabelFileError if the file is invalid."""
     table = read_csv_table(path, LabelFileError, f"columns {', '.join(_COLUMNS)}, class")
     table.require((*_COLUMNS, "class"))
     columns = {name: table.finite(name) for name in _COLUMNS}
@@ -119,11 +102,7 @@ def read_tracks_table(path: Path, video: VideoFacts) -> BoxTable:
 
 
 def read_parquet_table(path: Path, video: VideoFacts) -> BoxTable:
-    """The rows of a run's tracks.parquet; the distance is the fused one.
-
-    Raises:
-        LabelFileError: the file cannot be read, lacks a column, or has an invalid row.
-    """
+    """The rows of a run's tracks.parquet; the distance is the fused one. LabelFileError if the file is invalid."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -159,37 +138,31 @@ def _table_of_rows(
         is_integer = (values >= lowest) & (values <= highest) & (np.rint(values) == values)
         for row in np.flatnonzero(~is_integer)[:1].tolist():
             raise LabelFileError(f"{path}: expected an integer from {lowest} for {name}, got {quoted(values[row])}.")
-    rows = np.flatnonzero(is_valid)
-    n_ignored = len(is_valid) - len(rows)
+    columns = {name: values[is_valid] for name, values in columns.items()}
     table = BoxTable.of(
-        _integers(columns["frame"], rows),
-        _integers(columns["track_id"], rows),
-        [classes[row] for row in rows.tolist()],
-        boxes[rows],
-        score=columns["score"][rows],
-        observed=columns["observed"][rows] > 0,
-        distance_m=columns["fused_m"][rows],
-        sigma_m=columns["fused_sigma_m"][rows],
+        columns["frame"].astype(np.int64),
+        columns["track_id"].astype(np.int64),
+        [classes[row] for row in np.flatnonzero(is_valid).tolist()],
+        boxes[is_valid],
+        score=columns["score"],
+        observed=columns["observed"] > 0,
+        distance_m=columns["fused_m"],
+        sigma_m=columns["fused_sigma_m"],
         video=replace(video, is_rectified=True),
-        notes=ignored_note(path, n_ignored, "without width or height"),
+        notes=ignored_note(path, int((~is_valid).sum()), "without width or height"),
     )
     check_identities(table, path)
     return table
 
 
-def _integers(values: FloatArray, rows: npt.NDArray[Any]) -> IntArray:
-    return np.asarray(values[rows], np.int64)
-
-
 def write_mot_table(table: BoxTable, path: Path) -> Written:
-    """Write a table as MOTChallenge rows, with the score 1 where it is unknown, and without regions.
+    """Write a table as MOTChallenge rows, with the score 1 where it is unknown, and without regions."""
 
-    Raises:
-        OSError: the file cannot be written.
-    """
+    def lines(rows: BoxTable, frame: int) -> list[str]:
+        return mot_lines(frame, rows.track_id, rows.xyxy_px, np.where(np.isnan(rows.score), 1.0, rows.score))
+
     rows = table.select(~table.is_region)
-    rows = replace(rows, score=np.where(np.isnan(rows.score), 1.0, rows.score))
-    _write_frames(rows, path, mot_lines)
+    _write_frames(rows, path, lines)
     return Written(len(rows), omitted_regions_note(table))
 
 
@@ -198,9 +171,6 @@ def write_kitti_table(table: BoxTable, path: Path) -> Written:
 
     The location is written where it is known; where only the distance is, it is the z of a location with unknown x
     and y.
-
-    Raises:
-        OSError: the file cannot be written.
     """
     _write_frames(table, path, kitti_lines)
     return Written(len(table))

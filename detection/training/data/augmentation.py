@@ -16,8 +16,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, IntArray
 
-PAD_GREY = 114
-"""Grey level of the background, 0..255, as in YOLOv5."""
+PAD_GREY = 114  # grey level of the background, as in YOLOv5
 
 _CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)
 
@@ -47,8 +46,7 @@ class AugmentationSettings:
     value: float = 0.4
 
 
-MIN_SIDE_PX = 2.0
-"""Smallest visible side of a box that is not ignored."""
+MIN_SIDE_PX = 2.0  # smallest visible side of a box that is not ignored
 
 MIN_FRACTION = 0.1
 """Smallest visible fraction of the area of a box that is not ignored (as in YOLOv5)."""
@@ -162,7 +160,6 @@ def _combined(
     settings: AugmentationSettings,
     rng: np.random.Generator,
 ) -> LabelledPixels:
-    """The training image with pixels and labels of all sources."""
     canvas: Image = np.full((size_px, size_px, 3), PAD_GREY, np.uint8)
     labels = []
     for source, part in zip(sources, parts, strict=True):
@@ -175,7 +172,6 @@ def _combined(
 
 
 def _paint(image: Image, matrix: FloatArray, canvas: Image, shown: _Part) -> None:
-    """Draw the transformed image into its part of the canvas."""
     part = canvas[shown.rows, shown.columns]
     if part.size == 0:
         return
@@ -202,15 +198,14 @@ def _transformed_labels(
     last = np.array([part.columns.stop, part.rows.stop] * 2)
     boxes = np.clip(full, first, last)
     size, full_size = boxes[:, 2:] - boxes[:, :2], full[:, 2:] - full[:, :2]
-    share = size.prod(1) / np.maximum(full_size.prod(1), 1e-9)
-    is_too_small = (size.min(1, initial=np.inf) < MIN_SIDE_PX) | (share < MIN_FRACTION)
+    fraction = size.prod(1) / np.maximum(full_size.prod(1), 1e-9)
+    is_too_small = (size.min(1, initial=np.inf) < MIN_SIDE_PX) | (fraction < MIN_FRACTION)
     is_visible = size.min(1, initial=np.inf) > 0
     is_ignored = source.is_ignored | is_too_small
     return boxes[is_visible], source.class_index[is_visible], is_ignored[is_visible], source.confidence[is_visible]
 
 
 def _coloured(bgr: Image, settings: AugmentationSettings, rng: np.random.Generator) -> Image:
-    """The image as RGB with random changes of hue, saturation and value."""
     gains = 1 + rng.uniform(-1, 1, 3) * (settings.hue, settings.saturation, settings.value)
     if not (settings.hue or settings.saturation or settings.value):
         return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8)

@@ -15,22 +15,13 @@ from track_range.detection.training.losses.assignment import LabelledObjects
 from track_range.detection.training.losses.detection_loss import Batch, Completeness
 from track_range.foundation.arrays import IntArray
 
-_N_AHEAD = 3
-"""Number of batches that are made in advance."""
+_N_AHEAD = 3  # batches that are made in advance
 
 
 class BatchMaker:
     """Generator of training batches, which depend only on the seed, the epoch and the position in the epoch."""
 
-    def __init__(
-        self,
-        images: LabelledSet,
-        *,
-        size_px: int,
-        batch_size: int,
-        seed: int,
-        n_workers: int = 2,
-    ) -> None:
+    def __init__(self, images: LabelledSet, *, size_px: int, batch_size: int, seed: int, n_workers: int = 2) -> None:
         self._images, self._size_px, self._batch_size = images, size_px, batch_size
         self._seed, self._n_workers = seed, n_workers
 
@@ -61,7 +52,6 @@ class BatchMaker:
                 makers.shutdown(wait=False, cancel_futures=True)
 
     def _sample(self, epoch: int, index: int, settings: AugmentationSettings) -> LabelledPixels:
-        """One augmented training image."""
         rng = np.random.default_rng((self._seed, epoch, index))
         if rng.random() >= settings.mosaic:
             return single(self._images.load(index), self._size_px, settings, rng)
@@ -70,27 +60,20 @@ class BatchMaker:
         return mosaic([sources[i] for i in rng.permutation(4)], self._size_px, settings, rng)
 
     def _gathered(self, parts: Sequence[Future[LabelledPixels]]) -> Batch:
-        """The batch of several training images."""
         samples = [part.result() for part in parts]
         images = torch.from_numpy(np.stack([sample.image for sample in samples])).permute(0, 3, 1, 2)
         complete = torch.from_numpy(np.stack([sample.is_complete for sample in samples]))
         meeting = torch.from_numpy(np.stack([sample.meeting_xy for sample in samples]).astype(np.float32))
-        return Batch(images, _objects(samples), Completeness(complete, meeting))
+        xyxy, class_index, is_ignored, confidence = (
+            np.concatenate([getattr(sample, name) for sample in samples])
+            for name in ("xyxy", "class_index", "is_ignored", "confidence")
+        )
+        cxcywh = np.concatenate([(xyxy[:, :2] + xyxy[:, 2:]) / 2, xyxy[:, 2:] - xyxy[:, :2]], axis=1)
+        image = np.repeat(np.arange(len(samples)), [len(sample.class_index) for sample in samples])
+        columns = (image, class_index, cxcywh.astype(np.float32), is_ignored, confidence.astype(np.float32))
+        return Batch(images, LabelledObjects(*map(torch.from_numpy, columns)), Completeness(complete, meeting))
 
 
 def scaled(images: Tensor) -> Tensor:
     """(B, 3, H, W) float32 images in 0..1, the input of networks, from uint8 images."""
     return images.float() / 255
-
-
-def _objects(samples: Sequence[LabelledPixels]) -> LabelledObjects:
-    image = np.repeat(np.arange(len(samples)), [len(sample.class_index) for sample in samples])
-    xyxy = np.concatenate([sample.xyxy for sample in samples])
-    cxcywh = np.concatenate([(xyxy[:, :2] + xyxy[:, 2:]) / 2, xyxy[:, 2:] - xyxy[:, :2]], axis=1)
-    return LabelledObjects(
-        torch.from_numpy(image),
-        torch.from_numpy(np.concatenate([sample.class_index for sample in samples])),
-        torch.from_numpy(cxcywh.astype(np.float32)),
-        torch.from_numpy(np.concatenate([sample.is_ignored for sample in samples])),
-        torch.from_numpy(np.concatenate([sample.confidence for sample in samples]).astype(np.float32)),
-    )

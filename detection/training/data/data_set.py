@@ -18,14 +18,11 @@ from track_range.detection.formats.image_labels.labelled_images import ImageFile
 from track_range.detection.training.data.augmentation import LabelledPixels
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 
-_MEMORY_FRACTION = 0.5
-"""Largest fraction of the free memory that cached images use."""
+_MEMORY_FRACTION = 0.5  # of the free memory, for cached images
 
-_UNKNOWN_MEMORY_BYTES = 2 << 30
-"""Size of the cache if the free memory is unknown."""
+_UNKNOWN_MEMORY_BYTES = 2 << 30  # size of the cache if the free memory is unknown
 
-_N_READERS = 4
-"""Number of threads that read images."""
+_N_READERS = 4  # threads that read images
 
 
 class LabelledSet(Protocol):
@@ -51,7 +48,6 @@ class TrainingSets:
     """Data of a training run.
 
     Attributes:
-        train, validation: images with labels.
         road_class_id: (C,) road class of each of the network's classes.
         name: identifier of the data, to recognise it when a run is resumed.
     """
@@ -85,7 +81,7 @@ class CachedImages:
             road_class_id: (C,) road class of each of the network's classes.
             max_side_px: images are downscaled to this longer side; None = no limit.
             max_bytes: size of the cache; None = half of the free memory.
-            progress: callback after each image with the number of images read and their total.
+            progress: called after each image with the number of images read and their total.
 
         Raises:
             ImageFileError: none of the images can be read.
@@ -122,11 +118,7 @@ class CachedImages:
         return sum(image is not None for image in self._cache)
 
     def load(self, index: int) -> LabelledPixels:
-        """Image and labels with the network's classes.
-
-        Raises:
-            ImageFileError: the image is not in memory and cannot be read again.
-        """
+        """Image and labels with the network's classes; ImageFileError if it cannot be read again."""
         item = self._items[index]
         image = self._image(index)
         truth = item.truth_in(image) if item.is_normalised else item.truth
@@ -168,7 +160,6 @@ class CachedImages:
         return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8), scale
 
     def _read(self, item: LabelledImage) -> tuple[Image, float] | str:
-        """The image and its scale, or the message of the error."""
         try:
             return self._scaled(read_image(item.path))
         except ImageFileError as error:
@@ -176,7 +167,7 @@ class CachedImages:
 
 
 def _free_bytes() -> int:
-    """Size of the cache in bytes, from the free memory of Linux and the limit of the container."""
+    """Size of the cache, from the free memory of Linux and the limit of the container."""
     known = []
     with suppress(OSError, ValueError, IndexError):
         line = next(line for line in Path("/proc/meminfo").read_text().splitlines() if line.startswith("MemAvailable"))

@@ -48,20 +48,13 @@ from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, re
 from track_range.foundation.files.structured_text import read_yaml
 from track_range.foundation.validation import validated
 
-_MAX_PATH = 1000
-"""Largest number of characters of a path in a data.yaml."""
-
-_MAX_SHOWN = 200
-"""Largest number of characters of a path in a message."""
+_MAX_PATH, _MAX_SHOWN = 1000, 200  # characters of a path in a data.yaml, and in a message
 
 
 def _printable(path: str) -> str:
     if not path.isprintable() or len(path) > _MAX_PATH:
         raise ValueError(f"expected a path of at most {_MAX_PATH} printable characters, found {quoted(path)}")
     return path
-
-
-_Path = Annotated[str, AfterValidator(_printable)]
 
 
 def _listed(entry: object) -> object:
@@ -74,6 +67,7 @@ def _listed(entry: object) -> object:
     return entries
 
 
+_Path = Annotated[str, AfterValidator(_printable)]
 _Entries = Annotated[list[_Path], BeforeValidator(_listed)]
 
 
@@ -106,11 +100,8 @@ _MIN_SCORE, _MIN_CAR_SCORE = 0.5, 0.4
 _SAME_OBJECT_IOU = 0.5
 """Minimum IoU between a pseudo-label and a label of the same object."""
 
+_PERSON, _CAR = ROAD_CLASSES.index("person"), ROAD_CLASSES.index("car")
 _BACKGROUND_NOTE = "no label file: background"
-"""Note for an image without a label file."""
-
-_NO_LABELS = YoloLabels(np.zeros((0, 4)), np.zeros(0, np.int64), np.zeros(0), ())
-"""Content of a file of pseudo-labels that does not exist."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +135,6 @@ class OwnLabels:
     """The images that the entries of a data.yaml list, with their labels alone.
 
     Attributes:
-        path: the data.yaml.
         root: folder that paths in the file are relative to.
         names: class names, in the order of the numbers in label files.
         train, val: the images, each once, without pseudo-labels and without those of another data.yaml; the boxes are
@@ -179,18 +169,15 @@ def read_own_labels(path: Path) -> OwnLabels:
         LabelFileError, ImageFileError: as for `read_data_yaml`; or the labels are KITTI's, the pseudo-labels are
             probabilities already, there are no training images, or two of them have the same name.
     """
-    document, names = _document(path)
-    if document.format == "kitti":
+    reader = _Reader(path, frozenset(), is_alone=True)
+    if reader.document.format == "kitti":
         raise LabelFileError(f"{path}: expected labels in YOLO's format for pseudo-labels, found 'format: kitti'.")
-    if document.labels_pseudo and document.pseudo_scores == "probabilities":
+    if reader.document.labels_pseudo and reader.document.pseudo_scores == "probabilities":
         raise LabelFileError(
             f"{path}: expected detections of a detector in labels_pseudo, found 'pseudo_scores: probabilities', which "
             "are pseudo-labels already; remove these keys, or name a folder of detections."
         )
-    root = path.parent / document.path
-    reader = _Reader(path, root, document, names, frozenset({real_path(path)}), [], is_alone=True)
-    train = _first_of_each(reader.split("train"))
-    val = _first_of_each(reader.listed_in("val"))
+    train, val = (_first_of_each(reader.split(key, may_be_empty=key == "val")) for key in ("train", "val"))
     stems = [item.path.stem for item in train]
     if len(set(stems)) < len(stems):
         name = next(name for i, name in enumerate(stems) if name in stems[:i])
@@ -198,149 +185,100 @@ def read_own_labels(path: Path) -> OwnLabels:
             f"{path}: expected training images with different names, as pseudo-labels are files NAME.txt in one "
             f"folder, found {quoted(name)} twice."
         )
-    notes = (*dict.fromkeys(reader.notes), *_summarised([*train, *val]))
-    return OwnLabels(path, root, tuple(names), train, val, reader.pseudo_labels(train), notes)
+    pseudo = None
+    if reader.document.labels_pseudo:
+        pseudo = {item.path: reader.pseudo_labels_of(item)[1] for item in train}
+    notes = reader.all_notes(train, val)
+    return OwnLabels(path, reader.root, tuple(reader.names), train, val, pseudo, notes)
 
 
 def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> TrainingData:
     """The images and labels of a data.yaml; pixels are not read.
 
-    Args:
-        path: the file.
-        within: files that refer to this one, directly or indirectly, to detect circular references.
+    `within` are the files that refer to this one, directly or indirectly, to detect circular references.
 
     Raises:
         LabelFileError, ImageFileError: the file, a folder or labels cannot be read or are invalid.
     """
-    document, names = _document(path, within)
-    road = map_to_road_classes(names)
+    reader = _Reader(path, within)
+    road = map_to_road_classes(reader.names)
     classes: IntArray = np.array(list(dict.fromkeys(road[road >= 0].tolist())), np.int64)
-    reader = _Reader(path, path.parent / document.path, document, names, within | {real_path(path)}, [])
     train, val = reader.split("train"), reader.split("val")
-    unknown = [name for name, class_id in zip(names, road, strict=True) if class_id < 0]
-    notes = [f"Ignored classes that are not road classes: {', '.join(unknown)}."] if unknown else []
-    return TrainingData(classes, train, val, (*notes, *dict.fromkeys(reader.notes), *_summarised([*train, *val])))
+    unknown = [name for name, class_id in zip(reader.names, road, strict=True) if class_id < 0]
+    notes = (f"Ignored classes that are not road classes: {', '.join(unknown)}.",) if unknown else ()
+    return TrainingData(classes, train, val, (*notes, *reader.all_notes(train, val)))
 
 
-def _document(path: Path, within: frozenset[Path] = frozenset()) -> tuple[_DataYaml, Sequence[str]]:
-    """Content of a data.yaml, and its class names.
-
-    Raises:
-        LabelFileError: the file cannot be read, is invalid, has no road class, or is one of `within`.
-    """
-    content = _content(path)  # first, since `resolve` fails on a loop of links
-    if real_path(path) in within:
-        raise LabelFileError(f"{path}: refers to itself, directly or through another data.yaml.")
-    document = validated(_DataYaml, content, path, LabelFileError)
-    names = _KITTI_NAMES if document.format == "kitti" else names_in(content, path)
-    if (map_to_road_classes(names) < 0).all():
-        raise LabelFileError(f"{path}: names: expected at least one road class ({', '.join(ROAD_CLASSES)}).")
-    return document, names
-
-
-@dataclass(frozen=True, slots=True)
 class _Reader:
-    """Reader of the splits of one data.yaml.
+    """Reader of the splits of one data.yaml, which collects notes for the user.
 
-    Attributes:
-        notes: collects the notes for the user.
-        is_alone: images are read without pseudo-labels, and those of another data.yaml are left out.
+    If it `is_alone`, images are read without pseudo-labels, and those of another data.yaml are left out.
     """
 
-    path: Path
-    root: Path
-    document: _DataYaml
-    names: Sequence[str]
-    within: frozenset[Path]
-    notes: list[str]
-    is_alone: bool = False
+    def __init__(self, path: Path, within: frozenset[Path], *, is_alone: bool = False) -> None:
+        content = read_yaml(path, LabelFileError, "a data.yaml with the keys train, val and names")
+        if not isinstance(content, dict):
+            raise LabelFileError(f"{path}: expected the keys train, val and names, found {quoted(content)}.")
+        if real_path(path) in within:  # after reading, since `resolve` fails on a loop of links
+            raise LabelFileError(f"{path}: refers to itself, directly or through another data.yaml.")
+        content = {key: value for key, value in content.items() if value is not None}
+        self.document = validated(_DataYaml, content, path, LabelFileError)
+        self.names: Sequence[str] = _KITTI_NAMES if self.document.format == "kitti" else names_in(content, path)
+        if (map_to_road_classes(self.names) < 0).all():
+            raise LabelFileError(f"{path}: names: expected at least one road class ({', '.join(ROAD_CLASSES)}).")
+        self.root = path.parent / self.document.path
+        self._path, self._within, self._is_alone = path, within | {real_path(path)}, is_alone
+        self._notes: list[str] = []
 
-    def listed_in(self, key: str) -> list[LabelledImage]:
-        """The images of one split with their labels; there may be none."""
+    def split(self, key: str, *, may_be_empty: bool = False) -> list[LabelledImage]:
+        """The images of one split with their labels."""
         entries = self.document.train if key == "train" else self.document.val
-        return [item for part in entries for item in self._of(part, key)]
-
-    def split(self, key: str) -> list[LabelledImage]:
-        """The images of one split with their labels.
-
-        Raises:
-            LabelFileError: there are none.
-        """
-        items = self.listed_in(key)
-        if not items:
+        items = [item for part in entries for item in self._entry(part, key)]
+        if not items and not may_be_empty:
             split = f" (the manifest has no images of the split '{key}')" if self.document.manifest else ""
-            raise LabelFileError(f"{self.path}: no labelled images for '{key}'{split}.")
+            raise LabelFileError(f"{self._path}: no labelled images for '{key}'{split}.")
         return items
 
-    def pseudo_labels(self, items: Sequence[LabelledImage]) -> dict[Path, YoloLabels] | None:
-        """Detections of the images in the folder of pseudo-labels, by path; None without such a folder."""
-        if not self.document.labels_pseudo:
-            return None
-        folder, reader = self._folder(self.document.labels_pseudo), YoloLabelReader(self.names)
-        files = ((item.path, folder / f"{item.path.stem}.txt") for item in items)
-        return {path: reader.read(file) if file.is_file() else _NO_LABELS for path, file in files}
+    def all_notes(self, train: list[LabelledImage], val: list[LabelledImage]) -> tuple[str, ...]:
+        """The notes so far, and one for each kind of note of the images, with the first example."""
+        listed = [note for item in (*train, *val) for note in item.notes]
+        other = [note for note in listed if note != _BACKGROUND_NOTE]
+        notes = list(dict.fromkeys(self._notes))
+        if n_background := len(listed) - len(other):
+            notes.append(f"{n_background} images have no label file and are used as background.")
+        if other:
+            notes.append(f"{len(other)} labelled boxes are empty or extend beyond their image; the first: {other[0]}")
+        return tuple(notes)
 
-    def _of(self, entry: str, split: str) -> list[LabelledImage]:
+    def _entry(self, entry: str, split: str) -> list[LabelledImage]:
         """The images of one entry, with the manifest and the pseudo-labels applied."""
         path = self.root / entry
         if path.suffix == ".txt":
-            return self._listed(path, split)
+            return self._listed_in(path, split)
         if path.suffix in (".yaml", ".yml"):
             return self._nested(path, split)
         images = self._folder(entry)
-        labels = self._labels_of(images)
-        labelled = read_labelled(images, labels, self.document.format, names=self.names)
+        labelled = read_labelled(images, self._labels_of(images), self.document.format, names=self.names)
+        with_labels = {item.path for item in labelled}
+        others = [image for image in images_in(images) if image not in with_labels]
         if self.document.format == "kitti":
-            n_unlabelled = len(images_in(images)) - len(labelled)
-            if n_unlabelled:
-                self.notes.append(f"{images}: ignored {n_unlabelled} images without a label file.")
+            if others:
+                self._notes.append(f"{images}: ignored {len(others)} images without a label file.")
             return [_with_sitting_persons(item) for item in labelled]
-        return self._completed([*labelled, *_background(images, {item.path for item in labelled})], split)
-
-    def _nested(self, path: Path, split: str) -> list[LabelledImage]:
-        """The same split of another data.yaml; classes that it does not name are marked as not labelled."""
-        if self.is_alone:
-            self.notes.append(f"Left out the images of {path} for '{split}', which have separate pseudo-labels.")
-            return []
-        data = read_data_yaml(path, within=self.within)
-        named = np.isin(np.arange(len(ROAD_CLASSES)), data.road_class_id)
-        return [
-            replace(item, truth=replace(item.truth, is_complete=item.truth.is_complete & named))
-            for item in (data.train if split == "train" else data.val)
-        ]
-
-    def _completed(self, items: list[LabelledImage], split: str) -> list[LabelledImage]:
-        """The images of the split in the manifest, with pseudo-labels if the split is train."""
+        background = ImageTruth.of([], [])
+        items = [*labelled, *(LabelledImage(image, background, True, (_BACKGROUND_NOTE,)) for image in others)]
         if self.document.manifest:
             manifest = read_manifest(self.root / self.document.manifest)
             n_unlisted = sum(item.path.name not in manifest for item in items)
             if n_unlisted:
-                self.notes.append(f"Ignored {n_unlisted} images for '{split}' that are not in the manifest.")
+                self._notes.append(f"Ignored {n_unlisted} images for '{split}' that are not in the manifest.")
             items = of_split(items, manifest, split)
-        if self.document.labels_pseudo and split == "train" and not self.is_alone:
-            folder = self._folder(self.document.labels_pseudo)
-            reader, known = YoloLabelReader(self.names), self._known_classes()
-            items = [_with_pseudo_labels(item, folder / f"{item.path.stem}.txt", reader, known) for item in items]
+        if self.document.labels_pseudo and split == "train" and not self._is_alone:
+            known = self._known_classes()
+            items = [self._with_pseudo_labels(item, known) for item in items]
         return items
 
-    def _known_classes(self) -> BoolArray | None:
-        """(8,) road classes of the detector that made the pseudo-labels; None = their scores are no probabilities.
-
-        Raises:
-            LabelFileError: a name is not one of the road classes.
-        """
-        if self.document.pseudo_scores != "probabilities":
-            if self.document.pseudo_names is not None:
-                raise LabelFileError(f"{self.path}: pseudo_names: expected `pseudo_scores: probabilities` with it.")
-            return None
-        names = self.names if self.document.pseudo_names is None else self.document.pseudo_names
-        road = map_to_road_classes(names)
-        if self.document.pseudo_names is not None and (road < 0).any():
-            name = names[int((road < 0).argmax())]
-            raise LabelFileError(f"{self.path}: pseudo_names: expected road classes, found {quoted(name)}.")
-        return np.isin(np.arange(len(ROAD_CLASSES)), road)
-
-    def _listed(self, file: Path, split: str) -> list[LabelledImage]:
+    def _listed_in(self, file: Path, split: str) -> list[LabelledImage]:
         """The images listed in a text file, with paths relative to the file or to the root."""
         text = read_text(file, LabelFileError, "a list of images", max_bytes=MAX_TABLE_BYTES)
         lines = [line.strip() for line in text.splitlines() if line.strip()]
@@ -350,8 +288,20 @@ class _Reader:
             raise LabelFileError(f"{file}: {len(missing)} images do not exist; the first: {shortened(missing[0])}.")
         listed = {real_path(path) for path in paths}
         folders = list(dict.fromkeys(path.parent for path in paths))
-        items = [item for folder in folders for item in self._of(str(folder.absolute()), split)]
+        items = [item for folder in folders for item in self._entry(str(folder.absolute()), split)]
         return [item for item in items if real_path(item.path) in listed]
+
+    def _nested(self, path: Path, split: str) -> list[LabelledImage]:
+        """The same split of another data.yaml; classes that it does not name are marked as not labelled."""
+        if self._is_alone:
+            self._notes.append(f"Left out the images of {path} for '{split}', which have separate pseudo-labels.")
+            return []
+        data = read_data_yaml(path, within=self._within)
+        named = np.isin(np.arange(len(ROAD_CLASSES)), data.road_class_id)
+        return [
+            replace(item, truth=replace(item.truth, is_complete=item.truth.is_complete & named))
+            for item in (data.train if split == "train" else data.val)
+        ]
 
     def _labels_of(self, images: Path) -> Path:
         """Folder of the label files for a folder of images."""
@@ -359,20 +309,64 @@ class _Reader:
             return self._folder(self.document.labels)
         parts = list(images.parts)
         if "images" in parts:
-            last = len(parts) - 1 - parts[::-1].index("images")
-            parts[last] = "labels"
+            parts[len(parts) - 1 - parts[::-1].index("images")] = "labels"
         folder = Path(*parts)
         if not os.path.isdir(folder):
             raise LabelFileError(
-                f"{folder}: expected a folder of labels, found none; specify it with 'labels:' in {self.path.name}."
+                f"{folder}: expected a folder of labels, found none; specify it with 'labels:' in {self._path.name}."
             )
         return folder
 
     def _folder(self, entry: str) -> Path:
         folder = self.root / entry
         if not os.path.isdir(folder):
-            raise LabelFileError(f"{self.path}: expected a folder {shortened(str(folder), _MAX_SHOWN)}, found none.")
+            raise LabelFileError(f"{self._path}: expected a folder {shortened(str(folder), _MAX_SHOWN)}, found none.")
         return folder
+
+    def _known_classes(self) -> BoolArray | None:
+        """(8,) road classes of the detector that made the pseudo-labels; None = their scores are no probabilities."""
+        pseudo_names = self.document.pseudo_names
+        if self.document.pseudo_scores != "probabilities":
+            if pseudo_names is not None:
+                raise LabelFileError(f"{self._path}: pseudo_names: expected `pseudo_scores: probabilities` with it.")
+            return None
+        names = self.names if pseudo_names is None else pseudo_names
+        road = map_to_road_classes(names)
+        if pseudo_names is not None and (road < 0).any():
+            name = names[int((road < 0).argmax())]
+            raise LabelFileError(f"{self._path}: pseudo_names: expected road classes, found {quoted(name)}.")
+        return np.isin(np.arange(len(ROAD_CLASSES)), road)
+
+    def pseudo_labels_of(self, item: LabelledImage) -> tuple[Path, YoloLabels]:
+        """The file of an image's pseudo-labels and its content; there are none if it does not exist."""
+        file = self._folder(self.document.labels_pseudo or "") / f"{item.path.stem}.txt"
+        if not file.is_file():
+            return file, YoloLabels(np.zeros((0, 4)), np.zeros(0, np.int64), np.zeros(0), ())
+        return file, YoloLabelReader(self.names).read(file)
+
+    def _with_pseudo_labels(self, item: LabelledImage, known: BoolArray | None) -> LabelledImage:
+        """The image with its pseudo-labels added to its labels.
+
+        `known` (8,) are the classes that count as completely labelled with them, whose scores are probabilities; None =
+        scores are compared with thresholds.
+        """
+        truth, is_soft = item.truth, known is not None
+        file, pseudo = self.pseudo_labels_of(item)
+        if is_soft and (pseudo.score > 1).any():
+            raise LabelFileError(f"{file}: expected probabilities of at most 1, found {pseudo.score.max():g}.")
+        is_new = iou(pseudo.xyxy, truth.xyxy_px).max(axis=1, initial=0.0) < _SAME_OBJECT_IOU
+        class_id, score = pseudo.class_id[is_new], pseudo.score[is_new]
+        min_score = np.where(class_id == _CAR, _MIN_CAR_SCORE, _MIN_SCORE)
+        is_object = (is_soft | (score >= min_score)) & ~truth.is_complete[class_id]
+        combined = ImageTruth(
+            np.concatenate([truth.xyxy_px, pseudo.xyxy[is_new]]),
+            np.concatenate([truth.class_id, class_id]),
+            np.concatenate([truth.is_ignored, ~is_object]),
+            np.concatenate([truth.is_region, np.zeros(len(is_object), np.bool_)]),
+            truth.is_complete if known is None else truth.is_complete | known,
+            np.concatenate([truth.confidence, score if is_soft else np.ones(len(is_object))]),
+        )
+        return replace(item, truth=combined)
 
 
 def _first_of_each(items: Sequence[LabelledImage]) -> list[LabelledImage]:
@@ -380,79 +374,10 @@ def _first_of_each(items: Sequence[LabelledImage]) -> list[LabelledImage]:
     return list({real_path(item.path): item for item in reversed(items)}.values())[::-1]
 
 
-def _content(path: Path) -> dict[Any, Any]:
-    """Keys of a data.yaml with values; keys without a value are left out.
-
-    Raises:
-        LabelFileError: the file cannot be read, or has no keys.
-    """
-    content = read_yaml(path, LabelFileError, "a data.yaml with the keys train, val and names")
-    if not isinstance(content, dict):
-        raise LabelFileError(f"{path}: expected the keys train, val and names, found {quoted(content)}.")
-    return {key: value for key, value in content.items() if value is not None}
-
-
 def _with_sitting_persons(item: LabelledImage) -> LabelledImage:
-    """The image with KITTI's Person_sitting, which its evaluation ignores, as persons.
-
-    Raises:
-        LabelFileError: a box is empty or has values that are not finite.
-    """
+    """The image with KITTI's Person_sitting, which its evaluation ignores, as persons."""
     truth = item.truth
     if not are_valid_boxes(truth.xyxy_px).all():
         raise LabelFileError(f"{item.path}: labels: expected finite boxes with a positive width and height.")
-    is_sitting = (truth.class_id == ROAD_CLASSES.index("person")) & truth.is_ignored & ~truth.is_region
+    is_sitting = (truth.class_id == _PERSON) & truth.is_ignored & ~truth.is_region
     return replace(item, truth=replace(truth, is_ignored=truth.is_ignored & ~is_sitting))
-
-
-def _background(images: Path, labelled: set[Path]) -> list[LabelledImage]:
-    """The images of a folder that have no label file, as images without objects."""
-    empty = ImageTruth.of([], [])
-    return [LabelledImage(path, empty, True, (_BACKGROUND_NOTE,)) for path in images_in(images) if path not in labelled]
-
-
-def _with_pseudo_labels(
-    item: LabelledImage, file: Path, reader: YoloLabelReader, known: BoolArray | None
-) -> LabelledImage:
-    """The image with the pseudo-labels of a file added to its labels.
-
-    Args:
-        item: the image.
-        file: the pseudo-labels; if it does not exist, there are none.
-        reader: reader of the file.
-        known: (8,) classes that count as completely labelled with them, whose scores are probabilities; None = scores
-            are compared with thresholds.
-    """
-    truth, is_soft = item.truth, known is not None
-    is_complete = truth.is_complete if known is None else truth.is_complete | known
-    if not file.is_file():
-        return replace(item, truth=replace(truth, is_complete=is_complete))
-    pseudo = reader.read(file)
-    if is_soft and (pseudo.score > 1).any():
-        raise LabelFileError(f"{file}: expected probabilities of at most 1, found {pseudo.score.max():g}.")
-    is_new = iou(pseudo.xyxy, truth.xyxy_px).max(axis=1, initial=0.0) < _SAME_OBJECT_IOU
-    pseudo = replace(pseudo, xyxy=pseudo.xyxy[is_new], class_id=pseudo.class_id[is_new], score=pseudo.score[is_new])
-    min_score = np.where(pseudo.class_id == ROAD_CLASSES.index("car"), _MIN_CAR_SCORE, _MIN_SCORE)
-    is_object = (is_soft | (pseudo.score >= min_score)) & ~truth.is_complete[pseudo.class_id]
-    boxes = np.concatenate([truth.xyxy_px, pseudo.xyxy])
-    combined = ImageTruth(
-        boxes,
-        np.concatenate([truth.class_id, pseudo.class_id]),
-        np.concatenate([truth.is_ignored, ~is_object]),
-        np.concatenate([truth.is_region, np.zeros(len(is_object), np.bool_)]),
-        is_complete,
-        np.concatenate([truth.confidence, pseudo.score if is_soft else np.ones(len(is_object))]),
-    )
-    return replace(item, truth=combined)
-
-
-def _summarised(items: Sequence[LabelledImage]) -> list[str]:
-    """One note for each kind of note of the images, with the first example."""
-    n_background = sum(_BACKGROUND_NOTE in item.notes for item in items)
-    other = [note for item in items for note in item.notes if note != _BACKGROUND_NOTE]
-    notes = []
-    if n_background:
-        notes.append(f"{n_background} images have no label file and are used as background.")
-    if other:
-        notes.append(f"{len(other)} labelled boxes are empty or extend beyond their image; the first: {other[0]}")
-    return notes

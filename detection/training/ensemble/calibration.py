@@ -31,8 +31,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 MIN_POSITIVES = 20
 """Minimum number of matches to fit a class; others have the mean coefficients of the classes that are fitted."""
 
-N_BINS = 5
-"""Number of bins of probability in which the calibration is verified."""
+N_BINS = 5  # of probability, in which the calibration is verified
 
 _LOWEST, _HIGHEST = 0.01, 0.99
 """Limits of the scores, so that log-odds are finite; a detector without a box has the lowest one."""
@@ -41,10 +40,8 @@ _RIDGE = 1e-3
 """Factor lambda of the ridge penalty: the fit has a solution also where matches are separated by the scores."""
 
 _FIRST_WEIGHT = 0.4
-"""Initial value of the weights in the optimisation."""
 
-_MATCH_IOU = 0.5
-"""Minimum IoU of a fused box with the label of the same object."""
+_MATCH_IOU = 0.5  # of a fused box with the label of the same object
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +81,9 @@ class EnsembleCalibration:
 def samples(
     images: Sequence[tuple[FusedBoxes, ImageTruth]], *, n_detectors: int, is_labelled: BoolArray
 ) -> list[Samples]:
-    """The samples of each road class.
+    """The samples of each road class, from fused boxes and labels of each image as fractions of its size.
 
-    Args:
-        images: fused boxes and labels of each image, the labels as fractions of the image size.
-        n_detectors: number of detectors.
-        is_labelled: (8,) classes that the labels have; there are no samples of others.
+    `is_labelled` (8,) are the classes that the labels have; there are no samples of others.
     """
     listed = []
     for class_id in range(len(ROAD_CLASSES)):
@@ -127,11 +121,7 @@ def fit_calibration(by_class: Sequence[Samples], is_known: BoolArray) -> Ensembl
     """Coefficients fitted to the samples of each road class; None if no class has enough matches.
 
     A class with fewer than `MIN_POSITIVES` matches has the mean coefficients of the others; the weights of detectors
-    that do not know it are distributed over those that do.
-
-    Args:
-        by_class: samples of each of the 8 road classes.
-        is_known: (D, 8) classes that each detector knows.
+    that do not know it are distributed over those that do. `is_known` (D, 8) are the classes that each detector knows.
     """
     n_positives = np.array([np.count_nonzero(of_class.is_match) for of_class in by_class])
     is_fitted = (n_positives >= MIN_POSITIVES) & is_known.any(axis=0)
@@ -165,7 +155,6 @@ def _is_detected(score: FloatArray) -> BoolArray:
 
 
 def _logistic_regression(of_class: Samples, is_known: BoolArray) -> tuple[float, FloatArray]:
-    """Intercept and non-negative weights (D,) that maximise the penalised likelihood."""
     x = logit(np.clip(of_class.score, _LOWEST, _HIGHEST))
     design, y = np.column_stack([x, np.ones(len(x))]), of_class.is_match.astype(np.float64)
 

@@ -20,8 +20,6 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.evaluation.score_calibration import Reliability
 from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.image_labels.image_truth import ImageTruth
-from track_range.detection.formats.image_labels.labelled_images import LabelledImage
 from track_range.detection.training.data.data_yaml import OwnLabels
 from track_range.detection.training.ensemble.calibration import (
     MIN_POSITIVES,
@@ -31,7 +29,7 @@ from track_range.detection.training.ensemble.calibration import (
     samples,
 )
 from track_range.detection.training.ensemble.fusion import FusedBoxes, fuse
-from track_range.detection.training.ensemble.pseudo_labels import PseudoLabels, pseudo_labels
+from track_range.detection.training.ensemble.pseudo_labels import pseudo_labels
 from track_range.detection.training.ensemble.views import EnsembleMember
 from track_range.detection.training.errors import TrainingError
 from track_range.foundation.arrays import BoolArray, IntArray
@@ -42,7 +40,6 @@ DETECTIONS = "detections"
 """Folder of the detectors' boxes in the folder of pseudo-labels, while a run is not finished."""
 
 COUNTED_PROBABILITIES = (0.1, 0.3, 0.6)
-"""Minimum probabilities for which pseudo-labels are counted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +63,7 @@ class PseudoLabelFigures:
 
 
 def usable_classes(data: OwnLabels, members: Sequence[EnsembleMember]) -> BoolArray:
-    """(D, 8) named road classes that each detector knows.
-
-    Raises:
-        LabelFileError: the detectors know none of the names, or there are too few labels to fit probabilities.
-    """
+    """(D, 8) named road classes that each detector knows; LabelFileError if none, or too few labels to fit."""
     usable = np.array([member.is_known & data.is_named for member in members])
     if not usable.any():
         raise LabelFileError(
@@ -104,8 +97,8 @@ def label_training_images(
         members: the detectors, which have stored the boxes of all images (`views.store_missing`).
         out: an existing folder.
         unreadable: images that are left out.
-        min_probability: minimum probability of pseudo-labels of classes that are not completely labelled.
-        progress: callback after each image with the number of images whose boxes are fused, and their total.
+        min_probability: that of pseudo-labels of classes that are not completely labelled.
+        progress: called after each image with the number of images whose boxes are fused, and their total.
 
     Raises:
         LabelFileError: too few fused boxes match labels to fit probabilities, or the detectors know no class.
@@ -120,7 +113,8 @@ def label_training_images(
     for item in (*train, *val):
         fused.append(fuse([member.boxes(item.path) for member in members]))
         progress(len(fused), len(train) + len(val))
-    fitted = samples(_pairs(fused[: len(train)], train), n_detectors=len(members), is_labelled=data.is_named)
+    pairs = [(boxes, item.truth) for boxes, item in zip(fused, (*train, *val), strict=True)]
+    fitted = samples(pairs[: len(train)], n_detectors=len(members), is_labelled=data.is_named)
     calibration = fit_calibration(fitted, usable)
     if calibration is None:
         most = max(int(np.count_nonzero(of_class.is_match)) for of_class in fitted)
@@ -128,7 +122,7 @@ def label_training_images(
             f"{data.path}: expected at least {MIN_POSITIVES} labels of a completely labelled class that the detectors "
             f"find, to fit probabilities; found {most}; use other detectors or labels with --resume, or delete --out."
         )
-    verified = samples(_pairs(fused[len(train) :], val), n_detectors=len(members), is_labelled=data.is_named)
+    verified = samples(pairs[len(train) :], n_detectors=len(members), is_labelled=data.is_named)
     validation = {
         class_id: reliability(calibration, of_class, class_id)
         for class_id, of_class in enumerate(verified)
@@ -145,8 +139,14 @@ def label_training_images(
             other=None if data.labels_pseudo is None else data.labels_pseudo[item.path],
             min_probability=min_probability,
         )
-        _write(out / f"{item.path.stem}.txt", labels.as_text(data.names))
-        _count(labels, n_labels, n_ignored)
+        file = out / f"{item.path.stem}.txt"
+        try:
+            write_text(file, labels.as_text(data.names), is_flushed=False)
+        except OSError as error:
+            raise TrainingError(f"{file}: cannot be written ({describe(error)}).") from error
+        np.add.at(n_ignored, labels.class_id[labels.is_ignored], 1)
+        for i, minimum in enumerate(COUNTED_PROBABILITIES):
+            np.add.at(n_labels[:, i], labels.class_id[~labels.is_ignored & (labels.probability >= minimum)], 1)
     return PseudoLabelFigures(np.flatnonzero(is_known), n_labels, n_ignored, calibration, validation)
 
 
@@ -154,21 +154,3 @@ def is_validated_on_training_images(data: OwnLabels) -> bool:
     """Whether validation images are training images too, so that the calibration is not verified independently."""
     train = {real_path(item.path) for item in data.train}
     return any(real_path(item.path) in train for item in data.val)
-
-
-def _pairs(fused: Sequence[FusedBoxes], items: Sequence[LabelledImage]) -> list[tuple[FusedBoxes, ImageTruth]]:
-    return [(boxes, item.truth) for boxes, item in zip(fused, items, strict=True)]
-
-
-def _count(labels: PseudoLabels, n_labels: IntArray, n_ignored: IntArray) -> None:
-    """Add the pseudo-labels of one image to the numbers by class."""
-    np.add.at(n_ignored, labels.class_id[labels.is_ignored], 1)
-    for i, minimum in enumerate(COUNTED_PROBABILITIES):
-        np.add.at(n_labels[:, i], labels.class_id[~labels.is_ignored & (labels.probability >= minimum)], 1)
-
-
-def _write(file: Path, text: str) -> None:
-    try:
-        write_text(file, text, is_flushed=False)
-    except OSError as error:
-        raise TrainingError(f"{file}: cannot be written ({describe(error)}).") from error

@@ -62,9 +62,8 @@ class PseudoLabels:
     def __post_init__(self) -> None:
         n = len(self.class_id)
         check_shape("xyxy", self.xyxy, (n, 4))
-        check_shape("class_id", self.class_id, (n,))
-        check_shape("probability", self.probability, (n,))
-        check_shape("is_ignored", self.is_ignored, (n,))
+        for name in ("probability", "is_ignored"):
+            check_shape(name, getattr(self, name), (n,))
 
     def as_text(self, names: Sequence[str]) -> str:
         """Lines `class cx cy w h probability` with the class numbers of `names`, without classes that have no name."""
@@ -95,8 +94,8 @@ def pseudo_labels(
         probability: (K, 8) their probabilities by class.
         truth: labels of the image, as fractions of its size, and which classes are completely labelled.
         is_known: (8,) classes that a detector of the ensemble knows; its boxes of others are not used.
-        other: detections of a detector that is not at hand, on the same image; None = there is none.
-        min_probability: minimum probability of pseudo-labels of classes that are not completely labelled.
+        other: detections of a detector that is not at hand, on the same image.
+        min_probability: that of pseudo-labels of classes that are not completely labelled.
     """
     is_open = is_known & ~truth.is_complete
     q = probability
@@ -119,10 +118,7 @@ def pseudo_labels(
 
 
 def _combined(xyxy: FloatArray, probability: FloatArray, other: YoloLabels) -> FloatArray:
-    """(K, 8) mean log-odds of the probabilities (K, 8) of fused boxes (K, 4) and those of another detector.
-
-    Zero where neither has detected the class.
-    """
+    """(K, 8) mean log-odds of the fused boxes' probabilities and another detector's; 0 where neither has the class."""
     other_score = np.zeros((len(xyxy), len(ROAD_CLASSES)))
     box, detection = np.nonzero(iou(xyxy, other.xyxy) > _SAME_OBJECT_IOU)
     np.maximum.at(other_score, (box, other.class_id[detection]), other.score[detection])

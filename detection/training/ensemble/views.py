@@ -20,8 +20,7 @@ from track_range.foundation.files.array_files import read_array
 from track_range.foundation.files.atomic_files import atomic_path, describe
 from track_range.foundation.files.input_files import real_path
 
-N_VIEWS = 2
-"""Number of views of an image: the image and its mirror image."""
+N_VIEWS = 2  # the image and its mirror image
 
 MIN_SCORE = 0.02
 """Lowest score of the boxes; low, since calibration decides what the scores mean."""
@@ -29,11 +28,9 @@ MIN_SCORE = 0.02
 _MAX_IOU, _MAX_BOXES = 0.6, 200
 """IoU threshold of non-maximum suppression, and largest number of boxes per view; the fusion merges what remains."""
 
-_MIN_SIDE_PX = 2.0
-"""Minimum width and height of a box in pixels of the image."""
+_MIN_SIDE_PX = 2.0  # of a box in pixels of the image
 
-_N_COLUMNS = 6
-"""Number of columns of stored boxes: xyxy, score, class_id."""
+_N_COLUMNS = 6  # of stored boxes: xyxy, score, class_id
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +82,6 @@ class EnsembleMember:
             stored: folder for the boxes of all members, which does not need to exist.
             size_px: longer side of a network's input of variable size; None = that in the model file, else 640.
             runtime: device and threads.
-
-        Raises:
-            ModelError: the model cannot be used, or has no road classes.
         """
         settings = YoloSettings(min_score=MIN_SCORE, max_iou=_MAX_IOU, max_boxes=_MAX_BOXES, size_px=size_px)
         self._detector = YoloDetector(path, settings, runtime=runtime)
@@ -106,12 +100,7 @@ class EnsembleMember:
         return self._file(image_file).is_file()
 
     def store_boxes(self, image_file: Path, image: Image) -> None:
-        """Run the detector on both views of an image, and store the boxes.
-
-        Raises:
-            ModelError: running the network failed.
-            TrainingError: the boxes cannot be written.
-        """
+        """Run the detector on both views of an image, and store the boxes; TrainingError if they cannot be written."""
         boxes = detect_views(self._detector, image)
         rows = np.column_stack([boxes.xyxy, boxes.score, boxes.class_id]).astype(np.float32)
         file = self._file(image_file)
@@ -123,11 +112,7 @@ class EnsembleMember:
             raise TrainingError(f"{file}: cannot be written ({describe(error)}).") from error
 
     def boxes(self, image_file: Path) -> ViewBoxes:
-        """The stored boxes of an image.
-
-        Raises:
-            TrainingError: they were not stored, or the file is damaged.
-        """
+        """The stored boxes of an image; TrainingError if they were not stored, or the file is damaged."""
         file = self._file(image_file)
         rows: FloatArray32 = read_array(file, TrainingError, "the boxes of a detector")
         is_valid = rows.ndim == 2 and rows.shape[1] == _N_COLUMNS and np.isfinite(rows).all()
@@ -154,14 +139,10 @@ def store_missing(
 ) -> dict[Path, str]:
     """Run the detectors on the images whose boxes are not stored; returns the reason for each unreadable image.
 
-    Args:
-        image_files: the images.
-        members: the detectors.
-        progress: callback after each image with the number of finished images and their total.
+    `progress` is called after each image with the number of finished images and their total.
 
     Raises:
         ImageFileError: none of the images can be read.
-        ModelError, TrainingError: see `EnsembleMember.store_boxes`.
     """
     unreadable: dict[Path, str] = {}
     for done, file in enumerate(image_files, start=1):

@@ -19,21 +19,18 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from track_range.detection.training.losses.assignment import LabelledObjects
+from track_range.detection.training.losses.assignment import LabelledObjects, Rows
 from track_range.detection.training.losses.box_losses import pair_iou
 
-_N_POSITIVES = 10
-"""Number of positive cells of an object."""
+_N_POSITIVES = 10  # cells of an object
 
-_BETA = 6.0
-"""Exponent of the IoU in the alignment a."""
+_BETA = 6.0  # exponent of the IoU in the alignment a
 
-_EPSILON = 1e-9
-"""Number added to the largest a of an object, which is 0 if no predicted box overlaps it."""
+_EPSILON = 1e-9  # added to the largest a of an object, which is 0 if no predicted box overlaps it
 
 
 @dataclass(frozen=True, slots=True)
-class AlignedCells:
+class AlignedCells(Rows):
     """P positive cells.
 
     Attributes:
@@ -48,10 +45,6 @@ class AlignedCells:
     object_index: Tensor
     target: Tensor
     has_box: Tensor
-
-    def select(self, index: Tensor) -> AlignedCells:
-        """The cells that indices or a mask (P,) select."""
-        return AlignedCells(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
 
 @torch.no_grad()

@@ -27,8 +27,7 @@ from track_range.detection.training.losses.box_losses import BOX_LOSSES, BoxLoss
 from track_range.detection.training.losses.detection_loss import Batch, Losses
 from track_range.detection.training.networks.road_net import N_BINS, RoadNet, boxes_of, split_outputs
 
-_BOX, _BINS, _CLASS = 7.5, 1.5, 0.5
-"""Weights of the three losses, as in YOLOv8."""
+_BOX, _BINS, _CLASS = 7.5, 1.5, 0.5  # as in YOLOv8
 
 _INCOMPLETE = 0.2
 """Weight of cells without an object, for classes that are not completely labelled."""
@@ -85,14 +84,7 @@ def _class_weight(batch: Batch, centre_px: Tensor, target: Tensor) -> Tensor:
 
 
 def _bins_loss(bins: Tensor, truth_cxcywh: Tensor, centre_px: Tensor, stride_px: Tensor) -> Tensor:
-    """(P,) distribution focal loss, mean over the sides, of P cells.
-
-    Args:
-        bins: (P, 4 bins) logits.
-        truth_cxcywh: (P, 4) true boxes.
-        centre_px: (P, 2) centres of the cells.
-        stride_px: (P,) sides of the cells.
-    """
+    """(P,) distribution focal loss, mean over the sides, of P cells with the logits `bins` (P, 4 bins)."""
     half = truth_cxcywh[:, 2:] / 2
     from_centre_px = truth_cxcywh[:, :2] - centre_px
     distance = torch.cat([half - from_centre_px, half + from_centre_px], 1) / stride_px[:, None]

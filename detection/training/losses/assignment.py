@@ -8,6 +8,7 @@ leave their cell uses no neighbours. (Jocher et al., "YOLOv5", utils/loss.py of 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -15,9 +16,27 @@ from torch import Tensor
 from track_range.detection.training.networks.network import AnchorNetwork
 
 
+class Rows:
+    """Parallel tensors with one row per item, the fields of a dataclass with slots."""
+
+    __slots__: tuple[str, ...] = ()
+
+    def select(self, index: Tensor) -> Self:
+        """The rows that indices or a mask select."""
+        return type(self)(*(getattr(self, name)[index] for name in self.__slots__))
+
+    def to(self, device: torch.device) -> Self:
+        """The rows on another device."""
+        return type(self)(*(getattr(self, name).to(device) for name in self.__slots__))
+
+    def concatenate(self, other: Self) -> Self:
+        """These rows followed by the other ones."""
+        return type(self)(*(torch.cat([getattr(self, name), getattr(other, name)]) for name in self.__slots__))
+
+
 @dataclass(frozen=True, slots=True)
-class LabelledObjects:
-    """Labelled objects of a batch of images.
+class LabelledObjects(Rows):
+    """T labelled objects of a batch of images.
 
     Attributes:
         image: (T,) int64 index of the image in the batch.
@@ -33,23 +52,10 @@ class LabelledObjects:
     is_ignored: Tensor
     confidence: Tensor
 
-    def to(self, device: torch.device) -> LabelledObjects:
-        """The objects on another device."""
-        return LabelledObjects(*(getattr(self, name).to(device) for name in self.__dataclass_fields__))
-
-    def select(self, index: Tensor) -> LabelledObjects:
-        """The objects that indices or a mask (T,) select."""
-        return LabelledObjects(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
-
 
 @dataclass(frozen=True, slots=True)
-class Cells:
-    """P positive cells of one head, with an anchor each.
-
-    Attributes:
-        image, anchor, row, column: (P,) int64 indices.
-        object_index: (P,) int64 index of the object.
-    """
+class Cells(Rows):
+    """P positive cells of one head, with an anchor each, and the object of each; (P,) int64 indices."""
 
     image: Tensor
     anchor: Tensor
@@ -57,13 +63,10 @@ class Cells:
     column: Tensor
     object_index: Tensor
 
-    def select(self, index: Tensor) -> Cells:
-        """The cells that indices or a mask (P,) select."""
-        return Cells(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
-
-    def concatenate(self, other: Cells) -> Cells:
-        """These cells followed by the other ones."""
-        return Cells(*(torch.cat([getattr(self, n), getattr(other, n)]) for n in self.__dataclass_fields__))
+    @property
+    def where(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Index of the cells in an array (B, A, rows, columns, ...)."""
+        return self.image, self.anchor, self.row, self.column
 
 
 def assign(objects: LabelledObjects, network: AnchorNetwork, head: int, grid_hw: tuple[int, int]) -> Cells:

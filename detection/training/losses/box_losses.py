@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -20,23 +19,7 @@ from torch import Tensor
 
 BoxLoss = Literal["ciou", "eiou"]
 
-_EPSILON = 1e-7
-"""Number added to denominators, to avoid division by zero for empty boxes."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Pair:
-    """Terms that CIoU and EIoU share, for P pairs of boxes.
-
-    Attributes:
-        iou: (P,) intersection over union.
-        centres: (P,) d^2 / c^2, squared distance between the centres over squared diagonal of the enclosing box.
-        enclosing: (P, 2) C_w and C_h, width and height of the smallest enclosing box.
-    """
-
-    iou: Tensor
-    centres: Tensor
-    enclosing: Tensor
+_EPSILON = 1e-7  # added to denominators, which are 0 for empty boxes
 
 
 def pair_iou(a_cxcywh: Tensor, b_cxcywh: Tensor) -> Tensor:
@@ -49,29 +32,30 @@ def pair_iou(a_cxcywh: Tensor, b_cxcywh: Tensor) -> Tensor:
 
 def ciou(a_cxcywh: Tensor, b_cxcywh: Tensor) -> Tensor:
     """(P,) complete IoU, at most 1, of P pairs of boxes (P, 4)."""
-    pair = _pair(a_cxcywh, b_cxcywh)
+    iou, centres, _ = _terms(a_cxcywh, b_cxcywh)
     angles = [torch.atan(box[:, 2] / (box[:, 3] + _EPSILON)) for box in (a_cxcywh, b_cxcywh)]
     v = (4 / math.pi**2) * (angles[1] - angles[0]) ** 2
     with torch.no_grad():
-        alpha = v / (1 - pair.iou + v + _EPSILON)
-    return pair.iou - pair.centres - alpha * v
+        alpha = v / (1 - iou + v + _EPSILON)
+    return iou - centres - alpha * v
 
 
 def eiou(a_cxcywh: Tensor, b_cxcywh: Tensor) -> Tensor:
     """(P,) efficient IoU, at most 1, of P pairs of boxes (P, 4)."""
-    pair = _pair(a_cxcywh, b_cxcywh)
-    sides = (a_cxcywh[:, 2:] - b_cxcywh[:, 2:]) ** 2 / (pair.enclosing**2 + _EPSILON)
-    return pair.iou - pair.centres - sides.sum(1)
+    iou, centres, enclosing = _terms(a_cxcywh, b_cxcywh)
+    sides = (a_cxcywh[:, 2:] - b_cxcywh[:, 2:]) ** 2 / (enclosing**2 + _EPSILON)
+    return iou - centres - sides.sum(1)
 
 
 BOX_LOSSES: Mapping[BoxLoss, Callable[[Tensor, Tensor], Tensor]] = {"ciou": ciou, "eiou": eiou}
 
 
-def _pair(a: Tensor, b: Tensor) -> _Pair:
+def _terms(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """(P,) IoU, (P,) d^2 / c^2 and (P, 2) C_w and C_h of P pairs of boxes."""
     (a1, a2), (b1, b2) = _corners(a), _corners(b)
     enclosing = torch.maximum(a2, b2) - torch.minimum(a1, b1)
     distance = ((a[:, :2] - b[:, :2]) ** 2).sum(1)
-    return _Pair(pair_iou(a, b), distance / ((enclosing**2).sum(1) + _EPSILON), enclosing)
+    return pair_iou(a, b), distance / ((enclosing**2).sum(1) + _EPSILON), enclosing
 
 
 def _corners(cxcywh: Tensor) -> tuple[Tensor, Tensor]:

@@ -25,14 +25,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits as cross_entropy
+from torch.nn.functional import one_hot
 
-from track_range.detection.training.losses.assignment import Cells, LabelledObjects, assign
+from track_range.detection.training.losses.assignment import LabelledObjects, Rows, assign
 from track_range.detection.training.losses.box_losses import BOX_LOSSES, BoxLoss
 from track_range.detection.training.networks.network import AnchorNetwork
 from track_range.detection.training.teacher import TeacherOutputs
 
-_BOX, _OBJECTNESS, _CLASS = 0.05, 1.0, 0.5
-"""Weights of the three losses, as in YOLOv5."""
+_BOX, _OBJECTNESS, _CLASS = 0.05, 1.0, 0.5  # as in YOLOv5
 
 _BALANCE = {8: 4.0, 16: 1.0, 32: 0.4}
 """g_h: weight of a head's objectness loss by stride in pixels, as in YOLOv5."""
@@ -42,7 +42,7 @@ _SAME_OBJECT_IOU = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Completeness:
+class Completeness(Rows):
     """Completely labelled classes, by quarter of each image in a batch.
 
     Attributes:
@@ -52,10 +52,6 @@ class Completeness:
 
     flags: Tensor
     meeting_xy: Tensor
-
-    def to(self, device: torch.device) -> Completeness:
-        """The flags on another device."""
-        return Completeness(self.flags.to(device), self.meeting_xy.to(device))
 
     def at(self, image: Tensor, xy: Tensor, class_index: Tensor) -> Tensor:
         """(P,) whether classes (P,) are completely labelled at points (P, 2) of images (P,)."""
@@ -69,8 +65,6 @@ class Batch:
 
     Attributes:
         images: (B, 3, H, W) uint8 RGB.
-        objects: labels of the images.
-        complete: which classes are completely labelled.
         teacher: outputs of the teacher for each head; None = no teacher.
     """
 
@@ -85,30 +79,25 @@ Losses = Mapping[str, Tensor]
 
 
 @dataclass(frozen=True, slots=True)
-class _Positives:
+class _Positives(Rows):
     """P positive cells of one head, from labels and teacher, and their targets.
 
     Attributes:
-        cells: the cells; `object_index` is not used.
+        image, anchor, row, column: (P,) int64 indices of the cells.
         cxcywh: (P, 4) target boxes.
         class_score: (P, C) target class scores.
         weight: (P,) weight in the loss.
         is_label: (P,) the target is a label, so that the target of the objectness is the overlap of the boxes.
     """
 
-    cells: Cells
+    image: Tensor
+    anchor: Tensor
+    row: Tensor
+    column: Tensor
     cxcywh: Tensor
     class_score: Tensor
     weight: Tensor
     is_label: Tensor
-
-    def concatenate(self, other: _Positives) -> _Positives:
-        """These positives followed by the other ones."""
-        rest = ("cxcywh", "class_score", "weight", "is_label")
-        return _Positives(
-            self.cells.concatenate(other.cells),
-            *(torch.cat([getattr(self, name), getattr(other, name)]) for name in rest),
-        )
 
 
 class DetectionLoss:
@@ -142,17 +131,22 @@ class DetectionLoss:
         network = self._network
         stride_px = network.strides_px[head]
         cells = assign(labels, network, head, (raw.shape[2], raw.shape[3]))
-        positives = _of_labels(cells, labels, network.n_classes)
+        scores = one_hot(labels.class_index[cells.object_index], network.n_classes).float()
+        ones = torch.ones(len(cells.object_index), device=raw.device)
+        positives = _Positives(*cells.where, labels.cxcywh[cells.object_index], scores, ones, ones.bool())
         target = torch.zeros(raw.shape[:4], device=raw.device)
         if teacher is not None:
             teacher = _corrected(teacher, batch.objects, batch.complete)
             target = teacher.objectness
-            positives = positives.concatenate(_of_teacher(teacher))
-        cells = positives.cells
-        where = (cells.image, cells.anchor, cells.row, cells.column)
+            weight, boxes = teacher.objectness[teacher.cells.where], teacher.cxcywh
+            no_label = torch.zeros_like(weight).bool()
+            positives = positives.concatenate(
+                _Positives(*teacher.cells.where, boxes, teacher.class_score, weight, no_label)
+            )
+        where = (positives.image, positives.anchor, positives.row, positives.column)
         predictions = raw[where]
-        cells_xy = torch.stack([cells.column, cells.row], 1).float()
-        boxes = network.boxes(predictions[:, :4], cells_xy, network.anchors_px[head][cells.anchor], stride_px)
+        cells_xy = torch.stack([positives.column, positives.row], 1).float()
+        boxes = network.boxes(predictions[:, :4], cells_xy, network.anchors_px[head][positives.anchor], stride_px)
         overlap = self._overlap(boxes, positives.cxcywh)
         total = positives.weight.sum().clamp(min=1e-6)
         box = ((1 - overlap) * positives.weight).sum() / total
@@ -166,20 +160,6 @@ class DetectionLoss:
         mask = _objectness_mask(raw, stride_px, batch.objects, of_labels)
         objectness = (entropy * mask).sum() / mask.sum().clamp(min=1)
         return box, _BALANCE[stride_px] * objectness, class_score
-
-
-def _of_labels(cells: Cells, labels: LabelledObjects, n_classes: int) -> _Positives:
-    """The positives of labels, from the cells assigned to them."""
-    scores = torch.nn.functional.one_hot(labels.class_index[cells.object_index], n_classes).float()
-    ones = torch.ones(len(cells.object_index), device=scores.device)
-    return _Positives(cells, labels.cxcywh[cells.object_index], scores, ones, ones.bool())
-
-
-def _of_teacher(teacher: TeacherOutputs) -> _Positives:
-    """The positives of a teacher, from its confident cells."""
-    cells = teacher.cells
-    weight = teacher.objectness[cells.image, cells.anchor, cells.row, cells.column]
-    return _Positives(cells, teacher.cxcywh, teacher.class_score, weight, torch.zeros_like(weight).bool())
 
 
 def _objectness_mask(raw: Tensor, stride_px: int, objects: LabelledObjects, positive: tuple[Tensor, ...]) -> Tensor:
@@ -203,10 +183,10 @@ def _corrected(teacher: TeacherOutputs, objects: LabelledObjects, complete: Comp
     class_index = teacher.class_score.argmax(1)
     is_false = ~is_labelled & ~is_ignored & complete.at(cells.image, teacher.cxcywh[:, :2], class_index)
     objectness, boxes, scores = teacher.objectness.clone(), teacher.cxcywh.clone(), teacher.class_score.clone()
-    objectness[cells.image[is_false], cells.anchor[is_false], cells.row[is_false], cells.column[is_false]] = 0.0
+    objectness[cells.select(is_false).where] = 0.0
     label = label[is_labelled]
     boxes[is_labelled] = objects.cxcywh[label]
-    scores[is_labelled] = torch.nn.functional.one_hot(objects.class_index[label], n_classes).to(scores)
+    scores[is_labelled] = one_hot(objects.class_index[label], n_classes).to(scores)
     return TeacherOutputs(objectness, cells.select(~is_false), boxes[~is_false], scores[~is_false])
 
 
@@ -224,7 +204,7 @@ def _best_overlap(teacher: TeacherOutputs, objects: LabelledObjects, is_candidat
 
 
 def _iou(a_cxcywh: Tensor, b_cxcywh: Tensor) -> Tensor:
-    """(N, M) intersection over union of boxes (N, 4) and (M, 4)."""
+    """(N, M) IoU of boxes (N, 4) and (M, 4)."""
     (a1, a2), (b1, b2) = ((box[:, :2] - box[:, 2:] / 2, box[:, :2] + box[:, 2:] / 2) for box in (a_cxcywh, b_cxcywh))
     intersection = (torch.minimum(a2[:, None], b2[None]) - torch.maximum(a1[:, None], b1[None])).clamp(min=0).prod(2)
     area_a, area_b = a_cxcywh[:, 2:].prod(1), b_cxcywh[:, 2:].prod(1)

@@ -21,8 +21,7 @@ from torch import Tensor, nn
 from track_range.detection.training.networks.road_net import RoadNet
 from track_range.detection.training.teacher import Teacher
 
-_WEIGHT = 2.0
-"""Weight of the loss relative to those of boxes and classes."""
+_WEIGHT = 2.0  # relative to the losses of boxes and classes
 
 _RESOLUTION, _TINY = 1e-5, 1e-30
 """Standard deviation of a constant channel by rounding, as a fraction of its values, and the smallest variance."""
@@ -40,12 +39,10 @@ class FeatureLoss(nn.Module):
         )
 
     def forward(self, levels: Sequence[Tensor], images: Tensor) -> Tensor:
-        """The loss of a batch.
+        """The loss of a batch of RGB images (B, 3, H, W) in 0..1.
 
-        Args:
-            levels: (B, n, rows, columns) features of the student's neck at strides 8, 16, 32, and coarser ones, which
-                do not count.
-            images: (B, 3, H, W) RGB in 0..1.
+        `levels` are the features (B, n, rows, columns) of the student's neck at strides 8, 16, 32, and coarser ones,
+        which do not count.
         """
         pairs = zip(self.predictors, levels, self._teacher.features(images), strict=False)
         return _WEIGHT * torch.stack([(1 - correlation(own(level), of)).mean() for own, level, of in pairs]).sum()
@@ -58,7 +55,6 @@ def correlation(first: Tensor, second: Tensor) -> Tensor:
 
 
 def _standardised(values: Tensor) -> Tensor:
-    """The values with mean 0 and standard deviation 1 in each channel; 0 where a channel is constant."""
     centred = values - values.mean((0, 2, 3), keepdim=True)
     rounding = _RESOLUTION**2 * values.detach().square().mean((0, 2, 3), keepdim=True)
     return centred * (centred.square().mean((0, 2, 3), keepdim=True) + rounding + _TINY).rsqrt()

@@ -12,10 +12,8 @@ from track_range.detection.models.metadata import Anchors
 from track_range.foundation.arrays import FloatArray
 
 _MAX_ROUNDS = 300
-"""Largest number of iterations of a k-means run."""
 
-_N_STARTS = 5
-"""Number of k-means runs, of which the best is used."""
+_N_STARTS = 5  # k-means runs, of which the best is used
 
 
 def shape_iou(a_wh: FloatArray, b_wh: FloatArray) -> FloatArray:
@@ -30,11 +28,7 @@ def mean_best_iou(sizes_px: FloatArray, anchors_px: FloatArray) -> float:
 
 
 def kmeans_anchors(sizes_px: FloatArray, n_anchors: int, rng: np.random.Generator) -> FloatArray:
-    """(K, 2) anchors sorted by area, for box sizes (N, 2): the best of five k-means runs.
-
-    Raises:
-        ValueError: there are fewer different box sizes than anchors.
-    """
+    """(K, 2) anchors sorted by area, for box sizes (N, 2): the best of five runs. ValueError for fewer sizes than K."""
     n_sizes = len(np.unique(sizes_px, axis=0))
     if n_sizes < n_anchors:
         raise ValueError(f"expected at least {n_anchors} different box sizes for {n_anchors} anchors, got {n_sizes}.")
@@ -54,7 +48,6 @@ def as_text(anchors: Anchors) -> str:
 
 
 def _kmeans(sizes_px: FloatArray, n_anchors: int, rng: np.random.Generator) -> FloatArray:
-    """(K, 2) anchors from one k-means run with k-means++ initialisation."""
     chosen = [int(rng.integers(len(sizes_px)))]
     while len(chosen) < n_anchors:
         squared = (1 - shape_iou(sizes_px, sizes_px[chosen]).max(axis=1)) ** 2

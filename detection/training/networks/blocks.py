@@ -41,7 +41,6 @@ class ConvolutionBlock(nn.Module):
         return activated
 
     def _rounded(self, x: Tensor) -> Tensor:
-        """Output of the batch norm, with the rounding of the input, the weights and that output."""
         conv = self.conv
         y = nn.functional.conv2d(rounded_activations(x), rounded_weights(conv.weight), None, conv.stride, conv.padding)
         return rounded_activations(self.norm(y))

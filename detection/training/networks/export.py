@@ -22,8 +22,6 @@ _OPSET = 17
 
 
 class _Exported(nn.Module):
-    """A network with the outputs of its export."""
-
     def __init__(self, network: DetectionNetwork) -> None:
         super().__init__()
         self.network = network
@@ -34,11 +32,7 @@ class _Exported(nn.Module):
 
 
 def export_onnx(network: DetectionNetwork, out: Path, metadata: Mapping[str, object]) -> None:
-    """Write a network as an ONNX file with `metadata`, whose values are converted to JSON.
-
-    Raises:
-        ModelError: the network cannot be converted, or the file cannot be written.
-    """
+    """Write a network as an ONNX file with `metadata`, whose values are converted to JSON; ModelError if impossible."""
     exported = _Exported(copy.deepcopy(network)).cpu().float().eval()  # the network itself stays on its device
     image = torch.zeros(1, 3, 128, 160)
     with torch.no_grad():

@@ -84,7 +84,7 @@ class RoadNet(DetectionNetwork):
         """Scores (B, n, C) and logits of the bins (B, n, 4 bins) of each level with n cells: PicoDet's layout.
 
         The boxes of the few cells with high scores are decoded outside the network, see
-        `detection.yolo.distribution.DistributionDecoder`.
+        `detection.yolo.distribution.decode_distributions`.
         """
         rows = {stride: output.flatten(1, 2) for stride, output in zip(self.strides_px, raw, strict=True)}
         scores = {f"scores_{stride}": output[..., : -4 * N_BINS].sigmoid() for stride, output in rows.items()}

@@ -19,8 +19,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-_MIN_STEP = 1e-8
-"""Smallest step, for tensors whose values are all 0."""
+_MIN_STEP = 1e-8  # for tensors whose values are all 0
 
 
 def rounded_activations(x: Tensor) -> Tensor:

@@ -123,5 +123,4 @@ def background_head(n_in: int, n_anchors: int, n_classes: int, *, stride_px: int
 
 
 def _width(n_channels: int, scale: ModelScale) -> int:
-    """Number of channels at this width, rounded up to a multiple of 8."""
     return math.ceil(n_channels * scale.width / 8) * 8

@@ -7,24 +7,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.detection.detections import Detections
 from track_range.detection.formats.video_labels.mot import MotFormatError, MotRows, mot_lines, read_mot
-from track_range.tracking.tracks import Tracks
 
 
-def tracks_of(boxes: list[list[float]]) -> Tracks:
+def lines_of(boxes: list[list[float]], frame: int) -> list[str]:
     n = len(boxes)
-    detections = Detections.of(boxes, np.full(n, 0.875), np.zeros(n))
-    return Tracks(np.arange(1, n + 1), detections.xyxy_px, detections.class_id, detections.score, np.ones(n, bool))
+    return mot_lines(frame, np.arange(1, n + 1), np.array(boxes, np.float64).reshape(-1, 4), np.full(n, 0.875))
 
 
 def test_a_line_by_hand() -> None:
     # the centre of the first pixel is 0, 0 in track-range and 1, 1 in MOTChallenge
-    assert mot_lines(tracks_of([[2.5, 0.0, 5.5, 10.0]]), 0) == ["1,1,3.50,1.00,3.00,10.00,0.8750,-1,-1,-1\n"]
+    assert lines_of([[2.5, 0.0, 5.5, 10.0]], 0) == ["1,1,3.50,1.00,3.00,10.00,0.8750,-1,-1,-1\n"]
 
 
 def test_no_tracks_no_lines() -> None:
-    assert mot_lines(Tracks.empty(), 3) == []
+    assert lines_of([], 3) == []
 
 
 @given(box=st.tuples(*[st.floats(-100, 3000)] * 2, *[st.floats(0.1, 2000)] * 2), frame=st.integers(0, 10**6 - 1))
@@ -34,7 +31,7 @@ def test_written_then_read_is_the_same_box(
 ) -> None:
     x, y, w, h = box
     path = tmp_path_factory.getbasetemp() / "mot.txt"
-    path.write_text("".join(mot_lines(tracks_of([[x, y, x + w, y + h]]), frame)))
+    path.write_text("".join(lines_of([[x, y, x + w, y + h]], frame)))
     rows = read_mot(path)
     assert rows.frame.tolist() == [frame]
     np.testing.assert_allclose(rows.xyxy_px, [[x, y, x + w, y + h]], atol=0.0101)

@@ -88,7 +88,7 @@ class LabelledSource:
         manifest = read_manifest(self.manifest)
         if split_images := of_split(images, manifest, self.split):
             return split_images
-        splits = ", ".join(sorted({row.split for row in manifest.values()}))
+        splits = ", ".join(sorted({split for split, _ in manifest.values()}))
         raise LabelFileError(f"{self.manifest}: no image in the split '{self.split}'; splits in the file: {splits}.")
 
     def open(self) -> LabelledFrames:

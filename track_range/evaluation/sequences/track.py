@@ -163,7 +163,11 @@ def _track_one(
             advance=advance,
         )
     frames, notes = tracked.frames, (*recorded.notes, *tracked.notes)
-    lines = (line for index, tracks in enumerate(frames) for line in mot_lines(tracks, index))
+    lines = (
+        line
+        for index, tracks in enumerate(frames)
+        for line in mot_lines(index, tracks.track_id, tracks.xyxy_px, tracks.score)
+    )
     write_text(settings.out / MOT_FOLDER / f"{sequence.name}.txt", "".join(lines))
     if settings.kitti:
         notes = (*notes, *_write_kitti(frames, settings.out, sequence.name))

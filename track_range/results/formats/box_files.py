@@ -47,7 +47,8 @@ class MotWriter(RowWriter):
 
     def rows(self, result: FrameResult) -> str:
         """The tracks of a frame."""
-        return "".join(mot_lines(result.tracks, result.index))
+        tracks = result.tracks
+        return "".join(mot_lines(result.index, tracks.track_id, tracks.xyxy_px, tracks.score))
 
 
 class KittiWriter(RowWriter):
@@ -115,7 +116,7 @@ def table_of_rows(columns: Columns, camera: PinholeCamera | None, video: VideoFa
         observed=columns["observed"] != 0,
         distance_m=distance_m,
         sigma_m=columns.get("fused_sigma_m", np.full(len(boxes), np.nan)),
-        location_m=None if camera is None else _bottom_centres_m(boxes, distance_m, camera),
+        location_m=np.nan if camera is None else _bottom_centres_m(boxes, distance_m, camera),
         video=video,
     )
 

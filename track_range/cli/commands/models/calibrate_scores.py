@@ -30,7 +30,6 @@ from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.models.score_outputs import write_calibrated
 from track_range.detection.yolo.detector import YoloDetector
-from track_range.detection.yolo.distribution import DistributionDecoder
 from track_range.evaluation.sequences.labelled_images import LabelledFrames, LabelledSource
 from track_range.evaluation.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
 from track_range.foundation.files.input_files import counted
@@ -135,15 +134,14 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
         write_text(options.json_file, json.dumps(_figures(fit, before, after, len(truth)), indent=2) + "\n")
 
 
-def _score_outputs(detector: YoloDetector) -> list[int]:
+def _score_outputs(detector: YoloDetector) -> tuple[int, ...]:
     """Indices of the network's outputs that are class scores.
 
     Raises:
         ModelError: scores are not separate outputs.
     """
-    decoder = detector.model.decoder
-    if isinstance(decoder, DistributionDecoder) and all(lv.scores_output != lv.bins_output for lv in decoder.levels):
-        return [level.scores_output for level in decoder.levels]
+    if detector.model.score_outputs:
+        return detector.model.score_outputs
     raise ModelError(
         f"{detector.session.path}: expected a detector with separate outputs of the class scores, such as RoadNet, "
         f"found {detector.model.layout}; export it with separate outputs if its exporter can."

@@ -5,7 +5,7 @@ from __future__ import annotations
 from track_range.cli.commands.training.options import AnchorOptions
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
-from track_range.detection.training.requirements import check_torch
+from track_range.detection.training.errors import check_torch
 
 
 def _anchors(options: AnchorOptions) -> None:
