@@ -8,8 +8,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
-_MIN_AREA_PX2 = float(np.finfo(np.float64).tiny)
-"""Smallest divisor of an IoU, so that two empty boxes have an IoU of 0."""
+_MIN_AREA_PX2 = float(np.finfo(np.float64).tiny)  # smallest divisor of an IoU, so that two empty boxes have an IoU of 0
 
 _NMS_BLOCK = 128
 """Boxes per block of `nms`, chosen by measurement: larger blocks compare too many pairs, smaller ones add calls."""
@@ -128,13 +127,10 @@ def _overlap(a: FloatArray, b: FloatArray, *, max_iou: float) -> BoolArray:
 
 
 def _survivors(overlaps: BoolArray) -> BoolArray:
-    """(N,) mask of the boxes that survive greedy suppression.
+    """(N,) mask of the boxes that survive greedy suppression, from their overlaps (N, N) in order of decreasing score.
 
     A box survives if no surviving box with a higher score overlaps it. Starting with all boxes, this rule is applied
     until nothing changes: after k rounds the first k boxes are final, and in practice a few rounds suffice.
-
-    Args:
-        overlaps: (N, N) whether two boxes overlap too much, in order of decreasing score.
     """
     better_overlaps = np.triu(overlaps, 1)
     survives: BoolArray = np.ones(len(overlaps), np.bool_)

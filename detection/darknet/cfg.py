@@ -21,7 +21,6 @@ from track_range.foundation.files.numeric_text import number, numbers
 _ALIASES = {"network": "net", "conv": "convolutional", "max": "maxpool"}
 
 _MAX_INTEGER = 65535  # numbers of pixels, channels and layers are smaller
-
 _MAX_NUMBER = 1e10  # Darknet's default of share_index is -1,000,000,000
 
 _INTEGER = re.compile(r"[+-]?[0-9]+")
@@ -31,18 +30,12 @@ _MAX_SHOWN = 40  # characters of a line in messages
 
 @dataclass(frozen=True, slots=True)
 class CfgSection:
-    """One section of a cfg; all methods raise ModelError for missing or invalid values.
-
-    Attributes:
-        line: line of its header, from 1.
-        kind: name in the header's brackets, aliases resolved.
-        options: values by key, without blanks.
-    """
+    """One section of a cfg; all methods raise ModelError for missing or invalid values."""
 
     path: Path
-    line: int
-    kind: str
-    options: Mapping[str, str]
+    line: int  # line of its header, from 1
+    kind: str  # name in the header's brackets, aliases resolved
+    options: Mapping[str, str]  # values by key, without blanks
 
     def error(self, reason: str) -> ModelError:
         """An error that names the file, the line and the section."""

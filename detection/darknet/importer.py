@@ -45,19 +45,12 @@ _STRETCH_NOTE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportedModel:
-    """Summary of an imported network.
+    """Summary of an imported network."""
 
-    Attributes:
-        family: "yolov3", "yolov3-tiny", "yolov4" or "yolov4-tiny", inferred from the structure.
-        input_hw: (height, width) of the input in pixels.
-        n_layers: number of sections of the cfg without [net].
-        n_parameters: number of values in the weights file, including batch norm.
-    """
-
-    family: str
-    input_hw: tuple[int, int]
-    n_layers: int
-    n_parameters: int
+    family: str  # "yolov3", "yolov3-tiny", "yolov4" or "yolov4-tiny", inferred from the structure
+    input_hw: tuple[int, int]  # (height, width) of the input in pixels
+    n_layers: int  # number of sections of the cfg without [net]
+    n_parameters: int  # number of values in the weights file, including batch norm
     notes: tuple[str, ...]
 
 

@@ -24,17 +24,11 @@ IMAGE = -1
 
 @dataclass(frozen=True, slots=True)
 class Activation:
-    """An activation function as ONNX operators.
+    """An activation function as ONNX operators."""
 
-    Attributes:
-        operators: operators that are applied one after the other.
-        is_gate: the result is multiplied by the input.
-        alpha: slope for negative inputs, of LeakyRelu; None for other operators.
-    """
-
-    operators: tuple[str, ...] = ()
-    is_gate: bool = False
-    alpha: float | None = None
+    operators: tuple[str, ...] = ()  # operators that are applied one after the other
+    is_gate: bool = False  # the result is multiplied by the input
+    alpha: float | None = None  # slope for negative inputs, of LeakyRelu; None for other operators
 
 
 ACTIVATIONS: Mapping[str, Activation] = {
@@ -51,23 +45,16 @@ ACTIVATIONS: Mapping[str, Activation] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Convolution:
-    """A convolution with batch norm and activation.
-
-    Attributes:
-        size: side of the kernel in pixels.
-        pad: padding of each side in pixels.
-        groups: number of channel groups.
-        activation: key of `ACTIVATIONS`.
-    """
+    """A convolution with batch norm and activation."""
 
     n_filters: int
     n_channels: int
-    size: int
+    size: int  # side of the kernel in pixels
     stride_yx: tuple[int, int]
-    pad: int
-    groups: int
+    pad: int  # padding of each side in pixels
+    groups: int  # number of channel groups
     has_batch_norm: bool
-    activation: str
+    activation: str  # key of `ACTIVATIONS`
 
     @property
     def n_values(self) -> int:
@@ -118,16 +105,11 @@ class Dropout:
 
 @dataclass(frozen=True, slots=True)
 class YoloHead:
-    """A [yolo] layer.
+    """A [yolo] layer."""
 
-    Attributes:
-        anchors_px: (width, height) in input pixels of the anchors in its mask.
-        scale_x_y: factor on the range of the centre offsets.
-    """
-
-    anchors_px: tuple[tuple[float, float], ...]
+    anchors_px: tuple[tuple[float, float], ...]  # (width, height) in input pixels of the anchors in its mask
     n_classes: int
-    scale_x_y: float
+    scale_x_y: float  # factor on the range of the centre offsets
 
 
 Operation = Convolution | MaxPool | Upsample | Route | Shortcut | Dropout | YoloHead
@@ -144,17 +126,11 @@ class Layer:
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """The network that a cfg describes.
+    """The network that a cfg describes."""
 
-    Attributes:
-        input_shape: shape of the input image.
-        letter_box: value of letter_box in [net]; None = absent.
-        layers: the layers in the cfg's order; sources precede the layers that use them.
-    """
-
-    input_shape: Shape
-    letter_box: int | None
-    layers: tuple[Layer, ...]
+    input_shape: Shape  # shape of the input image
+    letter_box: int | None  # value of letter_box in [net]; None = absent
+    layers: tuple[Layer, ...]  # the layers in the cfg's order; sources precede the layers that use them
 
     @property
     def n_values(self) -> int:

@@ -29,7 +29,6 @@ from track_range.foundation.files.input_files import open_regular, readable
 _EPSILON = 0.00001
 
 _VERSION_BYTES = 12  # three version numbers at the start of the file
-
 _MAX_VERSION = 999  # Darknet transposes the weights of files with larger ones
 
 _BYTES_PER_VALUE = 4
@@ -38,9 +37,7 @@ _BYTES_PER_VALUE = 4
 def read_convolutions(path: Path, network: Network) -> Iterator[tuple[FloatArray32, FloatArray32]]:
     """Weights (F, C / groups, k, k) and bias (F,) of each convolution of `network`, including its batch norm.
 
-    Raises:
-        ModelError: the file cannot be read, has a different number of values than the network, or values that are not
-            finite.
+    ModelError if the file cannot be read, has another number of values than the network, or values that are not finite.
     """
     values = _values(path, network.n_values)
     start = 0

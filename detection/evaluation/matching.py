@@ -54,16 +54,13 @@ class ClassMatches:
     """The K detections of one class in order of decreasing score, and how they were matched at each IoU threshold.
 
     Attributes:
-        score: (K,) confidence.
-        is_hit: (10, K) true positive: matched with a label.
         is_void: (10, K) not counted: matched with a label to ignore, or unmatched and outside of the bin of sizes.
-        n_boxes: number of labels, without those to ignore.
     """
 
-    score: FloatArray
-    is_hit: BoolArray
+    score: FloatArray  # (K,) confidence
+    is_hit: BoolArray  # (10, K) true positive: matched with a label
     is_void: BoolArray
-    n_boxes: int
+    n_boxes: int  # number of labels, without those to ignore
 
     @classmethod
     def concatenate(cls, parts: Sequence[ClassMatches]) -> ClassMatches:

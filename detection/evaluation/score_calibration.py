@@ -44,15 +44,12 @@ class Reliability:
     """Scores and precision of detections by bins of the score; the bins divide [0, 1] into equal parts.
 
     Attributes:
-        n: (M,) number of detections.
-        n_true: (M,) number of those that match a label.
-        mean_score: (M,) mean score; NaN in empty bins.
         variance: (M,) variance of the number of matches if the scores are their probabilities, sum of s (1 - s).
     """
 
-    n: IntArray
-    n_true: IntArray
-    mean_score: FloatArray
+    n: IntArray  # (M,) number of detections
+    n_true: IntArray  # (M,) number of those that match a label
+    mean_score: FloatArray  # (M,) mean score; NaN in empty bins
     variance: FloatArray
 
     @classmethod
@@ -130,13 +127,11 @@ class ScoreCalibration:
     """Reliability of one detector's scores.
 
     Attributes:
-        min_score: lowest score of the detections.
-        overall: reliability of the detections of all these classes together.
         by_class: reliability by road class id, of the classes that the detector knows and that are labelled.
     """
 
-    min_score: float
-    overall: Reliability
+    min_score: float  # lowest score of the detections
+    overall: Reliability  # reliability of the detections of all these classes together
     by_class: Mapping[int, Reliability]
 
     def as_dict(self) -> dict[str, Any]:

@@ -41,25 +41,17 @@ MIN_POSITIVES = 40
 """Minimum number of matches for which a class has its own coefficients."""
 
 _SHARED_PENALTY, _SLOPE_PENALTY, _OFFSET_PENALTY = 2.0, 8.0, 2.0  # of alpha, alpha_c and beta_c
-
 _N_BLOCKS = 10  # of successive images in the cross-validation
-
 _LIMIT = 1e-4  # distance of a score from 0 and 1, so that its logit is finite
 
 
 @dataclass(frozen=True, slots=True)
 class ScoreSamples:
-    """Detections of all classes in images in which the class is completely labelled.
+    """Detections of all classes in images in which the class is completely labelled."""
 
-    Attributes:
-        class_id: (K,) road class.
-        score: (K,) score.
-        is_match: (K,) whether the detection matches a label at an IoU of 0.5 or more.
-    """
-
-    class_id: IntArray
-    score: FloatArray
-    is_match: BoolArray
+    class_id: IntArray  # (K,) road class
+    score: FloatArray  # (K,) score
+    is_match: BoolArray  # (K,) whether the detection matches a label at an IoU of 0.5 or more
 
     @classmethod
     def of(
@@ -78,19 +70,12 @@ class ScoreSamples:
 
 @dataclass(frozen=True, slots=True)
 class ScoreFit:
-    """Coefficients by road class.
+    """Coefficients by road class."""
 
-    Attributes:
-        slope: (8,) a_c.
-        offset: (8,) b_c.
-        shared: a and b that classes without their own coefficients share.
-        n_positives: (8,) number of matches of each class in the fit.
-    """
-
-    slope: FloatArray
-    offset: FloatArray
-    shared: tuple[float, float]
-    n_positives: IntArray
+    slope: FloatArray  # (8,) a_c
+    offset: FloatArray  # (8,) b_c
+    shared: tuple[float, float]  # a and b that classes without their own coefficients share
+    n_positives: IntArray  # (8,) number of matches of each class in the fit
 
     def probability(self, score: FloatArray, class_id: IntArray) -> FloatArray:
         """(K,) probability of detections with scores (K,) of classes (K,)."""

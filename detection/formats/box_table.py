@@ -94,34 +94,20 @@ class Written(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class BoxTable:
-    """The N boxes of one video, sorted by frame, then by identity.
+    """The N boxes of one video, sorted by frame, then by identity."""
 
-    Attributes:
-        frame: (N,) int64 frame number from 0.
-        track_id: (N,) int64 identity from 0; -1 = no identity.
-        class_name: (N,) str class in the file, in lower case; "" = the format has no classes.
-        class_id: (N,) int64 road class; -1 = not a road class, or a region that is not evaluated.
-        xyxy_px: (N, 4) float64.
-        score: (N,) float64 confidence; NaN = unknown.
-        observed: (N,) bool, False where the box is predicted or interpolated.
-        distance_m: (N,) float64 z of the visible surface in the camera's frame; NaN = unknown.
-        sigma_m: (N,) float64 standard deviation of the distance; NaN = unknown.
-        location_m: (N, 3) float64 bottom centre of the object in the camera's frame; NaN = unknown.
-        notes: notes for the user about the file.
-    """
-
-    frame: IntArray
-    track_id: IntArray
-    class_name: npt.NDArray[np.str_]
-    class_id: IntArray
-    xyxy_px: FloatArray
-    score: FloatArray
-    observed: BoolArray
-    distance_m: FloatArray
-    sigma_m: FloatArray
-    location_m: FloatArray
+    frame: IntArray  # (N,) int64 frame number from 0
+    track_id: IntArray  # (N,) int64 identity from 0; -1 = no identity
+    class_name: npt.NDArray[np.str_]  # (N,) str class in the file, in lower case; "" = the format has no classes
+    class_id: IntArray  # (N,) int64 road class; -1 = not a road class, or a region that is not evaluated
+    xyxy_px: FloatArray  # (N, 4) float64
+    score: FloatArray  # (N,) float64 confidence; NaN = unknown
+    observed: BoolArray  # (N,) bool, False where the box is predicted or interpolated
+    distance_m: FloatArray  # (N,) float64 z of the visible surface in the camera's frame; NaN = unknown
+    sigma_m: FloatArray  # (N,) float64 standard deviation of the distance; NaN = unknown
+    location_m: FloatArray  # (N, 3) float64 bottom centre of the object in the camera's frame; NaN = unknown
     video: VideoFacts = NO_FACTS
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # notes for the user about the file
 
     def __post_init__(self) -> None:
         n = len(self.frame)

@@ -32,7 +32,6 @@ from track_range.foundation.files.input_files import MAX_TABLE_BYTES, first_line
 from track_range.foundation.files.numeric_text import are_integers, number
 
 _MAX_FEATURE = 1e15  # of an embedding: sums of squares do not overflow in float32
-
 _MAX_SCORE = 1e6  # scores are probabilities, or margins of a few units
 
 DetectionFormat = Literal["mot", "kitti", "rrc", "tracks", "labels"]
@@ -55,21 +54,13 @@ class _Rows(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class RecordedDetections:
-    """The N detections of a video.
+    """The N detections of a video."""
 
-    Attributes:
-        frame: (N,) frame number from 0, ascending.
-        detections: the N boxes in the same order.
-        form: format of the file.
-        notes: notes for the user on the recognised format and on dropped rows.
-        is_rectified: whether the boxes are in rectified pixels, not in pixels of the original video.
-    """
-
-    frame: IntArray
-    detections: Detections
-    form: DetectionFormat
-    notes: tuple[str, ...]
-    is_rectified: bool = False
+    frame: IntArray  # (N,) frame number from 0, ascending
+    detections: Detections  # the N boxes in the same order
+    form: DetectionFormat  # format of the file
+    notes: tuple[str, ...]  # notes for the user on the recognised format and on dropped rows
+    is_rectified: bool = False  # whether the boxes are in rectified pixels, not in pixels of the original video
 
     @property
     def has_classes(self) -> bool:

@@ -27,8 +27,7 @@ from track_range.detection.formats.video_labels.text_tables import (
 from track_range.detection.formats.video_labels.yolo_tracks import is_yolo_folder, read_yolo_folder, write_yolo
 from track_range.foundation.files.input_files import first_line, open_regular, readable
 
-_PARQUET_MARK = "PAR1"
-"""First bytes of a Parquet file."""
+_PARQUET_MARK = "PAR1"  # first bytes of a Parquet file
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,21 +21,13 @@ from track_range.foundation.arrays import FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True)
 class SupervisionBoxes:
-    """Substitute for supervision's `Detections` with the same attributes, if supervision is not installed.
+    """Substitute for supervision's `Detections` with the same attributes, if supervision is not installed."""
 
-    Attributes:
-        xyxy: (N, 4) float32 boxes in pixels, corner convention.
-        confidence: (N,) float32 in [0, 1].
-        class_id: (N,) int, index into `ROAD_CLASSES`.
-        tracker_id: (N,) int, or None for detections without identities.
-        data: `class_name`, (N,) str.
-    """
-
-    xyxy: npt.NDArray[np.float32]
-    confidence: npt.NDArray[np.float32]
-    class_id: IntArray
-    tracker_id: IntArray | None = None
-    data: Mapping[str, Any] = field(default_factory=dict)
+    xyxy: npt.NDArray[np.float32]  # (N, 4) float32 boxes in pixels, corner convention
+    confidence: npt.NDArray[np.float32]  # (N,) float32 in [0, 1]
+    class_id: IntArray  # (N,) int, index into `ROAD_CLASSES`
+    tracker_id: IntArray | None = None  # (N,) int, or None for detections without identities
+    data: Mapping[str, Any] = field(default_factory=dict)  # `class_name`, (N,) str
 
     def __len__(self) -> int:
         return len(self.xyxy)
@@ -46,16 +38,13 @@ def read_supervision(
 ) -> tuple[FloatArray, FloatArray, IntArray, IntArray | None]:
     """The M boxes of road classes among `boxes`.
 
-    Args:
-        boxes: an object with `xyxy` (N, 4) and optionally `confidence`, `class_id`, `tracker_id` (N,) and `data`.
-        class_names: names of the class ids; None = the names in `data["class_name"]`, else COCO's names.
+    `boxes` has `xyxy` (N, 4) and optionally `confidence`, `class_id`, `tracker_id` (N,) and `data`. The names of the
+    class ids are `class_names`, else those in `data["class_name"]`, else COCO's. ValueError for arrays of unequal
+    length, or a class id without a name.
 
     Returns:
         (M, 4) boxes with pixel centres at integers, (M,) confidence, 1 if the boxes have none, (M,) class id, and (M,)
         identities or None.
-
-    Raises:
-        ValueError: arrays of unequal length, or a class id without a name.
     """
     xyxy = np.asarray(boxes.xyxy, np.float64).reshape(-1, 4)
     n = len(xyxy)

@@ -35,11 +35,8 @@ ROW_ANCHORS: Mapping[int, FloatArray] = {
 ROW_ANCHOR_LINES = 4
 
 _ANCHOR_IMAGE_ROWS = 288.0  # height of the input that `ROW_ANCHORS` refers to
-
 _N_CURVE_SAMPLES = 40  # pixels per curve
-
 _MIN_CURVE_SCORE = 0.5  # probability of a curve
-
 _ROW_STEP = 2  # neighbouring rows of a mask are redundant
 
 _MAX_RUN = 0.08

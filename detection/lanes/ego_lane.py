@@ -21,28 +21,19 @@ from track_range.detection.lanes.model import HORIZON, HORIZON_SIGMA, WIDTH_SLOP
 from track_range.foundation.arrays import FloatArray
 
 _MAX_UNSEEN_S = 0.5  # after which a line without observations is no longer reported
-
 _MAX_CONTRADICTED_S = 0.25  # of observations that contradict the state, after which the observed lane replaces it
-
 _MAX_JUMP = 0.25  # of the lane between images, in lane widths in a near row
-
 _WIDTH_SLOPE_LIMITS = (0.8, 6.0)  # plausible lane width / camera height
 
 _MAX_CLUTTER = 1.2
 """Largest `LaneFit.clutter` of a lane: it is 0 to 0.7 on roads, and 2 to 3 in tree shade, which has edges all over."""
 
 _MIN_SUPPORT = 0.3  # of a line, relative to the one with the largest support in the image
-
 _MAX_SIGMAS = 3.0  # deviation of a pair in each of the quantities of a typical lane
-
 _OFFSET_SIGMA = 0.25  # of the camera's lateral offset from the lane centre, in lane widths
-
 _CENTRE_SIGMA = 0.15  # of the vanishing point's x from the image centre, in image widths
-
 _COST = 0.2  # of a deviation of one sigma, in units of support
-
 _MIN_SCORE = 0.3  # of a pair: two lines of full support (2) may deviate by a total of 3 sigmas
-
 _TRACKED_SIGMA = 0.12  # of a line's x from the tracked lane, in lane widths
 
 _MAX_DEPARTURE = 1.5

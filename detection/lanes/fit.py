@@ -21,19 +21,12 @@ SIDES = (-1.0, 1.0)
 """`side` of the left and the right line in `LaneState`'s methods."""
 
 _N_ROUNDS = 4  # of reweighting
-
 _FIRST_GATE, _LAST_GATE = 0.10, 0.03  # distance of a line's pixels from it in the first and last round, in lane widths
-
 _TUKEY = 4.0  # residual in sigmas above which pixels have no weight (Tukey's constant)
-
 _PAINT_SIGMA = 0.01  # in lane widths, of the detected centre of a painted line, which is 0.1 to 0.3 m wide
-
 _MAX_INDEPENDENT = 8.0  # total weight of a line's pixels, in independent pixels
-
 _MIN_PIXELS = 6  # of a visible line
-
 _MARGIN = 0.12  # from the lines in lane widths, within which markings are not clutter, for double lines
-
 _MIN_SPAN = 0.06  # extent in y of a visible line, in image heights
 
 
@@ -42,14 +35,12 @@ class LaneFit:
     """Result of a fit.
 
     Attributes:
-        state: the fitted lane.
         seen_px: top and bottom row of the pixels of the left and of the right line; None = line not visible.
-        clutter: number of markings between the lines divided by the number on them, in the rows of the lines.
     """
 
-    state: LaneState
+    state: LaneState  # the fitted lane
     seen_px: tuple[tuple[float, float] | None, tuple[float, float] | None]
-    clutter: float
+    clutter: float  # number of markings between the lines divided by the number on them, in the rows of the lines
 
 
 def fit_lane(markings: Markings, expected: LaneState, lines: tuple[int, int] = (-1, -1)) -> LaneFit:

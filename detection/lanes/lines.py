@@ -21,19 +21,12 @@ _Real = TypeVar("_Real", float, FloatArray)
 
 @dataclass(frozen=True, slots=True)
 class LaneLine:
-    """One painted line (or kerb) in an image.
+    """One painted line (or kerb) in an image."""
 
-    Attributes:
-        coefficients: (3,) c0, c1, c2 of x_px as a polynomial of y_px.
-        covariance: (3, 3) covariance of the coefficients.
-        y_top_px: highest row in which the line was seen.
-        y_bottom_px: lowest row in which the line was seen.
-    """
-
-    coefficients: FloatArray
-    covariance: FloatArray
-    y_top_px: float
-    y_bottom_px: float
+    coefficients: FloatArray  # (3,) c0, c1, c2 of x_px as a polynomial of y_px
+    covariance: FloatArray  # (3, 3) covariance of the coefficients
+    y_top_px: float  # highest row in which the line was seen
+    y_bottom_px: float  # lowest row in which the line was seen
 
     def __post_init__(self) -> None:
         check_shape("coefficients", self.coefficients, (3,))
@@ -91,13 +84,9 @@ class LaneLines:
 
 
 class LaneFinder(Protocol):
-    """Detector of the ego lane's lines in the images of one video; may track them over time.
+    """Detector of the ego lane's lines in the images of one video; may track them over time."""
 
-    Attributes:
-        notes: notes for the user.
-    """
-
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # notes for the user
 
     def find(self, image: Image, time_s: float) -> LaneLines:
         """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`, which increases from call to call."""

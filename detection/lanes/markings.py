@@ -17,31 +17,20 @@ _CANVAS_WIDTH_PX = 480
 """Width of the Hough transform's image; smaller than the input to save time, larger than needed to separate lines."""
 
 _MIN_VOTES = 6  # of a line in the Hough transform
-
 _MAX_HOUGH_LINES, _MAX_PROPOSALS = 400, 40  # lines of the Hough transform, and proposals
-
 _MIN_DISTANCE = 0.015  # of two proposals in a near or a middle row, in image widths
-
 _MAX_SLOPE = 3.5  # |dx/dy| of a proposal; lines of the ego lane have up to 2.5
-
 _TOLERANCE = 0.006  # distance of a pixel from the straight line that it supports, in image widths
-
 _MIN_POINTS = 4  # pixels of a numbered line
 
 
 @dataclass(frozen=True, slots=True)
 class Markings:
-    """Pixels on lines in one image.
+    """Pixels on lines in one image."""
 
-    Attributes:
-        xy_px: (N, 2) pixels, at most one per line and row.
-        line: (N,) line number of each pixel, -1 = unknown.
-        sigma_px: standard deviation of a pixel's x.
-    """
-
-    xy_px: FloatArray
-    line: IntArray
-    sigma_px: float
+    xy_px: FloatArray  # (N, 2) pixels, at most one per line and row
+    line: IntArray  # (N,) line number of each pixel, -1 = unknown
+    sigma_px: float  # standard deviation of a pixel's x
 
     def __post_init__(self) -> None:
         check_shape("xy_px", self.xy_px, (None, 2))
@@ -55,19 +44,12 @@ class Markings:
 
 @dataclass(frozen=True, slots=True)
 class Proposals:
-    """K straight lines x = a + b y.
+    """K straight lines x = a + b y."""
 
-    Attributes:
-        constant: (K,) a in pixels.
-        slope: (K,) b.
-        support: (K,) square root of the number of pixels on the line relative to the best line, 0..1.
-        line: (K,) line number of the markings; -1 = unknown.
-    """
-
-    constant: FloatArray
-    slope: FloatArray
-    support: FloatArray
-    line: IntArray
+    constant: FloatArray  # (K,) a in pixels
+    slope: FloatArray  # (K,) b
+    support: FloatArray  # (K,) square root of the number of pixels on the line relative to the best line, 0..1
+    line: IntArray  # (K,) line number of the markings; -1 = unknown
 
     def __len__(self) -> int:
         return len(self.support)

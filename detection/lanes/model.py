@@ -34,15 +34,10 @@ _RANDOM_WALK = np.array([0.15, 0.25, 0.03, 0.04, 0.2])
 
 @dataclass(frozen=True, slots=True)
 class LaneState:
-    """Estimate of the ego lane in images of (height, width) `image_hw`.
+    """Estimate of the ego lane in images of (height, width) `image_hw`."""
 
-    Attributes:
-        mean: (5,) a, b, d, s, c in pixels.
-        covariance: (5, 5).
-    """
-
-    mean: FloatArray
-    covariance: FloatArray
+    mean: FloatArray  # (5,) a, b, d, s, c in pixels
+    covariance: FloatArray  # (5, 5)
     image_hw: tuple[int, int]
 
     @classmethod

@@ -46,23 +46,18 @@ class _Family:
     """A family of lane networks.
 
     Attributes:
-        is_rgb: the channel order is RGB, otherwise BGR.
         scale: mean and standard deviation of the channels in this order, of pixels / 255.
-        sigma_px: standard deviation of a pixel's x in the network's input.
         horizon: row of the horizon in the training images, in image heights; None = varied, so that the input is the
             whole image.
-        aim: largest distance of the horizon from that row, in image heights, before the view is changed.
-        aspect: width / height of the view.
-        input_hw: (height, width) of an input of variable size.
     """
 
-    is_rgb: bool
+    is_rgb: bool  # the channel order is RGB, otherwise BGR
     scale: tuple[tuple[float, float, float], tuple[float, float, float]]
-    sigma_px: float
+    sigma_px: float  # standard deviation of a pixel's x in the network's input
     horizon: float | None = None
-    aim: float = 0.02
-    aspect: float = 16 / 9
-    input_hw: tuple[int, int] = (360, 640)
+    aim: float = 0.02  # largest distance of the horizon from that row, in image heights, before the view is changed
+    aspect: float = 16 / 9  # width / height of the view
+    input_hw: tuple[int, int] = (360, 640)  # (height, width) of an input of variable size
 
 
 _SEGMENTATION = _Family(is_rgb=True, scale=_UNSCALED, sigma_px=1.0, horizon=0.47, aim=0.08)

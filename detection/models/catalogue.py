@@ -22,18 +22,12 @@ class Licence:
 
 @dataclass(frozen=True, slots=True)
 class ModelFile:
-    """One file of a release.
+    """One file of a release."""
 
-    Attributes:
-        name: file name in the cache folder.
-        checksum: published checksum, algorithm and hexadecimal digest, such as `sha256:...`.
-        size_bytes: published size; None = not published.
-    """
-
-    name: str
+    name: str  # file name in the cache folder
     url: str
-    checksum: str
-    size_bytes: int | None
+    checksum: str  # published checksum, algorithm and hexadecimal digest, such as `sha256:...`
+    size_bytes: int | None  # published size; None = not published
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,24 +35,19 @@ class CatalogueEntry:
     """One model that can be downloaded.
 
     Attributes:
-        name: the model's name; `NAME.onnx` in the cache folder is the model ready to run.
-        family: family of the network, as shown by `track-range models info`.
-        input: size and number type of the network's input, for display.
-        files: an ONNX file, or Darknet's cfg and weights, which are imported after the download.
         project, release: project and release that publish the model.
-        classes: class names in the network's order.
         size_px: side of the input in pixels for a network of variable input size that was trained at one size; None =
             the input's own size, or the default.
     """
 
-    name: str
-    family: str
-    input: str
-    files: tuple[ModelFile, ...]
+    name: str  # the model's name; `NAME.onnx` in the cache folder is the model ready to run
+    family: str  # family of the network, as shown by `track-range models info`
+    input: str  # size and number type of the network's input, for display
+    files: tuple[ModelFile, ...]  # an ONNX file, or Darknet's cfg and weights, which are imported after the download
     licence: Licence
     project: str
     release: str
-    classes: tuple[str, ...] = COCO_CLASSES
+    classes: tuple[str, ...] = COCO_CLASSES  # class names in the network's order
     size_px: int | None = None
 
     @property

@@ -32,7 +32,6 @@ _MAX_UNPUBLISHED_BYTES = 1_000_000  # files of unpublished size are text of a fe
 _TIMEOUT_S = 30.0
 
 _RANGE_NOT_SATISFIABLE = 416  # HTTP status: the requested range starts at or after the end of the file
-
 _PARTIAL_CONTENT = 206  # HTTP status: the answer contains only the requested range
 
 

@@ -25,17 +25,11 @@ Origin = Literal["file", "packaged", "cached", "catalogue"]
 
 @dataclass(frozen=True, slots=True)
 class ModelLocation:
-    """Result of `find_model`.
+    """Result of `find_model`."""
 
-    Attributes:
-        path: the ONNX file; with origin "catalogue", where `pull` will put it.
-        origin: user's file, packaged with track-range, in the cache folder, or to be downloaded.
-        entry: the catalogue entry with that name; None if there is none.
-    """
-
-    path: Path
-    origin: Origin
-    entry: CatalogueEntry | None
+    path: Path  # the ONNX file; with origin "catalogue", where `pull` will put it
+    origin: Origin  # user's file, packaged with track-range, in the cache folder, or to be downloaded
+    entry: CatalogueEntry | None  # the catalogue entry with that name; None if there is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +45,7 @@ class ModelRow:
 
 
 def models_folder() -> Path:
-    """Folder of downloaded models: `models` in $TRACK_RANGE_CACHE, else in the platform's cache folder.
-
-    Raises:
-        ModelError: the user has no home folder.
-    """
+    """Folder of downloaded models: $TRACK_RANGE_CACHE/models, or in the cache folder; ModelError without a home."""
     folder = cache_folder()
     if folder is None:
         raise ModelError("no home folder for downloaded models; set TRACK_RANGE_CACHE to a folder.")
@@ -67,13 +57,8 @@ def find_model(
 ) -> ModelLocation:
     """The model of `--detector NAME`: an existing file, else a packaged, cached or catalogue model, in that order.
 
-    Args:
-        name_or_path: name or path as typed by the user.
-        cache: folder of downloaded models; None = `models_folder()`.
-        packaged: folder of packaged models.
-
-    Raises:
-        ModelError: there is no such model; the message suggests similar names.
+    `cache` is the folder of downloaded models, by default `models_folder()`. ModelError, with similar names, if there
+    is no such model.
     """
     text, path = str(name_or_path), Path(name_or_path)
     if os.path.isfile(path):  # unlike Path.is_file, False for a name that is too long

@@ -43,15 +43,13 @@ class ModelOptions:
     """Attributes of a model that the user specifies; None = not specified.
 
     Attributes:
-        names: class names in the network's order.
         anchors: width,height pairs in input pixels, one group per head in the order of the outputs, such as
             `81,82 135,169 344,319 / 23,27 37,58 81,82`.
-        letterbox: placement and grey level of the padding, such as `top-left-114`.
     """
 
-    names: tuple[str, ...] | None = None
+    names: tuple[str, ...] | None = None  # class names in the network's order
     anchors: str | None = None
-    letterbox: str | None = None
+    letterbox: str | None = None  # placement and grey level of the padding, such as `top-left-114`
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +74,7 @@ class ModelMetadata:
 def read_metadata(path: Path, metadata: Mapping[str, str], options: ModelOptions) -> ModelMetadata:
     """The attributes of the model at `path`, from the options, else its metadata, else `MODEL.yaml`.
 
-    Raises:
-        ModelError: a value is invalid, or `MODEL.yaml` cannot be read.
+    ModelError if a value is invalid, or `MODEL.yaml` cannot be read.
     """
     option_values = {key: getattr(options, key) for key in ModelOptions.__dataclass_fields__}
     is_rt_detr = "rtdetr" in metadata.get("description", "").lower().replace("-", "")  # as "Ultralytics rtdetr-l model"
@@ -144,7 +141,6 @@ def _literal(text: str) -> object:
 
 
 _MAX_NAME = 100  # characters of a class name
-
 _MAX_CLASSES = 10_000  # in RF-DETR's metadata
 
 

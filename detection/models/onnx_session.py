@@ -27,9 +27,7 @@ _CUDA, _TENSORRT = "CUDAExecutionProvider", "TensorrtExecutionProvider"
 _PROVIDERS: Mapping[str, tuple[str, ...]] = {"cpu": (), "cuda": (_CUDA,), "tensorrt": (_TENSORRT, _CUDA)}
 
 _MAX_MODEL_BYTES = 2**31  # protobuf's limit
-
 _MAX_SIDE = 8192  # of the input in any dimension
-
 _MAX_VALUES = 2**28  # of the input: 1 GB of float32
 
 _INPUT_TYPES = ("tensor(float)", "tensor(float16)")
@@ -40,7 +38,6 @@ TARGET_SIZES = "orig_target_sizes"
 _SIZE_TYPES = {"tensor(int64)": np.int64, "tensor(int32)": np.int32, "tensor(float)": np.float32}
 
 _LOCATION_KEY = b"location"  # of the path of external data in ONNX files
-
 _MAX_REASON = 160  # characters of a library's message
 
 
@@ -53,13 +50,11 @@ class Runtime:
     """Device and threads that a network runs on.
 
     Attributes:
-        device: "auto" = CUDA if available, else the CPU.
-        n_threads: number of CPU threads; 0 = one per core.
         engine_folder: folder in which TensorRT caches its engines, which take minutes to build; None = no cache.
     """
 
-    device: Device = "auto"
-    n_threads: int = 0
+    device: Device = "auto"  # "auto" = CUDA if available, else the CPU
+    n_threads: int = 0  # number of CPU threads; 0 = one per core
     engine_folder: Path | None = None
 
 

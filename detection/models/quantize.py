@@ -45,7 +45,6 @@ from track_range.detection.models.writing import atomic_output, silent_conversio
 from track_range.foundation.arrays import FloatArray, FloatArray32
 
 _PER_CHANNEL_OPSET = 13  # the first in which DequantizeLinear supports one scale per channel
-
 _N_NOISE_BLOBS = 4  # images on which the rounding noise of every tensor is measured before the calibration
 
 _MAX_NOISE_RATIO = 0.1

@@ -30,10 +30,8 @@ def write_calibrated(
     Args:
         path: the network, which is not changed unless `out` is the same file.
         out: the file to write.
-        score_outputs: indices of the outputs (B, n, C) that are scores of n cells and C classes, at least one, all in
-            float32 or all in float16.
-        slope: (C,) a_c.
-        offset: (C,) b_c.
+        score_outputs: at least one output (B, n, C) of scores of n cells and C classes, all in float32 or in float16.
+        slope, offset: (C,) a_c and b_c.
 
     Raises:
         ModelError: the file cannot be read, or the copy cannot be written or loaded.

@@ -24,22 +24,17 @@ class ScheduleSettings:
     recipe for COCO (SGD, rate 0.01, decay 0.0005, hyp.scratch-low.yaml) needed two more epochs.
 
     Attributes:
-        optimiser: SGD with Nesterov momentum, or AdamW.
-        learning_rate: learning rate after the warm-up.
-        last_fraction: final learning rate of the cosine schedule, as a fraction of `learning_rate`.
-        momentum: momentum after the warm-up, during which it rises from 0.8.
-        weight_decay: weight decay of the convolutions' weights; biases and batch norms have none.
         warmup_epochs: epochs in which the rate rises linearly from 0 (with SGD, that of the biases falls from ten
             times `learning_rate`); at most n_epochs / 5.
         average_fraction: time constant of the moving average of the weights, as a fraction of all steps; at most 10,000
             steps (as in YOLOv5).
     """
 
-    optimiser: Optimiser = "adamw"
-    learning_rate: float = 0.002
-    last_fraction: float = 0.01
-    momentum: float = 0.937
-    weight_decay: float = 0.02
+    optimiser: Optimiser = "adamw"  # SGD with Nesterov momentum, or AdamW
+    learning_rate: float = 0.002  # learning rate after the warm-up
+    last_fraction: float = 0.01  # final learning rate of the cosine schedule, as a fraction of `learning_rate`
+    momentum: float = 0.937  # momentum after the warm-up, during which it rises from 0.8
+    weight_decay: float = 0.02  # weight decay of the convolutions' weights; biases and batch norms have none
     warmup_epochs: float = 1.0
     average_fraction: float = 0.04
 

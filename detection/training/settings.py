@@ -26,29 +26,23 @@ class TrainingSettings:
     """Settings of a training run.
 
     Attributes:
-        size_px: side of the square training images, and longer side of the validation images.
-        device: torch device, such as "cpu" or "cuda".
-        precision: precision of the network's arithmetic; losses and weights are float32.
-        validate_every: epochs between validations; the last epoch is always validated.
-        min_boxes: classes with fewer labels are excluded from the means of the validation.
         n_last_epochs: number of epochs at the end in which no training image is a mosaic, so that the network learns
             from whole images at last (Ge et al., "YOLOX", 2021).
-        n_int8_epochs: number of epochs at the end in which INT8 rounding is simulated.
     """
 
-    size_px: int = 416
+    size_px: int = 416  # side of the square training images, and longer side of the validation images
     n_epochs: int = 100
     batch_size: int = 16
     seed: int = 0
     box_loss: BoxLoss = "ciou"
-    device: str = "cpu"
-    precision: Precision = "float32"
-    validate_every: int = 1
-    min_boxes: int = 50
+    device: str = "cpu"  # torch device, such as "cpu" or "cuda"
+    precision: Precision = "float32"  # precision of the network's arithmetic; losses and weights are float32
+    validate_every: int = 1  # epochs between validations; the last epoch is always validated
+    min_boxes: int = 50  # classes with fewer labels are excluded from the means of the validation
     schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
     n_last_epochs: int = 0
-    n_int8_epochs: int = 0
+    n_int8_epochs: int = 0  # number of epochs at the end in which INT8 rounding is simulated
 
     def __post_init__(self) -> None:
         if self.size_px % COARSEST_STRIDE_PX:
@@ -83,8 +77,7 @@ class TrainingSettings:
 def usable_device(name: str) -> tuple[str, str]:
     """The torch device for "auto", "cpu", "cuda" or torch's name of a device, and a note if it differs from `name`.
 
-    Raises:
-        TrainingError: the name is unknown, or the device is neither a CPU nor a CUDA GPU.
+    TrainingError if the name is unknown, or the device is neither a CPU nor a CUDA GPU.
     """
     has_gpu = torch.cuda.is_available()
     if name == "auto":

@@ -37,43 +37,27 @@ MIN_OBJECTNESS = 0.1
 
 @dataclass(frozen=True, slots=True)
 class TeacherOutputs:
-    """Outputs of a teacher in one head for a batch, with P confident cells.
+    """Outputs of a teacher in one head for a batch, with P confident cells."""
 
-    Attributes:
-        objectness: (B, A, rows, columns) 0..1; in confident cells of the student's classes, else of any class.
-        cells: the confident cells.
-        cxcywh: (P, 4) boxes in input pixels.
-        class_score: (P, C) 0..1, scores of the student's classes; 0 for classes that the teacher does not have.
-    """
-
-    objectness: Tensor
-    cells: Cells
-    cxcywh: Tensor
-    class_score: Tensor
+    objectness: Tensor  # (B, A, rows, columns) 0..1; in confident cells of the student's classes, else of any class
+    cells: Cells  # the confident cells
+    cxcywh: Tensor  # (P, 4) boxes in input pixels
+    class_score: Tensor  # (P, C) 0..1, scores of the student's classes; 0 for classes that the teacher does not have
 
 
 class Teacher:
     """A YOLOv5n or YOLOv5s network, loaded from its official export.
 
+    ModelError if the file cannot be read, is not a YOLOv5n or YOLOv5s, or has none of the classes.
+
     Attributes:
         name: file name of the export.
-        network: the network.
     """
 
     def __init__(
         self, path: Path, road_class_id: IntArray, *, device: str, precision: torch.dtype = torch.float32
     ) -> None:
-        """Load the network.
-
-        Args:
-            path: the export.
-            road_class_id: (C,) road class of each class of the student.
-            device: torch device.
-            precision: precision of the network's arithmetic.
-
-        Raises:
-            ModelError: the file cannot be read, is not a YOLOv5n or YOLOv5s, or has none of the classes.
-        """
+        """`road_class_id` (C,) is the road class of each class of the student, `precision` that of the arithmetic."""
         network = yolov5_of_export(path)
         metadata = OnnxSession(path).metadata
         names = read_metadata(path, metadata, ModelOptions()).get("names", COCO_CLASSES, "default").value
@@ -91,11 +75,7 @@ class Teacher:
         self._precision = precision
 
     def check_fits(self, student: DetectionNetwork) -> None:
-        """Check that the student can learn from this teacher: RoadNet, or a network with the same grids and anchors.
-
-        Raises:
-            TrainingError: the grids or anchors differ.
-        """
+        """TrainingError unless the student is RoadNet, or a network with the same grids and anchors."""
         if isinstance(student, RoadNet):
             return
         if not isinstance(student, AnchorNetwork) or student.strides_px != self.network.strides_px:
@@ -139,11 +119,7 @@ class Teacher:
 
 
 def _anchors(text: str, path: Path, default_px: Tensor) -> Tensor:
-    """Anchors in pixels from a model's metadata, in the shape of the network's default anchors.
-
-    Raises:
-        ModelError: they are not positive numbers, or their number differs.
-    """
+    """Anchors in pixels from a model's metadata, in the shape of the network's default anchors; else ModelError."""
     place = f"{path}: metadata 'trained_anchors'"
     try:
         anchors_px = torch.tensor(parse_json(text, place, ModelError, "anchors"), dtype=default_px.dtype)

@@ -44,8 +44,7 @@ from track_range.detection.training.settings import TrainingSettings
 from track_range.detection.training.teacher import Teacher
 from track_range.detection.training.validation import NetworkDetector, validate
 
-_MAX_GRADIENT = 10.0
-"""Norm to which the gradient is clipped, as in YOLOv5."""
+_MAX_GRADIENT = 10.0  # norm to which the gradient is clipped, as in YOLOv5
 
 
 class Listener(Protocol):
@@ -166,12 +165,7 @@ class Training:
             network.anchors_px.copy_(anchors_px)
 
     def run(self, listener: Listener) -> None:
-        """Train until the last epoch.
-
-        Raises:
-            TrainingError: the loss is not finite, or there is not enough memory.
-            CheckpointError: a checkpoint cannot be written.
-        """
+        """Train until the last epoch; TrainingError if the loss is not finite, or there is not enough memory."""
         try:
             while len(self.history) < self._settings.n_epochs:
                 self._epoch(listener)

@@ -21,11 +21,8 @@ from track_range.foundation.arrays import Image, IntArray
 LOWEST_SCORE = 0.001
 """Score threshold of detections in the validation; low, so that the precision-recall curve is complete."""
 
-_MAX_IOU, _MAX_BOXES = 0.5, 300
-"""IoU threshold of non-maximum suppression, and largest number of boxes per image."""
-
-_WORKING_SCORE = 0.25
-"""Score threshold of the reported precision and recall."""
+_MAX_IOU, _MAX_BOXES = 0.5, 300  # IoU threshold of non-maximum suppression, and largest number of boxes per image
+_WORKING_SCORE = 0.25  # score threshold of the reported precision and recall
 
 
 class NetworkDetector:
@@ -73,12 +70,8 @@ def validate(
 ) -> DetectionScores:
     """Scores of a network on labelled images.
 
-    Args:
-        detector: the network.
-        images: images with their truth.
-        road_class_id: classes of the network.
-        min_boxes: classes with fewer labels are excluded from the mean, unless all have fewer.
-        done: callback after each image with the number of images so far.
+    Classes with fewer labels than `min_boxes` are excluded from the mean, unless all have fewer. `done` is called after
+    each image with the number of images so far.
     """
     detections, truth = [], []
     for image, labels in images:

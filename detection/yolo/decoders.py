@@ -21,19 +21,12 @@ _ROUNDING = 1e-3  # excess over 1 of scores by rounding in half precision
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
-    """The N boxes of one image that reach their class's threshold, before non-maximum suppression.
+    """The N boxes of one image that reach their class's threshold, before non-maximum suppression."""
 
-    Attributes:
-        xyxy_net: (N, 4) in the network's corner coordinates, finite.
-        score: (N,) confidence in [0, 1].
-        class_index: (N,) index into the network's class names.
-        n_invalid: number of boxes dropped because of NaN, infinite numbers or labels without a class name.
-    """
-
-    xyxy_net: FloatArray
-    score: FloatArray
-    class_index: IntArray
-    n_invalid: int
+    xyxy_net: FloatArray  # (N, 4) in the network's corner coordinates, finite
+    score: FloatArray  # (N,) confidence in [0, 1]
+    class_index: IntArray  # (N,) index into the network's class names
+    n_invalid: int  # number of boxes dropped because of NaN, infinite numbers or labels without a class name
 
     @classmethod
     def of(cls, xyxy_net: FloatArray, class_score: FloatArray32, min_score: FloatArray) -> Candidates:
@@ -141,17 +134,11 @@ def decode_corners(
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """One raw Darknet head [1, A (5 + C), rows, columns]: tx, ty, tw, th, objectness, C classes for each of A anchors.
+    """One raw Darknet head [1, A (5 + C), rows, columns]: tx, ty, tw, th, objectness, C classes of each anchor."""
 
-    Attributes:
-        anchors_px: (A, 2) width and height in input pixels.
-        stride_px: (2,) size of a cell in x and y.
-        scale_x_y: Darknet's factor s on the range of the centre offsets; 1 = no scaling.
-    """
-
-    anchors_px: FloatArray
-    stride_px: FloatArray
-    scale_x_y: float
+    anchors_px: FloatArray  # (A, 2) width and height in input pixels
+    stride_px: FloatArray  # (2,) size of a cell in x and y
+    scale_x_y: float  # Darknet's factor s on the range of the centre offsets; 1 = no scaling
 
 
 def decode_heads(heads: Sequence[Head], outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:

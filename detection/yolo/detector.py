@@ -90,19 +90,12 @@ class _Buffers:
 
 @dataclass(slots=True)
 class _Input:
-    """Buffers and format of the network's input for images of one size.
+    """Buffers and format of the network's input for images of one size."""
 
-    Attributes:
-        network: the network bound to the size of its input, which is also that of images of other sizes.
-        model: decoder and input format.
-        letterbox: placement of the images in the input.
-        free: buffers for `prepared` that are not in use.
-    """
-
-    network: BoundNetwork
-    model: YoloModel
-    letterbox: Letterbox
-    free: deque[_Buffers] = field(default_factory=deque)
+    network: BoundNetwork  # the network bound to the size of its input, which is also that of images of other sizes
+    model: YoloModel  # decoder and input format
+    letterbox: Letterbox  # placement of the images in the input
+    free: deque[_Buffers] = field(default_factory=deque)  # buffers for `prepared` that are not in use
 
     def buffers_for(self, blob: npt.NDArray[Any]) -> _Buffers:
         """Buffers with this input of the network, which is filled with the padding."""

@@ -24,9 +24,7 @@ from track_range.detection.yolo.input_format import IMAGENET_MEAN, IMAGENET_STD,
 from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.arrays import FloatArray, FloatArray32
 
-_N_BINS = 8
-"""Number of bins per side, R + 1 with the R = 7 of all published NanoDet and PicoDet networks."""
-
+_N_BINS = 8  # number of bins per side, R + 1 with the R = 7 of all published NanoDet and PicoDet networks
 _STRIDES_PX = {3: (8, 16, 32), 4: (8, 16, 32, 64)}  # by number of levels
 
 _NANODET_INPUT = InputFormat(

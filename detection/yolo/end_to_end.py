@@ -28,11 +28,8 @@ from track_range.detection.yolo.input_format import IMAGENET_MEAN, IMAGENET_STD,
 from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.arrays import FloatArray, FloatArray32
 
-_MAX_BOXES = 1000
-"""Largest number of boxes of end-to-end networks (100 to 900 in the papers); grids have more."""
-
+_MAX_BOXES = 1000  # largest number of boxes of end-to-end networks (100 to 900 in the papers); grids have more
 _N_CATEGORIES = 91  # logits of networks trained on COCO's category ids 0 to 90
-
 _RT_DETR_HEAD = "RTDETRDecoder"  # class of RT-DETR's head in the metadata that Ultralytics' exporter writes
 
 _STRETCHED_INPUT = InputFormat(placement="stretch")

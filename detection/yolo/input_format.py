@@ -37,18 +37,14 @@ class InputFormat:
     """Format of a network's input image.
 
     Attributes:
-        placement: position of the scaled image in the input.
-        pad_grey: grey level of the padding, 0..255.
-        colours: channel order.
-        divisor: number by which pixel values 0..255 are divided.
         mean, std: value that is subtracted from the divided pixel values and number by which the result is divided, for
             each channel in the order of `colours`: input = (pixel / divisor - mean) / std.
     """
 
-    placement: Placement = "centred"
-    pad_grey: int = 114
-    colours: Colours = "rgb"
-    divisor: float = 255.0
+    placement: Placement = "centred"  # position of the scaled image in the input
+    pad_grey: int = 114  # grey level of the padding, 0..255
+    colours: Colours = "rgb"  # channel order
+    divisor: float = 255.0  # number by which pixel values 0..255 are divided
     mean: Triple = (0.0, 0.0, 0.0)
     std: Triple = (1.0, 1.0, 1.0)
 
@@ -63,13 +59,9 @@ class InputFormat:
             buffer[:, channel] = (self.pad_grey / self.divisor - self.mean[channel]) / self.std[channel]
 
     def write(self, image: Image, letterbox: Letterbox, buffer: npt.NDArray[Any], *, scaled: Image) -> None:
-        """Write a scaled image into a network's input without changing the padding.
+        """Write an image (H, W, 3) into a network's input (1, 3, height, width) without changing the padding.
 
-        Args:
-            image: (H, W, 3) uint8 BGR.
-            letterbox: placement of the image in the input.
-            buffer: (1, 3, height, width) the network's input.
-            scaled: (*resized_hw, 3) uint8 scratch buffer.
+        `scaled` (*resized_hw, 3) is a uint8 scratch buffer.
         """
         channels = cv2.split(letterbox.scaled(image, buffer=scaled))
         rows, columns = letterbox.inside
@@ -82,11 +74,7 @@ class InputFormat:
 
 
 def placement_and_grey(text: object) -> tuple[Placement, int]:
-    """Placement and grey level 0..255 from text such as `centred-114`.
-
-    Raises:
-        ValueError: the text has another format; the message lists valid values.
-    """
+    """Placement and grey level 0..255 from text such as `centred-114`; ValueError for another format."""
     match = _LETTERBOX.fullmatch(str(text).strip().lower())
     grey = int(match[2] or 114) if match else 256
     if match is None or grey > 255:

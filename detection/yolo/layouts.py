@@ -70,8 +70,7 @@ YOLOV4_ANCHORS: Anchors = (
 )
 """Anchors in input pixels at strides 8, 16 and 32 (AlexeyAB's yolov4.cfg)."""
 
-_YOLOV4_SCALES = (1.2, 1.1, 1.05)
-"""scale_x_y at strides 8, 16 and 32 (AlexeyAB's yolov4.cfg)."""
+_YOLOV4_SCALES = (1.2, 1.1, 1.05)  # scale_x_y at strides 8, 16 and 32 (AlexeyAB's yolov4.cfg)
 
 _PLAIN_INPUT = InputFormat()
 _DARKNET_INPUT = InputFormat(pad_grey=128)
@@ -79,11 +78,7 @@ _YOLOX_INPUT = InputFormat(placement="top-left", colours="bgr", divisor=1.0)
 
 
 def identify_layout(network: NetworkOutputs) -> YoloModel:
-    """The model with these outputs.
-
-    Raises:
-        ModelError: the layout is unknown, or explicit attributes of the model do not fit it.
-    """
+    """The model with these outputs; ModelError if the layout is unknown, or the model's attributes do not fit it."""
     path, metadata = network.path, network.metadata
     matches = (layout.match(network) for layout in DETECTOR_LAYOUTS)
     matched = next((match for match in matches if match is not None), None)

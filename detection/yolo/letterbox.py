@@ -27,19 +27,12 @@ _MAX_LONGER_SIDE = 2.5  # of an input, in sides of a square of the same area
 
 @dataclass(frozen=True, slots=True)
 class Letterbox:
-    """Scale and position of an image inside a network's input, all in pixels.
+    """Scale and position of an image inside a network's input, all in pixels."""
 
-    Attributes:
-        image_hw: (height, width) of the image.
-        input_hw: (height, width) of the network's input.
-        resized_hw: (height, width) of the scaled image inside the input.
-        pad_yx: number of padding rows above and padding columns left of the scaled image.
-    """
-
-    image_hw: tuple[int, int]
-    input_hw: tuple[int, int]
-    resized_hw: tuple[int, int]
-    pad_yx: tuple[int, int]
+    image_hw: tuple[int, int]  # (height, width) of the image
+    input_hw: tuple[int, int]  # (height, width) of the network's input
+    resized_hw: tuple[int, int]  # (height, width) of the scaled image inside the input
+    pad_yx: tuple[int, int]  # number of padding rows above and padding columns left of the scaled image
 
     @classmethod
     def of_placement(cls, placement: Placement, image_hw: tuple[int, int], input_hw: tuple[int, int]) -> Letterbox:

@@ -18,46 +18,32 @@ class YoloModel:
     The function of a layout returns the family's defaults; `identify_layout` adds the explicit attributes of the model.
 
     Attributes:
-        family: name of the family, for display.
-        layout: description of the outputs, for display.
-        n_classes: number of classes; None = not determined by the outputs.
-        names: class names in the network's order.
         attributes: explicit and default attributes by key, for `models info`.
-        score_outputs: outputs that consist of class scores alone.
         is_end_to_end: whether the network itself returns one box per object, without non-maximum suppression.
-        is_square: whether an input of variable size has to be square, as it was in training.
     """
 
-    family: str
-    layout: str
-    n_classes: int | None
+    family: str  # name of the family, for display
+    layout: str  # description of the outputs, for display
+    n_classes: int | None  # number of classes; None = not determined by the outputs
     input_format: InputFormat
     decoder: Decoder
-    names: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()  # class names in the network's order
     attributes: Mapping[str, Attribute] = field(default_factory=dict)
-    score_outputs: tuple[int, ...] = ()
+    score_outputs: tuple[int, ...] = ()  # outputs that consist of class scores alone
     is_end_to_end: bool = False
-    is_square: bool = False
+    is_square: bool = False  # whether an input of variable size has to be square, as it was in training
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NetworkOutputs:
-    """A network's input size, outputs and metadata, from which its layout is identified.
+    """A network's input size, outputs and metadata, from which its layout is identified."""
 
-    Attributes:
-        path: the model's file, for messages.
-        input_hw: (height, width) of the network's input in pixels.
-        names: name of each output, in the network's order.
-        is_integer: whether each output consists of integers.
-        has_target_sizes: whether the network has the input `orig_target_sizes`.
-    """
-
-    path: Path
-    input_hw: tuple[int, int]
-    names: tuple[str, ...]
+    path: Path  # the model's file, for messages
+    input_hw: tuple[int, int]  # (height, width) of the network's input in pixels
+    names: tuple[str, ...]  # name of each output, in the network's order
     shapes: tuple[tuple[int, ...], ...]
-    is_integer: tuple[bool, ...]
-    has_target_sizes: bool
+    is_integer: tuple[bool, ...]  # whether each output consists of integers
+    has_target_sizes: bool  # whether the network has the input `orig_target_sizes`
     metadata: ModelMetadata
 
     def n_cells(self, strides_px: Sequence[int]) -> int:

@@ -39,19 +39,12 @@ class ImageFileError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class LabelledImage:
-    """One image and its labels.
+    """One image and its labels."""
 
-    Attributes:
-        path: the image file.
-        truth: its labels.
-        is_normalised: the boxes of `truth` are fractions of the image size, in the corner convention.
-        notes: notes for the user on labels that were clipped or ignored.
-    """
-
-    path: Path
-    truth: ImageTruth
-    is_normalised: bool
-    notes: tuple[str, ...] = ()
+    path: Path  # the image file
+    truth: ImageTruth  # its labels
+    is_normalised: bool  # the boxes of `truth` are fractions of the image size, in the corner convention
+    notes: tuple[str, ...] = ()  # notes for the user on labels that were clipped or ignored
 
     def truth_in(self, image: Image) -> ImageTruth:
         """The labels in pixels of `image`."""

@@ -30,19 +30,12 @@ _TOLERANCE = 2e-3
 
 @dataclass(frozen=True, slots=True)
 class YoloLabels:
-    """The road users of one label file.
+    """The road users of one label file."""
 
-    Attributes:
-        xyxy: (M, 4) left, top, right, bottom as fractions of the image size, clipped to the image.
-        class_id: (M,) road class.
-        score: (M,) the sixth column; 1 if there is none.
-        notes: a note for the user on each box that was clipped or ignored.
-    """
-
-    xyxy: FloatArray
-    class_id: IntArray
-    score: FloatArray
-    notes: tuple[str, ...]
+    xyxy: FloatArray  # (M, 4) left, top, right, bottom as fractions of the image size, clipped to the image
+    class_id: IntArray  # (M,) road class
+    score: FloatArray  # (M,) the sixth column; 1 if there is none
+    notes: tuple[str, ...]  # a note for the user on each box that was clipped or ignored
 
 
 class YoloLabelReader:

@@ -56,8 +56,7 @@ _IDENTITY_KEYS = ("track_id", "instance_id")
 _MAX_PATH, _MAX_TEXT = 4096, 200  # characters of the path of an image, and of a name
 _MAX_FPS = 10_000.0
 
-_Object = Mapping[str, Any]
-"""An object of the file."""
+_Object = Mapping[str, Any]  # an object of the file
 
 
 class CocoBox(NamedTuple):
@@ -295,11 +294,7 @@ def _is_coordinate(value: object) -> bool:
 
 
 def write_coco(table: BoxTable, path: Path) -> Written:
-    """Write a table as a COCO data set, with all frames of the video as images.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Write a table as a COCO data set, with all frames of the video as images."""
     video = table.video
     width, height = video.size_px or (None, None)
     info = {"description": "Road users tracked by track-range", "version": "1", "pixels": video.pixels}

@@ -52,27 +52,16 @@ _PLAUSIBLE = {
 
 @dataclass(frozen=True, slots=True)
 class CsvLabels:
-    """The N rows of a CSV label file, in the file's order.
+    """The N rows of a CSV label file, in the file's order."""
 
-    Attributes:
-        frame: (N,) frame number from 0.
-        track_id: (N,) identity; -1 = a region that is not evaluated.
-        class_name: (N,) class name in the file, in lower case.
-        class_id: (N,) road class; -1 = a region that is not evaluated.
-        xyxy_px: (N, 4) box in rectified pixels.
-        distance_m: (N,) z in the left camera's frame; NaN = unknown.
-        visible_share: (N,) visible fraction 0..1; 1 if unknown.
-        closing_mps: (N,) closing speed; NaN = unknown.
-    """
-
-    frame: IntArray
-    track_id: IntArray
-    class_name: npt.NDArray[np.str_]
-    class_id: IntArray
-    xyxy_px: FloatArray
-    distance_m: FloatArray
-    visible_share: FloatArray
-    closing_mps: FloatArray
+    frame: IntArray  # (N,) frame number from 0
+    track_id: IntArray  # (N,) identity; -1 = a region that is not evaluated
+    class_name: npt.NDArray[np.str_]  # (N,) class name in the file, in lower case
+    class_id: IntArray  # (N,) road class; -1 = a region that is not evaluated
+    xyxy_px: FloatArray  # (N, 4) box in rectified pixels
+    distance_m: FloatArray  # (N,) z in the left camera's frame; NaN = unknown
+    visible_share: FloatArray  # (N,) visible fraction 0..1; 1 if unknown
+    closing_mps: FloatArray  # (N,) closing speed; NaN = unknown
 
 
 def is_label_csv(path: Path) -> bool:

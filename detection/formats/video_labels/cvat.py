@@ -64,16 +64,14 @@ _TOLERANCE_PX, _TOLERANCE_OF_SIZE, _TOLERANCE_OF_DISTANCE = 1.0, 0.02, 0.02
 """Largest difference between a written box and its interpolation: of an edge in px or as a fraction of the box's longer
 side, whichever is larger, and of the distance as a fraction of it."""
 
-_MAX_STEP = 50
-"""Largest number of boxes from one keyframe to the next, which limits the time to choose them."""
+_MAX_STEP = 50  # largest number of boxes from one keyframe to the next, which limits the time to choose them
 
 _LIMITS = {"distance_m": (0.0, MAX_DISTANCE_M), "sigma_m": (0.0, MAX_DISTANCE_M), "score": (-1e6, 1e6)}
 """Smallest and largest value of each attribute that is a number."""
 
 _DECIMALS = {"distance_m": 3, "sigma_m": 3, "score": 4}
 
-_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Characters that XML cannot contain."""
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # characters that XML cannot contain
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +103,7 @@ _BOX = np.dtype(
         ("is_predicted", np.bool_),
     ]
 )
-_Boxes = npt.NDArray[Any]
-"""(K,) boxes with the columns of `_BOX`."""
+_Boxes = npt.NDArray[Any]  # (K,) boxes with the columns of `_BOX`
 
 
 def read_cvat(path: Path, video: VideoFacts) -> BoxTable:
@@ -286,16 +283,9 @@ class _Content:
 
 
 def _interpolated(path: Path, boxes: _Boxes, tracks: Sequence[_Track], *, has_repeated: bool) -> _Boxes:
-    """The visible boxes of each track in every frame.
+    """The visible boxes of each track in every frame, from those of the file, sorted by track and frame.
 
-    Args:
-        path: the file, for messages.
-        boxes: boxes of the file, sorted by track and frame.
-        tracks: the tracks of the file.
-        has_repeated: whether boxes that are not keyframes repeat the attributes of the keyframe before.
-
-    Raises:
-        LabelFileError: a track has two boxes in a frame, or there are more than `MAX_BOXES` boxes.
+    If it `has_repeated` attributes, boxes that are not keyframes repeat those of the keyframe before.
     """
     steps = np.append(np.where(np.diff(boxes["track"]) == 0, np.diff(boxes["frame"]), 1), 1)[: len(boxes)]
     for box in boxes[steps == 0][:1]:
@@ -336,11 +326,7 @@ def _interpolate_repeated(boxes: _Boxes) -> None:
 
 
 def write_cvat(table: BoxTable, path: Path) -> Written:
-    """Write a table as CVAT for video 1.1, where each track has one class; regions have the label dontcare.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Write a table as CVAT for video 1.1, where each track has one class; regions have the label dontcare."""
     frames = frames_listed(table)
     table = replace(table, class_name=np.where(table.is_region, DONT_CARE, table.class_name))
     ids, notes = _identities(table)

@@ -35,8 +35,7 @@ _MAX_TYPE = 64  # characters
 _SEPARATOR = re.compile(r"[\s,]")
 """Characters that a type cannot contain: white space, and the comma, since files with commas are not read as KITTI."""
 
-_MAX_VALUE = 1e6
-"""Largest absolute value in metres, radians, or of a score; -1000 = unknown."""
+_MAX_VALUE = 1e6  # largest absolute value in metres, radians, or of a score; -1000 = unknown
 
 _LIMITS = (
     (0, MAX_FRAME, f"an integer from 0 to {MAX_FRAME} as the frame number"),
@@ -58,28 +57,19 @@ class KittiLabels:
     """The N rows of a KITTI file, in the file's order.
 
     Attributes:
-        frame: (N,) int64 frame number from 0.
-        track_id: (N,) int64 identity; -1 = DontCare or a detection.
-        kitti_type: (N,) str type, such as Car, Van, DontCare.
         truncated: (N,) fraction outside the image (object files) or level 0, 1, 2 (tracking files); -1 = unknown.
-        occluded: (N,) 0 = fully visible, 1 = partly occluded, 2 = largely occluded, 3 or -1 = unknown.
-        xyxy_px: (N, 4) box.
-        size_hwl_m: (N, 3) height, width, length; <= 0 if unknown.
-        location_m: (N, 3) bottom centre in the reference camera's frame.
-        rotation_y_rad: (N,) yaw about the camera's y axis.
-        score: (N,) confidence; NaN if the file has none.
     """
 
-    frame: IntArray
-    track_id: IntArray
-    kitti_type: npt.NDArray[np.str_]
+    frame: IntArray  # (N,) int64 frame number from 0
+    track_id: IntArray  # (N,) int64 identity; -1 = DontCare or a detection
+    kitti_type: npt.NDArray[np.str_]  # (N,) str type, such as Car, Van, DontCare
     truncated: FloatArray
-    occluded: IntArray
-    xyxy_px: FloatArray
-    size_hwl_m: FloatArray
-    location_m: FloatArray
-    rotation_y_rad: FloatArray
-    score: FloatArray
+    occluded: IntArray  # (N,) 0 = fully visible, 1 = partly occluded, 2 = largely occluded, 3 or -1 = unknown
+    xyxy_px: FloatArray  # (N, 4) box
+    size_hwl_m: FloatArray  # (N, 3) height, width, length; <= 0 if unknown
+    location_m: FloatArray  # (N, 3) bottom centre in the reference camera's frame
+    rotation_y_rad: FloatArray  # (N,) yaw about the camera's y axis
+    score: FloatArray  # (N,) confidence; NaN if the file has none
 
     def __len__(self) -> int:
         return len(self.frame)

@@ -33,23 +33,14 @@ class MotFormatError(UserError, ValueError):
 
 @dataclass(frozen=True, slots=True)
 class MotRows:
-    """The rows of one file, in its order; N = 0 for an empty file.
+    """The rows of one file, in its order; N = 0 for an empty file."""
 
-    Attributes:
-        frame: (N,) int64, counted from 0.
-        track_id: (N,) int64; -1 in files of detections.
-        xyxy_px: (N, 4) float64, pixels counted from 0.
-        score: (N,) float64; in ground truth 1 = evaluated, 0 = not evaluated.
-        mot_class: (N,) int64, MOTChallenge's class number (1 = pedestrian), 0 where the file has none.
-        visibility: (N,) float64 in [0, 1], NaN where the file has none.
-    """
-
-    frame: IntArray
-    track_id: IntArray
-    xyxy_px: FloatArray
-    score: FloatArray
-    mot_class: IntArray
-    visibility: FloatArray
+    frame: IntArray  # (N,) int64, counted from 0
+    track_id: IntArray  # (N,) int64; -1 in files of detections
+    xyxy_px: FloatArray  # (N, 4) float64, pixels counted from 0
+    score: FloatArray  # (N,) float64; in ground truth 1 = evaluated, 0 = not evaluated
+    mot_class: IntArray  # (N,) int64, MOTChallenge's class number (1 = pedestrian), 0 where the file has none
+    visibility: FloatArray  # (N,) float64 in [0, 1], NaN where the file has none
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:

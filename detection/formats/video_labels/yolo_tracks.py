@@ -64,7 +64,6 @@ WRITTEN_MARK = "# Written by track-range export."  # first line of a data.yaml t
 
 _INTEGER = re.compile(r"\d+")
 _N_BOX, _N_COLUMNS = 5, 7  # columns of a box, and of a box with score and identity
-
 _MAX_FRACTION = 2.0  # of a plausible box, which may extend beyond the image
 
 _NOT_LABELS = frozenset({"classes.txt", "train.txt", "val.txt", "test.txt", "readme.txt"})

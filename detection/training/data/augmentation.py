@@ -57,21 +57,16 @@ class LabelledPixels:
     """An image and its labels.
 
     Attributes:
-        image: (H, W, 3) uint8, BGR before and RGB after the augmentation.
-        xyxy: (M, 4) float64 boxes in corner coordinates (the left edge is 0).
-        class_index: (M,) int64 class of the network.
-        is_ignored: (M,) detections of the object are neither true nor false positives.
-        confidence: (M,) probability that there is such an object: 1 for labels, less for pseudo-labels.
         is_complete: (2, 2, C) whether each class is completely labelled above and below, left and right of
             `meeting_xy`.
         meeting_xy: (2,) point where the parts of a mosaic meet; any point for a single image.
     """
 
-    image: Image
-    xyxy: FloatArray
-    class_index: IntArray
-    is_ignored: BoolArray
-    confidence: FloatArray
+    image: Image  # (H, W, 3) uint8, BGR before and RGB after the augmentation
+    xyxy: FloatArray  # (M, 4) float64 boxes in corner coordinates (the left edge is 0)
+    class_index: IntArray  # (M,) int64 class of the network
+    is_ignored: BoolArray  # (M,) detections of the object are neither true nor false positives
+    confidence: FloatArray  # (M,) probability that there is such an object: 1 for labels, less for pseudo-labels
     is_complete: BoolArray
     meeting_xy: FloatArray = field(default_factory=lambda: np.zeros(2))
 

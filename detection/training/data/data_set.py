@@ -19,9 +19,7 @@ from track_range.detection.training.data.augmentation import LabelledPixels
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 
 _MEMORY_FRACTION = 0.5  # of the free memory, for cached images
-
 _UNKNOWN_MEMORY_BYTES = 2 << 30  # size of the cache if the free memory is unknown
-
 _N_READERS = 4  # threads that read images
 
 
@@ -45,17 +43,12 @@ class ValidationSet(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TrainingSets:
-    """Data of a training run.
-
-    Attributes:
-        road_class_id: (C,) road class of each of the network's classes.
-        name: identifier of the data, to recognise it when a run is resumed.
-    """
+    """Data of a training run."""
 
     train: LabelledSet
     validation: ValidationSet
-    road_class_id: IntArray
-    name: str = ""
+    road_class_id: IntArray  # (C,) road class of each of the network's classes
+    name: str = ""  # identifier of the data, to recognise it when a run is resumed
 
 
 class CachedImages:

@@ -91,14 +91,12 @@ class _DataYaml(BaseModel):
     video: Any = None
 
 
-_KITTI_NAMES = ("person", "bicycle", "car", "truck")
-"""Road classes that KITTI labels."""
+_KITTI_NAMES = ("person", "bicycle", "car", "truck")  # road classes that KITTI labels
 
 _MIN_SCORE, _MIN_CAR_SCORE = 0.5, 0.4
 """Minimum score of a pseudo-label that is used as an object: for most classes, and for cars."""
 
-_SAME_OBJECT_IOU = 0.5
-"""Minimum IoU between a pseudo-label and a label of the same object."""
+_SAME_OBJECT_IOU = 0.5  # minimum IoU between a pseudo-label and a label of the same object
 
 _PERSON, _CAR = ROAD_CLASSES.index("person"), ROAD_CLASSES.index("car")
 _BACKGROUND_NOTE = "no label file: background"
@@ -109,15 +107,13 @@ class TrainingData:
     """The data set of a data.yaml.
 
     Attributes:
-        road_class_id: (C,) road class of each of the network's classes.
         train, val: the images; their truth lists which classes are completely labelled.
-        notes: notes for the user on clipped boxes, ignored images and assumptions.
     """
 
-    road_class_id: IntArray
+    road_class_id: IntArray  # (C,) road class of each of the network's classes
     train: list[LabelledImage]
     val: list[LabelledImage]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # notes for the user on clipped boxes, ignored images and assumptions
 
     def fingerprint(self) -> str:
         """Identifier of the data: numbers of images, and a checksum of all file names and labels."""

@@ -46,15 +46,10 @@ _MATCH_IOU = 0.5  # of a fused box with the label of the same object
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Fused boxes of one class, in images in which it is completely labelled.
+    """Fused boxes of one class, in images in which it is completely labelled."""
 
-    Attributes:
-        score: (M, D) score of each detector.
-        is_match: (M,) whether there is a label.
-    """
-
-    score: FloatArray
-    is_match: BoolArray
+    score: FloatArray  # (M, D) score of each detector
+    is_match: BoolArray  # (M,) whether there is a label
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,13 +57,11 @@ class EnsembleCalibration:
     """Coefficients of the logistic regression by class.
 
     Attributes:
-        intercept: (8,) a_c.
-        weight: (8, D) w_cd.
         n_positives: (8,) number of matches from which the coefficients of a class were fitted; 0 = mean of the others.
     """
 
-    intercept: FloatArray
-    weight: FloatArray
+    intercept: FloatArray  # (8,) a_c
+    weight: FloatArray  # (8, D) w_cd
     n_positives: IntArray
 
     def probability(self, score: FloatArray) -> FloatArray:

@@ -47,19 +47,15 @@ class PseudoLabelFigures:
     """Pseudo-labels of a data set in figures.
 
     Attributes:
-        known_class_id: named road classes that at least one detector knows, in increasing order.
         n_labels: (8, 3) number of pseudo-labels by class of at least each of `COUNTED_PROBABILITIES`, in images in
             which the class is not completely labelled.
-        n_ignored: (8,) number of boxes to ignore, in images in which the class is completely labelled.
-        calibration: the fitted coefficients.
-        validation: by road class that is labelled, the calibration on the validation images.
     """
 
-    known_class_id: IntArray
+    known_class_id: IntArray  # named road classes that at least one detector knows, in increasing order
     n_labels: IntArray
-    n_ignored: IntArray
-    calibration: EnsembleCalibration
-    validation: dict[int, Reliability]
+    n_ignored: IntArray  # (8,) number of boxes to ignore, in images in which the class is completely labelled
+    calibration: EnsembleCalibration  # the fitted coefficients
+    validation: dict[int, Reliability]  # by road class that is labelled, the calibration on the validation images
 
 
 def usable_classes(data: OwnLabels, members: Sequence[EnsembleMember]) -> BoolArray:

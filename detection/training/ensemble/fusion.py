@@ -33,15 +33,10 @@ MIN_CLUSTER_SCORE = 0.04
 
 @dataclass(frozen=True, slots=True)
 class FusedBoxes:
-    """The K fused boxes of D detectors in one image.
+    """The K fused boxes of D detectors in one image."""
 
-    Attributes:
-        xyxy: (K, 4) left, top, right, bottom as fractions of the image size.
-        score: (K, D, 8) score s_dc by detector and road class; 0 = not detected.
-    """
-
-    xyxy: FloatArray
-    score: FloatArray
+    xyxy: FloatArray  # (K, 4) left, top, right, bottom as fractions of the image size
+    score: FloatArray  # (K, D, 8) score s_dc by detector and road class; 0 = not detected
 
     def __post_init__(self) -> None:
         check_shape("xyxy", self.xyxy, (len(self.score), 4))
@@ -72,12 +67,7 @@ def fuse(boxes: Sequence[ViewBoxes]) -> FusedBoxes:
 
 
 def _clusters(is_same_object: BoolArray, *, n_seeds: int) -> IntArray:
-    """(N,) cluster of each box, -1 = none.
-
-    Args:
-        is_same_object: (N, N) whether boxes, in order of decreasing score, can be in one cluster.
-        n_seeds: number of boxes, the first ones, that can start a cluster.
-    """
+    """(N,) cluster of each box, in order of decreasing score, -1 = none; the first `n_seeds` boxes can start one."""
     cluster: IntArray = np.full(len(is_same_object), -1, np.int64)
     n_clusters = 0
     for seed in range(n_seeds):

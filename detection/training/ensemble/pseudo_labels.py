@@ -27,17 +27,13 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check
 MIN_IGNORED_PROBABILITY = 0.6
 """Minimum probability of a box of a completely labelled class."""
 
-_SAME_OBJECT_IOU = 0.5
-"""IoU above which a box is that of a label, or that of the other detector."""
+_SAME_OBJECT_IOU = 0.5  # IoU above which a box is that of a label, or that of the other detector
 
 _MISSING_SCORE = 0.12
 """Score of the other detector where it has no box, about half of the lowest score that is usually stored, 0.25."""
 
-_LOWEST, _HIGHEST = 0.02, 0.98
-"""Limits of the probabilities that are combined, so that log-odds are finite."""
-
-_LEAST_FRACTION = 0.6
-"""Fraction of the other detector's score that its boxes have at least."""
+_LOWEST, _HIGHEST = 0.02, 0.98  # limits of the probabilities that are combined, so that log-odds are finite
+_LEAST_FRACTION = 0.6  # fraction of the other detector's score that its boxes have at least
 
 _ALONE_FRACTION = 0.75
 """Fraction of the other detector's score that its boxes have where the ensemble, which knows the class, has none."""
@@ -45,19 +41,12 @@ _ALONE_FRACTION = 0.75
 
 @dataclass(frozen=True, slots=True)
 class PseudoLabels:
-    """The K pseudo-labels of one image.
+    """The K pseudo-labels of one image."""
 
-    Attributes:
-        xyxy: (K, 4) left, top, right, bottom as fractions of the image size.
-        class_id: (K,) road class.
-        probability: (K,) probability that there is such an object.
-        is_ignored: (K,) the class is completely labelled, so that training ignores the box.
-    """
-
-    xyxy: FloatArray
-    class_id: IntArray
-    probability: FloatArray
-    is_ignored: BoolArray
+    xyxy: FloatArray  # (K, 4) left, top, right, bottom as fractions of the image size
+    class_id: IntArray  # (K,) road class
+    probability: FloatArray  # (K,) probability that there is such an object
+    is_ignored: BoolArray  # (K,) the class is completely labelled, so that training ignores the box
 
     def __post_init__(self) -> None:
         n = len(self.class_id)

@@ -29,7 +29,6 @@ _MAX_IOU, _MAX_BOXES = 0.6, 200
 """IoU threshold of non-maximum suppression, and largest number of boxes per view; the fusion merges what remains."""
 
 _MIN_SIDE_PX = 2.0  # of a box in pixels of the image
-
 _N_COLUMNS = 6  # of stored boxes: xyxy, score, class_id
 
 
@@ -39,13 +38,11 @@ class ViewBoxes:
 
     Attributes:
         xyxy: (N, 4) left, top, right, bottom as fractions of the image size, in the image that is not mirrored.
-        score: (N,) confidence in [0, 1].
-        class_id: (N,) road class.
     """
 
     xyxy: FloatArray
-    score: FloatArray
-    class_id: IntArray
+    score: FloatArray  # (N,) confidence in [0, 1]
+    class_id: IntArray  # (N,) road class
 
     def __post_init__(self) -> None:
         n = len(self.score)

@@ -23,9 +23,7 @@ from track_range.detection.training.losses.assignment import LabelledObjects, Ro
 from track_range.detection.training.losses.box_losses import pair_iou
 
 _N_POSITIVES = 10  # cells of an object
-
 _BETA = 6.0  # exponent of the IoU in the alignment a
-
 _EPSILON = 1e-9  # added to the largest a of an object, which is 0 if no predicted box overlaps it
 
 

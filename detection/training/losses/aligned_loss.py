@@ -28,9 +28,7 @@ from track_range.detection.training.losses.detection_loss import Batch, Losses
 from track_range.detection.training.networks.road_net import N_BINS, RoadNet, boxes_of, split_outputs
 
 _BOX, _BINS, _CLASS = 7.5, 1.5, 0.5  # as in YOLOv8
-
-_INCOMPLETE = 0.2
-"""Weight of cells without an object, for classes that are not completely labelled."""
+_INCOMPLETE = 0.2  # weight of cells without an object, for classes that are not completely labelled
 
 
 class AlignedLoss:

@@ -36,21 +36,13 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class LabelledObjects(Rows):
-    """T labelled objects of a batch of images.
+    """T labelled objects of a batch of images."""
 
-    Attributes:
-        image: (T,) int64 index of the image in the batch.
-        class_index: (T,) int64 class of the network.
-        cxcywh: (T, 4) float32 centre and size in input pixels.
-        is_ignored: (T,) predictions of the object are neither true nor false positives.
-        confidence: (T,) float32 probability that there is such an object: 1 for labels, less for pseudo-labels.
-    """
-
-    image: Tensor
-    class_index: Tensor
-    cxcywh: Tensor
-    is_ignored: Tensor
-    confidence: Tensor
+    image: Tensor  # (T,) int64 index of the image in the batch
+    class_index: Tensor  # (T,) int64 class of the network
+    cxcywh: Tensor  # (T, 4) float32 centre and size in input pixels
+    is_ignored: Tensor  # (T,) predictions of the object are neither true nor false positives
+    confidence: Tensor  # (T,) float32 probability that there is such an object: 1 for labels, less for pseudo-labels
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,25 +33,16 @@ from track_range.detection.training.networks.network import AnchorNetwork
 from track_range.detection.training.teacher import TeacherOutputs
 
 _BOX, _OBJECTNESS, _CLASS = 0.05, 1.0, 0.5  # as in YOLOv5
-
-_BALANCE = {8: 4.0, 16: 1.0, 32: 0.4}
-"""g_h: weight of a head's objectness loss by stride in pixels, as in YOLOv5."""
-
-_SAME_OBJECT_IOU = 0.5
-"""Smallest IoU of a teacher's box and a label of the same object."""
+_BALANCE = {8: 4.0, 16: 1.0, 32: 0.4}  # g_h: weight of a head's objectness loss by stride in pixels, as in YOLOv5
+_SAME_OBJECT_IOU = 0.5  # smallest IoU of a teacher's box and a label of the same object
 
 
 @dataclass(frozen=True, slots=True)
 class Completeness(Rows):
-    """Completely labelled classes, by quarter of each image in a batch.
+    """Completely labelled classes, by quarter of each image in a batch."""
 
-    Attributes:
-        flags: (B, 2, 2, C) above and below, left and right of `meeting_xy`.
-        meeting_xy: (B, 2) point in pixels where the quarters of each mosaic meet.
-    """
-
-    flags: Tensor
-    meeting_xy: Tensor
+    flags: Tensor  # (B, 2, 2, C) above and below, left and right of `meeting_xy`
+    meeting_xy: Tensor  # (B, 2) point in pixels where the quarters of each mosaic meet
 
     def at(self, image: Tensor, xy: Tensor, class_index: Tensor) -> Tensor:
         """(P,) whether classes (P,) are completely labelled at points (P, 2) of images (P,)."""
@@ -61,17 +52,12 @@ class Completeness(Rows):
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """A training batch.
+    """A training batch."""
 
-    Attributes:
-        images: (B, 3, H, W) uint8 RGB.
-        teacher: outputs of the teacher for each head; None = no teacher.
-    """
-
-    images: Tensor
+    images: Tensor  # (B, 3, H, W) uint8 RGB
     objects: LabelledObjects
     complete: Completeness
-    teacher: list[TeacherOutputs] | None = None
+    teacher: list[TeacherOutputs] | None = None  # outputs of the teacher for each head; None = no teacher
 
 
 Losses = Mapping[str, Tensor]
@@ -84,20 +70,16 @@ class _Positives(Rows):
 
     Attributes:
         image, anchor, row, column: (P,) int64 indices of the cells.
-        cxcywh: (P, 4) target boxes.
-        class_score: (P, C) target class scores.
-        weight: (P,) weight in the loss.
-        is_label: (P,) the target is a label, so that the target of the objectness is the overlap of the boxes.
     """
 
     image: Tensor
     anchor: Tensor
     row: Tensor
     column: Tensor
-    cxcywh: Tensor
-    class_score: Tensor
-    weight: Tensor
-    is_label: Tensor
+    cxcywh: Tensor  # (P, 4) target boxes
+    class_score: Tensor  # (P, C) target class scores
+    weight: Tensor  # (P,) weight in the loss
+    is_label: Tensor  # (P,) the target is a label, so that the target of the objectness is the overlap of the boxes
 
 
 class DetectionLoss:

@@ -41,17 +41,11 @@ class DetectionNetwork(nn.Module):
 
 
 class AnchorNetwork(DetectionNetwork):
-    """A network with several heads, each a grid of cells with A boxes per cell.
+    """A network with several heads, each a grid of cells with A boxes per cell."""
 
-    Attributes:
-        anchors_px: (heads, A, 2) width and height in input pixels.
-        reach_cells: largest distance of a predicted centre outside its cell, in cells.
-        max_ratio: largest ratio of the sides of a box and its anchor.
-    """
-
-    anchors_px: Tensor
-    reach_cells: float
-    max_ratio: float = 4.0
+    anchors_px: Tensor  # (heads, A, 2) width and height in input pixels
+    reach_cells: float  # largest distance of a predicted centre outside its cell, in cells
+    max_ratio: float = 4.0  # largest ratio of the sides of a box and its anchor
 
     def __init__(self, name: str, n_classes: int, *, anchors_px: Anchors, has_cbam: bool) -> None:
         super().__init__(name, n_classes, has_cbam=has_cbam)
@@ -70,13 +64,9 @@ class AnchorNetwork(DetectionNetwork):
         raise NotImplementedError
 
     def boxes(self, raw: Tensor, cells_xy: Tensor, anchors_px: Tensor, stride_px: int) -> Tensor:
-        """(..., 4) centre and size in input pixels of boxes.
+        """(..., 4) centre and size in input pixels of boxes from raw outputs (..., 4).
 
-        Args:
-            raw: (..., 4) raw outputs.
-            cells_xy: (..., 2) column and row of the cells.
-            anchors_px: (..., 2) width and height of the anchors.
-            stride_px: side of a cell.
+        `cells_xy` (..., 2) are columns and rows of the cells, `anchors_px` (..., 2) width and height of the anchors.
         """
         raise NotImplementedError
 

@@ -15,11 +15,7 @@ from track_range.detection.training.networks.yolov5 import COCO_ANCHORS_PX, SCAL
 
 
 def yolov5_of_export(path: Path) -> YoloV5:
-    """A YOLOv5n or YOLOv5s in evaluation mode, from its official export (with folded batch norms).
-
-    Raises:
-        ModelError: the file cannot be read, or does not have the convolutions of a YOLOv5n or YOLOv5s.
-    """
+    """A YOLOv5n or YOLOv5s in evaluation mode, from its official export with folded batch norms; else ModelError."""
     weights = _convolutions(path)
     for name in SCALES:
         n_classes = weights[-1][0].shape[0] // 3 - 5

@@ -15,17 +15,11 @@ from track_range.detection.training.networks.yolov5 import COCO_ANCHORS_PX, Yolo
 
 @dataclass(frozen=True, slots=True)
 class NetworkKind:
-    """A network that can be trained.
+    """A network that can be trained."""
 
-    Attributes:
-        family: name for display.
-        make: function that creates the network.
-        anchors_px: default anchors of each head in input pixels; empty for a network without anchors.
-    """
-
-    family: str
-    make: Callable[..., DetectionNetwork]
-    anchors_px: Anchors = ()
+    family: str  # name for display
+    make: Callable[..., DetectionNetwork]  # function that creates the network
+    anchors_px: Anchors = ()  # default anchors of each head in input pixels; empty for a network without anchors
 
     @property
     def n_heads(self) -> int:

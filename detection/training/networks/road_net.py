@@ -29,11 +29,8 @@ from track_range.detection.training.networks.yolov5 import SCALES, YoloV5Body
 N_BINS = 8
 """R + 1: bins of a distance, which is at most R = 7 cells."""
 
-_N_HIDDEN = 48
-"""Channels of a head's branches."""
-
-_INITIAL_SCORE = 0.01
-"""Class scores at the start of the training (Lin et al., "Focal Loss", ICCV 2017)."""
+_N_HIDDEN = 48  # channels of a head's branches
+_INITIAL_SCORE = 0.01  # class scores at the start of the training (Lin et al., "Focal Loss", ICCV 2017)
 
 
 class RoadNet(DetectionNetwork):
@@ -99,12 +96,9 @@ def split_outputs(raw: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def boxes_of(distances: Tensor, centre_px: Tensor, stride_px: Tensor) -> Tensor:
-    """(..., 4) centre and size in pixels of boxes.
+    """(..., 4) centre and size in pixels of boxes, from the distances (..., 4) of their sides in cells.
 
-    Args:
-        distances: (..., 4) distances of the left, top, right and bottom side in cells.
-        centre_px: (..., 2) centres of the cells.
-        stride_px: (...) sides of the cells.
+    The sides are left, top, right, bottom; `centre_px` (..., 2) and `stride_px` (...) are those of the cells.
     """
     low, high = distances[..., :2] * stride_px[..., None], distances[..., 2:] * stride_px[..., None]
     return torch.cat([centre_px + (high - low) / 2, low + high], -1)
