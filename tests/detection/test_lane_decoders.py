@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from track_range.detection.lanes.decoders import (
+from track_range.detection.lanes.nets import (
     ROW_ANCHORS,
     curve_points,
     is_row_anchor_shape,

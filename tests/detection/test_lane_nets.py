@@ -6,9 +6,8 @@ import pytest
 
 from tests.detection.lane_roads import HW, picture, road_x_px, width_px
 from tests.detection.onnx_models import write_model
-from track_range.detection.lanes.decoders import ROW_ANCHORS
 from track_range.detection.lanes.edges import EdgeLaneFinder
-from track_range.detection.lanes.nets import CLASSICAL, NetLaneFinder, open_lane_finder
+from track_range.detection.lanes.nets import CLASSICAL, ROW_ANCHORS, NetLaneFinder, open_lane_finder
 from track_range.detection.models.onnx_session import ModelError, Runtime
 
 IMAGE = np.zeros((*HW, 3), np.uint8)

@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from track_range.detection.boxes import iou, xyxy_from_cxcywh
-from track_range.detection.training.losses.aligned_assignment import assign_aligned
-from track_range.detection.training.losses.aligned_loss import AlignedLoss
+from track_range.detection.training.losses.aligned_loss import AlignedLoss, assign_aligned
 from track_range.detection.training.losses.assignment import LabelledObjects
 from track_range.detection.training.losses.detection_loss import Batch, Completeness
 from track_range.detection.training.networks.network import cells_xy

@@ -25,8 +25,8 @@ from track_range.detection.training.ensemble.calibration import (
     reliability,
     samples,
 )
+from track_range.detection.training.ensemble.data_set import PseudoLabels, pseudo_labels
 from track_range.detection.training.ensemble.fusion import FusedBoxes, fuse
-from track_range.detection.training.ensemble.pseudo_labels import PseudoLabels, pseudo_labels
 from track_range.detection.training.ensemble.views import EnsembleMember, ViewBoxes, detect_views, store_missing
 from track_range.detection.training.errors import TrainingError
 

@@ -4,8 +4,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from track_range.detection.training.networks.blocks import ConvolutionBlock
-from track_range.detection.training.networks.rounding import rounded_activations, rounded_weights
+from track_range.detection.training.networks.blocks import ConvolutionBlock, rounded_activations, rounded_weights
 
 
 def test_activations_by_reference_arithmetic():
