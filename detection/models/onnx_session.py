@@ -8,7 +8,8 @@ from __future__ import annotations
 import hashlib
 import math
 import mmap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -39,6 +40,7 @@ _SIZE_TYPES = {"tensor(int64)": np.int64, "tensor(int32)": np.int32, "tensor(flo
 
 _LOCATION_KEY = b"location"  # of the path of external data in ONNX files
 _MAX_REASON = 160  # characters of a library's message
+_FAILED = "running the network failed"
 
 
 class ModelError(UserError):
@@ -80,9 +82,16 @@ class OnnxSession:
         self.path = path
         self.notes: tuple[str, ...] = ()
         runtime = runtime or Runtime()
-        self._session = self._load(runtime)
-        device = runtime.device
-        self.device = _device_of(self._session.get_providers())
+        check_model_file(path)
+        options = ort.SessionOptions()
+        options.intra_op_num_threads = runtime.n_threads
+        options.inter_op_num_threads = 1
+        options.log_severity_level = 4  # failures are reported by our exception
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        with _library_errors(path, "not a usable ONNX model"):
+            self._session: Any = ort.InferenceSession(str(path), options, providers=_providers(runtime))
+        device, first = runtime.device, self._session.get_providers()[0]
+        self.device = {_TENSORRT: "tensorrt", _CUDA: "cuda"}.get(first, "cpu")
         if device in ("cuda", "tensorrt") and self.device != device:
             self.notes = (
                 f"--device {device} is not available on this machine (not part of this onnxruntime, or its libraries "
@@ -91,18 +100,6 @@ class OnnxSession:
         self._input, self._size_input = _checked_inputs(path, self._session.get_inputs())
         self.input_shape = tuple(d if isinstance(d, int) else None for d in self._input.shape)
         self.metadata: Mapping[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
-
-    def _load(self, runtime: Runtime) -> Any:
-        check_model_file(self.path)
-        options = ort.SessionOptions()
-        options.intra_op_num_threads = runtime.n_threads
-        options.inter_op_num_threads = 1
-        options.log_severity_level = 4  # failures are reported by our exception
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        try:
-            return ort.InferenceSession(str(self.path), options, providers=_providers(runtime))
-        except Exception as error:  # onnxruntime raises a dozen unrelated types for a broken file
-            raise ModelError(f"{self.path}: not a usable ONNX model ({_reason(error, self.path)}).") from error
 
     @property
     def input_dtype(self) -> type[np.floating[Any]]:
@@ -124,18 +121,13 @@ class OnnxSession:
 
     def run(self, blob: FloatArray32) -> list[FloatArray32]:
         """The outputs as float32, in the file's order, for one input blob (batch, 3, height, width)."""
-        try:
+        with _library_errors(self.path, _FAILED):
             outputs = self._session.run(None, self.inputs(blob.astype(self.input_dtype, copy=False)))
-        except Exception as error:  # as above
-            raise self._failure(error) from error
         return [np.asarray(output, np.float32) for output in outputs]
 
     def bound(self, input_hw: tuple[int, int]) -> BoundNetwork:
         """The network with buffers for one image of this size; one trial run determines the outputs' shapes."""
         return BoundNetwork(self, input_hw)
-
-    def _failure(self, error: Exception) -> ModelError:
-        return ModelError(f"{self.path}: running the network failed ({_reason(error, self.path)}).")
 
     def sha256(self) -> str:
         """SHA-256 of the model file in hexadecimal, so that a run can be repeated with the same weights."""
@@ -154,12 +146,10 @@ def check_model_file(path: Path) -> None:
     import onnx
     from onnx.external_data_helper import _get_all_tensors, uses_external_data  # not part of onnxruntime
 
-    try:
+    with _library_errors(path, "not a readable ONNX model"):
         model = onnx.load(str(path), load_external_data=False)
         external = [tensor for tensor in _get_all_tensors(model) if uses_external_data(tensor)]
         locations = {entry.value for tensor in external for entry in tensor.external_data if entry.key == "location"}
-    except Exception as error:  # onnx and protobuf raise unrelated types
-        raise ModelError(f"{path}: not a readable ONNX model ({_reason(error, path)}).") from error
     folder = real_path(path).parent
     for location in sorted(locations):
         if folder not in real_path(folder / location).parents:
@@ -191,10 +181,14 @@ def _checked_inputs(path: Path, inputs: Sequence[Any]) -> tuple[Any, Any | None]
     return image, sizes[0] if sizes else None
 
 
-def _reason(error: Exception, path: Path) -> str:
-    """First line of the message of a library, without the path and shortened."""
-    lines = str(error).replace(str(path), path.name).splitlines() or [type(error).__name__]
-    return shortened(lines[0], _MAX_REASON)
+@contextmanager
+def _library_errors(path: Path, problem: str) -> Iterator[None]:
+    """Context of a library; onnx, protobuf and onnxruntime raise dozens of unrelated types for a broken file."""
+    try:
+        yield
+    except Exception as error:
+        lines = str(error).replace(str(path), path.name).splitlines() or [type(error).__name__]
+        raise ModelError(f"{path}: {problem} ({shortened(lines[0], _MAX_REASON)}).") from error
 
 
 class BoundNetwork:
@@ -217,10 +211,8 @@ class BoundNetwork:
                 f"{session.path}: expected a batch size of 1 or a variable one, got {batch}; export with batch size 1."
             )
         inputs = session.inputs(self.blob)
-        try:
+        with _library_errors(session.path, _FAILED):
             outputs = network.run(None, inputs)
-        except Exception as error:  # onnxruntime raises a dozen unrelated types
-            raise session._failure(error) from error
         self._buffers = [np.empty_like(np.asarray(output), order="C") for output in outputs]
         names = [output.name for output in network.get_outputs()]
         named = dict(zip(names, self._buffers, strict=True))
@@ -240,28 +232,18 @@ class BoundNetwork:
         if self._owner.device != "cpu" or self._bound_inputs[self._image_name] is not source:
             self._binding.bind_cpu_input(self._image_name, source)
             self._bound_inputs[self._image_name] = source
-        try:
+        with _library_errors(self._owner.path, _FAILED):
             self._owner._session.run_with_iobinding(self._binding)
-        except Exception as error:  # as above
-            raise self._owner._failure(error) from error
         return [buffer.astype(np.float32, copy=False) for buffer in self._buffers]
 
 
 def _providers(runtime: Runtime) -> list[tuple[str, dict[str, Any]]]:
-    preferred = _PROVIDERS["cuda" if runtime.device == "auto" else runtime.device]
+    """Available onnxruntime providers for the device with their options, the preferred one first, the CPU last."""
+    tensorrt: dict[str, Any] = {"trt_fp16_enable": True}
+    if runtime.engine_folder is not None:
+        tensorrt |= {"trt_timing_cache_enable": True, "trt_engine_cache_enable": True}
+        tensorrt["trt_engine_cache_path"] = str(runtime.engine_folder)
     available = available_providers()
-    options = {_TENSORRT: _tensorrt_options(runtime.engine_folder)}
+    preferred = _PROVIDERS["cuda" if runtime.device == "auto" else runtime.device]
     names = [name for name in preferred if name in available]
-    return [*((name, options.get(name, {})) for name in names), ("CPUExecutionProvider", {})]
-
-
-def _tensorrt_options(engine_folder: Path | None) -> dict[str, Any]:
-    if engine_folder is None:
-        return {"trt_fp16_enable": True}
-    cache = {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(engine_folder)}
-    return {"trt_fp16_enable": True, "trt_timing_cache_enable": True, **cache}
-
-
-def _device_of(providers: list[str]) -> str:
-    first = providers[0]
-    return {_TENSORRT: "tensorrt", _CUDA: "cuda"}.get(first, "cpu")
+    return [*((name, tensorrt if name == _TENSORRT else {}) for name in names), ("CPUExecutionProvider", {})]

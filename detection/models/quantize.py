@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -40,11 +41,16 @@ from onnxruntime.quantization.onnx_model import ONNXModel
 from onnxruntime.quantization.shape_inference import quant_pre_process
 from onnxruntime.transformers.float16 import convert_float_to_float16
 
+from track_range.detection.formats.image_labels.labelled_images import ImageFileError, images_in, read_image
 from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
 from track_range.detection.models.writing import atomic_output, silent_conversion
+from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.arrays import FloatArray, FloatArray32
 
 _PER_CHANNEL_OPSET = 13  # the first in which DequantizeLinear supports one scale per channel
+N_CALIBRATION = 60
+"""Number of images for calibration of the value ranges of the layers."""
+
 _N_NOISE_BLOBS = 4  # images on which the rounding noise of every tensor is measured before the calibration
 
 _MAX_NOISE_RATIO = 0.1
@@ -123,6 +129,27 @@ def convert_fp16(path: Path, out: Path) -> None:
         _save(half, model, folder / out.name)
 
 
+def calibration_images(folder: Path, measured: frozenset[Path]) -> tuple[list[Path], list[Path]]:
+    """Images for calibration, and the others; labelled images are used for calibration only if there are no others."""
+    paths = images_in(folder)
+    pool = [path for path in paths if path not in measured] or paths
+    n = min(N_CALIBRATION, len(paths) // 2)
+    if n == 0:
+        raise ModelError(
+            f"{folder}: expected at least 2 images for calibration and comparison ({2 * N_CALIBRATION} recommended), "
+            f"found {len(paths)}."
+        )
+    drawn = [pool[i] for i in np.random.default_rng(0).permutation(len(pool))]
+    return drawn[:n], drawn[n:] or [path for path in paths if path not in drawn[:n]]
+
+
+def input_blobs(detector: YoloDetector, paths: Sequence[Path]) -> Iterator[FloatArray32]:
+    """Inputs of a detector's network for the images; damaged images are skipped."""
+    for path in paths:
+        with suppress(ImageFileError):
+            yield detector.input_blob(read_image(path))
+
+
 def _float_model(path: Path) -> onnx.ModelProto:
     """The network at `path`, after a check that onnxruntime can load it and that it computes in float32."""
     OnnxSession(path, Runtime(device="cpu"))  # raises a ModelError if the file is not a usable network
@@ -160,25 +187,25 @@ def _inner_convolutions(graph: onnx.GraphProto) -> set[str]:
 def _before(graph: onnx.GraphProto, names: set[str]) -> set[str]:
     """Names of the nodes from which a node in `names` can be reached; ONNX graphs are in topological order."""
     needed: set[str] = set()
-    predecessors: set[str] = set()
+    found: set[str] = set()
     for node in reversed(graph.node):
         if needed.intersection(node.output):
-            predecessors.add(node.name)
-        if node.name in predecessors or node.name in names:
+            found.add(node.name)
+        if node.name in found or node.name in names:
             needed.update(node.input)
-    return predecessors
+    return found
 
 
 def _after(graph: onnx.GraphProto, names: set[str]) -> set[str]:
     """Names of the nodes that can be reached from a node in `names`, not through the shape of a tensor."""
     reached: set[str] = set()
-    successors: set[str] = set()
+    found: set[str] = set()
     for node in graph.node:
         if reached.intersection(node.input) and node.op_type not in ("Shape", "Size"):
-            successors.add(node.name)
-        if node.name in successors or node.name in names:
+            found.add(node.name)
+        if node.name in found or node.name in names:
             reached.update(node.output)
-    return successors
+    return found
 
 
 def _prepared(model: onnx.ModelProto, folder: Path) -> onnx.ModelProto:

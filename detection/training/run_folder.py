@@ -15,6 +15,7 @@ from torch import Tensor
 
 from track_range.detection.training.errors import CheckpointError
 from track_range.foundation.files.atomic_files import atomic_path, describe, write_text
+from track_range.foundation.files.output_files import OutputError
 
 LAST, BEST, RESULTS = "last.pt", "best.pt", "results.csv"
 
@@ -130,6 +131,29 @@ def check_same_run(path: Path, saved: Mapping[str, Any], expected: Mapping[str, 
                 f"{path}: expected {_OPTION.get(key, key)} {new}, got a run with {old}; use the options of that run "
                 "or another --out (with --weights to start from its weights)."
             )
+
+
+def check_start(out: Path, *, resume: bool, weights: Sequence[Path], files: Sequence[str]) -> None:
+    """Check the run folder and the checkpoints of `--weights` before images are read.
+
+    Raises:
+        OutputError: the folder contains a run that is not to be resumed, or one of its `files` would be overwritten.
+        CheckpointError: a checkpoint is missing or damaged.
+    """
+    if resume:
+        load_checkpoint(out / LAST)
+        if (out / BEST).exists():
+            load_checkpoint(out / BEST)
+        return
+    if (out / LAST).exists():
+        raise OutputError(
+            f"{out}: this folder already contains a run; continue it with --resume, or choose another --out."
+        )
+    for name in (BEST, RESULTS, *files):
+        if (out / name).exists():
+            raise OutputError(f"{out / name}: this file would be overwritten; choose another --out.")
+    if weights:
+        load_mean(weights)
 
 
 def write_results(path: Path, history: Sequence[Mapping[str, float]]) -> None:

@@ -7,6 +7,7 @@ resumed run takes the same steps as an uninterrupted one (bit by bit on a CPU, w
 
 from __future__ import annotations
 
+import datetime
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
@@ -26,6 +27,7 @@ from track_range.detection.training.losses.aligned_loss import AlignedLoss
 from track_range.detection.training.losses.detection_loss import Batch, DetectionLoss, Losses
 from track_range.detection.training.losses.feature_loss import FeatureLoss
 from track_range.detection.training.networks.blocks import ConvolutionBlock
+from track_range.detection.training.networks.export import export_onnx
 from track_range.detection.training.networks.network import AnchorNetwork, DetectionNetwork, placed
 from track_range.detection.training.networks.road_net import RoadNet
 from track_range.detection.training.networks.yolov5 import BODY_PREFIX
@@ -197,6 +199,29 @@ class Training:
             min_boxes=self._settings.min_boxes,
             done=lambda i: listener.validated(epoch, i, n) if listener else None,
         )
+
+    def export(self, path: Path, *, family: str, data: str, licence: str = "") -> None:
+        """Write `average` as an ONNX file with the attributes that `detection.models.metadata` reads.
+
+        `family` and `data` are names of the network's family and of the data set, for display.
+        """
+        network = self.average.network
+        about: dict[str, object] = {
+            "family": family,
+            "names": [ROAD_CLASSES[i] for i in self._sets.road_class_id],
+            "letterbox": "centred-114",
+            "colours": "rgb",
+            "divisor": 255,
+            "mean": [0.0, 0.0, 0.0],
+            "std": [1.0, 1.0, 1.0],
+            "size": self._settings.size_px,
+            "data": data,
+            "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+            "epochs": len(self.history),
+        }
+        if isinstance(network, AnchorNetwork):
+            about["trained_anchors"] = network.anchors_px.tolist()
+        export_onnx(network, path, about | ({"licence": licence} if licence else {}))
 
     def _epoch(self, listener: Listener) -> None:
         """Train one epoch, validate, and write the run folder."""

@@ -56,7 +56,8 @@ class ImageTruth:
         """Labels of an image in which all classes are labelled, from arrays or lists; see the attributes."""
         ids = np.asarray(class_id, np.int64).reshape(-1)
         regions, ignored = (
-            np.broadcast_to(np.asarray(flags, np.bool_), ids.shape) for flags in (is_region, is_ignored)
+            np.full(len(ids), flags) if np.ndim(flags) == 0 else np.asarray(flags, np.bool_).reshape(-1)
+            for flags in (is_region, is_ignored)
         )
         boxes = np.asarray(xyxy_px, np.float64).reshape(-1, 4)
         return cls(boxes, ids, ignored | regions | (ids == ANY_CLASS), regions, ALL_COMPLETE, np.ones(len(ids)))

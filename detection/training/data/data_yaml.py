@@ -43,6 +43,7 @@ from track_range.detection.formats.image_labels.labelled_images import (
     read_manifest,
 )
 from track_range.detection.formats.image_labels.yolo_labels import YoloLabelReader, YoloLabels, names_in
+from track_range.detection.training.errors import TrainingError
 from track_range.foundation.arrays import BoolArray, IntArray
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, real_path, shortened
 from track_range.foundation.files.structured_text import read_yaml
@@ -124,6 +125,21 @@ class TrainingData:
             for values in (truth.xyxy_px, truth.class_id, truth.is_ignored, truth.is_complete, truth.confidence):
                 crc = zlib.crc32(np.ascontiguousarray(values).tobytes(), crc)
         return f"{len(self.train)} and {len(self.val)} images, {crc:08x}"
+
+    def check_trainable(self, path: Path, model: str) -> None:
+        """Check that the data of the data.yaml at `path` can train a `model`.
+
+        Raises:
+            LabelFileError: no training image has an object.
+            TrainingError: there are pseudo-labels with probabilities, which only the loss of RoadNet uses.
+        """
+        if not any((~item.truth.is_ignored).any() for item in self.train):
+            raise LabelFileError(f"{path}: expected labelled objects in the training images, found none.")
+        if model != "road" and any((item.truth.confidence < 1).any() for item in self.train):
+            raise TrainingError(
+                f"--model {model}: expected `pseudo_scores: thresholds` in {path.name}; only the loss of --model road "
+                "uses pseudo-labels with probabilities."
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -13,11 +13,11 @@ from track_range.cli.commands.evaluate.result_files import check_result_files
 from track_range.cli.console import console, print_grid, print_line, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
-from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
+from track_range.detection.evaluation.calibrated_copy import check_attributes, score_outputs, write_calibrated_copy
 from track_range.detection.evaluation.score_calibration import MIN_SCORE, Reliability
 from track_range.detection.evaluation.score_fit import (
-    BACKGROUND_SCORE,
     LOWEST_SCORE,
     MIN_POSITIVES,
     ScoreFit,
@@ -28,12 +28,11 @@ from track_range.detection.evaluation.score_fit import (
 )
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.models.onnx_session import ModelError
-from track_range.detection.models.score_outputs import write_calibrated
 from track_range.detection.yolo.detector import YoloDetector
-from track_range.evaluation.sequences.labelled_images import LabelledFrames, LabelledSource
+from track_range.evaluation.sequences.labelled_images import LabelledSource
 from track_range.evaluation.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
 from track_range.foundation.files.input_files import counted
-from track_range.foundation.files.output_files import OutputError, write_bytes, write_text
+from track_range.foundation.files.output_files import write_text
 from track_range.foundation.options import Options, option
 from track_range.run.options.detection import ThreadsField
 from track_range.run.options.opened import DetectorOptions, class_names, open_detector
@@ -70,12 +69,9 @@ class CalibrateScoresOptions(Options):
 def _calibrate_scores(options: CalibrateScoresOptions) -> None:
     check_result_files(options)
     path = ready_model(options.model, console)
-    sidecar = _sidecar(path, options.out)
-    detector = open_detector(
-        path,
-        replace(DetectorOptions.of(options), device="cpu", min_score=str(LOWEST_SCORE)),
-    )
-    outputs = _score_outputs(detector)
+    check_attributes(path, options.out)
+    detector = open_detector(path, replace(DetectorOptions.of(options), device="cpu", min_score=str(LOWEST_SCORE)))
+    score_outputs(detector)
     source = LabelledSource(
         images=options.images,
         labels=options.labels,
@@ -85,7 +81,13 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
         split=options.split,
     )
     frames = source.open()
-    detections, truth = _detect(detector, frames)
+    detections: list[Detections] = []
+    truth: list[ImageTruth] = []
+    with frame_progress(console, frames.n_images) as advance:
+        for image, labels in frames:
+            detections.append(detector.detect(image))
+            truth.append(labels)
+            advance()
     samples = ScoreSamples.of(detections, truth, detector.known_class_id)
     fit = fit_scores(samples)
     if fit is None:
@@ -95,18 +97,7 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
             f"got {np.count_nonzero(samples.is_match)} and {np.count_nonzero(~samples.is_match)}{unreadable}; give "
             "more images with labels of classes that the detector knows."
         )
-    _check_background(fit, detector, options.images)
-    road_class = map_to_road_classes(detector.model.names)
-    slope, offset = fit.shared  # of classes that are no road classes
-    write_calibrated(
-        path,
-        options.out,
-        score_outputs=outputs,
-        slope=np.where(road_class < 0, slope, fit.slope[road_class]),
-        offset=np.where(road_class < 0, offset, fit.offset[road_class]),
-    )
-    if sidecar:
-        write_bytes(options.out.with_suffix(sidecar.suffix), sidecar.read_bytes())
+    write_calibrated_copy(detector, fit, options.out, images=options.images)
     before = reliability(samples.score, samples.is_match)
     after = cross_validated(detections, truth, detector.known_class_id)
     print_grid(console, _coefficient_grid(fit, detector))
@@ -122,72 +113,18 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
             f"{len(truth)} images. Classes with fewer than {MIN_POSITIVES} matches share their coefficients.",
             f"ECE of boxes with a score of {MIN_SCORE} or more: mean difference between score and precision; chance: "
             f"that of perfect scores. {validation}",
-            *(
-                [f"{counted(len(frames.unreadable), 'image')} skipped, the first: {frames.unreadable[0]}"]
-                if frames.unreadable
-                else []
-            ),
+            *(f"{counted(len(frames.unreadable), 'image')} skipped, the first: {one}" for one in frames.unreadable[:1]),
         ],
     )
     print_line(console, f"Written: {options.out}")
     if options.json_file is not None:
-        write_text(options.json_file, json.dumps(_figures(fit, before, after, len(truth)), indent=2) + "\n")
-
-
-def _score_outputs(detector: YoloDetector) -> tuple[int, ...]:
-    """Indices of the network's outputs that are class scores.
-
-    Raises:
-        ModelError: scores are not separate outputs.
-    """
-    if detector.model.score_outputs:
-        return detector.model.score_outputs
-    raise ModelError(
-        f"{detector.session.path}: expected a detector with separate outputs of the class scores, such as RoadNet, "
-        f"found {detector.model.layout}; export it with separate outputs if its exporter can."
-    )
-
-
-def _check_background(fit: ScoreFit, detector: YoloDetector, images: Path) -> None:
-    """Check that the scores of background remain low.
-
-    Raises:
-        ModelError: they would be detections.
-    """
-    known = detector.known_class_id
-    background = fit.probability(np.full(len(known), BACKGROUND_SCORE), known)
-    if background.max() > LOWEST_SCORE:
-        name = ROAD_CLASSES[known[background.argmax()]]
-        raise ModelError(
-            f"{images}: expected scores that are clearly higher for detections that match a label, but with those of "
-            f"{name}, background would get {background.max():.2f}; check the labels, or give more images."
-        )
-
-
-def _sidecar(model: Path, out: Path) -> Path | None:
-    """The file of attributes beside the model, `MODEL.yaml`, which belongs beside the copy too; None = there is none.
-
-    Raises:
-        OutputError: there are other attributes beside the copy, which would be used for it.
-    """
-    source, target = model.with_suffix(".yaml"), out.with_suffix(".yaml")
-    content = source.read_bytes() if source.is_file() else None
-    if target.is_file() and target.read_bytes() != content:
-        raise OutputError(
-            f"{target}: expected no file or the attributes of {model.name}, found others; choose another --out."
-        )
-    return None if content is None else source
-
-
-def _detect(detector: YoloDetector, frames: LabelledFrames) -> tuple[list[Detections], list[ImageTruth]]:
-    """Detections and labels of all images that can be read."""
-    detections, truth = [], []
-    with frame_progress(console, frames.n_images) as advance:
-        for image, labels in frames:
-            detections.append(detector.detect(image))
-            truth.append(labels)
-            advance()
-    return detections, truth
+        figures = {
+            "n_images": len(truth),
+            "classes": fit.as_dict(),
+            "before": before.as_dict(),
+            "cross_validated": None if after is None else after.as_dict(),
+        }
+        write_text(options.json_file, json.dumps(figures, indent=2) + "\n")
 
 
 def _coefficient_grid(fit: ScoreFit, detector: YoloDetector) -> Grid:
@@ -212,16 +149,6 @@ def _error_grid(before: Reliability, after: Reliability | None) -> Grid:
         Column("chance %", [row.ece_if_calibrated for row in rows.values()], scale=100),
     ]
     return grid_of("Calibration", "scores", list(rows), columns)
-
-
-def _figures(fit: ScoreFit, before: Reliability, after: Reliability | None, n_images: int) -> dict[str, Any]:
-    """Coefficients and calibration errors for JSON."""
-    return {
-        "n_images": n_images,
-        "classes": fit.as_dict(),
-        "before": before.as_dict(),
-        "cross_validated": None if after is None else after.as_dict(),
-    }
 
 
 app = single_app(command(CalibrateScoresOptions, _calibrate_scores))

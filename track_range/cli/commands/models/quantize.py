@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from track_range.cli.commands.evaluate.detections import print_figures
@@ -18,14 +16,19 @@ from track_range.cli.console import console
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
-from track_range.detection.formats.image_labels.labelled_images import ImageFileError, images_in, read_image
-from track_range.detection.models.onnx_session import ModelError
-from track_range.detection.models.quantize import convert_fp16, quantize_int8
+from track_range.detection.formats.image_labels.labelled_images import ImageFileError, read_image
+from track_range.detection.models.quantize import (
+    N_CALIBRATION,
+    calibration_images,
+    convert_fp16,
+    input_blobs,
+    quantize_int8,
+)
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.evaluation.sequences.detector_evaluation import WORKING_SCORE, evaluate, open_candidates
 from track_range.evaluation.sequences.labelled_images import LabelledFrames, LabelledSource
 from track_range.evaluation.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
-from track_range.foundation.arrays import FloatArray32, Image
+from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import make_folder
 from track_range.foundation.options import Options, option
 from track_range.run.options.detection import (
@@ -38,9 +41,6 @@ from track_range.run.options.detection import (
 from track_range.run.options.opened import DetectorOptions, class_names, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
-
-N_CALIBRATION = 60
-"""Number of images for calibration of the value ranges of the layers; see detection/models/quantize.py."""
 
 N_COMPARED = 100
 """Maximum number of images on which copies are compared with the original if there are no labels."""
@@ -126,13 +126,13 @@ def _quantize(options: QuantizeOptions) -> None:
     path = ready_model(options.model, console)
     original = open_detector(path, replace(detector, min_score=str(WORKING_SCORE)))
     measured = frozenset(item.path for item in source.labelled_files()) if source else frozenset()
-    calibration, others = _calibration_images(images, measured)
+    calibration, others = calibration_images(images, measured)
     int8, fp16 = (out / f"{path.stem}-{kind}.onnx" for kind in ("int8", "fp16"))
     with console.status(f"Calibrating on {len(calibration)} images") as status:
         quantize_int8(
             path,
             int8,
-            blobs=_blobs(original, calibration),
+            blobs=input_blobs(original, calibration),
             progress=lambda done, total: status.update(f"Correcting the biases of convolution {done + 1} of {total}"),
         )
         convert_fp16(path, fp16)
@@ -147,26 +147,6 @@ def _quantize(options: QuantizeOptions) -> None:
     console.print(f"Written: {int8}, {fp16}", highlight=False, soft_wrap=True)
     write_json(figures, options.json_file, allow_nan=True)
     raise typer.Exit(0 if figures["is_complete"] else 1)
-
-
-def _calibration_images(folder: Path, measured: frozenset[Path]) -> tuple[list[Path], list[Path]]:
-    """Images for calibration, and the others; labelled images are used for calibration only if there are no others."""
-    paths = images_in(folder)
-    pool = [path for path in paths if path not in measured] or paths
-    n = min(N_CALIBRATION, len(paths) // 2)
-    if n == 0:
-        raise ModelError(
-            f"{folder}: expected at least 2 images for calibration and comparison ({2 * N_CALIBRATION} recommended), "
-            f"found {len(paths)}."
-        )
-    drawn = [pool[i] for i in np.random.default_rng(0).permutation(len(pool))]
-    return drawn[:n], drawn[n:] or [path for path in paths if path not in drawn[:n]]
-
-
-def _blobs(detector: YoloDetector, paths: Sequence[Path]) -> Iterator[FloatArray32]:
-    for path in paths:
-        with suppress(ImageFileError):  # damaged images are skipped; ModelError if none is left
-            yield detector.input_blob(read_image(path))
 
 
 app = single_app(command(QuantizeOptions, _quantize))

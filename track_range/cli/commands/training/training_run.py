@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,23 +11,19 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from track_range.cli.commands.training.data import fitted_anchors, read_images
 from track_range.cli.commands.training.options import TrainOptions
 from track_range.cli.console import console, print_grid, print_line
-from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.training.data.augmentation import AugmentationSettings
 from track_range.detection.training.data.data_set import TrainingSets
 from track_range.detection.training.data.data_yaml import TrainingData, read_data_yaml
 from track_range.detection.training.errors import TrainingError
 from track_range.detection.training.losses.detection_loss import Losses
-from track_range.detection.training.networks.export import export_onnx
-from track_range.detection.training.networks.network import AnchorNetwork
 from track_range.detection.training.networks.registry import NETWORKS, make_network
-from track_range.detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint, load_mean
+from track_range.detection.training.run_folder import BEST, LAST, RESULTS, check_start
 from track_range.detection.training.schedule import SGD, ScheduleSettings
 from track_range.detection.training.settings import TrainingSettings, best_precision, usable_device
 from track_range.detection.training.teacher import Teacher
 from track_range.detection.training.train import Training, prepare_torch
 from track_range.foundation.files.folder_lock import locked_folder
-from track_range.foundation.files.output_files import OutputError, make_folder
+from track_range.foundation.files.output_files import make_folder
 from track_range.run.interrupts import stop_on_interrupt
 from track_range.run.ready_model import ready_model
 from track_range.views.report.detection_tables import class_grid
@@ -50,15 +45,8 @@ def train(options: TrainOptions) -> None:
     data = read_data_yaml(options.data)
     for note in data.notes:
         print_line(console, note)
-    if not any((~item.truth.is_ignored).any() for item in data.train):
-        raise LabelFileError(f"{options.data}: expected labelled objects in the training images, found none.")
-    has_probabilities = any((item.truth.confidence < 1).any() for item in data.train)
-    if has_probabilities and options.model != "road":
-        raise TrainingError(
-            f"--model {options.model}: expected `pseudo_scores: thresholds` in {options.data.name}; only the loss of "
-            "--model road uses pseudo-labels with probabilities."
-        )
-    _check_checkpoints(options)
+    data.check_trainable(options.data, options.model)
+    check_start(options.out, resume=options.resume, weights=options.weights, files=(CURVES, f"{options.model}.onnx"))
     teacher = _teacher(options, data, settings)
     make_folder(options.out)
     curves = options.out / CURVES
@@ -70,29 +58,6 @@ def train(options: TrainOptions) -> None:
             _finish(training, options, data)
         except KeyboardInterrupt:
             raise TrainingError(f"stopped by the user; continue the run in {options.out} with --resume.") from None
-
-
-def _check_checkpoints(options: TrainOptions) -> None:
-    """Check the run folder and `--weights` before images are read.
-
-    Raises:
-        OutputError: the folder contains a run that is not to be resumed, or a file would be overwritten.
-        CheckpointError: a checkpoint is missing or damaged.
-    """
-    if options.resume:
-        load_checkpoint(options.out / LAST)
-        if (options.out / BEST).exists():
-            load_checkpoint(options.out / BEST)
-        return
-    if (options.out / LAST).exists():
-        raise OutputError(
-            f"{options.out}: this folder already contains a run; continue it with --resume, or choose another --out."
-        )
-    for name in (BEST, RESULTS, CURVES, f"{options.model}.onnx"):
-        if (options.out / name).exists():
-            raise OutputError(f"{options.out / name}: this file would be overwritten; choose another --out.")
-    if options.weights:
-        load_mean(options.weights)
 
 
 def _prepared(
@@ -207,33 +172,13 @@ def _finish(training: Training, options: TrainOptions, data: TrainingData) -> No
     """Export the best network and print its metrics."""
     training.load_best()
     model = options.out / f"{options.model}.onnx"
-    export_onnx(training.average.network, model, _metadata(options, data, training))
+    name = options.data.stem if options.data.stem != "data" else options.data.absolute().parent.name
+    training.export(model, family=NETWORKS[options.model].family, data=name, licence=options.licence)
     figures = {"n_images": len(data.val), "models": {options.model: training.scores().as_dict()}}
     print_grid(console, class_grid(figures))
     names = [name for name in (CURVES, RESULTS, BEST, LAST) if (options.out / name).exists()]
     print_line(console, f"Written: {model}, and in the same folder {', '.join(names)}.")
     print_line(console, f"To use it: track-range --mono VIDEO --focal-px PX --detector {model}")
-
-
-def _metadata(options: TrainOptions, data: TrainingData, training: Training) -> dict[str, object]:
-    """Metadata of the ONNX file; see `detection.models.metadata`."""
-    network = training.average.network
-    about = {
-        "family": NETWORKS[options.model].family,
-        "names": [ROAD_CLASSES[i] for i in data.road_class_id],
-        "letterbox": "centred-114",
-        "colours": "rgb",
-        "divisor": 255,
-        "mean": [0.0, 0.0, 0.0],
-        "std": [1.0, 1.0, 1.0],
-        "size": options.size_px,
-        "data": options.data.stem if options.data.stem != "data" else options.data.absolute().parent.name,
-        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "epochs": len(training.history),
-    }
-    if isinstance(network, AnchorNetwork):
-        about["trained_anchors"] = network.anchors_px.tolist()
-    return about | ({"licence": options.licence} if options.licence else {})
 
 
 def _duration(minutes: float) -> str:
