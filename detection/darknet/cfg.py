@@ -94,7 +94,9 @@ class CfgSection:
 
 def read_sections(path: Path, known: Collection[str]) -> list[CfgSection]:
     """The sections of a cfg, [net] and then `known` ones; ModelError if it is not readable, or has others."""
-    sections = list(_sections(path, _text_of(path)))
+    content = read_bytes(path, ModelError, "a Darknet cfg", max_bytes=MAX_TEXT_BYTES)
+    text = content.decode("utf-8-sig", errors="replace")  # comments may have any encoding
+    sections = list(_sections(path, text))
     if not sections or sections[0].kind != "net":
         first = f"[{_short(sections[0].kind)}]" if sections else "no section"
         raise ModelError(f"{path}: expected a Darknet cfg whose first section is [net], got {first}.")
@@ -105,15 +107,13 @@ def read_sections(path: Path, known: Collection[str]) -> list[CfgSection]:
     return sections
 
 
-def _text_of(path: Path) -> str:
-    content = read_bytes(path, ModelError, "a Darknet cfg", max_bytes=MAX_TEXT_BYTES)
-    return content.decode("utf-8-sig", errors="replace")  # comments may have any encoding
-
-
 def _sections(path: Path, text: str) -> Iterator[CfgSection]:
     options: dict[str, str] = {}
     is_open = False
-    for line_number, line in _lines(text):
+    for line_number, raw in enumerate(text.split("\n"), start=1):
+        line = "".join(raw.partition("#")[0].split())  # without blanks and comments
+        if not line or line.startswith(";"):
+            continue
         if line.startswith("["):
             kind = line.strip("[]")
             options, is_open = {}, True
@@ -123,13 +123,6 @@ def _sections(path: Path, text: str) -> Iterator[CfgSection]:
         if not (equals and key and is_open):
             raise ModelError(f"{path}, line {line_number}: expected [section] or key=value, got '{_short(line)}'.")
         options.setdefault(key, value)
-
-
-def _lines(text: str) -> Iterator[tuple[int, str]]:
-    for line_number, raw in enumerate(text.split("\n"), start=1):
-        line = "".join(raw.partition("#")[0].split())
-        if line and not line.startswith(";"):
-            yield line_number, line
 
 
 def _short(text: str) -> str:

@@ -189,11 +189,6 @@ def _shortcut(section: CfgSection, trunk: _Trunk) -> Layer:
     return Layer(Shortcut(section.word("activation", "linear", ACTIVATIONS)), sources, shapes[0])
 
 
-def _dropout(section: CfgSection, trunk: _Trunk) -> Layer:
-    source = trunk.before(section)
-    return Layer(Dropout(), (source,), trunk.shape(source))
-
-
 def _yolo(section: CfgSection, trunk: _Trunk) -> Layer:
     section.require_defaults({"new_coords": 0})
     source = trunk.before(section)
@@ -241,6 +236,6 @@ _READERS: Mapping[str, Callable[[CfgSection, _Trunk], Layer]] = {
     "upsample": _upsample,
     "route": _route,
     "shortcut": _shortcut,
-    "dropout": _dropout,
+    "dropout": lambda section, trunk: Layer(Dropout(), (source := trunk.before(section),), trunk.shape(source)),
     "yolo": _yolo,
 }

@@ -63,14 +63,6 @@ def _starts(*starts: str) -> Callable[[Path, str], bool]:
     return lambda path, first: first.startswith(starts)
 
 
-def _is_label_csv(path: Path, first: str) -> bool:
-    return "," in first and has_label_columns(path)
-
-
-def _is_yolo(path: Path, first: str) -> bool:
-    return not first and is_yolo_folder(path)
-
-
 # fmt: off
 _FORMATS = (
     LabelFormat("mot", "MOTChallenge", _starts(""), read_mot_table, write_mot_table, has_classes=False,
@@ -78,11 +70,13 @@ _FORMATS = (
     LabelFormat("kitti", "KITTI", lambda path, first: "," not in first, read_kitti_table, write_kitti_table,
                 precision_px=0.005),
     LabelFormat("tracks", "a tracks.csv", _starts("frame,time_s,"), read_tracks_table, is_of_run=True),
-    LabelFormat("csv", "a CSV of labels", _is_label_csv, read_csv_table_of_labels),
+    LabelFormat("csv", "a CSV of labels", lambda path, first: "," in first and has_label_columns(path),
+                read_csv_table_of_labels),
     LabelFormat("coco", "COCO", _starts("{", "["), read_coco, write_coco, is_general=True, precision_px=0.0005),
     LabelFormat("cvat", "CVAT for video 1.1", _starts("<"), read_cvat, write_cvat, is_general=True,
                 precision_px=0.0005),
-    LabelFormat("yolo", "YOLO", _is_yolo, read_yolo_folder, write_yolo, is_general=True, is_folder=True),
+    LabelFormat("yolo", "YOLO", lambda path, first: not first and is_yolo_folder(path), read_yolo_folder, write_yolo,
+                is_general=True, is_folder=True),
     LabelFormat("parquet", "a tracks.parquet", _starts(_PARQUET_MARK), read_parquet_table, is_general=True,
                 is_of_run=True),
 )

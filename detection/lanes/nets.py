@@ -59,13 +59,18 @@ _MAX_RUN = 0.08
 that merge."""
 
 
-def mask_points(scores: FloatArray32) -> Points:
-    """Centres of the runs of line pixels in every second row of scores (channels, h, w)."""
+def mask_points(scores: FloatArray32, input_hw: tuple[int, int] | None = None) -> Points:
+    """Centres of the runs of line pixels in every second row of scores (channels, h, w), in pixels of the input.
+
+    `input_hw` is the size of the network's input, by default that of the mask.
+    """
     is_probability = scores[0].min() >= 0.0 and scores[0].max() <= 1.0  # else logits
     on_line = scores[1] > scores[0] if len(scores) == 2 else scores[0] > (0.5 if is_probability else 0.0)
     rows = np.arange(0, on_line.shape[0], _ROW_STEP)
     row, x = run_middles(on_line[rows], widest_px=_MAX_RUN * on_line.shape[1])
-    xy = np.stack([x, rows[row]], axis=1).astype(np.float64)
+    height, width = input_hw or on_line.shape
+    scale: FloatArray = np.array([width / on_line.shape[1], height / on_line.shape[0]])
+    xy = (np.stack([x, rows[row]], axis=1).astype(np.float64) + 0.5) * scale - 0.5
     return xy, np.full(len(xy), -1, np.int64)
 
 
@@ -249,17 +254,12 @@ def _matched(
     if masks:
         named = [name for name in masks if any(word in name.lower() for word in ("lane", "line", "ll"))]
         mask = names.index((named or masks)[-1])  # the last one is after that of the drivable area
-        return _SEGMENTATION, network, lambda out: _scaled(mask_points(out[mask][0]), out[mask].shape[2:], input_hw)
+        return _SEGMENTATION, network, lambda out: mask_points(out[mask][0], input_hw)
     outputs = ", ".join(f"{name} {list(shape)}" for name, shape in shapes.items())
     raise ModelError(
         f"{session.path}: expected a lane network with masks [1, 2, h, w], curves [1, K, 2] and [1, K, 8] (LSTR), or "
         f"row anchors [1, 201, 18, 4] or [1, 101, 56, 4]; got outputs {outputs}."
     )
-
-
-def _scaled(points: Points, mask_hw: tuple[int, ...], input_hw: tuple[int, int]) -> Points:
-    scale: FloatArray = np.array([input_hw[1] / mask_hw[1], input_hw[0] / mask_hw[0]])
-    return (points[0] + 0.5) * scale - 0.5, points[1]
 
 
 def open_lane_finder(name_or_path: str, runtime: Runtime | None = None) -> LaneFinder:

@@ -63,7 +63,9 @@ def _calibrate(graph: onnx.GraphProto, output: str, prefix: str) -> None:
     """Insert the nodes that calibrate one output behind the node that computes it."""
     index = next(i for i, node in enumerate(graph.node) if output in node.output)
     own = f"{prefix}{output}_"
-    _rename(graph, output, own + "uncalibrated")
+    for node in graph.node:
+        for names in (node.input, node.output):
+            names[:] = [own + "uncalibrated" if name == output else name for name in names]
     nodes = []
     if graph.node[index].op_type == "Sigmoid":
         logits = graph.node[index].input[0]
@@ -84,12 +86,6 @@ def _calibrate(graph: onnx.GraphProto, output: str, prefix: str) -> None:
     for i, node in enumerate(nodes, start=index + 1):
         node.name = own + node.op_type
         graph.node.insert(i, node)
-
-
-def _rename(graph: onnx.GraphProto, old: str, new: str) -> None:
-    for node in graph.node:
-        for names in (node.input, node.output):
-            names[:] = [new if name == old else name for name in names]
 
 
 def _unused_prefix(graph: onnx.GraphProto) -> str:

@@ -13,7 +13,6 @@ Import of the weights of an exported YOLOv5 into the PyTorch network, so that te
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,7 +45,9 @@ def yolov5_of_export(path: Path) -> YoloV5:
         network = YoloV5(name, n_classes, anchors_px=COCO_ANCHORS_PX).eval()
         convolutions = _in_order(network)
         if [tuple(conv.weight.shape) for conv in convolutions] == [weight.shape for weight, _ in weights]:
-            _fill(convolutions, weights)
+            for conv, (weight, bias) in zip(convolutions, weights, strict=True):
+                conv.weight = nn.Parameter(torch.from_numpy(weight.copy()), requires_grad=False)
+                conv.bias = nn.Parameter(torch.from_numpy(bias.copy()), requires_grad=False)
             for module in network.modules():
                 if hasattr(module, "norm"):
                     module.norm = nn.Identity()
@@ -88,13 +89,6 @@ def _in_order(network: nn.Module) -> list[nn.Conv2d]:
     for hook in hooks:
         hook.remove()
     return order
-
-
-def _fill(convolutions: list[nn.Conv2d], weights: list[tuple[np.ndarray, np.ndarray]]) -> None:
-    """Set weights and biases of the convolutions."""
-    for conv, (weight, bias) in zip(convolutions, weights, strict=True):
-        conv.weight = nn.Parameter(torch.from_numpy(weight.copy()), requires_grad=False)
-        conv.bias = nn.Parameter(torch.from_numpy(bias.copy()), requires_grad=False)
 
 
 MIN_OBJECTNESS = 0.1
@@ -176,7 +170,9 @@ class Teacher:
         boxes = network.boxes(logits[:, :4], cells_xy, network.anchors_px[index][anchor], network.strides_px[index])
         scores = logits.sigmoid()
         best = scores[:, 5:].amax(1)
-        student_scores = torch.stack([_best(scores, columns) for columns in self._columns], 1)
+        none = torch.zeros(len(scores), device=scores.device)
+        best_of = [scores[:, list(columns)].amax(1) if len(columns) else none for columns in self._columns]
+        student_scores = torch.stack(best_of, 1)
         fraction = student_scores.amax(1) / best.clamp(min=1e-6)  # 1 if the best class is one of the student's
         objectness[where] *= fraction
         is_confident = objectness[where] > MIN_OBJECTNESS
@@ -195,8 +191,3 @@ def _anchors(text: str, path: Path, default_px: Tensor) -> Tensor:
         expected = " x ".join(str(size) for size in default_px.shape)
         raise ModelError(f"{place}: expected {expected} positive numbers, found {quoted(text)}.")
     return anchors_px
-
-
-def _best(scores: Tensor, columns: Sequence[int] | IntArray) -> Tensor:
-    """(P,) largest value of each row in some columns; 0 if there are no columns."""
-    return scores[:, list(columns)].amax(1) if len(columns) else torch.zeros(len(scores), device=scores.device)

@@ -229,7 +229,9 @@ class Training:
         row = {"epoch": epoch + 1.0, "rate": self._schedule.rate(epoch * len(self._batches))}
         row |= {f"loss_{name}": loss for name, loss in self._learn(epoch, listener).items()}
         if (epoch + 1) % self._settings.validate_every == 0 or epoch + 1 == self._settings.n_epochs:
-            row |= _figures(self.scores(listener))
+            scores = self.scores(listener)  # NaN if no class is averaged
+            row |= {"ap50": scores.mean("ap50"), "ap50_95": scores.mean("ap50_95")}
+            row |= {f"ap50_{ROAD_CLASSES[i].replace(' ', '_')}": one.ap50 for i, one in scores.by_class.items()}
         row["minutes"] = (time.perf_counter() - start_s) / 60
         self._save(row)
         listener.epoch(row)
@@ -335,9 +337,3 @@ def _flat(settings: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield from _flat(value)
         else:
             yield key, value
-
-
-def _figures(scores: DetectionScores) -> dict[str, float]:
-    """Columns of results.csv with the validation's scores; NaN if no class is averaged."""
-    by_class = {f"ap50_{ROAD_CLASSES[i].replace(' ', '_')}": figures.ap50 for i, figures in scores.by_class.items()}
-    return {"ap50": scores.mean("ap50"), "ap50_95": scores.mean("ap50_95"), **by_class}

@@ -284,13 +284,11 @@ class CocoFile:
         if bbox is None and item.get("segmentation"):
             shape = "an RLE mask" if isinstance(item["segmentation"], dict) else "a polygon"
             raise LabelFileError(f"{self.path}, {where}: expected a bbox, found only {shape}; export boxes.")
-        if not isinstance(bbox, list) or len(bbox) != 4 or not all(map(_is_coordinate, bbox)) or min(bbox[2:]) < 0:
+        is_box = isinstance(bbox, list) and len(bbox) == 4
+        is_box = is_box and not any(isinstance(v, bool) or not isinstance(v, int | float) for v in bbox)
+        if not is_box or max(map(abs, bbox)) > MAX_COORDINATE_PX or min(bbox[2:]) < 0:
             raise self._fault(where, f"a bbox of four numbers x, y, w, h up to {MAX_COORDINATE_PX:g}", bbox)
         return tuple(map(float, bbox))
-
-
-def _is_coordinate(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MAX_COORDINATE_PX
 
 
 def write_coco(table: BoxTable, path: Path) -> Written:

@@ -183,7 +183,14 @@ class _Content:
     def end(self, path: list[str], text: str, line: int) -> None:
         """An element ends."""
         if path[1:3] == ["track", "box"] and path[-1] == "attribute":
-            self._set_attribute(self._attribute, text.strip(), line)
+            name, text = self._attribute, text.strip()
+            if name == "predicted":
+                self.boxes[-1].is_predicted = _FLAGS.get(text.lower(), False)
+            elif name in _LIMITS and text:
+                value, (low, high) = number(text), _LIMITS[name]
+                if not low <= value <= high:
+                    raise self._fault(line, f"a number from {low:g} to {high:g} as {name}, or no text", quoted(text))
+                setattr(self.boxes[-1], name, value)
         elif path[1:2] == ["meta"] and len(path) >= 4 and len(self.meta) < _MAX_META:
             self._root = self._root or path[2]
             self.meta.setdefault("/".join(path[-2:]), text.strip())
@@ -218,15 +225,6 @@ class _Content:
         is_keyframe = _FLAGS.get(attributes.get("keyframe", "1").lower(), True)
         edges = edges if is_box else [math.nan] * 4
         self.boxes.append(_Box(len(self.tracks) - 1, frame, edges, outside, is_keyframe))
-
-    def _set_attribute(self, name: str, text: str, line: int) -> None:
-        if name == "predicted":
-            self.boxes[-1].is_predicted = _FLAGS.get(text.lower(), False)
-        elif name in _LIMITS and text:
-            value, (low, high) = number(text), _LIMITS[name]
-            if not low <= value <= high:
-                raise self._fault(line, f"a number from {low:g} to {high:g} as {name}, or no text", quoted(text))
-            setattr(self.boxes[-1], name, value)
 
     def video_facts(self) -> VideoFacts:
         """Name, number of frames and image size of the task."""

@@ -53,9 +53,6 @@ def export_onnx(network: DetectionNetwork, out: Path, metadata: Mapping[str, obj
             )
             model = onnx.load(str(path))
         model.producer_name = "track-range"
-        onnx.helper.set_model_props(model, {key: _text(value) for key, value in metadata.items()})
+        texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in metadata.items()}
+        onnx.helper.set_model_props(model, texts)
         onnx.save(model, str(path))
-
-
-def _text(value: object) -> str:
-    return value if isinstance(value, str) else json.dumps(value)

@@ -51,7 +51,7 @@ class YoloV5Body(nn.Module):
 
     def __init__(self, scale: ModelScale, *, has_cbam: bool = False) -> None:
         super().__init__()
-        c1, c2, c3, c4, c5 = (_width(n, scale) for n in (64, 128, 256, 512, 1024))
+        c1, c2, c3, c4, c5 = (math.ceil(n * scale.width / 8) * 8 for n in (64, 128, 256, 512, 1024))  # multiples of 8
         d1, d2, d3 = (max(round(n * scale.depth), 1) for n in (3, 6, 9))
         self.n_channels = (c3, c4, c5)
         self.to_p3 = nn.Sequential(
@@ -120,7 +120,3 @@ def background_head(n_in: int, n_anchors: int, n_classes: int, *, stride_px: int
             bias[:, 4] += math.log(8 / (640 / stride_px) ** 2)
             bias[:, 5:] += math.log(0.6 / (n_classes - 0.99999))
     return head
-
-
-def _width(n_channels: int, scale: ModelScale) -> int:
-    return math.ceil(n_channels * scale.width / 8) * 8
