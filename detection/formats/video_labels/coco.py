@@ -280,7 +280,7 @@ class CocoFile:
         return float(value)
 
     def _bbox(self, item: _Object, where: str) -> tuple[float, ...]:
-        bbox = item.get("bbox")
+        bbox: Any = item.get("bbox")
         if bbox is None and item.get("segmentation"):
             shape = "an RLE mask" if isinstance(item["segmentation"], dict) else "a polygon"
             raise LabelFileError(f"{self.path}, {where}: expected a bbox, found only {shape}; export boxes.")
