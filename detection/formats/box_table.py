@@ -54,9 +54,9 @@ class VideoFacts:
             LabelFileError: the images of the file have another size.
         """
         if stated.size_px is not None and self.size_px not in (None, stated.size_px):
-            expected, found = ("x".join(map(str, size or ())) for size in (self.size_px, stated.size_px))
+            video_size, file_size = ("x".join(map(str, size or ())) for size in (self.size_px, stated.size_px))
             raise LabelFileError(
-                f"{path}: expected boxes in images of {expected} px as in the video, found {found} px."
+                f"{path}: expected boxes in images of {video_size} px as in the video, found {file_size} px."
             )
         return VideoFacts(
             name=self.name or stated.name,

@@ -162,7 +162,9 @@ def _float_model(path: Path) -> onnx.ModelProto:
     if types & {onnx.TensorProto.FLOAT16, onnx.TensorProto.BFLOAT16}:
         raise ModelError(f"{path}: expected a float32 network, got one with 16-bit floats.")
     if "Conv" not in operators:
-        raise ModelError(f"{path}: expected a network with convolutions, found none; there is nothing to quantise.")
+        raise ModelError(
+            f"{path}: expected a network with convolutions, successors none; there is nothing to quantise."
+        )
     return model
 
 
@@ -187,25 +189,25 @@ def _inner_convolutions(graph: onnx.GraphProto) -> set[str]:
 def _before(graph: onnx.GraphProto, names: set[str]) -> set[str]:
     """Names of the nodes from which a node in `names` can be reached; ONNX graphs are in topological order."""
     needed: set[str] = set()
-    found: set[str] = set()
+    predecessors: set[str] = set()
     for node in reversed(graph.node):
         if needed.intersection(node.output):
-            found.add(node.name)
-        if node.name in found or node.name in names:
+            predecessors.add(node.name)
+        if node.name in predecessors or node.name in names:
             needed.update(node.input)
-    return found
+    return predecessors
 
 
 def _after(graph: onnx.GraphProto, names: set[str]) -> set[str]:
     """Names of the nodes that can be reached from a node in `names`, not through the shape of a tensor."""
     reached: set[str] = set()
-    found: set[str] = set()
+    successors: set[str] = set()
     for node in graph.node:
         if reached.intersection(node.input) and node.op_type not in ("Shape", "Size"):
-            found.add(node.name)
-        if node.name in found or node.name in names:
+            successors.add(node.name)
+        if node.name in successors or node.name in names:
             reached.update(node.output)
-    return found
+    return successors
 
 
 def _prepared(model: onnx.ModelProto, folder: Path) -> onnx.ModelProto:

@@ -156,19 +156,19 @@ def _coco(paths: Sequence[Path], file: Path, names: Sequence[str] | None) -> lis
     for box, road in zip(boxes, class_id.tolist(), strict=True):
         if road >= 0:
             boxes_of[box.frame].append((box, road))
-    wanted = {path.name for path in paths}
+    file_names = {path.name for path in paths}
     number_of: dict[str, int] = {}
     for number, image in enumerate(coco.images.values()):
         name = Path(coco.file_name(image, number)).name
-        if name in wanted and number_of.setdefault(name, number) != number:
+        if name in file_names and number_of.setdefault(name, number) != number:
             raise LabelFileError(f"{file}, images[{number}]: expected each file name once, found {quoted(name)} twice.")
     labelled: list[LabelledImage] = []
     for path in paths:
         if (number := number_of.get(path.name, -1)) < 0:
             continue
-        found = boxes_of[number]
-        xyxy_px = np.array([box.xyxy for box, _ in found], np.float64).reshape(-1, 4) - HALF_PIXEL_PX
-        truth = ImageTruth.of(xyxy_px, [road for _, road in found], is_region=[box.is_region for box, _ in found])
+        labels = boxes_of[number]
+        xyxy_px = np.array([box.xyxy for box, _ in labels], np.float64).reshape(-1, 4) - HALF_PIXEL_PX
+        truth = ImageTruth.of(xyxy_px, [road for _, road in labels], is_region=[box.is_region for box, _ in labels])
         notes = () if labelled else ignored_note(file, n_empty, "without width or height")
         labelled.append(LabelledImage(path, truth, False, notes))
     return labelled

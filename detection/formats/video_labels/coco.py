@@ -243,8 +243,8 @@ class CocoFile:
         return boxes, n_empty
 
     def _fault(self, where: str, expected: str, value: object) -> LabelFileError:
-        found = "none" if value is None else quoted(value)
-        return LabelFileError(f"{self.path}, {where}: expected {expected}, found {found}.")
+        shown = "none" if value is None else quoted(value)
+        return LabelFileError(f"{self.path}, {where}: expected {expected}, found {shown}.")
 
     def _integer(self, item: _Object, key: str, where: str, low: int, high: int) -> int:
         value = item.get(key)
