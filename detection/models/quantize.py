@@ -163,7 +163,7 @@ def _float_model(path: Path) -> onnx.ModelProto:
         raise ModelError(f"{path}: expected a float32 network, got one with 16-bit floats.")
     if "Conv" not in operators:
         raise ModelError(
-            f"{path}: expected a network with convolutions, successors none; there is nothing to quantise."
+            f"{path}: expected a network with convolutions, found none; there is nothing to quantise."
         )
     return model
 
