@@ -162,9 +162,7 @@ def _float_model(path: Path) -> onnx.ModelProto:
     if types & {onnx.TensorProto.FLOAT16, onnx.TensorProto.BFLOAT16}:
         raise ModelError(f"{path}: expected a float32 network, got one with 16-bit floats.")
     if "Conv" not in operators:
-        raise ModelError(
-            f"{path}: expected a network with convolutions, found none; there is nothing to quantise."
-        )
+        raise ModelError(f"{path}: expected a network with convolutions, found none; there is nothing to quantise.")
     return model
 
 

@@ -157,7 +157,7 @@ def test_invalid_data(drawn, tmp_path, cli):
 
 def test_without_pytorch(drawn, tmp_path, cli, monkeypatch):
     _, data = drawn
-    monkeypatch.setattr("track_range.detection.training.requirements.find_spec", lambda name: None)
+    monkeypatch.setattr("track_range.detection.training.errors.find_spec", lambda name: None)
     status, _, complaint = train(cli, data, tmp_path / "run")
     assert (status, "track-range[train]" in complaint) == (1, True)
 
