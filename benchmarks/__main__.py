@@ -18,22 +18,21 @@ WORKLOADS = {
     "baseline": ("gate", "record the fast workloads as baselines"),
     "box_errors": ("accuracy.box_errors", "errors of boxes and tracks on rendered drives and on drives without images"),
     "compare": ("gate", "ratios of the figures of two recordings"),
-    "detection": ("speed.detection", "time of each detector: preprocessing, inference, postprocessing"),
+    "detection": ("speed.stages", "time of each detector: preprocessing, inference, postprocessing"),
     "fleet": ("fleet.throughput", "throughput, overhead and memory of workers, and the cost of 1,000 hours"),
     "fleet_faults": ("fleet.faults", "killed workers, a corrupt clip and a killed driver"),
     "focal_length": ("accuracy.focal_length", "focal lengths of cameras without a calibration"),
     "formats": ("accuracy.formats", "round trips through the label formats"),
-    "fusion": ("accuracy.fusion", "fusion while the right camera is black or noise"),
+    "fusion": ("accuracy.simulated_runs", "fusion while the right camera is black or noise"),
     "history": ("accuracy.history", "median label prediction by length, form and gates"),
     "horizon": ("accuracy.horizon", "ranging from box bottoms with and without a known camera height"),
     "lanes": ("accuracy.lanes", "lane detectors: time, accuracy, agreement"),
     "memory": ("speed.runs", "resident memory of a run of 2,000 frames"),
-    "mutation": ("mutation", "fraction of small changes to the algorithms that their tests detect"),
     "occlusion": ("accuracy.occlusion", "stereo matchers for road users behind obstacles"),
     "odometry": ("accuracy.odometry", "speed and yaw rate of the camera from the images"),
     "pipeline": ("speed.runs", "wall time of whole runs relative to inference alone"),
     "processor_time": ("speed.processor_time", "processor time of each step of a run, and waits of its threads"),
-    "ranging": ("speed.ranging", "time of the box-only ranging methods, fusion, filters and lane detection"),
+    "ranging": ("speed.stages", "time of the box-only ranging methods, fusion, filters and lane detection"),
     "recall": ("accuracy.recall", "recall of detectors on simulated cars"),
     "reference": ("reference", "results of every main command, recorded and compared"),
     "rig_health": ("accuracy.rig_alignment", "true rig files and rig files with errors on the same drives"),
@@ -43,14 +42,13 @@ WORKLOADS = {
     "surface_choice": ("accuracy.occlusion", "fit of the probabilities of a box's surfaces"),
     "tracking": ("accuracy.tracking", "trackers against each other on KITTI and MOTChallenge"),
     "warnings": ("accuracy.warnings", "lead times and false alarms of collision warnings"),
-    "wide_lenses": ("accuracy.wide_lenses", "a fisheye against a pinhole of the same resolution"),
-    "writers": ("speed.writers", "cost of the result formats"),
+    "wide_lenses": ("accuracy.simulated_runs", "a fisheye against a pinhole of the same resolution"),
+    "writers": ("speed.stages", "cost of the result formats"),
 }
 """Module, which has a function of the same name, and description of each workload."""
 
 
 def find(name: str) -> Workload:
-    """The workload of a name."""
     found: Workload = getattr(importlib.import_module(f"benchmarks.{WORKLOADS[name][0]}"), name)
     return found
 

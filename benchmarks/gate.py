@@ -44,13 +44,7 @@ def baseline(options: Namespace) -> Figures:
 
 @workload(
     option("first", type=Path, metavar="A", help="JSON file, or folder of JSON files"),
-    option(
-        "second",
-        type=Path,
-        nargs="?",
-        metavar="B",
-        help="the same, to compare with A; without B, A is compared with the baselines",
-    ),
+    option("second", type=Path, nargs="?", metavar="B", help="to compare with A; default: A with the baselines"),
     option("--tolerance", default=0.1, metavar="FRACTION", help="largest deviation of a ratio from 1 without a mark"),
     option("--all", default=False, help="show all figures, not only those outside of the tolerance"),
 )
@@ -74,11 +68,7 @@ def compare(options: Namespace) -> Figures:
 
 
 def recorded(path: Path) -> dict[str, float]:
-    """Figures by name of a JSON file of a workload, or of all such files in a folder.
-
-    Raises:
-        SystemExit: there is no such file or folder, or it has no figures.
-    """
+    """Figures by name of a JSON file of a workload, or of all such files in a folder."""
     files = sorted(path.glob("*.json")) if path.is_dir() else [path]
     figures: dict[str, float] = {}
     for file in files:

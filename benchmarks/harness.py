@@ -29,33 +29,24 @@ ROOT = Path(__file__).resolve().parents[1]
 PROGRAM = (sys.executable, "-m", "track_range")
 PROGRESS_S = 20.0
 
-
-@dataclass(frozen=True, slots=True)
-class Option:
-    """An option of a workload; the default gives its type: a tuple takes several values, False is a switch."""
-
-    flags: tuple[str, ...]
-    default: Any
-    help: str
-    keywords: Mapping[str, Any]
-
-    def add_to(self, parser: argparse.ArgumentParser) -> None:
-        """Add the option to a parser."""
-        keywords = dict(self.keywords)
-        many = isinstance(self.default, tuple)
-        example = next(iter(self.default), None) if many else self.default
-        if self.default is False:
-            keywords["action"] = "store_true"
-        elif example is not None and "action" not in keywords:
-            keywords.setdefault("type", type(example))
-        if many and "action" not in keywords:
-            keywords.setdefault("nargs", "+")
-        parser.add_argument(*self.flags, default=self.default, help=self.help, **keywords)
+Option = Callable[[argparse.ArgumentParser], object]
+"""Adds an option to a parser."""
 
 
 def option(*flags: str, default: Any = None, help: str, **keywords: Any) -> Option:
-    """An option; `keywords` are those of argparse."""
-    return Option(flags, default, help, keywords)
+    """An option of a workload; the default gives its type: a tuple takes several values, False is a switch.
+
+    `keywords` are those of argparse.
+    """
+    example = next(iter(default), None) if isinstance(default, tuple) else default
+    if default is False:
+        keywords["action"] = "store_true"
+    elif "action" not in keywords:
+        if example is not None:
+            keywords.setdefault("type", type(example))
+        if isinstance(default, tuple):
+            keywords.setdefault("nargs", "+")
+    return lambda parser: parser.add_argument(*flags, default=default, help=help, **keywords)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,16 +62,16 @@ class Workload:
         parser = argparse.ArgumentParser(
             f"python -m benchmarks {name}",
             description=description,
+            epilog="Protocol and figures: benchmarks/README.md.",
             formatter_class=argparse.RawDescriptionHelpFormatter,
             conflict_handler="resolve",  # a workload may have another --out
         )
         parser.add_argument("--json", "--out", type=Path, metavar="FILE", help="JSON file for the figures")
         for each in self.options:
-            each.add_to(parser)
+            each(parser)
         return parser.parse_args(arguments)
 
     def __call__(self, *arguments: str) -> Figures:
-        """The figures with the options of a command line."""
         return self.measure(self.parsed(arguments))
 
     def run(self, name: str, arguments: Sequence[str]) -> None:
@@ -95,7 +86,6 @@ class Workload:
 
 
 def workload(*options: Option) -> Callable[[Measure], Workload]:
-    """Decorator: a workload with these options."""
     return lambda measure: Workload(measure, options)
 
 
@@ -190,7 +180,6 @@ def in_new_process(function: Callable[..., Result], *arguments: Any) -> Result:
 
 
 def median_ms(times_s: Sequence[float]) -> float:
-    """Median of times in s, in ms."""
     return 1e3 * float(np.median(times_s))
 
 
@@ -258,7 +247,6 @@ class StoredResults:
 
 @cache
 def source_version() -> str:
-    """Digest of the package's source code."""
     digest = hashlib.sha256()
     for folder in ("track_range", "detection", "stereo", "tracking", "ranging"):  # links are not followed
         for path in sorted((ROOT / folder).rglob("*.py")):

@@ -132,7 +132,6 @@ _COMPARED = {".csv", ".txt", ".json", ".parquet", ".xml", ".out", ".mcap"}
 
 
 def recorded(folder: Path) -> Iterator[Path]:
-    """Files that are compared, relative to the folder."""
     for path in sorted(folder.rglob("*")):
         if (
             path.is_file()
@@ -144,7 +143,6 @@ def recorded(folder: Path) -> Iterator[Path]:
 
 
 def differences(before: Path, after: Path) -> Iterator[tuple[str, str]]:
-    """Files that differ, and how."""
     names = dict.fromkeys([*recorded(before), *recorded(after)])
     for name in names:
         old, new = before / name, after / name

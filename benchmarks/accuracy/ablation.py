@@ -1,12 +1,4 @@
-"""Ablation of the detector improvements of the monocular paper, on the same images and training budget.
-
-Protocol: YOLOv5n from random weights on N images of a data set's training split (the same random sample for all), with
-its labels and without a teacher; the same epochs and input size; each configuration with each seed. Figures are those
-of the averaged weights after the last epoch, without selection, on the whole validation split at the same size. Times
-are those of onnxruntime on one thread with square input, alternating between the configurations. Runs are stored in
-`--out`: an interrupted run is resumed, a finished one is not repeated. `--jobs 2` trains two networks in parallel with
-one thread each.
-"""
+"""Ablation of the detector improvements of the monocular paper, on the same images and training budget."""
 
 from __future__ import annotations
 
@@ -21,12 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import (
-    Figures,
-    median_ms,
-    option,
-    workload,
-)
+from benchmarks.harness import Figures, median_ms, option, workload
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.models.onnx_session import OnnxSession, Runtime
 from track_range.detection.training.data.augmentation import AugmentationSettings
@@ -89,8 +76,6 @@ def ablation(options: Namespace) -> Figures:
 
 
 class _Log:
-    """Training listener that prints a line per epoch with the name of the run."""
-
     def __init__(self, name: str) -> None:
         self._name = name
 

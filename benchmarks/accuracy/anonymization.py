@@ -1,14 +1,6 @@
-"""Anonymization: fraction of the head and number plate pixels that `--anonymize` covers in simulated drives.
+"""Fraction of the head and number plate pixels that `--anonymize` covers in simulated drives.
 
-Protocol: drives of the simulation with KITTI's field of view, 10 frames per second, where heads and plates are known
-exactly (`simulate --masks`). The parameters were chosen on seed 1; the default seeds here are 101 and 102. Boxes come
-from the packaged detector, or from the truth (exact boxes of all objects with at least 0.1 visible); tracks
-from the default tracker. Heads at least 8 px wide and plates at least 12 px wide, which may be recognised, count
-separately. An object is tracked in a frame if the box of a track has an IoU of at least 0.3 with its box, and a class
-with such a part (heads: person, bicycle, motorcycle; plates: car, motorcycle, bus, truck). `live` uses no later frames.
-
-A road user is exposed if less than 0.9 of its head (8 px) or plate (12 px) is covered in at least one frame. Needless
-is the fraction of the image that is covered and is neither head nor plate.
+`live` uses no later frames. Heads and plates that may be recognised count separately (`READABLE_PX`).
 """
 
 from __future__ import annotations
@@ -17,17 +9,13 @@ from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from rich.console import Console
 
-from benchmarks.harness import (
-    Figures,
-    option,
-    workload,
-)
+from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.drives import SimulatedDrive
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
@@ -84,14 +72,11 @@ class SeenPart:
 
     @property
     def is_readable(self) -> bool:
-        """Whether it is wide enough."""
         return int(np.ptp(self.column)) + 1 >= READABLE_PX[self.part]
 
 
 @dataclass(frozen=True, slots=True)
 class SeenFrame:
-    """Results of a frame by source of the boxes, and its heads and plates."""
-
     results: dict[BoxSource, FrameResult]
     parts: tuple[SeenPart, ...]
     shape: tuple[int, int]
@@ -115,7 +100,6 @@ def anonymization(options: Namespace) -> Figures:
 
 
 def seen_frames(scenario: str, seed: int, seconds: float) -> Iterator[SeenFrame]:
-    """The frames of a drive."""
     drive = SimulatedDrive.of(scenario, seed=seed, seconds=seconds)
     renderer = drive.renderer
     network = open_detector(ready_model(DEFAULT_MODEL, Console(quiet=True)), DetectorOptions())
@@ -145,18 +129,10 @@ def seen_frames(scenario: str, seed: int, seconds: float) -> Iterator[SeenFrame]
 
 def result_of(frame: Frame, tracks: Tracks, candidates: Detections) -> FrameResult:
     """A frame result without distances."""
-    unknown = np.full(len(tracks), np.nan)
-    return FrameResult(
-        frame=frame,
-        tracks=tracks,
-        ranges={},
-        closing_mps=unknown,
-        closing_sigma_mps=unknown,
-        ttc_s=unknown,
-        ttc_sigma_s=unknown,
-        xyz_m=np.full((len(tracks), 3), np.nan),
-        candidates=candidates,
-    )
+    names = ("closing_mps", "closing_sigma_mps", "ttc_s", "ttc_sigma_s")
+    unknown: dict[str, Any] = {name: np.full(len(tracks), np.nan) for name in names}
+    xyz_m = np.full((len(tracks), 3), np.nan)
+    return FrameResult(frame=frame, tracks=tracks, ranges={}, xyz_m=xyz_m, candidates=candidates, **unknown)
 
 
 def seen_parts(
@@ -166,7 +142,6 @@ def seen_parts(
     boxes_px: FloatArray,
     tracks: dict[BoxSource, Tracks],
 ) -> Iterator[SeenPart]:
-    """The parts in the masks of a frame."""
     box_of = {int(row): boxes_px[k] for k, row in enumerate(visible_row)}
     for number in np.unique(np.where(part > 0, 2 * user + part, 0))[1:].tolist():
         which, row = IdentifyingPart((number - 1) % 2 + 1), (number - 1) // 2

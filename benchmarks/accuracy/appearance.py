@@ -1,18 +1,4 @@
-"""Effect of appearance and camera motion on online tracking: simulated drives, MOT17-05 and KITTI's stereo drives.
-
-Protocol, simulated drives: a street for `--seconds` at 10 Hz, 1000 x 320 px, KITTI's focal length, with a camera that
-pitches (bumps, 0.45 deg rms at 0.8-3.5 Hz) and yaws back and forth (up to 9-15 deg/s;
-`benchmarks.inputs.appearance_drives`); seeds 1 to `--drives`, even ones at 10 m/s in traffic, odd ones at 3 m/s past 30
-people who cross each other. Boxes are those of the playback detector (true boxes with jitter, misses and false alarms).
-Road users are repeatedly missed for 0.5-2 s, without an occluder in the image. All classes are tracked and scored, all
-drives together; objects that are missed on purpose or largely outside the image are ignored. `kept` is the fraction of
-these gaps with the same identity in the last match within 1 s before and in the first match within 1 s after.
-
-Protocol, real data: MOT17-05-FRCNN with its stored embeddings, by MOTChallenge's rules, without images; the two drives
-of kitti_stereo with 16 frames, with boxes of the playback detector for five seeds and gaps of 0.5-0.8 s, scored as the
-simulated drives. Times are thread times, with OpenCV and the network on one thread, median over all frames; embeddings
-are computed for high-confidence boxes only.
-"""
+"""Effect of appearance and camera motion on online tracking: simulated drives, MOT17-05 and KITTI's stereo drives."""
 
 from __future__ import annotations
 
@@ -26,11 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.harness import (
-    Figures,
-    option,
-    workload,
-)
+from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.appearance_drives import FPS, AppearanceDrive, class_ids, real, simulated
 from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.tracking_sets import sequences_of
@@ -48,19 +30,11 @@ from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, Tracked
 from track_range.tracking.tracker import AppearanceModel
 from track_range.tracking.tracks import Tracks
 
-NO_APPEARANCE = AppearanceSettings(max_cosine_distance=0.0)
-"""Settings for tracking by motion only."""
-
-REAL_SEEDS = range(5)
-"""Random seeds of the playback detector on real drives."""
-
-_MIN_IOU = 0.5
-"""Smallest IoU of a track with the true box for the `kept` figure."""
-
+NO_APPEARANCE = AppearanceSettings(max_cosine_distance=0.0)  # settings for tracking by motion only
+REAL_SEEDS = range(5)  # random seeds of the playback detector on real drives
+_MIN_IOU = 0.5  # smallest IoU of a track with the true box for the `kept` figure
 _METRICS = ("hota", "idf1", "assa", "deta", "idsw")
-
-_DRIVE_OFFSET = 100_000
-"""Difference of frame numbers and identities between one drive and the next."""
+_DRIVE_OFFSET = 100_000  # difference of frame numbers and identities between one drive and the next
 
 
 @dataclass(slots=True)
@@ -73,7 +47,6 @@ class TimedModel:
     times_ms: list[float] = field(default_factory=list)
 
     def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
-        """Embeddings of boxes by the inner model."""
         start_s = time.thread_time()
         embeddings = self.inner.embed(image, xyxy_px)
         self.times_ms.append(1e3 * (time.thread_time() - start_s))
@@ -89,7 +62,6 @@ class Row:
     parts: list[list[Tracks]] = field(default_factory=list)
 
     def track(self, drive: AppearanceDrive) -> None:
-        """Track a drive with a new tracker."""
         settings = DeepSortSettings(
             is_camera_motion_compensated=self.is_camera_motion_compensated,
             appearance=NO_APPEARANCE if self.model is None else AppearanceSettings(),
@@ -123,8 +95,6 @@ def appearance(options: Namespace) -> Figures:
 
 
 def _rows(reid: Path) -> dict[str, Row]:
-    """Rows of the table by name."""
-
     def timed(model: AppearanceModel) -> TimedModel:
         return TimedModel(model, model.max_cosine_distance)
 
@@ -167,7 +137,6 @@ def _measured(drives: Iterable[AppearanceDrive], rows: Mapping[str, Row]) -> dic
 
 
 def _camera_ms(drive: AppearanceDrive) -> list[float]:
-    """Thread time of the camera motion estimate of each frame."""
     camera, times_ms = CameraMotion(), []
     for image, detections in zip(drive.images, drive.detected, strict=True):
         start_s = time.thread_time()
@@ -225,7 +194,6 @@ def _is_kept(truth: TrackedBoxes, results: TrackedBoxes, occlusions: IntArray) -
 
 
 def _stored_embeddings(data: Path) -> dict[str, Figures]:
-    """Figures on MOT17; empty if there are no embeddings."""
     sequences = [sequence for sequence in sequences_of("mot17", data) if sequence.has_embeddings]
     figures: dict[str, Figures] = {}
     for name, settings in (("motion", NO_APPEARANCE), ("motion, stored embeddings", AppearanceSettings())):

@@ -1,9 +1,7 @@
 """Errors of the packaged detector, of stereo and of tracks on rendered drives, and on drives without images.
 
-Protocol: rendered drives of the seeds on which the error model of `benchmarks/boxes` was fitted (`--fit-seeds`) and of
-others (`--seeds`), one scenario each; the same scenes without rendering, with the model's errors (`--errors` drives
-each). Boxes are matched to the truth one to one, IoU at least 0.4, at least 0.15 for objects lower than 10 px, which
-detectors enlarge. Tracks and detections are counted with a smaller IoU.
+Boxes are matched to the truth one to one, IoU at least 0.4, at least 0.15 for objects lower than 10 px, which detectors
+enlarge. Tracks and detections are counted with a smaller IoU.
 """
 
 from __future__ import annotations
@@ -20,13 +18,7 @@ from benchmarks.accuracy.warning_drives import matched_users, run_of
 from benchmarks.boxes.box_drive import BoxDrive
 from benchmarks.boxes.box_run import run_boxes, tracked
 from benchmarks.boxes.true_boxes import TrueBoxes, true_boxes
-from benchmarks.harness import (
-    Figures,
-    median_or_none,
-    option,
-    quantile_or_none,
-    workload,
-)
+from benchmarks.harness import Figures, median_or_none, option, quantile_or_none, workload
 from benchmarks.inputs.drives import CACHE_OPTION, FPS, ConflictDrive, conflict_drive
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES, SAME_OBJECT_GROUP
@@ -49,63 +41,43 @@ RIG = kitti_like_rig(width_px=WIDTH_PX, height_px=HEIGHT_PX)
 MIN_IOU, MIN_IOU_SMALL, SMALL_PX = 0.4, 0.15, 10.0
 """Smallest IoU of a detected box with the true one; that of objects lower than `SMALL_PX`."""
 
-HEIGHTS_PX = (4, 6, 8, 12, 16, 24, 40, 400)
-"""Limits of the bins of heights, px, of images 620 px wide."""
-
+HEIGHTS_PX = (4, 6, 8, 12, 16, 24, 40, 400)  # limits of the bins of heights, px, of images 620 px wide
 
 TRACK_IOU, TRACK_IOU_SMALL = 0.3, 0.12
 """Smallest IoU of the box of a track, or of a counted detection, with its object; that of small objects."""
 
-LANE_M = 1.5
-"""Largest lateral offset from the ego path of an object in the lane, m."""
+LANE_M = 1.5  # largest lateral offset from the ego path of an object in the lane, m
 
 STEADY_PX = 1.0
 """Largest standard deviation of a false track's disparities about a straight line that counts as consistent, px."""
 
 SCORES = (0.1, 0.2, 0.3, 0.5)  # lower limits
-
-GAP_FRAMES = 3
-"""Longest gap, in frames, after which a track's change of object is one between neighbours."""
+GAP_FRAMES = 3  # longest gap, in frames, after which a track's change of object is one between neighbours
 
 
 @dataclass(frozen=True, slots=True)
 class Matched:
-    """True boxes of drives with the detection of each, and the boxes without an object.
+    """True boxes of drives with the detection of each, and the boxes without an object."""
 
-    Attributes:
-        user: (M,) number of the object, unique among the drives.
-        frame: (M,) frame.
-        class_id: (M,) true class.
-        height_px, hidden_fraction, outside_fraction: (M,) of the true box.
-        score: (M,) of the detection; NaN = missed.
-        detected_class_id: (M,) class of the detection; -1 = missed.
-        errors: (M, 4) errors of centre x, centre y, log width, log height: centres relative to the height.
-        false_boxes: (K, 7) drive, frame, box, score of boxes without an object.
-        false_class_id: (K,) their classes.
-        n_frames: number of frames.
-    """
-
-    user: IntArray
-    frame: IntArray
-    class_id: IntArray
-    height_px: FloatArray
+    user: IntArray  # (M,) number of the object, unique among the drives
+    frame: IntArray  # (M,) frame
+    class_id: IntArray  # (M,) true class
+    height_px: FloatArray  # height_px, hidden_fraction, outside_fraction: (M,) of the true box
     hidden_fraction: FloatArray
     outside_fraction: FloatArray
-    score: FloatArray
-    detected_class_id: IntArray
-    errors: FloatArray
-    false_boxes: FloatArray
-    false_class_id: IntArray
-    n_frames: int
+    score: FloatArray  # (M,) of the detection; NaN = missed
+    detected_class_id: IntArray  # (M,) class of the detection; -1 = missed
+    errors: FloatArray  # (M, 4) errors of centre x, centre y, log width, log height: centres relative to the height
+    false_boxes: FloatArray  # (K, 7) drive, frame, box, score of boxes without an object
+    false_class_id: IntArray  # (K,) their classes
+    n_frames: int  # number of frames
 
     @property
     def is_detected(self) -> BoolArray:
-        """(M,) flags."""
         return np.isfinite(self.score)
 
 
 def matched_boxes(scene: Scene, true: TrueBoxes, frames: Sequence[Detections], *, drive: int) -> Matched:
-    """The detections of one drive, matched to its true boxes."""
     classes = np.array([ROAD_CLASSES.index(ROAD_CLASS_OF[user.kitti_type.lower()]) for user in scene.road_users])
     n = len(true.frame)
     score, detected_class, errors = np.full(n, np.nan), np.full(n, -1), np.full((n, 4), np.nan)
@@ -153,7 +125,6 @@ def _errors(true: FloatArray, detected: FloatArray) -> FloatArray:
 
 
 def joined(parts: Sequence[Matched]) -> Matched:
-    """The matches of several drives."""
     columns = {
         name: np.concatenate([getattr(part, name) for part in parts])
         for name in Matched.__dataclass_fields__
@@ -181,7 +152,6 @@ def box_errors(options: Namespace) -> Figures:
 
 
 def _drive_errors(options: Namespace, seed: int) -> tuple[tuple[Matched, TrackErrors], tuple[Matched, TrackErrors]]:
-    """Boxes and tracks of a rendered drive, and of drives without images in its scene."""
     scenario = SCENARIOS[seed % 10]
     drive = conflict_drive(options.cache, scenario, seed, width_px=WIDTH_PX)
     times_s = np.arange(len(drive.boxes)) / FPS
@@ -197,7 +167,6 @@ def _drive_errors(options: Namespace, seed: int) -> tuple[tuple[Matched, TrackEr
 
 
 def _statistics(matched: Matched) -> dict[str, float | None]:
-    """Detection rates, scores and errors by height, runs of misses, and false boxes."""
     group = SAME_OBJECT_GROUP[matched.class_id]
     figures: dict[str, float | None] = {}
     for number, name in ((0, "person"), (2, "vehicle")):
@@ -222,7 +191,6 @@ def _statistics(matched: Matched) -> dict[str, float | None]:
 
 
 def _missed_runs(matched: Matched) -> list[int]:
-    """Lengths of the runs of missed frames of clearly visible objects."""
     is_clear = (matched.hidden_fraction < 0.3) & (matched.height_px > 12) & (matched.outside_fraction < 0.3)
     order = np.lexsort((matched.frame, matched.user))
     runs, length, last = [], 0, -1
@@ -238,35 +206,27 @@ def _missed_runs(matched: Matched) -> list[int]:
 
 @dataclass(slots=True)
 class TrackErrors:
-    """Sums over drives; `+` joins them.
+    """Sums over drives; `+` joins them."""
 
-    Attributes:
-        seconds: duration.
-        false_boxes, second_boxes: number of boxes without an object, and of further boxes of an object, by `SCORES`.
-        false_tracks: duration in s, fraction with a stereo distance, deviation of disparities in px, offset from the
-            ego path in m, largest probability of contact, of each track without an object.
-        n_tracks, n_mixed: number of tracks of objects; of those with several objects, three frames or more of each.
-        n_neighbours, n_later: number of changes of a track's object, without a gap and after one.
-        n_switches: number of changes of an object's track.
-        n_rows, n_second: number of objects' boxes with a track; with another one at the same time.
-        starts_m: distance of the first tracked box of each person and vehicle.
-    """
-
-    seconds: float = 0.0
+    seconds: float = 0.0  # duration
+    # false_boxes, second_boxes: number of boxes without an object, and of further boxes of an object, by `SCORES`
     false_boxes: FloatArray = field(default_factory=lambda: np.zeros(len(SCORES)))
     second_boxes: FloatArray = field(default_factory=lambda: np.zeros(len(SCORES)))
+    # duration in s, fraction with a stereo distance, deviation of disparities in px, offset from the ego path in m,
+    # largest probability of contact, of each track without an object
     false_tracks: list[list[float]] = field(default_factory=list)
+    # n_tracks, n_mixed: number of tracks of objects; of those with several objects, three frames or more of each
     n_tracks: int = 0
     n_mixed: int = 0
-    n_neighbours: int = 0
+    n_neighbours: int = 0  # n_neighbours, n_later: number of changes of a track's object, without a gap and after one
     n_later: int = 0
-    n_switches: int = 0
-    n_rows: int = 0
+    n_switches: int = 0  # number of changes of an object's track
+    n_rows: int = 0  # n_rows, n_second: number of objects' boxes with a track; with another one at the same time
     n_second: int = 0
+    # distance of the first tracked box of each person and vehicle
     starts_m: dict[str, list[float]] = field(default_factory=lambda: {"person": [], "vehicle": []})
 
     def __add__(self, other: TrackErrors) -> TrackErrors:
-        """The sums of both."""
         values = {name: getattr(self, name) + getattr(other, name) for name in self.__slots__ if name != "starts_m"}
         starts_m = {name: self.starts_m[name] + other.starts_m[name] for name in self.starts_m}
         return TrackErrors(**values, starts_m=starts_m)
@@ -301,7 +261,6 @@ class TrackErrors:
 
 
 def rendered_errors(drive: ConflictDrive, scene: Scene) -> TrackErrors:
-    """Errors on a rendered drive with the packaged detector."""
     true = true_boxes(scene, np.arange(len(drive.boxes)) / FPS, RIG.left)
     with run_of(drive, is_stereo=True) as run:
         return _track_errors(scene, true, run, drive.boxes)
@@ -321,7 +280,6 @@ def simulated_errors(scenario: str, seed: int, *, seconds: float, n_errors: int)
 def _track_errors(
     scene: Scene, true: TrueBoxes, results: Iterable[FrameResult], boxes: Sequence[Detections]
 ) -> TrackErrors:
-    """Errors of one drive."""
     errors = TrackErrors(seconds=len(boxes) / FPS)
     is_person = np.array([user.kitti_type in ("Pedestrian", "Cyclist", "Motorcycle") for user in scene.road_users])
     by_track: dict[int, list[tuple[float, ...]]] = {}

@@ -1,15 +1,4 @@
-"""Focal lengths and distances of cameras without a calibration, with no, one and three known distances.
-
-Simulated drives: boxes as the packaged detector finds them (`benchmarks/boxes`), 20 s at 5 Hz, every other frame used,
-1280 x 720 px; per drive a random field of view of 50 to 100 degrees, camera height of 1.2 to 1.8 m and pitch (standard
-deviation 2 degrees). KITTI: tracking labels, or the boxes of a detector, every fifth frame of a sequence; five random
-choices of known objects per sequence. A known distance is that of a visible car at 5 to 30 m, within half of the image
-width about its middle, with a tape error of 1 % and box edges drawn with an error of 1.5 px.
-
-Errors of the focal length are |log(f / f_true)|. Errors of distances are those of ranging by size on all unhidden boxes
-at 5 to 60 m: per drive their median ("mono") and the magnitude of their common factor ("scale"), the median of the log
-ratio; and over the drives the median of these.
-"""
+"""Focal lengths and distances of cameras without a calibration, with no, one and three known distances."""
 
 from __future__ import annotations
 
@@ -23,11 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.boxes.box_drive import BoxDrive
-from benchmarks.harness import (
-    Figures,
-    option,
-    workload,
-)
+from benchmarks.harness import Figures, option, workload
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.fitting.camera.camera_fit import fit_camera
 from track_range.ranging.fitting.camera.focal_evidence import default_guess, focal_of_field, focal_posterior
@@ -42,21 +27,11 @@ from track_range.stereo.geometry.rig import StereoRig
 
 SCENARIOS = ("city", "town", "highway", "queue")
 SIZE_PX, KITTI_SIZE_PX = (1280, 720), (1242, 375)
-
-SECONDS, STEP_S = 20.0, 0.4
-"""Length of a simulated drive and time between its frames, s."""
-
-TAPE_SIGMA, EDGE_PX = 0.01, 1.5
-"""Relative error of a known distance, and error of the edges of its box in px."""
-
-NEAREST_M, FARTHEST_M, KNOWN_M = 5.0, 60.0, 30.0
-"""Distances that are compared, and the largest known distance, m."""
-
-CHOICES = 5
-"""Number of choices of known objects per sequence of KITTI."""
-
-NAMES = ("no measurement", "one distance", "three distances", "75 degrees assumed")
-"""Rows of the tables."""
+SECONDS, STEP_S = 20.0, 0.4  # length of a simulated drive and time between its frames, s
+TAPE_SIGMA, EDGE_PX = 0.01, 1.5  # relative error of a known distance, and error of the edges of its box in px
+NEAREST_M, FARTHEST_M, KNOWN_M = 5.0, 60.0, 30.0  # distances that are compared, and the largest known distance, m
+CHOICES = 5  # number of choices of known objects per sequence of KITTI
+NAMES = ("no measurement", "one distance", "three distances", "75 degrees assumed")  # rows of the tables
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +72,6 @@ def focal_length(options: Namespace) -> Figures:
 
 
 def simulated_drive(scenario: str, seed: int) -> RoadDrive:
-    """A simulated drive with a random camera."""
     rng = np.random.default_rng([seed, 77, len(scenario), ord(scenario[0])])
     focal_px = focal_of_field(rng.uniform(50, 100), SIZE_PX[0])
     pitch_rad, height_m = math.radians(rng.normal(0, 2)), rng.uniform(1.2, 1.8)
@@ -131,15 +105,9 @@ def kitti_drives(folder: Path, name: str, boxes: str, noise_px: float) -> Iterat
             frame_rows = np.flatnonzero(rows.frame == frame)
             shown[frame_rows] = unhidden(rows.xyxy_px[frame_rows])
         scene = SceneBoxes(rows.xyxy_px[shown], rows.class_id[shown], rows.track_id[shown])
-        is_car = np.flatnonzero((rows.class_name == "car") & (rows.occluded == 0))
+        cars = rows.select((rows.class_name == "car") & (rows.occluded == 0))
         choices = tuple(
-            _chosen(
-                rows.xyxy_px[is_car],
-                rows.distance_m[is_car],
-                rows.track_id[is_car],
-                KITTI_SIZE_PX,
-                np.random.default_rng([k, n]),
-            )
+            _chosen(cars.xyxy_px, cars.distance_m, cars.track_id, KITTI_SIZE_PX, np.random.default_rng([k, n]))
             for n in range(CHOICES)
         )
         focal_px = float(rows.fxycxy_px[0, 0])
@@ -169,7 +137,6 @@ def _chosen(
 
 
 def _figures(drives: Sequence[RoadDrive], sizes: CuboidSizes) -> dict[str, dict[str, float]]:
-    """Figures of each row of `NAMES` over the drives."""
     errors: dict[str, list[tuple[float, ...]]] = {name: [] for name in NAMES}
     for drive in drives:
         for name, guess in _estimates(drive, sizes):
@@ -179,7 +146,6 @@ def _figures(drives: Sequence[RoadDrive], sizes: CuboidSizes) -> dict[str, dict[
 
 
 def _estimates(drive: RoadDrive, sizes: CuboidSizes) -> Iterator[tuple[str, FocalGuess]]:
-    """Focal lengths with their sigmas, by row of `NAMES`."""
     default = default_guess(drive.size_px[0])
     yield NAMES[3], default
     posterior = focal_posterior([default], drive.scene, drive.size_px, sizes)
@@ -190,12 +156,7 @@ def _estimates(drive: RoadDrive, sizes: CuboidSizes) -> Iterator[tuple[str, Foca
             if len(known) < n:
                 continue
             fit = fit_camera(
-                drive.size_px,
-                prior,
-                sizes,
-                objects=known[:n],
-                scene=drive.scene,
-                scene_noise=posterior.relative_noise,
+                drive.size_px, prior, sizes, objects=known[:n], scene=drive.scene, scene_noise=posterior.relative_noise
             )
             yield name, FocalGuess(fit.camera.fx_px, fit.focal_sigma, "")
 

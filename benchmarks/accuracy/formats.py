@@ -16,11 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import (
-    Figures,
-    option,
-    workload,
-)
+from benchmarks.harness import Figures, option, workload
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import BoxTable, VideoFacts
 from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat

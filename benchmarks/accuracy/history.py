@@ -1,14 +1,8 @@
 """Median label prediction (`tracking/history.py`) by median length, form and gates, and the paper's figure 5.
 
-Protocol: the stored RRC boxes of KITTI tracking sequences, cars and pedestrians, tracked without images and evaluated
-by KITTI's rules. The gates were tuned on these sequences and on MOT15 and MOT17, so the table ranks the variants and
-does not show their effect on other data; HOTA of even and odd sequences shows how consistent a gain is.
-
-    jitter = |second difference of a box's edges over three consecutive frames| in px: median of each track minus that
-             of the matched ground truth (IoU >= 0.5), mean over tracks weighted by the number of such triples
-    label  = the paper's median-smoothed box ("after" in its figure); its error is the median |edge - true edge|
-
-`--figure FILE` draws an edge of one track's box, as detected, and smoothed and predicted (the paper's figure 5).
+jitter = |second difference of a box's edges over three consecutive frames| in px: median of each track minus that
+of the matched ground truth (IoU >= 0.5), mean over tracks weighted by the number of such triples
+label  = the paper's median-smoothed box ("after" in its figure); its error is the median |edge - true edge|
 """
 
 from __future__ import annotations
@@ -23,11 +17,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.harness import (
-    Figures,
-    option,
-    workload,
-)
+from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs import tracking_sets
 from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.tracking_sets import sequences_of
@@ -42,8 +32,7 @@ from track_range.tracking.evaluation.scores import TrackingCounts
 from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
 from track_range.tracking.history import BoxHistory, Form, PredictionGates, smoothed
 
-FORMS: tuple[Form, ...] = ("median-of-steps", "step-of-medians")
-"""Forms of the prediction."""
+FORMS: tuple[Form, ...] = ("median-of-steps", "step-of-medians")  # forms of the prediction
 
 TRUTH, DETECTED, PREDICTED = "#8c96a0", "#2f7ed8", "#e08214"
 """Colours of the figure."""
@@ -80,7 +69,6 @@ def history(options: Namespace) -> Figures:
 
 
 def _settings(ks: Sequence[int]) -> list[tuple[str, int, PredictionGates]]:
-    """Name, k and gates of each row of the table."""
     free = PredictionGates(min_hit_streak=2, min_hit_streak_visible=2, max_deviation=np.inf, min_margin=0.0)
     rows = [("nothing", k, PredictionGates(n_kept=k + 1, max_missing_s=0.0)) for k in ks]
     for form in FORMS:
@@ -90,7 +78,6 @@ def _settings(ks: Sequence[int]) -> list[tuple[str, int, PredictionGates]]:
 
 
 def _row(sequences: Sequence[tracking_sets.Sequence], k: int, gates: PredictionGates) -> dict[str, Any]:
-    """Figures of one setting."""
     tracked = [_tracked(sequence, gates) for sequence in sequences]
     boxes = [result.boxes for result in tracked]
     counts = [sequence.counts(tracks) for sequence, tracks in zip(sequences, boxes, strict=True)]
@@ -178,7 +165,6 @@ def _triples(tracked: _Tracked) -> IntArray:
 
 
 def _draw(sequences: Sequence[tracking_sets.Sequence], k: int, options: Namespace) -> dict[str, Any]:
-    """Draw the paper's figure 5: an edge of one track's box over the frames, before and after smoothing."""
     gates = PredictionGates(form="step-of-medians", n_kept=k + 1)
     tracked = {sequence.name: _tracked(sequence, gates) for sequence in sequences}
     name, track = options.track.split(":") if options.track else _default_track(tracked)
@@ -223,7 +209,6 @@ def _truth_of_track(
 
 
 def _line(axes: Axes, frame: IntArray, y_px: FloatArray, **style: Any) -> None:
-    """Plot a line with gaps at missing frames."""
     y = np.full(frame[-1] - frame[0] + 1, np.nan)
     y[frame - frame[0]] = y_px
     axes.plot(np.arange(frame[0], frame[-1] + 1), y, **style)

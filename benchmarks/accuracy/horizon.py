@@ -1,19 +1,10 @@
-"""Horizon: distances of one camera at a known height, on simulated drives with changed car sizes and on KITTI.
-
-Protocol: the `run` command on the left video with its rig file, lanes as by default. Simulated drives: wobble, hills
-and curves of the scenario, the camera pitched by `--pitch`, all cars `--car-size` times as large, boxes of the playback
-detector. Known are the camera height (height), the ego speed (speed), both, or nothing (none). Errors against truth.csv
-at 10-50 m, over the track-frames that mono, ground and fused all measured; cover: fraction of the boxes that a method
-measured; within: share within 1 and 2 sigma. `bias`: median of the signed errors of a drive at 10-50 m from a time on;
-its magnitude is the mean over the drives. Seeds 0-2 are for settings, 300-302 for judgement. KITTI 0003 and 0005:
-YOLOv5n's boxes, truth from the labels, camera height 1.65 m, errors at 5-100 m.
-"""
+"""Distances of one camera at a known height, on simulated drives with changed car sizes and on KITTI."""
 
 from __future__ import annotations
 
 import os
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import pairwise, product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,12 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import (
-    Figures,
-    median_or_none,
-    option,
-    workload,
-)
+from benchmarks.accuracy.simulated_runs import joined
+from benchmarks.harness import Figures, median_or_none, option, workload
 from benchmarks.inputs.drives import FPS, REAL_DATA
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.evaluation.errors import MethodColumn, score_rows
@@ -40,17 +27,10 @@ from track_range.simulation.settings import SCENARIO_NAMES, DriveOptions
 
 METHODS = ("mono", "ground", "fused")
 KNOWN = ("height", "speed", "both", "none")
-
-SPAN_M, KITTI_SPAN_M = (10.0, 50.0), (5.0, 100.0)
-"""True distances of the errors on simulated drives and on KITTI."""
-
+SPAN_M, KITTI_SPAN_M = (10.0, 50.0), (5.0, 100.0)  # true distances of the errors on simulated drives and on KITTI
 BANDS_M = (10.0, 20.0, 30.0, 50.0)
-
-BIAS_FROM_S = (0.0, 5.0, 10.0)
-"""Times from which the bias of a drive is measured."""
-
-HEIGHT_M = 1.65
-"""Height of KITTI's and of the simulated cameras above the road."""
+BIAS_FROM_S = (0.0, 5.0, 10.0)  # times from which the bias of a drive is measured
+HEIGHT_M = 1.65  # height of KITTI's and of the simulated cameras above the road
 
 
 @workload(
@@ -91,7 +71,6 @@ def horizon(options: Namespace) -> Figures:
 
 
 def _simulated(options: Namespace, cache: Path, scenario: str, seed: int, known: str) -> Columns:
-    """Result columns of a run on a simulated drive, which is rendered if the cache does not have it."""
     folder = cache / f"{scenario}-{seed}-{options.seconds:g}-{options.car_size:g}-{options.pitch:g}"
     drive = Drive.in_folder(folder)
     speed = folder / "speed" / drive.ego_speed.name
@@ -125,7 +104,6 @@ def _kitti(folder: Path, detector: Path, known: str) -> Columns:
 
 
 def _columns(settings: RunSettings, truth_file: Path) -> Columns:
-    """Result columns of a run, with the true distances."""
     run = Run(settings)
     for _ in run:
         pass
@@ -143,18 +121,10 @@ def _figures(drives: Mapping[str, Columns], span_m: tuple[float, float]) -> Figu
     }
     magnitude = {key: float(np.mean(np.abs(values))) if values else None for key, values in known.items()}
     return {
-        "all": _scores(_concatenated(list(drives.values())), span_m),
+        "all": _scores(joined(list(drives.values())), span_m),
         "drives": {name: _scores(columns, span_m) for name, columns in drives.items()},
         "bias_pct": {**bias, "magnitude": magnitude},
     }
-
-
-def _concatenated(runs: Sequence[Columns]) -> Columns:
-    return {name: np.concatenate([columns[name] for columns in runs]) for name in _USED}
-
-
-_USED = ("time_s", "truth_m", *(f"{name}{unit}" for name in METHODS for unit in ("_m", "_sigma_m")))
-"""Columns of the scores."""
 
 
 def _scores(columns: Columns, span_m: tuple[float, float]) -> dict[str, dict[str, Any]]:

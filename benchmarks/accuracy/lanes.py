@@ -1,11 +1,7 @@
 """Lane detection: time per image, accuracy on simulated drives, agreement of detectors on real videos.
 
-Protocol: ten images per second as in a run, on one thread; processor time, median over the images of simulated drives.
-Lines are compared with the truth in six rows at 0.62 to 0.92 of the image height (about 20 to 7 m ahead), averaged over
-the rows: relative error of the lane width, and error of the worse of the two lines relative to the true width. Medians
-and 90th percentiles over images; a line with an error above 20 % of the width belongs to another lane or to none. The
-true line is the edge of the lane, which is the middle of a double line: a detector of one of its two lines has an error
-of 3 %. Real videos have no ground truth; detectors are compared with each other.
+The true line is the edge of the lane, which is the middle of a double line: a detector of one of its two lines has an
+error of 3 %. Real videos have no ground truth; detectors are compared with each other.
 """
 
 from __future__ import annotations
@@ -21,13 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.harness import (
-    Figures,
-    median_or_none,
-    option,
-    quantile_or_none,
-    workload,
-)
+from benchmarks.harness import Figures, median_or_none, option, quantile_or_none, workload
 from benchmarks.inputs.drives import REAL_DATA, SimulatedDrive
 from track_range.detection.lanes.lines import LaneLines
 from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder
@@ -38,19 +28,12 @@ from track_range.simulation.world.scenarios import SCENARIOS as ALL_SCENARIOS
 
 SCENARIOS = ("town", "highway", "city", "cut-in", "queue")
 SEEDS = (201, 202)
-
-ROWS = np.linspace(0.62, 0.92, 6)
-"""(K,) rows in which lines are compared, as fractions of the image height."""
-
-OTHER_LANE = 0.2
-"""Error of a line, in lane widths, above which it belongs to another lane."""
-
-STEP_S = 0.09
-"""Smallest interval between images of a real video in s."""
+ROWS = np.linspace(0.62, 0.92, 6)  # (K,) rows in which lines are compared, as fractions of the image height
+OTHER_LANE = 0.2  # error of a line, in lane widths, above which it belongs to another lane
+STEP_S = 0.09  # smallest interval between images of a real video in s
 
 NETS = tuple(REAL_DATA / "models" / name for name in ("twinlitenet_360x640.onnx", "lstr_tusimple_360x640.onnx"))
 """Default lane networks."""
-
 
 VIDEOS = (
     *(REAL_DATA / "kitti_stereo" / name / "left.mp4" for name in ("0003", "0005")),
@@ -95,10 +78,7 @@ def _name(finder: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Sample:
-    """Columns (2, K) of the lines detected in one image in `ROWS`, of the true lines, and processor time.
-
-    NaN = not both detected, or not known.
-    """
+    """Columns (2, K) of lines in `ROWS`, detected (NaN = not both) and true (NaN = not known), and processor time."""
 
     detected_px: FloatArray
     true_px: FloatArray
@@ -128,7 +108,6 @@ def _columns_px(lines: LaneLines, height_px: int) -> FloatArray:
 
 
 def _simulated(scenario: str, finders: Sequence[str], options: Namespace) -> dict[str, list[_Sample]]:
-    """Samples of the drives of a scenario, by detector."""
     samples: dict[str, list[_Sample]] = {finder: [] for finder in finders}
     for seed in options.seeds:
         drive = SimulatedDrive.of(scenario, seed=seed, seconds=options.seconds)
@@ -178,7 +157,6 @@ def _agreement(video: Path, finders: Sequence[str]) -> dict[str, Any]:
 
 
 def _ten_per_second(video: Path) -> Iterator[tuple[Image, float]]:
-    """About ten images per second of a video, with their times in s."""
     due_s = -np.inf
     for frame in open_video(video):
         if frame.time_s >= due_s:

@@ -10,30 +10,19 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from benchmarks.harness import (
-    Figures,
-    option,
-    workload,
-)
-from benchmarks.inputs.occlusion_pairs import OcclusionPair, is_scored, sequences, unrelated_pairs
+from benchmarks.harness import Figures, option, workload
+from benchmarks.inputs.occlusion_pairs import CoveredObjects, OcclusionPair, is_scored, sequences, unrelated_pairs
 from track_range.evaluation.expected_disparities import expected_disparities
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.stereo.evaluation.disparity_errors import FAILURE, MatcherColumn, Objects, figures_with_intervals
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.matching.box_matchers import MATCHER_NAMES, measure_pairs
-from track_range.stereo.matching.patch_matcher import (
-    KnownBoxes,
-    PatchMatcher,
-    PatchMatcherSettings,
-    SurfaceSearch,
-)
+from track_range.stereo.matching.patch_matcher import KnownBoxes, PatchMatcher, PatchMatcherSettings, SurfaceSearch
 from track_range.stereo.matching.patch_matches import ExpectedDisparity
 from track_range.stereo.matching.surface_choice import OtherBoxes
 
 MATCHERS = ("patch", "sgbm", "sgbm-hh")
-
-REFERENCE = "sgbm-hh"
-"""Matcher with which the failures of the others are compared."""
+REFERENCE = "sgbm-hh"  # matcher with which the failures of the others are compared
 
 KINDS = ("none", "pole", "sign", "fence", "bush", "road user", "scenery")
 """Kinds of occluders, in the order of the tables."""
@@ -52,19 +41,7 @@ PARTS: dict[str, Callable[[range], Iterator[OcclusionPair]]] = {"unrelated": unr
     option("--parts", default=tuple(PARTS), choices=PARTS, help="parts to measure"),
 )
 def occlusion(options: Namespace) -> Figures:
-    """Errors of stereo matchers for road users behind poles, signs, fences, bushes and nearer vehicles.
-
-    Simulated drives of the scenario `occlusion` with exact truth (`benchmarks/inputs/occlusion_pairs.py`). Half of the
-    boxes are those of the visible part, the others those of the whole object. The full range is searched in unrelated
-    images (four per seed); in sequences (six frames at 10 frames/s per seed), the last disparity of a track is the
-    prior, as in a run. All road users and signs are given to the matchers; counted are vehicles and people at 5-60 m
-    that are at least half visible, with at most 75 % of their part in the inner half of the box covered. Failures are
-    objects without a value (refused) or with an error above 15 % (wrong). `covered` is the fraction of the part in the
-    inner half that something nearer covers. Intervals are 95 % bootstrap intervals over drives.
-
-    Seeds 0-19 are for development: settings of a matcher may be fitted to them. Seeds from 100 are for judgement only.
-    Goals, over both parts together: failures at most a third of those of `sgbm-hh`, and at most 2 %.
-    """
+    """Errors of stereo matchers for road users behind poles, signs, fences, bushes and nearer vehicles."""
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     measured = {name: _Measured(PARTS[name](seeds), options.matchers) for name in options.parts}
     figures = {name: _figures([part]) for name, part in measured.items()} if len(measured) > 1 else {}
@@ -81,34 +58,28 @@ def _ratios(by_matcher: Mapping[str, dict[str, Any]]) -> dict[str, float]:
 
 
 class _Measured:
-    """Scored objects of one part with their disparities and strata."""
-
     def __init__(self, pairs: Iterator[OcclusionPair], matchers: Sequence[str]) -> None:
-        scored: list[BoolArray] = []
-        seed, kind, covered, is_modal, class_name = (list[Any]() for _ in range(5))
+        scored, parts = list[BoolArray](), list[tuple[CoveredObjects, IntArray, list[str]]]()
 
         def recorded() -> Iterator[StereoPair]:
-            for occlusion in pairs:
-                is_counted = is_scored(occlusion.objects, occlusion.pair)
-                objects = occlusion.objects.select(is_counted)
-                scored.append(is_counted)
-                seed.extend([occlusion.seed] * len(objects))
-                kind.extend(objects.kind.tolist())
-                covered.extend(objects.covered_inner.tolist())
-                is_modal.extend(objects.is_modal.tolist())
-                names = np.array(occlusion.pair.class_names, np.str_)
-                class_name.extend(names[is_counted].tolist())
-                yield occlusion.pair
+            for image in pairs:
+                scored.append(is_scored(image.objects, image.pair))
+                objects = image.objects.select(scored[-1])
+                names = np.array(image.pair.class_names, np.str_)[scored[-1]].tolist()
+                parts.append((objects, np.full(len(objects), image.seed), names))
+                yield image.pair
 
         results = measure_pairs(recorded(), matchers, expected=expected_disparities)
         rows = np.concatenate(scored)
-        self.objects: Objects = replace(results.objects.select(rows), group=np.array(seed, np.int64))
+        objects, seeds, names = zip(*parts, strict=True)
+        self.objects: Objects = replace(results.objects.select(rows), group=np.concatenate(seeds))
         self.columns: dict[str, MatcherColumn] = {name: column.select(rows) for name, column in results.columns.items()}
-        self.kind, self.class_name = np.array(kind, np.str_), np.array(class_name, np.str_)
-        self.covered, self.is_modal = np.array(covered, np.float64), np.array(is_modal, np.bool_)
+        self.class_name = np.concatenate(names)
+        self.kind, self.covered, self.is_modal = (
+            np.concatenate([getattr(part, name) for part in objects]) for name in ("kind", "covered_inner", "is_modal")
+        )
 
     def groups(self) -> dict[str, BoolArray]:
-        """Rows of each stratum by its name in the tables."""
         groups = {"all": np.ones(len(self.kind), np.bool_)}
         groups |= {f"occluder {kind}": self.kind == kind for kind in KINDS}
         for low, high in COVERED:
@@ -119,7 +90,6 @@ class _Measured:
 
 
 def _figures(parts: Sequence[_Measured]) -> dict[str, dict[str, dict[str, Any]]]:
-    """Figures of each matcher by stratum over one or several parts."""
     figures: dict[str, dict[str, dict[str, Any]]] = {}
     for group in parts[0].groups():
         rows = [part.groups()[group] for part in parts]
@@ -148,11 +118,8 @@ WAYS = ("size", "track and size", "track", "full range")
 TRACK_LOG_SIGMA, OCCLUDER_FRACTION = 0.03, 0.07
 """Standard deviation of the log disparity of tracks, and the fraction of occluded objects with that of the occluder."""
 
-AS_GOOD = 0.03
-"""Largest difference between the relative errors of a surface and of the best one if both are right."""
-
-PENALTY = 2.0
-"""Weight of the squared coefficients of the standardised features."""
+AS_GOOD = 0.03  # largest difference between the relative errors of a surface and of the best one if both are right
+PENALTY = 2.0  # weight of the squared coefficients of the standardised features
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,22 +136,12 @@ class _Examples:
         return np.asarray(self.error <= np.minimum(FAILURE, self.error.min(axis=0) + AS_GOOD))
 
     def select(self, rows: BoolArray) -> _Examples:
-        """The objects selected by a mask."""
         return _Examples(self.features[:, rows], self.error[:, rows], self.seed[rows])
 
 
 @workload(option("--seeds", default=20, help="number of drives, from seed 0"))
 def surface_choice(options: Namespace) -> Figures:
-    """Fit of the probabilities of a box's surfaces (`stereo.matching.surface_choice.THETA`), with cross-validation.
-
-    Protocol: unrelated images of the scenario `occlusion` (`occlusion_pairs`), development seeds 0-19, objects that
-    count there. The surfaces of each box are searched in four ways, as in a run: near the disparity by size; near a
-    track's last disparity (log error 3 %; for 7 % of the occluded objects the track is on the occluder), with and
-    without the size; in the full range without both. A surface is right if its distance is within 15 %, and not more
-    than 3 % worse than that of the best. Multinomial logistic regression with an L2 penalty on standardised features.
-    Failures in per cent: even seeds are chosen with the fit to odd ones and vice versa; no surface within 15 % is a
-    failure of the search.
-    """
+    """Fit of the probabilities of a box's surfaces (`stereo.matching.surface_choice.THETA`), with cross-validation."""
     parts: dict[str, list[_Examples]] = {way: [] for way in WAYS}
     names: list[str] = []
     rng = np.random.default_rng(0)
@@ -200,7 +157,6 @@ def surface_choice(options: Namespace) -> Figures:
 
 
 def _searches(image: OcclusionPair, rng: np.random.Generator) -> Iterator[tuple[str, SurfaceSearch, IntArray]]:
-    """Name and surfaces of each way, and the searched boxes of the pair."""
     pair, objects = image.pair, image.objects
     settings = PatchMatcherSettings.for_rig(pair.rig)
     matcher, by_size, n = PatchMatcher(settings), expected_disparities(pair), len(pair.true_px)

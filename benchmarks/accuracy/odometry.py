@@ -1,15 +1,4 @@
-"""Odometry: errors of the camera's speed and yaw rate measured from the images.
-
-Methods: stereo; ground, one camera with known height; image, one camera without a scale, for the yaw rate alone.
-
-Protocol: simulated drives at 10 frames per second with exact boxes of road users; seeds 0-9 are for settings, 20-29 and
-200-203 for judgement. Real drives, without boxes: KITTI 0003 with its timestamps against oxts, and KITTI odometry
-(grey) against its poses; the yaw rates of its first 12 poses are not used, as they are interpolated: they are constant
-to four digits, where the images turn by up to 0.02 rad/s. The first frame has no motion. Errors of the speed are
-relative, at true speeds above 3 m/s; coverage is the fraction of these frames with a speed; sigmas is the rms error in
-units of its sigma; ms is the median time of the process per frame, on one thread, in addition to the tracker's camera
-motion, whose small image, corners and flow the methods share as in a run.
-"""
+"""Odometry: errors of the camera's speed and yaw rate measured from the images."""
 
 from __future__ import annotations
 
@@ -23,14 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.harness import (
-    Figures,
-    median_ms,
-    median_or_none,
-    option,
-    quantile_or_none,
-    workload,
-)
+from benchmarks.harness import Figures, median_ms, median_or_none, option, quantile_or_none, workload
 from benchmarks.inputs.drives import FPS, REAL_DATA, SimulatedDrive, decoded
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.processes import one_opencv_thread
@@ -82,7 +64,6 @@ class _ImageOdometry:
         self._estimator = ImageMotionEstimator(camera, flow=flow)
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
-        """Motion since the previous frame."""
         return EgoMotion(yaw_rad_s=self._estimator.update(frame.left, frame.time_s, xyxy_px).yaw_rad_s)
 
 
@@ -121,7 +102,6 @@ def _yaw_rad_s(camera_from_world: Sequence[FloatArray], dt_s: float) -> FloatArr
 
 
 def _real(data: Path, align: Path | None = None) -> list[OdometryDrive]:
-    """KITTI 0003 and the grey sequence, where they are present."""
     drives = []
     folder = data / "kitti_stereo" / "0003"
     if folder.is_dir():
@@ -130,18 +110,9 @@ def _real(data: Path, align: Path | None = None) -> list[OdometryDrive]:
         true_mps = ego.speed_mps[: len(frames)]
         packets = [np.loadtxt(path) for path in sorted((folder / "oxts").glob("0*.txt"))]
         yaw_rad_s = np.array([-packet[_OXTS_YAW_RATE] for packet in packets])[: len(frames)]
-        drives.append(
-            OdometryDrive(
-                "KITTI 0003",
-                _rig(folder, frames[0].left),
-                KITTI_HEIGHT_M,
-                frames,
-                [],
-                true_mps,
-                yaw_rad_s,
-                None if align is None else load_alignment(align),
-            )
-        )
+        alignment = None if align is None else load_alignment(align)
+        rig = _rig(folder, frames[0].left)
+        drives.append(OdometryDrive("KITTI 0003", rig, KITTI_HEIGHT_M, frames, [], true_mps, yaw_rad_s, alignment))
     folder = data / "kitti_odometry" / "gray51"
     if folder.is_dir():
         poses = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)
@@ -166,7 +137,6 @@ def _frames(folder: Path, times_s: FloatArray) -> list[Frame]:
 
 
 def _figures(drive: OdometryDrive) -> Figures:
-    """Figures of each method on a drive."""
     camera = drive.rig.left
     methods: dict[str, Callable[[BackgroundFlow], Odometry]] = {
         "stereo": lambda flow: StereoOdometry(drive.rig, drive.alignment, flow=flow),

@@ -9,11 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import (
-    Figures,
-    option,
-    workload,
-)
+from benchmarks.harness import Figures, option, workload
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
@@ -36,10 +32,7 @@ _CAR = ROAD_CLASSES.index("car")
     option("--seeds", default=2, help="number of drives per scenario"),
 )
 def recall(options: Namespace) -> Figures:
-    """Recall of cars at least 30 px high and half visible, at IoU 0.5 with the class car, by confidence threshold.
-
-    Detectors were trained on real images: the recall is a measure of the realism of the simulation.
-    """
+    """Recall of detectors of real images for simulated cars, at least 30 px high and half visible, at IoU 0.5."""
     runtime = Runtime(n_threads=1)
     models = {
         name: YoloDetector(find_model(name).path, YoloSettings(min_score=_SCORES[0]), runtime=runtime)

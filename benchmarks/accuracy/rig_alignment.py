@@ -7,6 +7,7 @@ drives can be stored in a folder, so that a second benchmark does not render the
 from __future__ import annotations
 
 import math
+import pickle
 import time
 from argparse import Namespace
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,12 +19,9 @@ from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
+from scipy.stats import binomtest
 
-from benchmarks.harness import (
-    Figures,
-    option,
-    workload,
-)
+from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.drives import SimulatedDrive, decoded
 from track_range.foundation.arrays import FloatArray
 from track_range.recording.pairs.auto_alignment import find_alignment
@@ -34,7 +32,6 @@ from track_range.stereo.alignment.from_drive import DriveAlignment
 from track_range.stereo.alignment.health import COLUMNS_U, MATTERS, REFERENCE_M, RigHealth
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.alignment.right_view import RightView
-from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import StereoRig
@@ -45,20 +42,14 @@ SCENARIOS = ("town", "highway", "city", "cut-in")
 FIRST_SEED, N_DRIVES, DRIVE_S = 600, 50, 9.7
 """Seed of the first simulated drive (no test and no other benchmark uses these seeds), their number and length."""
 
-WINDOW = 32
-"""Default number of frames of a window: two segments of the estimate; a run uses up to three."""
-
-ANGLES_DEG = (0.02, 0.05, 0.1, 0.2, 0.5)
-"""Sizes of the errors of an angle; the signs alternate."""
-
+WINDOW = 32  # default number of frames of a window: two segments of the estimate; a run uses up to three
+ANGLES_DEG = (0.02, 0.05, 0.1, 0.2, 0.5)  # sizes of the errors of an angle; the signs alternate
 SCALE = 0.01  # relative error of focal lengths and of the baseline
 
 KITTI = {"0003": (0.45, 1.5, 0.0), "0005": (0.45, 1.5, 0.0)}
 """Offset, curvature and slope in px by known distances, of the drives that have them."""
 
-ROW_M = 0.5
-"""Height of the point at 30 m below the cameras, in m: the middle of a car."""
-
+ROW_M = 0.5  # height of the point at 30 m below the cameras, in m: the middle of a car
 AFTER_PCT = 2.0  # largest error at 30 m of a corrected case
 
 
@@ -73,19 +64,14 @@ ANGLES: tuple[Fault, ...] = ("yaw", "pitch", "roll")
 
 ANGLE_ERRORS = [Error(axis, size * (-1) ** number) for number, (axis, size) in enumerate(product(ANGLES, ANGLES_DEG))]
 SCALE_ERRORS = [Error("focal_right", SCALE), Error("focal_right", -SCALE), Error("focal_both", SCALE)]
-ERRORS = (*ANGLE_ERRORS, *SCALE_ERRORS, Error("baseline", -SCALE))
-"""All errors; each window gets some of them in turn."""
-
-UNSEEN = ("focal_both", "baseline")
-"""Errors that images cannot show."""
-
+ERRORS = (*ANGLE_ERRORS, *SCALE_ERRORS, Error("baseline", -SCALE))  # all errors; each window gets some of them in turn
+UNSEEN = ("focal_both", "baseline")  # errors that images cannot show
 
 OFFSETS_PX = (0.0, 0.3, -0.5, 0.8, 0.3, -0.5, 0.0, -0.2)
 """Disparity errors in px of the simulated pairs, by seed; positive = disparities are too large."""
 
 SEEDS = tuple(range(240, 252))  # no test uses them
 ALIGNMENT_S = 4.9  # length of a drive: the time that a run uses for the alignment
-
 
 Fault = Literal["true", "yaw", "pitch", "roll", "focal_right", "focal_both", "baseline"]
 """Error of a rig file: rotation of the right camera about its centre, or a factor of focal lengths or baseline."""
@@ -122,16 +108,11 @@ def rig_with_error(rig: StereoRig, fault: Fault, size: float) -> StereoRig:
         right_from_left = rig.right_from_left.copy()
         right_from_left[:3, 3] *= 1 + size
         return replace(rig, right_from_left=right_from_left)
-    left, right = rig.left, rig.right
-    if fault == "focal_both":
-        left = _zoomed(left, 1 + size)
-    if fault in ("focal_both", "focal_right"):
-        right = _zoomed(right, 1 + size)
+    left, right = (
+        replace(camera, fx_px=camera.fx_px * (1 + size), fy_px=camera.fy_px * (1 + size)) if fault in faults else camera
+        for camera, faults in ((rig.left, ("focal_both",)), (rig.right, ("focal_both", "focal_right")))
+    )
     return StereoRig(left, right, rig.right_from_left)
-
-
-def _zoomed(camera: PinholeCamera, factor: float) -> PinholeCamera:
-    return replace(camera, fx_px=camera.fx_px * factor, fy_px=camera.fy_px * factor)
 
 
 def rectified_points(frames: Iterable[TrackedFrame], rectifier: Rectifier) -> Iterator[TrackedFrame]:
@@ -155,14 +136,14 @@ def tracked(frames: Iterable[Frame]) -> Iterator[TrackedFrame]:
 
 def simulated_drive(scenario: str, *, seed: int, seconds: float, cache: Path | None) -> TrackedDrive:
     """A simulated drive, from the folder `cache` if it is there."""
-    path = None if cache is None else cache / f"{scenario}-{seed}-{seconds:g}.npz"
+    path = None if cache is None else cache / f"{scenario}-{seed}-{seconds:g}.pickle"
     if path is not None and path.exists():
-        frames = _load(path)
+        frames = pickle.loads(path.read_bytes())  # noqa: S301 - written by the lines below
     else:
         frames = tuple(tracked(SimulatedDrive.of(scenario, seed=seed, seconds=seconds).iter_frames()))
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
-            _save(frames, path)
+            path.write_bytes(pickle.dumps(frames))
     return TrackedDrive(f"{scenario}/{seed}", kitti_like_rig(), frames)
 
 
@@ -188,40 +169,9 @@ def shifted(drive: TrackedDrive, error_px: FloatArray) -> TrackedDrive:
     return replace(drive, frames=tuple(frames))
 
 
-def _save(frames: Sequence[TrackedFrame], path: Path) -> None:
-    counts = [len(frame.points.number) for frame in frames]
-    np.savez_compressed(
-        path,
-        count=np.array(counts),
-        frame=np.array([[frame.time_s, frame.flow_px, frame.fraction_tracked] for frame in frames]),
-        number=np.concatenate([frame.points.number for frame in frames]).astype(np.int32),
-        left_px=np.concatenate([frame.points.left_px for frame in frames]).astype(np.float32),
-        right_px=np.concatenate([frame.points.right_px for frame in frames]).astype(np.float32),
-    )
-
-
-def _load(path: Path) -> tuple[TrackedFrame, ...]:
-    with np.load(path) as file:
-        ends = np.cumsum(file["count"])[:-1]
-        number = np.split(file["number"].astype(np.int64), ends)
-        left_px, right_px = (np.split(file[name].astype(np.float64), ends) for name in ("left_px", "right_px"))
-        rows = file["frame"].tolist()
-    return tuple(
-        TrackedFrame(time_s, PairPoints(*points), flow_px, fraction_tracked)
-        for (time_s, flow_px, fraction_tracked), *points in zip(rows, number, left_px, right_px, strict=True)
-    )
-
-
 @workload(option("--seeds", default=SEEDS, metavar="N", help="random seeds, one per drive"))
 def alignment(options: Namespace) -> Figures:
-    """Alignment from a drive: estimated disparity corrections of simulated pairs with a known disparity error, px.
-
-    Each seed is a separate drive; scenarios and disparity errors alternate. The alignment is estimated as in a run
-    (`find_alignment`), from at most three segments of 16 frames without image noise. `axis` compares the error of the
-    offset with its sigma; `image` compares the error after correction, root mean square across the image width, with
-    the residual that is added to every sigma of stereo. For calibrated sigmas 68 % of the errors are within one, 95 %
-    within two.
-    """
+    """Estimated disparity corrections of simulated pairs with a known disparity error, px."""
     drives = {f"seed {seed}": _drive(seed) for seed in options.seeds}
     measured = [row for row in drives.values() if row["is_measured"]]
     summary = {
@@ -282,21 +232,7 @@ def _sigma_figures(rows: Sequence[Figures], error: str, sigma: str) -> Figures:
     option("--jobs", default=1, metavar="N", help="number of processes"),
 )
 def rig_health(options: Namespace) -> Figures:
-    """Health of rigs: true rig files and rig files with errors, on the same drives.
-
-    A case is a window of a drive (3.2 s by default) and a rig file: the true one, or one with a wrong angle of the
-    right camera (0.02 to 0.5 degrees of yaw, pitch or roll), or a focal length or baseline that is wrong by 1 %. The
-    points of the drive are tracked once and rectified by each rig file. The error of a case is the largest relative
-    error of the distance, over three columns of the image, of a point at 30 m, and follows from the true rig without
-    any estimate.
-
-        matters     error of at least 1 %: should be noticed
-        corrected   error after the correction that a run applies
-        halves      offsets of the two halves of a window, compared with their sigmas
-
-    Windows of KITTI count with the disparity errors that known distances show there (offset 0.45 px, curvature 1.5 px)
-    removed from the images, so that their rig files are true ones; drives without a reference count in `halves` only.
-    """
+    """True rig files and rig files with errors, on the same drives: which are noticed, and corrected."""
     windows = list(_windows(options))
     with ProcessPoolExecutor(options.jobs) as pool:
         found = pool.map(_cases, windows, range(len(windows)), repeat(options.errors))
@@ -410,10 +346,7 @@ def _case_figures(cases: Sequence[Figures]) -> Figures:
 def fraction(values: Any) -> dict[str, float | None]:
     """Fraction of true values with Wilson's 95 % interval, and their number."""
     flags = [bool(value) for value in values]
-    n, z = len(flags), 1.96
-    if not n:
+    if not flags:
         return {"n": 0, "fraction": None, "low": None, "high": None}
-    p = sum(flags) / n
-    centre = (p + z**2 / (2 * n)) / (1 + z**2 / n)
-    half = z / (1 + z**2 / n) * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-    return {"n": n, "fraction": p, "low": max(centre - half, 0.0), "high": min(centre + half, 1.0)}
+    interval = binomtest(sum(flags), len(flags)).proportion_ci(method="wilson")
+    return {"n": len(flags), "fraction": float(np.mean(flags)), "low": interval.low, "high": interval.high}

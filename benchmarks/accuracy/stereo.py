@@ -1,19 +1,4 @@
-"""Stereo matching: time of the patch matcher and of dense matching on one thread, and accuracy on exact ground truth.
-
-Protocol, speed: jobs alternate on each scene, in reverse order every second round; medians over all rounds, ratios of
-medians. Scenes are pairs of KITTI 2015 (or rendered ones) at their size and rendered ones at 1280 x 720, with 15 boxes
-each: the cars of the scene, and the same boxes shifted by up to a tenth of their size. `patch, prior` searches around
-the true disparity + 3 px, as for tracks; `patch, full range` has no prior. Dense is OpenCV's SGBM with 128 disparities,
-without the evaluation of boxes. Rectification: the whole right frame, and the strips searched for the 15 boxes. Goals:
-25 times as fast as the fastest dense mode at 1242 x 375, 50 times at 1280 x 720; 15 and 35 times over the full range.
-
-Protocol, accuracy on simulated drives: KITTI's geometry (`track_range.simulation`, encoded videos), labels at 15-25 m
-that are not truncated and at most partly occluded, boxes of the labels, priors from the previous frame as in a run. The
-true distance is that of the label's visible surface on the ray through the box centre. Goal: median error 0.3 %.
-Repeatability: labelled tracks of real drives with at least 8 measured frames; standard deviation of the disparity about
-a quadratic in time (three degrees of freedom). Goal: at most 0.08 px. The row `labels` is the same for the disparities
-of the labels: the disparity of a near car that passes is not quadratic in time.
-"""
+"""Stereo matching: time of the patch matcher and of dense matching on one thread, and accuracy on exact truth."""
 
 from __future__ import annotations
 
@@ -30,12 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.harness import (
-    Figures,
-    median_or_none,
-    option,
-    workload,
-)
+from benchmarks.harness import Figures, median_or_none, option, workload
 from benchmarks.inputs.drives import REAL_DATA
 from track_range.calibration.drive_pairs import read_drive
 from track_range.evaluation.expected_disparities import expected_disparities
@@ -55,13 +35,8 @@ from track_range.stereo.matching.patches import inner_halves
 from track_range.stereo.matching.sgbm import Mode, Sgbm, SgbmSettings
 
 DRIVES = tuple(REAL_DATA / "kitti_stereo" / name for name in ("0003", "0005"))
-
-FROM_M, TO_M = 15.0, 25.0
-"""Distance range in m on simulated drives."""
-
-MIN_FRAMES = 8
-"""Smallest number of measured frames of a track for its repeatability."""
-
+FROM_M, TO_M = 15.0, 25.0  # distance range in m on simulated drives
+MIN_FRAMES = 8  # smallest number of measured frames of a track for its repeatability
 MATCHERS = ("patch", "sgbm")
 
 N_BOXES = 15  # per scene
@@ -177,7 +152,6 @@ def _speed(scenes: list[SpeedScene], n_rounds: int) -> dict[str, Any]:
 
 
 def _jobs(scene: SpeedScene) -> dict[str, Callable[[], object]]:
-    """Timed functions on one scene by name."""
     patch = PatchMatcher(PatchMatcherSettings.for_rig(scene.rig))
     prior_px, no_prior_px = scene.true_px + PRIOR_ERROR_PX, np.full(len(scene.true_px), np.nan)
     maps, strips = _raw_maps(scene), _strips(scene)
@@ -214,7 +188,6 @@ def _strips(scene: SpeedScene) -> list[tuple[slice, slice]]:
 
 
 def _simulated(n_drives: int, fps: float) -> dict[str, Any]:
-    """Figures of each matcher on all drives together."""
     with tempfile.TemporaryDirectory() as name:
         measured = measure_pairs(_drives(Path(name), n_drives, fps), MATCHERS, expected=expected_disparities)
     objects = measured.objects

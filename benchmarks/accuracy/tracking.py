@@ -1,18 +1,8 @@
 """Accuracy and speed of the tracker and of its peers on the same stored boxes, by the official rules.
 
-Protocol, accuracy: KITTI tracking cars and pedestrians (public RRC boxes of 13 sequences, 12 with pedestrians), MOT15
-(6 training sequences) and MOT17-05-FRCNN with its stored appearance embeddings; no images. Evaluation by the rules of
-KITTI and MOTChallenge, boxes rounded to two decimals as in result files, counts summed over the sequences of a set.
-Time steps are 0.1 s on KITTI, 1 / frameRate on MOT. All trackers have their default settings, one instance per
-sequence. track-range gets all boxes; peers with two thresholds get boxes with a confidence from 0.1, peers with one
-threshold from 0.5 (0.3 on MOT17). Rows with +embeddings use the stored embeddings; track-range uses them except for
-"sort". "offline" is the default of `track-range track`, which refines tracks with later frames. All other rows are
-online, and `track-range` is compared with the peers.
-
-Protocol, speed: `tracking_sets.scene`, boxes only; mean over all but the first 20 frames, in microseconds of processor
-time. Trackers alternate for `--rounds` rounds, one at a time on one thread; median of the rounds. The time is that of
-the tracker's update with the conversion of its input. A peer is stopped after 20 s per scene; a dash means that it did
-not finish the first 20 frames.
+Evaluation by the rules of KITTI and MOTChallenge, counts summed over the sequences of a set. Rows with +embeddings use
+the stored embeddings; track-range uses them except for "sort". "offline" is the default of `track-range track`, which
+refines tracks with later frames; all other rows are online.
 """
 
 from __future__ import annotations
@@ -29,11 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import (
-    Figures,
-    option,
-    workload,
-)
+from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs import tracking_sets
 from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.tracking_sets import N_WARM_UP, SETS, scene, sequences_of
@@ -67,9 +53,7 @@ COMPARED = "track-range"
 SCENES: Mapping[int, int] = {10: 120, 50: 120, 200: 60, 1000: 30}
 """Number of frames of a scene, with warm-up, by number of objects."""
 
-MAX_SCENE_S = 20.0
-"""Processor time in s after which a peer is stopped."""
-
+MAX_SCENE_S = 20.0  # processor time in s after which a peer is stopped
 _JOBS = 2  # parallel processes
 
 _PER_CENT = ("hota", "idf1", "mota", "deta", "assa")
@@ -97,7 +81,6 @@ def tracking(options: Namespace) -> Figures:
 def _accuracy(
     set_names: Sequence[str], data: Path, pythons: Mapping[str, Path]
 ) -> tuple[dict[str, dict[str, Figures]], dict[str, str]]:
-    """Figures by data set and tracker, variants first, and versions of the peers' packages."""
     by_set = {name: sequences_of(name, data) for name in set_names}
     for name in (name for name, of_set in by_set.items() if not of_set):
         print(f"{data}: expected the data set {name}, found none; it is skipped.", flush=True)
@@ -132,7 +115,6 @@ def _peer_results(
 
 
 def _variant_counts(name: str, sequence: tracking_sets.Sequence) -> TrackingCounts:
-    """Counts of a variant, tracked as by the command."""
     variant = VARIANTS[name]
     boxes, _ = sequence.tracked(DeepSortTracker(variant.settings), is_online=variant.is_online)
     return sequence.counts(boxes)
@@ -150,7 +132,6 @@ def _scores(counts: Sequence[TrackingCounts]) -> Figures:
 
 
 def _margins(rows: Mapping[str, Scores]) -> dict[str, Figures]:
-    """Best peer and lead over it, by metric."""
     peers = [name for name in rows if name in PEERS]
     margins: dict[str, Figures] = {}
     for metric in ("hota", "idf1") if peers else ():
@@ -176,7 +157,6 @@ def _speed(pythons: Mapping[str, Path], n_rounds: int) -> dict[str, dict[int, fl
 
 
 def _mean_times_us(scenes: Sequence[tracking_sets.Sequence]) -> list[float]:
-    """Mean time per frame of track-range on each scene in microseconds."""
     means = []
     for sequence in scenes:
         tracker, us = DeepSortTracker(), []

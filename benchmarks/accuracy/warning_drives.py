@@ -19,11 +19,7 @@ import numpy as np
 from benchmarks.boxes.box_drive import BoxDrive
 from benchmarks.boxes.box_run import IDS_PER_DRIVE, Step, run_boxes, tracked
 from benchmarks.boxes.true_boxes import TrueBoxes, closing_rates_mps, true_boxes
-from benchmarks.harness import (
-    Figures,
-    median_or_none,
-    quantile_or_none,
-)
+from benchmarks.harness import Figures, median_or_none, quantile_or_none
 from benchmarks.inputs.drives import COLLISIONS, FPS, ConflictDrive, StoredDetector, conflict_drive
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
@@ -42,16 +38,10 @@ from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.scene import Scene
 from track_range.stereo.rig_formats.reading import load_calibration
 
-MIN_IOU = 0.3
-"""Smallest overlap of a track with its object."""
+MIN_IOU = 0.3  # smallest overlap of a track with its object
 
-
-HARMLESS_S, COLLISION_S = 20.0, 8.0
-"""Length of a drive, s."""
-
-WIDTH_PX, HEIGHT_PX = 620, 188
-"""Size of the images, px: that of the fit."""
-
+HARMLESS_S, COLLISION_S = 20.0, 8.0  # length of a drive, s
+WIDTH_PX, HEIGHT_PX = 620, 188  # size of the images, px: that of the fit
 
 METHODS = {"mono": ("mono",), "stereo": ("stereo",), "fused": ("mono", "stereo")}
 """Ranging methods of each configuration."""
@@ -114,14 +104,8 @@ def real_warnings(**source: Any) -> list[Event]:
 
 
 def run_of(drive: ConflictDrive, *, is_stereo: bool) -> Run:
-    """A run on a rendered drive with its stored boxes."""
-    files = drive.files
-    options: RunKeywords = {
-        "detector": StoredDetector(drive.boxes),
-        "ego_speed": files.ego_speed,
-        "rig": files.rig,
-        "sgbm": False,
-    }
+    files, boxes = drive.files, StoredDetector(drive.boxes)
+    options: RunKeywords = {"detector": boxes, "ego_speed": files.ego_speed, "rig": files.rig, "sgbm": False}
     return Run.stereo(files.left, files.right, **options) if is_stereo else Run.mono(files.left, **options)
 
 
@@ -152,30 +136,21 @@ def _closing_speeds(path: Path) -> dict[tuple[int, int], tuple[float, float]]:
 
 @dataclass(frozen=True, slots=True)
 class SceneDrives:
-    """Drives with different errors in the scene of a scenario and seed, and the frames and tracks of each.
-
-    Attributes:
-        contact_s: time of the contact by id of the road user.
-        is_real: whether the contacts happen, without braking or with it.
-        end_s: time of the first contact, or of the last frame; later frames do not count.
-        object_id: (N + 1,) id of each road user; the last one, -1, is that of false boxes (row -1).
-        closing_mps: (N, T) true closing speeds.
-    """
+    """Drives with different errors in the scene of a scenario and seed, and the frames and tracks of each."""
 
     scenario: str
     seed: int
     scene: Scene
     drives: list[BoxDrive]
     tracks: list[list[Step]]
-    contact_s: dict[int, float]
-    is_real: bool
-    end_s: float
-    object_id: IntArray
-    closing_mps: FloatArray
+    contact_s: dict[int, float]  # time of the contact by id of the road user
+    is_real: bool  # whether the contacts happen, without braking or with it
+    end_s: float  # time of the first contact, or of the last frame; later frames do not count
+    object_id: IntArray  # (N + 1,) id of each road user; the last one, -1, is that of false boxes (row -1)
+    closing_mps: FloatArray  # (N, T) true closing speeds
 
     @property
     def hours(self) -> float:
-        """Duration of all drives, h."""
         return len(self.drives) * self.end_s / 3600
 
 
@@ -191,40 +166,25 @@ def scene_drives(scenario: str, seed: int, n_errors: int) -> SceneDrives:
     first = BoxDrive(scene, times_s, rig, seed=1000 * seed)
     others = [BoxDrive(scene, times_s, rig, seed=1000 * seed + number, like=first) for number in range(1, n_errors)]
     drives = [first, *others]
-    return SceneDrives(
-        scenario,
-        seed,
-        scene,
-        drives,
-        [tracked(drive) for drive in drives],
-        contact_s,
-        is_real,
-        min(contact_s.values(), default=seconds) if is_real else seconds,
-        np.array([user.track_id for user in scene.road_users] + [-1]),
-        closing_rates_mps(scene, times_s),
-    )
+    end_s = min(contact_s.values(), default=seconds) if is_real else seconds
+    object_id = np.array([user.track_id for user in scene.road_users] + [-1])
+    tracks, closing_mps = [tracked(drive) for drive in drives], closing_rates_mps(scene, times_s)
+    return SceneDrives(scenario, seed, scene, drives, tracks, contact_s, is_real, end_s, object_id, closing_mps)
 
 
 @dataclass(frozen=True, slots=True)
 class SceneFigures:
-    """Figures of the drives of one scene.
+    """Figures of the drives of one scene."""
 
-    Attributes:
-        scenario, seed: the scene.
-        hours: duration of its drives.
-        alarms: (A, 5) drive, threshold index, road user (-1 = a false box), time, lead to its contact (NaN = none).
-        n_contacts: number of contacts in all drives.
-        closing: (C, 5) class, distance, error of the closing speed, its standard deviation, height of the object.
-        probability: (B, 3) by bin: number, sum of probabilities, number of contacts within the horizon.
-    """
-
-    scenario: str
+    scenario: str  # scenario, seed: the scene
     seed: int
-    hours: float
+    hours: float  # duration of its drives
+    # (A, 5) drive, threshold index, road user (-1 = a false box), time, lead to its contact (NaN = none)
     alarms: FloatArray
-    n_contacts: int
+    n_contacts: int  # number of contacts in all drives
+    # (C, 5) class, distance, error of the closing speed, its standard deviation, height of the object
     closing: FloatArray
-    probability: FloatArray
+    probability: FloatArray  # (B, 3) by bin: number, sum of probabilities, number of contacts within the horizon
 
     @classmethod
     def of_json(cls, values: Mapping[str, Any]) -> SceneFigures:
@@ -237,31 +197,21 @@ class SceneFigures:
 
 
 class WarningCurve(CollisionWarning):
-    """Collision warnings with several thresholds; returns that with the default settings.
-
-    `warnings` are those of the last frame, by threshold, then that with the default settings.
-    """
+    """Collision warnings with several thresholds, then, as returned, with the default settings: `warnings`."""
 
     def __init__(self, thresholds: Sequence[float]) -> None:
         super().__init__()
         default = WarningSettings()
         lower = default.on_probability - default.person_probability
-        self._all = [
-            CollisionWarning(
-                replace(
-                    default,
-                    on_probability=threshold,
-                    person_probability=max(threshold - lower, 0.05),
-                    off_probability=min(default.off_probability, threshold / 2),
-                )
-            )
-            for threshold in thresholds
-        ]
+        self._all = []
+        for threshold in thresholds:
+            person, off = max(threshold - lower, 0.05), min(default.off_probability, threshold / 2)
+            settings = replace(default, on_probability=threshold, person_probability=person, off_probability=off)
+            self._all.append(CollisionWarning(settings))
         self._all.append(CollisionWarning())
         self.warnings: list[Warnings] = []
 
     def update(self, *args: Any, **options: Any) -> Warnings:
-        """Warnings of this frame with the default settings."""
         self.warnings = [warning.update(*args, **options) for warning in self._all]
         return self.warnings[-1]
 
@@ -289,15 +239,9 @@ def drive_figures(scene: SceneDrives, *, methods: str = "fused", thresholds: Seq
             closing.append(_closing_errors(scene, result, step.user, step.true_m))
         if scene.is_real and result.warnings is not None:
             _add_probabilities(probability, result.warnings, objects, scene.contact_s, result.time_s)
-    return SceneFigures(
-        scene.scenario,
-        scene.seed,
-        scene.hours,
-        _merged(np.array(alarms, np.float64).reshape(-1, 5)),
-        len(scene.drives) * len(scene.contact_s),
-        np.concatenate(closing),
-        probability,
-    )
+    merged, n_contacts = _merged(np.array(alarms, np.float64).reshape(-1, 5)), len(scene.drives) * len(scene.contact_s)
+    errors = np.concatenate(closing)
+    return SceneFigures(scene.scenario, scene.seed, scene.hours, merged, n_contacts, errors, probability)
 
 
 def _closing_errors(scene: SceneDrives, result: FrameResult, user: IntArray, true_m: FloatArray) -> FloatArray:
@@ -319,7 +263,6 @@ def _closing_errors(scene: SceneDrives, result: FrameResult, user: IntArray, tru
 def _add_probabilities(
     counts: FloatArray, warnings: Warnings, objects: IntArray, contact_s: dict[int, float], time_s: float
 ) -> None:
-    """Add the probabilities of contact of one frame and what happened to the bins."""
     horizon_s = WarningSettings().horizon_s
     rows = np.flatnonzero(np.isfinite(warnings.probability) & (objects >= 0))
     lead = np.array([contact_s.get(int(number), math.inf) - time_s for number in objects[rows]])

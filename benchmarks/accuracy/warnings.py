@@ -1,11 +1,4 @@
-"""Collision warnings: lead times, false alarms, closing speeds and probabilities, on simulated and real drives.
-
-Parts (`--only`):
-    rendered   drives of Euro NCAP's shapes and their twins with the packaged detector, stereo and one camera
-    hours      hours of harmless driving without images, with the errors of `benchmarks/boxes`
-    curve      false alarms per hour against the lead time for mono, stereo and fused; a threshold for each point
-    real       warnings on recordings (`TRACK_RANGE_DATA`), where there is no collision
-"""
+"""Collision warnings: lead times, false alarms, closing speeds and probabilities, on simulated and real drives."""
 
 from __future__ import annotations
 
@@ -35,21 +28,12 @@ from benchmarks.accuracy.warning_drives import (
     rendered_figures,
     scene_drives,
 )
-from benchmarks.harness import (
-    Figures,
-    StoredResults,
-    option,
-    workload,
-)
+from benchmarks.harness import Figures, StoredResults, option, workload
 from benchmarks.inputs.drives import CACHE_OPTION, COLLISIONS, HARMLESS, REAL_DATA
 
 PARTS = ("rendered", "hours", "curve", "real")
-
-SEEDS = tuple(range(100, 107))
-"""Seeds of the rendered drives; thresholds are tuned on seeds below 100."""
-
-LEAD_S = 2.1
-"""Smallest lead of a hit, s: time to react and to brake to a standstill from 50 km/h, as in ISO 15623."""
+SEEDS = tuple(range(100, 107))  # seeds of the rendered drives; thresholds are tuned on seeds below 100
+LEAD_S = 2.1  # smallest lead of a hit, s: time to react and to brake to a standstill from 50 km/h, as in ISO 15623
 
 DASHCAM_FOCAL_PX = 1150.0
 """Focal length of the dashcam clips, px: assumed, for an angle of view of about 58 degrees at 1280 px."""
@@ -59,16 +43,13 @@ N_COLLISION_SEEDS = 8  # scenes of each collision scenario without images
 BOX_COLLISIONS = tuple(name for name in COLLISIONS if name != "cut-in")
 """Collision scenarios of the curve: those in which the contact happens."""
 
-
 COLOURS = {"mono": "#cf7410", "stereo": "#1f77b4", "fused": "#2a8c3c"}
 
 TITLES = {"mono": "one camera", "stereo": "two cameras, stereo only", "fused": "two cameras"}
 """Name of each method for users."""
 
 _GREY = "#7a7f87"  # text and axes: readable on light and dark pages
-
-COLUMNS = ("false_alarms_per_hour", "median_lead_s", "fraction_with_2_1_s")
-"""Columns of a point of the curve."""
+COLUMNS = ("false_alarms_per_hour", "median_lead_s", "fraction_with_2_1_s")  # columns of a point of the curve
 
 
 @workload(
@@ -92,7 +73,6 @@ def warnings(options: Namespace) -> Figures:
 
 
 def _rendered(options: Namespace) -> Figures:
-    """Hits with `LEAD_S` and false alarms by scenario, for stereo and one camera."""
     figures: Figures = {}
     for mode in ("stereo", "mono"):
         measured = partial(_rendered_drive, options.cache, mode == "stereo", options.width)
@@ -119,7 +99,6 @@ def _rendered_drive(cache: Path, is_stereo: bool, width_px: int, case: tuple[str
 
 
 def _hours(options: Namespace) -> Figures:
-    """False alarms per hour of harmless driving."""
     n_scenes = int(np.ceil(options.hours * 3600 / HARMLESS_S / options.errors / len(HARMLESS_HOURS)))
     cases = [(name, options.first_seed + k) for k in range(n_scenes) for name in HARMLESS_HOURS]
     scenes = _scenes(options, cases, ("fused", "mono"), ())
@@ -129,7 +108,6 @@ def _hours(options: Namespace) -> Figures:
 def _scenes(
     options: Namespace, cases: Sequence[tuple[str, int]], methods: Sequence[str], thresholds: Sequence[float]
 ) -> dict[str, list[SceneFigures]]:
-    """Figures of the scenes of all cases by method."""
     label = f"{'+'.join(methods)} x{options.errors} {','.join(map(str, thresholds))}"
     measured = partial(_box_drives, methods, options.errors, thresholds)
     results = list(options.stored.mapped(label, measured, cases, options.jobs))
@@ -137,7 +115,6 @@ def _scenes(
 
 
 def _curve(options: Namespace) -> Figures:
-    """False alarms per hour and lead times for each threshold; closing speeds and reliability at the default one."""
     cases = [(name, options.first_seed + k) for k in range(N_COLLISION_SEEDS) for name in BOX_COLLISIONS]
     n_harmless = max(round(options.hours * 3600 / HARMLESS_S / options.errors / len(HARMLESS_HOURS)), 1)
     cases += [(name, options.first_seed + k) for k in range(n_harmless) for name in HARMLESS_HOURS]
@@ -181,7 +158,6 @@ def _box_drives(methods: Sequence[str], n_errors: int, thresholds: Sequence[floa
 
 
 def _real(options: Namespace) -> Figures:
-    """Warnings on recordings without collisions."""
     figures: Figures = {}
     for name in ("0003", "0005"):
         folder = REAL_DATA / "kitti_stereo" / name
@@ -201,7 +177,6 @@ def curve_points(figures: Figures) -> dict[str, list[list[float]]]:
 
 
 def write_curve(path: Path, figures: Figures, protocol: str) -> None:
-    """Write the curve for the report as JSON."""
     curve = {
         "protocol": protocol,
         "date": datetime.now(UTC).date().isoformat(),
@@ -213,10 +188,7 @@ def write_curve(path: Path, figures: Figures, protocol: str) -> None:
 
 
 def draw_curve(figures: Figures, path: Path, *, lead_s: float) -> None:
-    """Draw lead times and the fraction warned in time against false alarms per hour, as SVG without background.
-
-    Each point is a threshold; a circle marks the default one.
-    """
+    """Draw lead times and the fraction warned in time against false alarms per hour, a point for each threshold."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.4, 3.9), layout="constrained")

@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
@@ -30,7 +29,6 @@ from track_range.ranging.methods.size_regression import MONO
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.curve import load_curves
-from track_range.ranging.size_models.size_model import SizeModel
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
@@ -40,27 +38,20 @@ from track_range.tracking.camera_motion import CameraMotion
 from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker
 from track_range.tracking.tracks import Tracks
 
-MIN_IOU = 0.5
-"""Smallest IoU of a track's box with the box of the drive that it was updated with."""
+MIN_IOU = 0.5  # smallest IoU of a track's box with the box of the drive that it was updated with
+YAW_SIGMA_RAD_S = 0.004  # standard deviation of the yaw rate, rad/s: that of image motion on rendered drives
+IDS_PER_DRIVE = 100_000  # difference between the track ids of two drives that run as one
+SIZE_MODEL = load_curves()
 
-YAW_SIGMA_RAD_S = 0.004
-"""Standard deviation of the yaw rate, rad/s: that of image motion on rendered drives."""
-
-IDS_PER_DRIVE = 100_000
-"""Difference between the track ids of two drives that run as one."""
-
-Step = tuple[BoxFrame, Tracks]
-"""A frame of a drive with its tracks."""
+Step = tuple[BoxFrame, Tracks]  # A frame of a drive with its tracks
 
 
 @dataclass(frozen=True, slots=True)
 class BoxResult:
-    """Result of one frame of K drives.
+    """Result of the pipeline for one frame of K drives; the drive of a track is its id // `IDS_PER_DRIVE`.
 
-    Attributes:
-        result: of the pipeline; the drive of a track is its id // `IDS_PER_DRIVE`.
-        user: (N,) row of the scene's road users of each track; -1 = a false box, or predicted only.
-        true_m: (N,) true distance; NaN where there is no road user.
+    `user` (N,) is the row of the scene's road users of each track, -1 = a false box, or predicted only; `true_m` (N,)
+    its distance, NaN without a road user.
     """
 
     result: FrameResult
@@ -82,21 +73,18 @@ def run_boxes(
     methods: Sequence[str] = ("mono", "stereo"),
     warning: CollisionWarning | None = None,
 ) -> Iterator[BoxResult]:
-    """Results of the pipeline for each frame of K drives in the same scene.
+    """Results of the pipeline for each frame of K drives in the same scene, with the result of `tracked` for each.
 
-    Args:
-        drives: the drives.
-        tracks: result of `tracked` for each.
-        methods: ranging methods, "mono", "stereo" or both.
-        warning: the collision warning, without tracks; None = with its default settings.
+    The ranging methods are "mono", "stereo" or both.
     """
     drive = drives[0]
     camera, times_s = drive.rig.left, drive.times_s
-    context = MethodContext(camera=camera, rig=drive.rig, size_model=_size_model(), has_images=False)
-    source = _Source(context, len(drives))
+    context = MethodContext(camera=camera, rig=drive.rig, size_model=SIZE_MODEL, has_images=False)
+    source = _Source()
     rangers: dict[str, Ranger] = {}
     if "mono" in methods:
-        rangers[MONO.name] = _Sizes(source)
+        sizes = [ranger for _ in drives if (ranger := MONO.create(context)) is not None]
+        rangers[MONO.name] = _Sizes(source, sizes)
     if "stereo" in methods:
         rangers[STEREO.name] = source
     speeds_mps = np.array([drive.scene.speed_mps(time_s) for time_s in times_s.tolist()])
@@ -117,22 +105,13 @@ def run_boxes(
         yield BoxResult(result, *source.truth())
 
 
-@cache
-def _size_model() -> SizeModel:
-    return load_curves()
-
-
 def _no_image(camera: PinholeCamera) -> Image:
     """A black image that takes no memory."""
     return np.broadcast_to(np.zeros(3, np.uint8), (camera.height_px, camera.width_px, 3))
 
 
 class _Shift(CameraMotion):
-    """The image motion of the current frame of a drive.
-
-    Attributes:
-        shift_px: (2,) motion.
-    """
+    """The image motion (2,) of the current frame of a drive."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -144,15 +123,12 @@ class _Shift(CameraMotion):
 
 
 class _BoxTracker(DeepSortTracker):
-    """The default tracker with the camera motion and embeddings of a drive without images."""
-
     def __init__(self) -> None:
         gate = AppearanceSettings(max_cosine_distance=ColourLayoutSettings().max_cosine_distance)
         self._shift = _Shift()
         super().__init__(DeepSortSettings(appearance=gate), camera_motion=self._shift)
 
     def update_frame(self, frame: BoxFrame, image: Image) -> Tracks:
-        """The tracks of a frame."""
         self._shift.shift_px = frame.shift_px
         return self.update(frame.detections, frame.time_s, image)
 
@@ -185,57 +161,36 @@ class _TrueYaw(ImageMotionEstimator):
 class _Source(Ranger):
     """Tracker and stereo ranger that return what the drives have for the current frame."""
 
-    def __init__(self, context: MethodContext, n_drives: int) -> None:
-        self._rangers = [MONO.create(context) for _ in range(n_drives)]
-        self.tracks = Tracks.empty()
+    tracks: Tracks
+    steps: Sequence[Step]
 
     def set(self, steps: Sequence[Step]) -> None:
-        """Use these frames from now on."""
-        self._steps = steps
+        self.steps = steps
         self._box: list[IntArray] = []
         for frame, tracks in steps:
             overlap = iou(tracks.xyxy_px, frame.detections.xyxy_px)
             box = overlap.argmax(axis=1) if overlap.shape[1] else np.zeros(len(tracks), np.int64)
             has_box = tracks.observed & (overlap.max(axis=1, initial=0.0) >= MIN_IOU)
             self._box.append(np.where(has_box, box, -1))
-        self.tracks = Tracks(
-            np.concatenate([tracks.track_id + IDS_PER_DRIVE * k for k, (_, tracks) in enumerate(steps)]),
-            np.concatenate([tracks.xyxy_px for _, tracks in steps]),
-            np.concatenate([tracks.class_id for _, tracks in steps]),
-            np.concatenate([tracks.score for _, tracks in steps]),
-            np.concatenate([tracks.observed for _, tracks in steps]),
+        xyxy_px, class_id, score, observed = (
+            np.concatenate([getattr(tracks, name) for _, tracks in steps])
+            for name in ("xyxy_px", "class_id", "score", "observed")
         )
+        track_id = np.concatenate([tracks.track_id + IDS_PER_DRIVE * k for k, (_, tracks) in enumerate(steps)])
+        self.tracks = Tracks(track_id, xyxy_px, class_id, score, observed)
 
     def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
         """The tracks of the current frame."""
         return self.tracks
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Stereo distances of the tracks."""
-        distance_m = self._of_boxes([frame.stereo_m for frame, _ in self._steps])
-        return Ranges(tracks.track_id, distance_m, self._of_boxes([frame.stereo_sigma_m for frame, _ in self._steps]))
-
-    def sizes(self, frame: Frame) -> Ranges:
-        """Distances by size, for each drive separately, since the boxes of a frame share the ground."""
-        parts = [
-            ranger.measure(tracks, frame)
-            for ranger, (_, tracks) in zip(self._rangers, self._steps, strict=True)
-            if ranger is not None
-        ]
-        systematic = [
-            np.full(len(part), np.nan) if part.sigma_systematic_m is None else part.sigma_systematic_m for part in parts
-        ]
-        return Ranges(
-            self.tracks.track_id,
-            np.concatenate([part.distance_m for part in parts]),
-            np.concatenate([part.sigma_m for part in parts]),
-            np.concatenate(systematic),
-        )
+        distance_m = self._of_boxes([frame.stereo_m for frame, _ in self.steps])
+        return Ranges(tracks.track_id, distance_m, self._of_boxes([frame.stereo_sigma_m for frame, _ in self.steps]))
 
     def truth(self) -> tuple[IntArray, FloatArray]:
         """Road user and true distance of the tracks."""
-        user = self._of_boxes([frame.user.astype(np.float64) for frame, _ in self._steps])
-        true_m = self._of_boxes([frame.true_m for frame, _ in self._steps])
+        user = self._of_boxes([frame.user.astype(np.float64) for frame, _ in self.steps])
+        true_m = self._of_boxes([frame.true_m for frame, _ in self.steps])
         is_user = user >= 0  # false for NaN
         return np.where(is_user, user, -1).astype(np.int64), np.where(is_user, true_m, np.nan)
 
@@ -247,11 +202,15 @@ class _Source(Ranger):
 
 
 class _Sizes(Ranger):
-    """The size rangers of all drives as one."""
+    """Size ranging of each drive separately, since the boxes of a frame share the ground."""
 
-    def __init__(self, source: _Source) -> None:
-        self._source = source
+    def __init__(self, source: _Source, rangers: Sequence[Ranger]) -> None:
+        self._source, self._rangers = source, rangers
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances by size."""
-        return self._source.sizes(frame)
+        parts = [ranger.measure(own, frame) for ranger, (_, own) in zip(self._rangers, self._source.steps, strict=True)]
+        distance_m, sigma_m = np.concatenate([[part.distance_m, part.sigma_m] for part in parts], axis=1)
+        systematic_m = [part.sigma_systematic_m for part in parts]
+        unknown = [np.full(len(part), np.nan) for part in parts]
+        known = [nan if values is None else values for nan, values in zip(unknown, systematic_m, strict=True)]
+        return Ranges(tracks.track_id, distance_m, sigma_m, np.concatenate(known))

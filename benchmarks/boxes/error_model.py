@@ -16,23 +16,16 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 
-NETWORK_WIDTH_PX = 512
-"""Width of the packaged network's input for images of KITTI's shape, px."""
+NETWORK_WIDTH_PX = 512  # width of the packaged network's input for images of KITTI's shape, px
 
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """Correlation in time of a standard normal process: a constant, a slow part, and the rest without memory.
+    """Correlation in time of a standard normal process: a constant, a slow part, and the rest without memory."""
 
-    Attributes:
-        constant: fraction of the variance that is constant for an object.
-        slow: fraction of the variance that decays with `tau_s`.
-        tau_s: time constant, s.
-    """
-
-    constant: float
-    slow: float
-    tau_s: float
+    constant: float  # fraction of the variance that is constant for an object
+    slow: float  # fraction of the variance that decays with `tau_s`
+    tau_s: float  # time constant, s
 
     def sample(self, rng: np.random.Generator, n_rows: int, n_frames: int, step_s: float) -> FloatArray:
         """(n_rows, n_frames) independent processes."""
@@ -56,56 +49,42 @@ class FalseBoxes:
 
     All are fixed in the world. On the fitted drives nine in ten are detected in one frame only. (Small boxes at the
     horizon, which look like them, belong to real vehicles at 90 to 150 m.)
-
-    Attributes:
-        starts_hz: mean number of new false boxes per second.
-        mean_frames: (fraction, mean number of frames at 10 frames/s) of brief and longer ones.
-        mean_score: mean score above the detector's threshold.
-        classes: (class id, fraction, median height in network px, log standard deviation, lateral offset of the median
-            from the image centre, lateral spread), lateral positions in image widths, on both sides.
-        distance: median and log standard deviation of the stereo distance, relative to the distance at which an object
-            of the class has the height of the box.
-        raised: height of the lower edge above the road, in heights of the camera.
     """
 
-    starts_hz: float = 2.4
+    starts_hz: float = 2.4  # mean number of new false boxes per second
+    # (fraction, mean number of frames at 10 frames/s) of brief and longer ones
     mean_frames: tuple[tuple[float, float], ...] = ((0.92, 1.05), (0.08, 5.0))
-    mean_score: float = 0.073
+    mean_score: float = 0.073  # mean score above the detector's threshold
+    # (class id, fraction, median height in network px, log standard deviation, lateral offset of the median from the
+    # image centre, lateral spread), lateral positions in image widths, on both sides
     classes: tuple[tuple[int, float, float, float, float, float], ...] = (
         (0, 0.76, 30.0, 0.35, 0.33, 0.1),
         (2, 0.12, 13.0, 0.5, 0.1, 0.15),
         (5, 0.03, 15.0, 0.4, 0.05, 0.05),
         (6, 0.09, 25.0, 0.35, 0.35, 0.1),
     )
+    # median and log standard deviation of the stereo distance, relative to the distance at which an object of the class
+    # has the height of the box
     distance: tuple[float, float] = (1.05, 0.45)
-    raised: float = 0.26
+    raised: float = 0.26  # height of the lower edge above the road, in heights of the camera
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SecondBoxes:
-    """Second boxes of vehicles that have a box already: shifted, or of the vehicle together with its neighbour.
+    """Second boxes of vehicles that have a box already: shifted, or of the vehicle together with its neighbour."""
 
-    Attributes:
-        rate, overlap_rate: probability per detected vehicle, alone and with another vehicle's box overlapping.
-        min_overlap: fraction of the box inside another vehicle's box from which it counts as overlapping.
-        near_px, near_factor: height from which boxes are rarer, network px, and the factor.
-        mean_score: mean score above the detector's threshold.
-        sigma: (4,) standard deviations of centre x and centre y, relative to width and height, log width, log height.
-        distance_sigma: log standard deviation of the distance relative to the vehicle's.
-        max_iou: largest IoU with the vehicle's first box: that of the detector's non-maximum suppression.
-        presence, offset: correlation in time of the latent value that decides about the box, and of its errors and
-            score.
-    """
-
+    # rate, overlap_rate: probability per detected vehicle, alone and with another vehicle's box overlapping
     rate: float = 0.25
     overlap_rate: float = 0.8
-    min_overlap: float = 0.02
-    near_px: float = 33.0
+    min_overlap: float = 0.02  # fraction of the box inside another vehicle's box from which it counts as overlapping
+    near_px: float = 33.0  # near_px, near_factor: height from which boxes are rarer, network px, and the factor
     near_factor: float = 0.3
-    mean_score: float = 0.125
+    mean_score: float = 0.125  # mean score above the detector's threshold
+    # (4,) standard deviations of centre x and centre y, relative to width and height, log width, log height
     sigma: tuple[float, float, float, float] = (0.27, 0.13, 0.36, 0.22)
-    distance_sigma: float = 0.1
-    max_iou: float = 0.5
+    distance_sigma: float = 0.1  # log standard deviation of the distance relative to the vehicle's
+    max_iou: float = 0.5  # largest IoU with the vehicle's first box: that of the detector's non-maximum suppression
+    # presence, offset: correlation in time of the latent value that decides about the box, and of its errors and score
     presence: Memory = field(default_factory=lambda: Memory(0.4, 0.4, 0.4))
     offset: Memory = field(default_factory=lambda: Memory(0.4, 0.35, 0.4))
 
@@ -116,18 +95,12 @@ class AppearanceErrors:
 
     Measured medians: 0.187 between two vehicles (0.084 and 0.35 at 10 and 90 %), and of one vehicle 0.018, 0.024,
     0.035 and 0.051 after 0.1, 0.3, 1 and 3 s.
-
-    Attributes:
-        n_values: number of components that differ between objects; it determines the spread of the distances.
-        object_sigma: standard deviation of a component between objects.
-        sigma: standard deviation of a component between boxes of one object.
-        memory: of the latter.
     """
 
-    n_values: int = 7
-    object_sigma: float = 0.2
-    sigma: float = 0.094
-    memory: Memory = field(default_factory=lambda: Memory(0.0, 0.7, 1.7))
+    n_values: int = 7  # number of components that differ between objects; it determines the spread of the distances
+    object_sigma: float = 0.2  # standard deviation of a component between objects
+    sigma: float = 0.094  # standard deviation of a component between boxes of one object
+    memory: Memory = field(default_factory=lambda: Memory(0.0, 0.7, 1.7))  # of the latter
 
 
 CAMERA_MOTION_SIGMA_PX = 0.1
@@ -136,36 +109,25 @@ CAMERA_MOTION_SIGMA_PX = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassErrors:
-    """Errors of the boxes of one group of classes.
+    """Errors of the boxes of one group of classes."""
 
-    Attributes:
-        rate: probability of detection by height (rows, `HEIGHTS_PX`) and hidden fraction (columns, `HIDDEN`).
-        outside_factor: factor on the probability by the fraction of the box outside the image (`OUTSIDE`).
-        score: median score by height.
-        bias: (4,) bias of centre x, centre y, log width, log height; centres relative to the height of the box.
-        sigma: (4,) standard deviation for large boxes.
-        sigma_px: (4,) additional standard deviation, px, divided by the height of the box.
-    """
-
+    # probability of detection by height (rows, `HEIGHTS_PX`) and hidden fraction (columns, `HIDDEN`)
     rate: tuple[tuple[float, ...], ...]
+    # factor on the probability by the fraction of the box outside the image (`OUTSIDE`)
     outside_factor: tuple[float, ...]
-    score: tuple[float, ...]
+    score: tuple[float, ...]  # median score by height
+    # (4,) bias of centre x, centre y, log width, log height; centres relative to the height of the box
     bias: tuple[float, ...]
-    sigma: tuple[float, ...]
-    sigma_px: tuple[float, ...]
+    sigma: tuple[float, ...]  # (4,) standard deviation for large boxes
+    sigma_px: tuple[float, ...]  # (4,) additional standard deviation, px, divided by the height of the box
 
 
 HEIGHTS_PX = (3.7, 5.0, 6.6, 8.3, 11.6, 16.5, 26.4, 50.0)
 """Heights of the tables, network px; values between them are interpolated over the logarithm of the height."""
 
-HIDDEN = (0.03, 0.25, 0.55, 0.9)
-"""Hidden fractions of the tables."""
-
-OUTSIDE = (0.0, 0.3, 0.6, 1.0)
-"""Fractions of a box outside the image of `ClassErrors.outside_factor`."""
-
-HIDDEN_SCORE = (0.0, -0.12, -0.2, -0.36)
-"""Change of the median score by hidden fraction (`HIDDEN`)."""
+HIDDEN = (0.03, 0.25, 0.55, 0.9)  # hidden fractions of the tables
+OUTSIDE = (0.0, 0.3, 0.6, 1.0)  # fractions of a box outside the image of `ClassErrors.outside_factor`
+HIDDEN_SCORE = (0.0, -0.12, -0.2, -0.36)  # change of the median score by hidden fraction (`HIDDEN`)
 
 HIDDEN_SIGMA = ((0.0, 0.06, 0.2, 0.22), (0.0, 0.06, 0.2, 0.24))
 """Additional standard deviation of centre x and log width of vehicles by hidden fraction (`HIDDEN`): their boxes are
@@ -245,35 +207,25 @@ DETECTED_CLASS = {
 }
 """Detected class ids and their shares by KITTI type; a road user has one of them for about a second."""
 
-CLASS_MEMORY = Memory(0.5, 0.45, 1.0)
-"""Of the choice of the class."""
+CLASS_MEMORY = Memory(0.5, 0.45, 1.0)  # of the choice of the class
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StereoErrors:
-    """Errors of the stereo matcher's disparities, in px of images 620 px wide.
+    """Errors of the stereo matcher's disparities, in px of images 620 px wide."""
 
-    Attributes:
-        rate: probability of a match of a detected box.
-        far_sigma_px: median reported standard deviation of far objects, px.
-        near_m: distance at which the reported standard deviation starts to grow with 1 / Z^2, m: near objects extend
-            over many disparities.
-        sigma_spread: standard deviation of the logarithm of the reported standard deviation.
-        bias, scale: bias and standard deviation of errors, in reported standard deviations.
-        outlier_rate, outlier_scale: fraction and standard deviation of outliers, in reported standard deviations.
-        memory: of the errors.
-        occluder_rate: probability by hidden fraction (`HIDDEN`) that the distance is the occluder's.
-        occluder_memory: of that.
-    """
-
-    rate: float = 0.97
-    far_sigma_px: float = 0.075
+    rate: float = 0.97  # probability of a match of a detected box
+    far_sigma_px: float = 0.075  # median reported standard deviation of far objects, px
+    # distance at which the reported standard deviation starts to grow with 1 / Z^2, m: near objects extend over many
+    # disparities
     near_m: float = 22.0
-    sigma_spread: float = 0.35
-    bias: float = -0.23
+    sigma_spread: float = 0.35  # standard deviation of the logarithm of the reported standard deviation
+    bias: float = -0.23  # bias, scale: bias and standard deviation of errors, in reported standard deviations
     scale: float = 0.5
+    # outlier_rate, outlier_scale: fraction and standard deviation of outliers, in reported standard deviations
     outlier_rate: float = 0.02
     outlier_scale: float = 3.5
-    memory: Memory = field(default_factory=lambda: Memory(0.39, 0.24, 0.6))
+    memory: Memory = field(default_factory=lambda: Memory(0.39, 0.24, 0.6))  # of the errors
+    # probability by hidden fraction (`HIDDEN`) that the distance is the occluder's
     occluder_rate: tuple[float, ...] = (0.0, 0.06, 0.3, 0.5)
-    occluder_memory: Memory = field(default_factory=lambda: Memory(0.4, 0.4, 0.5))
+    occluder_memory: Memory = field(default_factory=lambda: Memory(0.4, 0.4, 0.5))  # of that

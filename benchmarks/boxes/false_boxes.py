@@ -2,80 +2,57 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.special import ndtr
 
-from benchmarks.boxes.error_model import (
-    MAX_SCORE,
-    MIN_SCORE,
-    NETWORK_WIDTH_PX,
-    FalseBoxes,
-    SecondBoxes,
-)
+from benchmarks.boxes.error_model import MAX_SCORE, MIN_SCORE, NETWORK_WIDTH_PX, FalseBoxes, SecondBoxes
 from benchmarks.boxes.true_boxes import CameraPoses, TrueBoxes
 from track_range.detection.boxes import area_px2
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.stereo.geometry.camera import PinholeCamera
 
-_HEIGHT_M = {0: 1.7, 2: 1.5, 5: 3.0, 6: 0.9}
-"""Height of an object by class id, m."""
-
-_ASPECT = {0: 0.38, 2: 1.2, 5: 1.2, 6: 0.4}
-"""Width of a box relative to its height by class id."""
-
-_VISIBLE_FRACTION = 0.5
-"""Smallest fraction of a false box inside the image."""
+_HEIGHT_M = {0: 1.7, 2: 1.5, 5: 3.0, 6: 0.9}  # height of an object by class id, m
+_ASPECT = {0: 0.38, 2: 1.2, 5: 1.2, 6: 0.4}  # width of a box relative to its height by class id
+_VISIBLE_FRACTION = 0.5  # smallest fraction of a false box inside the image
 
 
 @dataclass(frozen=True, slots=True)
 class BoxRows:
-    """K boxes of a drive.
-
-    Attributes:
-        frame: (K,) number of the frame.
-        user: (K,) row of the scene's road users; -1 = a false box.
-        key: (K,) number of the object for errors that are correlated in time, unique for each user, false box and
-            sequence of second boxes.
-        xyxy_px: (K, 4) box.
-        score: (K,) score.
-        class_id: (K,) class.
-        true_m: (K,) true distance.
-        seen_m: (K,) distance of what is inside the box.
-    """
+    """K boxes of a drive."""
 
     frame: IntArray
-    user: IntArray
+    user: IntArray  # (K,) row of the scene's road users; -1 = a false box
+    # (K,) number of the object for errors that are correlated in time, unique for each user, false box and sequence of
+    # second boxes
     key: IntArray
     xyxy_px: FloatArray
     score: FloatArray
     class_id: IntArray
-    true_m: FloatArray
+    true_m: FloatArray  # true_m, seen_m: (K,) true distance, and that of what is inside the box
     seen_m: FloatArray
 
     def select(self, rows: IntArray | BoolArray) -> BoxRows:
-        """The boxes in these rows."""
         return BoxRows(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 def joined_rows(parts: list[BoxRows]) -> BoxRows:
-    """All boxes, in the order of their frames."""
     columns = [np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(BoxRows)]
     return BoxRows(*columns).select(np.argsort(columns[0], kind="stable"))
 
 
 def scenery_boxes(
     rng: np.random.Generator,
-    model: FalseBoxes,
     camera: PinholeCamera,
     poses: CameraPoses,
-    *,
-    camera_height_m: float,
+    height_m: float,
     step_s: float,
+    *,
     first_key: int,
 ) -> BoxRows:
-    """Boxes of scenery, fixed in the world; keys count from `first_key`."""
+    """Boxes of scenery, fixed in the world; keys count from `first_key`, `height_m` is that of the camera."""
+    model = FalseBoxes()
     n_frames = len(poses.position_m)
     n = int(rng.poisson(model.starts_hz * step_s * n_frames))
     start = rng.integers(0, n_frames, n)
@@ -91,7 +68,7 @@ def scenery_boxes(
     by_height_m = camera.fy_px * np.array([_HEIGHT_M[number] for number in class_id.tolist()]) / height_px
     z_m = by_height_m * model.distance[0] * np.exp(model.distance[1] * rng.normal(size=n))
     tall_m = height_px * z_m / camera.fy_px
-    lower_m = np.full(n, camera_height_m * (1 - model.raised))
+    lower_m = np.full(n, height_m * (1 - model.raised))
     at_start = np.stack([(u_px - camera.cx_px) / camera.fx_px * z_m, lower_m, z_m], axis=1)
     world_m = poses.position_m[start] + np.einsum("nji,nj->ni", poses.camera_from_world[start], at_start)
     frame, number = _frames_of(start, length, n_frames)
@@ -106,16 +83,8 @@ def scenery_boxes(
     edge = np.array([camera.width_px - 1, camera.height_px - 1] * 2, np.float64)
     clipped = np.clip(boxes, 0, edge)
     score = (MIN_SCORE + model.mean_score * rng.exponential(size=n))[number] + 0.03 * rng.normal(size=len(number))
-    rows = BoxRows(
-        frame,
-        np.full(len(frame), -1),
-        first_key + number,
-        clipped,
-        np.clip(score, MIN_SCORE, MAX_SCORE),
-        class_id[number],
-        at_m[:, 2],
-        at_m[:, 2],
-    )
+    none, score, z = np.full(len(frame), -1), np.clip(score, MIN_SCORE, MAX_SCORE), at_m[:, 2]
+    rows = BoxRows(frame, none, first_key + number, clipped, score, class_id[number], z, z)
     return rows.select(area_px2(clipped) > _VISIBLE_FRACTION * wide * high)
 
 
@@ -130,27 +99,19 @@ def _frames_of(start: IntArray, length: IntArray, n_frames: int) -> tuple[IntArr
 
 def second_boxes(
     rng: np.random.Generator,
-    model: SecondBoxes,
     first: BoxRows,
     true: TrueBoxes,
-    *,
     rows: IntArray,
     network: float,
     frames: tuple[int, float],
+    *,
     first_key: int,
 ) -> BoxRows:
-    """Second boxes of vehicles.
+    """Second boxes of vehicles, whose first boxes are in the rows (K,) of `true`.
 
-    Args:
-        rng: random generator.
-        model: the model.
-        first: first boxes of the vehicles.
-        true: the true boxes.
-        rows: (K,) rows of `first` in `true`.
-        network: network pixels per pixel.
-        frames: number of frames and time step.
-        first_key: key of the first road user's second boxes.
+    `network`: network pixels per pixel. `frames`: number of frames and time step.
     """
+    model = SecondBoxes()
     n_users = int(true.user.max(initial=-1)) + 1
     at = (first.user, first.frame)
     quantile = ndtr(model.presence.sample(rng, n_users, *frames)[at])
@@ -169,14 +130,5 @@ def second_boxes(
     factor = np.exp(model.distance_sigma * errors[:, 0] / model.sigma[0])
     rank = ndtr(model.offset.sample(rng, n_users, *frames)[at])
     score = np.minimum(MIN_SCORE - model.mean_score * np.log(1 - rank), first.score)
-    second = BoxRows(
-        first.frame,
-        first.user,
-        first_key + first.user,
-        boxes,
-        score,
-        first.class_id,
-        first.true_m,
-        first.true_m * factor,
-    )
+    second = replace(first, key=first_key + first.user, xyxy_px=boxes, score=score, seen_m=first.true_m * factor)
     return second.select(is_second)

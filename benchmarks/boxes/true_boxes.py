@@ -17,25 +17,14 @@ from track_range.simulation.world.trajectories import Trajectories, trajectories
 from track_range.simulation.world.truth import boxes_in_image, corners_m
 from track_range.stereo.geometry.camera import PinholeCamera
 
-FARTHEST_M = 160.0
-"""Distance up to which road users have boxes, m; the detector finds none beyond."""
-
-NEAREST_M = 1.0
-"""Smallest distance of the centre of a road user, m."""
-
-SMALLEST_PX = 3.5
-"""Smallest height of a box, px; the detector finds none below."""
+FARTHEST_M = 160.0  # distance up to which road users have boxes, m; the detector finds none beyond
+NEAREST_M = 1.0  # smallest distance of the centre of a road user, m
+SMALLEST_PX = 3.5  # smallest height of a box, px; the detector finds none below
 
 
 @dataclass(frozen=True, slots=True)
 class CameraPoses:
-    """Poses of the left camera at T times.
-
-    Attributes:
-        camera_from_world: (T, 3, 3) rotations.
-        position_m: (T, 3) positions in world axes.
-        yaw_rad: (T,) directions of the road at the camera.
-    """
+    """Rotations (T, 3, 3), positions (T, 3) in world axes of the left camera, and directions (T,) of the road there."""
 
     camera_from_world: FloatArray
     position_m: FloatArray
@@ -43,7 +32,6 @@ class CameraPoses:
 
     @classmethod
     def of(cls, scene: Scene, times_s: FloatArray) -> CameraPoses:
-        """The poses in a scene at the given times (T,)."""
         poses = [scene.pose(time_s) for time_s in times_s.tolist()]
         return cls(
             np.stack([pose.camera_from_world for pose in poses]),
@@ -60,31 +48,19 @@ class CameraPoses:
 
 @dataclass(frozen=True, slots=True)
 class TrueBoxes:
-    """M boxes of a drive, in the order of their frames.
+    """M boxes of a drive, in the order of their frames."""
 
-    Attributes:
-        frame: (M,) number of the frame.
-        user: (M,) row of the scene's road users.
-        xyxy_px: (M, 4) box of the part in the left image.
-        distance_m: (M,) z at which the ray through the box centre meets the 3-D box.
-        hidden_fraction: (M,) fraction of the box that is covered by nearer boxes.
-        overlap_fraction: (M,) largest fraction of the box inside one other box.
-        occluder_m: (M,) distance of the nearer box that covers the largest part; NaN = none.
-        outside_fraction: (M,) fraction outside the image of the bounding box of the whole road user.
-    """
-
-    frame: IntArray
-    user: IntArray
-    xyxy_px: FloatArray
-    distance_m: FloatArray
-    hidden_fraction: FloatArray
-    overlap_fraction: FloatArray
-    occluder_m: FloatArray
-    outside_fraction: FloatArray
+    frame: IntArray  # (M,) number of the frame
+    user: IntArray  # (M,) row of the scene's road users
+    xyxy_px: FloatArray  # (M, 4) box of the part in the left image
+    distance_m: FloatArray  # (M,) z at which the ray through the box centre meets the 3-D box
+    hidden_fraction: FloatArray  # (M,) fraction of the box that is covered by nearer boxes
+    overlap_fraction: FloatArray  # (M,) largest fraction of the box inside one other box
+    occluder_m: FloatArray  # (M,) distance of the nearer box that covers the largest part; NaN = none
+    outside_fraction: FloatArray  # (M,) fraction outside the image of the bounding box of the whole road user
 
     @property
     def height_px(self) -> FloatArray:
-        """(M,) heights."""
         return np.asarray(self.xyxy_px[:, 3] - self.xyxy_px[:, 1])
 
 
@@ -110,23 +86,12 @@ def true_boxes(
     frame, user, inside = frame[rows], user[rows], inside[rows]
     centre_px = (inside[:, :2] + inside[:, 2:]) / 2
     distance_m = surface_distance_m(
-        camera.rays(centre_px),
-        at_m[rows],
-        size_hwl_m=size_m[rows],
-        rotation_y_rad=yaw_rad[rows] - ego_yaw_rad[frame],
+        camera.rays(centre_px), at_m[rows], size_hwl_m=size_m[rows], rotation_y_rad=yaw_rad[rows] - ego_yaw_rad[frame]
     )
     distance_m = np.where(np.isnan(distance_m), at_m[rows, 2], distance_m)
     hidden, overlap, occluder = _covered_fractions(frame, inside, len(times_s))
-    return TrueBoxes(
-        frame.astype(np.int64),
-        user.astype(np.int64),
-        inside,
-        distance_m,
-        hidden,
-        overlap,
-        np.where(occluder >= 0, distance_m[occluder], np.nan),
-        outside[rows],
-    )
+    occluder_m = np.where(occluder >= 0, distance_m[occluder], np.nan)
+    return TrueBoxes(frame, user, inside, distance_m, hidden, overlap, occluder_m, outside[rows])
 
 
 def _locations(scene: Scene, times_s: FloatArray, poses: CameraPoses) -> tuple[Trajectories, FloatArray]:

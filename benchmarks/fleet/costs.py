@@ -56,13 +56,9 @@ BEGIN, END = "<!-- fleet costs: written by `python -m benchmarks fleet --docs` -
 
 
 def times_s(inputs: Mapping[str, float], n_nodes: int, cameras: str, *, has_gpu: bool = False) -> dict[str, float]:
-    """Times in s by part: compute, storage, driver, ends, and total.
+    """Times in s by part: compute, storage, driver, ends, and total, for "stereo" or "mono".
 
-    Args:
-        inputs: value of each of `INPUTS`.
-        n_nodes: number of nodes.
-        cameras: "stereo" or "mono".
-        has_gpu: whether each node has one GPU, which its workers share and whose rate counts instead of k cores.
+    The rate of one GPU per node, which its workers share, counts instead of that of k cores.
     """
     video_s = 3600 * inputs["video_h"]
     n_clips = video_s / inputs["clip_s"]
@@ -80,18 +76,15 @@ def times_s(inputs: Mapping[str, float], n_nodes: int, cameras: str, *, has_gpu:
 
 
 def bottleneck(parts: Mapping[str, float]) -> str:
-    """Name of the part that takes longest."""
     return max((name for name in parts if name != "total"), key=lambda name: parts[name])
 
 
 def cost(inputs: Mapping[str, float], n_nodes: int, total_s: float, *, has_gpu: bool = False) -> float:
-    """Price of all nodes for the whole time."""
     node_h = inputs["price_per_gpu_h"] if has_gpu else inputs["cores"] * inputs["price_per_core_h"]
     return n_nodes * total_s / 3600 * node_h
 
 
 def is_complete(inputs: Mapping[str, float]) -> bool:
-    """Whether all of `INPUTS` are there."""
     return all(name in inputs for name, _, _ in INPUTS)
 
 
@@ -128,12 +121,10 @@ def duration(seconds: float) -> str:
 
 
 def inputs_in(page: str) -> dict[str, float]:
-    """The inputs in the table of a page."""
     return {name: float(value) for name, value in re.findall(r"\(`(\w+)`\) \| ([\d.e+-]+) \|", page)}
 
 
 def replace_tables(page: Path, inputs: Mapping[str, float]) -> None:
-    """Write the tables of the inputs between the two marked lines of a page."""
     text = page.read_text(encoding="utf-8")
     before, _, rest = text.partition(BEGIN)
     after = rest.partition(END)[2]

@@ -1,9 +1,4 @@
-"""Faults of a fleet: killed workers, a corrupt clip, and a killed driver, each against a run without faults.
-
-The clips are twelve distinct ones (five real recordings of one and two cameras, the rest simulated, 1.5 to 20 s) under
-many names. A fault is survived if each clip has exactly one complete result, equal in all columns to that of the
-undisturbed run of the same recording. README.md has the protocol.
-"""
+"""Faults of a fleet: killed workers, a corrupt clip, and a killed driver, each against a run without faults."""
 
 from __future__ import annotations
 
@@ -13,23 +8,17 @@ import random
 import signal
 import subprocess
 import tempfile
-import threading
 import time
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import pyarrow as pa
 from pyarrow import parquet
 
 from benchmarks.fleet.throughput import worker_pids
-from benchmarks.harness import (
-    PROGRAM,
-    Figures,
-    option,
-    workload,
-)
+from benchmarks.harness import PROGRAM, Figures, option, workload
 from benchmarks.inputs.drives import REAL_DATA
 
 PARTS = ("kills", "corrupt", "driver")
@@ -64,8 +53,6 @@ def fleet_faults(options: Namespace) -> Figures:
 
 
 class _Clips:
-    """The distinct clips, and the results of their undisturbed run."""
-
     def __init__(self, folder: Path, data: Path) -> None:
         self.folder = folder
         self._distinct = [*_simulated(folder / "drives"), *_real(data.resolve())]
@@ -107,12 +94,19 @@ class _Clips:
 
 
 def _kills(clips: _Clips, options: Namespace) -> Figures:
-    """Workers killed (SIGKILL) at random times."""
     out = clips.folder / "kills"
     start_s = time.perf_counter()
     driver = _fleet(clips.manifest(options.clips, "kills"), out)
-    with _killed(out, driver, options) as killed:
-        status = driver.wait()
+    generator, killed = random.Random(options.seed), list[int]()  # noqa: S311
+    while len(killed) < options.kills and driver.returncode is None:
+        with suppress(subprocess.TimeoutExpired):
+            driver.wait(generator.expovariate(1 / options.interval))
+        alive = [pid for pid in worker_pids(out) if pid not in killed and Path(f"/proc/{pid}").exists()]
+        if alive and driver.returncode is None:
+            killed.append(generator.choice(alive))
+            with suppress(ProcessLookupError):
+                os.kill(killed[-1], signal.SIGKILL)
+    status = driver.wait()
     attempts = parquet.read_table(out / "clips.parquet")["attempts"].to_pylist()
     return {
         "exit status": status,
@@ -124,7 +118,6 @@ def _kills(clips: _Clips, options: Namespace) -> Figures:
 
 
 def _corrupt(clips: _Clips, options: Namespace) -> Figures:
-    """One clip that is not a video."""
     damaged = clips.folder / "damaged.mp4"
     damaged.write_bytes(random.Random(options.seed).randbytes(100_000))  # noqa: S311
     out = clips.folder / "corrupt"
@@ -139,7 +132,6 @@ def _corrupt(clips: _Clips, options: Namespace) -> Figures:
 
 
 def _driver(clips: _Clips, options: Namespace) -> Figures:
-    """The driver killed (SIGKILL) when a third of the clips is complete, and started again."""
     out = clips.folder / "driver"
     manifest = clips.manifest(options.clips, "driver")
     driver = _fleet(manifest, out)
@@ -171,31 +163,6 @@ def _complete(out: Path) -> dict[str, int]:
     return times
 
 
-@contextmanager
-def _killed(out: Path, driver: subprocess.Popen[bytes], options: Namespace) -> Iterator[list[int]]:
-    """Context in which random workers are killed at random times; yields the processes killed so far."""
-    generator = random.Random(options.seed)  # noqa: S311
-    stop, killed = threading.Event(), list[int]()
-
-    def kill() -> None:
-        while len(killed) < options.kills and driver.poll() is None:
-            if stop.wait(generator.expovariate(1 / options.interval)):
-                return
-            alive = [pid for pid in worker_pids(out) if pid not in killed and Path(f"/proc/{pid}").exists()]
-            if alive:
-                killed.append(generator.choice(alive))
-                with suppress(ProcessLookupError):
-                    os.kill(killed[-1], signal.SIGKILL)
-
-    thread = threading.Thread(target=kill)
-    thread.start()
-    try:
-        yield killed
-    finally:
-        stop.set()
-        thread.join()
-
-
 def _fleet(manifest: Path, out: Path) -> subprocess.Popen[bytes]:
     command = [*PROGRAM, "fleet", "run", str(manifest), "--out", str(out)]
     command += ["--workers", "2", "--threads", "1"]
@@ -213,7 +180,6 @@ def _table(out: Path, clip: str) -> pa.Table:
 
 
 def _simulated(folder: Path) -> list[tuple[str, ...]]:
-    """Manifest rows of the simulated clips."""
     rows = list[tuple[str, ...]]()
     for seed, (scenario, seconds) in enumerate(_SIMULATED.items()):
         drive = folder / f"{scenario}-{seconds}"
@@ -225,11 +191,6 @@ def _simulated(folder: Path) -> list[tuple[str, ...]]:
 
 
 def _real(data: Path) -> Sequence[tuple[str, ...]]:
-    """Manifest rows of the real clips.
-
-    Raises:
-        SystemExit: they are missing.
-    """
     pairs = [data / name for name in _REAL_PAIRS]
     videos = [(data / name, focal_px) for name, focal_px in _REAL_VIDEOS]
     if missing := [path for path in (*pairs, *(video for video, _ in videos)) if not path.exists()]:

@@ -1,11 +1,12 @@
 """A fleet of the rows of a manifest with a stub instead of the processing, for the cost of the control path.
 
-`python -m benchmarks.fleet.stub MANIFEST OUT N_WORKERS` prints the time and the memory of this process as JSON.
+`python -m benchmarks.fleet.stub MANIFEST OUT` prints the time and the memory of this process as JSON.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 from datetime import UTC, datetime
@@ -54,14 +55,13 @@ def publish_stub(task: ClipTask, plan: FleetPlan, _progress: ClipProgress) -> Cl
 
 
 def main() -> None:
-    """Run the fleet of the command line."""
-    manifest, out, n_workers = sys.argv[1:]
+    manifest, out = sys.argv[1:]
     start_s = time.perf_counter()
     clips = clips_of((manifest,), None, None)
     listed_s = time.perf_counter() - start_s
     # the start of new processes is a part of the overhead of real clips, not of the driver
     worker.CLIPS_PER_PROCESS = len(clips)
-    settings = FleetSettings(recordings=(manifest,), out=out, workers=int(n_workers), worker_memory="1GB")
+    settings = FleetSettings(recordings=(manifest,), out=out, workers=os.cpu_count() or 1, worker_memory="1GB")
     result = run_fleet(settings, {}, clips, process=publish_stub)
     peak_mb = _peak_mb()  # before the results are read for the times below
     counts = result.counts

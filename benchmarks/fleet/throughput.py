@@ -1,15 +1,4 @@
-"""Fleet: throughput, overhead and memory of its workers, control path with a stub, and the cost of 1,000 hours.
-
-Parts:
-    throughput  one worker pinned to a core, two workers, a loop of ordinary runs
-    cores       two ordinary runs at the same time, each pinned to a core, against one: what the machine itself gains
-    mono        one camera, pinned
-    memory      100 short clips in one worker
-    driver      a manifest of many rows with a stub
-    gpu         workers that share a GPU; not by default
-
-README.md has the protocol.
-"""
+"""Fleet: throughput, overhead and memory of its workers, control path with a stub, and the cost of 1,000 hours."""
 
 from __future__ import annotations
 
@@ -20,31 +9,22 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from benchmarks.fleet import costs
-from benchmarks.harness import (
-    PROGRAM,
-    Figures,
-    option,
-    workload,
-)
+from benchmarks.harness import PROGRAM, ROOT, Figures, option, workload
 from benchmarks.inputs.drives import DRIVE_OPTIONS, LoopedDrive, looped
 from track_range.fleet.output.state import read_state
 from track_range.fleet.storage.location import Location
 
-PARTS = ("throughput", "cores", "mono", "memory", "driver")
-"""Parts by default; `gpu` is another one."""
-
-_POLL_S = 0.5
-"""Time between two looks at fleet.json for processes to pin, s."""
+PARTS = ("throughput", "cores", "mono", "memory", "driver")  # parts by default; `gpu` is another one
+_POLL_S = 0.5  # time between two looks at fleet.json for processes to pin, s
 
 
 @workload(
@@ -81,10 +61,7 @@ def fleet(options: Namespace) -> Figures:
 
 @dataclass(frozen=True, slots=True)
 class _FleetRun:
-    """Start (Unix time) and duration of a run of a fleet, and its records in the order of their ends.
-
-    Each record has `end_s`, Unix time.
-    """
+    """Start and duration of a run of a fleet, and its records in the order of their ends, `end_s`; Unix times."""
 
     start_s: float
     wall_s: float
@@ -98,13 +75,15 @@ class _FleetRun:
 
 
 def _throughput(options: Namespace, folder: Path) -> Figures:
-    """One worker on one core, two workers, and a loop of ordinary runs with all cores."""
     drive = looped(options.drive, folder, n_frames=options.frames)
     manifest = _manifest(folder, drive, options.clips)
     arguments = ["--detector", str(options.detector), "--no-sgbm"]
     one = _run_fleet(manifest, folder / "one", 1, arguments, pinned_core=0)
     two = _run_fleet(manifest, folder / "two", 2, arguments)
-    loop_s = _loop(drive, folder / "loop", options.clips, arguments)
+    start_s = time.perf_counter()
+    for i in range(options.clips):  # ordinary runs, each in its own process with all cores
+        subprocess.run(_run_command(drive, folder / "loop" / str(i), arguments), check=True, stdout=subprocess.DEVNULL)
+    loop_s = time.perf_counter() - start_s
     n_frames = sum(row["frames"] for row in one.rows)
     one_fps, two_fps = one.frames_per_s(1), two.frames_per_s(2)
     warm = one.rows[1:]
@@ -153,7 +132,6 @@ def _cores(options: Namespace, folder: Path) -> Figures:
 
 
 def _mono(options: Namespace, folder: Path) -> Figures:
-    """One worker on one core, with one camera."""
     drive = looped(options.drive, folder, n_frames=options.frames)
     manifest = _manifest(folder, drive, max(3, options.clips // 3), is_mono=True)
     run = _run_fleet(manifest, folder / "out", 1, ["--detector", str(options.detector)], pinned_core=0)
@@ -166,7 +144,6 @@ def _mono(options: Namespace, folder: Path) -> Figures:
 
 
 def _gpu(options: Namespace, folder: Path) -> Figures:
-    """Workers that share one GPU, with one camera."""
     drive = looped(options.drive, folder, n_frames=options.frames)
     n_workers = options.gpu_workers
     manifest = _manifest(folder, drive, max(options.clips, 3 * n_workers), is_mono=True)
@@ -176,7 +153,6 @@ def _gpu(options: Namespace, folder: Path) -> Figures:
 
 
 def _memory(options: Namespace, folder: Path) -> Figures:
-    """Peak memory of one worker over many short clips, by quarter of the clips."""
     drive = looped(options.drive, folder, n_frames=16)
     manifest = _manifest(folder, drive, options.memory_clips)
     run = _run_fleet(manifest, folder / "out", 1, ["--detector", str(options.detector), "--no-sgbm"])
@@ -187,7 +163,6 @@ def _memory(options: Namespace, folder: Path) -> Figures:
 
 
 def _driver(options: Namespace, folder: Path) -> Figures:
-    """Time and memory of the driver for a manifest of many rows with a stub, and of a second run without work."""
     video = folder / "clip.mp4"
     video.write_bytes(b"not a video")
     manifest = folder / "clips.csv"
@@ -195,7 +170,12 @@ def _driver(options: Namespace, folder: Path) -> Figures:
         writer = csv.writer(file)
         writer.writerow(("clip", "left", "vehicle"))
         writer.writerows((f"clip-{i:06}", video.name, f"van-{i % 40}") for i in range(options.rows))
-    first, second = (_stub_run(manifest, folder / "out") for _ in range(2))
+    command = [sys.executable, "-m", "benchmarks.fleet.stub", str(manifest), str(folder / "out")]
+    runs = []
+    for _ in range(2):
+        done = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
+        runs.append(json.loads(done.stdout.splitlines()[-1]))
+    first, second = runs
     return {
         **first,
         "driver_clips_per_s": (first["clips"] - 1) / first["work_s"],
@@ -203,13 +183,6 @@ def _driver(options: Namespace, folder: Path) -> Figures:
         "second_skipped": second["skipped"],
         "second_peak_mb": second["driver_peak_mb"],
     }
-
-
-def _stub_run(manifest: Path, out: Path) -> dict[str, float]:
-    command = [sys.executable, "-m", "benchmarks.fleet.stub", str(manifest), str(out), str(os.cpu_count() or 1)]
-    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
-    figures: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
-    return figures
 
 
 def _manifest(folder: Path, drive: LoopedDrive, n_clips: int, *, is_mono: bool = False) -> Path:
@@ -230,59 +203,34 @@ def _manifest(folder: Path, drive: LoopedDrive, n_clips: int, *, is_mono: bool =
 def _run_fleet(
     manifest: Path, out: Path, n_workers: int, arguments: Sequence[str], pinned_core: int | None = None
 ) -> _FleetRun:
-    """Run a fleet; `pinned_core`: core on which the workers run, None = all."""
+    """Run a fleet; its workers are pinned to a core as soon as they appear, None = they run on all."""
     from pyarrow import parquet
 
     command = [*PROGRAM, "fleet", "run", str(manifest), "--out", str(out)]
     command += ["--workers", str(n_workers), "--threads", "1", *arguments]
+    cores = set() if pinned_core is None else {pinned_core}
     start_s = time.time()
-    with _pinned(out, pinned_core):
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    while process.returncode is None:
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_POLL_S)
+        for pid in worker_pids(out) if cores else ():
+            for thread in Path(f"/proc/{pid}/task").glob("*"):
+                with suppress(OSError):
+                    os.sched_setaffinity(int(thread.name), cores)
     wall_s = time.time() - start_s
+    if process.returncode:
+        raise RuntimeError("the fleet failed; its message is above.")
     rows: list[Figures] = parquet.read_table(out / "clips.parquet").to_pylist()
     for row in rows:
         row["end_s"] = (out / "tracks" / f"clip={row['clip']}" / "tracks.parquet").stat().st_mtime
     return _FleetRun(start_s, wall_s, sorted(rows, key=lambda row: row["end_s"]))
 
 
-@contextmanager
-def _pinned(out: Path, core: int | None) -> Iterator[None]:
-    """Context in which the workers named in fleet.json are pinned to a core as soon as they appear."""
-    if core is None:
-        yield
-        return
-    finished = threading.Event()
-
-    def pin() -> None:
-        while not finished.wait(_POLL_S):
-            for pid in worker_pids(out):
-                for thread in Path(f"/proc/{pid}/task").glob("*"):
-                    try:
-                        os.sched_setaffinity(int(thread.name), {core})
-                    except OSError:
-                        continue
-
-    thread = threading.Thread(target=pin, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        finished.set()
-        thread.join()
-
-
 def worker_pids(out: Path) -> tuple[int, ...]:
     """Processes of the workers of a fleet, from fleet.json, which is up to 5 s old."""
     state = read_state(Location.of(str(out)))
     return () if state is None else state.worker_pids
-
-
-def _loop(drive: LoopedDrive, out: Path, n_clips: int, arguments: Sequence[str]) -> float:
-    """Duration of ordinary runs one after the other, each in its own process with all cores, s."""
-    start_s = time.perf_counter()
-    for i in range(n_clips):
-        subprocess.run(_run_command(drive, out / str(i), arguments), check=True, stdout=subprocess.DEVNULL)
-    return time.perf_counter() - start_s
 
 
 def _run_command(drive: LoopedDrive, out: Path, arguments: Sequence[str]) -> list[str]:

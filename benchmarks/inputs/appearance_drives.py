@@ -40,8 +40,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
 FPS = 10.0
-CAMERA = PinholeCamera(721.5, 721.5, 500.0, 160.0, 1000, 320)
-"""Camera with KITTI's focal length, and most of its image."""
+CAMERA = PinholeCamera(721.5, 721.5, 500.0, 160.0, 1000, 320)  # camera with KITTI's focal length, and most of its image
 
 PITCH_RMS_RAD, PITCH_HZ = np.radians(0.45), (0.8, 3.5)
 """Pitch from bumps: root mean square in rad, and range of the frequencies of six sines."""
@@ -49,11 +48,8 @@ PITCH_RMS_RAD, PITCH_HZ = np.radians(0.45), (0.8, 3.5)
 YAW_RATE_RAD, YAW_PERIOD_S = np.radians((9.0, 15.0)), (4.0, 5.0)
 """Ranges of the largest yaw rate in rad/s and of the period in s of the yaw, a sine."""
 
-MIN_FRACTION_INSIDE = 0.25
-"""Smallest fraction of a box inside the image for objects that are scored."""
-
-STROLL_MPS = 3.0
-"""Speed of the camera in drives with walkers."""
+MIN_FRACTION_INSIDE = 0.25  # smallest fraction of a box inside the image for objects that are scored
+STROLL_MPS = 3.0  # speed of the camera in drives with walkers
 
 PAVEMENT_M, LANE_M, N_LANES = 7.9, 0.55, 5
 """Lateral position of the first walker lane, width of the lanes, and number of lanes per pavement."""
@@ -61,36 +57,22 @@ PAVEMENT_M, LANE_M, N_LANES = 7.9, 0.55, 5
 
 @dataclass(frozen=True, slots=True)
 class OcclusionTimes:
-    """Ranges, in s, of the durations for which a road user is alternately visible and occluded.
+    """Ranges, in s, of the durations for which a road user is alternately visible and occluded."""
 
-    Attributes:
-        visible_s: time before an occlusion.
-        occluded_s: length of an occlusion.
-        visible_after_s: time after the last occlusion.
-    """
-
-    visible_s: tuple[float, float] = (0.8, 2.5)
-    occluded_s: tuple[float, float] = (0.5, 2.0)
-    visible_after_s: float = 0.5
+    visible_s: tuple[float, float] = (0.8, 2.5)  # time before an occlusion
+    occluded_s: tuple[float, float] = (0.5, 2.0)  # length of an occlusion
+    visible_after_s: float = 0.5  # time after the last occlusion
 
 
 @dataclass(frozen=True, slots=True)
 class AppearanceDrive:
-    """Images, detections and ground truth of one drive at `FPS`.
+    """Images, detections and ground truth of one drive at `FPS`."""
 
-    Attributes:
-        name: name of the drive.
-        images: (H, W, 3) BGR images.
-        detected: detections of the playback detector in each image.
-        truth: true boxes and identities; `occluded` >= HIDDEN is not scored.
-        occlusions: (N, 3) track id, first and last frame of the occlusions on purpose.
-    """
-
-    name: str
-    images: Sequence[Image]
-    detected: Sequence[Detections]
-    truth: KittiLabels
-    occlusions: IntArray
+    name: str  # name of the drive
+    images: Sequence[Image]  # (H, W, 3) BGR images
+    detected: Sequence[Detections]  # detections of the playback detector in each image
+    truth: KittiLabels  # true boxes and identities; `occluded` >= HIDDEN is not scored
+    occlusions: IntArray  # (N, 3) track id, first and last frame of the occlusions on purpose
 
 
 def simulated(seed: int, *, seconds: float, is_shaken: bool = True) -> AppearanceDrive:
@@ -129,7 +111,6 @@ def class_ids(labels: KittiLabels) -> IntArray:
 def _played_back(
     name: str, images: Sequence[Image], truth: KittiLabels, *, seed: int, times: OcclusionTimes
 ) -> AppearanceDrive:
-    """A drive with random occlusions and the detections of the playback detector."""
     occlusions = _occlusions(truth, np.random.default_rng([seed, 12]), times)
     hidden = np.zeros(len(truth), np.bool_)
     for track_id, first, last in occlusions:

@@ -34,12 +34,7 @@ from track_range.stereo.geometry.frames import Frame
 REAL_DATA = Path(os.environ.get("TRACK_RANGE_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 
 DRIVE_OPTIONS = (
-    option(
-        "--drive",
-        default=REAL_DATA / "kitti_stereo" / "0003",
-        type=Path,
-        help="folder with left.mp4, right.mp4 and calib.txt",
-    ),
+    option("--drive", default=REAL_DATA / "kitti_stereo/0003", help="folder with left.mp4, right.mp4 and calib.txt"),
     option("--detector", default=REAL_DATA / "models" / "yolov5n_coco_640.onnx", type=Path, help="a YOLOv5 ONNX file"),
 )
 
@@ -51,11 +46,8 @@ NEAREST_M, FARTHEST_M, N_POINTS = 2.0, 90.0, 300
 COLLISIONS = ("rear-stationary", "rear-slower", "rear-braking", "crossing-adult", "crossing-child", "cut-in")
 """Scenarios with a contact."""
 
-HARMLESS = ("curve-parked", "oncoming", "overhead-sign", "following", "queue")
-"""Scenarios without a contact."""
-
-CONFLICT_S = 8.0
-"""Length of a rendered drive in s, after all contacts."""
+HARMLESS = ("curve-parked", "oncoming", "overhead-sign", "following", "queue")  # scenarios without a contact
+CONFLICT_S = 8.0  # length of a rendered drive in s, after all contacts
 
 WIDTH_PX, HEIGHT_FRACTION = 1240, 376 / 1240
 """Default width of the images of rendered drives, and their height relative to it: KITTI's."""
@@ -130,7 +122,6 @@ class SimulatedDrive:
 
     @classmethod
     def of(cls, scenario: str, *, seed: int, seconds: float, faults: Faults = NO_FAULTS) -> SimulatedDrive:
-        """A drive of a scenario, with `faults` of the cameras."""
         scene = make_scenario(scenario, seed=seed, seconds=seconds)
         renderer = Renderer(scene, kitti_like_rig(), faults=faults)
         return cls(renderer, np.arange(round(seconds * FPS)) / FPS)
@@ -141,7 +132,6 @@ class SimulatedDrive:
             return list(threads.map(self.renderer.render, self.times_s.tolist()))
 
     def frames(self) -> list[Frame]:
-        """All frames, with left and right images."""
         with ThreadPoolExecutor(os.cpu_count()) as threads:
             return list(threads.map(self._frame, range(len(self.times_s))))
 
@@ -179,7 +169,6 @@ class StoredDetector:
         self._frames = iter(frames)
 
     def detect(self, image: Image) -> Detections:
-        """The boxes of the next frame."""
         return next(self._frames)
 
 
@@ -194,7 +183,6 @@ class ConflictDrive:
 
     @property
     def seconds(self) -> float:
-        """Duration."""
         return len(self.boxes) / FPS
 
 
@@ -231,10 +219,5 @@ def _detector() -> YoloDetector:
     return YoloDetector(find_model(DEFAULT_MODEL).path, YoloSettings(), runtime=Runtime(n_threads=1))
 
 
-CACHE_OPTION = option(
-    "--cache",
-    default=Path(tempfile.gettempdir()) / "track-range-drives",
-    type=Path,
-    metavar="DIR",
-    help="folder of rendered drives",
-)
+CACHE = Path(tempfile.gettempdir()) / "track-range-drives"
+CACHE_OPTION = option("--cache", default=CACHE, metavar="DIR", help="folder of rendered drives")

@@ -1,7 +1,7 @@
 """Stereo pairs of the scenario `occlusion` with exact truth: unrelated images, and short sequences of tracks.
 
 Each seed is a drive; even seeds have KITTI's images (1242 x 375 px, f = 723 px), odd ones 1280 x 720 px with the same
-angle of view; the baseline is 0.54 m. Unrelated images are `EVERY_S` apart. A pair contains the boxes of all road users
+angle of view; the baseline is 0.54 m. A pair contains the boxes of all road users
 and signs with at least `MIN_VISIBLE_PX` visible pixels, also of those that occlude others; `is_scored` selects the
 objects that count.
 
@@ -29,88 +29,59 @@ from track_range.stereo.evaluation.disparity_errors import BANDS_M
 from track_range.stereo.evaluation.kitti_2015 import MIN_INNER_PIXELS, MIN_TRUE_PIXELS, StereoPair
 from track_range.stereo.matching.patches import inner_halves
 
-SIZES_PX = ((1242, 375), (1280, 720))
-"""Image sizes of even and of odd seeds."""
-
-SECONDS = 7.0
-"""Length of a drive, s."""
+SIZES_PX = ((1242, 375), (1280, 720))  # image sizes of even and of odd seeds
+SECONDS = 7.0  # length of a drive, s
 
 SEQUENCE_FPS, N_SEQUENCE = 10.0, 6
 """Frame rate and number of frames of the sequence; its last but one frame is the third unrelated image."""
 
-MIN_VISIBLE_PX = MIN_TRUE_PIXELS
-"""Smallest visible area of an object with a box, px."""
+MIN_VISIBLE_PX = MIN_TRUE_PIXELS  # smallest visible area of an object with a box, px
 
 MAX_COVERED_FRACTION, MAX_COVERED_INNER = 0.5, 0.75
 """Largest covered fractions of scored objects: of the body, as for KITTI's "partly occluded" objects, which the other
 evaluations use too, and of its part in the inner half of the box."""
 
-ID_STEP = 100_000
-"""Difference between the track ids of successive seeds."""
+ID_STEP = 100_000  # difference between the track ids of successive seeds
 
-
-NOT_COVERED = "none"
-"""Kind of occluder of an object that is not covered."""
-
-SCENERY = "scenery"
-"""Kind of occluder for trees, lamps and other objects of the street."""
+NOT_COVERED = "none"  # kind of occluder of an object that is not covered
+SCENERY = "scenery"  # kind of occluder for trees, lamps and other objects of the street
 
 MIN_COVERED_FRACTION = 0.01
 """Smallest covered fraction of the body, or of its part in the inner half of the box, of an object with an occluder."""
 
-MODAL_FRACTION = 0.5
-"""Fraction of objects with the bounding box of their visible part."""
+MODAL_FRACTION = 0.5  # fraction of objects with the bounding box of their visible part
 
 
 @dataclass(frozen=True, slots=True)
 class CoveredObjects:
-    """N labelled objects of a frame, nearest first.
+    """N labelled objects of a frame, nearest first."""
 
-    Attributes:
-        track_id: (N,) id of the road user.
-        kitti_type: (N,) type of the road user.
-        xyxy_px: (N, 4) box in the left image: of the visible part of the body if `is_modal`, else of the whole 3-D box.
-        is_modal: (N,) whether the box is that of the visible part, as KITTI's stereo data set 2015 has it.
-        is_cut: (N,) whether the image border cuts the object.
-        true_px: (N,) disparity of the body on the ray through the box centre, as without occluders.
-        covered_fraction: (N,) covered fraction of the body's samples.
-        covered_inner: (N,) covered fraction of the body's samples in the inner half of the box.
-        n_visible_px, n_inner_px: (N,) visible area of the body in px, in total and in the inner half of the box.
-        kind: (N,) what covers most of the body: "pole", "fence", "bush", "sign", "road user", `SCENERY`, `NOT_COVERED`.
-        occluder_id: (N,) track id of this occluder; -1 = no road user.
-        occluder_px: (N,) median disparity of its samples in front of the body; NaN = none.
-    """
-
-    track_id: IntArray
-    kitti_type: npt.NDArray[np.str_]
+    track_id: IntArray  # (N,) id of the road user
+    kitti_type: npt.NDArray[np.str_]  # (N,) type of the road user
+    # (N, 4) box in the left image: of the visible part of the body if `is_modal`, else of the whole 3-D box
     xyxy_px: FloatArray
-    is_modal: BoolArray
-    is_cut: BoolArray
-    true_px: FloatArray
-    covered_fraction: FloatArray
-    covered_inner: FloatArray
+    is_modal: BoolArray  # (N,) whether the box is that of the visible part, as KITTI's stereo data set 2015 has it
+    is_cut: BoolArray  # (N,) whether the image border cuts the object
+    true_px: FloatArray  # (N,) disparity of the body on the ray through the box centre, as without occluders
+    covered_fraction: FloatArray  # (N,) covered fraction of the body's samples
+    covered_inner: FloatArray  # (N,) covered fraction of the body's samples in the inner half of the box
+    # n_visible_px, n_inner_px: (N,) visible area of the body in px, in total and in the inner half of the box
     n_visible_px: FloatArray
     n_inner_px: FloatArray
+    # (N,) what covers most of the body: "pole", "fence", "bush", "sign", "road user", `SCENERY`, `NOT_COVERED`
     kind: npt.NDArray[np.str_]
-    occluder_id: IntArray
-    occluder_px: FloatArray
+    occluder_id: IntArray  # (N,) track id of this occluder; -1 = no road user
+    occluder_px: FloatArray  # (N,) median disparity of its samples in front of the body; NaN = none
 
     def __len__(self) -> int:
         return len(self.track_id)
 
     def select(self, rows: BoolArray | IntArray) -> CoveredObjects:
-        """The objects of the given rows."""
         return CoveredObjects(*(getattr(self, part.name)[rows] for part in fields(self)))
 
 
 def covered_objects(renderer: Renderer, time_s: float, *, modal_fraction: float = MODAL_FRACTION) -> CoveredObjects:
-    """The labelled objects of the left image at a time.
-
-    Args:
-        renderer: renderer of the scene.
-        time_s: the time.
-        modal_fraction: fraction of the road users, constant over time, with boxes of their visible part.
-    """
+    """The labelled objects of the left image at a time; a constant fraction of the road users has modal boxes."""
     scene, camera = renderer.scene, renderer.rig.left
     inverse_depth, owner = renderer.drawn_owners(time_s)
     visible = visible_objects(scene, time_s, frame=0, camera=camera, inverse_depth=inverse_depth)
@@ -185,10 +156,7 @@ def _samples(xyxy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[slice, sli
     """Rows and columns of the samples of the pixels between the edges of a box, inclusive."""
     first = np.maximum(np.floor(xyxy_px[:2] + 0.5), 0).astype(int).tolist()
     last = np.minimum(np.ceil(xyxy_px[2:] - 0.5), np.array(image_hw[::-1]) - 1).astype(int).tolist()
-    return (
-        slice(SAMPLES * first[1], SAMPLES * (last[1] + 1)),
-        slice(SAMPLES * first[0], SAMPLES * (last[0] + 1)),
-    )
+    return (slice(SAMPLES * first[1], SAMPLES * (last[1] + 1)), slice(SAMPLES * first[0], SAMPLES * (last[0] + 1)))
 
 
 def _bounding_box(shown: BoolArray, window: tuple[slice, slice]) -> FloatArray:

@@ -54,12 +54,10 @@ class Sequence:
 
     @property
     def min_score(self) -> float:
-        """Confidence threshold of boxes for trackers with one threshold."""
         return _MIN_SCORE.get(self.set_name, 0.5)
 
     @property
     def has_embeddings(self) -> bool:
-        """Whether the boxes have stored appearance embeddings."""
         return bool(self.detected.detections.descriptor.shape[1])
 
     def boxes(self, frame: IntArray, track_id: IntArray, xyxy_px: FloatArray) -> TrackedBoxes:
@@ -78,11 +76,7 @@ class Sequence:
         return self.boxes(frame, track_id, xyxy_px), observed
 
     def counts(self, boxes: TrackedBoxes) -> TrackingCounts:
-        """Counts of track boxes by the official rules; boxes are rounded to two decimals, as in result files.
-
-        Raises:
-            ValueError: the sequence is a scene.
-        """
+        """Counts of track boxes by the official rules; boxes are rounded to two decimals, as in result files."""
         boxes = replace(boxes, xyxy_px=np.round(boxes.xyxy_px, 2))
         if isinstance(self.truth, KittiLabels):
             return TrackingCounts.of(*kitti_cleaned(self.truth, boxes, self.road_class))

@@ -30,8 +30,7 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THRE
 """Environment variables that limit numerical libraries to one thread."""
 
 _SCRIPT = Path(__file__).with_name("peer_trackers.py")
-_STAMP = "made.stamp"
-"""File in a complete environment."""
+_STAMP = "made.stamp"  # file in a complete environment
 
 
 def create_environments(folder: Path) -> dict[str, Path]:
@@ -57,29 +56,20 @@ def _is_created(name: str, folder: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class PeerResult:
-    """Tracks and times of a peer on some sequences.
+    """Tracks and times of a peer on some sequences."""
 
-    Attributes:
-        version: version of the peer's package.
-        tracks: frame (N,), track_id (N,) and xyxy_px (N, 4), by index of the sequence.
-        us: time of each frame in microseconds, by index of the sequence.
-    """
-
-    version: str
+    version: str  # version of the peer's package
+    # frame (N,), track_id (N,) and xyxy_px (N, 4), by index of the sequence
     tracks: dict[int, tuple[Array, Array, Array]] = field(default_factory=dict)
-    us: dict[int, Array] = field(default_factory=dict)
+    us: dict[int, Array] = field(default_factory=dict)  # time of each frame in microseconds, by index of the sequence
 
 
 def run_peers(
     python: Path, names: Iterable[str], sequences: Iterable[Sequence], *, max_s: float = np.inf
 ) -> dict[str, PeerResult]:
-    """Results of peers of one environment, run one after another in one process; without peers that fail.
+    """Results of peers of one environment, one after another in one process; without peers that fail.
 
-    Args:
-        python: interpreter of the environment.
-        names: names of the peers, of `peer_trackers.PEERS`.
-        sequences: sequences to track.
-        max_s: processor time in s after which a sequence is stopped.
+    A sequence is stopped after `max_s` of processor time.
     """
     with tempfile.TemporaryDirectory() as folder:
         inputs, results = Path(folder) / "inputs.npz", Path(folder)
@@ -94,7 +84,6 @@ def run_peers(
 
 
 def _inputs(sequences: list[Sequence], max_s: float) -> dict[str, Array]:
-    """Input arrays of the script, as described in `peer_trackers`."""
     inputs: dict[str, Array] = {"n": np.array(len(sequences))}
     for i, sequence in enumerate(sequences):
         boxes = sequence.detected.detections
@@ -121,7 +110,6 @@ def _peer_result(file: Path) -> PeerResult:
 
 
 def names_in(environment: str, *, with_embeddings: bool = True) -> list[str]:
-    """Names of the peers of an environment, in the order of the table."""
     return [
         name
         for name, peer in PEERS.items()

@@ -35,43 +35,28 @@ Update = Callable[[Array, Array, Array], Any]
 Read = Callable[[Any], tuple[Array, Array]]
 """Function from the output of the tracker to identities (M,) and boxes (M, 4)."""
 
-LOW_SCORE = 0.1
-"""Confidence threshold of boxes for trackers with two thresholds."""
+LOW_SCORE = 0.1  # confidence threshold of boxes for trackers with two thresholds
 
 
 @dataclass(frozen=True)
 class Stream:
-    """Properties of a sequence that trackers are created with.
+    """Properties of a sequence that trackers are created with."""
 
-    Attributes:
-        fps: frame rate.
-        size_px: (width, height) of the images.
-        has_embeddings: whether boxes have embeddings.
-    """
-
-    fps: float
-    size_px: tuple[int, int]
-    has_embeddings: bool
+    fps: float  # frame rate
+    size_px: tuple[int, int]  # (width, height) of the images
+    has_embeddings: bool  # whether boxes have embeddings
 
 
 @dataclass(frozen=True)
 class Peer:
-    """One row of the table.
+    """One row of the table."""
 
-    Attributes:
-        package: name of the package.
-        environment: environment with the package.
-        make: creates the tracker `name` for a stream.
-        name: class or option of the tracker; "" = the package has a single tracker.
-        has_two_thresholds: whether it also uses low-confidence boxes.
-        has_embeddings: whether it gets the stored embeddings; it then runs only on sequences with embeddings.
-    """
-
-    package: str
-    environment: str
-    make: Callable[[str, Stream], tuple[Update, Read]]
-    name: str = ""
-    has_two_thresholds: bool = False
+    package: str  # name of the package
+    environment: str  # environment with the package
+    make: Callable[[str, Stream], tuple[Update, Read]]  # creates the tracker `name` for a stream
+    name: str = ""  # class or option of the tracker; "" = the package has a single tracker
+    has_two_thresholds: bool = False  # whether it also uses low-confidence boxes
+    # whether it gets the stored embeddings; it then runs only on sequences with embeddings
     has_embeddings: bool = False
 
 
@@ -236,8 +221,7 @@ def _rows() -> dict[str, Peer]:
     return rows
 
 
-PEERS: Mapping[str, Peer] = _rows()
-"""Peers by name, in the order of the table."""
+PEERS: Mapping[str, Peer] = _rows()  # peers by name, in the order of the table
 
 
 def tracked(peer: Peer, inputs: Mapping[str, Array], i: int) -> dict[str, Array]:

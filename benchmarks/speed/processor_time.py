@@ -1,90 +1,79 @@
-"""Processor time of each step of a run, per frame, and what its threads wait for.
-
-Protocol: runs with overlay, `--threads 1` and without dense stereo, each in a new process: a near-lossless pair, and an
-ordinary video of one camera (H.264, crf 23, 1280 x 720). The functions of the steps are wrapped: the time of a step is
-the processor time of its thread within them, without that of the steps that they call. They are those of a run in
-progress, without its first and last frames; no alignment is estimated, so that no frame is decoded before. Other work
-on the machine raises processor times by up to a quarter, as it uses the same caches, and wall times by any factor.
-"""
+"""Processor time of each step of a run, per frame, and what its threads wait for."""
 
 from __future__ import annotations
 
+import importlib
 import resource
 import tempfile
 import threading
 import time
 from argparse import Namespace
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import wraps
+from functools import reduce, wraps
 from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import Figures, in_new_process, option, workload
 from benchmarks.inputs.drives import DRIVE_OPTIONS, looped, ordinary_video
-from track_range.detection.lanes.edges import EdgeLaneFinder
-from track_range.detection.lanes.nets import NetLaneFinder
-from track_range.detection.models.onnx_session import BoundNetwork
-from track_range.detection.yolo.detector import YoloDetector
-from track_range.foundation.prefetch import ClosableQueue
 from track_range.foundation.processes import tuned_process
-from track_range.foundation.sparse_flow import BackgroundFlow
-from track_range.pipeline.frame_pipeline import FramePipeline
-from track_range.pipeline.stages import RangingStage
-from track_range.recording.files import video_file
-from track_range.recording.pairs.pair_monitor import PairMonitor, SyncMonitor
-from track_range.results.events.finder import EventFinder
-from track_range.results.table import RunTable
-from track_range.results.writers import OpenWriters
 from track_range.run.run import Run
 from track_range.run.settings_files import settings_from
-from track_range.stereo.alignment.drift import DriftMonitor
-from track_range.stereo.geometry.rectification import Rectifier, Undistorter
-from track_range.stereo.odometry.ground_odometry import GroundOdometry
-from track_range.stereo.odometry.stereo_odometry import StereoOdometry
-from track_range.tracking.appearance.embeddings import ColourLayout
-from track_range.tracking.camera_motion import CameraMotion
-from track_range.tracking.deepsort import DeepSortTracker
-from track_range.views import video_writer
-from track_range.views.overlay.annotator import Overlay
-from track_range.views.overlay.result_video import ResultVideo
 
-_STEPS: dict[str, tuple[tuple[Any, str], ...]] = {
-    "decoding": ((video_file._Reading, "_next_decoded"),),
-    "colour conversion, read": ((video_file._YuvImage, "to_bgr"),),
-    "rectification": ((Rectifier, "rectify"), (Undistorter, "undistort")),
-    "checks of the pair": ((PairMonitor, "add"), (SyncMonitor, "add"), (DriftMonitor, "add")),
-    "lanes": ((EdgeLaneFinder, "find"), (NetLaneFinder, "find")),
-    "resize, letterbox": ((YoloDetector, "prepared"),),
-    "inference": ((BoundNetwork, "run"),),
-    "box decoding, NMS": ((YoloDetector, "_decoded"),),
-    "flow of the background": ((BackgroundFlow, "add"), (BackgroundFlow, "tracked")),
-    "camera motion": ((CameraMotion, "update"), (GroundOdometry, "update"), (StereoOdometry, "update")),
-    "appearance": ((ColourLayout, "embed"),),
-    "tracking": ((DeepSortTracker, "update"),),
-    "ranging": ((RangingStage, "measure"),),
-    "fusion, filters, warnings": ((FramePipeline, "step"),),
-    "drawing": ((Overlay, "draw"),),
-    "colour conversion, written": ((video_writer, "_i420"),),
-    "encoding": ((video_writer.VideoWriter, "write"),),
-    "tables": ((OpenWriters, "write"), (RunTable, "append"), (EventFinder, "update")),
+STEPS: dict[str, tuple[str, ...]] = {
+    "decoding": ("recording.files.video_file:_Reading._next_decoded",),
+    "colour conversion, read": ("recording.files.video_file:_YuvImage.to_bgr",),
+    "rectification": ("stereo.geometry.rectification:Rectifier.rectify Undistorter.undistort",),
+    "checks of the pair": (
+        "recording.pairs.pair_monitor:PairMonitor.add SyncMonitor.add",
+        "stereo.alignment.drift:DriftMonitor.add",
+    ),
+    "lanes": ("detection.lanes.edges:EdgeLaneFinder.find", "detection.lanes.nets:NetLaneFinder.find"),
+    "resize, letterbox": ("detection.yolo.detector:YoloDetector.prepared",),
+    "inference": ("detection.models.onnx_session:BoundNetwork.run",),
+    "box decoding, NMS": ("detection.yolo.detector:YoloDetector._decoded",),
+    "flow of the background": ("foundation.sparse_flow:BackgroundFlow.add BackgroundFlow.tracked",),
+    "camera motion": (
+        "tracking.camera_motion:CameraMotion.update",
+        "stereo.odometry.ground_odometry:GroundOdometry.update",
+        "stereo.odometry.stereo_odometry:StereoOdometry.update",
+    ),
+    "appearance": ("tracking.appearance.embeddings:ColourLayout.embed",),
+    "tracking": ("tracking.deepsort:DeepSortTracker.update",),
+    "ranging": ("pipeline.stages:RangingStage.measure",),
+    "fusion, filters, warnings": ("pipeline.frame_pipeline:FramePipeline.step",),
+    "drawing": ("views.overlay.annotator:Overlay.draw",),
+    "colour conversion, written": ("views.video_writer:_i420",),
+    "encoding": ("views.video_writer:VideoWriter.write",),
+    "tables": (
+        "results.writers:OpenWriters.write",
+        "results.table:RunTable.append",
+        "results.events.finder:EventFinder.update",
+    ),
 }
-"""Functions of each step: owner and name."""
-
+"""Functions of each step."""
 
 _N_FIRST, _N_LAST = 32, 16
 """Numbers of frames that do not count: in the first ones, libraries are initialized and the pair is checked; during the
 last ones, which are in the queues, nothing more is decoded."""
 
-Times = list[tuple[str, dict[str, float]]]
-"""Name and times of each thread."""
+Times = list[tuple[str, dict[str, float]]]  # name and times of each thread
 
-_WAITS = {
-    "input": ((ClosableQueue, "wait_for_item"),),
-    "room": ((ClosableQueue, "wait_for_room"), (ResultVideo, "wait")),
+WAITS = {
+    "input": ("foundation.prefetch:ClosableQueue.wait_for_item",),
+    "room": ("foundation.prefetch:ClosableQueue.wait_for_room", "views.overlay.result_video:ResultVideo.wait"),
 }
 """Functions in which a thread waits for the thread before it, or for the thread after it."""
+
+
+def functions_at(path: str) -> Iterator[tuple[Any, Callable[..., Any]]]:
+    """The functions of a path as in `STEPS`, each with the module or class that has it."""
+    module, _, functions = path.partition(":")
+    for names in functions.split():
+        *classes, name = names.split(".")
+        owner = reduce(getattr, classes, importlib.import_module(f"track_range.{module}"))
+        yield owner, getattr(owner, name)
 
 
 @dataclass(slots=True)
@@ -110,10 +99,10 @@ class _Probe:
     def __init__(self) -> None:
         self._threads: list[_Thread] = []
         self._local = threading.local()
-        for wrap, groups in ((self._timed, _STEPS), (self._waiting, _WAITS)):
+        for wrap, groups in ((self._timed, STEPS), (self._waiting, WAITS)):
             for key, functions in groups.items():
-                for owner, name in functions:
-                    setattr(owner, name, wrap(getattr(owner, name), key))
+                for owner, function in (pair for path in functions for pair in functions_at(path)):
+                    setattr(owner, function.__name__, wrap(function, key))
 
     def times_s(self) -> Times:
         """Name and times so far of each thread; "process" is the processor time of all threads."""
@@ -174,13 +163,13 @@ def processor_time(options: Namespace) -> Figures:
             name: in_new_process(_times_ms, {**shared, **given}, options.frames)
             for name, given in (("near-lossless pair", pair), ("ordinary video", one))
         }
-    steps: Figures = {step: {} for step in (*_STEPS, "other", "sum", "wall time")}
+    steps: Figures = {step: {} for step in (*STEPS, "other", "sum", "wall time")}
     waits: Figures = {}
     for name, by_thread in threads.items():
         process = by_thread.pop("process")
-        for step in _STEPS:
+        for step in STEPS:
             steps[step][name] = sum(times_ms.get(step, 0.0) for times_ms in by_thread.values())
-        steps["other"][name] = process["on a core"] - sum(steps[step][name] for step in _STEPS)
+        steps["other"][name] = process["on a core"] - sum(steps[step][name] for step in STEPS)
         steps["sum"][name], steps["wall time"][name] = process["on a core"], process["wall"]
         keys = ("on a core", "queued", "input", "room")
         waits[name] = {thread: {key: ms.get(key, 0.0) for key in keys} for thread, ms in by_thread.items()}

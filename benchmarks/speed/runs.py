@@ -11,14 +11,14 @@ import sys
 import tempfile
 import time
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import PROGRAM, ROOT, Figures, option, workload
+from benchmarks.harness import PROGRAM, Figures, option, workload
 from benchmarks.inputs.drives import DRIVE_OPTIONS, LoopedDrive, looped, ordinary_video
 from track_range.detection.models.onnx_session import OnnxSession, Runtime
 from track_range.detection.yolo.detector import DEFAULT_SIZE_PX
@@ -32,8 +32,7 @@ COMMANDS = {
 }
 """What `startup` measures."""
 
-SAMPLE_S = 0.25
-"""Interval in s between samples of the memory."""
+SAMPLE_S = 0.25  # interval in s between samples of the memory
 
 
 def times_s(arguments: Sequence[str]) -> tuple[float, float]:
@@ -70,15 +69,7 @@ def startup(options: Namespace) -> Figures:
     option("--rounds", default=3, help="number of rounds"),
 )
 def pipeline(options: Namespace) -> Figures:
-    """Wall time of whole runs relative to the detector's inference alone, both with one network thread, ms per frame.
-
-    Protocol: a near-lossless stereo drive looped to 300 frames, and an ordinary video of one camera (H.264, crf 23,
-    1280 x 720); alternating, several rounds of (a) the network alone on one prepared input, once per frame, and (b)
-    `track-range --threads 1 --no-sgbm` with overlay in a separate process, for each of the two. Its time is `wall_s`:
-    opening the videos and processing all frames, without the start of Python, the loading of the network, the summary
-    and the report. No alignment is estimated: the frames of the first seconds, which it reads, would be decoded before.
-    The figure is the median of the ratios of the rounds, since the speed of the machine varies.
-    """
+    """Wall time of whole runs relative to the detector's inference alone, both with one network thread, ms."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         drive = looped(options.drive, folder, n_frames=options.frames)
@@ -117,11 +108,7 @@ def _inference_alone_ms(detector: Path, *, n_frames: int, image_hw: tuple[int, i
 
 @workload(*DRIVE_OPTIONS, option("--frames", default=2000, help="number of frames of the looped drive"))
 def memory(options: Namespace) -> Figures:
-    """Resident memory of a run, MiB: medians by quarter of the frames, and the peak.
-
-    If memory does not depend on the length of the video, it is the same in the second and the last quarter. The peak
-    includes the summary and the report at the end, with 250 bytes per row of tracks.csv.
-    """
+    """Resident memory of a run, MiB: medians by quarter, equal but the first if it does not grow, and the peak."""
     import psutil  # a local import, since only this workload requires the extra `bench`
 
     samples: list[tuple[int, float]] = []
@@ -164,10 +151,7 @@ def _last_frame(rows: Path) -> int | None:
     option("--rounds", default=3, help="runs of each kind, in turn"),
 )
 def server(options: Namespace) -> Figures:
-    """Wall-clock and CPU time in s of a run without viewers, and of the same run with slow readers of its live page.
-
-    The ratios are medians over the rounds.
-    """
+    """Wall-clock and CPU time in s of a run without viewers, and of the same run with slow readers of its live page."""
     rounds: dict[str, list[tuple[float, float]]] = {"no viewer": [], "slow readers": []}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -177,8 +161,11 @@ def server(options: Namespace) -> Figures:
             rounds["no viewer"].append(times_s(command))
             with socket.create_server(("127.0.0.1", 0)) as free:
                 port = free.getsockname()[1]
-            with _slow_readers(port, options.readers):
-                rounds["slow readers"].append(times_s((*command, "--serve", str(port))))
+            readers = get_context("spawn").Process(target=_read_slowly, args=(port, options.readers), daemon=True)
+            readers.start()
+            rounds["slow readers"].append(times_s((*command, "--serve", str(port))))
+            readers.kill()
+            readers.join()
     figures: dict[str, Any] = {}
     for kind, pairs in rounds.items():
         wall_s, cpu_s = np.median(pairs, axis=0).tolist()
@@ -187,12 +174,39 @@ def server(options: Namespace) -> Figures:
     return {**figures, "ratio": dict(zip(("wall_s", "cpu_s"), ratios.tolist(), strict=True)), "rounds": rounds}
 
 
-@contextmanager
-def _slow_readers(port: int, n_readers: int) -> Iterator[None]:
-    command = [sys.executable, "-m", "benchmarks.speed.slow_readers", str(port), str(n_readers)]
-    process = subprocess.Popen(command, cwd=ROOT)
+def _read_slowly(port: int, n_readers: int) -> None:
+    """Read 1 kB per second from each of N streams of the page at this port, forever.
+
+    A refused or closed connection is opened again a second later.
+    """
+    readers: list[socket.socket | None] = [None] * n_readers
+    while True:
+        for k in range(n_readers):
+            readers[k] = _opened(port) if (reader := readers[k]) is None else _read(reader)
+            time.sleep(1.0 / n_readers)
+
+
+def _read(reader: socket.socket) -> socket.socket | None:
+    """Read from a connection; None = closed, to be opened the next time."""
     try:
-        yield
-    finally:
-        process.kill()
-        process.wait()
+        if reader.recv(1000):
+            return reader
+    except BlockingIOError:
+        return reader
+    except OSError:
+        pass
+    reader.close()
+    return None
+
+
+def _opened(port: int) -> socket.socket | None:
+    reader = socket.socket()
+    reader.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    try:
+        reader.connect(("127.0.0.1", port))
+        reader.setblocking(False)
+        reader.sendall(b"GET /stream.mjpg HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    except OSError:
+        reader.close()
+        return None
+    return reader

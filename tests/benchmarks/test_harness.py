@@ -8,6 +8,7 @@ import pytest
 from benchmarks.__main__ import WORKLOADS
 from benchmarks.gate import compare
 from benchmarks.harness import Workload, numbers, option, print_figures, workload
+from benchmarks.speed.processor_time import STEPS, WAITS, functions_at
 
 FIGURES = {
     "frames": 300,
@@ -100,3 +101,8 @@ def test_compare_names_a_file_without_figures(tmp_path, content):
         path.write_text(content, encoding="utf-8")
     with pytest.raises(SystemExit, match=r"bad\.json"):
         compare(str(path), str(path))
+
+
+@pytest.mark.parametrize("path", [path for paths in (*STEPS.values(), *WAITS.values()) for path in paths])
+def test_measured_functions_exist(path):
+    assert all(callable(function) for _, function in functions_at(path))

@@ -9,23 +9,25 @@ time here.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import importlib
 import importlib.machinery
+import json
 import os
 import random
 import resource
 import signal
 import sys
 import time
-from argparse import Namespace
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import CodeType
 from typing import Any
 
-from benchmarks.harness import ROOT, Figures, option, workload
+ROOT = Path(__file__).resolve().parents[1]
+
 
 TARGETS: dict[str, tuple[str, ...]] = {
     "tracking/*.py": ("tests/tracking", "tests/detection/formats/test_supervision.py"),
@@ -86,14 +88,15 @@ class Mutant:
         return f"{place}:{self.line} {self.operator} #{self.occurrence}: {changed}"
 
 
-@workload(
-    option("--mutants", default=360, help="size of the sample"),
-    option("--seed", default=1, help="random seed for the sample"),
-    option("--jobs", default=os.cpu_count() or 1, help="processes at a time"),
-    option("--only", default="", metavar="TEXT", help="only mutants of paths that contain this"),
-    option("--survivors", type=Path, metavar="FILE", help="run only the mutants listed in this file"),
-)
-def mutation(options: Namespace) -> Figures:
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__)
+    parser.add_argument("--mutants", type=int, default=360, help="size of the sample (default: 360)")
+    parser.add_argument("--seed", type=int, default=1, help="random seed for the sample (default: 1)")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes at a time")
+    parser.add_argument("--only", default="", metavar="TEXT", help="only mutants of paths that contain this")
+    parser.add_argument("--survivors", type=Path, metavar="FILE", help="run only the mutants listed in this file")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="JSON file for the figures")
+    options = parser.parse_args()
     mutants = sample(options.mutants, options.seed)
     mutants = [mutant for mutant in mutants if options.only in mutant.path.as_posix()]
     if options.survivors:
@@ -116,11 +119,13 @@ def mutation(options: Namespace) -> Figures:
             print(f"survived: {mutant}", flush=True)
         if number % 20 == 0:
             print(f"{number} of {len(mutants)}, {sum(killed['all'])} killed", flush=True)
-    figures: Figures = {
-        package: {"mutants": len(flags), "killed": sum(flags), "killed_pct": 100 * sum(flags) / max(len(flags), 1)}
-        for package, flags in killed.items()
-    }
-    return {**figures, "survivors": {str(k): name for k, name in enumerate(survivors, start=1)}}
+    figures = {package: {"mutants": len(flags), "killed": sum(flags)} for package, flags in killed.items()}
+    for package, row in figures.items():
+        print(
+            f"{package:<12}{row['killed']:>6} of {row['mutants']}, {100 * row['killed'] / max(row['mutants'], 1):.1f} %"
+        )
+    if options.json:
+        options.json.write_text(json.dumps({**figures, "survivors": survivors}, indent=1) + "\n", encoding="utf-8")
 
 
 def sample(n: int, seed: int) -> list[Mutant]:
@@ -269,3 +274,7 @@ def _replace_module(path: Path, source: str) -> None:
         return original(loader, fullname)
 
     importlib.machinery.SourceFileLoader.get_code = get_code  # type: ignore[method-assign,assignment]
+
+
+if __name__ == "__main__":
+    main()
