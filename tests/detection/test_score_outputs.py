@@ -10,7 +10,7 @@ from onnx import TensorProto, helper, numpy_helper
 from scipy.special import expit, logit
 
 from tests.detection.onnx_models import write_model
-from track_range.cli.commands.models import calibrate_scores
+from track_range.detection.evaluation.calibrated_copy import write_calibrated_copy
 from track_range.detection.evaluation.score_fit import ScoreSamples, fit_scores
 from track_range.detection.models.onnx_session import ModelError, OnnxSession
 from track_range.detection.models.score_outputs import write_calibrated
@@ -162,7 +162,8 @@ def test_scores_that_say_nothing_are_refused(scene):
     samples = ScoreSamples(np.full(600, 2), rng.uniform(0.05, 0.95, 600), rng.uniform(size=600) < 0.3)
     detector = YoloDetector(scene / "nano.onnx")
     with pytest.raises(ModelError, match=r"images: .*of car, background would get 0\.0[3-9]"):
-        calibrate_scores._check_background(fit_scores(samples), detector, scene / "images")
+        write_calibrated_copy(detector, fit_scores(samples), scene / "copy.onnx", images=scene / "images")
+    assert not (scene / "copy.onnx").exists()
 
 
 def test_command_with_a_detector_without_score_outputs(scene, cli):
