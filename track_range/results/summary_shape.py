@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 Number = Annotated[float, Field(strict=True)]
 Figure = Annotated[float, Field(strict=True, gt=-1e15, lt=1e15, allow_inf_nan=False)] | None
@@ -26,95 +26,36 @@ class _Figures(_Section):
     __pydantic_extra__: dict[str, Figure]
 
 
-class _Band(_Figures):
-    from_m: Number
-    to_m: Number
+def _section(base: type[BaseModel] = _Section, *, required: str = "", **kinds: Any) -> Any:
+    """Section with optional keys of the given types, and the names of the required numbers."""
+    fields = {name: (kind, None) for name, kind in kinds.items()} | {name: (Number, ...) for name in required.split()}
+    return create_model("_Part", __base__=base, **fields)  # type: ignore[call-overload]
 
 
-class _Method(_Figures):
-    bands: list[_Band] | None = None
-    by_class: dict[str, dict[str, Figure]] | None = None
+def _all(kind: Any, names: str) -> dict[str, Any]:
+    return dict.fromkeys(names.split(), kind)
 
 
-class _Tracks(_Figures):
-    classes: list[Text] | None = None
-
-
-class _RigDistance(_Figures):
-    distance_m: Number
-
-
-class _Health(_Section):
-    state: Text = None
-    sentence: Text = None
-    move_sentence: Text = None
-    unseen: Text = None
-    distances: list[_RigDistance] = []
-
-
-class _Alignment(_Figures):
-    source: Text = None
-    is_applied: Any = None
-    health: _Health | None = None
-
-
-class _Events(_Section):
-    n: Figure = None
-    hours: Figure = None
-    by_kind: dict[str, Figure] = {}
-    worst: dict[str, Any] | None = None
-
-
-class _Utc(_Section):
-    start: Text = None
-    source: Text = None
-    uncertainty_s: Figure = None
-
-
-class _EgoSpeed(_Section):
-    source: Text = None
-    offset_s: Figure = None
-    offset_sigma_s: Figure = None
-    median_mps: Figure = None
-    coverage: Figure = None
-
-
-class _LearntScale(_Figures):
-    n_tracks: Number
-    baseline_m: Number
-    focal_px: Number
-    relative_sigma: Number
-
-
-class _Summary(_Section):
-    schema_version: Figure = None
-    settings_hash: Text = None
-    frames: Figure = None
-    starts_s: Figure = None
-    utc: _Utc | None = None
-    ego_speed: _EgoSpeed | None = None
-    wall_s: Figure = None
-    frames_per_s: Figure = None
-    focal_px: Figure = None
-    focal_sigma: Figure = None
-    baseline_m: Figure = None
-    truth: Text = None
-    calibration: Text = None
-    stages_ms: dict[str, Figure] = {}
-    closing: dict[str, Figure] = {}
-    stereo_unmatched: dict[str, Figure] = {}
-    stereo_surfaces: dict[str, Figure] = {}
-    methods: dict[str, _Method] = {}
-    common: dict[str, _Method] = {}
-    inputs: dict[str, Any] = {}
-    settings: dict[str, Any] = {}
-    versions: dict[str, Any] = {}
-    tracks: _Tracks | None = None
-    events: _Events | None = None
-    alignment: _Alignment | None = None
-    learnt_scale: _LearntScale | None = None
-    files: dict[str, Text] = {}
-    notes: list[Text] = []
+_BAND = _section(_Figures, required="from_m to_m")
+_METHOD = _section(_Figures, bands=list[_BAND] | None, by_class=dict[str, dict[str, Figure]] | None)
+_HEALTH = _section(
+    **_all(Text, "state sentence move_sentence unseen"), distances=list[_section(_Figures, required="distance_m")]
+)
+_SUMMARY = _section(
+    **_all(Figure, "schema_version frames starts_s wall_s frames_per_s focal_px focal_sigma baseline_m"),
+    **_all(Text, "settings_hash truth calibration"),
+    **_all(dict[str, Figure], "stages_ms closing stereo_unmatched stereo_surfaces"),
+    **_all(dict[str, _METHOD], "methods common"),
+    **_all(dict[str, Any], "inputs settings versions"),
+    files=dict[str, Text],
+    notes=list[Text],
+    utc=_section(**_all(Text, "start source"), uncertainty_s=Figure) | None,
+    ego_speed=_section(source=Text, **_all(Figure, "offset_s offset_sigma_s median_mps coverage")) | None,
+    tracks=_section(_Figures, classes=list[Text] | None) | None,
+    events=_section(**_all(Figure, "n hours"), by_kind=dict[str, Figure], worst=dict[str, Any] | None) | None,
+    alignment=_section(_Figures, source=Text, is_applied=Any, health=_HEALTH | None) | None,
+    learnt_scale=_section(_Figures, required="n_tracks baseline_m focal_px relative_sigma") | None,
+)
 
 
 def valid_summary(summary: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
@@ -122,7 +63,7 @@ def valid_summary(summary: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]
     valid, invalid = _copied(summary), list[str]()
     while True:
         try:
-            _Summary.model_validate(valid)
+            _SUMMARY.model_validate(valid)
         except ValidationError as error:
             # A section without a required key is omitted as a whole.
             paths = {e["loc"][:-1] if e["type"] == "missing" else e["loc"] for e in error.errors()}

@@ -10,6 +10,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Annotated, Literal
@@ -59,30 +60,45 @@ def _doctor(options: DoctorOptions) -> None:
 
 def installation() -> dict[str, dict[str, str]]:
     """Groups of names and values that describe this installation."""
+    models, sessions = "track_range.detection.models.lookup", "track_range.detection.models.onnx_session"
+    # the import sets ORT_DISABLE_TELEMETRY
+    providers = _text(lambda: ", ".join(import_module(sessions).available_providers()))
+    detector = _text(lambda: str(import_module(models).find_model(import_module(models).DEFAULT_MODEL).path))
+    free = _text(lambda: f"{Path.cwd()}, {shutil.disk_usage(Path.cwd()).free / 1e9:.1f} GB free")
     return {
         "system": {
             "platform": platform.platform(),
             "processor": f"{platform.machine()}, {os.cpu_count()} logical cores",
             "python": f"{platform.python_version()} ({sys.executable})",
         },
-        "versions": {name: _version(name) for name in PACKAGES} | {"FFmpeg": _text(_ffmpeg_version)},
-        "inference": _inference(),
+        "versions": {name: _version(name) for name in PACKAGES} | {"FFmpeg": _text(lambda: str(import_module("av").ffmpeg_version_info))},
+        "inference": {
+            "providers": providers,
+            "telemetry": "disabled" if os.environ.get("ORT_DISABLE_TELEMETRY") == "1" else "enabled",
+            "default detector": detector,
+        },
         "codecs": {
             "encoders": _text(lambda: _codecs(ENCODERS, "w")),
             "decoders": _text(lambda: _codecs(DECODERS, "r")),
         },
         "extras": extras(),
-        "folders": _folders(),
+        "folders": {
+            "package": str(Path(__file__).parents[2]),
+            "model cache": _text(_model_cache),
+            "temporary files": _text(tempfile.gettempdir),
+            "TRACK_RANGE_CACHE": os.environ.get("TRACK_RANGE_CACHE", "not set"),
+            "current folder": free,
+        },
     }
 
 
 def extras() -> dict[str, str]:
     """The optional extras of the package: "installed", or the distributions that are missing."""
-    packages: dict[str, list[str]] = {}
+    missing: dict[str, list[str]] = {}
     for requirement in requires("track-range") or ():
         if match := _EXTRA.match(requirement):
-            packages.setdefault(match[2], []).append(match[1])
-    missing = {extra: [name for name in names if _version(name) == _NOT_INSTALLED] for extra, names in packages.items()}
+            name, extra = match.groups()
+            missing.setdefault(extra, []).extend([name] if _version(name) == _NOT_INSTALLED else [])
     return {extra: f"missing: {', '.join(names)}" if names else "installed" for extra, names in missing.items()}
 
 
@@ -91,33 +107,6 @@ def _version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return _NOT_INSTALLED
-
-
-def _ffmpeg_version() -> str:
-    import av
-
-    return str(av.ffmpeg_version_info)
-
-
-def _inference() -> dict[str, str]:
-    providers = _text(_providers)  # the import sets ORT_DISABLE_TELEMETRY
-    return {
-        "providers": providers,
-        "telemetry": "disabled" if os.environ.get("ORT_DISABLE_TELEMETRY") == "1" else "enabled",
-        "default detector": _text(_default_detector),
-    }
-
-
-def _providers() -> str:
-    from track_range.detection.models.onnx_session import available_providers
-
-    return ", ".join(available_providers())
-
-
-def _default_detector() -> str:
-    from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
-
-    return str(find_model(DEFAULT_MODEL).path)
 
 
 def _codecs(names: tuple[str, ...], mode: Literal["r", "w"]) -> str:
@@ -134,16 +123,6 @@ def _has_codec(name: str, mode: Literal["r", "w"]) -> bool:
     except UnknownCodecError:
         return False
     return True
-
-
-def _folders() -> dict[str, str]:
-    return {
-        "package": str(Path(__file__).parents[2]),
-        "model cache": _text(_model_cache),
-        "temporary files": _text(tempfile.gettempdir),
-        "TRACK_RANGE_CACHE": os.environ.get("TRACK_RANGE_CACHE", "not set"),
-        "current folder": _text(lambda: f"{Path.cwd()}, {shutil.disk_usage(Path.cwd()).free / 1e9:.1f} GB free"),
-    }
 
 
 def _model_cache() -> str:
@@ -188,12 +167,10 @@ def _check_run() -> str:
     from track_range.simulation.render.renderer import kitti_like_rig
 
     with tempfile.TemporaryDirectory(prefix="track-range-doctor-") as folder:
-        drive = write_drive(
-            Path(folder) / "drive", seconds=1.0, fps=6.0, rig=kitti_like_rig(width_px=620, height_px=188)
-        )
-        settings = RunSettings(
-            stereo=(drive.left, drive.right), rig=drive.rig, truth=drive.table, out=Path(folder) / "run"
-        )
+        rig = kitti_like_rig(width_px=620, height_px=188)
+        drive = write_drive(Path(folder) / "drive", seconds=1.0, fps=6.0, rig=rig)
+        pair, out = (drive.left, drive.right), Path(folder) / "run"
+        settings = RunSettings(stereo=pair, rig=drive.rig, truth=drive.table, out=out)
         with Run(settings) as run:
             for _ in run:
                 pass
