@@ -11,25 +11,30 @@ import typer
 from annotated_types import Ge, Le
 from pydantic.fields import FieldInfo
 
+from track_range.cli.lazy import HelpCommand
 from track_range.foundation.options import Options, choices_of, is_list, option_of, value_type
 
 _O = TypeVar("_O", bound=Options)
 
 
-def command(model: type[_O], function: Callable[[_O], object]) -> Callable[..., None]:
-    """Callback for Typer with the fields of `model` as parameters; it calls `function` with the options."""
+def command(model: type[_O], function: Callable[[_O], object]) -> typer.Typer:
+    """Application of one command with the fields of `model` as parameters; it calls `function` with the options."""
 
     def callback(**values: Any) -> None:
         function(model.of(given_values(model, values)))
 
-    return with_parameters(callback, parameters(model))
+    return command_of(callback, parameters(model))
 
 
-def with_parameters(callback: Callable[..., None], listed: list[Parameter]) -> Callable[..., None]:
-    """The callback with its signature set to these parameters, for Typer."""
+def command_of(
+    callback: Callable[..., None], listed: list[Parameter], command_class: type[HelpCommand] = HelpCommand
+) -> typer.Typer:
+    """Application of one command, which calls `callback` with these parameters."""
     callback.__signature__ = Signature(listed)  # type: ignore[attr-defined]
     callback.__annotations__ = {parameter.name: parameter.annotation for parameter in listed}
-    return callback
+    app = typer.Typer(add_completion=False, rich_markup_mode=None)
+    app.command(cls=command_class)(callback)
+    return app
 
 
 def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Parameter]:

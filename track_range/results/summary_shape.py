@@ -6,6 +6,7 @@ Values of wrong types are omitted, and the rest is used; keys that are not liste
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import GenericAlias
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
@@ -28,7 +29,7 @@ class _Figures(_Section):
 
 def _section(base: type[BaseModel] = _Section, *, required: str = "", **kinds: Any) -> Any:
     """Section with optional keys of the given types, and the names of the required numbers."""
-    fields = {name: (kind, None) for name, kind in kinds.items()} | {name: (Number, ...) for name in required.split()}
+    fields = {name: (kind, None) for name, kind in kinds.items()} | dict.fromkeys(required.split(), (Number, ...))
     return create_model("_Part", __base__=base, **fields)  # type: ignore[call-overload]
 
 
@@ -36,16 +37,16 @@ def _all(kind: Any, names: str) -> dict[str, Any]:
     return dict.fromkeys(names.split(), kind)
 
 
-_BAND = _section(_Figures, required="from_m to_m")
-_METHOD = _section(_Figures, bands=list[_BAND] | None, by_class=dict[str, dict[str, Figure]] | None)
-_HEALTH = _section(
-    **_all(Text, "state sentence move_sentence unseen"), distances=list[_section(_Figures, required="distance_m")]
-)
+_BANDS = GenericAlias(list, (_section(_Figures, required="from_m to_m"),))
+_METHOD = _section(_Figures, bands=_BANDS | None, by_class=dict[str, dict[str, Figure]] | None)
+_METHODS = GenericAlias(dict, (str, _METHOD))
+_DISTANCES = GenericAlias(list, (_section(_Figures, required="distance_m"),))
+_HEALTH = _section(**_all(Text, "state sentence move_sentence unseen"), distances=_DISTANCES)
 _SUMMARY = _section(
     **_all(Figure, "schema_version frames starts_s wall_s frames_per_s focal_px focal_sigma baseline_m"),
     **_all(Text, "settings_hash truth calibration"),
     **_all(dict[str, Figure], "stages_ms closing stereo_unmatched stereo_surfaces"),
-    **_all(dict[str, _METHOD], "methods common"),
+    **_all(_METHODS, "methods common"),
     **_all(dict[str, Any], "inputs settings versions"),
     files=dict[str, Text],
     notes=list[Text],

@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 import pytest
 from typer.testing import CliRunner
 
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command, parameters
 from track_range.fleet.inputs.clip import CLIP_SETTINGS, is_file_setting
 from track_range.foundation.errors import UsageError
@@ -35,7 +34,7 @@ def cook():
 
     def run(*arguments):
         cooked = []
-        result = CliRunner().invoke(single_app(command(Recipe, cooked.append)), [str(item) for item in arguments])
+        result = CliRunner().invoke(command(Recipe, cooked.append), [str(item) for item in arguments])
         return cooked[0] if cooked else result
 
     return run

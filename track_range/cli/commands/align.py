@@ -7,7 +7,6 @@ from functools import partial
 from track_range.calibration.align import RigAlignment, align, check_rig_health
 from track_range.calibration.settings import AlignmentSettings, RigCheckSettings
 from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.run.progress import step_progress
 from track_range.views.report.tables import rig_grid
@@ -30,5 +29,5 @@ def _print(alignment: RigAlignment) -> None:
         print_line(console, sentence)
 
 
-app = single_app(command(AlignmentSettings, _align))
-check_app = single_app(command(RigCheckSettings, _check))
+app = command(AlignmentSettings, _align)
+check_app = command(RigCheckSettings, _check)

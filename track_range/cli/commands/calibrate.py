@@ -9,7 +9,6 @@ from track_range.calibration.figures import tilt_deg
 from track_range.calibration.from_boards import LENS_NAMES, calibrate_views, find_boards
 from track_range.calibration.settings import CalibrationSettings
 from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.foundation.errors import UsageError
 from track_range.run.progress import step_progress
@@ -161,4 +160,4 @@ def _print_pair(pair: PairCalibration) -> None:
     )
 
 
-app = single_app(command(CalibrationSettings, _calibrate))
+app = command(CalibrationSettings, _calibrate)

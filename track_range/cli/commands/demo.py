@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from track_range.cli.commands.run import run_and_print
 from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.files.output_files import locked_output
@@ -147,4 +146,4 @@ def _text(figures: Mapping[str, Any], key: str, decimals: int = 1) -> str:
     return NOTHING if value is None else f"{value:.{decimals}f}"
 
 
-app = single_app(command(DemoOptions, _demo))
+app = command(DemoOptions, _demo)

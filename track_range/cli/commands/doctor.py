@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from track_range.cli.console import console, print_line
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.foundation.errors import UserError
 from track_range.foundation.options import Options, option
@@ -61,8 +60,7 @@ def _doctor(options: DoctorOptions) -> None:
 def installation() -> dict[str, dict[str, str]]:
     """Groups of names and values that describe this installation."""
     models, sessions = "track_range.detection.models.lookup", "track_range.detection.models.onnx_session"
-    # the import sets ORT_DISABLE_TELEMETRY
-    providers = _text(lambda: ", ".join(import_module(sessions).available_providers()))
+    providers = _text(lambda: ", ".join(import_module(sessions).available_providers()))  # sets ORT_DISABLE_TELEMETRY
     detector = _text(lambda: str(import_module(models).find_model(import_module(models).DEFAULT_MODEL).path))
     free = _text(lambda: f"{Path.cwd()}, {shutil.disk_usage(Path.cwd()).free / 1e9:.1f} GB free")
     return {
@@ -71,7 +69,8 @@ def installation() -> dict[str, dict[str, str]]:
             "processor": f"{platform.machine()}, {os.cpu_count()} logical cores",
             "python": f"{platform.python_version()} ({sys.executable})",
         },
-        "versions": {name: _version(name) for name in PACKAGES} | {"FFmpeg": _text(lambda: str(import_module("av").ffmpeg_version_info))},
+        "versions": {name: _version(name) for name in PACKAGES}
+        | {"FFmpeg": _text(lambda: str(import_module("av").ffmpeg_version_info))},
         "inference": {
             "providers": providers,
             "telemetry": "disabled" if os.environ.get("ORT_DISABLE_TELEMETRY") == "1" else "enabled",
@@ -201,4 +200,4 @@ def _outcome(check: Callable[[], str]) -> str:
         return f"{type(error).__name__}: {error}"
 
 
-app = single_app(command(DoctorOptions, _doctor))
+app = command(DoctorOptions, _doctor)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from track_range.cli.console import console, print_line, print_notes
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.run.export.export import export
 from track_range.run.export.settings import ExportSettings
@@ -16,4 +15,4 @@ def _export(settings: ExportSettings) -> None:
     print_line(console, f"Written: {settings.out}, {exported.n_boxes} boxes{images}")
 
 
-app = single_app(command(ExportSettings, _export))
+app = command(ExportSettings, _export)

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from track_range.cli.console import console, print_grid, print_line, print_notes
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.ranging.evaluation.curve_comparison import TABLE_DISTANCES_M, CurveFit
 from track_range.ranging.fitting.fit import FittedSizes, fit_sizes
@@ -89,4 +88,4 @@ def _coefficients(curves: Sequence[SizeCurve]) -> list[tables.Column]:
     return [tables.Column(head, [curve.coefficients[k] for curve in curves], "{:.3f}") for k, head in enumerate(heads)]
 
 
-app = single_app(command(FitSettings, _fit))
+app = command(FitSettings, _fit)

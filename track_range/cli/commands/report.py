@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated
 
 from track_range.cli.console import console, print_grid, print_line, print_notes
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.foundation.options import Options, option
 from track_range.views.report.run_folders import report
@@ -46,4 +45,4 @@ def _report(options: ReportOptions) -> None:
     print_line(console, f"Open {written.page} in a browser{others}.")
 
 
-app = single_app(command(ReportOptions, _report))
+app = command(ReportOptions, _report)

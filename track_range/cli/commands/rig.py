@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.lazy import Lazy, lazy_app, single_app
+from track_range.cli.lazy import Lazy, lazy_app
 from track_range.cli.parameters import command
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import real_path
@@ -167,8 +167,8 @@ def _size_of(text: str | None) -> tuple[int, int] | None:
     return width_px, height_px
 
 
-convert_app = single_app(command(ConvertOptions, _convert))
-show_app = single_app(command(ShowOptions, _show))
+convert_app = command(ConvertOptions, _convert)
+show_app = command(ShowOptions, _show)
 app = lazy_app(
     {
         "show": Lazy(

@@ -7,9 +7,8 @@ from contextlib import closing, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from track_range.cli.help_pages import HelpCommand
-from track_range.cli.lazy import single_app
-from track_range.cli.parameters import given_values, parameters, with_parameters
+from track_range.cli.lazy import HelpCommand
+from track_range.cli.parameters import command_of, given_values, parameters
 from track_range.foundation.errors import UsageError
 from track_range.foundation.options import Options, option
 from track_range.foundation.processes import tuned_process
@@ -187,6 +186,4 @@ def _with_sources(given: dict[str, Any]) -> dict[str, Any]:
     return sources
 
 
-app = single_app(
-    with_parameters(_run, [*parameters(RunSettings, is_only_given=True), *parameters(RunView)]), RunCommand
-)
+app = command_of(_run, [*parameters(RunSettings, is_only_given=True), *parameters(RunView)], RunCommand)

@@ -6,7 +6,6 @@ from contextlib import nullcontext
 from functools import partial
 
 from track_range.cli.console import console, print_line
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.foundation.processes import one_opencv_thread
 from track_range.run.progress import step_progress
@@ -32,4 +31,4 @@ def _simulate(settings: SimulationSettings) -> None:
     )
 
 
-app = single_app(command(SimulationSettings, _simulate))
+app = command(SimulationSettings, _simulate)

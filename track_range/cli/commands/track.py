@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from functools import partial
 
 from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.formats.errors import LabelFileError
 from track_range.evaluation.sequences.find import MOT_FOLDER, listed
@@ -37,4 +36,4 @@ def _grid(done: Sequence[TrackedFile]) -> Grid:
     return grid_of("Tracks", "sequence", [sequence.name for sequence in done], columns)
 
 
-app = single_app(command(TrackSettings, _track))
+app = command(TrackSettings, _track)

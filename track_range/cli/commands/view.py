@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated
 
 from track_range.cli.console import console, print_line, print_notes
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.folder_lock import is_locked
@@ -75,4 +74,4 @@ def viewer_command(path: Path, *, is_web: bool) -> list[str]:
     return [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", *(["--web-viewer"] if is_web else []), str(path)]
 
 
-app = single_app(command(ViewOptions, _view))
+app = command(ViewOptions, _view)

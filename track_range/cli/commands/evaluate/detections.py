@@ -11,7 +11,6 @@ import typer
 
 from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files, write_json
 from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.evaluation.matching import SizeMeasure
 from track_range.evaluation.sequences.detector_evaluation import evaluate_source, open_candidates
@@ -78,4 +77,4 @@ def print_figures(figures: dict[str, Any], *, measure: SizeMeasure | None = None
         console.print(f"- {note}", style="dim", highlight=False, markup=False)
 
 
-app = single_app(command(DetectionsOptions, _detections))
+app = command(DetectionsOptions, _detections)

@@ -8,7 +8,6 @@ from typing import Any
 
 from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files, write_json
 from track_range.cli.console import console, print_grid, print_notes
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.evaluation.events.evaluate import evaluate_events
 from track_range.evaluation.events.settings import EventEvaluationSettings
@@ -79,4 +78,4 @@ def _closing_grid(figures: Mapping[str, Any]) -> Grid:
     return grid_of("Error of the closing speed at 10-40 m", "class", list(sections), columns)
 
 
-app = single_app(command(EventsOptions, _events))
+app = command(EventsOptions, _events)

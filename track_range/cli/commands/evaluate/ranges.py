@@ -9,7 +9,6 @@ from typing import Annotated, Any
 from track_range.cli.commands.evaluate.result_files import JsonField, RiskFigureField, check_result_files, write_json
 from track_range.cli.commands.evaluate.risk_tables import ColumnSpec, draw_risk, metric_columns, risk_grids
 from track_range.cli.console import console, print_grid, print_line, print_notes
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.foundation.files.output_files import write_text
 from track_range.foundation.options import option
@@ -118,4 +117,4 @@ def _curves(figures: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     }
 
 
-app = single_app(command(RangesOptions, _ranges))
+app = command(RangesOptions, _ranges)

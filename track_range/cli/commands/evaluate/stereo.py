@@ -10,7 +10,6 @@ from track_range.calibration.settings import StereoEvaluationSettings
 from track_range.cli.commands.evaluate.result_files import JsonField, RiskFigureField, check_result_files, write_json
 from track_range.cli.commands.evaluate.risk_tables import ColumnSpec, draw_risk, metric_columns, risk_grids
 from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.evaluation.stereo_evaluation import evaluate_stereo
 from track_range.foundation.processes import one_opencv_thread
@@ -117,4 +116,4 @@ def _interval_grid(matchers: _Rows) -> tables.Grid:
     )
 
 
-app = single_app(command(StereoOptions, _stereo))
+app = command(StereoOptions, _stereo)

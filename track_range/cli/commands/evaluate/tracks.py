@@ -8,7 +8,6 @@ from typing import Any
 
 from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files, write_json
 from track_range.cli.console import console, print_grid, print_notes
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.evaluation.sequences.evaluation import COUNTS, evaluate_tracks
 from track_range.evaluation.sequences.settings import TrackEvaluationSettings
@@ -73,4 +72,4 @@ def _pattern(key: str) -> str:
     return "{:.0f}" if key in COUNTS else "{:.1f}"
 
 
-app = single_app(command(TracksOptions, _tracks))
+app = command(TracksOptions, _tracks)

@@ -20,7 +20,7 @@ app = lazy_app(
             ),
         ),
         "status": Lazy(
-            "track_range.cli.commands.fleet.status",
+            "track_range.cli.commands.fleet.report:status_app",
             "Show the progress of a fleet, during a run and after it.",
             examples=("track-range fleet status results",),
         ),

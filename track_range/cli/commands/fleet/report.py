@@ -1,24 +1,25 @@
-"""`track-range fleet report`: figures of all clips of a fleet as tables and as one HTML page."""
+"""`track-range fleet report` and `status`: figures of all clips of a fleet, and its progress, from its output."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from track_range.cli.console import console, print_grid, print_line, print_notes
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.foundation.options import Options, option
 
-if TYPE_CHECKING:
-    from track_range.fleet.storage.location import Location
 
-
-class FleetReportOptions(Options):
-    """Options of `track-range fleet report`."""
+class FleetStatusOptions(Options):
+    """Options of `track-range fleet status`."""
 
     out: Annotated[str, option("Folder of the results, as given to fleet run --out.", metavar="OUT", is_argument=True)]
+
+
+class FleetReportOptions(FleetStatusOptions):
+    """Options of `track-range fleet report`."""
+
     html: Annotated[
         str | None,
         option("Page to write; its links lead to the files of the clips in OUT.", metavar="FILE.html|URI"),
@@ -35,19 +36,32 @@ class FleetReportOptions(Options):
     ] = None
 
 
+def _fleet_status(options: FleetStatusOptions) -> None:
+    from track_range.fleet.output.state import status_lines
+    from track_range.fleet.storage.location import Location
+    from track_range.foundation.files.input_files import printable
+
+    for line in status_lines(Location.of(options.out)):
+        print_line(console, printable(line))
+
+
 def _fleet_report(options: FleetReportOptions) -> None:
+    from track_range.fleet.output.data_set import CLIPS_FILE
+    from track_range.fleet.output.state import STATE_FILE
     from track_range.fleet.report.fleet_figures import fleet_figures
     from track_range.fleet.report.fleet_grids import fleet_sections
     from track_range.fleet.report.fleet_page import fleet_page
     from track_range.fleet.storage.location import Location
     from track_range.foundation.files.input_files import printable
-    from track_range.foundation.files.output_files import write_text
+    from track_range.foundation.files.output_files import check_outputs, write_text
     from track_range.run.progress import step_progress
     from track_range.views.report.tables import markdown_table
 
     out = Location.of(options.out)
     page = None if options.html is None else Location.of(options.html)
-    _check_outputs(options, out, page)
+    files = [file for file in (options.table, options.json_file) if file is not None]
+    files += [page.path] if page is not None and page.is_local else []
+    check_outputs(files, [out.path / name for name in (CLIPS_FILE, STATE_FILE)] if out.is_local else [])
     with step_progress(console, "reading clips") as progress:
         fleet = fleet_figures(out, options.by, progress)
     figures = fleet.figures
@@ -71,20 +85,5 @@ def _fleet_report(options: FleetReportOptions) -> None:
         print_line(console, f"Open {page} in a browser.")
 
 
-def _check_outputs(options: FleetReportOptions, out: Location, page: Location | None) -> None:
-    """Check the local output files before the work begins.
-
-    Raises:
-        OutputError: one of them cannot be written, or is a file of the fleet.
-    """
-    from track_range.fleet.output.data_set import CLIPS_FILE
-    from track_range.fleet.output.state import STATE_FILE
-    from track_range.foundation.files.output_files import check_outputs
-
-    files = [file for file in (options.table, options.json_file) if file is not None]
-    files += [page.path] if page is not None and page.is_local else []
-    check_outputs(files, [out.path / name for name in (CLIPS_FILE, STATE_FILE)] if out.is_local else [])
-
-
-app = single_app(command(FleetReportOptions, _fleet_report))
-"""Typer application of the command."""
+app = command(FleetReportOptions, _fleet_report)
+status_app = command(FleetStatusOptions, _fleet_status)

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from inspect import Parameter
 from typing import TYPE_CHECKING, Any
 
-from track_range.cli.lazy import single_app
-from track_range.cli.parameters import given_values, parameters, with_parameters
+from track_range.cli.parameters import command_of, given_values, parameters
 from track_range.fleet.settings import FleetSettings
 from track_range.foundation.options import option_of
 from track_range.run.settings import RunSettings
@@ -116,4 +115,4 @@ def _parameters() -> list[Parameter]:
     return [*own, *shared]
 
 
-app = single_app(with_parameters(_fleet_run, _parameters()))
+app = command_of(_fleet_run, _parameters())

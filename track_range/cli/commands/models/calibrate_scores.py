@@ -11,7 +11,6 @@ import numpy as np
 
 from track_range.cli.commands.evaluate.result_files import check_result_files
 from track_range.cli.console import console, print_grid, print_line, print_notes
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
@@ -151,4 +150,4 @@ def _error_grid(before: Reliability, after: Reliability | None) -> Grid:
     return grid_of("Calibration", "scores", list(rows), columns)
 
 
-app = single_app(command(CalibrateScoresOptions, _calibrate_scores))
+app = command(CalibrateScoresOptions, _calibrate_scores)

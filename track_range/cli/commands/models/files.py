@@ -10,7 +10,6 @@ from rich.table import Table
 from rich.text import Text
 
 from track_range.cli.console import console
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.darknet.importer import import_darknet
 from track_range.detection.models.lookup import model_rows, models_folder
@@ -69,6 +68,6 @@ def _import(options: ImportOptions) -> None:
         console.print(f"- {note}", style="dim", highlight=False, markup=False)
 
 
-list_app = single_app(command(ListOptions, _list))
-pull_app = single_app(command(PullOptions, _pull))
-import_app = single_app(command(ImportOptions, _import))
+list_app = command(ListOptions, _list)
+pull_app = command(PullOptions, _pull)
+import_app = command(ImportOptions, _import)

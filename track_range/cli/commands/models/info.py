@@ -11,7 +11,6 @@ from rich.table import Table
 from rich.text import Text
 
 from track_range.cli.console import console
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.models.lookup import ModelLocation, find_model
@@ -110,4 +109,4 @@ def _text(value: Any) -> str:
     return ", ".join(f"{number:g}" for number in value)
 
 
-app = single_app(command(InfoOptions, _info))
+app = command(InfoOptions, _info)

@@ -13,7 +13,6 @@ import typer
 from track_range.cli.commands.evaluate.detections import print_figures
 from track_range.cli.commands.evaluate.result_files import write_json
 from track_range.cli.console import console
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.formats.image_labels.labelled_images import ImageFileError, read_image
@@ -149,4 +148,4 @@ def _quantize(options: QuantizeOptions) -> None:
     raise typer.Exit(0 if figures["is_complete"] else 1)
 
 
-app = single_app(command(QuantizeOptions, _quantize))
+app = command(QuantizeOptions, _quantize)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from track_range.cli.commands.training.options import AnchorOptions
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.training.errors import check_torch
 
@@ -15,4 +14,4 @@ def _anchors(options: AnchorOptions) -> None:
     print_anchors(options)
 
 
-app = single_app(command(AnchorOptions, _anchors))
+app = command(AnchorOptions, _anchors)

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from track_range.cli.commands.training.options import PseudoLabelOptions
 from track_range.cli.console import console, print_grid, print_line, print_notes
-from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.evaluation.score_calibration import Reliability
@@ -181,4 +180,4 @@ def _entry(out: Path, root: Path) -> str:
     return os.path.relpath(folder, within) if within in folder.parents else str(folder)
 
 
-app = single_app(command(PseudoLabelOptions, _pseudo_label))
+app = command(PseudoLabelOptions, _pseudo_label)
