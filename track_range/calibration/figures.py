@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from track_range.calibration.board_search import BoardSearch
-from track_range.stereo.calibration.board_views import RejectedView
 from track_range.stereo.calibration.coverage import view_shape
 from track_range.stereo.calibration.one_camera import CameraCalibration, ViewFit
 from track_range.stereo.calibration.two_cameras import PairCalibration
@@ -21,7 +19,7 @@ def mono_figures(calibration: CameraCalibration, search: BoardSearch) -> dict[st
         "camera": _camera_figures(calibration),
         "rms_px": calibration.rms_px,
         "views": [_view_figures(fit) for fit in calibration.fits],
-        "rejected": _rejected_figures([*search.rejected, *calibration.rejected]),
+        "rejected": [asdict(view) for view in (*search.rejected, *calibration.rejected)],
         "notes": search.notes,
         "warnings": list(calibration.coverage.warnings),
     }
@@ -53,15 +51,14 @@ def pair_figures(calibration: PairCalibration, search: BoardSearch) -> dict[str,
             }
             for fit in calibration.fits
         ],
-        "rejected": _rejected_figures([*search.rejected, *calibration.rejected]),
+        "rejected": [asdict(view) for view in (*search.rejected, *calibration.rejected)],
         "notes": search.notes,
         "warnings": warnings,
     }
 
 
 def _camera_figures(calibration: CameraCalibration) -> dict[str, Any]:
-    coverage = asdict(calibration.coverage)
-    del coverage["warnings"]
+    coverage = {key: value for key, value in asdict(calibration.coverage).items() if key != "warnings"}
     std = asdict(calibration.std)
     return {**asdict(calibration.camera), "sd": std, "rms_px": calibration.rms_px, "coverage": coverage}
 
@@ -70,10 +67,6 @@ def _view_figures(fit: ViewFit) -> dict[str, Any]:
     x, y, size, skew = view_shape(fit.view).tolist()
     shape = {"x": x, "y": y, "size": size, "skew": skew, "tilt_deg": tilt_deg(fit)}
     return {"name": fit.view.name, "rms_px": fit.rms_px, "edge_px": fit.view.edge_px, "n": len(fit.view.xy_px), **shape}
-
-
-def _rejected_figures(rejected: Sequence[RejectedView]) -> list[dict[str, str]]:
-    return [{"name": view.name, "reason": view.reason} for view in rejected]
 
 
 def tilt_deg(fit: ViewFit) -> float:
