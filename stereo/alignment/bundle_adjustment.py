@@ -13,6 +13,7 @@ suppress moving objects and bad tracks.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -133,11 +134,12 @@ def fit_bundle(observed: Observations, start: Bundle, rig: StereoRig) -> BundleF
         while damping < _MAX_DAMPING:
             points = _point_blocks(observed, linear, weight, n_frames, damping)
             damped = poses._replace(s=poses.s + damping * np.diag(np.diag(poses.s)))
-            trial = _updated(bundle, damped.without(points.whitened, points.right_side), points)
-            trial_linear = linearize(observed, trial, rig)
-            trial_cost = _cost(trial_linear.residual, noise_px)
-            if trial_cost <= cost:  # False for NaN too
-                break
+            with suppress(np.linalg.LinAlgError):  # equations that are singular at this damping
+                trial = _updated(bundle, damped.without(points.whitened, points.right_side), points)
+                trial_linear = linearize(observed, trial, rig)
+                trial_cost = _cost(trial_linear.residual, noise_px)
+                if trial_cost <= cost:  # False for NaN too
+                    break
             damping *= 6.0
         else:
             break

@@ -112,6 +112,14 @@ def test_exact_result_without_noise() -> None:
     assert fit.bundle.path_m == pytest.approx(13.0, abs=0.01)
 
 
+def test_singular_equations_keep_the_start() -> None:
+    initial = initial_bundle(drive(2, offset_px=0.5), RIG)
+    assert initial is not None
+    is_kept = initial.observed.frame != 5  # no point determines the pose of this frame
+    fit = fit_bundle(Observations(*(part[is_kept] for part in initial.observed)), initial.bundle, RIG)
+    np.testing.assert_array_equal(fit.bundle.error_px, initial.bundle.error_px)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("offset_px", "curvature_px"), [(0.0, 0.0), (0.5, 0.0), (-0.3, 1.5)])
 def test_known_error_within_two_sigma(offset_px: float, curvature_px: float) -> None:
