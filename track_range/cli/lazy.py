@@ -19,12 +19,7 @@ _OPTION_COLUMNS = 26
 
 
 class HelpPage:
-    """Mix-in of commands and groups: the layout of their help page.
-
-    Attributes:
-        description: paragraph below the summary; "" = none.
-        examples: command lines shown at the end.
-    """
+    """Mix-in of commands and groups: the layout of their help page."""
 
     description: str = ""
     examples: Sequence[str] = ()
@@ -131,18 +126,14 @@ def _option_name(parameter: Any) -> str:
 class Lazy(NamedTuple):
     """A command of a group.
 
-    Attributes:
-        module: module with the command, or with a group of commands, as a `typer.Typer` called `app`; "module:NAME"
-            where it has another name.
-        summary: sentence in the list of commands, and the first one of the command's help page.
-        description: paragraph below the summary on the help page; "" = none.
-        examples: command lines at the end of the help page.
+    `module` contains the command, or a group of commands, as a `typer.Typer` called `app`; "module:NAME" where it has
+    another name.
     """
 
     module: str
-    summary: str
-    description: str = ""
-    examples: tuple[str, ...] = ()
+    summary: str  # in the list of commands, and the first sentence of the command's help page
+    description: str = ""  # paragraph below the summary on the help page
+    examples: tuple[str, ...] = ()  # command lines at the end of the help page
 
 
 class LazyGroup(HelpGroup):
@@ -168,13 +159,9 @@ class LazyGroup(HelpGroup):
 def lazy_app(
     modules: Mapping[str, Lazy], *, description: str = "", examples: tuple[str, ...] = (), **settings: Any
 ) -> typer.Typer:
-    """A group of the commands in `modules`, by name.
+    """A group of the commands in `modules`, in the order of the help page; `settings` are arguments of typer.Typer.
 
-    Args:
-        modules: the commands in the order of the help page.
-        description: as in `Lazy`, for a group that is not in another one.
-        examples: as in `Lazy`.
-        settings: arguments of typer.Typer.
+    Description and examples are those of a group that is not in another one.
     """
     group = type("Group", (LazyGroup,), {"modules": modules, "description": description, "examples": examples})
     app = typer.Typer(cls=group, no_args_is_help=True, rich_markup_mode=None, **{"add_completion": False, **settings})

@@ -40,10 +40,8 @@ def command_of(
 def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Parameter]:
     """Parameters of the options of a model, with hidden ones for old names.
 
-    Args:
-        model: the options.
-        is_only_given: whether all defaults are None, so that options that are not given can come from a settings file.
-            Values are then checked only by the model, whose errors are one sentence for any source of a value.
+    With `is_only_given` all defaults are None, so that options that are not given can come from a settings file. Values
+    are then checked only by the model, whose errors are one sentence for any source of a value.
     """
     listed = []
     for name, field in model.model_fields.items():

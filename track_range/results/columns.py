@@ -47,20 +47,15 @@ ColumnKind = Literal["number", "whole", "flag", "class"]
 class ResultColumn:
     """Declaration of a column.
 
-    Attributes:
-        name: heading.
-        unit: unit of the values; "" = none.
-        read: returns the (N,) values of the N tracks of a frame.
-        kind: type of the values: number = float64, NaN = not measured; whole = int64; flag = bool; class = index of
-            `ROAD_CLASSES`, written as its name.
-        decimals: decimals of numbers, to which values are rounded in files and tables.
+    Values are of a kind: number = float64, NaN = not measured; whole = int64; flag = bool; class = index of
+    `ROAD_CLASSES`, written as its name.
     """
 
-    name: str
-    unit: str
-    read: Callable[[FrameResult], Any]
+    name: str  # heading
+    unit: str  # "" = none
+    read: Callable[[FrameResult], Any]  # returns the (N,) values of the N tracks of a frame
     kind: ColumnKind = "number"
-    decimals: int = 3
+    decimals: int = 3  # to which numbers are rounded in files and tables
 
     def rounded(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Numbers rounded to the decimals of the column; other values unchanged."""

@@ -61,7 +61,7 @@ _MAX_SUMMARY_BYTES = 50_000_000  # that of a long run has less than 1 MB
 _MAX_NAMED = 5  # values of wrong types that a note names
 _MAX_BEYOND_S = 1.0  # tolerance for events after the last row or the end of the video
 
-_DEFAULT_FPS, _MAX_FPS = 10.0, 10_000.0
+DEFAULT_FPS, _MAX_FPS = 10.0, 10_000.0
 """Frame rate where settings.yaml has none, as for folders of images, and largest plausible one."""
 
 _INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
@@ -79,6 +79,8 @@ class RunFolder:
     missing: tuple[str, ...]  # messages about files that are missing or cannot be read
     events: tuple[Event, ...] = ()
     are_events_replayed: bool = False  # whether the events were found again from the rows
+    detected: Sections = field(default_factory=dict)  # section `found` of settings.yaml
+    fps: float | None = None  # None = unknown
     provenance: Provenance = field(default_factory=Provenance)
 
 
@@ -98,16 +100,10 @@ class DetectedCamera(BaseModel):
 
 
 def read_run_folder(folder: Path, *, is_rounded: bool = True, has_events: bool = True) -> RunFolder:
-    """Read the files of a run.
+    """Read the files of a run; OutputError if it is none, or if the file of its rows has other columns.
 
-    Args:
-        folder: folder of the results.
-        is_rounded: whether numbers are rounded as in tracks.csv; False = full precision, if the run wrote
-            tracks.parquet.
-        has_events: whether the events are read; False = none.
-
-    Raises:
-        OutputError: the folder does not contain a run, or the file of its rows has other columns.
+    Numbers are rounded as in tracks.csv, or, without `is_rounded`, in full precision if the run wrote tracks.parquet.
+    The events are read only with `has_events`.
     """
     if not folder.is_dir():
         raise OutputError(f"{folder}: expected the result folder of a run, found no such folder.")
@@ -121,13 +117,16 @@ class _Reader:
         self.folder = folder
         self.missing: list[str] = []
         self.summary = self._read_summary()
-        settings: Any = None
+        document: Any = None
         try:
-            settings = read_yaml(folder / "settings.yaml", OutputError, "the settings of a run")
+            document = read_yaml(folder / "settings.yaml", OutputError, "the settings of a run")
         except OutputError:
             self.missing.append("settings.yaml is missing or cannot be read: the settings of the run are unknown.")
-        settings = settings if isinstance(settings, dict) else {}
-        self.settings, self.detected = _section(settings, "run"), _section(settings, "found")
+        document = document if isinstance(document, dict) else {}
+        self.settings, self.detected = _section(document, "run"), _section(document, "found")
+        recorded_hash, fps = document.get("settings_hash"), self.detected.get("fps")
+        self.settings_hash = recorded_hash if isinstance(recorded_hash, str) else settings_hash(self.settings)
+        self.fps = float(fps) if isinstance(fps, int | float) and 0 < fps <= _MAX_FPS else None
 
     def _read_summary(self) -> dict[str, Any] | None:
         file = self.folder / "summary.json"
@@ -164,12 +163,13 @@ class _Reader:
         is_replayed = has_events and events is None
         summary = self._summary_from_rows(rows, matched) if self.summary is None else self.summary
         if is_replayed:
-            fps = self.detected.get("fps")
-            fps = float(fps) if isinstance(fps, int | float) and 0 < fps <= _MAX_FPS else _DEFAULT_FPS
+            fps = self.fps or DEFAULT_FPS
             events = self._replayed_events(rows, fps)
             seconds = float(np.ptp(rows["time_s"])) + 1 / fps if len(rows["time_s"]) else 0.0
             summary["events"] = events_section(events, seconds)
         summary = self._checked(summary)
+        # runs of earlier versions have these sections only in summary.json
+        earlier: dict[str, Any] = {key: summary[key] for key in ("calibration", "utc") if key in summary}
         return RunFolder(
             folder=self.folder,
             summary=summary,
@@ -178,7 +178,9 @@ class _Reader:
             missing=tuple(self.missing),
             events=events or (),
             are_events_replayed=is_replayed,
-            provenance=Provenance.of_inputs(self.detected, settings_hash(self.settings)),
+            detected=self.detected,
+            fps=self.fps,
+            provenance=Provenance.of_inputs({**earlier, **self.detected}, self.settings_hash),
         )
 
     def _columns(self, *, is_rounded: bool) -> dict[str, Any] | None:
@@ -292,14 +294,10 @@ def _section(document: Sections, name: str) -> dict[str, Any]:
 
 
 def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
-    """Columns of the rows of a run without damaged rows; a message with their number is added to `missing`.
+    """Columns of a tracks.csv, tracks.parquet or tracks.arrows without damaged rows.
 
-    Args:
-        path: tracks.csv, tracks.parquet or tracks.arrows.
-        missing: messages for the user.
-
-    Raises:
-        OutputError: the file cannot be read, is not of a run, or all of its rows are malformed.
+    A message with the number of these is added to `missing`. OutputError if the file cannot be read, is not of a run,
+    or all of its rows are malformed.
     """
     if path.suffix == ".arrows":
         columns, is_cut = read_tracks_arrows(path)

@@ -24,11 +24,8 @@ def frames_of_rows(
 ) -> Iterator[FrameResult]:
     """One result per frame; numbers have the precision of the rows, and the UTC of frames without tracks is unknown.
 
-    Args:
-        columns: rows in the order of their frames, `RunTable.to_columns()`.
-        frame_index: numbers of all frames of the run, in order.
-        methods: names of the distances that were measured.
-        fps: nominal frame rate.
+    `columns` are in the order of their frames; `frame_index` are the numbers of all frames of the run, in order;
+    `methods` are the distances that were measured; `fps` is the nominal frame rate.
     """
     frame = columns["frame"]
     known_frame, first_row = np.unique(frame, return_index=True)

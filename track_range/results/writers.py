@@ -206,19 +206,10 @@ def result_names() -> tuple[str, ...]:
 
 
 class OpenWriters:
-    """Writers of a run in progress; a context manager that closes those that `close` did not.
+    """Writers of a run in progress, by name; a context manager that closes those that `close` did not.
 
-    Args:
-        names: names of the writers; duplicates are ignored.
-        info: properties of the run.
-        folder: output folder.
-
-    Attributes:
-        files: names of all files of the writers.
-
-    Raises:
-        WriterError: a writer cannot be used, or two writers write the same file.
-        OutputError: a file cannot be created; also raised by `write` and `close`, with the name of the file.
+    WriterError: a writer cannot be used, or two writers write the same file. OutputError: a file cannot be created;
+    also raised by `write` and `close`, with the name of the file.
     """
 
     def __init__(self, names: Sequence[str], info: RunInfo, folder: Path) -> None:

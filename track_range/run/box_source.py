@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,23 +33,17 @@ detections are small, and the default of tracking for vehicles."""
 class BoxSource:
     """Detection stage of a run.
 
-    Attributes:
-        detect: returns the boxes of a frame.
-        candidates: returns all boxes of the frame of the latest detection, also with low scores and of classes that are
-            not tracked, for anonymization.
-        frames: (M,) frame numbers with recorded boxes; empty for a detector.
-        description: properties for the section `found` of settings.yaml.
-        notes: returns the messages for the user so far.
-        prepare: writes a frame into the network's input, and returns the function that detects its boxes, which another
-            thread may call; None = there is no such input.
+    `candidates` returns all boxes of the frame of the latest detection, also with low scores and of classes that are
+    not tracked, for anonymization. `prepare` writes a frame into the network's input, and returns the function that
+    detects its boxes, which another thread may call; None = there is no such input.
     """
 
     detect: Callable[[Frame], Detections]
     candidates: Callable[[Frame], Detections]
-    frames: IntArray
-    description: dict[str, Any]
-    notes: Callable[[], tuple[str, ...]]
+    description: dict[str, Any]  # for the section `found` of settings.yaml
+    notes: Callable[[], tuple[str, ...]]  # messages for the user so far
     prepare: Callable[[Frame], Callable[[], Detections]] | None = None
+    frames: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))  # (M,) numbers of those with recorded boxes
 
 
 def open_box_source(
@@ -60,11 +54,8 @@ def open_box_source(
 ) -> BoxSource:
     """The detector or the recorded detections of the settings.
 
-    `ready_model` returns the file of a model by name or path, downloading it first if necessary.
-
-    Raises:
-        ModelError, DownloadError, LabelFileError: the detector or the file cannot be used.
-        ClassNameError: a class in the settings is unknown.
+    `ready_model` returns the file of a model by name or path, downloading it first if necessary. ModelError,
+    DownloadError, LabelFileError: the detector or the file cannot be used; ClassNameError: a class is unknown.
     """
     class_id = tuple(int(i) for i in road_class_ids(settings.classes))
     if settings.detections is not None:
@@ -90,7 +81,6 @@ def network_source(
     return BoxSource(
         detect=lambda frame: network.detect(frame.left),
         candidates=lambda frame: network.candidates(CANDIDATE_SCORE),
-        frames=np.zeros(0, np.int64),
         description={"detector": description},
         notes=lambda: network.notes,
         prepare=lambda frame: network.prepared(frame.left),
@@ -112,7 +102,6 @@ def boxes_of(detector: ObjectDetector) -> BoxSource:
     return BoxSource(
         detect=detect,
         candidates=lambda frame: last,
-        frames=np.zeros(0, np.int64),
         description={"detector": {"class": class_name(detector)}},
         notes=lambda: tuple(getattr(detector, "notes", ())),
     )

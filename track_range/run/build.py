@@ -62,17 +62,10 @@ def open_pipeline(
 ) -> FramePipeline:
     """The pipeline of the settings, with the methods that the calibration allows.
 
-    Args:
-        tracker: replaces the tracker of the settings.
-        alignment: replaces that of the calibration.
-        ego_speed: speed of the camera; None = unknown.
-        measures_speed: whether an unknown speed is measured from the images where a scale is known.
-        needs_candidates: whether results have all boxes, for anonymization.
-
-    Raises:
-        ModelError: the re-identification or lane network cannot be used.
-        TrackerError: the tracker cannot be created.
-        MethodError: ranging methods of other packages depend on each other in a cycle.
+    `tracker` replaces that of the settings, `alignment` that of the calibration. With `measures_speed`, an unknown
+    speed is measured from the images where a scale is known; with `needs_candidates`, results have all boxes, for
+    anonymization. ModelError: the re-identification or lane network cannot be used; TrackerError: the tracker cannot be
+    created; MethodError: ranging methods of other packages depend on each other in a cycle.
     """
     yaw_deg, aligned = calibration.view.yaw_deg, calibration.alignment
     is_ahead = yaw_deg == 0

@@ -45,26 +45,17 @@ class RunOutput:
     The folder is locked, and contains progress.json and, unless the folder has one of an earlier run, settings.yaml.
     Results of an earlier run remain until `start`, so that a run with unusable inputs does not remove them; such a run
     also removes what it created. As a context manager, it closes what `finish` did not, and removes progress.json and
-    the lock.
+    the lock. Without a folder, nothing is written. A `rig` that was not read from a file is written to rig.yaml, which
+    settings.yaml then names.
 
-    Args:
-        folder: the output folder; None = nothing is written.
-        rig: models of the cameras that were not read from a file: written to rig.yaml, which settings.yaml then names.
-
-    Attributes:
-        videos: file names by video ("overlay", "disparity").
-        files: all files that the run writes.
-
-    Raises:
-        FolderLockError: another run is writing to the folder.
-        OutputError: the folder or a file cannot be written to, or is an input.
-        WriterError: one of the result writers cannot be used.
+    FolderLockError: another run is writing to the folder; OutputError: the folder or a file cannot be written to, or is
+    an input; WriterError: one of the result writers cannot be used.
     """
 
     def __init__(self, settings: RunSettings, folder: Path | None, rig: StereoRig | None = None) -> None:
         self.folder, self._settings, self._rig = folder, settings, rig
-        self.videos: Mapping[str, str] = {}
-        self.files: tuple[Path, ...] = ()
+        self.videos: Mapping[str, str] = {}  # file names by video ("overlay", "disparity")
+        self.files: tuple[Path, ...] = ()  # all files that the run writes
         self._open, self._videos_open = ExitStack(), ExitStack()
         self._temporary: list[Path] = []
         undo = ExitStack()
@@ -159,7 +150,9 @@ class RunOutput:
             return
         for video in self._videos:
             video.wait()
-        self._draw(result, precedes_rows=True)
+        for video in self._videos:
+            if video.precedes_rows:
+                video.write(result)
         try:
             with self._clock.stage("write"):
                 self._writers.write(result)
@@ -167,7 +160,9 @@ class RunOutput:
             for video in self._videos:
                 video.raise_error()
             raise
-        self._draw(result, precedes_rows=False)
+        for video in self._videos:
+            if not video.precedes_rows:
+                video.write(result)
         self._n_frames += 1
         now_s = time.monotonic()
         if now_s - self._noted_s >= _NOTE_INTERVAL_S:
@@ -181,11 +176,6 @@ class RunOutput:
             raise
         with self._clock.stage("write"):
             self._events.add(ended)
-
-    def _draw(self, result: FrameResult, *, precedes_rows: bool) -> None:
-        for video in self._videos:
-            if video.precedes_rows == precedes_rows:
-                video.write(result)
 
     def finish_videos(self) -> None:
         """Draw and encode the queued frames, and close the videos; VideoError if one of them failed."""

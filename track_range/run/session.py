@@ -66,15 +66,9 @@ ANONYMIZED = (
 class RunSession:
     """Opened inputs of a run, and what its finished frames gave; an unusable input raises its error.
 
-    Args:
-        detector, tracker, rig: objects that replace those of the settings.
-        report: called with the name of each task of the opening.
-
-    Attributes:
-        wall_s: wall-clock seconds for opening the videos and processing all frames, without loading the network and
-            without the estimation of the alignment (`alignment.look_s`).
-        stopped_by: error that ended the run early.
-        frame_notes: messages for the user about the frame numbers of labels, known at the end of the run.
+    `detector`, `tracker` and `rig` replace those of the settings; `report` is called with the name of each task of the
+    opening. `wall_s` are the seconds for opening the videos and processing all frames, without loading the network and
+    without the estimation of the alignment.
     """
 
     def __init__(
@@ -93,8 +87,8 @@ class RunSession:
             return step_progress(console, task)
 
         self.settings = settings
-        self.stopped_by: BaseException | None = None
-        self.frame_notes: tuple[str, ...] = ()
+        self.stopped_by: BaseException | None = None  # error that ended the run early
+        self.frame_notes: tuple[str, ...] = ()  # on the frame numbers of labels, known at the end of the run
         curves = load_curves(settings.curves)
         start_s = time.perf_counter()
         self.recording = open_input(settings, progress, rig)

@@ -52,9 +52,7 @@ def _view(options: ViewOptions) -> None:
 def recording_of(run: Path) -> Path:
     """The run.rrd of a run; it is made from the other files of the run if there is none.
 
-    Raises:
-        ViewError: the folder does not contain a run.
-        OutputError: the file cannot be written.
+    ViewError: the folder does not contain a run; OutputError: the file cannot be written.
     """
     path = run / RERUN_FILE
     if not is_run(run):

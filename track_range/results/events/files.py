@@ -76,12 +76,8 @@ _NUMBERS: Mapping[str, _Number] = {
 class EventFiles:
     """events.csv and events.parquet of a run in progress; a context manager that closes what `finish` did not.
 
-    Args:
-        folder: folder of the run.
-        metadata: metadata of events.parquet (`Provenance.metadata`).
-
-    Raises:
-        OutputError: events.csv cannot be created; also raised by `add` and `finish` if a file cannot be written.
+    `metadata` is that of events.parquet (`Provenance.metadata`). OutputError: events.csv cannot be created; also raised
+    by `add` and `finish` if a file cannot be written.
     """
 
     files = (EVENTS_FILE, EVENTS_PARQUET)
@@ -208,16 +204,7 @@ def read_events(path: str | Path, *, needed: Sequence[str] = NEEDED_COLUMNS) -> 
 
 
 def events_in_parquet(source: Any, name: object, *, needed: Sequence[str] = NEEDED_COLUMNS) -> tuple[Event, ...]:
-    """Events of an events.parquet, as `read_events`.
-
-    Args:
-        source: path, or open file of pyarrow.
-        name: name of the file, for messages.
-        needed: columns that the file must have.
-
-    Raises:
-        EventFileError: as in `read_events`.
-    """
+    """Events of an events.parquet, a path or an open file of pyarrow, as `read_events`; `name` is for messages."""
     from pyarrow import ArrowException, parquet
 
     try:

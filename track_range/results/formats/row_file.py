@@ -17,14 +17,8 @@ from track_range.results.writers import RunInfo
 class RowFile:
     """File, text as UTF-8, to which the content of one frame after the other is added with one system call.
 
-    If writing fails, such as on a full disk, the file is cut back to the last whole frame.
-
-    Args:
-        path: the file; replaced if it exists.
-        header: content before that of the first frame.
-
-    Raises:
-        OSError: the file cannot be created.
+    If writing fails, such as on a full disk, the file is cut back to the last whole frame. An existing file is
+    replaced; `header` is the content before that of the first frame. OSError: the file cannot be created.
     """
 
     def __init__(self, path: Path, header: str | bytes = b"") -> None:

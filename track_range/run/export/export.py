@@ -23,24 +23,23 @@ from track_range.foundation.files.atomic_files import atomic_path, describe, wri
 from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.files.output_files import OutputError, make_folder
 from track_range.results.columns import Columns, methods_measured
+from track_range.results.folder import DEFAULT_FPS, RunFolder
 from track_range.results.replay import frames_of_rows
 from track_range.results.writers import WRITERS, RunInfo, create_writer
 from track_range.run.export.settings import MARKS, ExportSettings
 from track_range.run.export.source import (
-    RunSource,
     boxes_of_labels,
     boxes_of_run,
     frames_of_run,
     frames_of_video,
     is_run,
-    named_boxes,
     open_run,
     run_files,
 )
+from track_range.stereo.geometry.camera import PinholeCamera
 
 _Write = Callable[[BoxTable, Path], Written]
 
-_DEFAULT_FPS = 10.0  # of a run whose settings.yaml has none
 _JPEG_QUALITY = 95  # differences to the video are not visible
 _WRITTEN_ENTRIES = frozenset({"labels", "images", DATA_YAML})  # of a folder that an export writes
 
@@ -57,44 +56,35 @@ class Exported:
 def export(settings: ExportSettings) -> Exported:
     """Write a finished run or a label file in another format.
 
-    A file or folder is replaced only if it has the format that is written.
-
-    Raises:
-        OutputError, LabelFileError, VideoError: an input cannot be used, or the output cannot be written.
-        UsageError: options that contradict each other.
+    A file or folder is replaced only if it has the format that is written. OutputError, LabelFileError, VideoError: an
+    input cannot be used, or the output cannot be written; UsageError: options that contradict each other.
     """
-    source = open_run(settings.source) if is_run(settings.source) else None
-    _check(settings, source)
-    _check_out(settings)
+    run, camera = open_run(settings.source) if is_run(settings.source) else (None, None)
+    _check(settings, run)
     label_format = LABEL_FORMATS.get(settings.to)
     if label_format is not None and label_format.write is not None:
-        return _export_labels(settings, label_format, label_format.write, source)
-    if source is None:
+        return _export_labels(settings, label_format, label_format.write, run, camera)
+    if run is None:
         raise UsageError(f"--to {settings.to}: expected the result folder of a run, found labels, which lack its rows.")
-    return _export_rows(settings, source)
+    return _export_rows(settings, run, camera)
 
 
-def _check(settings: ExportSettings, source: RunSource | None) -> None:
+def _check(settings: ExportSettings, run: RunFolder | None) -> None:
+    """Check the options, and that the output is neither an input nor in the folder of a run in progress."""
     if settings.to not in LABEL_FORMATS and settings.to not in WRITERS.names:
         raise UsageError(f"--to {settings.to}: this format is not available in this installation.")
     if settings.images and settings.to != "yolo":
         raise UsageError("--images: expected --to yolo; other formats have no folder for images.")
-    if source is not None and (settings.video is not None or settings.first_frame):
+    if run is not None and (settings.video is not None or settings.first_frame):
         raise UsageError("--video and --first-frame: expected labels as input; a run has its video and frame numbers.")
-    if settings.images and source is not None and source.run.settings.get("anonymize"):
+    if settings.images and run is not None and run.settings.get("anonymize"):
         raise UsageError(
             "--images: this run was anonymized, but images would show the frames of the video as they are."
         )
-    if settings.images and source is None and settings.video is None:
+    if settings.images and run is None and settings.video is None:
         raise UsageError("--images requires --video, the video that the labels belong to.")
-
-
-def _check_out(settings: ExportSettings) -> None:
-    """Check that the output is neither an input nor in the folder of a run in progress; OutputError if it is."""
     out = settings.out
-    inputs = [settings.source, *run_files(settings.source)]
-    if settings.video is not None:
-        inputs.append(settings.video)
+    inputs = [settings.source, *run_files(settings.source), *filter(None, [settings.video])]
     if os.path.realpath(out) in {os.path.realpath(path) for path in inputs}:
         raise OutputError(f"{out}: this input would be overwritten; choose another --out.")
     if is_locked(out.parent):
@@ -104,18 +94,22 @@ def _check_out(settings: ExportSettings) -> None:
 
 
 def _export_labels(
-    settings: ExportSettings, label_format: LabelFormat, write: _Write, source: RunSource | None
+    settings: ExportSettings,
+    label_format: LabelFormat,
+    write: _Write,
+    run: RunFolder | None,
+    camera: PinholeCamera | None,
 ) -> Exported:
-    if source is None:
+    if run is None:
         table = boxes_of_labels(settings.source, video=settings.video, first_frame=settings.first_frame)
         notes: tuple[str, ...] = table.notes
     else:
-        table, notes = boxes_of_run(source), source.run.missing
+        table, notes = boxes_of_run(run, camera), run.missing
     if settings.observed_only:
         table = table.select(table.observed)
-    if label_format.has_classes:
-        table, unnamed = named_boxes(table)
-        notes = (*notes, *unnamed)
+    if label_format.has_classes and (n_unnamed := int(np.count_nonzero(table.class_name == ""))):
+        table = table.with_class(0)  # person, as in MOTChallenge
+        notes = (*notes, f"Boxes without a class in the input, which are written as person: {n_unnamed}.")
     if not label_format.is_folder:
         check_replaceable(settings.out, settings.to)
         with _output(settings.out), atomic_path(settings.out) as partial:
@@ -147,9 +141,8 @@ def _write_images(settings: ExportSettings, table: BoxTable, folder: Path) -> in
     return len(numbers)
 
 
-def _export_rows(settings: ExportSettings, source: RunSource) -> Exported:
+def _export_rows(settings: ExportSettings, run: RunFolder, camera: PinholeCamera | None) -> Exported:
     """Write the rows of a run with a result writer."""
-    run, camera = source.run, source.camera
     if camera is None:
         raise OutputError(f"{run.folder}: expected settings.yaml with the camera of the run, found none.")
     columns = run.columns
@@ -160,17 +153,17 @@ def _export_rows(settings: ExportSettings, source: RunSource) -> Exported:
     if settings.observed_only:
         is_written &= columns["observed"] != 0
     columns = {name: values[is_written] for name, values in columns.items()}
-    frames = frames_listed(boxes_of_run(source))
+    frames = frames_listed(boxes_of_run(run, camera))
     writer = create_writer(settings.to)
     check_replaceable(settings.out, settings.to)
-    fps = source.fps or _DEFAULT_FPS
+    fps = run.fps or DEFAULT_FPS
     info = RunInfo(
         camera=camera,
         rig=None,
         fps=fps,
         settings=run.settings,
         start_utc_s=_start_utc_s(columns),
-        provenance=source.provenance,
+        provenance=run.provenance,
         overlay=overlay if (overlay := run.folder / "overlay.mp4").is_file() else None,
     )
     with _output(settings.out), tempfile.TemporaryDirectory(prefix=".export-", dir=settings.out.parent) as temporary:

@@ -5,11 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from track_range.detection.formats.box_table import BoxTable, VideoFacts, file_name_part
 from track_range.detection.formats.errors import LabelFileError
@@ -22,34 +20,11 @@ from track_range.recording.live.address import live_address
 from track_range.recording.open_video import open_video
 from track_range.results.folder import DetectedCamera, RunFolder, read_run_folder
 from track_range.results.formats.box_files import table_of_rows
-from track_range.results.provenance import Provenance, settings_hash
 from track_range.run.build import open_input
 from track_range.run.settings_files import settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
 
 _RUN_FILES = ("settings.yaml", "tracks.csv", "tracks.parquet", "tracks.arrows", "summary.json")
-
-
-@dataclass(frozen=True, slots=True)
-class RunSource:
-    """A finished run: its results, the section `found` of settings.yaml, and the left camera; None = unknown."""
-
-    run: RunFolder
-    detected: Mapping[str, Any]
-    camera: PinholeCamera | None
-    settings_hash: str
-
-    @property
-    def provenance(self) -> Provenance:
-        """Origin of the results, from settings.yaml and, for runs of earlier versions, summary.json."""
-        earlier = {key: self.run.summary[key] for key in ("calibration", "utc") if key in self.run.summary}
-        return Provenance.of_inputs({**earlier, **self.detected}, self.settings_hash)
-
-    @property
-    def fps(self) -> float | None:
-        """Frame rate; None = unknown."""
-        fps = self.detected.get("fps")
-        return float(fps) if isinstance(fps, int | float) and fps > 0 else None
 
 
 def is_run(path: Path) -> bool:
@@ -62,32 +37,19 @@ def run_files(folder: Path) -> list[Path]:
     return [folder / name for name in _RUN_FILES]
 
 
-def open_run(folder: Path) -> RunSource:
-    """The results of a run.
-
-    Raises:
-        OutputError: the folder does not contain a run.
-    """
+def open_run(folder: Path) -> tuple[RunFolder, PinholeCamera | None]:
+    """The results of a run and its left camera, None = unknown; OutputError if the folder does not contain a run."""
     run = read_run_folder(folder, is_rounded=False, has_events=False)
-    detected: Any = {}
-    recorded_hash: Any = None
-    if os.path.isfile(folder / "settings.yaml"):
-        settings = read_yaml(folder / "settings.yaml", OutputError, "the settings of a run")
-        if isinstance(settings, dict):
-            detected, recorded_hash = settings.get("found"), settings.get("settings_hash")
-    detected = detected if isinstance(detected, dict) else {}
-    section = (
-        validated(DetectedCamera, detected, f"{folder / 'settings.yaml'}, found", OutputError) if detected else None
-    )
-    camera = None if section is None else section.camera()
-    return RunSource(
-        run, detected, camera, recorded_hash if isinstance(recorded_hash, str) else settings_hash(run.settings)
-    )
+    file = folder / "settings.yaml"
+    if os.path.isfile(file):
+        read_yaml(file, OutputError, "the settings of a run")  # an unreadable file is an error here
+    if not run.detected:
+        return run, None
+    return run, validated(DetectedCamera, run.detected, f"{file}, found", OutputError).camera()
 
 
-def boxes_of_run(source: RunSource) -> BoxTable:
+def boxes_of_run(run: RunFolder, camera: PinholeCamera | None) -> BoxTable:
     """The boxes of a run, in rectified pixels."""
-    run, camera = source.run, source.camera
     rows, frames, video_name = run.columns, run.summary.get("frames"), _video_of(run.settings)
     n_frames = int(rows["frame"].max(initial=-1)) + 1
     # the numbers of the frames of a live run start at that of the first processed one
@@ -100,9 +62,9 @@ def boxes_of_run(source: RunSource) -> BoxTable:
         n_frames=n_frames or None,
         first_frame=first,
         size_px=None if camera is None else (camera.width_px, camera.height_px),
-        fps=source.fps,
+        fps=run.fps,
         is_rectified=True,
-        provenance=source.provenance.metadata(),
+        provenance=run.provenance.metadata(),
     )
     return table_of_rows(rows, camera, video)
 
@@ -119,11 +81,12 @@ def _video_of(settings: Mapping[str, Any]) -> str:
 def boxes_of_labels(path: Path, *, video: Path | None, first_frame: int) -> BoxTable:
     """The boxes of a label file, with frames from 0; `first_frame`: number of the video's first frame in the file.
 
-    Raises:
-        LabelFileError: the file cannot be read, or has boxes before the first frame.
-        VideoError: the video cannot be read.
+    LabelFileError: the file cannot be read, or has boxes before the first frame; VideoError: the video cannot be read.
     """
-    facts = VideoFacts() if video is None else _facts(video)
+    facts = VideoFacts()
+    if video is not None:
+        with closing(open_video(video)) as reader:
+            facts = VideoFacts(video.stem, reader.n_frames, 0, (reader.width_px, reader.height_px), reader.fps)
     table = label_format_of(path).read(path, facts)
     if first_frame:
         if len(table) and table.frame[0] < first_frame:
@@ -144,37 +107,18 @@ def boxes_of_labels(path: Path, *, video: Path | None, first_frame: int) -> BoxT
     return table
 
 
-def _facts(video: Path) -> VideoFacts:
-    with closing(open_video(video)) as reader:
-        return VideoFacts(video.stem, reader.n_frames, 0, (reader.width_px, reader.height_px), reader.fps)
-
-
-def named_boxes(table: BoxTable) -> tuple[BoxTable, tuple[str, ...]]:
-    """A table with the class person for boxes without a class, as in MOTChallenge, and a note on them."""
-    n_unnamed = int(np.count_nonzero(table.class_name == ""))
-    if not n_unnamed:
-        return table, ()
-    return table.with_class(0), (f"Boxes without a class in the input, which are written as person: {n_unnamed}.",)
-
-
 def frames_of_run(folder: Path) -> Iterator[tuple[int, Image]]:
     """Number and rectified left image of each frame of a run, from its video.
 
-    Raises:
-        ConfigError, VideoError, RigError: settings.yaml or the video cannot be read.
+    ConfigError, VideoError, RigError: settings.yaml or the video cannot be read.
     """
-    recording = open_input(settings_from({"align": "off"}, folder / "settings.yaml"))
-    with closing(recording):
+    with closing(open_input(settings_from({"align": "off"}, folder / "settings.yaml"))) as recording:
         for frame in recording.frames:
             yield frame.index, frame.left
 
 
 def frames_of_video(video: Path) -> Iterator[tuple[int, Image]]:
-    """Number and image of each frame of a video or folder of images.
-
-    Raises:
-        VideoError: it cannot be read.
-    """
+    """Number and image of each frame of a video or folder of images; VideoError if it cannot be read."""
     with closing(open_video(video)) as reader:
         for frame in reader:
             yield frame.index, frame.image

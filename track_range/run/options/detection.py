@@ -74,11 +74,7 @@ ReidField = Annotated[
 
 
 def check_tracker(name: str, reid: Path | None) -> None:
-    """Check that the tracker exists, and that it compares appearance if a re-identification network is given.
-
-    Raises:
-        UsageError: no such tracker, or it does not use the network.
-    """
+    """UsageError if there is no such tracker, or if it does not compare appearance with a re-identification network."""
     from track_range.tracking.registry import TrackerError, find_tracker
 
     try:

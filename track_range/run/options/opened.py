@@ -44,10 +44,7 @@ class DetectorOptions:
 def open_detector(path: Path, options: DetectorOptions, *, lowest_score: float | None = None) -> YoloDetector:
     """The detector in `path`; a `lowest_score` replaces all thresholds, for evaluations over all confidences.
 
-    Raises:
-        ModelError: the model cannot be used.
-        ClassNameError: a class in the options is unknown.
-        ConfigError: invalid names or thresholds.
+    ModelError: the model cannot be used; ClassNameError: a class is unknown; ConfigError: invalid names or thresholds.
     """
     default = YoloSettings()
     min_score, by_class = thresholds(options.min_score, otherwise=default.min_score)
@@ -90,9 +87,7 @@ def class_names(option: str | None) -> tuple[str, ...] | None:
 def thresholds(option: str | None, *, otherwise: float) -> tuple[float, tuple[tuple[int, float], ...]]:
     """Minimum confidence of boxes, and (class id, minimum confidence) of classes with separate thresholds.
 
-    Raises:
-        UsageError: a threshold is not from 0 to 1, or there are two without a class.
-        ClassNameError: a class is unknown.
+    UsageError: a threshold is not from 0 to 1, or there are two without a class; ClassNameError: a class is unknown.
     """
     min_score, by_class = None, []
     for part in option.split(",") if option else ():

@@ -36,13 +36,9 @@ def write_json(figures: Mapping[str, Any], path: Path | None, *, allow_nan: bool
 def check_result_files(options: Any) -> None:
     """Check the files of results before the evaluation, so that no result is lost afterwards.
 
-    Args:
-        options: options of a command with `json_file` and perhaps `table`, `figure` and `out`; all other paths in
-            them, and the files in folders, are inputs.
-
-    Raises:
-        UsageError: a chart's name has another ending than `CHART_SUFFIXES`.
-        OutputError: a file is an input or given twice, its folder does not exist, or it cannot be written.
+    `options` have `json_file` and perhaps `table`, `figure` and `out`; all other paths in them, and the files in
+    folders, are inputs. UsageError: a chart's name has another ending than `CHART_SUFFIXES`; OutputError: a file is an
+    input or given twice, its folder does not exist, or it cannot be written.
     """
     files = {flag: file for name, flag in _OUTPUTS.items() if (file := getattr(options, name, None)) is not None}
     for flag, file in files.items():

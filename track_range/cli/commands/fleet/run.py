@@ -14,11 +14,8 @@ from track_range.run.settings import RunSettings
 if TYPE_CHECKING:
     from track_range.fleet.inputs.clip import Clip
 
-_MAX_NAME = 20
-"""Longest name of a failed clip at the end, in characters."""
-
-_MAX_NAMED = 10
-"""Largest number of failed clips that are named at the end."""
+_MAX_NAME, _MAX_NAMED = 20, 10
+"""Characters of the name of a failed clip, and number of failed clips that are named at the end."""
 
 
 def _fleet_run(**values: Any) -> None:
@@ -62,11 +59,7 @@ def failures_text(names: Sequence[str], total: int) -> str:
 
 
 def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequence[Clip]) -> None:
-    """Print what would be processed, with the problems in the headers.
-
-    Raises:
-        ClipsFailedError: some clips cannot be processed.
-    """
+    """Print what would be processed, with the problems in the headers; ClipsFailedError if there are some."""
     from track_range.cli.console import console, print_line
     from track_range.fleet.engine.plan import fleet_plan
     from track_range.fleet.engine.remaining import remaining
