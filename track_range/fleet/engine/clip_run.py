@@ -37,7 +37,7 @@ from track_range.fleet.output.record import ERROR_FIGURES, ClipRecord, utc_now
 from track_range.fleet.settings import size_bytes
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.fetch import fetched
-from track_range.fleet.storage.location import Location
+from track_range.fleet.storage.location import FolderListings, Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import printable
 from track_range.foundation.keywords import flags_in_errors
@@ -263,7 +263,7 @@ def _fetch_bytes(clip: Clip) -> float:
     n_bytes = 0.0
     for address in clip.named_files().values():
         location = Location.of(address)
-        if (state := location.state()) is not None:
+        if (state := FolderListings().state(location)) is not None:
             n_bytes += max(state.size, 0) * (0.05 if location.is_local else 1.0)
     return n_bytes
 

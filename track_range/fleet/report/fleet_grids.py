@@ -19,7 +19,6 @@ from track_range.views.report.tables import (
     ColumnSpec,
     Grid,
     columns_of,
-    figure,
     grid_of,
 )
 

@@ -7,6 +7,7 @@ as well. Credentials come from the environment and the configuration files of th
 
 from __future__ import annotations
 
+import io
 import os
 import posixpath
 import re
@@ -23,36 +24,29 @@ from urllib.parse import parse_qsl, quote, unquote
 
 from track_range.fleet.storage.errors import StorageError, storage_errors
 from track_range.fleet.storage.file_systems import object_store, web_files
-from track_range.foundation.files.atomic_files import atomic_path, write_bytes
+from track_range.foundation.files.atomic_files import write_bytes
 from track_range.foundation.files.input_files import open_regular, printable, quoted, shortened
 
 if TYPE_CHECKING:
     from pyarrow.fs import FileInfo, FileSystem
 
-MAX_READ_BYTES = 2_000_000_000
-"""Size limit, bytes, of a file that is read into memory."""
-
+_MAX_READ_BYTES = 2_000_000_000  # size limit of a file that is read into memory
 _BLOCK_BYTES = 4 << 20  # size of the blocks in which files are copied
 _MAX_WEB_DEPTH = 8  # largest depth of the folders of a web server that are listed
 
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
 _SCHEMES = {"s3": "s3", "gs": "gs", "gcs": "gs", "http": "http", "https": "https", "file": "file"}
 
-_OPTION_NAMES = frozenset(("endpoint_override", "scheme", "region", "anonymous"))
-"""Options of an object store in an address."""
-
+_OPTION_NAMES = {"endpoint_override", "scheme", "region", "anonymous"}
 _USER = re.compile(r"(?<=://)[^/@]*@")
 _QUERY, _LINK_QUERY = re.compile(r"\?.*$", re.DOTALL), re.compile(r"[?#].*$", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
 class FileStat:
-    """Size and time of the last change of a file, by which a changed file is recognised.
+    """Size in bytes (-1 = not stated by a web server), and time of the last change in ns since 1970 (0 = not stated).
 
-    Attributes:
-        size: bytes; -1 = not stated by a web server.
-        mtime_ns: time of the last change in ns since 1970; 0 = not stated.
-        is_folder: whether it is a folder; its size and time are 0, or those of its files.
+    Those of a folder are 0, or those of its files.
     """
 
     size: int
@@ -111,21 +105,16 @@ class Location:
             if "\0" in text or not text:
                 raise StorageError(f"{quoted(text)}: expected a path or an address such as s3://bucket/folder.")
             return cls("", os.path.abspath(os.path.expanduser(text)))
-        scheme = _SCHEMES.get(match[1].lower(), "")
-        rest = text[match.end() :]
+        scheme, rest = _SCHEMES.get(match[1].lower(), ""), text[match.end() :]
         if scheme == "file":
             return cls("", os.path.abspath(rest))
         if scheme in ("http", "https"):
             return cls(scheme, rest)
+        start = shortened(shown(text), 100)
         if not scheme:
             raise StorageError(
-                f"{shortened(shown(text), 100)}: expected a path, s3://, gs://, http:// or https://, found "
-                f"{quoted(match[1])}."
+                f"{start}: expected a path, s3://, gs://, http:// or https://, found {quoted(match[1])}."
             )
-        return cls._in_bucket(scheme, rest, text)
-
-    @classmethod
-    def _in_bucket(cls, scheme: str, rest: str, text: str) -> Location:
         key, _, query = rest.rpartition("?")
         options = dict(parse_qsl(query, keep_blank_values=True)) if key else {}
         if not options or not options.keys() <= _OPTION_NAMES:
@@ -133,14 +122,12 @@ class Location:
         bucket, _, path = key.partition("/")
         if "@" in bucket:
             raise StorageError(
-                f"{shortened(shown(text), 100)}: expected an address without credentials; set them in the environment "
-                "(AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY) instead.",
+                f"{start}: expected an address without credentials; set them in the environment (AWS_ACCESS_KEY_ID and "
+                "AWS_SECRET_ACCESS_KEY) instead.",
                 "permission",
             )
-        if not bucket or bucket in (".", ".."):
-            raise StorageError(
-                f"{shortened(text, 100)}: expected the name of a bucket, as in {scheme}://bucket/folder."
-            )
+        if bucket in ("", ".", ".."):
+            raise StorageError(f"{start}: expected the name of a bucket, as in {scheme}://bucket/folder.")
         return cls(scheme, f"{bucket}/{path}".rstrip("/"), tuple(sorted(options.items())))
 
     def __str__(self) -> str:
@@ -170,11 +157,7 @@ class Location:
 
     @property
     def path(self) -> Path:
-        """The local path.
-
-        Raises:
-            StorageError: it is not on this machine.
-        """
+        """The local path; raises StorageError if it is not on this machine."""
         if self._scheme:
             raise StorageError(f"{self}: expected a path on this machine.")
         return Path(self._key)
@@ -189,11 +172,11 @@ class Location:
     @property
     def parent(self) -> Location | None:
         """The folder that contains it; None for a bucket, a server, and the root folder."""
-        key = _QUERY.sub("", self._key) if self.is_web else self._key
-        folder = key.rstrip("/").rpartition("/")[0]
-        if not self._scheme:
+        if self.is_local:
             folder = os.path.dirname(self._key)
             return None if folder == self._key else Location("", folder)
+        key = _QUERY.sub("", self._key) if self.is_web else self._key
+        folder = key.rstrip("/").rpartition("/")[0]
         return Location(self._scheme, folder, self._options) if folder else None
 
     def child(self, *names: str) -> Location:
@@ -204,26 +187,17 @@ class Location:
         return Location(self._scheme, "/".join((self._key.rstrip("/"), *names)), self._options)
 
     def descendant(self, path: str) -> Location:
-        """The file with a path relative to this folder, which may contain `..`.
-
-        Raises:
-            StorageError: the path leaves the bucket or server.
-        """
+        """The file with a path relative to this folder; raises StorageError if `..` leaves the bucket or server."""
         if not self._scheme:
             return Location("", os.path.normpath(f"{self._key}/{path}"))
-        child = self.child(path)
-        root, _, _ = child._key.partition("/")
-        key = posixpath.normpath(child._key)
+        key = self.child(path)._key
+        root, key = key.partition("/")[0], posixpath.normpath(key)
         if key.partition("/")[0] != root:
             raise StorageError(f"{self}: expected a path in {quoted(root)}, found {quoted(path)}.")
         return Location(self._scheme, key, self._options)
 
     def stat(self) -> FileStat | None:
-        """Size and time of change; None = no such file, folder or bucket.
-
-        Raises:
-            StorageError: the storage cannot be reached, or refuses.
-        """
+        """Size and time of change; None = no such file, folder or bucket; raises StorageError if it is refused."""
         try:
             with storage_errors(self, "read"):
                 if self.is_local:
@@ -237,11 +211,6 @@ class Location:
             if error.kind == "missing":
                 return None
             raise
-
-    def state(self) -> FileStat | None:
-        """As `stat`; of a folder, the total size and the latest change of all its files, hidden ones excluded."""
-        status = self.stat()
-        return status if status is None or not status.is_folder else folder_state(self.list(recursive=True))
 
     def exists(self) -> bool:
         """Whether there is such a file or folder; raises as `stat`."""
@@ -260,27 +229,22 @@ class Location:
             with storage_errors(self, "read"):
                 status = os.stat(self._key)
             yield from _scanned(self._key, "", ((status.st_dev, status.st_ino),), recursive=recursive)
-        elif self.is_web:
+            return
+        if self.is_web:
             folder = f"{self._scheme}://{_LINK_QUERY.sub('', self._key).rstrip('/')}/"
             yield from self._linked(folder, folder, depth=_MAX_WEB_DEPTH if recursive else 1)
-        elif self._scheme == "gs":
-            # pyarrow lists no folders of Google Cloud Storage, except those that exist as empty objects
-            for entry in with_folders(self._objects(recursive=True)):
-                if recursive or "/" not in entry.name:
-                    yield entry
-        else:
-            yield from self._objects(recursive=recursive)
-
-    def _objects(self, *, recursive: bool) -> Iterator[Entry]:
+            return
         from pyarrow.fs import FileSelector
 
-        files, key = self.arrow()
+        # pyarrow lists no folders of Google Cloud Storage, except those that exist as empty objects
+        has_folders, (files, key) = self._scheme != "gs", self.arrow()
         with storage_errors(self, "read"):
-            infos = files.get_file_info(FileSelector(key, recursive=recursive))
-        n_prefix = len(key.rstrip("/")) + 1
-        for info in infos:
-            if (status := _arrow_stat(info)) is not None:
-                yield Entry(info.path[n_prefix:], status)
+            infos = files.get_file_info(FileSelector(key, recursive=recursive or not has_folders))
+        known = ((info.path[len(key.rstrip("/")) + 1 :], _arrow_stat(info)) for info in infos)
+        entries = [Entry(name, status) for name, status in known if status is not None]
+        for entry in entries if has_folders else with_folders(entries):
+            if recursive or "/" not in entry.name:
+                yield entry
 
     def _linked(self, folder: str, base: str, *, depth: int) -> Iterator[Entry]:
         with storage_errors(self, "read"):
@@ -293,12 +257,8 @@ class Location:
             if link.endswith("/") and depth > 1:
                 yield from self._linked(link, base, depth=depth - 1)
 
-    def read_bytes(self, max_bytes: int = MAX_READ_BYTES) -> bytes:
-        """Content of a file.
-
-        Raises:
-            StorageError: it does not exist, is larger, or cannot be read.
-        """
+    def read_bytes(self, max_bytes: int = _MAX_READ_BYTES) -> bytes:
+        """Content of a file; raises StorageError if it does not exist, is larger, or cannot be read."""
         return b"".join(self._blocks(max_bytes))
 
     def download(self, file: Path, max_bytes: int = 1 << 62) -> int:
@@ -311,23 +271,21 @@ class Location:
 
     def _blocks(self, max_bytes: int) -> Iterator[bytes]:
         size = 0
-        with storage_errors(self, "read"), self._opened() as stream:
-            while block := stream.read(_BLOCK_BYTES):
-                size += len(block)
-                if size > max_bytes:
-                    raise StorageError(f"{self}: expected a file of at most {max_bytes} bytes, found a larger one.")
-                yield block
-
-    def _opened(self) -> IO[bytes]:
-        if self.is_local:
-            os.stat(self._key)  # raises for a missing file, with its kind
-            return open_regular(Path(self._key), StorageError, "a file")
-        stream: IO[bytes]
-        if self.is_web:
-            stream = web_files().open(self.address, "rb", block_size=0)
-        else:
-            stream = self.arrow()[0].open_input_stream(self._key, compression=None)
-        return stream
+        with storage_errors(self, "read"):
+            stream: IO[bytes]
+            if self.is_local:
+                os.stat(self._key)  # raises for a missing file, with its kind
+                stream = open_regular(Path(self._key), StorageError, "a file")
+            elif self.is_web:
+                stream = web_files().open(self.address, "rb", block_size=0)
+            else:
+                stream = self.arrow()[0].open_input_stream(self._key, compression=None)
+            with stream:
+                while block := stream.read(_BLOCK_BYTES):
+                    size += len(block)
+                    if size > max_bytes:
+                        raise StorageError(f"{self}: expected a file of at most {max_bytes} bytes, found a larger one.")
+                    yield block
 
     def write_bytes(self, content: bytes) -> None:
         """Write a file atomically; readers see the old or the new content. Folders are created, buckets are not.
@@ -335,21 +293,18 @@ class Location:
         Raises:
             StorageError: it cannot be written.
         """
+        self._write(io.BytesIO(content))
+
+    def upload(self, file: Path) -> None:
+        """Copy a local file here as `write_bytes` does."""
+        with storage_errors(self, "written"), open(file, "rb") as source:
+            self._write(source)
+
+    def _write(self, source: IO[bytes]) -> None:
         with storage_errors(self, "written"):
             if self.is_local:
                 os.makedirs(os.path.dirname(self._key), exist_ok=True)
-                write_bytes(Path(self._key), content)
-            else:
-                with self.arrow()[0].open_output_stream(self._key, compression=None) as stream:
-                    stream.write(content)
-
-    def upload(self, file: Path) -> None:
-        """Copy a local file here atomically; raises as `write_bytes`."""
-        with storage_errors(self, "written"), open(file, "rb") as source:
-            if self.is_local:
-                os.makedirs(os.path.dirname(self._key), exist_ok=True)
-                with atomic_path(Path(self._key)) as partial:
-                    shutil.copyfile(file, partial)
+                write_bytes(Path(self._key), source.read())
                 return
             stream = self.arrow()[0].open_output_stream(self._key, compression=None)
             try:
@@ -369,11 +324,7 @@ class Location:
                 self.arrow()[0].delete_file(self._key)
 
     def arrow(self) -> tuple[FileSystem, str]:
-        """File system of pyarrow and the path in it.
-
-        Raises:
-            StorageError: the storage cannot be reached, or is a web server.
-        """
+        """File system of pyarrow and the path in it; raises StorageError without a connection, and for web servers."""
         if self.is_web:
             raise StorageError(
                 f"{self}: expected a folder on this machine or in an object store, found a web server.", "permission"
@@ -485,6 +436,6 @@ class FolderListings:
             return self._stats[parent.address].get(location.name)
 
     def state(self, location: Location) -> FileStat | None:
-        """As `Location.state`."""
+        """As `stat`; of a folder, the total size and the latest change of all its files, hidden ones excluded."""
         status = self.stat(location)
         return status if status is None or not status.is_folder else folder_state(location.list(recursive=True))
