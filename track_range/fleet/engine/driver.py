@@ -33,7 +33,7 @@ from track_range.fleet.engine.worker import (
     shared_files,
 )
 from track_range.fleet.errors import FleetError
-from track_range.fleet.output.data_set import ClipTable, journal_row, publish_record
+from track_range.fleet.output.data_set import ClipTable, journal_rows, publish_record
 from track_range.fleet.output.file_names import FileNames
 from track_range.fleet.output.record import Row, utc_now
 from track_range.foundation.files.input_files import shortened
@@ -187,19 +187,14 @@ class Driver:
         self._n_starts_lost += not self._has_started
         if self._n_starts_lost >= _MAX_STARTS:
             raise FleetError(f"the workers cannot start: {shortened(' '.join(str(error).split()), 300)}")
-        row = journal_row(self._out, task.clip.name)  # the last act for the clip may have been complete
-        if row is not None and self._is_of_attempt(row, task):
+        # the last act for the clip may have been complete
+        row = journal_rows(self._out, [task.clip.name]).get(task.clip.name, {})
+        present = row.get("status"), row.get("settings_hash"), row.get("attempts")
+        if present == ("done", self._plan.settings_hash, task.attempt):
             self._done(row)
         else:
             reason = "the process of the worker died (killed, or a crash in a library)."
             self._repeat_or_fail(task, "crash", reason)
-
-    def _is_of_attempt(self, row: Row, task: ClipTask) -> bool:
-        return bool(
-            row["status"] == "done"
-            and row.get("settings_hash") == self._plan.settings_hash
-            and row.get("attempts") == task.attempt
-        )
 
     def _finished(self, task: ClipTask, outcome: ClipOutcome) -> None:
         if outcome.fatal:

@@ -21,7 +21,7 @@ import os
 import platform
 import shutil
 import time
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -40,9 +40,8 @@ from track_range.results.events.files import EVENTS_PARQUET
 if TYPE_CHECKING:
     import pyarrow as pa
 
-CLIPS_FILE, JOURNAL, RUNS, TRACKS_FILE, UNFINISHED = (
-    *("clips.parquet", "journal", "runs", "tracks.parquet", "unfinished"),
-)
+CLIPS_FILE, TRACKS_FILE = "clips.parquet", "tracks.parquet"
+JOURNAL, RUNS, UNFINISHED = "journal", "runs", "unfinished"
 
 _COMPILE_S, _COMPILE_FRACTION = 10.0, 20.0
 """Shortest time between two compilations, s, and relative to the time that one takes."""
@@ -50,8 +49,6 @@ _COMPILE_S, _COMPILE_FRACTION = 10.0, 20.0
 _ROWS_PER_GROUP = 10_000  # rows per row group of clips.parquet, about 7 MB in memory
 _MAX_NEWER = 3000  # rows in memory that are not compiled, of about 5 kB each
 _N_CONNECTIONS = 16  # requests to the storage at a time
-
-
 _PAUSES_S = (1.0, 3.0, 10.0)  # pauses after failed uploads, s
 
 
@@ -86,10 +83,7 @@ def publish(out: Location, location: Location, content: Path | bytes) -> None:
 
     In a local folder it is written to OUT/unfinished first: a worker that is killed leaves nothing beside the results,
     where readers of the data set would find it. Uploads to an object store are atomic, and repeated after errors of
-    the network. Files of a clip count once its record is published.
-
-    Raises:
-        StorageError: it cannot be written.
+    the network. Files of a clip count once its record is published. Raises StorageError if it cannot be written.
     """
     if not out.is_local:
         for pause_s in (*_PAUSES_S, None):
@@ -140,11 +134,6 @@ def publish_record(out: Location, row: Row) -> None:
     publish(out, _journal_location(out, row["clip"]), text.encode())
 
 
-def journal_row(out: Location, name: str) -> Row | None:
-    """The row of a clip in the journal; None without one."""
-    return _journal_rows(out, [name]).get(name)
-
-
 def read_clips(out: Location) -> pa.Table:
     """The rows of all clips, those in the journal included.
 
@@ -152,14 +141,14 @@ def read_clips(out: Location) -> pa.Table:
         FleetError: clips.parquet is damaged, or of a newer version.
         StorageError: the storage cannot be read.
     """
-    rows = _journal_rows(out, _journal_names(out))
+    rows = journal_rows(out, _journal_names(out))
     table = _compiled(out)  # read last: a row leaves the journal when it is in the table
     return (merged_table(table, rows) if rows else table).sort_by("clip")
 
 
 def read_journal(out: Location) -> pa.Table:
     """The rows of the clips in the journal alone."""
-    return records_table(_journal_rows(out, _journal_names(out)).values())
+    return records_table(journal_rows(out, _journal_names(out)).values())
 
 
 class ClipTable:
@@ -171,16 +160,11 @@ class ClipTable:
     """
 
     def __init__(self, out: Location) -> None:
-        """Read the rows of earlier runs.
-
-        Raises:
-            FleetError: clips.parquet is damaged, or of a newer version.
-            StorageError: the storage cannot be read.
-        """
+        """Read the rows of earlier runs; raises as `read_clips`."""
         self._out = out
         self.table = _compiled(out)
         names = _journal_names(out)
-        self.newer: dict[str, Row] = _journal_rows(out, names)
+        self.newer: dict[str, Row] = journal_rows(out, names)
         self._in_journal: set[str] = set(names)
         self._next_s = 0.0
         self._is_sorted = True
@@ -202,12 +186,9 @@ class ClipTable:
             self.add({**row, "inputs": inputs}, is_in_journal=False)
 
     def collect_journal(self) -> int:
-        """Add the rows that workers have published and the driver does not know, because it was interrupted.
-
-        The result is the number of clips among them that are done.
-        """
+        """Add the rows of workers that an interrupted driver does not know; the number of them that are done."""
         names = [name for name in _journal_names(self._out) if name not in self._in_journal]
-        rows = _journal_rows(self._out, names).values()
+        rows = journal_rows(self._out, names).values()
         for row in rows:
             self.add(row, is_in_journal=True)
         return sum(row["status"] == "done" for row in rows)
@@ -228,39 +209,30 @@ class ClipTable:
             self.table = merged
             self.newer, self._is_sorted = {}, is_sorted
             default_memory_pool().release_unused()
-        self._clear_journal()
+        compiled = self._in_journal - self.newer.keys()
+
+        def remove(name: str) -> None:
+            with suppress(StorageError):  # a row that stays in the journal is compiled again by the next run
+                _journal_location(self._out, name).remove()
+
+        with ThreadPoolExecutor(_N_CONNECTIONS) as threads:
+            list(threads.map(remove, compiled))
+        self._in_journal -= compiled
         end_s = time.monotonic()
         self._next_s = end_s + max(_COMPILE_S, _COMPILE_FRACTION * (end_s - start_s))
-
-    def _clear_journal(self) -> None:
-        compiled = self._in_journal - self.newer.keys()
-        with ThreadPoolExecutor(_N_CONNECTIONS) as threads:
-            list(threads.map(self._remove, compiled))
-        self._in_journal -= compiled
-
-    def _remove(self, name: str) -> None:
-        with suppress(StorageError):  # a row that stays in the journal is compiled again by the next run
-            _journal_location(self._out, name).remove()
 
     def failed(self, names: Collection[str]) -> list[tuple[str, str]]:
         """Names and errors of the failed clips among `names`."""
         import pyarrow.compute as pc
 
-        failed = self.table.filter(pc.equal(self.table["status"], "failed")).select(["clip", "error"])
-        rows = {row["clip"]: row["error"] for row in failed.to_pylist()}
-        for name, row in self.newer.items():
-            rows.pop(name, None)
-            if row["status"] == "failed":
-                rows[name] = row["error"]
-        return sorted((name, error) for name, error in rows.items() if name in names)
+        compiled = self.table.filter(pc.equal(self.table["status"], "failed")).select(["clip", "error"])
+        errors = {row["clip"]: row["error"] for row in compiled.to_pylist() if row["clip"] not in self.newer}
+        errors |= {name: row["error"] for name, row in self.newer.items() if row["status"] == "failed"}
+        return sorted((name, error) for name, error in errors.items() if name in names)
 
 
 def write_clips(out: Location, table: pa.Table, *, is_sorted: bool = False) -> None:
-    """Write clips.parquet, in the order of the clips if `is_sorted`.
-
-    Raises:
-        StorageError: it cannot be written.
-    """
+    """Write clips.parquet, in the order of the clips if `is_sorted`; raises as `publish`."""
     import pyarrow as pa
     import pyarrow.compute as pc
     from pyarrow import parquet
@@ -304,31 +276,27 @@ def _journal_location(out: Location, name: str) -> Location:
 
 def _journal_names(out: Location) -> list[str]:
     """Names of the clips in the journal."""
-    try:
-        names = [entry.name for entry in out.child(JOURNAL).list()]
-    except StorageError as error:
-        if error.kind != "missing":
-            raise
-        names = []
+    folder = out.child(JOURNAL)
+    names = [entry.name for entry in folder.list()] if folder.exists() else []
     # hidden files are those of a write that was killed
     return [unquote(name.removesuffix(".json")) for name in names if name.endswith(".json") and name[0] != "."]
 
 
-def _journal_rows(out: Location, names: Sequence[str]) -> dict[str, Row]:
+def journal_rows(out: Location, names: Sequence[str]) -> dict[str, Row]:
     """Rows in the journal; one that is damaged or was removed meanwhile is left out, so that its clip is repeated."""
+
+    def row_of(name: str) -> Row | None:
+        location = _journal_location(out, name)
+        try:
+            row: Any = parse_json(location.read_bytes().decode(), location, FleetError, "a record")
+        except (FleetError, UnicodeDecodeError):
+            return None
+        except StorageError as error:
+            if error.kind != "missing":
+                raise
+            return None
+        is_row = isinstance(row, dict) and isinstance(row.get("clip"), str) and row.get("status") in ("done", "failed")
+        return row if is_row else None
+
     with ThreadPoolExecutor(_N_CONNECTIONS) as threads:
-        rows: Iterable[Row | None] = threads.map(lambda name: _row_in(_journal_location(out, name)), names)
-        return {row["clip"]: row for row in rows if row is not None}
-
-
-def _row_in(location: Location) -> Row | None:
-    try:
-        row: Any = parse_json(location.read_bytes().decode(), location, FleetError, "a record")
-    except (FleetError, UnicodeDecodeError):
-        return None
-    except StorageError as error:
-        if error.kind != "missing":
-            raise
-        return None
-    is_row = isinstance(row, dict) and isinstance(row.get("clip"), str) and row.get("status") in ("done", "failed")
-    return row if is_row else None
+        return {row["clip"]: row for row in threads.map(row_of, names) if row is not None}

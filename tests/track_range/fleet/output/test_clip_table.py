@@ -13,7 +13,7 @@ from track_range.fleet.output.data_set import (
     CLIPS_FILE,
     ClipTable,
     encoded,
-    journal_row,
+    journal_rows,
     publish_record,
     read_clips,
     tracks_location,
@@ -43,7 +43,7 @@ def names_in(out):
 def test_record_is_read_again(out, name):
     row = record(name, frames=3, warnings=["a", "b"], stages_ms={"read": 1.5}, labels={"vehicle": "v"})
     publish_record(out, row)
-    assert journal_row(out, name) == row
+    assert journal_rows(out, [name]) == {name: row}
     assert names_in(out) == [name]
     table = ClipTable(out)
     table.compile()
@@ -109,7 +109,7 @@ def test_crash_before_the_table_is_written(out, monkeypatch):
         with pytest.raises(StorageError):
             table.compile()
     assert names_in(out) == ["a"]
-    assert journal_row(out, "a") is not None
+    assert journal_rows(out, ["a"])
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"clip": 3}', b"\xff", b'{"clip": "a", "status": "odd"}'])
