@@ -29,13 +29,7 @@ import numpy as np
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import make_folder, write_text
-from track_range.simulation.camera.drive_files import (
-    disparity_map,
-    image_writer,
-    object_map,
-    with_even_size,
-    write_png,
-)
+from track_range.simulation.camera.drive_files import disparity_map, image_writer, object_map, with_even_size, write_png
 from track_range.simulation.camera.faults import kept_frames, rig_in_file
 from track_range.simulation.camera.masks import MaskFolder
 from track_range.simulation.camera.playback import play_back

@@ -56,8 +56,7 @@ class Faults(Options):
         float, _fault("Constant error of all disparities in pixels.", "--disparity-offset", "PX", -20, 20)
     ] = 0.0
     drop_fraction: Annotated[
-        float,
-        _fault("Fraction of frames dropped by each camera, from 0 to 0.9.", "--drop-frames", "FRACTION", 0, 0.9),
+        float, _fault("Fraction of frames dropped by each camera, from 0 to 0.9.", "--drop-frames", "FRACTION", 0, 0.9)
     ] = 0.0
     late_s: Annotated[
         float, _fault("Delay of the right camera in seconds that its timestamps do not show.", "--late", "S", -1, 1)

@@ -54,12 +54,7 @@ class Surroundings:
 
 
 _TOWN_LANES = ((-1, -5.25, -1.75), (0, -1.75, 1.75), (1, 1.75, 5.25))
-_TOWN_BANDS = (
-    (-11.0, -7.6, PAVEMENT),
-    (-7.65, -7.5, KERB),
-    (7.6, 11.0, PAVEMENT),
-    (7.5, 7.65, KERB),
-)
+_TOWN_BANDS = ((-11.0, -7.6, PAVEMENT), (-7.65, -7.5, KERB), (7.6, 11.0, PAVEMENT), (7.5, 7.65, KERB))
 
 SURROUNDINGS = {
     "town": Surroundings(

@@ -204,11 +204,7 @@ def _nearest(low: float, high: float, other_low: float, other_high: float) -> tu
 
 
 def draw_lanes(
-    canvas: Image,
-    lanes: LaneLines,
-    *,
-    line_px: int,
-    moved: Callable[[FloatArray], FloatArray] | None = None,
+    canvas: Image, lanes: LaneLines, *, line_px: int, moved: Callable[[FloatArray], FloatArray] | None = None
 ) -> None:
     """Draw the lines of the ego lane over the range in which they were detected; `moved` maps points to the canvas."""
     size_px = np.array(canvas.shape[1::-1], np.float64)

@@ -209,13 +209,7 @@ def _rear(
 
 
 def _crossing_person(
-    rng: np.random.Generator,
-    side: int,
-    ego_mps: float,
-    contact_s: float,
-    *,
-    speed_mps: float,
-    size_factor: float = 1.0,
+    rng: np.random.Generator, side: int, ego_mps: float, contact_s: float, *, speed_mps: float, size_factor: float = 1.0
 ) -> RoadUser:
     """A person who walks from the right (`side` 1) or left (-1) and meets the front of the ego vehicle."""
     hit_m = float(rng.uniform(-0.25, 0.25)) * EGO_HWL_M[1]

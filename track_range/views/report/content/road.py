@@ -146,12 +146,7 @@ def is_on_course(columns: Columns) -> BoolArray:
 
 
 def _courses(
-    time_s: FloatArray,
-    x_m: FloatArray,
-    sigma_m: FloatArray,
-    is_measured: BoolArray,
-    ttc_s: FloatArray,
-    window_s: float,
+    time_s: FloatArray, x_m: FloatArray, sigma_m: FloatArray, is_measured: BoolArray, ttc_s: FloatArray, window_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """(N,) lateral offsets of one track at its times to collision, and their standard deviations; NaN = unknown."""
     first: IntArray = np.searchsorted(time_s, time_s - window_s - 1e-6)
