@@ -16,7 +16,6 @@ from track_range.simulation.world.motion import travelled_m
 from track_range.simulation.world.road_shape import yaw_rotation
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.scene import AWAY_RAD, RoadUser, Scene
-from track_range.simulation.world.trajectories import distances_m, trajectories
 
 CAR = RoadUser(
     track_id=3,
@@ -94,12 +93,12 @@ def test_corner_of_a_rotated_box_touches(yaw_deg, touch):
     assert boxes_touch(box(0.0, 0.0), box(2.3, np.radians(yaw_deg))).tolist() == [touch]
 
 
-def test_trajectories_agree_with_road_users():
+def test_positions_at_many_times_agree_with_those_at_one():
     scene, at_s = make_scenario("cut-in", seed=1), np.linspace(-1, 12, 27)
-    paths = trajectories(scene.road_users, at_s)
-    for k, time_s in enumerate(at_s.tolist()):
-        for row, user in enumerate(scene.road_users[:4]):
-            assert (paths.across_m[row, k], paths.z_m[row, k]) == pytest.approx(user.on_road_m(time_s), abs=1e-9)
-            assert paths.heading_rad[row, k] == pytest.approx(user.heading_rad(time_s), abs=1e-6)
+    for user in scene.road_users[:4]:
+        positions_m, heading_rad = np.transpose(user.on_road_m(at_s)), np.broadcast_to(user.heading_rad(at_s), 27)
+        for k, time_s in enumerate(at_s.tolist()):
+            assert positions_m[k] == pytest.approx(user.on_road_m(time_s), abs=1e-9)
+            assert heading_rad[k] == pytest.approx(user.heading_rad(time_s), abs=1e-6)
     changes = scene.ego_speed_changes
-    assert distances_m(changes, at_s) == pytest.approx([travelled_m(changes, t) for t in at_s.tolist()], abs=1e-9)
+    assert travelled_m(changes, at_s) == pytest.approx([travelled_m(changes, t) for t in at_s.tolist()], abs=1e-9)

@@ -28,10 +28,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.simulation.world.road_shape import RoadShape, slope_rotation, yaw_rotation
 from track_range.simulation.world.scene import RoadUser, Scene
-from track_range.simulation.world.trajectories import Trajectories, ego_z_m, trajectories
 
 EGO_HWL_M = (1.5, 1.8, 4.2)  # height, width and length of the ego vehicle, m: a compact car
 
@@ -79,7 +78,7 @@ def find_contacts(scene: Scene, seconds: float) -> tuple[EgoContact, ...]:
 
 def first_contact(scene: Scene, seconds: float) -> EgoContact | None:
     """The first real contact in the first `seconds` of a scene; None = none."""
-    touching = _first_touch(scene, lambda times_s: ego_z_m(scene, times_s), (0.0, seconds))
+    touching = _first_touch(scene, scene.ego_z_m, (0.0, seconds))
     return None if touching is None else _contact(scene, touching, is_real=True)
 
 
@@ -131,13 +130,13 @@ def _first_touch(
 ) -> tuple[int, float] | None:
     """Row and time of the first road user that touches the ego vehicle, whose camera is at z = `ego_at_m(time)`."""
     times_s = np.append(np.arange(*from_to_s, STEP_S), from_to_s[1])
-    users = scene.road_users
-    paths = trajectories(users, times_s)
-    ego_z = ego_at_m(times_s)
-    rows = _passing(users, paths, ego_z)
+    users, size_hwl_m, ego_z = scene.road_users, scene.size_hwl_m(), ego_at_m(times_s)
+    across_m, z_m = np.array([user.on_road_m(times_s) for user in users]).reshape(-1, 2, len(times_s)).swapaxes(0, 1)
+    reach_m = np.hypot(size_hwl_m[:, 1:2], size_hwl_m[:, 2:]) / 2 + np.hypot(*EGO_HWL_M[1:]) / 2 + CAMERA_TO_FRONT_M
+    rows = np.flatnonzero(((np.abs(z_m - ego_z) < reach_m) & (np.abs(across_m) < reach_m)).any(axis=1))
     if not len(rows):
         return None
-    touches = np.stack([_touches(scene.road, users[row], paths.row(row), ego_z) for row in rows.tolist()])
+    touches = np.stack([_touches(scene.road, users[row], times_s, ego_z) for row in rows.tolist()])
     steps = np.where(touches.any(axis=1), touches.argmax(axis=1), len(times_s))
     if steps.min() == len(times_s):
         return None
@@ -147,16 +146,6 @@ def _first_touch(
     return min(first, key=lambda touching: touching[1])
 
 
-def _passing(users: tuple[RoadUser, ...], paths: Trajectories, ego_z_m: FloatArray) -> IntArray:
-    """The rows of the road users that are ever near the ego vehicle."""
-    if not users:
-        return np.zeros(0, np.int64)
-    reach_m = np.array([np.hypot(user.size_hwl_m[1], user.size_hwl_m[2]) / 2 for user in users])
-    reach_m += float(np.hypot(*EGO_HWL_M[1:])) / 2 + CAMERA_TO_FRONT_M
-    is_near = (np.abs(paths.z_m - ego_z_m) < reach_m[:, None]) & (np.abs(paths.across_m) < reach_m[:, None])
-    return np.flatnonzero(is_near.any(axis=1))
-
-
 def _bisected_s(
     scene: Scene, row: int, ego_at_m: Callable[[FloatArray], FloatArray], before_s: float, after_s: float
 ) -> float:
@@ -164,19 +153,19 @@ def _bisected_s(
     user = scene.road_users[row]
     while after_s - before_s > PRECISION_S:
         middle_s = (before_s + after_s) / 2
-        path = trajectories((user,), np.array([middle_s]))
-        if _touches(scene.road, user, path.row(0), ego_at_m(np.array([middle_s])))[0]:
+        times_s = np.array([middle_s])
+        if _touches(scene.road, user, times_s, ego_at_m(times_s))[0]:
             after_s = middle_s
         else:
             before_s = middle_s
     return after_s
 
 
-def _touches(road: RoadShape, user: RoadUser, path: tuple[FloatArray, ...], ego_z_m: FloatArray) -> BoolArray:
-    """(T,) whether the boxes of a road user and of the ego vehicle touch, for T positions of both."""
-    across_m, z_m, heading_rad = path
+def _touches(road: RoadShape, user: RoadUser, times_s: FloatArray, ego_z_m: FloatArray) -> BoolArray:
+    """(T,) whether the boxes of a road user and of the ego vehicle touch at T times."""
+    across_m, z_m = user.on_road_m(times_s)
     centre = _on_road(road, across_m, z_m, user.raised_m)
-    axes = slope_rotation(road.climb_rad(z_m)) @ yaw_rotation(heading_rad + road.yaw_rad(z_m))
+    axes = slope_rotation(road.climb_rad(z_m)) @ yaw_rotation(user.heading_rad(times_s) + road.yaw_rad(z_m))
     middle_z_m = ego_z_m + (CAMERA_TO_FRONT_M - EGO_HWL_M[2] / 2) / np.sqrt(
         1 + np.tan(road.yaw_rad(ego_z_m)) ** 2 + np.tan(road.climb_rad(ego_z_m)) ** 2
     )

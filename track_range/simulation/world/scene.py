@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.simulation.world.motion import LaneChange, SpeedChanges, speed_at_mps, travelled_m
+from track_range.simulation.world.motion import LaneChange, SpeedChanges, Time, speed_at_mps, travelled_m
 from track_range.simulation.world.road_shape import (
     STEADY,
     STRAIGHT,
@@ -69,21 +69,21 @@ class RoadUser:
     lane_change: LaneChange | None = None  # a lateral move; None = none
     raised_m: float = 0.0  # height of the 3-D box above the road
 
-    def on_road_m(self, time_s: float) -> tuple[float, float]:
-        """Position at a time: distance to the right of the ego lane's centre, and z."""
+    def on_road_m(self, time_s: Time) -> tuple[Time, Time]:
+        """Position at one or more times: distance to the right of the ego lane's centre, and z."""
         distance_m = travelled_m(self.speed_changes or ((0.0, self.speed_mps),), time_s)
-        moved_m = float(self.lane_change.moved_m(time_s)) if self.lane_change else 0.0
+        moved_m = self.lane_change.moved_m(time_s) if self.lane_change else 0.0
         x_m, z_m = self.start_xz_m
         cos, sin = float(np.cos(self.rotation_y_rad)), float(np.sin(self.rotation_y_rad))
         return x_m + distance_m * cos + moved_m, z_m - distance_m * sin
 
-    def heading_rad(self, time_s: float) -> float:
-        """Heading at a time, including the rotation during a lane change."""
+    def heading_rad(self, time_s: FloatArray | float) -> FloatArray | float:
+        """Heading at one or more times, including the rotation during a lane change."""
         if self.lane_change is None:
             return self.rotation_y_rad
         before, after = (self.on_road_m(time_s + step_s) for step_s in (-STEP_S, STEP_S))
         across, ahead = after[0] - before[0], after[1] - before[1]
-        return self.rotation_y_rad if ahead == 0 else float(np.arctan2(-ahead, across))
+        return np.where(ahead == 0, self.rotation_y_rad, np.arctan2(-ahead, across))
 
 
 ObstacleKind = Literal["pole", "fence", "bush"]
@@ -130,8 +130,8 @@ class Scene:
             users.append(replace(user, size_hwl_m=size_hwl_m) if user.kitti_type == "Car" else user)
         return replace(self, road_users=tuple(users))
 
-    def ego_z_m(self, time_s: float) -> float:
-        """Z of the camera at a time."""
+    def ego_z_m(self, time_s: Time) -> Time:
+        """Z of the camera at one or more times."""
         return travelled_m(self.ego_speed_changes or ((0.0, self.ego_speed_mps),), time_s)
 
     def speed_mps(self, time_s: float) -> float:
