@@ -26,7 +26,7 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.run.box_source import CANDIDATE_SCORE
 from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.ready_model import ready_model
-from track_range.simulation.camera.masks import masks_of
+from track_range.simulation.camera.drive_files import masks_of
 from track_range.simulation.world.bodies.faces import IdentifyingPart
 from track_range.simulation.world.truth import visible_objects
 from track_range.stereo.geometry.frames import Frame

@@ -13,7 +13,6 @@ from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.simulation.world.road_shape import slope_rotation, yaw_rotation
 from track_range.simulation.world.scene import STEP_S, Scene
-from track_range.simulation.world.trajectories import Trajectories, trajectories
 from track_range.simulation.world.truth import boxes_in_image, corners_m
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -70,14 +69,15 @@ def true_boxes(
     """The boxes of a scene at the given times (T,); `poses`: of the camera at these times, None = computed here."""
     poses = poses or CameraPoses.of(scene, times_s)
     camera_from_world, ego_yaw_rad = poses.camera_from_world, poses.yaw_rad
-    paths, location = _locations(scene, times_s, poses)
+    along_m, location = _locations(scene, times_s, poses)
+    headings = np.stack([np.broadcast_to(user.heading_rad(times_s), len(times_s)) for user in scene.road_users])
     x, z = location[:, :, 0], location[:, :, 2]
     reach = camera.width_px / camera.fx_px
     user, frame = np.nonzero((z > NEAREST_M) & (z < FARTHEST_M) & (np.abs(x) < reach * z + 8.0))
     order = np.lexsort((location[user, frame, 2], frame))  # nearest first in each frame
     user, frame = user[order], frame[order]
     at_m, size_m = location[user, frame], scene.size_hwl_m()[user]
-    z_m, heading_rad = paths.z_m[user, frame], paths.heading_rad[user, frame]
+    z_m, heading_rad = along_m[user, frame], headings[user, frame]
     yaw_rad = heading_rad + scene.road.yaw_rad(z_m)
     rotations = camera_from_world[frame] @ slope_rotation(scene.road.climb_rad(z_m)) @ yaw_rotation(yaw_rad)
     inside, outside = boxes_in_image(corners_m(at_m, size_m, rotations), camera)
@@ -94,14 +94,12 @@ def true_boxes(
     return TrueBoxes(frame, user, inside, distance_m, hidden, overlap, occluder_m, outside[rows])
 
 
-def _locations(scene: Scene, times_s: FloatArray, poses: CameraPoses) -> tuple[Trajectories, FloatArray]:
-    """The paths of N road users, and (N, T, 3) their lower centres in the camera's frame."""
-    paths = trajectories(scene.road_users, times_s)
+def _locations(scene: Scene, times_s: FloatArray, poses: CameraPoses) -> tuple[FloatArray, FloatArray]:
+    """(N, T) z of N road users along the road, and (N, T, 3) their lower centres in the camera's frame."""
+    across_m, z_m = np.swapaxes([user.on_road_m(times_s) for user in scene.road_users], 0, 1)
     raised_m = np.array([user.raised_m for user in scene.road_users])[:, None]
-    world = np.stack(
-        [scene.road.x_m(paths.z_m) + paths.across_m, scene.road.y_m(paths.z_m) - raised_m, paths.z_m], axis=2
-    )
-    return paths, np.einsum("tij,ntj->nti", poses.camera_from_world, world - poses.position_m)
+    world = np.stack([scene.road.x_m(z_m) + across_m, scene.road.y_m(z_m) - raised_m, z_m], axis=2)
+    return z_m, np.einsum("tij,ntj->nti", poses.camera_from_world, world - poses.position_m)
 
 
 def closing_rates_mps(scene: Scene, times_s: FloatArray) -> FloatArray:

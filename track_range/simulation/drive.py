@@ -5,7 +5,7 @@ rig.yaml                the cameras
 truth.txt, truth.csv, contacts.csv, ego_speed.csv   ground truth and speed (`camera/tables.py`)
 detections.txt          simulated detections in KITTI's format (`camera/playback.py`)
 image_2/, image_3/, disp_occ_0/, obj_map/           optional: pairs, disparities and objects in KITTI 2015's layout
-masks/, mask_ids/                                   optional: visible heads and number plates (`camera/masks.py`)
+masks/, mask_ids/                                   optional: visible heads and number plates (`write_masks`)
 
 With wide lenses, boxes of the ground truth are in pixels of the undistorted images of a run without --fov-deg.
 
@@ -29,9 +29,15 @@ import numpy as np
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import make_folder, write_text
-from track_range.simulation.camera.drive_files import disparity_map, image_writer, object_map, with_even_size, write_png
+from track_range.simulation.camera.drive_files import (
+    disparity_map,
+    image_writer,
+    object_map,
+    with_even_size,
+    write_masks,
+    write_png,
+)
 from track_range.simulation.camera.faults import kept_frames, rig_in_file
-from track_range.simulation.camera.masks import MaskFolder
 from track_range.simulation.camera.playback import play_back
 from track_range.simulation.camera.tables import TRUTH_HEADER, contacts_text, ego_speed_text, kitti_text, truth_rows
 from track_range.simulation.camera.wide_lens import WideLens
@@ -123,7 +129,6 @@ def write_drive(
     make_folder(folder)
     drive = Drive.in_folder(folder, is_lossless=options.lossless)
     save_rig(rig_in_file(rig, options), drive.rig)
-    masks = MaskFolder(folder, scene) if options.masks else None
     times_s: list[float] = (np.arange(n_frames) / fps).tolist()
     left_times_s: list[float] = []
     labels: list[KittiLabels] = []
@@ -142,12 +147,12 @@ def write_drive(
                 left_times_s.append(time_s)
                 labels.append(visible.labels)
                 rows.append(truth_rows(renderer, time_s, visible))
-                if masks is not None:
-                    masks.write(*part_labels)
+                if options.masks:
+                    write_masks(folder, len(rows) - 1, *part_labels, scene)
                 if options.disparity:
+                    objects = object_map(inverse_depth, pinholes, visible, scene.rotations(time_s))
                     _write_kitti_2015(folder / "image_2", number, image)
                     _write_kitti_2015(folder / "disp_occ_0", number, disparity_map(inverse_depth, pinholes))
-                    objects = object_map(inverse_depth, pinholes, visible, scene.rotations(time_s))
                     _write_kitti_2015(folder / "obj_map", number, objects)
             if right_image is not None:
                 image = right_image.result()

@@ -3,32 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from track_range.foundation.options import Options, option
 
-ScenarioName = Literal[
-    "town",
-    "highway",
-    "city",
-    "cut-in",
-    "crossing",
-    "queue",
-    "empty",
-    "night",
-    "rear-stationary",
-    "rear-slower",
-    "rear-braking",
-    "crossing-adult",
-    "crossing-child",
-    "curve-parked",
-    "oncoming",
-    "overhead-sign",
-    "following",
-    "occlusion",
-]
-
-SCENARIO_NAMES: tuple[ScenarioName, ...] = get_args(ScenarioName)
+SCENARIO_NAMES = (
+    *("town", "highway", "city", "cut-in", "crossing", "queue", "empty", "night"),
+    *("rear-stationary", "rear-slower", "rear-braking", "crossing-adult", "crossing-child"),
+    *("curve-parked", "oncoming", "overhead-sign", "following", "occlusion"),
+)
 
 _DRIVE, _OUTPUT, _FAULTS = "Drive", "Output", "Camera faults"
 
@@ -131,11 +114,12 @@ class _Input(Options):
     ] = None
     frames: Annotated[int, option("Number of images of each scene, with --images.", panel=_OUTPUT, ge=1, le=1000)] = 6
     scenario: Annotated[
-        ScenarioName | None,
+        str | None,
         option(
             f"Scenario: {', '.join(SCENARIO_NAMES)} (default: city; with --images: roads with traffic and few people).",
             metavar="NAME",
             panel=_DRIVE,
+            choices=lambda: SCENARIO_NAMES,
         ),
     ] = None
     seconds: Annotated[

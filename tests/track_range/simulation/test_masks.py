@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.simulation.camera.masks import masks_of
+from track_range.simulation.camera.drive_files import masks_of
 from track_range.simulation.drive import write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.settings import DriveOptions

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from track_range.detection.formats.detection_files import RecordedDetections
 from track_range.evaluation.sequences.find import SequenceFile
-from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.arrays import BoolArray, FloatArray, Image
 from track_range.foundation.files.atomic_files import describe
 from track_range.recording.frame import VideoError
 from track_range.recording.open_video import open_video
@@ -92,10 +90,11 @@ def track_sequence(
     """
     video = None if images is None else open_video(images, folder_fps=fps)
     refinable = tracker if isinstance(tracker, RefinableTracker) else None
-    refinement, online, spent_s, image_counts = OfflineRefinement(), [], 0.0, _ImageCounts()
+    refinement, online, spent_s, with_image = OfflineRefinement(), [], 0.0, []
     for frame, time_s, image in _frames(video, n_frames, fps):
         detections = recorded.at(frame)
-        image_counts.add(detections.xyxy_px, image)
+        if image is not None:
+            with_image.append(_size_and_outside(detections.xyxy_px, image))
         began_s = time.perf_counter()
         tracks = checked_tracks(tracker, tracker.update(detections, time_s, image))
         if is_online:
@@ -107,40 +106,29 @@ def track_sequence(
     began_s = time.perf_counter()
     frames = online if is_online else refinement.refine(refinable.track_activation_threshold if refinable else None)
     spent_s += time.perf_counter() - began_s
-    notes = () if video is None else (*video.notes, *image_counts.notes(images, n_frames))
+    notes = () if video is None else (*video.notes, *_image_notes(with_image, images, n_frames))
     return TrackedSequence(frames, 1e6 * spent_s / max(n_frames, 1), notes)
 
 
-class _ImageCounts:
-    """Counts of the frames with images, and of the boxes outside the images."""
+def _size_and_outside(xyxy_px: FloatArray, image: Image) -> tuple[str, BoolArray]:
+    """The size of the image of a frame in words, and which (N,) of its boxes have centres outside of it."""
+    height, width = image.shape[:2]
+    centre = (xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2
+    outside = (centre < -0.5) | (centre > [width - 0.5, height - 0.5])
+    return f"{width} x {height}", outside.any(axis=1)
 
-    def __init__(self) -> None:
-        self._n_frames = self._n_boxes = self._n_outside = 0
-        self._size_text = ""
 
-    def add(self, xyxy_px: FloatArray, image: Image | None) -> None:
-        """Count one frame with its boxes (N, 4)."""
-        if image is None:
-            return
-        height, width = image.shape[:2]
-        centre = (xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2
-        outside = (centre < -0.5) | (centre > [width - 0.5, height - 0.5])
-        self._n_frames += 1
-        self._n_boxes += len(centre)
-        self._n_outside += int(np.count_nonzero(outside.any(axis=1)))
-        self._size_text = f"{width} x {height}"
-
-    def notes(self, images: Path | None, n_frames: int) -> tuple[str, ...]:
-        """Messages for the user about missing images and boxes outside the images."""
-        notes = []
-        if self._n_frames < n_frames:
-            notes.append(f"{images}: images for {self._n_frames} of {n_frames} frames; the others use boxes only.")
-        if self._n_outside > _MAX_OUTSIDE * self._n_boxes:
-            notes.append(
-                f"{self._n_outside} of {self._n_boxes} boxes are outside the images of {self._size_text} px; check "
-                "that boxes and images belong together."
-            )
-        return tuple(notes)
+def _image_notes(with_image: Sequence[tuple[str, BoolArray]], images: Path | None, n_frames: int) -> Iterator[str]:
+    """Messages for the user about missing images and boxes outside the images."""
+    if len(with_image) < n_frames:
+        yield f"{images}: images for {len(with_image)} of {n_frames} frames; the others use boxes only."
+    n_boxes = sum(len(is_outside) for _, is_outside in with_image)
+    n_outside = sum(int(is_outside.sum()) for _, is_outside in with_image)
+    if n_outside > _MAX_OUTSIDE * n_boxes:
+        yield (
+            f"{n_outside} of {n_boxes} boxes are outside the images of {with_image[-1][0]} px; check that boxes and "
+            "images belong together."
+        )
 
 
 def _frames(video: RecordedVideo | None, n_frames: int, fps: float) -> Iterator[tuple[int, float, Image | None]]:

@@ -1,4 +1,4 @@
-"""Writing of a drive's images, as a video or lossless PNGs, and maps of true disparities and objects."""
+"""Writing of a drive's images, as a video or lossless PNGs, and maps of true disparities, objects, heads and plates."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.files.output_files import make_folder, write_bytes
+from track_range.simulation.world.scene import Scene
 from track_range.simulation.world.truth import VisibleObjects
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
@@ -27,6 +28,8 @@ EDGE_PX = 1.0
 
 SURFACE_MARGIN_M = 0.04
 """Tolerance for drawn points outside an object's 3-D box, and minimum height of its points above the road, m."""
+
+MIN_SAMPLES = 2  # minimum number of a pixel's four samples that show a head or plate
 
 
 class PngFolder:
@@ -103,6 +106,31 @@ def object_map(
         part = numbers[y1 : y2 + 1, x1 : x2 + 1]
         part[inside & (part == 0)] = number + 1
     return numbers
+
+
+def write_masks(folder: Path, number: int, labels: npt.NDArray[np.uint16], scene: Scene) -> None:
+    """Write the visible heads and plates of a left image, from `Renderer.render_with_labels`, without blur and noise.
+
+    masks/000000.png is 0 = neither, 1 = head, 2 = number plate (`faces.IdentifyingPart`); mask_ids/000000.png is 1 +
+    the track id of the road user (of truth.txt), 0 = neither. `number` is that of the frame of the left video, which
+    has no gaps for dropped frames. The first one removes the masks of an earlier drive.
+    """
+    part, row = masks_of(labels)
+    track_id = np.array([user.track_id for user in scene.road_users], np.int64)
+    ids = np.where(part > 0, track_id[row] + 1, 0) if len(track_id) else row
+    for name, image in (("masks", part), ("mask_ids", ids.astype(np.uint16))):
+        if number == 0:
+            make_png_folder(folder / name)
+        write_png(folder / name / f"{number:06}.png", image)
+
+
+def masks_of(labels: npt.NDArray[np.uint16]) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
+    """(H, W) part of each pixel, 0 to 2, and (H, W) row of its road user in the scene, from samples (2 H, 2 W)."""
+    height, width = labels.shape
+    samples = labels.reshape(height // 2, 2, width // 2, 2).transpose(0, 2, 1, 3).reshape(height // 2, width // 2, 4)
+    label = np.sort(samples, axis=2)[:, :, 4 - MIN_SAMPLES].astype(np.int64)
+    is_part = label > 0
+    return np.where(is_part, (label - 1) % 2 + 1, 0).astype(np.uint8), np.where(is_part, (label - 1) // 2, 0)
 
 
 def with_even_size(rig: StereoRig) -> StereoRig:

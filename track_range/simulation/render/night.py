@@ -6,7 +6,6 @@ Every visible lamp adds a glow: the lamp, and a halo as caused by lens and air.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -29,17 +28,8 @@ LAMP_HEIGHT = {"Car": 0.52, "Van": 0.40, "Truck": 0.22, "Bus": 0.25, "Motorcycle
 """Height of the lamps relative to the vehicle's height, by type."""
 
 
-@dataclass(frozen=True, slots=True)
-class Lamps:
-    """Lamps that shine towards the camera."""
-
-    location_m: FloatArray  # (N, 3) locations in a camera's frame
-    bgr: FloatArray  # (N, 3) colours
-    radius_m: FloatArray  # (N,) radii
-
-
-def lamps_of(scene: Scene, time_s: float, *, lamp_heads_m: FloatArray, shift_m: FloatArray) -> Lamps:
-    """The lamps of vehicles and the street lamps in a camera's frame.
+def lamps_of(scene: Scene, time_s: float, *, lamp_heads_m: FloatArray, shift_m: FloatArray) -> FloatArray:
+    """(N, 7) the lamps of vehicles and the street lamps: locations in a camera's frame, colours (BGR), radii in m.
 
     `lamp_heads_m` (N, 3) is in world axes, `shift_m` (3,) the position of the left camera in the camera's frame.
     """
@@ -51,8 +41,7 @@ def lamps_of(scene: Scene, time_s: float, *, lamp_heads_m: FloatArray, shift_m: 
             rows += _vehicle_lamps(user, location, rotation)
     for head in (lamp_heads_m - pose.position_m) @ pose.camera_from_world.T:
         rows.append((*head.tolist(), *AMBER, 0.22))
-    table = np.array(rows, np.float64).reshape(-1, 7)
-    return Lamps(table[:, :3] + shift_m, table[:, 3:6], table[:, 6])
+    return np.array(rows, np.float64).reshape(-1, 7) + np.concatenate([shift_m, np.zeros(4)])
 
 
 def _vehicle_lamps(user: RoadUser, location: FloatArray, rotation: FloatArray) -> list[tuple[float, ...]]:
@@ -66,19 +55,18 @@ def _vehicle_lamps(user: RoadUser, location: FloatArray, rotation: FloatArray) -
     return [(*(location + rotation @ lamp).tolist(), *colour, radius_m) for lamp in lamps]
 
 
-def night_image(image: Image, inverse_depth: FloatArray, camera: PinholeCamera, lamps: Lamps) -> Image:
+def night_image(image: Image, inverse_depth: FloatArray, camera: PinholeCamera, lamps: FloatArray) -> Image:
     """A daylight image as lit by the ego headlights and lamps; the sky does not change.
 
-    `image` is (H, W, 3) uint8, `inverse_depth` (H, W) 1/z in 1/m with 0 = sky; the lamps are in the camera's frame.
+    `image` is (H, W, 3) uint8, `inverse_depth` (H, W) 1/z in 1/m with 0 = sky; the lamps are those of `lamps_of`.
     """
     near = cv2.pow(np.minimum(inverse_depth * np.float32(REACH_M), np.float32(1)), FADING)
     strength = headlights(camera) * near
     light = cv2.merge([strength * beam + ambient for beam, ambient in zip(BEAM, AMBIENT, strict=True)])
     light[inverse_depth <= 0] = 1.0
     night = image * light
-    for location, bgr, radius_m in zip(lamps.location_m, lamps.bgr, lamps.radius_m.tolist(), strict=True):
-        if location[2] > 1.0:
-            _add_glow(night, inverse_depth, camera, location, bgr, radius_m)
+    for lamp in lamps[lamps[:, 2] > 1.0]:
+        _add_glow(night, inverse_depth, camera, lamp)
     return np.asarray(cv2.convertScaleAbs(night), np.uint8)
 
 
@@ -93,15 +81,9 @@ def headlights(camera: PinholeCamera) -> FloatArray:
     return np.asarray(beam, np.float32)
 
 
-def _add_glow(
-    image: FloatArray,
-    inverse_depth: FloatArray,
-    camera: PinholeCamera,
-    location: FloatArray,
-    bgr: FloatArray,
-    radius_m: float,
-) -> None:
-    """Add the glow of one lamp to `image`, unless a nearer surface hides it."""
+def _add_glow(image: FloatArray, inverse_depth: FloatArray, camera: PinholeCamera, lamp: FloatArray) -> None:
+    """Add the glow of one lamp (7,) to `image`, unless a nearer surface hides it."""
+    location, bgr, radius_m = lamp[:3], lamp[3:6], float(lamp[6])
     xy_px = camera.project(location[None])[0]
     column, row = np.rint(xy_px).astype(int).tolist()
     height, width = image.shape[:2]

@@ -142,13 +142,8 @@ _TRACK_COLUMNS: tuple[ColumnSpec, ...] = (
 
 _MOT_FIGURES = (
     *(("HOTA %", "hota"), ("DetA %", "deta"), ("AssA %", "assa"), ("LocA %", "loca"), ("MOTA %", "mota")),
-    *(
-        ("MOTP %", "motp"),
-        ("IDF1 %", "idf1"),
-        ("ID precision %", "idp"),
-        ("ID recall %", "idr"),
-        ("ID switches", "idsw"),
-    ),
+    *(("MOTP %", "motp"), ("IDF1 %", "idf1"), ("ID precision %", "idp"), ("ID recall %", "idr")),
+    ("ID switches", "idsw"),
     *(("fragments", "frag"), ("false positives", "fp"), ("false negatives", "fn"), ("true boxes", "n_truth_boxes")),
     *(("mostly tracked", "mt"), ("partly tracked", "pt"), ("mostly lost", "ml")),
 )
@@ -160,10 +155,8 @@ STAGE_OF = {"fused": "fuse"}
 
 def grids(summary: Summary) -> list[Grid]:
     """Non-empty tables of a summary: methods, common coverage, closing speed, rig, sigma, run time, tracks."""
-    title = "Distance error of each method on its own coverage" if summary.get("common") else "Coverage of each method"
     tables = [
-        method_grid(title, summary.get("methods") or {}),
-        _common_grid(summary),
+        *_distance_grids(summary, has_errors=bool(summary.get("common"))),
         closing_grid(summary.get("closing") or {}),
         rig_grid((summary.get("alignment") or {}).get("health") or {}),
         uncertainty_grid(summary),
@@ -177,14 +170,17 @@ def accuracy_grids(summary: Summary) -> list[Grid]:
     """Distance errors of each method on its own coverage, on common coverage and by class; closing-speed errors."""
     methods = summary.get("methods") or {}
     has_errors = any(figure(row, "median_relative_error_pct") is not None for row in methods.values())
+    tables = [*_distance_grids(summary, has_errors=has_errors), class_grid(methods)]
+    return [grid for grid in (*tables, closing_grid(summary.get("closing") or {})) if grid.rows]
+
+
+def _distance_grids(summary: Summary, *, has_errors: bool) -> tuple[Grid, Grid]:
+    """Distance errors of each method on its own coverage, and on common coverage."""
     title = "Distance error of each method on its own coverage" if has_errors else "Coverage of each method"
-    tables = [
-        method_grid(title, methods),
-        _common_grid(summary),
-        class_grid(methods),
-        closing_grid(summary.get("closing") or {}),
-    ]
-    return [grid for grid in tables if grid.rows]
+    common = summary.get("common") or {}
+    n = max((figure(row, "n") or 0 for row in common.values()), default=0)
+    common_title = f"Distance error on common coverage ({n:.0f} track-frames measured by all methods)"
+    return method_grid(title, summary.get("methods") or {}), method_grid(common_title, common)
 
 
 def method_grid(title: str, methods: Mapping[str, Mapping[str, Any]]) -> Grid:
@@ -201,12 +197,6 @@ def band_error_pct(row: Mapping[str, Any], limits_m: tuple[float, float]) -> flo
     """Mean relative error of a method in one distance band, in per cent; None where it measured nothing."""
     bands = [band for band in row.get("bands") or [] if (band["from_m"], band["to_m"]) == limits_m]
     return figure(bands[0], "mean_relative_error_pct") if bands else None
-
-
-def _common_grid(summary: Summary) -> Grid:
-    common = summary.get("common") or {}
-    n = max((figure(row, "n") or 0 for row in common.values()), default=0)
-    return method_grid(f"Distance error on common coverage ({n:.0f} track-frames measured by all methods)", common)
 
 
 def class_grid(methods: Mapping[str, Mapping[str, Any]]) -> Grid:

@@ -24,7 +24,7 @@ from track_range.simulation.world.bodies.faces import (
     shadow,
     with_plate,
 )
-from track_range.simulation.world.textures.painting import SEAM, clip, fill, pane, polygon, shade_rows, wheel
+from track_range.simulation.world.textures.surfaces import SEAM, clip, fill, pane, polygon, shade_rows, wheel
 
 PAINTS: tuple[Colour, ...] = (
     (205, 206, 205),
@@ -151,7 +151,6 @@ def _paint_end(picture: Image, *, is_front: bool) -> None:
             [(0, 0), (1, 0), (1, sill), (0.17, sill), (0.17, 1), (0.03, 1), (0.03, sill), (0, sill)],
             [(0.83, sill), (0.97, sill), (0.97, 1), (0.83, 1)],
         ],
-        [],
     )
 
 
@@ -161,7 +160,7 @@ def _paint_corner(picture: Image, *, is_front: bool) -> None:
     rows, colour = ((0.12, 0.30), LAMP_WHITE) if is_front else ((0.10, 0.36), LAMP_RED)
     fill(picture, (0.0, rows[0], 0.9, rows[1]), colour)
     fill(picture, (0, 0.72, 1, 1), TRIM)
-    clip(picture, [[(0, 0), (1, 0), (1, 1 - SILL), (0, 1 - SILL)]], [])
+    clip(picture, [[(0, 0), (1, 0), (1, 1 - SILL), (0, 1 - SILL)]])
 
 
 def _side(car: _Car, side: int) -> Face:
@@ -204,7 +203,7 @@ def _lids(car: _Car) -> list[Face]:
     bonnet_m, lid_m = length / 2 - base_x, build.cabin[0] * length
     bonnet = car.panel((base_x, -high, z), (bonnet_m, high - low, 0), (0, 0, -width), 1.12)
     across, along = FRONT_CHAMFER_M[1] / width, 1 - FRONT_CHAMFER_M[0] / bonnet_m
-    clip(bonnet.texture, [[(0, 0), (along, 0), (1, across), (1, 1 - across), (along, 1), (0, 1)]], [])
+    clip(bonnet.texture, [[(0, 0), (along, 0), (1, across), (1, 1 - across), (along, 1), (0, 1)]])
     return [bonnet, car.panel((-length / 2, -high, z), (lid_m, 0, 0), (0, 0, -width), 1.12)]
 
 
@@ -245,7 +244,7 @@ def _screen(picture: Image, inset: float, *, is_back: bool) -> None:
     pane(picture, [(edge, 0.12), (1 - edge, 0.12), (1 - margin, 0.93), (margin, 0.93)])
     for left in (0.24, 0.62) if is_back else ():
         fill(picture, (left, 0.45, left + 0.14, 0.80), (30, 28, 28))
-    clip(picture, [[(inset, 0), (1 - inset, 0), (1, 1), (0, 1)]], [])
+    clip(picture, [[(inset, 0), (1 - inset, 0), (1, 1), (0, 1)]])
 
 
 def _side_windows(picture: Image, left: float, right: float) -> None:
@@ -255,4 +254,4 @@ def _side_windows(picture: Image, left: float, right: float) -> None:
     first, second = middle - 0.012, middle + 0.012
     pane(picture, [(left + head, top), (first, top), (first, low), (foot + 0.3 * left, low)])
     pane(picture, [(second, top), (1 - right - head, top), (1 - foot - 0.3 * right, low), (second, low)])
-    clip(picture, [[(left, 0), (1 - right, 0), (1, 1), (0, 1)]], [])
+    clip(picture, [[(left, 0), (1 - right, 0), (1, 1), (0, 1)]])

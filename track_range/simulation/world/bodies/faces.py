@@ -18,8 +18,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.simulation.world.textures.painting import Box, number_plate
-from track_range.simulation.world.textures.surfaces import cut_outside, plain
+from track_range.simulation.world.textures.surfaces import Box, cut_outside, number_plate, plain
 
 Colour = tuple[float, ...]  # blue, green, red, 0 to 255
 Vector = tuple[float, float, float]  # x, y, z in the object's frame, metres

@@ -7,7 +7,7 @@ import numpy as np
 
 from track_range.foundation.arrays import Image
 from track_range.simulation.world.bodies.faces import Colour, Extent, Face, Size, block, octagon
-from track_range.simulation.world.textures.painting import clip, fill, polygon
+from track_range.simulation.world.textures.surfaces import clip, fill, polygon
 
 POLE_M = 4.0  # length of the pole; longer than the height of any sign, since the ground hides its lower end
 
@@ -25,7 +25,7 @@ def traffic_sign(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     plate = _plate(rng, size_hwl_m)
     outline = SIGNS[int(rng.integers(len(SIGNS)))](plate["front"].texture)
     for face in plate.values():
-        clip(face.texture, [outline], [])
+        clip(face.texture, [outline])
     return [*plate.values(), *_pole(rng, size_hwl_m)]
 
 

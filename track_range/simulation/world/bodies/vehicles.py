@@ -22,7 +22,7 @@ from track_range.simulation.world.bodies.faces import (
     shadow,
     with_plate,
 )
-from track_range.simulation.world.textures.painting import SEAM, clip, fill, pane, shade_rows, wheel
+from track_range.simulation.world.textures.surfaces import SEAM, clip, fill, pane, shade_rows, wheel
 
 VAN_PAINTS: tuple[Colour, ...] = ((208, 208, 206), (200, 202, 204), (128, 126, 122), (110, 66, 40), (44, 40, 140))
 CARGO_PAINTS: tuple[Colour, ...] = ((204, 204, 200), (190, 192, 190), (150, 96, 52), (60, 110, 60))
@@ -158,4 +158,4 @@ def _on_tyres(face: Face, *, sill_m: float = SILL_M) -> None:
     fill(face.texture, (0, sill - 0.06, 1, sill), (38, 38, 40))
     fill(face.texture, (0, sill, 1, 1), (20, 20, 22))
     tyres = [[(left, sill), (left + 0.16, sill), (left + 0.16, 1), (left, 1)] for left in (0.04, 0.80)]
-    clip(face.texture, [[(0, 0), (1, 0), (1, sill), (0, sill)], *tyres], [])
+    clip(face.texture, [[(0, 0), (1, 0), (1, sill), (0, sill)], *tyres])

@@ -61,26 +61,11 @@ def lane(
 
 
 def oncoming(
-    rng: np.random.Generator,
-    *,
-    x_m: float,
-    speed_mps: float,
-    spacing_m: float,
-    until_m: float,
-    seconds: float,
-    types: tuple[tuple[str, float], ...] = TRAFFIC_TYPES,
+    rng: np.random.Generator, *, speed_mps: float, until_m: float, seconds: float, **others: Any
 ) -> list[RoadUser]:
-    """The oncoming traffic of one lane that is nearer than `until_m` within `seconds`."""
-    return lane(
-        rng,
-        x_m=x_m,
-        speed_mps=speed_mps,
-        spacing_m=spacing_m,
-        from_m=30.0,
-        until_m=until_m + speed_mps * seconds,
-        heading_rad=TOWARDS_RAD,
-        types=types,
-    )
+    """The oncoming traffic of one lane that is nearer than `until_m` within `seconds`; `others` are those of `lane`."""
+    until_m += speed_mps * seconds
+    return lane(rng, speed_mps=speed_mps, from_m=30.0, until_m=until_m, heading_rad=TOWARDS_RAD, **others)
 
 
 def drawn(rng: np.random.Generator, fractions: Sequence[tuple[str, float]], n: int) -> list[str]:
@@ -145,13 +130,8 @@ def scene_of(
 ) -> Scene:
     """The scene of a scenario, with an ego car that wobbles on its springs.
 
-    Args:
-        seed: seed of the scenario.
-        rng: random generator of the road, and of the users' sizes, which vary around the given ones.
-        users: the road users, without ids.
-        ego: speeds of the ego car.
-        surroundings: a key of `SURROUNDINGS`.
-        road: the road, or the lateral and vertical amplitude of a random one, of which it has 70 to 100 %.
+    The road users have no ids yet, and their sizes vary around the given ones. `surroundings` is a key of
+    `SURROUNDINGS`; `road` may be the lateral and vertical amplitude in m of a random one, which has 70 to 100 % of it.
     """
     road = road if isinstance(road, RoadShape) else _random_road(rng, *road, 1.6 if surroundings == "highway" else 1.0)
     sized = []
