@@ -18,7 +18,7 @@ from track_range.detection.formats.detection_files import RecordedDetections, re
 from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti
 from track_range.detection.formats.video_labels.mot import MotRows, read_mot
 from track_range.evaluation.sequences.find import find_sequences
-from track_range.evaluation.sequences.tracking import track_sequence
+from track_range.evaluation.sequences.track import track_sequence
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.tracking.deepsort import DeepSortTracker
 from track_range.tracking.evaluation.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned

@@ -93,18 +93,12 @@ def write_drive(
     options: DriveOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Drive:
-    """Write a drive to `folder`, which is created if necessary; the same seed gives the same drive.
+    """Write a drive to `folder`, where files with the same names are replaced; the same seed gives the same drive.
 
-    Args:
-        folder: files with the same names are replaced.
-        scenario: a name of `settings.SCENARIO_NAMES`.
-        seed: random seed of the scene, textures, sensor noise and simulated detections.
-        seconds: length of the drive.
-        fps: frame rate.
-        rig: a rectified pair, or equal, parallel cameras with wide lenses; None = KITTI's angle of view, 1240 x 376 px
-            and 0.54 m. Odd image sizes grow by one, also in the rig file.
-        options: size of cars, faults and files; None = the defaults.
-        progress: called after each frame with the number of finished frames and the total.
+    `scenario` is a name of `settings.SCENARIO_NAMES`, `seed` that of the scene, textures, sensor noise and simulated
+    detections. `rig` is a rectified pair, or equal, parallel cameras with wide lenses; None = KITTI's angle of view,
+    1240 x 376 px and 0.54 m. Odd image sizes grow by one, also in the rig file. `progress` is called after each frame
+    with the number of finished frames and the total.
 
     Raises:
         ValueError: less than one frame, an unknown scenario, a rig that is not rectified, or disparities or masks of a

@@ -40,15 +40,9 @@ def write_image_set(
 ) -> Path:
     """Write `n_frames` images of each scene into `folder`; returns data.yaml, which lists all images for training.
 
-    Args:
-        folder: folder for images/, labels/, ignored/ and data.yaml.
-        seeds: random seed of each scene; the same seeds give the same images.
-        n_frames: number of images per scene.
-        make: creates a scene from its seed and length in seconds; default: a road with traffic and few people.
-        progress: called after each image with the number of finished images and the total.
-
-    Raises:
-        OutputError: the folder cannot be written, or contains images or a data.yaml.
+    `folder` gets images/, labels/, ignored/ and data.yaml. The same `seeds` give the same images; `make` creates a
+    scene from its seed and length in seconds. `progress` is called after each image with the number of finished images
+    and the total. OutputError if the folder cannot be written, or contains images or a data.yaml.
     """
     for name in ("images", "labels", "ignored"):
         make_folder(folder / name)

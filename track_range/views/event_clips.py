@@ -48,14 +48,9 @@ def write_clips(
     """Paths of the clips that are written, one per event of which the overlay shows a frame.
 
     Clips of an earlier run in the folder are removed. VideoError if the overlay cannot be read, OutputError if a clip
-    cannot be written.
-
-    Args:
-        overlay: overlay.mp4 of the run.
-        events: all events of the run, in the order of events.csv.
-        folder: folder of the clips; it is created if there are events.
-        starts_s: time of the overlay's first frame in seconds from the start of the video.
-        progress: called with the number of finished clips and of all.
+    cannot be written. `events` are all events of the run, in the order of events.csv; `starts_s` is the time of the
+    overlay's first frame in seconds from the start of the video. `progress` is called with the number of finished clips
+    and of all.
     """
     if not overlay.exists():
         raise VideoError(

@@ -103,7 +103,6 @@ class VideoWriter:
             raise
 
     def _start(self, options: dict[str, str], fps: float, n_threads: int) -> None:
-        """Open the encoder and write the header of the file."""
         self._container = av.open(self._file, mode="w", format="mp4", options=_MUXER_OPTIONS, buffer_size=_BUFFER_BYTES)
         stream = self._container.add_stream(_ENCODER, rate=Fraction(fps).limit_denominator(1001), options=options)
         self._stream = cast(VideoStream, stream)

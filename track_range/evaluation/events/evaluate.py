@@ -7,15 +7,15 @@ the run and labelled boxes with closing speeds are known, the errors of the clos
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Sequence
+from collections.abc import Collection, Container, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from track_range.detection.classes import ROAD_CLASS_OF
 from track_range.detection.formats.label_formats import is_blank
-from track_range.evaluation.events.closing import closing_errors
 from track_range.evaluation.events.contacts import COLUMNS, Contact, read_contacts
 from track_range.evaluation.events.objects import LabelledBoxes, objects_by_boxes, objects_by_time, read_boxes
 from track_range.evaluation.events.scores import contact_scores, event_scores, is_warning
@@ -23,7 +23,9 @@ from track_range.evaluation.events.settings import EventEvaluationSettings
 from track_range.foundation.files.input_files import counted, first_line
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_json
-from track_range.results.columns import Columns
+from track_range.ranging.evaluation.errors import match_truth, score_closing
+from track_range.ranging.evaluation.truth import Truth
+from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.event import Event
 from track_range.results.events.files import EVENTS_FILE, NEEDED_COLUMNS, EventFileError, read_events
 from track_range.results.folder import read_run_rows
@@ -195,3 +197,41 @@ def _number(content: Any, *keys: str) -> float | None:
     for key in keys:
         content = content.get(key) if isinstance(content, dict) else None
     return float(content) if isinstance(content, int | float) and not isinstance(content, bool) else None
+
+
+NEAREST_M, FARTHEST_M = 10.0, 40.0
+"""True distances at which closing speeds are scored, m: nearer, boxes are cut; farther, warnings hardly use them."""
+
+TALL = "tall vehicles"  # section of buses, trucks and vans, whose rear is far behind their tallest visible edge
+
+_TALL_CLASSES = ("bus", "truck", "van")
+
+
+def closing_errors(columns: Columns, boxes: LabelledBoxes, vans: Collection[int] = ()) -> dict[str, Any]:
+    """Errors of the closing speeds of a run by class of the label, and of tall vehicles; figures as `score_closing`.
+
+    `vans` are numbers of objects that are vans, for labels with the class car.
+    """
+    in_range = (boxes.distance_m >= NEAREST_M) & (boxes.distance_m <= FARTHEST_M) & np.isfinite(boxes.closing_mps)
+    if not in_range.any():
+        return {}
+    truth = Truth(
+        frame=boxes.frame,
+        track_id=boxes.object_id,
+        kitti_type=boxes.class_name,
+        class_id=np.zeros(len(boxes.frame), np.int64),
+        xyxy_px=boxes.xyxy_px,
+        distance_m=boxes.distance_m,
+        closing_mps=boxes.closing_mps,
+    )
+    rows = match_truth(columns["frame"].astype(np.int64), boxes_px(columns), truth)
+    true_mps = np.where((rows >= 0) & in_range[rows], boxes.closing_mps[rows], np.nan)
+    is_tall = np.isin(boxes.class_name, _TALL_CLASSES) | np.isin(boxes.object_id, list(vans))
+    classes = np.array([ROAD_CLASS_OF.get(str(name), str(name)) for name in boxes.class_name], np.str_)
+    sections = {}
+    for name, chosen in [*((name, classes == name) for name in np.unique(classes[in_range])), (TALL, is_tall)]:
+        class_mps = np.where((rows >= 0) & chosen[rows], true_mps, np.nan)
+        score = score_closing(columns["closing_mps"], columns["closing_sigma_mps"], class_mps)
+        if score is not None:
+            sections[str(name)] = score
+    return sections

@@ -56,14 +56,10 @@ def contact_scores(
     hours: float | None,
     min_lead_s: float = MIN_LEAD_S,
 ) -> Scores:
-    """Scores of collision warnings against all contacts of a drive.
+    """Scores of collision warnings against all contacts of a drive of `hours`; None = unknown.
 
-    Args:
-        events: N events of a drive; those that are no warnings are ignored.
-        object_ids: identity of the object of each of the N events; None = none, or unknown.
-        contacts: the contacts.
-        hours: duration of the drive; None = unknown.
-        min_lead_s: shortest lead of a hit.
+    Events that are no warnings are ignored. `object_ids` are the identities of the objects of the N events; None =
+    none, or unknown. `min_lead_s` is the shortest lead of a hit.
     """
     on_contact: dict[int, list[Event]] = {}
     false_alarms = []

@@ -150,7 +150,6 @@ def _read_info(file: Path) -> SequenceInfo:
 
 
 def _value_of(section: Mapping[str, str], key: str, limits: tuple[float, float], file: Path) -> float | None:
-    """A number of seqinfo.ini; None if it is not given."""
     if key not in section:
         return None
     value, (low, high) = number(section[key]), limits

@@ -16,13 +16,8 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.simulation.world.truth import joined
 
 DETECTED_TYPES = {
-    "Car": "Car",
+    **{name: name for name in ("Car", "Truck", "Bus", "Pedestrian", "Cyclist", "Motorcycle")},
     "Van": "Car",
-    "Truck": "Truck",
-    "Bus": "Bus",
-    "Pedestrian": "Pedestrian",
-    "Cyclist": "Cyclist",
-    "Motorcycle": "Motorcycle",
 }
 """Detected type of each KITTI type; other types are not detected."""
 
@@ -91,7 +86,6 @@ def _smallness(height_px: FloatArray) -> FloatArray:
 def _false_boxes(
     rng: np.random.Generator, flaws: Flaws, *, n_frames: int, image_size_px: tuple[int, int]
 ) -> KittiLabels:
-    """False detections with uniformly distributed positions."""
     n_in_frame = rng.poisson(flaws.false_per_frame, n_frames)
     frame = np.repeat(np.arange(n_frames, dtype=np.int64), n_in_frame)
     types = rng.choice(list(FALSE_SIZES_PX), len(frame)).astype(np.str_)

@@ -34,15 +34,10 @@ SIDE_DEG, SIDE_HALF_DEG = 75.0, 40.0
 class SideView:
     """A pinhole to one side."""
 
-    yaw_deg: float  # direction of its axis, to the right of the lens's
+    yaw_deg: float  # direction of its axis, to the right of the lens's (`view_from_camera`)
     camera: PinholeCamera  # the pinhole
     xy_px: FloatArray32  # (SAMPLES H, SAMPLES W, 2) pixel of its image of each sample of the wide image
     is_shown: Image  # (SAMPLES H, SAMPLES W) 255 for samples that it shows and the pinhole ahead does not, else 0
-
-    @property
-    def from_camera(self) -> FloatArray:
-        """(3, 3) rotation from the lens's frame to the view's."""
-        return view_from_camera(self.yaw_deg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,16 +66,11 @@ class WideLens:
         beside = PinholeCamera(pinhole.fx_px, pinhole.fy_px, middle_px, middle_px, side_px, side_px)
         sides = []
         for yaw_deg in (-SIDE_DEG, SIDE_DEG):
-            of_side_px, is_inside = _projected(beside, rays @ view_from_camera(yaw_deg).T)
+            side_xy_px, is_inside = _projected(beside, rays @ view_from_camera(yaw_deg).T)
             is_shown = is_inside & ~is_ahead
             if is_shown.any():
-                sides.append(SideView(yaw_deg, beside, of_side_px, np.where(is_shown, 255, 0).astype(np.uint8)))
+                sides.append(SideView(yaw_deg, beside, side_xy_px, np.where(is_shown, 255, 0).astype(np.uint8)))
         return cls(rig, StereoRig.rectified(pinhole, rig.baseline_m), xy_px, tuple(sides))
-
-    @property
-    def camera(self) -> PinholeCamera:
-        """The left camera with its lens."""
-        return self.rig.left
 
     def recorded(self, ahead: Image, beside: Sequence[Image] = ()) -> Image:
         """The wide image of an image of the pinhole ahead and of those of `sides`, if they are rendered.
@@ -90,13 +80,14 @@ class WideLens:
         samples = _remapped(ahead, self.pinholes.left, self.xy_px)
         for image, side in zip(beside, self.sides, strict=False):
             cv2.copyTo(_remapped(image, side.camera, side.xy_px), side.is_shown, samples)
-        size_px = (self.camera.width_px, self.camera.height_px)
+        size_px = (self.rig.left.width_px, self.rig.left.height_px)
         return np.asarray(cv2.resize(samples, size_px, interpolation=cv2.INTER_AREA), np.uint8)
 
     def recorded_labels(self, labels: KittiLabels) -> KittiLabels:
         """Labels of the pinhole's images with boxes in pixels of the wide images, without those outside of them."""
-        xyxy_px = Undistorter(self.camera).recorded_boxes(labels.xyxy_px)
-        edge = np.array([self.camera.width_px, self.camera.height_px] * 2, np.float64) - 1
+        camera = self.rig.left
+        xyxy_px = Undistorter(camera).recorded_boxes(labels.xyxy_px)
+        edge = np.array([camera.width_px, camera.height_px] * 2, np.float64) - 1
         moved = replace(labels, xyxy_px=np.clip(xyxy_px, 0.0, edge))
         sides = moved.xyxy_px[:, 2:] - moved.xyxy_px[:, :2]
         return moved.select(np.flatnonzero((sides >= 1).all(axis=1)))  # false for NaN

@@ -5,7 +5,10 @@ faces of street, road users and obstacles -> canvas -> lens -> headlights, at ni
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
+from dataclasses import replace
 from functools import cache
 from itertools import repeat
 from statistics import NormalDist
@@ -15,16 +18,17 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.simulation.camera.faults import right_camera, with_blur_and_gain, with_rain
 from track_range.simulation.camera.wide_lens import SideView, WideLens
 from track_range.simulation.render.canvas import Canvas
-from track_range.simulation.render.crowd import Crowd
+from track_range.simulation.render.face_table import FaceTable
 from track_range.simulation.render.night import lamps_of, night_image
 from track_range.simulation.render.street import FAR_M, Street
 from track_range.simulation.render.surface import Surface
 from track_range.simulation.render.texture_store import TextureStore
 from track_range.simulation.settings import NO_FAULTS, Faults
+from track_range.simulation.world.bodies.faces import Face
 from track_range.simulation.world.bodies.obstacles import body_of_obstacle
 from track_range.simulation.world.bodies.road_users import body_of
 from track_range.simulation.world.road_shape import CameraPose
@@ -33,6 +37,7 @@ from track_range.simulation.world.textures.scenery import sky_picture
 from track_range.simulation.world.truth import corners_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.geometry.virtual_pinhole import view_from_camera
 
 Side = Literal["left", "right"]  # a camera of the pair
 SAMPLES = 2  # samples per pixel and axis
@@ -58,12 +63,9 @@ def kitti_like_rig(*, width_px: int = 1240, height_px: int = 376, baseline_m: fl
 class Renderer:
     """Renders a scene for either camera at any time; textures are created once.
 
-    Args:
-        scene: the scene; `bodies` are the faces of each of its road users.
-        rig: a rectified pair; the left camera is the scene's camera.
-        noise_grey: standard deviation of the sensor noise in grey levels, 0 = none.
-        faults: faults of the cameras.
-        wide_lens: lens of both cameras whose pinholes are `rig`; None = the pinholes. It changes images only.
+    `bodies` are the faces of each road user of the scene. `rig` is a rectified pair, whose left camera is the scene's;
+    `noise_grey` is the standard deviation of the sensor noise in grey levels, 0 = none; `wide_lens` is the lens of both
+    cameras whose pinholes are `rig`, None = the pinholes. It changes images only.
     """
 
     def __init__(
@@ -151,7 +153,6 @@ class Renderer:
         return np.array([-self.rig.baseline_m if side == "right" else 0.0, 0.0, 0.0])
 
     def _exposed(self, canvas: Canvas, time_s: float, side: Side) -> Image:
-        """The image of a drawing after lens, lighting, faults and sensor noise."""
         scene, faults, is_right = self.scene, self.faults, side == "right"
         samples = np.asarray(cv2.GaussianBlur(canvas.bgra, (3, 3), LENS_BLUR_SAMPLES), np.uint8)
         is_lit = scene.is_night or faults.rain > 0  # both are added to the pinhole's pixels
@@ -184,7 +185,9 @@ class Renderer:
     ) -> Canvas:
         """The canvas with the street, the road users, the obstacles and the sky; `view`: to the side, None = ahead."""
         pose, ego_z_m = self.scene.pose(time_s), self.scene.ego_z_m(time_s)
-        camera, turn = (self._cameras[side], np.eye(3)) if view is None else (_finer(view.camera), view.from_camera)
+        camera, turn = self._cameras[side], np.eye(3)
+        if view is not None:
+            camera, turn = _finer(view.camera), view_from_camera(view.yaw_deg)
         canvas = Canvas(camera, self._store, has_labels=has_labels)
         shift_m, rotation = turn @ self._shift_m(side), turn @ pose.camera_from_world
         street = self._street.faces(ego_z_m)
@@ -265,3 +268,41 @@ def _finer(camera: PinholeCamera) -> PinholeCamera:
         camera.width_px * SAMPLES,
         camera.height_px * SAMPLES,
     )
+
+
+class Crowd:
+    """Faces of many bodies, stored in the frame of each body.
+
+    The labels of faces are 2 n + part for body n (`faces.IdentifyingPart`), and 0 for other faces.
+    """
+
+    def __init__(self, bodies: Sequence[Sequence[Face]], store: TextureStore) -> None:
+        faces = FaceTable.of([face for body in bodies for face in body], store)
+        self._n_faces = np.array([len(body) for body in bodies], np.int64)
+        owner = np.repeat(np.arange(len(bodies)), self._n_faces)
+        self._faces = replace(faces, label=np.where(faces.label > 0, 2 * owner + faces.label, 0))
+        self._first = np.cumsum(self._n_faces) - self._n_faces
+
+    def with_owners(self) -> Crowd:
+        """The same faces with the labels n + 1 for body n."""
+        owned = copy(self)
+        owned._faces = replace(self._faces, label=1 + np.repeat(np.arange(len(self._n_faces)), self._n_faces))
+        return owned
+
+    def draw(
+        self, canvas: Canvas, order: IntArray, poses: tuple[FloatArray, FloatArray], is_visible: Iterable[bool]
+    ) -> None:
+        """Draw the bodies with the indices `order` (M,), if visible; each value is read just before its body is drawn.
+
+        `poses` are (N, 3) locations of all bodies in the camera's frame, and (N, 3, 3) rotations to that frame.
+        """
+        n_faces = self._n_faces[order]
+        owner, first = np.repeat(order, n_faces), np.cumsum(n_faces) - n_faces
+        rows = np.arange(len(owner)) + np.repeat(self._first[order] - first, n_faces)
+        table = self._faces.select(rows).rotated(poses[1][owner]).moved(poses[0][owner])
+        pieces = canvas.project(table)
+        starts = np.searchsorted(pieces.face, first).tolist()
+        ends = np.searchsorted(pieces.face, first + n_faces).tolist()
+        for start, end, is_drawn in zip(starts, ends, is_visible, strict=False):
+            if start < end and is_drawn:
+                canvas.paint(pieces, table, slice(start, end))

@@ -92,7 +92,6 @@ def _down_to(picture: Image, shape: tuple[int, int]) -> Image:
 
 
 def _with_margin(picture: Image) -> Image:
-    """The texture with a transparent margin of one texel."""
     if picture.ndim == 2:
         return np.asarray(cv2.copyMakeBorder(picture, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0), np.uint8)
     padded = cv2.copyMakeBorder(picture, 1, 1, 1, 1, cv2.BORDER_REPLICATE)

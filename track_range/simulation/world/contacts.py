@@ -78,23 +78,16 @@ def find_contacts(scene: Scene, seconds: float) -> tuple[EgoContact, ...]:
 
 def first_contact(scene: Scene, seconds: float) -> EgoContact | None:
     """The first real contact in the first `seconds` of a scene; None = none."""
-    touching = _first_touch(scene, scene.ego_z_m, (0.0, seconds))
-    return None if touching is None else _contact(scene, touching, is_real=True)
+    return _first_touch(scene, scene.ego_z_m, (0.0, seconds), is_real=True)
 
 
 def _unbraked_contact(scene: Scene, start_s: float, seconds: float) -> EgoContact | None:
     """The first contact if the ego vehicle keeps its speed from `start_s` on, without those with followed vehicles."""
     z_m, speed_mps = scene.ego_z_m(start_s), _along_z_mps(scene, start_s)
     end_s = min(start_s + UNBRAKED_S, seconds)
-    touching = _first_touch(scene, lambda times_s: z_m + speed_mps * (times_s - start_s), (start_s, end_s))
-    if touching is None or _is_followed(scene, touching[0], start_s):
-        return None
-    return _contact(scene, touching, is_real=False)
-
-
-def _contact(scene: Scene, touching: tuple[int, float], *, is_real: bool) -> EgoContact:
-    user = scene.road_users[touching[0]]
-    return EgoContact(user.track_id, user.kitti_type, touching[1], is_real)
+    from_to_s = (start_s, end_s)
+    contact = _first_touch(scene, lambda times_s: z_m + speed_mps * (times_s - start_s), from_to_s, is_real=False)
+    return None if contact is None or _is_followed(scene, contact.track_id, start_s) else contact
 
 
 def _brake_starts_s(scene: Scene, end_s: float) -> Iterator[float]:
@@ -111,9 +104,9 @@ def _along_z_mps(scene: Scene, time_s: float) -> float:
     return scene.speed_mps(time_s) / scene.road.stretch(scene.ego_z_m(time_s))
 
 
-def _is_followed(scene: Scene, row: int, time_s: float) -> bool:
+def _is_followed(scene: Scene, track_id: int, time_s: float) -> bool:
     """Whether the ego vehicle follows a road user at a time: a vehicle in its path with a sufficient time gap."""
-    user = scene.road_users[row]
+    user = next(user for user in scene.road_users if user.track_id == track_id)
     heading_rad = user.heading_rad(time_s) + np.pi / 2
     is_aligned = abs(np.arctan2(np.sin(heading_rad), np.cos(heading_rad))) < _ALIGNED_RAD
     if user.kitti_type not in _VEHICLES or not is_aligned:
@@ -126,9 +119,9 @@ def _is_followed(scene: Scene, row: int, time_s: float) -> bool:
 
 
 def _first_touch(
-    scene: Scene, ego_at_m: Callable[[FloatArray], FloatArray], from_to_s: tuple[float, float]
-) -> tuple[int, float] | None:
-    """Row and time of the first road user that touches the ego vehicle, whose camera is at z = `ego_at_m(time)`."""
+    scene: Scene, ego_at_m: Callable[[FloatArray], FloatArray], from_to_s: tuple[float, float], *, is_real: bool
+) -> EgoContact | None:
+    """The contact with the first road user that touches the ego vehicle, whose camera is at z = `ego_at_m(time)`."""
     times_s = np.append(np.arange(*from_to_s, STEP_S), from_to_s[1])
     users, size_hwl_m, ego_z = scene.road_users, scene.size_hwl_m(), ego_at_m(times_s)
     across_m, z_m = np.array([user.on_road_m(times_s) for user in users]).reshape(-1, 2, len(times_s)).swapaxes(0, 1)
@@ -142,8 +135,9 @@ def _first_touch(
         return None
     step = int(steps.min())
     around_s = float(times_s[max(step - 1, 0)]), float(times_s[step])
-    first = [(row, _bisected_s(scene, row, ego_at_m, *around_s)) for row in rows[steps == step].tolist()]
-    return min(first, key=lambda touching: touching[1])
+    touching = [(_bisected_s(scene, row, ego_at_m, *around_s), row) for row in rows[steps == step].tolist()]
+    contact_s, row = min(touching)
+    return EgoContact(users[row].track_id, users[row].kitti_type, contact_s, is_real)
 
 
 def _bisected_s(

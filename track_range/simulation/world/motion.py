@@ -45,7 +45,8 @@ def travelled_m(changes: SpeedChanges, time_s: Time) -> Time:
         return changes[0][1] * time_s
     if isinstance(time_s, np.ndarray):
         return _since_first_m(changes, time_s) - _since_first_m(changes, np.zeros(1))
-    low_s, high_s = sorted((0.0, time_s))
+    low_s: float = min(0.0, time_s)
+    high_s: float = max(0.0, time_s)
     times_s = np.array([low_s, *(at_s for at_s, _ in changes if low_s < at_s < high_s), high_s])
     speeds_mps = np.interp(times_s, [at_s for at_s, _ in changes], [speed_mps for _, speed_mps in changes])
     distance_m = float(((speeds_mps[1:] + speeds_mps[:-1]) / 2 * np.diff(times_s)).sum())

@@ -122,7 +122,6 @@ def yaw_rotation(yaw_rad: FloatArray | float) -> FloatArray:
 
 
 def _rows(*rows: tuple[FloatArray, FloatArray, FloatArray]) -> FloatArray:
-    """(..., 3, 3) matrices from their rows."""
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 

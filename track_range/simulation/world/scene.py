@@ -53,16 +53,12 @@ SIZE_SPREAD = 0.08  # largest relative deviation of height, width and length fro
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadUser:
-    """One object of the scene.
-
-    Attributes:
-        start_xz_m: centre of the box on the road at time 0: distance to the right of the ego lane's centre, and z.
-    """
+    """One object of the scene."""
 
     track_id: int  # id from 0 as in KITTI, unique in the scene; it also determines the appearance
     kitti_type: str  # a key of `SIZE_HWL_M`
     size_hwl_m: tuple[float, float, float]  # height, width, length of the 3-D box
-    start_xz_m: tuple[float, float]
+    start_xz_m: tuple[float, float]  # centre of the box on the road at time 0: right of the ego lane's centre, and z
     rotation_y_rad: float  # heading as KITTI's rotation_y, relative to the road's direction
     speed_mps: float = 0.0  # speed along the heading
     speed_changes: SpeedChanges = ()  # (time, speed) pairs, used instead of `speed_mps`; empty = constant speed

@@ -69,15 +69,13 @@ def corners_m(location_m: FloatArray, size_hwl_m: FloatArray, rotations: FloatAr
 
 
 def boxes_in_image(boxes_m: FloatArray, camera: PinholeCamera) -> tuple[FloatArray, FloatArray]:
-    """Bounding boxes of the parts inside the image of projected 3-D boxes, and how much of them is outside.
+    """(N, 4) bounding boxes in pixels of the parts inside the image of 3-D boxes with corners (N, 8, 3); NaN = no part.
+
+    Also (N,) the fraction of the bounding box of the whole projection that is outside; NaN behind the camera.
 
     The projection S of a 3-D box is convex. Its part in the image therefore has the rows of its part between the left
     and the right border, as far as they are rows of the image. The rows of that part are bounded by the points of S
     between the two borders, and by the crossings of segments of S with the borders. The same holds for the columns.
-
-    Returns:
-        (N, 4) boxes in pixels of 3-D boxes with corners (N, 8, 3), NaN where nothing is in the image; and (N,) fraction
-        of the bounding box of all of S that is outside the image, NaN behind the camera.
     """
     xy_px, is_in_front = _projected_points(boxes_m, camera)
     boxes = _bounds(xy_px, is_in_front)
@@ -110,10 +108,9 @@ def _clipped_to_image(boxes: FloatArray, xy_px: FloatArray, is_in_front: BoolArr
 
 
 def _projected_points(boxes_m: FloatArray, camera: PinholeCamera) -> tuple[FloatArray, BoolArray]:
-    """Corners of 3-D boxes (N, 8, 3) and their edges' intersections with the near plane, in the image.
+    """(N, 20, 2) pixels of the corners of 3-D boxes (N, 8, 3) and of their edges' intersections with the near plane.
 
-    Returns:
-        (N, 20, 2) points in pixels, and (N, 20) which of them are in front of the camera.
+    Also (N, 20) which of them are in front of the camera.
     """
     start, end = boxes_m[:, _EDGES[:, 0]], boxes_m[:, _EDGES[:, 1]]
     rise = end[:, :, 2] - start[:, :, 2]
@@ -209,7 +206,6 @@ def visible_objects(
 
 
 def _with_dont_care(labels: KittiLabels, is_small: BoolArray) -> KittiLabels:
-    """The labels with small objects converted to KITTI's DontCare regions."""
     return replace(
         labels,
         track_id=np.where(is_small, -1, labels.track_id),

@@ -35,12 +35,10 @@ _FINE = 4  # samples per cell and axis before the low-pass filter
 
 
 def blurred(image: Image, regions: Regions, rng: np.random.Generator) -> Image:
-    """A copy of an image with mosaics in all regions; where regions overlap, the one with the largest cells applies.
+    """A copy of an image (H, W, 3) uint8 BGR with mosaics in all regions.
 
-    Args:
-        image: (H, W, 3) uint8 BGR; not modified.
-        regions: rectangles to cover, also partly or entirely outside the image.
-        rng: generator of the noise.
+    Regions may be partly or entirely outside; where they overlap, the one with the largest cells applies. `rng`
+    generates the noise.
     """
     result = image.copy()
     size_px = np.array(image.shape[1::-1])

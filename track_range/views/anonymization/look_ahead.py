@@ -54,12 +54,7 @@ def anonymized_results(
     """Results in order with `frame.left` anonymized, and without `frame.right` and `candidates`.
 
     The regions come from the tracks, and from `candidates` where there are any. If `results` raises, those that are
-    held back are returned before the error.
-
-    Args:
-        results: results with images, in order.
-        look_ahead: how long results are held back.
-        rng: generator of the noise; None = seeded by the operating system.
+    held back are returned before the error. `rng` generates the noise; None = seeded by the operating system.
     """
     rng = np.random.default_rng() if rng is None else rng
     for result, regions in with_regions(results, look_ahead):
@@ -95,8 +90,6 @@ def with_regions(results: Iterable[FrameResult], look_ahead: LookAhead) -> Itera
 
 
 class _Box(NamedTuple):
-    """A box of a track."""
-
     time_s: float
     xyxy_px: FloatArray
     class_id: int

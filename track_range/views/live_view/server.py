@@ -86,14 +86,9 @@ Returns it as JPEG with its number, empty bytes if there is none yet, or None at
 class LivePage(ThreadingHTTPServer):
     """HTTP server of the live page, in a thread; serves until closed.
 
-    Each connection has a thread; connections beyond the limit are closed with status 503.
-
-    Args:
-        next_picture: source of pictures, called from one thread per connection.
-        port: port to listen on; 0 = any free port.
-        host: address to listen on; 127.0.0.1 = only this machine.
-        n_viewers: largest number of streams at a time; the next one is refused with status 503.
-        boxes: returns the content of /boxes; empty = none.
+    Each connection has a thread; connections beyond the limit are closed with status 503. `next_picture` is called from
+    one thread per connection; port 0 = any free port; `n_viewers` is the largest number of streams at a time, the next
+    one is refused with status 503; `boxes` returns the content of /boxes, empty = none.
 
     Attributes:
         url: address of the page on this machine.
@@ -177,8 +172,6 @@ class LivePage(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Handler of the request of one connection."""
-
     server: LivePage
     server_version, sys_version = "track-range", ""
     default_request_version = "HTTP/1.0"  # an answer to HTTP/0.9 would have no headers
@@ -310,7 +303,6 @@ def _advice(error: OSError) -> str:
 
 
 def _is_loopback(host: str) -> bool:
-    """Whether a host name or address is a loopback address."""
     try:
         return ip_address(host).is_loopback
     except ValueError:

@@ -44,12 +44,9 @@ _CORNER_FRACTION = 0.2  # arm length of a corner as a fraction of the shorter si
 class Overlay:
     """Draws the results of one video in their order; not thread-safe.
 
-    Args:
-        class_names: names by class ID.
-        camera: camera of the images, for the bird's-eye view.
-        status: texts for the upper left corner, after frame number and time.
-        warning: text in amber after these.
-        recorded: the recorded image of a wide lens to draw on, in which boxes are curved; None = the left image.
+    The bird's-eye view needs the camera of the images. The texts of `status` follow frame number and time in the upper
+    left corner, `warning` follows them in amber. `recorded` is the recorded image of a wide lens to draw on, in which
+    boxes are curved; None = the left image.
     """
 
     def __init__(
@@ -129,8 +126,7 @@ class Overlay:
     def _draw_corners(self, canvas: Image, result: FrameResult, size_px: int) -> FloatArray:
         """Draw frame number and time at the upper left and the legend at the upper right, if there is room.
 
-        Returns:
-            (1 to 3, 4) rectangles of these and of the inset, in pixels.
+        Returns (1 to 3, 4) rectangles of these and of the inset, in pixels.
         """
         corners = corner_lines(result, size_px, status=self._status(), warning=self._warning)
         (w, h), (legend_w, legend_h) = self._text.sizes_px(corners).tolist()

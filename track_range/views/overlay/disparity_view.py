@@ -45,7 +45,6 @@ class DisparityPicture:
         return canvas
 
     def _draw_scale(self, canvas: Image) -> None:
-        """Draw the scale at the lower right: a colour swatch for each distance."""
         size_px = text_sizes_px((canvas.shape[1], canvas.shape[0]))[1]
         level = np.rint(255 * REDDEST_M / np.array(SCALE_M)).astype(np.uint8)
         swatches = cv2.applyColorMap(level[:, None], cv2.COLORMAP_TURBO)[:, 0].tolist()

@@ -118,12 +118,8 @@ def closing_span(
 ) -> Span | None:
     """Time to collision (NaN = unknown) and closing speed on a bar; None for objects that do not approach.
 
-    Args:
-        closing_mps: closing speed.
-        ttc_s: time to collision.
-        size_px: font size.
-        alarm: colour of the bar if the track is marked, amber or red.
-        may_hit: False for objects that will pass by, which have no bar.
+    `alarm` is the colour of the bar of a marked track, amber or red; objects that will pass by (`may_hit` False) have
+    no bar.
     """
     if not closing_mps > CLOSING_SHOWN_MPS:
         return None
@@ -191,7 +187,6 @@ class TextRenderer:
             x = end[0] + span.size_px // 2
 
     def _new_width_px(self, text: str, size_px: int, weight: int) -> int:
-        """Width in pixels of a text and the gap after it."""
         box = cv2.getTextSize((0, 0), text, (0, 0), self._font, size_px, weight)
         return int(box[2]) + size_px // 2
 

@@ -26,12 +26,7 @@ Draw = Callable[[FrameResult], Image]  # draws a result as (H, W, 3) uint8 BGR; 
 class ResultVideo:
     """Draws and encodes results in a thread; an error is raised by a later call of `wait` or `write`.
 
-    Args:
-        path: the video.
-        draw: draws a result.
-        size_px: (width, height) of the pictures.
-        fps: nominal frame rate.
-        clock: its stage "write" counts the time.
+    `draw` draws a result in the size `size_px` (width, height); the stage "write" of `clock` counts the time.
 
     Attributes:
         precedes_rows: whether frames must be written before their rows, since the video would otherwise lag too much;

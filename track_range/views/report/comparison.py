@@ -276,7 +276,6 @@ def _is_same_place(a: Event, a_boxes: _BoxByFrame, b: Event, b_boxes: _BoxByFram
 
 
 def _changes(a: Event, b: Event) -> Iterator[str]:
-    """What differs between matching events, in words."""
     if a.class_name != b.class_name:
         yield f"class {a.class_name} {_ARROW} {b.class_name}"
     yield from _changed_time("warning", a.warning_s, b.warning_s)
@@ -291,7 +290,6 @@ def _changes(a: Event, b: Event) -> Iterator[str]:
 
 
 def _changed_time(name: str, a_s: float, b_s: float, *, is_duration: bool = False) -> Iterator[str]:
-    """A difference of times in the video, or of durations."""
     if math.isnan(a_s) != math.isnan(b_s):
         first, second = ("none" if math.isnan(value) else time_words(value) for value in (a_s, b_s))
         yield f"{name} {first} {_ARROW} {second}"

@@ -66,12 +66,7 @@ def class_grid(figures: Mapping[str, Any]) -> Grid:
 
 
 def size_grids(figures: Mapping[str, Any], measure: SizeMeasure) -> list[Grid]:
-    """A table per model with a row per class and bin of sizes, and the means over the averaged classes.
-
-    Args:
-        figures: results.
-        measure: "area" or "height", the measure of the bins.
-    """
+    """A table per model with a row per class and bin of areas or heights, and the means over the averaged classes."""
     grids = []
     for model, model_figures in figures["models"].items():
         bins = model_figures["by_size"][measure]

@@ -68,18 +68,11 @@ def write_report(
     *,
     clips: Path | None = None,
 ) -> None:
-    """Write the report of a run atomically.
+    """Write the report of a run atomically, usually beside overlay.mp4; OutputError if the file cannot be written.
 
-    Args:
-        path: file to write, usually report.html in the folder of overlay.mp4.
-        summary: content of summary.json.
-        columns: tracks.csv by column, NaN = empty, with the ground truth (`results.summary`) where there is one; zero
-            rows without tracks.
-        events: events of the run, in the order of events.csv; None = unknown, the page is then without them.
-        clips: folder of their clips, to which the page links; it may be missing. None = no links.
-
-    Raises:
-        OutputError: the file cannot be written.
+    `columns` are tracks.csv by column, NaN = empty, with the ground truth (`results.summary`) where there is one; zero
+    rows without tracks. `events` are in the order of events.csv; None = unknown, the page is then without them. `clips`
+    is the folder of their clips, to which the page links; it may be missing. None = no links.
     """
     addresses = {}
     with suppress(OSError):  # the folder of the clips is missing

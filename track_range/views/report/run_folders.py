@@ -41,13 +41,9 @@ def report(folders: Sequence[Path], out: Path | None = None, *, has_clips: bool 
     """Write report.html into the folder of each run and, for several runs, a page that compares them.
 
     OutputError if a folder contains no run, or a page or clip cannot be written or would overwrite an input; VideoError
-    if clips are to be cut from an overlay that cannot be read.
-
-    Args:
-        folders: result folders of runs; duplicates are ignored.
-        out: page of a single run instead of the one in its folder, or page of the comparison (None = comparison.html
-            in the current folder).
-        has_clips: whether a clip of each event is cut from the overlay.
+    if clips are to be cut from an overlay that cannot be read. Duplicate folders are ignored. `out` is the page of a
+    single run instead of the one in its folder, or the page of the comparison (None = comparison.html in the current
+    folder); with `has_clips` a clip of each event is cut from the overlay.
     """
     runs = [read_run_folder(folder) for folder in {real_path(folder): folder for folder in folders}.values()]
     pages = [run.folder / "report.html" for run in runs] if len(runs) > 1 else []

@@ -54,9 +54,7 @@ def address(path: str) -> str:
 def headlines(columns: Columns, events: Sequence[Event] | None) -> list[dict[str, Any]]:
     """Main results of a run, three: `figure`, `words`, and `time_s` of the moment in the video, None = none.
 
-    Args:
-        columns: rows of the run, with `road_columns` where they are known.
-        events: events of the run; None = unknown.
+    The rows have `road_columns` where they are known; `events` None = unknown.
     """
     is_user = ~np.isin(columns["class"], STATIC_CLASSES) & (column(columns, "track_id") > 0)
     first = _user_headline(columns, is_user) if events is None else _event_headline(events)
@@ -68,7 +66,6 @@ def _headline(figure: str, words: str, time_s: float | None = None) -> dict[str,
 
 
 def _row_headline(columns: Columns, row: int, figure: str, words: str) -> dict[str, Any]:
-    """Headline about the object and the moment of a row."""
     time_s = float(columns["time_s"][row])
     name = f"{columns['class'][row]} {columns['track_id'][row]:.0f}"
     return _headline(figure, f"{words}: {name} at {time_words(time_s)}", time_s)
@@ -233,7 +230,6 @@ def _disparities(alignment: Mapping[str, Any]) -> str:
 
 
 def _residual(alignment: Mapping[str, Any], summary: Summary) -> str:
-    """Disparity uncertainty that remains after the correction, in pixels and metres."""
     residual_px = tables.figure(alignment, "residual_px")
     focal_px, baseline_m = tables.figure(summary, "focal_px"), tables.figure(summary, "baseline_m")
     if residual_px is None:

@@ -27,16 +27,8 @@ from track_range.simulation.world.bodies.faces import (
 from track_range.simulation.world.textures.surfaces import SEAM, clip, fill, pane, polygon, shade_rows, wheel
 
 PAINTS: tuple[Colour, ...] = (
-    (205, 206, 205),
-    (176, 176, 174),
-    (120, 120, 118),
-    (72, 70, 68),
-    (40, 38, 38),
-    (112, 66, 38),
-    (42, 36, 138),
-    (92, 104, 112),
-    (150, 96, 52),
-    (62, 78, 54),
+    *((205, 206, 205), (176, 176, 174), (120, 120, 118), (72, 70, 68), (40, 38, 38)),
+    *((112, 66, 38), (42, 36, 138), (92, 104, 112), (150, 96, 52), (62, 78, 54)),
 )
 """Paint colours: white, silver, greys, black, blues, red, beige, green."""
 
@@ -155,7 +147,6 @@ def _paint_end(picture: Image, *, is_front: bool) -> None:
 
 
 def _paint_corner(picture: Image, *, is_front: bool) -> None:
-    """Paint a chamfered corner, with lamp and bumper."""
     shade_rows(picture, ((0, 1.12), (0.3, 1.0), (0.62, 0.86), (1, 0.6)))
     rows, colour = ((0.12, 0.30), LAMP_WHITE) if is_front else ((0.10, 0.36), LAMP_RED)
     fill(picture, (0.0, rows[0], 0.9, rows[1]), colour)
@@ -196,7 +187,6 @@ def _side(car: _Car, side: int) -> Face:
 
 
 def _lids(car: _Car) -> list[Face]:
-    """The bonnet, sloping down to the nose, and the boot lid."""
     build, (height, width, length) = car.build, car.size_hwl_m
     z, base_x = width / 2, car.x_m(build.cabin[1])
     high, low = build.deck * height, build.nose * height
@@ -208,7 +198,6 @@ def _lids(car: _Car) -> list[Face]:
 
 
 def _cabin(car: _Car) -> list[Face]:
-    """Windscreen, rear window, roof and side windows."""
     build, (height, width, _) = car.build, car.size_hwl_m
     low = build.deck * height
     x0, x1 = map(car.x_m, build.cabin)

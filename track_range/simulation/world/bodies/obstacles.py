@@ -13,22 +13,14 @@ from track_range.simulation.world.scene import Obstacle
 from track_range.simulation.world.textures.surfaces import TEXELS_PER_M, opaque, plain, value_noise
 
 POLE_COLOURS: tuple[Colour, ...] = (
-    (120, 122, 122),
-    (168, 170, 170),
-    (62, 64, 62),
-    (58, 84, 108),
-    (50, 66, 46),
-    (150, 156, 160),
+    *((120, 122, 122), (168, 170, 170), (62, 64, 62)),
+    *((58, 84, 108), (50, 66, 46), (150, 156, 160)),
 )
 """Galvanised steel, aluminium, dark paint, wood, green paint, concrete."""
 
 FENCE_COLOURS: tuple[Colour, ...] = (
-    (70, 98, 124),
-    (52, 74, 96),
-    (202, 206, 206),
-    (44, 46, 44),
-    (60, 84, 54),
-    (140, 142, 142),
+    *((70, 98, 124), (52, 74, 96), (202, 206, 206)),
+    *((44, 46, 44), (60, 84, 54), (140, 142, 142)),
 )
 """Two sorts of wood, white paint, black paint, green paint, steel."""
 

@@ -29,14 +29,8 @@ from track_range.simulation.world.bodies.faces import (
 from track_range.simulation.world.textures.surfaces import RUBBER_BGR, cut_outside, paint_box, paint_wheel
 
 TOPS: tuple[Colour, ...] = (
-    (44, 36, 120),
-    (104, 58, 34),
-    (50, 52, 58),
-    (188, 186, 182),
-    (52, 70, 44),
-    (34, 32, 34),
-    (66, 54, 150),
-    (60, 150, 196),
+    *((44, 36, 120), (104, 58, 34), (50, 52, 58), (188, 186, 182)),
+    *((52, 70, 44), (34, 32, 34), (66, 54, 150), (60, 150, 196)),
 )
 TROUSERS: tuple[Colour, ...] = ((70, 46, 34), (38, 36, 36), (44, 44, 50), (82, 56, 40), (40, 50, 60))
 SKIN: tuple[Colour, ...] = ((120, 148, 196), (92, 120, 168), (60, 84, 122))

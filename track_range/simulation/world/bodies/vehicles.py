@@ -132,7 +132,6 @@ def _painted(
 
 
 def _panes(face: Face, *boxes: tuple[float, float, float, float]) -> None:
-    """Paint windows."""
     for x1, y1, x2, y2 in boxes:
         pane(face.texture, [(x1, y1), (x2, y1), (x2, y2), (x1, y2)])
 

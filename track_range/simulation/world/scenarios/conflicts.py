@@ -228,7 +228,6 @@ def _pavements(
 
 
 def _other_traffic(rng: np.random.Generator, surroundings: str, until_m: float, seconds: float) -> list[RoadUser]:
-    """Oncoming and parked vehicles, people and signs, outside the ego lane."""
     if surroundings == "highway":
         users = _fast_oncoming(rng, until_m, seconds)
     else:

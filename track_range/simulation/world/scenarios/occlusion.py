@@ -76,16 +76,12 @@ def occlusion(seed: int, seconds: float) -> Scene:
 
 @dataclass(frozen=True, slots=True)
 class _Target:
-    """A road user to be hidden, at its reference time.
+    """A road user to be hidden, at its reference time."""
 
-    Attributes:
-        x_m, z_m: its position.
-    """
-
-    kitti_type: str  # its type
+    kitti_type: str
     x_m: float
     z_m: float
-    heading_rad: float  # its heading
+    heading_rad: float
     distance_m: float  # z of its nearest point in the camera's frame
     width_m: float  # its extent across the view
 
@@ -199,7 +195,6 @@ def _are_apart(discs: list[Disc], others: list[Disc]) -> bool:
 
 
 def _radius_m(kitti_type: str) -> float:
-    """Radius of the circle around a road user."""
     _, width, length = SIZE_HWL_M[kitti_type]
     return float(np.hypot(width, length)) / 2
 

@@ -150,8 +150,7 @@ def tree_picture(rng: np.random.Generator) -> Image:
 def sky_picture(rng: np.random.Generator, *, size_px: tuple[int, int], horizon_px: float, is_night: bool) -> Image:
     """The background without parallax: clouds, a distant line of trees, haze below the horizon.
 
-    Returns:
-        (H / 2, W / 2, 4) image for the size `size_px` (width, height); the sky has no detail that needs more.
+    (H / 2, W / 2, 4) for the size `size_px` (width, height); the sky has no detail that needs more.
     """
     width, height = size_px[0] // 2, size_px[1] // 2
     horizon = horizon_px / 2
