@@ -13,13 +13,12 @@ Metrics of published evaluations (Eigen, Puhrsch and Fergus, NIPS 2014):
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.ranging.evaluation.errors import BANDS_M, MethodColumn, score_rows
+from track_range.ranging.evaluation.errors import BANDS_M, MethodColumn, score_bands, score_rows
 from track_range.ranging.fitting.labelled_boxes import CLASS_OF, BoxSet
 from track_range.stereo.evaluation.disparity_errors import MatcherColumn
 from track_range.stereo.evaluation.risk_coverage import risk_coverage
@@ -49,10 +48,6 @@ def figures(boxes: BoxSet, column: MethodColumn) -> dict[str, dict[str, Any]]:
 def _class_figures(boxes: BoxSet, column: MethodColumn, is_class: BoolArray) -> dict[str, Any]:
     true_m = boxes.distance_m
     in_span = is_class & (true_m >= NEAREST_M) & (true_m <= BANDS_M[-1])
-    bands = [
-        {"from_m": low, "to_m": high, **score_rows(column, true_m, is_class & (true_m >= low) & (true_m < high))}
-        for low, high in pairwise(BANDS_M)
-    ]
     tracks = np.unique(np.stack([boxes.sequence, boxes.track_id])[:, in_span], axis=1)
     key = "mean_relative_error_pct"
     return {
@@ -61,7 +56,7 @@ def _class_figures(boxes: BoxSet, column: MethodColumn, is_class: BoolArray) -> 
         "rear_view_pct": score_rows(column, true_m, in_span & boxes.is_rear_view)[key],
         "far_pct": score_rows(column, true_m, in_span & (true_m >= FAR_M))[key],
         "rear_view_far_pct": score_rows(column, true_m, in_span & boxes.is_rear_view & (true_m >= FAR_M))[key],
-        "bands": bands,
+        "bands": score_bands(column, true_m, is_class),
     }
 
 

@@ -15,7 +15,6 @@ interval. The filter lags behind moving targets, and, if V is unknown, behind al
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -35,8 +34,6 @@ _NOISE_FRACTION = 0.6  # initial independent fraction of sigma for the default f
 _UNKNOWN_SIGMA = 0.1  # relative sigma that is assumed for methods without a sigma (plain curves)
 
 FilterName = Literal["none", "paper", "default"]
-
-_Filter = Callable[[Ranges, float], FilteredRanges]  # from measured ranges and time to filtered ranges
 
 
 @dataclass(slots=True)
@@ -97,14 +94,6 @@ def _kalman_filter(first_m: float) -> Any:
     return kalman
 
 
-def _default_filter() -> _Filter:
-    filters = DistanceFilters({"": _NOISE_FRACTION})
-    return lambda measured, time_s: filters.update({"": measured}, time_s)[""]
-
-
-_FILTERS: Mapping[str, Callable[[], _Filter]] = {"paper": lambda: PaperFilter().update, "default": _default_filter}
-
-
 def filtered(boxes: BoxSet, column: MethodColumn, filter_name: FilterName) -> tuple[MethodColumn, FloatArray]:
     """Filtered distances of a method and (N,) closing speeds in m/s; for "none" the unfiltered ones, without speeds."""
     if filter_name == "none":
@@ -112,13 +101,15 @@ def filtered(boxes: BoxSet, column: MethodColumn, filter_name: FilterName) -> tu
     is_given = np.isfinite(column.sigma_m)
     sigma_m = np.where(is_given, column.sigma_m, _UNKNOWN_SIGMA * column.distance_m)
     distance_m, out_sigma_m, closing_mps = np.full((3, len(boxes)), np.nan)
-    sequence, update = -1, _FILTERS[filter_name]()
+    sequence = -1
     for rows in frame_rows(boxes):
         if boxes.sequence[rows[0]] != sequence:
-            sequence, update = boxes.sequence[rows[0]], _FILTERS[filter_name]()
+            sequence, paper, default = boxes.sequence[rows[0]], PaperFilter(), DistanceFilters({"": _NOISE_FRACTION})
         systematic_m = None if column.sigma_systematic_m is None else column.sigma_systematic_m[rows]
         measured = Ranges(boxes.track_id[rows], column.distance_m[rows], sigma_m[rows], systematic_m)
-        result = update(measured, float(boxes.time_s[rows[0]]))
+        time_s = float(boxes.time_s[rows[0]])
+        is_paper = filter_name == "paper"
+        result = paper.update(measured, time_s) if is_paper else default.update({"": measured}, time_s)[""]
         distance_m[rows], out_sigma_m[rows] = result.ranges.distance_m, result.ranges.sigma_m
         closing_mps[rows] = -result.rate_mps
     return MethodColumn(distance_m, np.where(is_given.any(), out_sigma_m, np.nan)), closing_mps

@@ -81,13 +81,10 @@ def measured_by(
     columns = {
         name: scheme(boxes, reference, plain_fitter(PLAIN_CURVES[name])) for name in names if name in PLAIN_CURVES
     }
-    if not set(names) <= columns.keys():
-        columns |= _measured_by_rangers(boxes, train, options)
-    return {name: columns[name] for name in names}
+    if set(names) <= columns.keys():
+        return {name: columns[name] for name in names}
 
-
-def _measured_by_rangers(boxes: BoxSet, train: BoxSet, options: MethodOptions) -> dict[str, MethodColumn]:
-    """Columns of all box methods and of their fusion; methods with a size model are fitted according to `options`."""
+    # All box methods and their fusion; methods with a size model are fitted according to `options`.
     measured: dict[str, MethodColumn] = {}
     for method in box_methods():
         if method.uses_size_model and options.scheme is not None:
@@ -97,7 +94,8 @@ def _measured_by_rangers(boxes: BoxSet, train: BoxSet, options: MethodOptions) -
     others = [method for method in box_methods() if not method.uses_size_model]
     measured |= ranger_columns(boxes, others, options, measured=measured)
     measured = {method.name: measured[method.name] for method in box_methods()}
-    return {**measured, "+".join(measured): fused_column(boxes, measured)}
+    columns |= {**measured, "+".join(measured): fused_column(boxes, measured)}
+    return {name: columns[name] for name in names}
 
 
 def ranger_columns(
@@ -116,7 +114,9 @@ def ranger_columns(
     """
     columns = {method.name: np.full((3, len(boxes)), np.nan) for method in listed}
     reads = {method.name: method.reads for method in listed}
-    class_id = boxes.class_id if size_model is None else _size_classes(boxes)
+    class_id = boxes.class_id
+    if size_model is not None:
+        class_id = np.array([SIZE_CLASSES.index(str(name)) for name in boxes.class_name], np.int64)
     rangers: dict[str, Ranger] = {}
     scale = DriveScale()
     for rows, tracks, frame, is_first in as_frames(boxes, class_id):
@@ -198,11 +198,6 @@ def size_fitter(method: RangingMethod, options: MethodOptions) -> Fitter:
         return lambda boxes: ranger_columns(boxes, [method], options, size_model=model)[method.name]
 
     return fit
-
-
-def _size_classes(boxes: BoxSet) -> IntArray:
-    """(N,) index into `SIZE_CLASSES` of the labels' classes, with vans separate from cars."""
-    return np.array([SIZE_CLASSES.index(str(name)) for name in boxes.class_name], np.int64)
 
 
 def as_frames(boxes: BoxSet, class_id: IntArray) -> Iterator[tuple[IntArray, Tracks, Frame, bool]]:

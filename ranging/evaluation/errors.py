@@ -90,16 +90,17 @@ def coverage_only(methods: Mapping[str, MethodColumn]) -> dict[str, Any]:
 
 
 def _score_with_bands(column: MethodColumn, true_m: FloatArray, *, in_span: BoolArray) -> dict[str, Any]:
-    bands = [
-        {"from_m": low, "to_m": high, **_band(column, true_m, in_span & (true_m >= low) & (true_m < high))}
-        for low, high in pairwise(BANDS_M)
-    ]
+    keys = ("from_m", "to_m", "n", "mean_relative_error_pct", "median_relative_error_pct", "bias_pct")
+    bands = [{key: band[key] for key in keys} for band in score_bands(column, true_m, in_span)]
     return {**score_rows(column, true_m, in_span), "bands": bands}
 
 
-def _band(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dict[str, Any]:
-    score = score_rows(column, true_m, rows)
-    return {key: score[key] for key in ("n", "mean_relative_error_pct", "median_relative_error_pct", "bias_pct")}
+def score_bands(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> list[dict[str, Any]]:
+    """`score_rows` in each distance band of `BANDS_M`."""
+    return [
+        {"from_m": low, "to_m": high, **score_rows(column, true_m, rows & (true_m >= low) & (true_m < high))}
+        for low, high in pairwise(BANDS_M)
+    ]
 
 
 def score_rows(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dict[str, Any]:

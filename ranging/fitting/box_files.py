@@ -23,8 +23,7 @@ from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import read_labels
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M
 from track_range.detection.formats.table_checks import other_labels_note
-from track_range.foundation.arrays import FloatArray
-from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
+from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import quoted
 from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, BoxSet
 
@@ -32,7 +31,6 @@ COLUMNS = ("class", "x1", "y1", "x2", "y2", "distance_m", "fx", "fy", "cx", "cy"
 """Columns in the order of a file without a header."""
 
 _REQUIRED = COLUMNS[:6]
-_NUMERIC = (*COLUMNS[1:10],)
 _BORDER_PX = 1.0  # distance from the image border within which a labelled box counts as cut
 _MAX_TEXT = 200  # largest number of characters of the name of a track or sequence
 
@@ -59,41 +57,33 @@ def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, 
     for name in ("track", "sequence"):
         for row in [row for row, text in enumerate(table.texts(name)) if len(text) > _MAX_TEXT][:1]:
             raise table.fault(row, f"expected at most {_MAX_TEXT} characters for {name}.")
-    numbers = {name: _numbers(table, name) for name in _NUMERIC if name in table}
+    numbers = {}
+    for name in [name for name in COLUMNS[1:10] if name in table]:
+        numbers[name] = values = table.numbers(name)
+        low, high = (0.0, MAX_DISTANCE_M) if name == "distance_m" else (-MAX_COORDINATE_PX, MAX_COORDINATE_PX)
+        is_positive = name in _POSITIVE
+        is_valid = (values >= low) & (values <= high) & ((values > 0) | (not is_positive))
+        table.check(name, values, is_valid, f"a {'positive' if is_positive else 'finite'} number up to {high:,.0f}")
     xyxy_px = np.stack([numbers[name] for name in ("x1", "y1", "x2", "y2")], axis=1)
     for row in np.flatnonzero(~are_valid_boxes(xyxy_px)).tolist():
         raise table.fault(row, "expected a box with x1 < x2 and y1 < y2.")
-    return _box_set(table, numbers, xyxy_px, focal_px)
-
-
-def _numbers(table: CsvTable, name: str) -> FloatArray:
-    values = table.numbers(name)
-    low, high = (0.0, MAX_DISTANCE_M) if name == "distance_m" else (-MAX_COORDINATE_PX, MAX_COORDINATE_PX)
-    is_valid = (values >= low) & (values <= high)
-    if name in _POSITIVE:
-        is_valid &= values > 0
-    expected = "a positive number" if name in _POSITIVE else "a finite number"
-    table.check(name, values, is_valid, f"{expected} up to {high:,.0f}")
-    return values
-
-
-def _box_set(
-    table: CsvTable, numbers: dict[str, FloatArray], xyxy_px: FloatArray, focal_px: float | None
-) -> tuple[BoxSet, tuple[str, ...]]:
-    n = len(table)
+    class_texts, class_names = table.texts("class"), list[str]()
+    for row, text in enumerate(class_texts):
+        class_name = "van" if text.lower() == "van" else ROAD_CLASS_OF.get(text.lower())
+        if class_name is None:
+            raise table.fault(row, f"expected a class such as {', '.join(ROAD_CLASSES)}, van, got {quoted(text)}.")
+        class_names.append(class_name)
+    n, track = len(table), table.texts("track")
     fx = numbers["fx"] if "fx" in numbers else np.full(n, focal_px)
     middle = np.full(n, (xyxy_px[:, 0].min() + xyxy_px[:, 2].max()) / 2)
-    class_texts = table.texts("class")
     names, number = np.unique(table.texts("sequence"), return_inverse=True)
-    track = table.texts("track")
-    name = table.path.name
-    notes = (
-        []
-        if "cx" in numbers
-        else [f"{name} has no column cx; assuming cx = {middle[0]:g} px, midway between the outermost box edges."]
-    )
+    notes = []
+    if "cx" not in numbers:
+        notes.append(
+            f"{path.name} has no column cx; assuming cx = {middle[0]:g} px, midway between the outermost box edges."
+        )
     if len(names) == 1:
-        notes.append(f"{name} contains only one sequence; the curves cannot be validated on other drives.")
+        notes.append(f"{path.name} contains only one sequence; the curves cannot be validated on other drives.")
     boxes = BoxSet.without_3d_boxes(
         sequence_names=tuple(str(name) for name in names),
         sequence=number.astype(np.int64).reshape(n),
@@ -101,20 +91,13 @@ def _box_set(
         time_s=np.arange(n, dtype=np.float64),
         track_id=np.unique(track, return_inverse=True)[1].astype(np.int64).reshape(n) if track[0] else np.arange(n),
         kitti_type=np.array(class_texts, np.str_),
-        class_name=np.array([_class_name(table, row, text) for row, text in enumerate(class_texts)], np.str_),
+        class_name=np.array(class_names, np.str_),
         xyxy_px=xyxy_px,
         fxycxy_px=np.stack([fx, numbers.get("fy", fx), numbers.get("cx", middle), numbers.get("cy", 0 * fx)], axis=1),
         size_px=np.tile(np.ceil(xyxy_px[:, 2:].max(axis=0)).astype(np.int64) + 1, (n, 1)),
         distance_m=numbers["distance_m"],
     )
     return boxes, tuple(notes)
-
-
-def _class_name(table: CsvTable, row: int, text: str) -> str:
-    name = "van" if text.lower() == "van" else ROAD_CLASS_OF.get(text.lower())
-    if name is None:
-        raise table.fault(row, f"expected a class such as {', '.join(ROAD_CLASSES)}, van, got {quoted(text)}.")
-    return name
 
 
 def read_box_labels(path: Path, *, focal_px: float | None) -> tuple[BoxSet, tuple[str, ...]]:

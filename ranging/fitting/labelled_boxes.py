@@ -1,7 +1,7 @@
 """BoxSet: labelled boxes of many drives with their true distances, as parallel arrays, without video.
 
 The true distance is the z at which the ray through the label's box centre first meets its 3-D box, in the frame of the
-left colour camera (`ranging.evaluation.box_surface`). Labels are used if they have a 3-D box at 5-100 m, are not
+left colour camera (`ranging.evaluation.reference_distance`). Labels are used if they have a 3-D box at 5-100 m, are not
 truncated, have occluded <= 1 and one of five KITTI types, with vans as a separate class. The boxes may be those of the
 labels, with noise added, or those of a detector; the true distance is always that of the label.
 """

@@ -5,21 +5,33 @@ not 1, since objects that are visible for long are also more frequent in other d
 covers the variation between objects and between drives; the part between drives is estimated from the mean log heights
 of the drives by the method of moments (DerSimonian and Laird 1986), and averaged with a standard value. The standard
 size of a class counts as one more object.
+
+Body types are the components of a mixture of Gaussians over the sizes of a class. Few objects of a type are labelled,
+so that they are fitted by maximum a posteriori expectation maximisation (Dempster, Laird and Rubin 1977). The sizes of
+production models are the prior: they count as n_0 objects of each type. With the weights w_i of the labelled objects:
+
+    r_ib     ~  fraction_b N(x_i; mean_b, covariance_b)                              sum_b r_ib = 1
+    fraction_b  =  (n_0 fraction_b0 + sum_i w_i r_ib) / (n_0 + sum_i w_i)
+    mean_b   =  (n_0 mean_b0 + sum_i w_i r_ib x_i) / (n_0 + sum_i w_i r_ib)
+    cov_b    =  weighted scatter about mean_b, of the objects and of the standard objects
+
+x = log (height, width, length).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import multivariate_normal
 
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.ranging.fitting.body_types import fit_body_types
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import CurveError
-from track_range.ranging.size_models.prior import NODE_CAMERA_HEIGHT_M, YAW_DEG, SizePrior
+from track_range.ranging.size_models.prior import NODE_CAMERA_HEIGHT_M, YAW_DEG, BodyType, SizePrior
 from track_range.ranging.size_models.size_model import BORDER_PX
 
 MIN_OBJECTS, MIN_BOXES = 3, 100  # of a class for a fit; classes with fewer have their standard size
@@ -52,6 +64,45 @@ STANDARD_SIZES: Mapping[str, tuple[tuple[float, float, float], tuple[float, floa
 """Height, width and length in m, their relative standard deviations, and the source, by class."""
 
 _OFF_GROUND = ("traffic light", "traffic sign")  # classes of objects that are not on the road
+
+
+_STANDARD_BODY_OBJECTS = 4.0  # weight of the standard sizes of a body type, as a number of objects
+_N_ITERATIONS = 30  # iterations of expectation maximisation; a dozen suffice for some tens of objects
+_BODY_CORRELATION = 0.3  # correlation between any two log sizes of the objects of one body type
+_MAX_CORRELATION = 0.95  # largest absolute correlation in a curve file
+
+
+@dataclass(frozen=True, slots=True)
+class StandardBody:
+    """Sizes of production models of one body type."""
+
+    fraction: float  # probability of the type within its class
+    hwl_m: tuple[float, float, float]  # height, width (without mirrors) and length in metres
+    log_sigma: tuple[float, float, float]  # relative standard deviations of the sizes
+    source: str  # models that the sizes are those of
+
+    @property
+    def moments(self) -> tuple[FloatArray, FloatArray]:
+        """Mean (3,) and covariance (3, 3) of the log sizes."""
+        correlation = np.full((3, 3), _BODY_CORRELATION) + (1 - _BODY_CORRELATION) * np.identity(3)
+        return np.log(self.hwl_m), correlation * np.outer(self.log_sigma, self.log_sigma)
+
+
+STANDARD_BODIES: Mapping[str, Mapping[str, StandardBody]] = {
+    "van": {
+        "small": StandardBody(
+            0.5, (1.85, 1.78, 4.35), (0.05, 0.05, 0.08), "VW Caddy, Renault Kangoo, Citroen Berlingo"
+        ),
+        "flat roof": StandardBody(0.25, (1.97, 1.92, 4.90), (0.05, 0.04, 0.07), "VW T5, Mercedes Vito, Renault Trafic"),
+        "high roof": StandardBody(0.2, (2.50, 2.02, 5.75), (0.08, 0.05, 0.10), "Mercedes Sprinter, Ford Transit"),
+        "box body": StandardBody(0.05, (3.00, 2.20, 6.50), (0.10, 0.08, 0.15), "lorries of 3.5 t with a box"),
+    },
+    "truck": {
+        "light": StandardBody(0.15, (2.70, 2.15, 6.00), (0.10, 0.08, 0.15), "lorries of 3.5 t with a box or platform"),
+        "heavy": StandardBody(0.85, (3.50, 2.50, 9.50), (0.12, 0.06, 0.30), "lorries of 7.5-40 t, at most 4 m high"),
+    },
+}
+"""Sizes of production models by class and body type."""
 
 
 def fit_size_priors(labels: BoxSet, *, source: str) -> CuboidSizes:
@@ -110,14 +161,13 @@ def _fitted(name: str, labels: BoxSet, source: str) -> SizePrior:
         _object(labels), axis=1, return_index=True, return_inverse=True, return_counts=True
     )
     mean, covariance = _sizes(name, labels.size_hwl_m[first], counts)
-    sigma = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(sigma, sigma)
+    sigma, correlation = _sigma_and_correlation(covariance)
     weight = counts.astype(np.float64)[row.reshape(-1)] ** _BOX_POWER
     offset, scatter = _offset_and_scatter(labels, weight)
     return SizePrior(
         hwl_m=_rounded(np.exp(mean), 3),
         log_sigma=_rounded(sigma, 4),
-        correlation=_rounded(np.clip(correlation[[0, 0, 1], [1, 2, 2]], -0.95, 0.95), 3),
+        correlation=correlation,
         turn_weights=tuple(_yaw_weights(np.abs(np.degrees(_yaw_rad(labels))), weight).round(4).tolist()),
         log_distance=_LOG_DISTANCE,
         offset=offset,
@@ -129,6 +179,54 @@ def _fitted(name: str, labels: BoxSet, source: str) -> SizePrior:
         drive_sigma=_drive_sigma(np.log(labels.size_hwl_m[first, 0]), labels.sequence[first]),
         bodies=fit_body_types(name, np.log(labels.size_hwl_m[first]), _object_weights(counts)),
     )
+
+
+def fit_body_types(name: str, log_size: FloatArray, weight: FloatArray) -> tuple[BodyType, ...]:
+    """Body types of a class, fitted to M objects; empty for a class without body types.
+
+    `log_size` (M, 3) is log height, width and length, `weight` (M,) the number of objects that each counts as.
+    """
+    standard = STANDARD_BODIES.get(name)
+    if standard is None:
+        return ()
+    n_0 = _STANDARD_BODY_OBJECTS
+    prior_fraction = np.array([body.fraction for body in standard.values()])
+    moments = [body.moments for body in standard.values()]
+    prior_mean, prior_covariance = (np.array(part) for part in zip(*moments, strict=True))
+    fraction, mean, covariance = prior_fraction, prior_mean, prior_covariance
+    for _ in range(_N_ITERATIONS):
+        log_density = [multivariate_normal(mean[b], covariance[b]).logpdf(log_size) for b in range(len(fraction))]
+        log_r = np.log(fraction)[:, None] + np.reshape(log_density, (len(fraction), -1))
+        r = np.exp(log_r - log_r.max(axis=0))
+        r *= weight / r.sum(axis=0)
+        n = r.sum(axis=1)[:, None]
+        fraction = (n_0 * prior_fraction + n[:, 0]) / (n_0 + n.sum())
+        mean = (n_0 * prior_mean + r @ log_size) / (n_0 + n)
+        shift = prior_mean - mean
+        residual = log_size - mean[:, None]  # (B, M, 3)
+        covariance = np.stack([(residual[b] * r[b][:, None]).T @ residual[b] for b in range(len(fraction))])
+        covariance += n_0 * (prior_covariance + shift[:, :, None] * shift[:, None, :])
+        covariance /= (n_0 + n)[:, :, None]
+    bodies = []
+    for body, body_fraction, body_mean, body_covariance in zip(standard, fraction, mean, covariance, strict=True):
+        sigma, body_correlation = _sigma_and_correlation(body_covariance)
+        bodies.append(
+            BodyType(
+                name=body,
+                share=round(float(body_fraction), 4),
+                hwl_m=_rounded(np.exp(body_mean), 3),
+                log_sigma=_rounded(sigma, 4),
+                correlation=body_correlation,
+            )
+        )
+    return tuple(bodies)
+
+
+def _sigma_and_correlation(covariance: FloatArray) -> tuple[FloatArray, tuple[float, float, float]]:
+    """(3,) standard deviations and the three correlations of log height, width and length."""
+    sigma = np.sqrt(np.diag(covariance))
+    correlation = np.clip(covariance / np.outer(sigma, sigma), -_MAX_CORRELATION, _MAX_CORRELATION)
+    return sigma, _rounded(correlation[[0, 0, 1], [1, 2, 2]], 3)
 
 
 def _sizes(name: str, size_hwl_m: FloatArray, counts: IntArray) -> tuple[FloatArray, FloatArray]:

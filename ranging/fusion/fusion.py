@@ -23,11 +23,22 @@ most of their variance the result would depend on the exact correlation, so such
 the identity, except 0 for scale references: there is no independent scale to compare them with, and a wrong match can
 exceed any bias (Schmidt, 1966: a "considered" bias is part of the covariance, but not estimated). When methods differ
 by more than their sigmas allow, sigma is scaled up by the Birge ratio (square root of chi^2 per degree of freedom), T
-and the certainty of the biases are reduced, and methods may be rejected (`outliers`).
+and the certainty of the biases are reduced, and methods may be rejected, by the error sources that they declare.
+
+On a new track, a matching method that differs from all size methods by more than a factor of 2.5 is rejected: within a
+class sizes vary less, and even a half-occluded object appears no smaller than half its size, while a match on an
+occluder or on the background can be anywhere. But if a contact-point method, which does not depend on the class,
+agrees with matching, the size methods are rejected instead: the class is wrong.
+
+When methods are in conflict, rejected are, in this order: methods far from the track's previous distance, if at least
+as many are near it; of three or more methods, the one without which all others agree; methods that depend on the lane
+width, if they contradict the size methods (the lines may be those of another lane), or the size methods if a method
+that depends on the horizon is nearer to the lane methods.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -39,9 +50,15 @@ from track_range.foundation.track_state import TrackState
 from track_range.ranging import registry
 from track_range.ranging.fusion.error_model import ErrorModel
 from track_range.ranging.fusion.estimation import Estimate, Measurements, TrackBiases, least_squares
-from track_range.ranging.fusion.outliers import CONFLICT_T2, TRUSTED_FRAMES, inconsistent_with_size, outliers
 from track_range.ranging.method import RangingMethod
 from track_range.ranging.ranges import Ranges
+
+_CONFLICT_T2 = 9.0  # value of t^2 above which methods are in conflict: 3 standard deviations
+_TRUSTED_FRAMES = 5  # number of frames in agreement after which the history of a track decides which method is wrong
+_LOG_MAX_SIZE_RATIO = math.log(2.5)  # largest plausible difference between matching and size methods
+_OUTLIER_SIGMA = 3.0  # deviation from history or another method: above an outlier, below in agreement
+_MAX_SPEED_MPS = 20.0  # largest rate of change of distances, for the prediction from the last frame
+_SAME_ERRORS = 0.5  # correlation of systematic errors above which two methods do not confirm each other
 
 _MEMORY_LOG = 5.0
 """Change of log distance over which biases decay to 1/e. On KITTI's labelled tracks, the errors of mono lose 16 % of
@@ -49,7 +66,7 @@ their variance over a distance factor of e, and none over time alone."""
 
 _MEMORY_S = 60.0  # time in s over which biases decay to 1/e; long, since KITTI shows no decay over time alone
 _MAX_GAP_S = 3.0  # longest absence in s after which the biases of a track are still used
-_MAX_AGREEMENTS = 2 * TRUSTED_FRAMES  # so that a few conflicts (-2 each) end the trust in a track's history
+_MAX_AGREEMENTS = 2 * _TRUSTED_FRAMES  # so that a few conflicts (-2 each) end the trust in a track's history
 _CONFLICT_VARIANCE = 0.5  # variance added to u in a frame with a conflict
 
 _MAX_BIAS_SIGMA = 2.5
@@ -131,20 +148,20 @@ class Fusion:
         usable = measured.valid & ~superseded
         is_vague = measured.sigma > _VAGUE_SIGMA
         usable &= ~(is_vague & (usable & ~is_vague).any(axis=0))
-        usable &= ~inconsistent_with_size(measured, usable, track, model)
+        usable &= ~_inconsistent_with_size(measured, usable, track, model)
         used = measured.only(usable)
         estimate = least_squares(used, track, model)
-        in_conflict = estimate.t2 > CONFLICT_T2
+        in_conflict = estimate.t2 > _CONFLICT_T2
         if in_conflict.any():
-            rejected = outliers(used, measured, estimate, track, model, in_conflict=in_conflict, time_s=time_s)
+            rejected = _outliers(used, measured, estimate, track, model, in_conflict=in_conflict, time_s=time_s)
             if rejected.any():
                 used = used.only(used.valid & ~rejected)
                 estimate = least_squares(used, track, model)
-            in_conflict = rejected.any(axis=0) | (estimate.t2 > CONFLICT_T2)
+            in_conflict = rejected.any(axis=0) | (estimate.t2 > _CONFLICT_T2)
 
         # Update biases and agreement.
         track = _with_biases_learnt(track, used, estimate, model, in_conflict=in_conflict)
-        is_unresolved = (estimate.t2 > CONFLICT_T2) & (track.n_agreements < TRUSTED_FRAMES)
+        is_unresolved = (estimate.t2 > _CONFLICT_T2) & (track.n_agreements < _TRUSTED_FRAMES)
         change = ((estimate.n_valid > 1) & ~in_conflict) - 2.0 * in_conflict
         moved = np.fmax(np.abs(estimate.log_m - track.log_m), 0.0) * has_any  # 0 for a new track
         track = replace(
@@ -177,7 +194,7 @@ def _with_biases_learnt(
         used.sigma[size], used.sigma[matching]
     )
     is_implausible = (used.valid[size] & used.valid[matching] & is_apart).any(axis=(0, 1))
-    damping = np.sqrt(CONFLICT_T2 / np.maximum(estimate.t2, CONFLICT_T2))
+    damping = np.sqrt(_CONFLICT_T2 / np.maximum(estimate.t2, _CONFLICT_T2))
     t = model.is_learnt * (damping * ~is_implausible)
     CK = track.C * estimate.k
     B = np.einsum("ajn,bjn->abn", np.einsum("ain,ijn->ajn", CK, estimate.P), CK)
@@ -188,3 +205,102 @@ def _with_biases_learnt(
         C0_learnt = model.is_learnt * model.is_learnt.T * model.systematic_correlation
         C += _CONFLICT_VARIANCE * C0_learnt[:, :, None] * in_conflict
     return replace(track, u=u, C=C)
+
+
+def _inconsistent_with_size(
+    measured: Measurements, usable: BoolArray, track: TrackBiases, model: ErrorModel
+) -> BoolArray:
+    """(M, N) matching, or size, methods of new tracks that imply an implausible object size for the class.
+
+    `measured` has all measurements: also methods that are not `usable` (M, N) may confirm others.
+    """
+    rejected = np.zeros_like(usable)
+    is_new = usable[model.matching] & (track.n_agreements < _TRUSTED_FRAMES)
+    if not is_new.any():
+        return rejected
+    z, sigma, has_size = measured.z, measured.sigma, usable[model.size]
+    ratio = np.abs(z[model.matching, None] - z[model.size])
+    is_apart = is_new & has_size.any(axis=0) & ((ratio > _LOG_MAX_SIZE_RATIO) | ~has_size).all(axis=1)
+    for j, tracks in zip(model.matching.tolist(), is_apart, strict=True):
+        if tracks.any():
+            difference = np.abs(z[model.contact] - z[j])
+            agrees = difference < _OUTLIER_SIGMA * np.hypot(sigma[model.contact], sigma[j])
+            agrees &= measured.valid[model.contact]
+            from_size = np.where(has_size, np.abs(z[model.contact, None] - z[model.size]), np.inf).min(axis=1)
+            is_wrong_class = (agrees & (difference < from_size)).any(axis=0)
+            rejected[j] |= tracks & ~is_wrong_class
+            rejected[model.size] |= has_size & tracks & is_wrong_class
+    return rejected
+
+
+def _outliers(
+    used: Measurements,
+    measured: Measurements,
+    estimate: Estimate,
+    track: TrackBiases,
+    model: ErrorModel,
+    *,
+    in_conflict: BoolArray,
+    time_s: float,
+) -> BoolArray:
+    """(M, N) outliers among the `used` methods of tracks that are `in_conflict` (N,), by their `estimate`.
+
+    `measured` has all measurements: also methods that are not used may confirm others.
+    """
+    rejected = in_conflict & _far_from_history(used, estimate, track, model, time_s)
+    unresolved = np.flatnonzero(in_conflict & ~rejected.any(axis=0) & (estimate.n_valid > 2))
+    if len(unresolved):
+        rejected[:, unresolved] = _outvoted(used.of_tracks(unresolved), track.of_tracks(unresolved), model)
+    in_conflict = in_conflict & ~rejected.any(axis=0)
+    if not in_conflict.any():
+        return rejected
+    return rejected | _wrong_lane(used, measured, estimate, model, in_conflict)
+
+
+def _far_from_history(
+    used: Measurements, estimate: Estimate, track: TrackBiases, model: ErrorModel, time_s: float
+) -> BoolArray:
+    """(M, N) methods far from the previous distance of a trusted track, if at least as many methods are near it."""
+    n = used.sigma * model.independent
+    moved = _MAX_SPEED_MPS * (time_s - track.time_s) / np.exp(track.log_m)
+    variance = estimate.k**2 * track.u_variance + n * n + track.variance + moved * moved
+    deviation = np.abs(estimate.y - track.log_m) / np.sqrt(variance)  # NaN for a new track
+    is_near, is_far = used.valid & (deviation < _OUTLIER_SIGMA), used.valid & (deviation > _OUTLIER_SIGMA)
+    n_near = is_near.sum(axis=0)
+    decides = (track.n_agreements >= _TRUSTED_FRAMES) & (n_near > 0) & (n_near >= is_far.sum(axis=0))
+    return np.asarray(is_far & decides)
+
+
+def _outvoted(used: Measurements, track: TrackBiases, model: ErrorModel) -> BoolArray:
+    """(M, N) the one method of three or more without which all others agree, two of them with independent errors."""
+    is_independent = model.systematic_correlation < _SAME_ERRORS
+    t2_without = np.full(used.valid.shape, np.inf)
+    for i in np.flatnonzero(used.valid.any(axis=1)).tolist():
+        others = used.valid.copy()
+        others[i] = False
+        confirmed = (others[:, None] & others & is_independent[:, :, None]).any(axis=(0, 1))
+        t2 = least_squares(used.only(others), track, model).t2
+        t2_without[i] = np.where(used.valid[i] & confirmed, t2, np.inf)
+    best = t2_without.min(axis=0)
+    return np.asarray((t2_without == best) & (best <= _CONFLICT_T2))
+
+
+def _wrong_lane(
+    used: Measurements, measured: Measurements, estimate: Estimate, model: ErrorModel, in_conflict: BoolArray
+) -> BoolArray:
+    """(M, N) lane-width methods that contradict size methods, or the size methods if the horizon supports the lane.
+
+    The lines may be those of another lane, an error that is not part of sigma.
+    """
+    rejected = np.zeros_like(used.valid)
+    y, A, z = estimate.y, estimate.A, measured.z
+    for lane in model.lane.tolist():
+        for size in model.size.tolist():
+            S = A[lane, lane] - 2 * A[lane, size] + A[size, size]
+            contradicts = (y[lane] - y[size]) ** 2 > _CONFLICT_T2 * S
+            contradicts &= in_conflict & used.valid[lane] & used.valid[size]
+            is_nearer = np.abs(z[lane] - z[model.horizon]) < np.abs(z[size] - z[model.horizon])
+            supports_lane = (measured.valid[model.horizon] & is_nearer).any(axis=0)
+            rejected[size] |= contradicts & supports_lane
+            rejected[lane] |= contradicts & ~supports_lane
+    return rejected

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from track_range.ranging.fitting.body_types import STANDARD_BODIES, fit_body_types
+from track_range.ranging.fitting.prior_fit import STANDARD_BODIES, fit_body_types
 
 
 def drawn(n_each, *, seed=0):

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.ranging.evaluation.box_surface import surface_distance_m
+from track_range.ranging.evaluation.reference_distance import surface_distance_m
 
 SIZE = np.array([[1.5, 1.6, 4.0]])  # height, width, length
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.ranging.evaluation.box_surface import surface_distance_m
+from track_range.ranging.evaluation.reference_distance import surface_distance_m
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 
 HEIGHT_M = 1.65

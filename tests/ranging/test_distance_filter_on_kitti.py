@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from track_range.detection.formats.video_labels.kitti import read_kitti
-from track_range.ranging.evaluation.box_surface import surface_distance_m
+from track_range.ranging.evaluation.reference_distance import surface_distance_m
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.ranges import Ranges
 

@@ -12,8 +12,7 @@ import pytest
 from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.tracking.evaluation.motmetrics_comparison import REASONS, motmetrics_figures
 from track_range.tracking.evaluation.scores import TrackingCounts
-from track_range.tracking.evaluation.similarity import Similarity
-from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
+from track_range.tracking.evaluation.tracked_boxes import Similarity, TrackedBoxes
 
 WHEEL_DATA = Path(motmetrics.__file__).parent / "data"
 

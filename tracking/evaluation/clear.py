@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from track_range.tracking.evaluation.similarity import Similarity
+from track_range.tracking.evaluation.tracked_boxes import Similarity
 
 MIN_IOU = 0.5  # minimum IoU of a match
 _EPSILON = float(np.finfo(np.float64).eps)  # tolerance of comparisons, as in TrackEval
@@ -80,7 +80,7 @@ def count_clear(similarity: Similarity) -> ClearCounts:
     n_matched, n_starts = np.zeros(n, np.int64), np.zeros(n, np.int64)
     tp = idsw = 0
     iou_sum = 0.0
-    for truth_ids, result_ids, iou in similarity.frames():
+    for truth_ids, result_ids, iou in similarity.by_frame:
         if not len(truth_ids) or not len(result_ids):
             continue  # tracks matched in the previous frame count as matched in this one, as in TrackEval
         score = iou + _CONTINUITY_BONUS * (result_ids[None, :] == last_frame[truth_ids][:, None])
@@ -119,7 +119,7 @@ def count_clear(similarity: Similarity) -> ClearCounts:
 def _identity_matches(similarity: Similarity) -> int:
     """IDTP: the number of matched boxes under the best one-to-one mapping of truth to result identities."""
     n_common = np.zeros((len(similarity.truth_count), len(similarity.result_count)))
-    for truth_ids, result_ids, iou in similarity.frames():
+    for truth_ids, result_ids, iou in similarity.by_frame:
         n_common[np.ix_(truth_ids, result_ids)] += iou >= MIN_IOU
     rows, columns = linear_sum_assignment(n_common, maximize=True)
     return int(n_common[rows, columns].sum())

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from track_range.foundation.arrays import FloatArray
-from track_range.tracking.evaluation.similarity import Similarity
+from track_range.tracking.evaluation.tracked_boxes import Similarity
 
 ALPHAS: FloatArray = np.linspace(0.05, 0.95, 19)  # IoU thresholds a
 _EPSILON = float(np.finfo(np.float64).eps)  # tolerance of comparisons, as in TrackEval
@@ -70,7 +70,7 @@ def count_hota(similarity: Similarity) -> HotaCounts:
     """The counts of one sequence."""
     alignment = _alignment(similarity)
     pairs = [np.zeros((0, 3))]
-    for truth_ids, result_ids, iou in similarity.frames():
+    for truth_ids, result_ids, iou in similarity.by_frame:
         if len(truth_ids) and len(result_ids):
             rows, columns = linear_sum_assignment(alignment[np.ix_(truth_ids, result_ids)] * iou, maximize=True)
             pairs.append(np.column_stack([truth_ids[rows], result_ids[columns], iou[rows, columns]]))
@@ -83,7 +83,7 @@ def count_hota(similarity: Similarity) -> HotaCounts:
 def _alignment(similarity: Similarity) -> FloatArray:
     """(T, R) alignment of truth and result identities over the whole sequence: a soft Jaccard index of their boxes."""
     shared = np.zeros((len(similarity.truth_count), len(similarity.result_count)))
-    for truth_ids, result_ids, iou in similarity.frames():
+    for truth_ids, result_ids, iou in similarity.by_frame:
         union = iou.sum(axis=0)[None, :] + iou.sum(axis=1)[:, None] - iou
         shared[np.ix_(truth_ids, result_ids)] += np.divide(iou, union, out=np.zeros_like(iou), where=union > _EPSILON)
     n_union = similarity.truth_count[:, None] + similarity.result_count[None, :] - shared

@@ -14,7 +14,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.tracking.evaluation.clear import MIN_IOU
-from track_range.tracking.evaluation.similarity import Similarity
+from track_range.tracking.evaluation.tracked_boxes import Similarity
 
 _METRICS: Mapping[str, str] = {
     "mota": "mota",
@@ -79,7 +79,7 @@ def motmetrics_figures(sequences: Mapping[str, Similarity]) -> MotmetricsFigures
     accumulators = []
     for similarity in sequences.values():
         accumulator = motmetrics.MOTAccumulator()
-        for frame, (truth, results, iou) in enumerate(similarity.frames()):
+        for frame, (truth, results, iou) in enumerate(similarity.by_frame):
             accumulator.update(truth, results, _distance(iou), frameid=frame)
         accumulators.append(accumulator)
     table = motmetrics.metrics.create().compute_many(

@@ -16,8 +16,7 @@ from track_range.foundation.arrays import BoolArray
 from track_range.tracking.association import min_cost_matching
 from track_range.tracking.evaluation.clear import MIN_IOU, ClearCounts, count_clear
 from track_range.tracking.evaluation.hota import HotaCounts, count_hota
-from track_range.tracking.evaluation.similarity import Similarity
-from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, TrackedBoxes
+from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, Similarity, TrackedBoxes
 
 _MIN_FRACTION_IGNORED = 0.5  # of an unmatched result box inside an ignore region for which it is dropped
 

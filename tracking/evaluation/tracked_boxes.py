@@ -1,4 +1,8 @@
-"""TrackedBoxes: boxes with identities in many frames, truth or result; IgnoreRegions: where results are ignored."""
+"""TrackedBoxes: boxes with identities in many frames, truth or result; Similarity: their IoU in each frame.
+
+All metrics are computed from the similarity, so that they count the same boxes; its identities are numbered from 0.
+IgnoreRegions: where results are ignored.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from track_range.detection.boxes import iou
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 
@@ -50,3 +55,41 @@ class IgnoreRegions:
     def none(cls) -> IgnoreRegions:
         """No regions."""
         return cls(np.zeros(0, np.int64), np.zeros((0, 4)))
+
+
+@dataclass(frozen=True, slots=True)
+class Similarity:
+    """IoU of the boxes of one sequence."""
+
+    truth_count: IntArray  # (T,) number of frames with each truth identity
+    result_count: IntArray  # (R,) number of frames with each result identity
+    # for each frame with a box, truth identities (n,), result identities (m,) and their IoU (n, m)
+    by_frame: tuple[tuple[IntArray, IntArray, FloatArray], ...]
+
+    @classmethod
+    def of(cls, truth: TrackedBoxes, results: TrackedBoxes) -> Similarity:
+        """The similarity of one sequence's boxes, after the benchmark's rules; the IoU of different classes is 0."""
+        truth, results = (boxes.select(np.argsort(boxes.frame, kind="stable")) for boxes in (truth, results))
+        frames = np.union1d(truth.frame, results.frame)
+        starts, ends = (
+            [np.searchsorted(boxes.frame, frames, side=side) for boxes in (truth, results)]
+            for side in ("left", "right")
+        )
+        _, truth_id, truth_count = np.unique(truth.track_id, return_inverse=True, return_counts=True)
+        _, result_id, result_count = np.unique(results.track_id, return_inverse=True, return_counts=True)
+        by_frame = []
+        for a, b, c, d in zip(starts[0], ends[0], starts[1], ends[1], strict=True):
+            is_same_class = truth.class_id[a:b, None] == results.class_id[None, c:d]
+            overlap = np.where(is_same_class, iou(truth.xyxy_px[a:b], results.xyxy_px[c:d]), 0.0)
+            by_frame.append((truth_id[a:b], result_id[c:d], overlap))
+        return cls(truth_count, result_count, tuple(by_frame))
+
+    @property
+    def n_truth(self) -> int:
+        """Number of truth boxes."""
+        return int(self.truth_count.sum())
+
+    @property
+    def n_results(self) -> int:
+        """Number of result boxes."""
+        return int(self.result_count.sum())

@@ -31,7 +31,7 @@ from typing import TypeVar
 import numpy as np
 from scipy.optimize import least_squares
 
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.fitting.camera.measurements import FocalGuess, HorizonRow, KnownLane, KnownObject, SceneBoxes
 from track_range.ranging.size_models.size_model import (
     BORDER_PX,
@@ -133,11 +133,6 @@ class CameraFit:
         """Slope of the horizon, positive = falling to the right."""
         return math.atan(self.theta[_ROLL])
 
-    @property
-    def roll_sigma_rad(self) -> float:
-        """Standard deviation of `roll_rad`."""
-        return self._sigma(_ROLL)
-
     def correlation(self, one: str, other: str) -> float:
         """Correlation of two parameters by their names in `PARAMETERS`."""
         i, j = PARAMETERS.index(one), PARAMETERS.index(other)
@@ -151,8 +146,7 @@ class CameraFit:
     @property
     def product_sigma(self) -> float:
         """Relative standard deviation of the product of focal length and camera height."""
-        part = self.covariance[:2, :2]
-        return float(np.sqrt(part.sum()))
+        return float(np.sqrt(self.covariance[:2, :2].sum()))
 
     def _sigma(self, index: int) -> float:
         return math.sqrt(self.covariance[index, index])
@@ -242,7 +236,7 @@ class _Terms:
         noise = BoxNoise(_PICKED_EDGE_PX, 0.0, 0.0)
         self._known_by_size = _by_size(boxes, classes, grid, size_px, sizes, noise)
         self._offset_m = surface_offset_m(boxes, classes)
-        scene = scene.select(_is_on_road(scene, size_px))
+        scene = scene.select(scene.are_whole(size_px, min_height_px=_MIN_HEIGHT_PX) & _STANDS[scene.size_class])
         by_size = _by_size(scene.xyxy_px, scene.size_class, grid, size_px, sizes, BoxNoise(relative=scene_noise))
         rows = np.flatnonzero(np.isfinite(by_size.log_m).all(axis=0))
         self._scene = scene.select(rows)
@@ -372,14 +366,6 @@ class _Terms:
 def _robust(residual: FloatArray) -> FloatArray:
     """(N,) values whose squares are Cauchy's loss of the residuals (N,), in standard deviations."""
     return np.asarray(_CAUCHY * np.sqrt(np.log1p((residual / _CAUCHY) ** 2)) * np.sign(residual))
-
-
-def _is_on_road(boxes: SceneBoxes, size_px: tuple[int, int]) -> BoolArray:
-    """(N,) whether boxes are whole, high enough, and of objects on the road."""
-    x1, y1, x2, y2 = boxes.xyxy_px.T
-    is_inside = (x1 >= BORDER_PX) & (y1 >= BORDER_PX) & (x2 <= size_px[0] - 1 - BORDER_PX)
-    is_inside &= y2 <= size_px[1] - 1 - BORDER_PX
-    return np.asarray(is_inside & (y2 - y1 >= _MIN_HEIGHT_PX) & _STANDS[boxes.size_class])
 
 
 def _by_size(

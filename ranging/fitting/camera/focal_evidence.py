@@ -26,10 +26,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.ranging.fitting.camera.measurements import FocalGuess, SceneBoxes
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
-from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES, BoxNoise, measured_boxes
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera
 
 DEFAULT_FIELD_DEG = 75.0  # assumed; most road cameras have 50 (telephones, research vehicles) to 110 degrees
@@ -119,7 +119,7 @@ def focal_posterior(
     log_p = np.zeros(_N_GRID)
     for guess in guesses:
         log_p -= 0.5 * ((log_f - math.log(guess.focal_px)) / guess.sigma) ** 2
-    usable = boxes.select(_has_shape(boxes, size_px))
+    usable = boxes.select(boxes.are_whole(size_px, min_height_px=_MIN_HEIGHT_PX) & _SHAPE_CLASSES[boxes.size_class])
     n_tracks, noise = 0, BoxNoise().relative
     if sizes is not None and len(usable):
         n_tracks = len(np.unique(usable.track_id))
@@ -127,14 +127,6 @@ def focal_posterior(
         log_p += np.log(np.maximum(likelihood, 1e-300))
     density = np.exp(log_p - log_p.max())
     return FocalPosterior(np.exp(log_f), density / density.sum(), n_tracks, noise)
-
-
-def _has_shape(boxes: SceneBoxes, size_px: tuple[int, int]) -> BoolArray:
-    """(N,) whether a box is whole, high enough, and of a class whose length is known."""
-    x1, y1, x2, y2 = boxes.xyxy_px.T
-    is_inside = (x1 >= BORDER_PX) & (y1 >= BORDER_PX) & (x2 <= size_px[0] - 1 - BORDER_PX)
-    is_inside &= y2 <= size_px[1] - 1 - BORDER_PX
-    return np.asarray(is_inside & (y2 - y1 >= _MIN_HEIGHT_PX) & _SHAPE_CLASSES[boxes.size_class])
 
 
 def _shape_likelihood(

@@ -15,6 +15,7 @@ from typing import Self
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
+from track_range.ranging.size_models.size_model import BORDER_PX
 
 _MAX_COVERED = 0.03  # largest fraction of a box inside a nearer one for which it counts as not hidden
 
@@ -84,6 +85,12 @@ class SceneBoxes:
     def select(self, rows: BoolArray | IntArray) -> SceneBoxes:
         """The boxes selected by a mask or an index array."""
         return SceneBoxes(self.xyxy_px[rows], self.size_class[rows], self.track_id[rows])
+
+    def are_whole(self, size_px: tuple[int, int], *, min_height_px: float) -> BoolArray:
+        """(N,) whether boxes do not touch the border of images of `size_px` (width, height), and are high enough."""
+        x1, y1, x2, y2 = self.xyxy_px.T
+        is_inside = (x1 >= BORDER_PX) & (y1 >= BORDER_PX) & (x2 <= size_px[0] - 1 - BORDER_PX)
+        return np.asarray(is_inside & (y2 <= size_px[1] - 1 - BORDER_PX) & (y2 - y1 >= min_height_px))
 
     @property
     def views(self) -> FloatArray:

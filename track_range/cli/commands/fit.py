@@ -9,8 +9,7 @@ import numpy as np
 
 from track_range.cli.console import console, print_grid, print_line, print_notes
 from track_range.cli.parameters import command
-from track_range.ranging.evaluation.curve_comparison import TABLE_DISTANCES_M, CurveFit
-from track_range.ranging.fitting.fit import FittedSizes, fit_sizes
+from track_range.ranging.fitting.fit import TABLE_DISTANCES_M, CurveFit, FittedSizes, fit_sizes
 from track_range.ranging.fitting.settings import FitSettings
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves

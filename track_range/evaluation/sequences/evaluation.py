@@ -34,8 +34,7 @@ from track_range.tracking.evaluation.benchmark_rules import KITTI_TYPES, kitti_c
 from track_range.tracking.evaluation.frame_shift import frame_shift_note
 from track_range.tracking.evaluation.motmetrics_comparison import motmetrics_figures
 from track_range.tracking.evaluation.scores import TrackingCounts
-from track_range.tracking.evaluation.similarity import Similarity
-from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
+from track_range.tracking.evaluation.tracked_boxes import Similarity, TrackedBoxes
 
 _DUPLICATE = "expected each track id at most once per frame, found a duplicate."
 

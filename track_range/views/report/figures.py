@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.output_files import write_bytes
-from track_range.ranging.evaluation.curve_comparison import CurveFit
+from track_range.ranging.fitting.fit import CurveFit
 
 SCATTER_PATHS = 3000  # maximum number of points of a scatter plot; more are thinned
 _MODELS_PER_ROW = 4  # maximum number of reliability diagrams beside each other
