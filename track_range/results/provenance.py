@@ -33,7 +33,6 @@ _RIG = ("focal_px", "baseline_m", "image_size_px")
 class Provenance:
     """Origin of results."""
 
-    schema_version: int = SCHEMA_VERSION  # of the result files
     version: str = field(default_factory=lambda: version("track-range"))
     model: Mapping[str, Any] = field(default_factory=dict)  # the detector, or the name of the file of detections
     rig: Mapping[str, Any] = field(default_factory=dict)  # calibration: kind, file, focal length, baseline, image size
@@ -56,13 +55,13 @@ class Provenance:
 
     def section(self) -> dict[str, Any]:
         """Values for summary.json."""
-        return {"schema_version": self.schema_version, "settings_hash": self.settings_hash}
+        return {"schema_version": SCHEMA_VERSION, "settings_hash": self.settings_hash}
 
     def metadata(self) -> dict[str, str]:
         """Values as text with the prefix `track_range.`, for the metadata of files; mappings as JSON."""
         values = {
             "version": self.version,
-            "schema_version": str(self.schema_version),
+            "schema_version": str(SCHEMA_VERSION),
             "model": _canonical(self.model),
             "rig": _canonical(self.rig),
             "settings_hash": self.settings_hash,

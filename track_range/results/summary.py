@@ -47,14 +47,14 @@ class MatchedTruth:
         return self.of_labels(self.truth.distance_m, np.nan)
 
     @property
-    def is_scored(self) -> BoolArray:
-        """(N,) mask of the rows that match a label of a road class at a distance in `BANDS_M`."""
-        return self.is_road_class & (self.distance_m >= BANDS_M[0]) & (self.distance_m <= BANDS_M[-1])
-
-    @property
     def is_road_class(self) -> BoolArray:
         """(N,) mask of the rows that match a label of a road class, not a van or tram."""
         return self.of_labels(self.truth.class_id, -1) >= 0
+
+    def of_scored(self, values: FloatArray) -> FloatArray:
+        """(N,) values, NaN for rows that match no label of a road class at a distance in `BANDS_M`."""
+        is_scored = self.is_road_class & (self.distance_m >= BANDS_M[0]) & (self.distance_m <= BANDS_M[-1])
+        return np.where(is_scored, values, np.nan)
 
     def of_labels(self, values: npt.NDArray[Any], unmatched: Any) -> npt.NDArray[Any]:
         """(N,) values of the matching labels, from those of all labels; `unmatched` for rows without a match."""
@@ -69,7 +69,7 @@ def matched_truth(columns: Columns, truth: Truth) -> MatchedTruth:
 def with_truth(columns: Columns, matched: MatchedTruth) -> dict[str, Any]:
     """Columns with `truth_m`, the true distance, and `scored_truth_m`, only of objects that count for the errors."""
     truth_m = matched.distance_m
-    return {**columns, "truth_m": truth_m, "scored_truth_m": np.where(matched.is_scored, truth_m, np.nan)}
+    return {**columns, "truth_m": truth_m, "scored_truth_m": matched.of_scored(truth_m)}
 
 
 def range_scores(columns: Columns, matched: MatchedTruth | None, methods: Collection[str]) -> dict[str, Any]:
@@ -81,7 +81,7 @@ def range_scores(columns: Columns, matched: MatchedTruth | None, methods: Collec
         return {"methods": coverage_only(by_name), "common": {}}
     kitti_type = matched.of_labels(matched.truth.kitti_type, "")
     own, common = score_methods(by_name, matched.distance_m, is_road_class=matched.is_road_class, kitti_type=kitti_type)
-    true_mps = np.where(matched.is_scored, matched.of_labels(matched.truth.closing_mps, np.nan), np.nan)
+    true_mps = matched.of_scored(matched.of_labels(matched.truth.closing_mps, np.nan))
     closing = score_closing(columns["closing_mps"], columns["closing_sigma_mps"], true_mps)
     return {"methods": own, "common": common, **({} if closing is None else {"closing": closing})}
 

@@ -37,11 +37,8 @@ class RunTable:
 
         frame results --> buffer --> record batches in one temporary file (Arrow IPC stream) --> memory-mapped table
 
-    Only the buffer is held in memory, so that memory use does not grow over hours; a run that is shorter than one batch
-    writes no file. The file is deleted with the `RunTable`.
-
-    Args:
-        rows_per_batch: number of rows that are held in memory before they are written to disk.
+    Only the buffer of `rows_per_batch` rows is held in memory, so that memory use does not grow over hours; a run that
+    is shorter than one batch writes no file. The file is deleted with the `RunTable`.
     """
 
     def __init__(self, *, rows_per_batch: int = ROWS_PER_BATCH) -> None:
@@ -80,13 +77,9 @@ class RunTable:
             self._buffer, self._n_buffered = [], 0
 
     def to_arrow(self, *, is_rounded: bool = True) -> pa.Table:
-        """Rows so far as a `pyarrow.Table`.
+        """Rows so far as a `pyarrow.Table`, rounded as in tracks.csv or in full precision, which is memory-mapped.
 
         Null = not measured; `class` is a dictionary column of names; the metadata of a field contains its unit.
-
-        Args:
-            is_rounded: whether numbers are rounded as in tracks.csv; without rounding, the rows in the temporary file
-                are memory-mapped.
         """
         import pyarrow as pa
 
@@ -98,11 +91,7 @@ class RunTable:
         return self.to_arrow().to_pandas()
 
     def to_columns(self, *, is_rounded: bool = True) -> dict[str, npt.NDArray[Any]]:
-        """Rows so far as `track_range.results.columns.Columns`.
-
-        Args:
-            is_rounded: whether they equal those read from tracks.csv; False = full precision.
-        """
+        """Rows so far as `track_range.results.columns.Columns`, equal to those of tracks.csv or in full precision."""
         table = self.to_arrow(is_rounded=False)
         columns: dict[str, npt.NDArray[Any]] = {}
         for column in self.columns:

@@ -371,8 +371,8 @@ class Run:
             n_frames = 0 if self._session is None else len(self._session.rows)
             return f"<p><b>track-range run</b> of {title}: {n_frames} frames so far</p>"
         rows = "".join(
-            f"<tr><th>{html.escape(str(name))}</th><td>{html.escape(str(value))}</td></tr>"
-            for name, value in headline_figures(self._summary)
+            f"<tr><th>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>"
+            for name, text in _headline_figures(self._summary)
         )
         return f"<p><b>track-range run</b> of {title}</p><table>{rows}</table>"
 
@@ -381,7 +381,7 @@ def _video(name: str | Path | Sequence[str | Path]) -> str | list[str]:
     return str(name) if isinstance(name, str | Path) else [str(part) for part in name]
 
 
-def headline_figures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def _headline_figures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Names and texts of the main figures."""
     yield "frames", str(summary["frames"])
     yield "tracks", str(summary["tracks"]["n"])

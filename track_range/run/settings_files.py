@@ -74,12 +74,11 @@ def _check_anonymized(settings: RunSettings, keys: list[str], file: Path | None)
 
     `keys`: the settings that come from the file.
     """
+    videos = [path for video in settings.videos for path in files_of(video)]
     for key in keys:
-        files: list[Path] = []
-        if key in ("stereo", "mono"):
-            files = [path for video in settings.videos for path in files_of(video)]
-        elif key in _PATHS & _INPUT_FILES:
-            files = [path for path in (getattr(settings, key),) if path is not None]
+        files = videos if key in ("stereo", "mono") else []
+        if key in _PATHS & _INPUT_FILES and (path := getattr(settings, key)) is not None:
+            files = [path]
         missing = next((path for path in files if not path.exists()), None)
         if missing is not None:
             raise ConfigError(
@@ -122,15 +121,9 @@ def read_settings(file: Path) -> dict[str, Any]:
 def save_settings(settings: RunSettings, path: Path, *, detected: dict[str, Any] | None = None) -> None:
     """Write settings.yaml: the settings with absolute paths under `run`, properties of the inputs under `found`."""
     run = absolute_settings(settings)
-    content = {
-        "track_range_settings": 1,
-        "schema_version": SCHEMA_VERSION,
-        "settings_hash": settings_hash(run),
-        "run": run,
-    }
-    if detected is not None:
-        content["found"] = detected
-    write_text(path, yaml_text(content))
+    head = {"track_range_settings": 1, "schema_version": SCHEMA_VERSION, "settings_hash": settings_hash(run)}
+    found = {} if detected is None else {"found": detected}
+    write_text(path, yaml_text({**head, "run": run, **found}))
 
 
 def absolute_settings(settings: RunSettings) -> dict[str, Any]:
@@ -139,15 +132,15 @@ def absolute_settings(settings: RunSettings) -> dict[str, Any]:
     for key in _FILES & run.keys():
         if key in _PATHS or os.path.exists(run[key]):  # False for a name that is too long
             run[key] = os.path.realpath(run[key])
+
+    def absolute(video: VideoName) -> str | list[str]:
+        return plain_name(video, lambda path: os.path.realpath(path) if isinstance(path, Path) else str(path))
+
     if settings.stereo:
-        run["stereo"] = [_absolute(video) for video in settings.stereo]
+        run["stereo"] = [absolute(video) for video in settings.stereo]
     if settings.mono:
-        run["mono"] = _absolute(settings.mono)
+        run["mono"] = absolute(settings.mono)
     return without_folders(run) if settings.anonymize else run
-
-
-def _absolute(video: VideoName) -> str | list[str]:
-    return plain_name(video, lambda path: os.path.realpath(path) if isinstance(path, Path) else str(path))
 
 
 def without_folders(run: Mapping[str, Any]) -> dict[str, Any]:

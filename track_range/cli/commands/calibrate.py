@@ -120,44 +120,33 @@ def _print_views(fits: Sequence[ViewFit] | Sequence[PairFit]) -> None:
 def _print_cameras(cameras: Mapping[str, CameraCalibration]) -> None:
     for name, calibration in cameras.items():
         camera, std, coverage = calibration.camera, calibration.std, calibration.coverage
-        print_line(
-            console,
+        spans = (coverage.x_span, coverage.y_span, coverage.size_range)
+        width, height, sizes = (f"{100 * low:.0f} to {100 * high:.0f} %" for low, high in spans)
+        lens = ", ".join(f"{term:.4g}" for term in camera.distortion) or "none"
+        model = f" of the lens model {camera.lens}" if camera.is_wide else ""
+        margin = " " * len(name)
+        for line in (
             f"{name}: fx {camera.fx_px:.2f} ± {std.fx_px:.2f}, fy {camera.fy_px:.2f} ± {std.fy_px:.2f}, "
             f"cx {camera.cx_px:.2f} ± {std.cx_px:.2f}, cy {camera.cy_px:.2f} ± {std.cy_px:.2f} px; "
             f"residual {calibration.rms_px:.3f} px RMS over {len(calibration.fits)} views.",
-        )
-        lens = ", ".join(f"{term:.4g}" for term in camera.distortion) or "none"
-        model = f" of the lens model {camera.lens}" if camera.is_wide else ""
-        print_line(console, f"{' ' * len(name)}  distortion coefficients{model} {lens}.")
-        print_line(
-            console,
-            f"{' ' * len(name)}  coverage: corners at {_percent(coverage.x_span)} of the width and "
-            f"{_percent(coverage.y_span)} of the height, boards {_percent(coverage.size_range)} of the image side, "
-            f"tilts {coverage.tilt_range_deg[0]:.0f} to {coverage.tilt_range_deg[1]:.0f} degrees.",
-        )
-
-
-def _percent(span: tuple[float, float]) -> str:
-    return f"{100 * span[0]:.0f} to {100 * span[1]:.0f} %"
+            f"{margin}  distortion coefficients{model} {lens}.",
+            f"{margin}  coverage: corners at {width} of the width and {height} of the height, boards {sizes} of the "
+            f"image side, tilts {coverage.tilt_range_deg[0]:.0f} to {coverage.tilt_range_deg[1]:.0f} degrees.",
+        ):
+            print_line(console, line)
 
 
 def _print_pair(pair: PairCalibration) -> None:
-    print_line(
-        console,
+    left_px, right_px = pair.single_rms_px
+    for line in (
         f"baseline {1000 * pair.rig.baseline_m:.2f} ± {1000 * pair.baseline_std_m:.2f} mm, given the size of the "
         f"squares; residual {pair.rms_px:.3f} px RMS over {len(pair.fits)} pairs.",
-    )
-    left_px, right_px = pair.single_rms_px
-    print_line(
-        console,
         f"Residuals of the cameras calibrated alone: left {left_px:.3f}, right {right_px:.3f} px RMS; a larger one of "
         "the pairs is due to boards that moved between their images.",
-    )
-    print_line(
-        console,
         f"Vertical offset after rectification: {pair.row_error_px:.3f} px on average, "
         f"{pair.held_out_row_error_px:.3f} px in pairs held out of the fit.",
-    )
+    ):
+        print_line(console, line)
 
 
 app = command(CalibrationSettings, _calibrate)

@@ -96,27 +96,25 @@ def track_grid(rows: pa.Table) -> Grid:
     columns = {name: np.array(rows[name].to_pylist(), object) for name in _COLUMNS}
     is_observed = columns["observed"].astype(np.bool_)
     classes = sorted(set(columns["class"].tolist()), key=ROAD_CLASSES.index)
-    n_tracks, longest_s, nearest_m, closing_mps, ttc_s = [], [], [], [], []
+    rows_of_classes = []
     for name in classes:
         chosen = {key: column[(columns["class"] == name) & is_observed] for key, column in columns.items()}
         times_s = [chosen["time_s"][chosen["track_id"] == track_id] for track_id in set(chosen["track_id"].tolist())]
-        n_tracks.append(float(len(times_s)))
-        longest_s.append(max((float(one.max() - one.min()) for one in times_s), default=None))
-        nearest_m.append(_extreme(chosen["fused_kf_m"], min))
-        closing_mps.append(_extreme(chosen["closing_mps"], max))
-        ttc_s.append(_extreme(chosen["ttc_s"], min))
-    return grid_of(
-        "Tracks found",
-        "class",
-        classes,
-        [
-            Column("tracks", n_tracks, "{:.0f}"),
-            Column("longest s", longest_s),
-            Column("nearest m", nearest_m),
-            Column("fastest closing m/s", closing_mps),
-            Column("shortest TTC s", ttc_s),
-        ],
-    )
+        rows_of_classes.append(
+            (
+                float(len(times_s)),
+                max((float(one.max() - one.min()) for one in times_s), default=None),
+                _extreme(chosen["fused_kf_m"], min),
+                _extreme(chosen["closing_mps"], max),
+                _extreme(chosen["ttc_s"], min),
+            )
+        )
+    heads = ("tracks", "longest s", "nearest m", "fastest closing m/s", "shortest TTC s")
+    shown = [
+        Column(head, [row[k] for row in rows_of_classes], "{:.0f}" if head == "tracks" else "{:.1f}")
+        for k, head in enumerate(heads)
+    ]
+    return grid_of("Tracks found", "class", classes, shown)
 
 
 def accuracy_lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from track_range.cli.console import console, print_grid, print_line, print_notes
 from track_range.cli.parameters import command
-from track_range.ranging.fitting.fit import TABLE_DISTANCES_M, CurveFit, FittedSizes, fit_sizes
+from track_range.ranging.fitting.fit import TABLE_DISTANCES_M, CurveFit, fit_sizes
 from track_range.ranging.fitting.settings import FitSettings
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
-from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
+from track_range.ranging.size_models.log_linear import SizeCurves
 from track_range.ranging.size_models.size_model import StoredSizeModel
 from track_range.ranging.size_models.tables import TableSizes
 from track_range.views.report import tables
@@ -23,22 +22,18 @@ def _fit(settings: FitSettings) -> None:
     for curves in fitted.comparison.values():
         print_grid(console, _comparison_grid(curves))
     if settings.picture is not None:
-        _draw(fitted, settings.picture)
+        from track_range.views.report.figures import curve_picture  # imports matplotlib: a third of a second
+
+        points = {name: fitted.boxes.select(fitted.boxes.class_name == name) for name in fitted.comparison}
+        curve_picture(
+            {name: (points[name].wh_over_f, points[name].distance_m, fitted.comparison[name]) for name in points},
+            settings.picture,
+        )
         print_line(console, f"Written: {settings.picture}")
     if fitted.model is not None:
         print_grid(console, _model_grid(fitted.name, fitted.model))
         print_line(console, f"Written: {settings.out}")
     print_notes(console, fitted.notes)
-
-
-def _draw(fitted: FittedSizes, picture: Path) -> None:
-    from track_range.views.report.figures import curve_picture  # imports matplotlib, which takes a third of a second
-
-    points = {name: fitted.boxes.select(fitted.boxes.class_name == name) for name in fitted.comparison}
-    drawn = {
-        name: (points[name].wh_over_f, points[name].distance_m, curves) for name, curves in fitted.comparison.items()
-    }
-    curve_picture(drawn, picture)
 
 
 def _comparison_grid(fits: Sequence[CurveFit]) -> tables.Grid:
@@ -66,9 +61,11 @@ def _model_grid(name: str, model: StoredSizeModel) -> tables.Grid:
             tables.Column(f"{what} m", [prior.hwl_m[k] for prior in priors], "{:.2f}")
             for k, what in enumerate(("height", "width", "length"))
         ]
-        columns.append(tables.Column("height ± %", [100 * prior.log_sigma[0] for prior in priors]))
-        columns.append(tables.Column("objects", [prior.n_tracks for prior in priors], "{:.0f}"))
-        columns.append(tables.Column("boxes", [prior.n_boxes for prior in priors], "{:.0f}"))
+        columns += [
+            tables.Column("height ± %", [100 * prior.log_sigma[0] for prior in priors]),
+            tables.Column("objects", [prior.n_tracks for prior in priors], "{:.0f}"),
+            tables.Column("boxes", [prior.n_boxes for prior in priors], "{:.0f}"),
+        ]
         return tables.grid_of("Priors over sizes", "class", list(model.priors), columns)
     if not isinstance(model, SizeCurves | TableSizes):
         raise TypeError(f"{name}: no table for {type(model).__name__}")
@@ -78,13 +75,12 @@ def _model_grid(name: str, model: StoredSizeModel) -> tables.Grid:
         tables.Column("boxes", [curve.n for curve in curves.values()], "{:.0f}"),
     ]
     if isinstance(model, SizeCurves):
-        columns = [*_coefficients(list(model.whole.values())), *columns]
+        heads = ("intercept", "log height", "log width", "bearing")
+        columns[:0] = [
+            tables.Column(head, [curve.coefficients[k] for curve in model.whole.values()], "{:.3f}")
+            for k, head in enumerate(heads)
+        ]
     return tables.grid_of(f"Size curves: {name}", "class", list(curves), columns)
-
-
-def _coefficients(curves: Sequence[SizeCurve]) -> list[tables.Column]:
-    heads = ("intercept", "log height", "log width", "bearing")
-    return [tables.Column(head, [curve.coefficients[k] for curve in curves], "{:.3f}") for k, head in enumerate(heads)]
 
 
 app = command(FitSettings, _fit)

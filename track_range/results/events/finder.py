@@ -18,6 +18,7 @@ from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.track_state import TrackState
 from track_range.pipeline.frame_result import FrameResult
+from track_range.ranging.warning.warnings import Warnings
 from track_range.results.events.event import WARNING_KINDS, Event, EventKind, EventSettings
 
 _NEAR_M, _NEAR_FRACTION = 2.0, 0.15
@@ -73,9 +74,8 @@ class Situation:
         closing_mps = result.closing_mps
         ttc_s = gap_m / np.where(closing_mps > 0.5, closing_mps, np.nan)
         headway_s = gap_m / result.ego_mps if result.ego_mps >= settings.min_ego_mps else unknown
-        if result.warnings is None:
-            return cls(distance_m, sigma_m, gap_m, closing_mps, ttc_s, headway_s, unknown, unknown, unknown)
-        offset_m, probability = result.warnings.path_offset_m, result.warnings.probability
+        warnings = result.warnings or Warnings.unknown(len(result.tracks))
+        offset_m, probability = warnings.path_offset_m, warnings.probability
         apart_m = np.abs(offset_m) - (_EGO_HALF_WIDTH_M + _HALF_WIDTH_M[result.tracks.class_id])
         return cls(distance_m, sigma_m, gap_m, closing_mps, ttc_s, headway_s, offset_m, apart_m, probability)
 

@@ -77,27 +77,28 @@ def track_objects(result: FrameResult, camera: PinholeCamera) -> Iterator[TrackO
     unknown = np.full(n, np.nan)
     distance_m, sigma_m = (unknown, unknown) if fused is None else (fused.distance_m, fused.sigma_m)
     x1, y1, x2, y2 = tracks.xyxy_px.T
+    names = [ROAD_CLASSES[class_id] for class_id in tracks.class_id.tolist()]
+    length_m = np.array([_LENGTH_M[name] for name in names])
     centre_x_m = ((x1 + x2) / 2 - camera.cx_px) / camera.fx_px * distance_m
     centre_y_m = ((y1 + y2) / 2 - camera.cy_px) / camera.fy_px * distance_m
     width_m, height_m = (x2 - x1) / camera.fx_px * distance_m, (y2 - y1) / camera.fy_px * distance_m
-    for i in range(n):
-        name, track_id = ROAD_CLASSES[int(tracks.class_id[i])], int(tracks.track_id[i])
-        length_m = _LENGTH_M[name]
+    centre_m = np.column_stack([centre_x_m, centre_y_m, distance_m + length_m / 2])
+    figures = (distance_m, sigma_m, result.closing_mps, result.closing_sigma_mps, result.ttc_s)
+    numbers = np.column_stack([tracks.score, *figures]).tolist()
+    size_m = np.column_stack([width_m, height_m, length_m])
+    for i, (score, *known) in enumerate(numbers):
+        track_id = int(tracks.track_id[i])
         blue, green, red = warning_colour(result, i) or track_colour(track_id)
         yield TrackObject(
-            track_id,
-            name,
-            float(tracks.score[i]),
-            bool(tracks.observed[i]),
-            (float(x1[i]), float(y1[i]), float(x2[i]), float(y2[i])),
-            float(distance_m[i]),
-            float(sigma_m[i]),
-            float(result.closing_mps[i]),
-            float(result.closing_sigma_mps[i]),
-            float(result.ttc_s[i]),
-            (float(centre_x_m[i]), float(centre_y_m[i]), float(distance_m[i]) + length_m / 2),
-            (float(width_m[i]), float(height_m[i]), length_m),
-            (red, green, blue),
+            track_id=track_id,
+            class_name=names[i],
+            score=score,
+            is_observed=bool(tracks.observed[i]),
+            xyxy_px=tuple(tracks.xyxy_px[i].tolist()),
+            centre_m=tuple(centre_m[i].tolist()),
+            size_m=tuple(size_m[i].tolist()),
+            rgb=(red, green, blue),
+            **dict(zip(FIGURES, known, strict=True)),
         )
 
 

@@ -7,11 +7,19 @@ from statistics import median
 from typing import Any
 
 from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files, write_json
+from track_range.cli.commands.evaluate.risk_tables import ColumnSpec, metric_columns
 from track_range.cli.console import console, print_grid, print_notes
 from track_range.cli.parameters import command
 from track_range.evaluation.events.evaluate import evaluate_events
 from track_range.evaluation.events.settings import EventEvaluationSettings
-from track_range.views.report.tables import Cell, Column, Grid, figure, grid_of
+from track_range.views.report.tables import Cell, Column, Grid, grid_of
+
+_CLOSING_COLUMNS: tuple[ColumnSpec, ...] = (
+    ("n", "n", "{:.0f}", 1.0, None),
+    ("median m/s", "median_error_mps", "{:.2f}", 1.0, abs),
+    ("mean m/s", "mean_error_mps", "{:.2f}", 1.0, abs),
+    ("bias m/s", "bias_mps", "{:+.2f}", 1.0, abs),
+)
 
 
 class EventsOptions(EventEvaluationSettings):
@@ -31,13 +39,13 @@ def _events(options: EventsOptions) -> None:
 
 
 def _score_grid(figures: Mapping[str, Any]) -> Grid:
-    sections = {"all": figures["overall"], **{k: row for k, row in figures["by_kind"].items() if _has_counts(row)}}
+    counts = ("hits", "misses", "false_alarms")
+    by_kind = {kind: row for kind, row in figures["by_kind"].items() if any(row[name] for name in counts)}
+    sections = {"all": figures["overall"], **by_kind}
     rows = list(sections.values())
     leads_s = [row["lead_s"] for row in rows]
     columns = [
-        Column("hits", [row["hits"] for row in rows], "{:.0f}"),
-        Column("misses", [row["misses"] for row in rows], "{:.0f}"),
-        Column("false alarms", [row["false_alarms"] for row in rows], "{:.0f}"),
+        *(Column(name.replace("_", " "), [row[name] for row in rows], "{:.0f}") for name in counts),
         Column("per hour", [row["false_alarms_per_hour"] for row in rows], "{:.2f}"),
         Column("median lead s", [median(leads) if leads else None for leads in leads_s], "{:.2f}"),
         Column("shortest s", [min(leads, default=None) for leads in leads_s], "{:.2f}"),
@@ -47,34 +55,25 @@ def _score_grid(figures: Mapping[str, Any]) -> Grid:
     return grid_of(f"Warnings{duration}" if "contacts" in figures else f"Events{duration}", "", list(sections), columns)
 
 
-def _has_counts(row: Mapping[str, Any]) -> bool:
-    return bool(row["hits"] or row["misses"] or row["false_alarms"])
-
-
 def _contact_grid(figures: Mapping[str, Any]) -> Grid:
     rows = figures.get("contacts", [])
-    cells = tuple(
-        (
-            Cell(str(row["object_id"])),
-            Cell(row["class"]),
-            Cell(f"{row['contact_s']:.2f}"),
-            Cell("hit" if row["is_hit"] else "miss"),
-            Cell("-" if row["lead_s"] is None else f"{row['lead_s']:.2f}"),
+    lines = []
+    for row in rows:
+        lead = "-" if row["lead_s"] is None else f"{row['lead_s']:.2f}"
+        texts = (
+            str(row["object_id"]),
+            row["class"],
+            f"{row['contact_s']:.2f}",
+            "hit" if row["is_hit"] else "miss",
+            lead,
         )
-        for row in rows
-    )
-    return Grid("Contacts", ("object", "class", "at s", "", "lead s"), cells)
+        lines.append(tuple(map(Cell, texts)))
+    return Grid("Contacts", ("object", "class", "at s", "", "lead s"), tuple(lines))
 
 
 def _closing_grid(figures: Mapping[str, Any]) -> Grid:
     sections = figures.get("closing", {})
-    rows = list(sections.values())
-    columns = [
-        Column("n", [row["n"] for row in rows], "{:.0f}"),
-        Column("median m/s", [figure(row, "median_error_mps") for row in rows], "{:.2f}", cost=abs),
-        Column("mean m/s", [figure(row, "mean_error_mps") for row in rows], "{:.2f}", cost=abs),
-        Column("bias m/s", [figure(row, "bias_mps") for row in rows], "{:+.2f}", cost=abs),
-    ]
+    columns = metric_columns(sections, _CLOSING_COLUMNS)
     return grid_of("Error of the closing speed at 10-40 m", "class", list(sections), columns)
 
 

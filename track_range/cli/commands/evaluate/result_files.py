@@ -52,13 +52,13 @@ def check_result_files(options: Any) -> None:
 
 
 def _check_is_no_input(flag: str, file: Path, options: Any) -> None:
-    if not file.exists():
-        return
-    for name, value in vars(options).items():
-        is_in_folder = _is_of_folder(flag, file, name)
-        if name not in _OUTPUTS and any(_contains(path, file, is_in_folder) for path in _paths(value)):
-            source = _INPUT_FLAGS.get(name, f"--{name.replace('_', '-')}")
-            raise OutputError(f"{file}: expected a new file for {flag}, got that of {source}; rename it.")
+    for name, value in vars(options).items() if file.exists() else ():
+        # an existing file in the folder of an option may be one of the inputs, and not an earlier result
+        is_input = file.suffix != ".json" if flag == "--json" else name == "images" and file.suffix.lower() == ".png"
+        for path in _paths(value) if name not in _OUTPUTS else ():
+            if path.samefile(file) or (is_input and path.is_dir() and path.samefile(file.parent)):
+                source = _INPUT_FLAGS.get(name, f"--{name.replace('_', '-')}")
+                raise OutputError(f"{file}: expected a new file for {flag}, got that of {source}; rename it.")
 
 
 def _paths(value: object) -> Iterator[Path]:
@@ -71,18 +71,6 @@ def _paths(value: object) -> Iterator[Path]:
             yield Path(item)
             if (sidecar := Path(item).with_suffix(".yaml")).is_file():
                 yield sidecar
-
-
-def _is_of_folder(flag: str, file: Path, option: str) -> bool:
-    """Whether an existing file may be one of the inputs in the folder of an option, and not an earlier result."""
-    if flag == "--json":
-        return file.suffix != ".json"
-    return option == "images" and file.suffix.lower() == ".png"
-
-
-def _contains(path: Path, file: Path, is_in_folder: bool) -> bool:
-    """Whether a path is a file, or the folder of a run, of labels or of images with that file as input."""
-    return path.samefile(file) or (is_in_folder and path.is_dir() and path.samefile(file.parent))
 
 
 def _check_can_be_written(file: Path) -> None:
