@@ -122,8 +122,8 @@ def save_settings(settings: RunSettings, path: Path, *, detected: dict[str, Any]
     """Write settings.yaml: the settings with absolute paths under `run`, properties of the inputs under `found`."""
     run = absolute_settings(settings)
     head = {"track_range_settings": 1, "schema_version": SCHEMA_VERSION, "settings_hash": settings_hash(run)}
-    found = {} if detected is None else {"found": detected}
-    write_text(path, yaml_text({**head, "run": run, **found}))
+    inputs = {} if detected is None else {"found": detected}
+    write_text(path, yaml_text({**head, "run": run, **inputs}))
 
 
 def absolute_settings(settings: RunSettings) -> dict[str, Any]:
