@@ -250,7 +250,7 @@ class _Graph:
         else:
             if isinstance(operation, Route) and operation.groups > 1:
                 inputs = [
-                    self._part(operation, source, f"fraction_{index}_{i}") for i, source in enumerate(layer.sources)
+                    self._part(operation, source, f"share_{index}_{i}") for i, source in enumerate(layer.sources)
                 ]
             if len(inputs) == 1:
                 self._tensors[index] = inputs[0]
