@@ -249,9 +249,7 @@ class _Graph:
             self._activated("Add" if len(inputs) == 2 else "Sum", inputs, name, operation.activation)
         else:
             if isinstance(operation, Route) and operation.groups > 1:
-                inputs = [
-                    self._part(operation, source, f"share_{index}_{i}") for i, source in enumerate(layer.sources)
-                ]
+                inputs = [self._part(operation, source, f"share_{index}_{i}") for i, source in enumerate(layer.sources)]
             if len(inputs) == 1:
                 self._tensors[index] = inputs[0]
             else:

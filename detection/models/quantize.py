@@ -25,6 +25,7 @@ is hardly faster. FP16 is for GPUs; a CPU converts to float32 and back.
 
 from __future__ import annotations
 
+import copy
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -97,8 +98,7 @@ def quantize_int8(
     with atomic_output(out) as folder:
         with silent_conversion(path, "quantised"):
             prepared = _prepared(model, folder)
-        noisy = _noisy_tensors(prepared, first, folder)
-        names = _quantisable(prepared.graph, noisy)
+        names = _quantisable(prepared, first, folder)
         if not names:
             raise ModelError(f"{path}: no convolution can be quantised without losing accuracy; try FP16 instead.")
         reader = _BlobReader(session, itertools.chain(first, stream))
@@ -118,14 +118,15 @@ def convert_fp16(path: Path, out: Path) -> None:
         ModelError: not a usable float32 network with convolutions.
     """
     model = _float_model(path)
-    half = _copy(model)
+    half = copy.deepcopy(model)
     _name_nodes(half.graph)
-    inner = _before(half.graph, _convolutions(half.graph)) | _convolutions(half.graph)
+    convolutions = _convolutions(half.graph)
+    inner = _before(half.graph, convolutions) | convolutions
     tail = [node.name for node in half.graph.node if node.name not in inner]
     with atomic_output(out) as folder:
         with silent_conversion(path, "converted to FP16"):
             half = convert_float_to_float16(half, keep_io_types=True, node_block_list=tail)
-            half = _without_redundant_casts(half)
+            _remove_redundant_casts(half)
         _save(half, model, folder / out.name)
 
 
@@ -179,11 +180,6 @@ def _convolutions(graph: onnx.GraphProto) -> set[str]:
     return {node.name for node in graph.node if node.op_type == "Conv" and node.input[1] not in excluded}
 
 
-def _inner_convolutions(graph: onnx.GraphProto) -> set[str]:
-    """Names of the convolutions that are followed by other convolutions."""
-    return _convolutions(graph) & _before(graph, _convolutions(graph))
-
-
 def _before(graph: onnx.GraphProto, names: set[str]) -> set[str]:
     """Names of the nodes from which a node in `names` can be reached; ONNX graphs are in topological order."""
     needed: set[str] = set()
@@ -209,19 +205,15 @@ def _after(graph: onnx.GraphProto, names: set[str]) -> set[str]:
 
 
 def _prepared(model: onnx.ModelProto, folder: Path) -> onnx.ModelProto:
-    """The network with folded batch norms, inferred shapes and an operator set that supports scales per channel."""
+    """The network with folded batch norms, inferred shapes, scales per channel, and a bias of each convolution."""
     if max(entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx")) < _PER_CHANNEL_OPSET:
         model = onnx.version_converter.convert_version(model, _PER_CHANNEL_OPSET)
     source, target = folder / "source.onnx", folder / "prepared.onnx"
     onnx.save(model, source)
     quant_pre_process(str(source), str(target), skip_symbolic_shape=True)
     prepared = onnx.load(target)
-    _name_nodes(prepared.graph)
-    _add_biases(prepared.graph)
-    return prepared
-
-
-def _add_biases(graph: onnx.GraphProto) -> None:
+    graph = prepared.graph
+    _name_nodes(graph)
     constants = {tensor.name: tensor for tensor in graph.initializer}
     used: set[str] = set()
     for node in graph.node:
@@ -236,24 +228,34 @@ def _add_biases(graph: onnx.GraphProto) -> None:
             used.add(bias)
             continue
         graph.initializer.append(onnx.numpy_helper.from_array(values, f"{node.name}_bias"))
-        del node.input[2:]
-        node.input.append(f"{node.name}_bias")
+        node.input[2:] = [f"{node.name}_bias"]
+    return prepared
 
 
-def _noisy_tensors(model: onnx.ModelProto, blobs: list[FloatArray32], folder: Path) -> set[str]:
-    """Names of the convolutions' inputs and outputs that one scale per tensor would give too much rounding noise."""
-    convolutions = _inner_convolutions(model.graph)
-    nodes = [node for node in model.graph.node if node.name in convolutions]
-    tensors = list(dict.fromkeys(name for node in nodes for name in (node.input[0], node.output[0])))
+def _quantisable(model: onnx.ModelProto, blobs: list[FloatArray32], folder: Path) -> list[str]:
+    """Names of the convolutions to quantise and of the operators between them that can be quantised.
+
+    None of them has a noisy tensor as input or output: a float convolution between quantised tensors would be quantised
+    by onnxruntime when it loads the network, with one scale for all its weights.
+    """
+    nodes, convolutions = model.graph.node, _convolutions(model.graph)
+    before_convolutions = _before(model.graph, convolutions)
+    inner = [node for node in nodes if node.name in convolutions & before_convolutions]
+    tensors = list(dict.fromkeys(name for node in inner for name in (node.input[0], node.output[0])))
     if not tensors:
-        return set()
+        return []
     session = _probe(model, tensors, folder)
     noise = np.mean([[_noise_ratio(values) for values in session.run(blob)] for blob in blobs], axis=0)
-    return {name for name, ratio in zip(tensors, noise, strict=True) if ratio > _MAX_NOISE_RATIO}
+    noisy = {name for name, ratio in zip(tensors, noise, strict=True) if ratio > _MAX_NOISE_RATIO}
+    quiet = {node.name for node in nodes if not noisy.intersection([*node.input, *node.output])}
+    chosen = {node.name for node in inner} & quiet
+    between = before_convolutions & _after(model.graph, chosen) & quiet
+    return [node.name for node in nodes if node.name in chosen or (node.op_type in _BETWEEN and node.name in between)]
 
 
 def _probe(model: onnx.ModelProto, tensors: Sequence[str], folder: Path) -> OnnxSession:
-    probe = _copy(model)
+    """The network with these tensors as its outputs."""
+    probe = copy.deepcopy(model)
     del probe.graph.output[:]
     float32 = onnx.TensorProto.FLOAT
     probe.graph.output.extend(onnx.helper.make_tensor_value_info(name, float32, None) for name in tensors)
@@ -269,22 +271,6 @@ def _noise_ratio(values: FloatArray32) -> float:
     scale = (max(float(values.max()), 0.0) - min(float(values.min()), 0.0)) / 255
     variance = values.var(axis=(0, *range(2, values.ndim)), dtype=np.float64)
     return float(np.minimum(scale**2 / 12 / np.maximum(variance, 1e-12), 1.0).mean())
-
-
-def _quantisable(graph: onnx.GraphProto, noisy: set[str]) -> list[str]:
-    """Names of the convolutions to quantise and of the operators between them that can be quantised.
-
-    None of them has a noisy tensor as input or output: a float convolution between quantised tensors would be quantised
-    by onnxruntime when it loads the network, with one scale for all its weights.
-    """
-    quiet = {node.name for node in graph.node if not noisy.intersection([*node.input, *node.output])}
-    convolutions = _inner_convolutions(graph) & quiet
-    between = _before(graph, _convolutions(graph)) & _after(graph, convolutions) & quiet
-    return [
-        node.name
-        for node in graph.node
-        if node.name in convolutions or (node.op_type in _BETWEEN and node.name in between)
-    ]
 
 
 class _BlobReader(CalibrationDataReader):  # type: ignore[misc]  # onnxruntime ships no types
@@ -334,13 +320,12 @@ def _correct_biases(
     b' = b + E[y] - E[y_q]: in the network's order, so that y_q already has the corrections of the layers before it.
     Biases that are not constant stay as they are.
     """
-    graph = quantised.graph
-    constants = {tensor.name: tensor for tensor in graph.initializer}
-    producers = {node.output[0]: node for node in graph.node}
+    constants = {tensor.name: tensor for tensor in quantised.graph.initializer}
+    producers = {node.output[0]: node for node in quantised.graph.node}
     names = _convolutions(original.graph)
     outputs = {node.name: node.output[0] for node in original.graph.node if node.name in names}
     expected = dict(zip(outputs, _mean_outputs(original, [*outputs.values()], blobs, folder), strict=True))
-    nodes = [node for node in graph.node if node.name in outputs and len(node.input) > 2]
+    nodes = [node for node in quantised.graph.node if node.name in outputs and len(node.input) > 2]
     for index, node in enumerate(nodes):
         progress(index, len(nodes))
         bias, step = node.input[2], np.ones(1)
@@ -369,38 +354,29 @@ def _mean_outputs(
     return [total / len(blobs) for total in sums]
 
 
-def _without_redundant_casts(model: onnx.ModelProto) -> onnx.ModelProto:
-    """The converted network without pairs of casts to FP16 and back, and without duplicated casts.
+def _remove_redundant_casts(model: onnx.ModelProto) -> None:
+    """Remove pairs of casts to FP16 and back, and duplicated casts.
 
     The converter inserts such pairs between nodes that stay in float32, and one cast per consumer of a tensor, all
     with the same name.
     """
-    half, full = onnx.TensorProto.FLOAT16, onnx.TensorProto.FLOAT
-    halved = {node.output[0]: node.input[0] for node in model.graph.node if _is_cast(node, half)}
+
+    def is_cast(node: onnx.NodeProto, to: int) -> bool:
+        return node.op_type == "Cast" and any(entry.name == "to" and entry.i == to for entry in node.attribute)
+
     nodes = {node.output[0]: node for node in model.graph.node}
+    halved = {name: node.input[0] for name, node in nodes.items() if is_cast(node, onnx.TensorProto.FLOAT16)}
     for node in nodes.values():
-        if _is_cast(node, full) and node.input[0] in halved:
+        if is_cast(node, onnx.TensorProto.FLOAT) and node.input[0] in halved:
             node.op_type = "Identity"
             node.input[0] = halved[node.input[0]]
             del node.attribute[:]
     read = {name for node in nodes.values() for name in node.input} | {value.name for value in model.graph.output}
-    kept = [node for node in nodes.values() if read.intersection(node.output)]
-    result = _copy(model)
-    del result.graph.node[:]
-    result.graph.node.extend(kept)
-    _name_nodes(result.graph)
-    ONNXModel(result).topological_sort()
-    return result
-
-
-def _copy(model: onnx.ModelProto) -> onnx.ModelProto:
-    result = onnx.ModelProto()
-    result.CopyFrom(model)
-    return result
-
-
-def _is_cast(node: onnx.NodeProto, to: int) -> bool:
-    return node.op_type == "Cast" and any(entry.name == "to" and entry.i == to for entry in node.attribute)
+    kept = [copy.deepcopy(node) for node in nodes.values() if read.intersection(node.output)]
+    del model.graph.node[:]
+    model.graph.node.extend(kept)
+    _name_nodes(model.graph)
+    ONNXModel(model).topological_sort()
 
 
 def _save(model: onnx.ModelProto, original: onnx.ModelProto, target: Path) -> None:

@@ -80,12 +80,8 @@ class YoloSettings:
         return scores
 
 
-@dataclass(frozen=True, slots=True)
-class _Buffers:
-    """(1, 3, height, width) input of the network for one image, with its padding, and buffer of the resized image."""
-
-    blob: npt.NDArray[Any]
-    scaled: Image
+_Buffers = tuple[npt.NDArray[Any], Image]
+"""(1, 3, height, width) input of the network for one image, with its padding, and buffer of the resized image."""
 
 
 @dataclass(slots=True)
@@ -95,12 +91,16 @@ class _Input:
     network: BoundNetwork  # the network bound to the size of its input, which is also that of images of other sizes
     model: YoloModel  # decoder and input format
     letterbox: Letterbox  # placement of the images in the input
-    free: deque[_Buffers] = field(default_factory=deque)  # buffers for `prepared` that are not in use
+    free: deque[_Buffers] = field(default_factory=deque)  # buffers that are not in use
 
-    def buffers_for(self, blob: npt.NDArray[Any]) -> _Buffers:
-        """Buffers with this input of the network, which is filled with the padding."""
-        self.model.input_format.fill_padding(blob)
-        return _Buffers(blob, np.empty((*self.letterbox.resized_hw, 3), np.uint8))
+    def buffers(self) -> _Buffers:
+        """Free buffers, or new ones with the padding."""
+        try:
+            return self.free.pop()
+        except IndexError:
+            blob = np.zeros_like(self.network.blob)
+            self.model.input_format.fill_padding(blob)
+            return blob, np.empty((*self.letterbox.resized_hw, 3), np.uint8)
 
 
 class YoloDetector:
@@ -142,7 +142,7 @@ class YoloDetector:
         if self._settings.size_px is not None:
             self.size, self.area = Attribute(self._settings.size_px, "as specified"), None
         self._input = self._prepare(image_hw=(self.size.value, self.size.value))
-        self._filled, self._fill_buffers = self._input, self._input.buffers_for(self._input.network.blob)
+        self._filled = self._input, self._input.buffers()
         names = self.model.names
         self._road_class: IntArray = map_to_road_classes(names)
         thresholds = np.append(self._settings.min_score_by_class(), _UNREACHABLE_SCORE)  # index -1: no road class
@@ -186,10 +186,7 @@ class YoloDetector:
 
     def detect(self, image: Image) -> Detections:
         """The road users in `image`, (H, W, 3) uint8 BGR, in order of decreasing score."""
-        self.fill(image)
-        outputs = self.infer()
-        self._last = outputs, self._filled
-        return self.decode(outputs)
+        return self.prepared(image)()
 
     def prepared(self, image: Image) -> Callable[[], Detections]:
         """Write `image` into an input of the network, and return the function that detects the road users in it.
@@ -197,14 +194,10 @@ class YoloDetector:
         The function must be called once, in the order of the images, in the thread of the other methods. Another thread
         may prepare images meanwhile; the image of `fill` remains as it is. Images and errors: see `fill`.
         """
-        prepared = self._input_for(image)
-        free = prepared.free  # only this method takes buffers out
-        buffers = free.pop() if free else prepared.buffers_for(np.zeros_like(prepared.network.blob))
-        prepared.model.input_format.write(image, prepared.letterbox, buffers.blob, scaled=buffers.scaled)
-        return partial(self._detect_prepared, prepared, buffers)
+        return partial(self._detect_prepared, *self._written(image))
 
     def _detect_prepared(self, prepared: _Input, buffers: _Buffers) -> Detections:
-        outputs = prepared.network.run(buffers.blob)
+        outputs = prepared.network.run(buffers[0])
         prepared.free.append(buffers)
         self._last = outputs, prepared
         return self._decoded(outputs, prepared, self._min_score)
@@ -225,24 +218,22 @@ class YoloDetector:
 
     def input_blob(self, image: Image) -> FloatArray32:
         """(1, 3, height, width) the network's input for `image`, as a copy."""
-        self.fill(image)
-        return np.array(self._fill_buffers.blob, np.float32)
+        return np.array(self._written(image)[1][0], np.float32)
 
     def fill(self, image: Image) -> None:
         """Write `image` into the network's input; ValueError if it is not (H, W, 3) uint8, or empty."""
-        filled = self._input_for(image)
-        if filled is not self._filled:
-            self._filled, self._fill_buffers = filled, filled.buffers_for(filled.network.blob)
-        buffers = self._fill_buffers
-        filled.model.input_format.write(image, filled.letterbox, buffers.blob, scaled=buffers.scaled)
+        before, buffers = self._filled
+        before.free.append(buffers)
+        self._filled = self._written(image)
 
     def infer(self) -> list[FloatArray32]:
         """The network's outputs for the latest image passed to `fill`; the next run overwrites them."""
-        return self._filled.network.run()
+        source, (blob, _) = self._filled
+        return source.network.run(blob)
 
     def decode(self, outputs: list[FloatArray32], min_score: FloatArray | None = None) -> Detections:
         """The road users in the latest image of `fill`; `min_score` (C,) by class, else those of the settings."""
-        return self._decoded(outputs, self._filled, self._min_score if min_score is None else min_score)
+        return self._decoded(outputs, self._filled[0], self._min_score if min_score is None else min_score)
 
     def _decoded(self, outputs: list[FloatArray32], source: _Input, min_score: FloatArray) -> Detections:
         with np.errstate(over="ignore", invalid="ignore"):  # the decoder drops and counts what is not finite
@@ -261,13 +252,17 @@ class YoloDetector:
         best = best[is_valid]
         return Detections.of(xyxy_px[is_valid], candidates.score[best], class_id[best])
 
-    def _input_for(self, image: Image) -> _Input:
+    def _written(self, image: Image) -> tuple[_Input, _Buffers]:
+        """The input for images of this size, and buffers with the image."""
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
             raise ValueError(f"image: expected shape (H, W, 3) of uint8, got {image.shape} of {image.dtype}")
         with self._preparing:  # `fill` and `prepared` may be in progress at once
             if self._input.letterbox.image_hw != image.shape[:2]:
                 self._input = self._prepare(image_hw=(image.shape[0], image.shape[1]))
-            return self._input
+            source = self._input
+        blob, scaled = source.buffers()
+        source.model.input_format.write(image, source.letterbox, blob, scaled=scaled)
+        return source, (blob, scaled)
 
     def _prepare(self, *, image_hw: tuple[int, int]) -> _Input:
         """Network, decoder and letterbox for images of size `image_hw`; bound networks are cached."""

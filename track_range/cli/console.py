@@ -5,7 +5,7 @@ A table wider than the terminal is split into parts below each other, so that no
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from rich import box
@@ -30,6 +30,14 @@ def print_notes(console: Console, notes: Iterable[str]) -> None:
     """Print notes, each on a line after a dash."""
     for note in notes:
         print_line(console, f"- {printable(note)}")
+
+
+def print_first(console: Console, title: str, notes: Sequence[str], *, n_most: int = 20) -> None:
+    """Print a title, the first notes and the number of the others; nothing if there are none."""
+    if notes:
+        more = [f"and {len(notes) - n_most} more"] if len(notes) > n_most else []
+        print_line(console, title)
+        print_notes(console, [*notes[:n_most], *more])
 
 
 def print_summary(console: Console, summary: Mapping[str, Any]) -> None:

@@ -83,23 +83,13 @@ def read_coco(path: Path, video: VideoFacts) -> BoxTable:
     coco = CocoFile(path)
     frame_of, notes = coco.frames()
     boxes, n_empty = coco.boxes(frame_of)
-    columns = zip(*boxes, strict=True) if boxes else iter([()] * 9)
-    frame, track_id, names, xyxy, is_region, score, observed, distance_m, sigma_m = columns
-    if boxes and np.max(xyxy) <= 1:
+    columns: dict[str, Any] = {key: [getattr(box, key) for box in boxes] for key in CocoBox._fields}
+    xyxy = np.array(columns.pop("xyxy"), np.float64).reshape(-1, 4)
+    if boxes and xyxy.max() <= 1:
         raise LabelFileError(f"{path}: expected each bbox in pixels, found only fractions of the image size.")
-    table = BoxTable.of(
-        frame,
-        track_id,
-        names,
-        np.array(xyxy, np.float64).reshape(-1, 4) - HALF_PIXEL_PX,
-        is_region=is_region,
-        score=score,
-        observed=observed,
-        distance_m=distance_m,
-        sigma_m=sigma_m,
-        video=video.completed_by(coco.video_facts(frame_of), path),
-        notes=(*notes, *ignored_note(path, n_empty, "without width or height")),
-    )
+    facts = video.completed_by(coco.video_facts(frame_of), path)
+    notes = (*notes, *ignored_note(path, n_empty, "without width or height"))
+    table = BoxTable.of(**columns, xyxy_px=xyxy - HALF_PIXEL_PX, video=facts, notes=notes)
     check_identities(table, path)
     return table
 
@@ -114,10 +104,22 @@ class CocoFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._document = read_json(path, LabelFileError, "a COCO data set", max_bytes=MAX_COCO_BYTES)
-        self._names = self._category_names()
-        self.images = self._images_by_id()
+        self._names: dict[int | str, str] = {}  # by category id
+        for where, category in self._section("categories"):
+            number, name = self._id(category, "id", where), self._text(category, "name", where)
+            if (other := self._names.setdefault(number, name)) != name:
+                raise LabelFileError(
+                    f"{path}, {where}: expected one name for each category id, found {quoted(other)} and "
+                    f"{quoted(name)} for the id {quoted(number)}."
+                )
+        self.images: dict[int | str, _Object] = {}
+        for where, image in self._section("images"):
+            number = self._id(image, "id", where)
+            if self.images.setdefault(number, image) is not image:
+                raise LabelFileError(f"{path}, {where}: expected each image id once, found {quoted(number)} twice.")
 
-    def _section(self, key: str) -> list[dict[str, Any]]:
+    def _section(self, key: str) -> Iterator[tuple[str, _Object]]:
+        """The objects of a list of the file, each with its place for messages."""
         if isinstance(self._document, list):
             raise LabelFileError(
                 f"{self.path}: expected a COCO data set with images, annotations and categories, found a list, as of "
@@ -126,30 +128,7 @@ class CocoFile:
         values = self._document.get(key) if isinstance(self._document, dict) else None
         if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
             raise LabelFileError(f"{self.path}: expected a COCO data set with a list of {key}, found none.")
-        return values
-
-    def _category_names(self) -> dict[int | str, str]:
-        """Name by category id."""
-        names: dict[int | str, str] = {}
-        for index, category in enumerate(self._section("categories")):
-            where = f"categories[{index}]"
-            number, name = self._id(category, "id", where), self._text(category, "name", where)
-            if names.setdefault(number, name) != name:
-                raise LabelFileError(
-                    f"{self.path}, {where}: expected one name for each category id, found {quoted(names[number])} and "
-                    f"{quoted(name)} for the id {quoted(number)}."
-                )
-        return names
-
-    def _images_by_id(self) -> dict[int | str, dict[str, Any]]:
-        images: dict[int | str, dict[str, Any]] = {}
-        for index, image in enumerate(self._section("images")):
-            number = self._id(image, "id", f"images[{index}]")
-            if images.setdefault(number, image) is not image:
-                raise LabelFileError(
-                    f"{self.path}, images[{index}]: expected each image id once, found {quoted(number)} twice."
-                )
-        return images
+        return ((f"{key}[{index}]", value) for index, value in enumerate(values))
 
     def file_name(self, image: _Object, index: int) -> str:
         """Path of the image with an index."""
@@ -174,19 +153,16 @@ class CocoFile:
             if frame is None:
                 raise self._fault(f"images[{index}]", "a frame_index, or a file_name with a frame number", name)
             frame_of[image_id] = frame
-        if key is None:
-            check_names((str(Path(image["file_name"]).with_suffix("")) for image in images.values()), self.path)
         numbers = sorted(frame_of.values())
+        notes = list(first_frame_note(self.path, numbers[0] if numbers else 0, len(numbers)))
+        if numbers and key is None:
+            check_names((str(Path(image["file_name"]).with_suffix("")) for image in images.values()), self.path)
+            span = f"{numbers[0]} to {numbers[-1]}"
+            notes.insert(0, f"{self.path.name}: frame numbers are the numbers in the names of the images, {span}.")
         for frame, after in pairwise(numbers):
             if frame == after:
                 raise LabelFileError(f"{self.path}: expected one image for each frame, found two for frame {frame}.")
-        notes = []
-        if numbers and key is None:
-            notes.append(
-                f"{self.path.name}: frame numbers are the numbers in the names of the images, {numbers[0]} to "
-                f"{numbers[-1]}."
-            )
-        return frame_of, (*notes, *first_frame_note(self.path, numbers[0] if numbers else 0, len(numbers)))
+        return frame_of, tuple(notes)
 
     def video_facts(self, frame_of: Mapping[int | str, int]) -> VideoFacts:
         """Name, number of frames, image size and frame rate of the video."""
@@ -211,8 +187,7 @@ class CocoFile:
     def boxes(self, frame_of: Mapping[int | str, int]) -> tuple[list[CocoBox], int]:
         """All annotations with width and height, and the number of the others; `frame_of` is a number by image id."""
         boxes, n_empty = [], 0
-        for index, item in enumerate(self._section("annotations")):
-            where = f"annotations[{index}]"
+        for where, item in self._section("annotations"):
             image, category = self._id(item, "image_id", where), self._id(item, "category_id", where)
             if image not in frame_of:
                 raise self._fault(where, "the id of one of the images as image_id", image)
@@ -304,15 +279,14 @@ def write_coco(table: BoxTable, path: Path) -> Written:
         | {"video_id": 1, "frame_index": frame}
         for frame in frames_listed(table)
     )
+    lists = {"categories": categories, "images": images, "annotations": _annotations(table, category_ids)}
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(f'{{\n"info": {_json(info | dict(video.provenance))},\n"licenses": [],\n')
-        file.write(f'"videos": [{_json(facts)}],\n"categories": [\n')
-        file.writelines(_lines(categories))
-        file.write('],\n"images": [\n')
-        file.writelines(_lines(images))
-        file.write('],\n"annotations": [\n')
-        file.writelines(_lines(_annotations(table, category_ids)))
-        file.write("]\n}\n")
+        file.write(f'{{\n"info": {_json(info | dict(video.provenance))},\n"licenses": [],\n"videos": [{_json(facts)}]')
+        for key, items in lists.items():
+            file.write(f',\n"{key}": [\n')
+            file.writelines(_lines(items))
+            file.write("]")
+        file.write("\n}\n")
     return Written(len(table))
 
 

@@ -25,11 +25,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
-from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
@@ -74,35 +73,20 @@ _DECIMALS = {"distance_m": 3, "sigma_m": 3, "score": 4}
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # characters that XML cannot contain
 
 
-@dataclass(frozen=True, slots=True)
-class _Track:
+class _Track(NamedTuple):
     track_id: int
     label: str
     line: int
 
 
-@dataclass(slots=True)
-class _Box:
-    """One box of the file; `track` is the number of its track in the file."""
-
-    track: int
-    frame: int
-    edges: list[float]
-    is_outside: bool
-    is_keyframe: bool
-    distance_m: float = math.nan
-    sigma_m: float = math.nan
-    score: float = math.nan
-    is_predicted: bool = False
-
-
-_BOX = np.dtype(
-    [
-        *(("track", np.int64), ("frame", np.int64), ("edges", np.float64, 4), ("is_outside", np.bool_)),
-        *(("is_keyframe", np.bool_), ("distance_m", np.float64), ("sigma_m", np.float64), ("score", np.float64)),
-        ("is_predicted", np.bool_),
-    ]
-)
+# fmt: off
+_BOX = np.dtype([
+    ("track", np.int64),  # number of the track in the file
+    ("frame", np.int64), ("edges", np.float64, 4), ("is_outside", np.bool_), ("is_keyframe", np.bool_),
+    ("distance_m", np.float64), ("sigma_m", np.float64), ("score", np.float64), ("is_predicted", np.bool_),
+])
+# fmt: on
+_COLUMN = {name: index for index, name in enumerate(_BOX.names or ())}
 _Boxes = npt.NDArray[Any]  # (K,) boxes with the columns of `_BOX`
 
 
@@ -120,7 +104,7 @@ def read_cvat(path: Path, video: VideoFacts) -> BoxTable:
         raise LabelFileError(
             f"{path}: expected the tracks of one task, found {len(content.tasks)} tasks of a project; export each task."
         )
-    boxes = np.array([attrgetter(*_BOX.names or ())(box) for box in content.boxes], _BOX)
+    boxes = np.array([tuple(box) for box in content.boxes], _BOX)
     boxes = boxes[np.lexsort((boxes["frame"], boxes["track"]))]
     facts, notes = content.video_facts(), content.notes(boxes)
     boxes = _interpolated(path, boxes, content.tracks, has_repeated="track_range/pixels" not in content.meta)
@@ -152,7 +136,7 @@ class _Content:
 
     def __init__(self, path: Path) -> None:
         self.tracks: list[_Track] = []
-        self.boxes: list[_Box] = []
+        self.boxes: list[list[Any]] = []  # columns of `_BOX`
         self.meta: dict[str, str] = {}  # by the names of the last two elements
         self.tasks: set[str] = set()
         self._path = path
@@ -163,16 +147,15 @@ class _Content:
     def start(self, path: list[str], attributes: Mapping[str, str], line: int) -> None:
         """An element begins."""
         name, depth = path[-1], len(path)
-        if depth == 1:
-            if name != "annotations":
-                raise self._fault(line, "CVAT's annotations", f"the element {quoted(name)}")
-        elif depth == 2 and name == "image":
+        if path[0] != "annotations":
+            raise self._fault(line, "CVAT's annotations", f"the element {quoted(name)}")
+        if depth == 2 and name == "image":
             raise self._fault(
                 line, "CVAT for video 1.1 with tracks", "annotations of images; export the task as 'CVAT for video 1.1'"
             )
-        elif depth == 2 and name == "track":
+        if depth == 2 and name == "track":
             self._add_track(attributes, line)
-        elif path[1] == "track" and depth == 3:
+        elif path[1:2] == ["track"] and depth == 3:
             if name in _SHAPES:
                 raise self._fault(line, "tracks of boxes", f"the shape {name} in track {self.tracks[-1].track_id}")
             if name == "box":
@@ -185,12 +168,12 @@ class _Content:
         if path[1:3] == ["track", "box"] and path[-1] == "attribute":
             name, text = self._attribute, text.strip()
             if name == "predicted":
-                self.boxes[-1].is_predicted = _FLAGS.get(text.lower(), False)
+                self.boxes[-1][_COLUMN["is_predicted"]] = _FLAGS.get(text.lower(), False)
             elif name in _LIMITS and text:
                 value, (low, high) = number(text), _LIMITS[name]
                 if not low <= value <= high:
                     raise self._fault(line, f"a number from {low:g} to {high:g} as {name}, or no text", quoted(text))
-                setattr(self.boxes[-1], name, value)
+                self.boxes[-1][_COLUMN[name]] = value
         elif path[1:2] == ["meta"] and len(path) >= 4 and len(self.meta) < _MAX_META:
             self._root = self._root or path[2]
             self.meta.setdefault("/".join(path[-2:]), text.strip())
@@ -204,7 +187,7 @@ class _Content:
         if track_id in self._ids:
             raise self._fault(line, "each track id once", f"the id {track_id} twice")
         self._ids.add(track_id)
-        self.tasks |= {attributes["task_id"]} if "task_id" in attributes else set()
+        self.tasks.update(value for key, value in attributes.items() if key == "task_id")
         self.tracks.append(_Track(track_id, label, line))
 
     def _add_box(self, attributes: Mapping[str, str], line: int) -> None:
@@ -224,7 +207,8 @@ class _Content:
             )
         is_keyframe = _FLAGS.get(attributes.get("keyframe", "1").lower(), True)
         edges = edges if is_box else [math.nan] * 4
-        self.boxes.append(_Box(len(self.tracks) - 1, frame, edges, outside, is_keyframe))
+        figures = (math.nan, math.nan, math.nan, False)
+        self.boxes.append([len(self.tracks) - 1, frame, edges, outside, is_keyframe, *figures])
 
     def video_facts(self) -> VideoFacts:
         """Name, number of frames and image size of the task."""
@@ -420,10 +404,7 @@ def _keyframes(rows: BoxTable, is_last: BoolArray) -> BoolArray:
     """(N,) which boxes of a track CVAT needs to interpolate the others; those before and after a gap are needed."""
     values = np.column_stack([rows.xyxy_px, rows.distance_m])
     is_keyframe: BoolArray = is_last.copy()
-    is_keyframe[0] = True
-    is_keyframe[1:] |= is_last[:-1]
-    is_keyframe[1:] |= rows.observed[1:] != rows.observed[:-1]
-    is_keyframe[1:] |= np.diff(np.isnan(rows.distance_m))
+    is_keyframe[1:] |= is_last[:-1] | np.diff(rows.observed) | np.diff(np.isnan(rows.distance_m))
     is_keyframe[::_MAX_STEP] = True
     starts = np.flatnonzero(is_keyframe)
     size_px = (rows.xyxy_px[:, 2:] - rows.xyxy_px[:, :2]).max(axis=1)

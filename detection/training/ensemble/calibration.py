@@ -80,13 +80,12 @@ def samples(
     """
     listed = []
     for class_id in range(len(ROAD_CLASSES)):
-        score, is_match = [np.zeros((0, n_detectors))], [np.zeros(0, np.bool_)]
+        parts = [(np.zeros((0, n_detectors)), np.zeros(0, np.bool_))]
         for fused, truth in images:
             if truth.is_complete[class_id] and is_labelled[class_id]:
                 used = _is_detected(fused.score)[:, class_id]
-                score.append(fused.score[used, :, class_id])
-                is_match.append(matches(fused, truth, class_id)[used])
-        listed.append(Samples(np.concatenate(score), np.concatenate(is_match)))
+                parts.append((fused.score[used, :, class_id], matches(fused, truth, class_id)[used]))
+        listed.append(Samples(*(np.concatenate(column) for column in zip(*parts, strict=True))))
     return listed
 
 
@@ -116,15 +115,14 @@ def fit_calibration(by_class: Sequence[Samples], is_known: BoolArray) -> Ensembl
     A class with fewer than `MIN_POSITIVES` matches has the mean coefficients of the others; the weights of detectors
     that do not know it are distributed over those that do. `is_known` (D, 8) are the classes that each detector knows.
     """
-    n_positives = np.array([np.count_nonzero(of_class.is_match) for of_class in by_class])
+    n_positives = np.array([np.count_nonzero(boxes.is_match) for boxes in by_class])
     is_fitted = (n_positives >= MIN_POSITIVES) & is_known.any(axis=0)
     if not is_fitted.any():
         return None
-    n_detectors = len(is_known)
-    intercept, weight = np.zeros(len(by_class)), np.zeros((len(by_class), n_detectors))
-    for class_id, of_class in enumerate(by_class):
+    intercept, weight = np.zeros(len(by_class)), np.zeros((len(by_class), len(is_known)))
+    for class_id, boxes in enumerate(by_class):
         if is_fitted[class_id]:
-            intercept[class_id], weight[class_id] = _logistic_regression(of_class, is_known[:, class_id])
+            intercept[class_id], weight[class_id] = _logistic_regression(boxes, is_known[:, class_id])
     mean_weight = weight[is_fitted].mean(axis=0)
     known_weight = np.where(is_known, mean_weight[:, None], 0.0)
     total = known_weight.sum(axis=0)
@@ -134,12 +132,12 @@ def fit_calibration(by_class: Sequence[Samples], is_known: BoolArray) -> Ensembl
     return EnsembleCalibration(intercept, weight, np.where(is_fitted, n_positives, 0))
 
 
-def reliability(calibration: EnsembleCalibration, of_class: Samples, class_id: int) -> Reliability:
+def reliability(calibration: EnsembleCalibration, boxes: Samples, class_id: int) -> Reliability:
     """Probabilities and matches of one class in `N_BINS` bins, of samples that should not be those of the fit."""
-    score = np.zeros((len(of_class.score), of_class.score.shape[1], len(ROAD_CLASSES)))
-    score[:, :, class_id] = of_class.score
+    score = np.zeros((len(boxes.score), boxes.score.shape[1], len(ROAD_CLASSES)))
+    score[:, :, class_id] = boxes.score
     p = calibration.probability(score)[:, class_id]
-    return Reliability.of(p, of_class.is_match, n_bins=N_BINS)
+    return Reliability.of(p, boxes.is_match, n_bins=N_BINS)
 
 
 def _is_detected(score: FloatArray) -> BoolArray:
@@ -147,9 +145,9 @@ def _is_detected(score: FloatArray) -> BoolArray:
     return np.asarray(score.max(axis=1, initial=0.0) > MIN_SCORE)
 
 
-def _logistic_regression(of_class: Samples, is_known: BoolArray) -> tuple[float, FloatArray]:
-    x = logit(np.clip(of_class.score, _LOWEST, _HIGHEST))
-    design, y = np.column_stack([x, np.ones(len(x))]), of_class.is_match.astype(np.float64)
+def _logistic_regression(boxes: Samples, is_known: BoolArray) -> tuple[float, FloatArray]:
+    x = logit(np.clip(boxes.score, _LOWEST, _HIGHEST))
+    design, y = np.column_stack([x, np.ones(len(x))]), boxes.is_match.astype(np.float64)
 
     def loss(w: FloatArray) -> tuple[float, FloatArray]:
         z = design @ w

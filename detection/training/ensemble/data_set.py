@@ -46,9 +46,9 @@ from track_range.detection.training.ensemble.calibration import (
 from track_range.detection.training.ensemble.fusion import FusedBoxes, fuse
 from track_range.detection.training.ensemble.views import EnsembleMember
 from track_range.detection.training.errors import TrainingError
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.files.atomic_files import describe, write_text
-from track_range.foundation.files.input_files import real_path, shortened
+from track_range.foundation.files.input_files import shortened
 
 MIN_IGNORED_PROBABILITY = 0.6
 """Minimum probability of a box of a completely labelled class."""
@@ -74,21 +74,14 @@ class PseudoLabels:
     probability: FloatArray  # (K,) probability that there is such an object
     is_ignored: BoolArray  # (K,) the class is completely labelled, so that training ignores the box
 
-    def __post_init__(self) -> None:
-        n = len(self.class_id)
-        check_shape("xyxy", self.xyxy, (n, 4))
-        for name in ("probability", "is_ignored"):
-            check_shape(name, getattr(self, name), (n,))
-
     def as_text(self, names: Sequence[str]) -> str:
         """Lines `class cx cy w h probability` with the class numbers of `names`, without classes that have no name."""
         road = map_to_road_classes(names).tolist()
         centre, size = (self.xyxy[:, :2] + self.xyxy[:, 2:]) / 2, self.xyxy[:, 2:] - self.xyxy[:, :2]
+        rows = zip(self.class_id.tolist(), np.hstack([centre, size]).tolist(), self.probability.tolist(), strict=True)
         return "".join(
-            f"{road.index(class_id)} {x:.6f} {y:.6f} {w:.6f} {h:.6f} {p:.3f}\n"
-            for class_id, (x, y), (w, h), p in zip(
-                self.class_id.tolist(), centre.tolist(), size.tolist(), self.probability.tolist(), strict=True
-            )
+            f"{road.index(class_id)} {' '.join(f'{value:.6f}' for value in box)} {p:.3f}\n"
+            for class_id, box, p in rows
             if class_id in road
         )
 
@@ -113,20 +106,19 @@ def pseudo_labels(
         min_probability: that of pseudo-labels of classes that are not completely labelled.
     """
     is_open = is_known & ~truth.is_complete
-    q = probability
-    if other is not None:
-        q = np.where(is_open, _combined(xyxy, probability, other), probability)
+    q = probability if other is None else np.where(is_open, _combined(xyxy, probability, other), probability)
     minimum = np.where(truth.is_complete, MIN_IGNORED_PROBABILITY, min_probability)
-    box, class_id = np.nonzero((q >= minimum) & (q > 0) & is_known)
-    boxes, classes, p = xyxy[box], class_id, q[box, class_id]
+    box, classes = np.nonzero((q >= minimum) & (q > 0) & is_known)
+    boxes, p = xyxy[box], q[box, classes]
     if other is not None:
         alone = ~truth.is_complete[other.class_id]
         alone &= ~(is_open[other.class_id] & (iou(xyxy, other.xyxy) > _SAME_OBJECT_IOU).any(axis=0))
         p_alone = other.score * np.where(is_known, _ALONE_FRACTION, 1.0)[other.class_id]
         alone &= p_alone >= min_probability
-        boxes = np.concatenate([boxes, other.xyxy[alone]])
-        classes = np.concatenate([classes, other.class_id[alone]])
-        p = np.concatenate([p, p_alone[alone]])
+        added = (other.xyxy, other.class_id, p_alone)
+        boxes, classes, p = (
+            np.concatenate([old, new[alone]]) for old, new in zip((boxes, classes, p), added, strict=True)
+        )
     boxes = np.clip(boxes, 0.0, 1.0)
     is_new = iou(boxes, truth.xyxy_px).max(axis=1, initial=0.0) <= _SAME_OBJECT_IOU
     return PseudoLabels(boxes[is_new], classes[is_new], p[is_new], truth.is_complete[classes[is_new]])
@@ -214,28 +206,27 @@ def label_training_images(
     train = [item for item in data.train if item.path not in unreadable]
     val = [item for item in data.val if item.path not in unreadable]
 
-    fused: list[FusedBoxes] = []
+    pairs: list[tuple[FusedBoxes, ImageTruth]] = []
     for item in (*train, *val):
-        fused.append(fuse([member.boxes(item.path) for member in members]))
-        progress(len(fused), len(train) + len(val))
-    pairs = [(boxes, item.truth) for boxes, item in zip(fused, (*train, *val), strict=True)]
+        pairs.append((fuse([member.boxes(item.path) for member in members]), item.truth))
+        progress(len(pairs), len(train) + len(val))
     fitted = samples(pairs[: len(train)], n_detectors=len(members), is_labelled=data.is_named)
     calibration = fit_calibration(fitted, usable)
     if calibration is None:
-        most = max(int(np.count_nonzero(of_class.is_match)) for of_class in fitted)
+        most = max(int(np.count_nonzero(boxes.is_match)) for boxes in fitted)
         raise LabelFileError(
             f"{data.path}: expected at least {MIN_POSITIVES} labels of a completely labelled class that the detectors "
             f"find, to fit probabilities; found {most}; use other detectors or labels with --resume, or delete --out."
         )
     verified = samples(pairs[len(train) :], n_detectors=len(members), is_labelled=data.is_named)
     validation = {
-        class_id: reliability(calibration, of_class, class_id)
-        for class_id, of_class in enumerate(verified)
-        if is_known[class_id] and len(of_class.score)
+        class_id: reliability(calibration, boxes, class_id)
+        for class_id, boxes in enumerate(verified)
+        if is_known[class_id] and len(boxes.score)
     }
     n_labels = np.zeros((len(ROAD_CLASSES), len(COUNTED_PROBABILITIES)), np.int64)
     n_ignored = np.zeros(len(ROAD_CLASSES), np.int64)
-    for item, boxes in zip(train, fused[: len(train)], strict=True):
+    for item, (boxes, _) in zip(train, pairs, strict=False):
         labels = pseudo_labels(
             boxes.xyxy,
             calibration.probability(boxes.score),
@@ -253,9 +244,3 @@ def label_training_images(
         for i, minimum in enumerate(COUNTED_PROBABILITIES):
             np.add.at(n_labels[:, i], labels.class_id[~labels.is_ignored & (labels.probability >= minimum)], 1)
     return PseudoLabelFigures(np.flatnonzero(is_known), n_labels, n_ignored, calibration, validation)
-
-
-def is_validated_on_training_images(data: OwnLabels) -> bool:
-    """Whether validation images are training images too, so that the calibration is not verified independently."""
-    train = {real_path(item.path) for item in data.train}
-    return any(real_path(item.path) in train for item in data.val)

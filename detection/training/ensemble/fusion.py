@@ -22,7 +22,7 @@ import numpy as np
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
 from track_range.detection.training.ensemble.views import N_VIEWS, ViewBoxes
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 SAME_OBJECT_IOU = 0.55
 """IoU above which boxes of easily confused classes are boxes of one object."""
@@ -38,20 +38,13 @@ class FusedBoxes:
     xyxy: FloatArray  # (K, 4) left, top, right, bottom as fractions of the image size
     score: FloatArray  # (K, D, 8) score s_dc by detector and road class; 0 = not detected
 
-    def __post_init__(self) -> None:
-        check_shape("xyxy", self.xyxy, (len(self.score), 4))
-        check_shape("score", self.score, (None, None, len(ROAD_CLASSES)))
-
 
 def fuse(boxes: Sequence[ViewBoxes]) -> FusedBoxes:
     """The fused boxes of one image, in order of their best score, from the boxes of each detector."""
-    score = np.concatenate([of_detector.score for of_detector in boxes])
-    order = np.argsort(-score, kind="stable")
-    s = score[order]
-    b = np.concatenate([of_detector.xyxy for of_detector in boxes])[order]
-    c = np.concatenate([of_detector.class_id for of_detector in boxes])[order]
-    d = np.repeat(np.arange(len(boxes)), [len(of_detector.score) for of_detector in boxes])[order]
-
+    s, b, c = (np.concatenate([getattr(found, key) for found in boxes]) for key in ("score", "xyxy", "class_id"))
+    d = np.repeat(np.arange(len(boxes)), [len(found.score) for found in boxes])
+    order = np.argsort(-s, kind="stable")
+    s, b, c, d = s[order], b[order], c[order], d[order]
     is_same_object = (iou(b, b) > SAME_OBJECT_IOU) & (SAME_OBJECT_GROUP[c][:, None] == SAME_OBJECT_GROUP[c])
     cluster = _clusters(is_same_object, n_seeds=int(np.count_nonzero(s >= MIN_CLUSTER_SCORE)))
     n_clusters = int(cluster.max(initial=-1)) + 1

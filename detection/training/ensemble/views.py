@@ -15,7 +15,7 @@ from track_range.detection.formats.image_labels.labelled_images import ImageFile
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.training.errors import TrainingError
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
-from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray, check_shape
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
 from track_range.foundation.files.array_files import read_array
 from track_range.foundation.files.atomic_files import atomic_path, describe
 from track_range.foundation.files.input_files import real_path
@@ -34,21 +34,11 @@ _N_COLUMNS = 6  # of stored boxes: xyxy, score, class_id
 
 @dataclass(frozen=True, slots=True)
 class ViewBoxes:
-    """The N boxes of one detector in both views of an image.
+    """The N boxes of one detector in both views of an image."""
 
-    Attributes:
-        xyxy: (N, 4) left, top, right, bottom as fractions of the image size, in the image that is not mirrored.
-    """
-
-    xyxy: FloatArray
+    xyxy: FloatArray  # (N, 4) left, top, right, bottom as fractions of the size of the image that is not mirrored
     score: FloatArray  # (N,) confidence in [0, 1]
     class_id: IntArray  # (N,) road class
-
-    def __post_init__(self) -> None:
-        n = len(self.score)
-        check_shape("xyxy", self.xyxy, (n, 4))
-        check_shape("score", self.score, (n,))
-        check_shape("class_id", self.class_id, (n,))
 
 
 def detect_views(detector: ObjectDetector, image: Image) -> ViewBoxes:
@@ -72,13 +62,9 @@ class EnsembleMember:
     """
 
     def __init__(self, path: Path, stored: Path, *, size_px: int | None = None, runtime: Runtime | None = None) -> None:
-        """Load the network.
+        """Load the network of the ONNX file `path`; `stored` is the folder for the boxes of all members.
 
-        Args:
-            path: ONNX file.
-            stored: folder for the boxes of all members, which does not need to exist.
-            size_px: longer side of a network's input of variable size; None = that in the model file, else 640.
-            runtime: device and threads.
+        `size_px` is the longer side of a network's input of variable size; None = that in the model file, else 640.
         """
         settings = YoloSettings(min_score=MIN_SCORE, max_iou=_MAX_IOU, max_boxes=_MAX_BOXES, size_px=size_px)
         self._detector = YoloDetector(path, settings, runtime=runtime)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from track_range.cli.commands.training.options import AnchorOptions
-from track_range.cli.console import console, print_line
+from track_range.cli.console import console, print_first, print_line
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.labelled_images import LabelledImage
 from track_range.detection.models.metadata import Anchors
@@ -19,11 +19,7 @@ from track_range.detection.training.networks.registry import NETWORKS
 from track_range.foundation.arrays import FloatArray
 from track_range.run.progress import step_progress
 
-_N_LISTED = 20
-"""Maximum number of unreadable images that are listed by name."""
-
-_N_PER_HEAD = 3
-"""Number of anchors of each head, in all networks."""
+_N_PER_HEAD = 3  # number of anchors of each head, in all networks
 
 
 def print_anchors(options: AnchorOptions) -> None:
@@ -62,12 +58,7 @@ def read_images(items: Sequence[LabelledImage], data: TrainingData, *, max_side_
     """
     with step_progress(console, "reading images") as progress:
         images = CachedImages(items, data.road_class_id, max_side_px=max_side_px, progress=progress)
-    if images.unreadable:
-        print_line(console, f"{len(images.unreadable)} images cannot be read and are skipped:")
-        for sentence in images.unreadable[:_N_LISTED]:
-            print_line(console, f"- {sentence}")
-        if len(images.unreadable) > _N_LISTED:
-            print_line(console, f"- and {len(images.unreadable) - _N_LISTED} more")
+    print_first(console, f"{len(images.unreadable)} images cannot be read and are skipped:", images.unreadable)
     return images
 
 

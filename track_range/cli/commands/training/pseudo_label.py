@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import os
 import shutil
 from itertools import pairwise
-from pathlib import Path
 
 from track_range.cli.commands.training.options import PseudoLabelOptions
-from track_range.cli.console import console, print_grid, print_line, print_notes
+from track_range.cli.console import console, print_first, print_grid, print_line, print_notes
 from track_range.cli.parameters import command
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.evaluation.score_calibration import Reliability
@@ -20,7 +18,6 @@ from track_range.detection.training.ensemble.data_set import (
     COUNTED_PROBABILITIES,
     DETECTIONS,
     PseudoLabelFigures,
-    is_validated_on_training_images,
     label_training_images,
     usable_classes,
 )
@@ -32,9 +29,6 @@ from track_range.run.interrupts import stop_on_interrupt
 from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
 from track_range.views.report.tables import NOTHING, Cell, Column, Grid, grid_of
-
-_N_LISTED = 20
-"""Maximum number of unreadable images that are listed by name."""
 
 
 def _pseudo_label(options: PseudoLabelOptions) -> None:
@@ -64,10 +58,12 @@ def _pseudo_label(options: PseudoLabelOptions) -> None:
         except KeyboardInterrupt:
             raise TrainingError(f"stopped by the user; continue the run in {options.out} with --resume.") from None
         shutil.rmtree(stored, ignore_errors=True)
-    _print_unreadable(list(unreadable.values()))
+    print_first(console, f"{counted(len(unreadable), 'image')} cannot be read, left out:", list(unreadable.values()))
     _print_outcome(outcome, members)
     print_line(console, f"Written: {options.out}. To train with these labels, write into {options.data}:")
-    print_line(console, f"labels_pseudo: {_entry(options.out, data.root)}")
+    folder, root = real_path(options.out), real_path(data.root)
+    entry = os.path.relpath(folder, root) if root in folder.parents else str(folder)
+    print_line(console, f"labels_pseudo: {entry}")
     print_line(console, "pseudo_scores: probabilities")
     print_line(console, f"pseudo_names: [{', '.join(ROAD_CLASSES[i] for i in outcome.known_class_id)}]")
 
@@ -112,17 +108,10 @@ def _print_plan(data: OwnLabels, members: list[EnsembleMember]) -> None:
             "All classes are completely labelled in all training images, so that only boxes to ignore are written; a "
             "manifest lists the classes that are not."
         )
-    if is_validated_on_training_images(data):
+    train = {real_path(item.path) for item in data.train}
+    if any(real_path(item.path) in train for item in data.val):
         notes.append("Validation images are training images too: the table of the calibration is no independent test.")
     print_notes(console, notes)
-
-
-def _print_unreadable(messages: list[str]) -> None:
-    if messages:
-        print_line(console, f"{counted(len(messages), 'image')} cannot be read, left out:")
-        print_notes(console, messages[:_N_LISTED])
-        if len(messages) > _N_LISTED:
-            print_notes(console, [f"and {len(messages) - _N_LISTED} more"])
 
 
 def _print_outcome(outcome: PseudoLabelFigures, members: list[EnsembleMember]) -> None:
@@ -157,27 +146,13 @@ def _validation_grid(validation: dict[int, Reliability]) -> Grid:
     """One row per class: mean probability, fraction of matches and number of boxes in each bin."""
     edges = next(iter(validation.values())).edges
     columns = [f"p {low:g}-{high:g}" for low, high in pairwise(edges)]
-    rows = [
-        (Cell(ROAD_CLASSES[class_id]), *(Cell(text) for text in _bin_texts(of_class)))
-        for class_id, of_class in validation.items()
-    ]
+    rows = []
+    for class_id, bins in validation.items():
+        figures = zip(bins.n.tolist(), bins.mean_score.tolist(), bins.precision.tolist(), strict=True)
+        texts = [f"{100 * p:.0f} / {100 * matched:.0f} ({n})" if n else NOTHING for n, p, matched in figures]
+        rows.append(tuple(Cell(text) for text in (ROAD_CLASSES[class_id], *texts)))
     title = "Validation images: mean probability / matched boxes % (number of boxes)"
     return Grid(title, ("class", *columns), tuple(rows))
-
-
-def _bin_texts(of_class: Reliability) -> list[str]:
-    return [
-        NOTHING if math.isnan(p) else f"{100 * p:.0f} / {100 * matched:.0f} ({n})"
-        for n, p, matched in zip(
-            of_class.n.tolist(), of_class.mean_score.tolist(), of_class.precision.tolist(), strict=True
-        )
-    ]
-
-
-def _entry(out: Path, root: Path) -> str:
-    """The folder as an entry of data.yaml: relative to its root if it is inside, else absolute."""
-    folder, within = real_path(out), real_path(root)
-    return os.path.relpath(folder, within) if within in folder.parents else str(folder)
 
 
 app = command(PseudoLabelOptions, _pseudo_label)
