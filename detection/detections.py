@@ -17,8 +17,7 @@ from track_range.detection.classes import ROAD_CLASS_TABLE, ROAD_CLASSES, ROAD_O
 from track_range.detection.formats.supervision import read_supervision, supervision_boxes
 from track_range.foundation.arrays import FloatArray, IntArray, Rows, check_shape, row_numbers
 
-Descriptors = npt.NDArray[np.float32]
-"""(N, D) appearance embeddings."""
+Descriptors = npt.NDArray[np.float32]  # (N, D) appearance embeddings
 
 _CLASS_LIMITS, _SCORE_LIMITS = (np.array(0), np.array(len(ROAD_CLASSES))), (np.array(0.0), np.array(1.0))
 """Limits as arrays, since comparisons with numbers take twice the time."""

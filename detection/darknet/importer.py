@@ -64,19 +64,17 @@ def read_convolutions(path: Path, network: Network) -> Iterator[tuple[FloatArray
     ModelError if the file cannot be read, has another number of values than the network, or values that are not finite.
     """
     values = _values(path, network.n_values)
-    start = 0
     for index, layer in enumerate(network.layers):
         if isinstance(layer.operation, Convolution):
-            end = start + layer.operation.n_values
+            own, values = np.split(values, [layer.operation.n_values])
             with np.errstate(all="ignore"):  # overflow is reported below
-                weights, bias = _folded(layer.operation, values[start:end].astype(np.float64))
+                weights, bias = _folded(layer.operation, own.astype(np.float64))
             if not (np.isfinite(weights).all() and np.isfinite(bias).all()):
                 raise ModelError(
                     f"{path}: the weights of layer {index} are not finite; the training diverged, or the file does not "
                     "belong to this cfg."
                 )
             yield weights, bias
-            start = end
 
 
 def _values(path: Path, n_expected: int) -> npt.NDArray[np.float32]:
@@ -193,9 +191,8 @@ def _model(network: Network, weights: Path, metadata: Mapping[str, str]) -> onnx
     convolutions = read_convolutions(weights, network)
     for index, layer in enumerate(network.layers):
         if isinstance(layer.operation, Convolution):
-            kernel, bias = next(convolutions)
-            graph.constant(f"weights_{index}", kernel)
-            graph.constant(f"bias_{index}", bias)
+            for name, values in zip(("weights", "bias"), next(convolutions), strict=True):
+                graph.constant(f"{name}_{index}", values)
         graph.add_layer(index)
     shapes = {"images": network.input_shape, **{name: network.layers[i].shape for i, name in names.items()}}
     image, *outputs = (

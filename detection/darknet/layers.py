@@ -15,11 +15,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-Shape = tuple[int, int, int]
-"""Number of channels, rows and columns of an output."""
+Shape = tuple[int, int, int]  # number of channels, rows and columns of an output
 
-IMAGE = -1
-"""Index of the input image as a source of layers."""
+IMAGE = -1  # index of the input image as a source of layers
 
 
 @dataclass(frozen=True, slots=True)

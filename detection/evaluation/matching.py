@@ -23,7 +23,6 @@ from track_range.detection.formats.image_labels.image_truth import ANY_CLASS, Im
 from track_range.foundation.arrays import BoolArray, FloatArray
 
 IOU_THRESHOLDS: FloatArray = np.linspace(0.5, 0.95, 10)  # of AP50-95, as in COCO
-
 MAX_DETECTIONS = 100  # per image and class, as in COCO
 
 SizeMeasure = Literal["area", "height"]
@@ -45,8 +44,7 @@ class SizeBin:
         return np.asarray((self.low <= size) & (size < self.high))
 
 
-ANY_SIZE = SizeBin("all", "area", 0.0, np.inf)
-"""Bin of all sizes."""
+ANY_SIZE = SizeBin("all", "area", 0.0, np.inf)  # bin of all sizes
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,8 +39,7 @@ SIZE_BINS: Mapping[SizeMeasure, tuple[SizeBin, ...]] = {
 }
 """Bins by measure; those of area are COCO's."""
 
-MIN_BIN_BOXES = 10
-"""Minimum number of labels of a class in a bin that is included in the bin's means."""
+MIN_BIN_BOXES = 10  # minimum number of labels of a class in a bin that is included in the bin's means
 
 _FIGURES = ("ap50", "ap50_95", "recall")
 
@@ -130,14 +129,14 @@ def evaluate_by_size(
     by_bin: list[dict[int, SizeClassScores]] = [{} for _ in bins]
     for class_id in range(len(ROAD_CLASSES)):
         by_size = match_class(detections, truth, class_id, min_height_px=min_height_px, bins=bins)
-        n_boxes = sum(matches.n_boxes for matches in by_size)
+        if not (n_boxes := sum(matches.n_boxes for matches in by_size)):
+            continue
         is_averaged = class_id in known_class_id and n_boxes >= min_boxes
         for by_class, matches in zip(by_bin, by_size, strict=True):
             figures = accuracy(matches, float(working_score[class_id]))
-            if n_boxes:
-                by_class[class_id] = SizeClassScores(
-                    n_boxes=matches.n_boxes,
-                    is_averaged=is_averaged and matches.n_boxes >= min_bin_boxes,
-                    **{figure: figures[figure] for figure in _FIGURES},
-                )
+            by_class[class_id] = SizeClassScores(
+                n_boxes=matches.n_boxes,
+                is_averaged=is_averaged and matches.n_boxes >= min_bin_boxes,
+                **{figure: figures[figure] for figure in _FIGURES},
+            )
     return [SizeScores(size_bin, by_class) for size_bin, by_class in zip(bins, by_bin, strict=True)]

@@ -34,12 +34,8 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 LOWEST_SCORE = 0.02
 """Lowest score of the detections to be fitted: lower ones are far below any threshold, and would dominate the fit."""
 
-BACKGROUND_SCORE = 1e-4
-"""A score of background, of which an image has thousands of boxes."""
-
-MIN_POSITIVES = 40
-"""Minimum number of matches for which a class has its own coefficients."""
-
+BACKGROUND_SCORE = 1e-4  # a score of background, of which an image has thousands of boxes
+MIN_POSITIVES = 40  # minimum number of matches for which a class has its own coefficients
 _SHARED_PENALTY, _SLOPE_PENALTY, _OFFSET_PENALTY = 2.0, 8.0, 2.0  # of alpha, alpha_c and beta_c
 _N_BLOCKS = 10  # of successive images in the cross-validation
 _LIMIT = 1e-4  # distance of a score from 0 and 1, so that its logit is finite

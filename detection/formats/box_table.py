@@ -18,8 +18,7 @@ from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
-HALF_PIXEL_PX = 0.5
-"""Coordinate in the corner convention minus the coordinate with pixel centres at integers."""
+HALF_PIXEL_PX = 0.5  # coordinate in the corner convention minus the coordinate with pixel centres at integers
 
 
 @dataclass(frozen=True, slots=True)

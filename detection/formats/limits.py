@@ -6,18 +6,11 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray
 
-MAX_FRAME = 1_000_000
-"""Largest frame number, from 0: nine hours at 30 Hz."""
-
+MAX_FRAME = 1_000_000  # largest frame number, from 0: nine hours at 30 Hz
 MAX_ID = 2**53 - 1  # float64 represents all integers up to it exactly
-
-MAX_COORDINATE_PX = 1e5
-"""Largest absolute pixel coordinate of a box; images have at most 65,535 pixels a side."""
-
+MAX_COORDINATE_PX = 1e5  # largest absolute pixel coordinate of a box; images have at most 65,535 pixels a side
 MAX_SIDE_PX = 65_535  # of an image
-
-MAX_DISTANCE_M = 1e5
-"""Largest absolute position, distance or size of an object."""
+MAX_DISTANCE_M = 1e5  # largest absolute position, distance or size of an object
 
 
 def are_plausible_boxes(xyxy_px: FloatArray) -> BoolArray:

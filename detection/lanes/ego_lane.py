@@ -29,9 +29,7 @@ from track_range.detection.lanes.markings import Markings, Proposals, proposals
 from track_range.detection.lanes.model import HORIZON, HORIZON_SIGMA, WIDTH_SLOPE, WIDTH_SLOPE_LOG_SIGMA, LaneState
 from track_range.foundation.arrays import BoolArray, FloatArray
 
-SIDES = (-1.0, 1.0)
-"""`side` of the left and the right line in `LaneState`'s methods."""
-
+SIDES = (-1.0, 1.0)  # `side` of the left and the right line in `LaneState`'s methods
 _N_ROUNDS = 4  # of reweighting
 _FIRST_GATE, _LAST_GATE = 0.10, 0.03  # distance of a line's pixels from it in the first and last round, in lane widths
 _TUKEY = 4.0  # residual in sigmas above which pixels have no weight (Tukey's constant)
@@ -66,8 +64,14 @@ def fit_lane(markings: Markings, expected: LaneState, lines: tuple[int, int] = (
         left = _pixels(markings, state, SIDES[0], lines[0], gate)
         right = _pixels(markings, state, SIDES[1], lines[1], gate)
         state = _updated(markings, expected, prior, about=state, seen=(left, right))
-    y_px = markings.xy_px[:, 1]
-    return LaneFit(state, (_span(y_px[left]), _span(y_px[right])), _clutter(markings, state, left | right))
+    x, y = markings.xy_px.T
+    on_lines, clutter = left | right, 0.0
+    if on_lines.any():
+        across = (x - state.x_px(y, SIDES[0])) / np.maximum(state.width_px(y), 1.0)
+        between = (across > _MARGIN) & (across < 1 - _MARGIN) & (y >= y[on_lines].min()) & (y <= y[on_lines].max())
+        clutter = float(between.sum() / on_lines.sum())
+    left_px, right_px = ((float(y[seen].min()), float(y[seen].max())) if seen.any() else None for seen in (left, right))
+    return LaneFit(state, (left_px, right_px), clutter)
 
 
 def _pixels(markings: Markings, state: LaneState, side: float, number: int, gate: float) -> BoolArray:
@@ -101,20 +105,6 @@ def _updated(
         pull = pull + rows.T @ (weight * x)
     covariance = np.asarray(np.linalg.inv(information), np.float64)
     return LaneState(covariance @ pull, covariance, expected.image_hw)
-
-
-def _clutter(markings: Markings, state: LaneState, on_lines: BoolArray) -> float:
-    """See `LaneFit`."""
-    if not on_lines.any():
-        return 0.0
-    x, y = markings.xy_px.T
-    across = (x - state.x_px(y, SIDES[0])) / np.maximum(state.width_px(y), 1.0)
-    between = (across > _MARGIN) & (across < 1 - _MARGIN) & (y >= y[on_lines].min()) & (y <= y[on_lines].max())
-    return float(between.sum() / on_lines.sum())
-
-
-def _span(y_px: FloatArray) -> tuple[float, float] | None:
-    return (float(y_px.min()), float(y_px.max())) if len(y_px) else None
 
 
 _MAX_UNSEEN_S = 0.5  # after which a line without observations is no longer reported
@@ -212,9 +202,7 @@ def _jump(state: LaneState, expected: LaneState) -> float:
     """Distance of two lanes in a near row, in lane widths."""
     y_px: FloatArray = np.array([0.9 * state.image_hw[0]])
     width_px = max(float(expected.width_px(y_px)[0]), 1.0)
-    left_px = state.x_px(y_px, SIDES[0]) - expected.x_px(y_px, SIDES[0])
-    right_px = state.x_px(y_px, SIDES[1]) - expected.x_px(y_px, SIDES[1])
-    return max(abs(float(left_px[0])), abs(float(right_px[0]))) / width_px
+    return max(abs(float((state.x_px(y_px, side) - expected.x_px(y_px, side))[0])) for side in SIDES) / width_px
 
 
 def own_pair(proposed: Proposals, image_hw: tuple[int, int], tracked: LaneState | None) -> tuple[int, int] | None:
@@ -259,7 +247,6 @@ def _departure(proposed: Proposals, tracked: LaneState) -> FloatArray:
     y_px = tracked.image_hw[0] * np.array([0.95, 0.75])
     x_px = proposed.constant[:, None] + proposed.slope[:, None] * y_px
     width_px = np.maximum(tracked.width_px(y_px), 1.0)
-    left = ((x_px - tracked.x_px(y_px, -1.0)) / width_px / _TRACKED_SIGMA) ** 2
-    right = ((x_px - tracked.x_px(y_px, 1.0)) / width_px / _TRACKED_SIGMA) ** 2
+    left, right = (((x_px - tracked.x_px(y_px, side)) / width_px / _TRACKED_SIGMA) ** 2 for side in SIDES)
     both = (left.mean(axis=1)[:, None] + right.mean(axis=1)[None, :]) / 2
     return np.asarray(np.minimum(both, _MAX_DEPARTURE), np.float64)

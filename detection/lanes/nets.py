@@ -25,7 +25,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy.special import softmax
 
 from track_range.detection.lanes.edges import EdgeLaneFinder
@@ -35,8 +34,7 @@ from track_range.detection.lanes.markings import Markings, run_middles
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray, check_shape
 
-Points = tuple[FloatArray, IntArray]
-"""(N, 2) pixels on lines and (N,) their line numbers, -1 = unknown."""
+Points = tuple[FloatArray, IntArray]  # (N, 2) pixels on lines and (N,) their line numbers, -1 = unknown
 
 ROW_ANCHORS: Mapping[int, FloatArray] = {
     18: np.array(
@@ -109,7 +107,7 @@ def row_anchor_points(scores: FloatArray32, input_hw: tuple[int, int]) -> Points
     return np.stack([x[row, line], y[row]], axis=1), line.astype(np.int64)
 
 
-def is_row_anchor_shape(shape: npt.NDArray[np.int64] | tuple[int, ...]) -> bool:
+def is_row_anchor_shape(shape: tuple[int, ...]) -> bool:
     """Whether an output of this shape is that of a row-anchor head."""
     return len(shape) == 4 and shape[1] > 2 and shape[2] in ROW_ANCHORS and shape[3] == ROW_ANCHOR_LINES
 

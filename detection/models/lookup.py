@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from track_range.detection.models.catalogue import CATALOGUE, CatalogueEntry, entry_named
 from track_range.detection.models.onnx_session import ModelError
@@ -32,8 +32,7 @@ class ModelLocation:
     entry: CatalogueEntry | None  # the catalogue entry with that name; None if there is none
 
 
-@dataclass(frozen=True, slots=True)
-class ModelRow:
+class ModelRow(NamedTuple):
     """One row of the table of `track-range models list`; '' = unknown."""
 
     name: str

@@ -49,9 +49,7 @@ from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.arrays import FloatArray, FloatArray32
 
 _PER_CHANNEL_OPSET = 13  # the first in which DequantizeLinear supports one scale per channel
-N_CALIBRATION = 60
-"""Number of images for calibration of the value ranges of the layers."""
-
+N_CALIBRATION = 60  # number of images for calibration of the value ranges of the layers
 _N_NOISE_BLOBS = 4  # images on which the rounding noise of every tensor is measured before the calibration
 
 _MAX_NOISE_RATIO = 0.1

@@ -14,7 +14,6 @@ from track_range.detection.training.losses.box_losses import BoxLoss
 from track_range.detection.training.schedule import ScheduleSettings
 
 COARSEST_STRIDE_PX = 32  # the input size must be a multiple of it
-
 MIN_GAIN, MAX_GAIN = 0.05, 16.0  # limits of `AugmentationSettings.min_gain` and `max_gain`
 
 

@@ -91,8 +91,7 @@ def _in_order(network: nn.Module) -> list[nn.Conv2d]:
     return order
 
 
-MIN_OBJECTNESS = 0.1
-"""Smallest objectness of a teacher's cell that is a positive."""
+MIN_OBJECTNESS = 0.1  # smallest objectness of a teacher's cell that is a positive
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,8 +172,7 @@ class Teacher:
         none = torch.zeros(len(scores), device=scores.device)
         best_of = [scores[:, list(columns)].amax(1) if len(columns) else none for columns in self._columns]
         student_scores = torch.stack(best_of, 1)
-        fraction = student_scores.amax(1) / best.clamp(min=1e-6)  # 1 if the best class is one of the student's
-        objectness[where] *= fraction
+        objectness[where] *= student_scores.amax(1) / best.clamp(min=1e-6)  # 1 if the best class is the student's
         is_confident = objectness[where] > MIN_OBJECTNESS
         cells = Cells(image, anchor, row, column, torch.zeros_like(image)).select(is_confident)
         return TeacherOutputs(objectness, cells, boxes[is_confident], student_scores[is_confident])

@@ -15,7 +15,7 @@ et al., "D-FINE", 2024; Robinson et al., "RF-DETR", 2025.)
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -36,21 +36,17 @@ _STRETCHED_INPUT = InputFormat(placement="stretch")
 _IMAGENET_INPUT = replace(_STRETCHED_INPUT, mean=IMAGENET_MEAN, std=IMAGENET_STD)
 
 
-def _decode_labelled_rows(output: int, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
-    """Candidates of one output [1, N, 6]: left, top, right, bottom in input pixels, score, label."""
+def _decode_labelled_rows(
+    output: int, fractions_of_hw: tuple[int, int] | None, outputs: Sequence[FloatArray32], min_score: FloatArray
+) -> Candidates:
+    """Candidates of one output [1, N, 6]: box, score, label.
+
+    Boxes are left, top, right, bottom in input pixels, or centre x, y, width, height as fractions of an input size.
+    """
     rows = outputs[output][0].astype(np.float64)
     rows = rows[~(rows[:, 4] < min_score.min())]
-    return Candidates.of_labels(rows[:, :4], rows[:, 4], rows[:, 5], min_score)
-
-
-def _decode_labelled_queries(
-    output: int, input_hw: tuple[int, int], outputs: Sequence[FloatArray32], min_score: FloatArray
-) -> Candidates:
-    """Candidates of one output [1, N, 6]: centre x, y, width, height as fractions of the input size, score, label."""
-    rows = outputs[output][0]
-    rows = rows[~(rows[:, 4] < min_score.min())]
-    boxes = _boxes_of_fractions(rows[:, :4], input_hw)
-    return Candidates.of_labels(boxes, rows[:, 4].astype(np.float64), rows[:, 5].astype(np.float64), min_score)
+    boxes = rows[:, :4] if fractions_of_hw is None else _boxes_of_fractions(rows[:, :4], fractions_of_hw)
+    return Candidates.of_labels(boxes, rows[:, 4], rows[:, 5], min_score)
 
 
 def _decode_labelled_boxes(
@@ -65,9 +61,16 @@ def _decode_labelled_boxes(
     return Candidates.of_labels(xyxy[kept], score[kept], label[kept], min_score)
 
 
-@dataclass(frozen=True, slots=True)
-class _QueryDecoder:
-    """Decoder of logits [1, N, K] and boxes [1, N, 4]: centre x, y, width, height as fractions of the input size.
+def _decode_queries(
+    logits_output: int,
+    boxes_output: int,
+    input_hw: tuple[int, int],
+    n_classes: int,
+    is_softmax: bool,
+    outputs: Sequence[FloatArray32],
+    min_score: FloatArray,
+) -> Candidates:
+    """Candidates of logits [1, N, K] and boxes [1, N, 4]: centre x, y, width, height as fractions of the input size.
 
         score = sigmoid(logit_c)                          networks trained with focal loss
         score = exp(logit_c) / sum over K of exp(logit)   DETR, whose last logit means "no object"
@@ -75,19 +78,11 @@ class _QueryDecoder:
     Each query gives its best class; RF-DETR's and RT-DETR's own postprocessing also returns further classes of the same
     box with lower scores. Logits after the first `n_classes` mean "no object".
     """
-
-    logits_output: int
-    boxes_output: int
-    input_hw: tuple[int, int]
-    n_classes: int
-    is_softmax: bool
-
-    def __call__(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
-        logits = outputs[self.logits_output][0].astype(np.float64)
-        scores = (_softmax(logits) if self.is_softmax else sigmoid(logits))[:, : self.n_classes]
-        kept = np.flatnonzero(~(scores.max(axis=1) < min_score.min()))
-        boxes = _boxes_of_fractions(outputs[self.boxes_output][0][kept], self.input_hw)
-        return Candidates.of(boxes, scores[kept].astype(np.float32), min_score)
+    logits = outputs[logits_output][0].astype(np.float64)
+    scores = (_softmax(logits) if is_softmax else sigmoid(logits))[:, :n_classes]
+    kept = np.flatnonzero(~(scores.max(axis=1) < min_score.min()))
+    boxes = _boxes_of_fractions(outputs[boxes_output][0][kept], input_hw)
+    return Candidates.of(boxes, scores[kept].astype(np.float32), min_score)
 
 
 def _decode_query_rows(
@@ -99,7 +94,7 @@ def _decode_query_rows(
     return Candidates.of(_boxes_of_fractions(rows[:, :4], input_hw), rows[:, 4:], min_score)
 
 
-def _boxes_of_fractions(cxcywh: FloatArray32, input_hw: tuple[int, int]) -> FloatArray:
+def _boxes_of_fractions(cxcywh: FloatArray | FloatArray32, input_hw: tuple[int, int]) -> FloatArray:
     """(N, 4) corners in input pixels of boxes (N, 4) given as centre and size in fractions of the input size."""
     height, width = input_hw
     return xyxy_from_cxcywh(cxcywh.astype(np.float64)) * np.array([width, height, width, height], np.float64)
@@ -118,7 +113,7 @@ def labelled_rows(network: NetworkOutputs) -> YoloModel | None:
     for i, n_rows, n_columns in network.matrices():
         if n_columns == 6 and (n_rows <= _MAX_BOXES or is_marked):
             layout = f"end-to-end rows {[1, n_rows, n_columns]}: corners, score, label"
-            decoder = partial(_decode_labelled_rows, i)
+            decoder = partial(_decode_labelled_rows, i, None)
             return YoloModel("YOLOv10/YOLO26", layout, None, InputFormat(), decoder, is_end_to_end=True)
     return None
 
@@ -135,7 +130,7 @@ def labelled_query_rows(network: NetworkOutputs) -> YoloModel | None:
     for i, n_rows, n_columns in network.matrices():
         if n_columns == 6 and n_rows <= _MAX_BOXES:
             layout = f"rows {[1, n_rows, n_columns]}: box as fractions, score, label"
-            return _square_model("RT-DETR", layout, None, partial(_decode_labelled_queries, i, network.input_hw))
+            return _square_model("RT-DETR", layout, None, partial(_decode_labelled_rows, i, network.input_hw))
     return None
 
 
@@ -184,7 +179,7 @@ def logits_and_boxes(network: NetworkOutputs) -> YoloModel | None:
     n_classes = n_logits - has_no_object
     family = "RF-DETR" if is_rf_detr else "DETR" if is_detr else "RT-DETR/D-FINE"
     layout = f"logits {[1, n_boxes, n_logits]} and boxes of {n_boxes} queries"
-    decoder = _QueryDecoder(logits, boxes, network.input_hw, n_classes, scores.value == "softmax")
+    decoder = partial(_decode_queries, logits, boxes, network.input_hw, n_classes, scores.value == "softmax")
     input_format = _IMAGENET_INPUT if is_rf_detr or has_category_ids else _STRETCHED_INPUT
     model = _square_model(family, layout, n_classes, decoder)
     return replace(model, input_format=input_format, attributes={"scores": scores})

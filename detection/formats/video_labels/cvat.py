@@ -44,12 +44,8 @@ from track_range.foundation.files.input_files import counted, open_regular, quot
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.xml_events import parse_xml
 
-MAX_CVAT_BYTES = 500_000_000
-"""Size limit, bytes: about two million boxes."""
-
-MAX_BOXES = 2_000_000
-"""Largest number of boxes, including interpolated ones; they take 300 MB."""
-
+MAX_CVAT_BYTES = 500_000_000  # size limit, bytes: about two million boxes
+MAX_BOXES = 2_000_000  # largest number of boxes, including interpolated ones; they take 300 MB
 _MAX_NAME = 200  # characters of a label or name
 _MAX_META = 10_000  # elements of `meta` that are used
 

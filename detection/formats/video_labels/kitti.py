@@ -118,16 +118,15 @@ def read_kitti(path: Path) -> KittiLabels:
         files = sorted(file for file in path.glob("*.txt") if file.stem.isdecimal())
         if not files:
             raise LabelFileError(f"{path}: expected label files such as 000000.txt, found none.")
-        return _labels([row for file in files for row in _object_rows(file, frame=file.stem)])
-    rows = [_Row(path, line, cells, len(cells)) for line, cells in _lines(path)]
-    if not rows:
+        return _labels([row for file in files for row in _rows(file, file.stem, "-1")])
+    if not (rows := _rows(path)):
         raise LabelFileError(f"{path}: expected KITTI labels, got an empty file.")
     return _labels(rows)
 
 
 def read_kitti_image(path: Path) -> KittiLabels:
     """The object labels of one image, with frame number 0; the file may be empty. Errors: see `read_kitti`."""
-    return _labels(_object_rows(path, frame="0"))
+    return _labels(_rows(path, "0", "-1"))
 
 
 class _Row(NamedTuple):
@@ -139,22 +138,15 @@ class _Row(NamedTuple):
     n_columns: int
 
 
-def _object_rows(path: Path, *, frame: str) -> list[_Row]:
-    return [_Row(path, line, [frame, "-1", *cells], len(cells)) for line, cells in _lines(path)]
-
-
-def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Line numbers from 1 and cells of each line that is not blank."""
+def _rows(path: Path, *first: str) -> list[_Row]:
+    """The lines of a file that are not blank, after the cells that object labels do not have: frame and identity."""
     text = read_text(path, LabelFileError, "KITTI labels", max_bytes=MAX_TABLE_BYTES)
-    return [(number, cells) for number, line in enumerate(text.split("\n"), 1) if (cells := line.split())]
+    cells_of = ((number, line.split()) for number, line in enumerate(text.split("\n"), 1))
+    return [_Row(path, number, [*first, *cells], len(cells)) for number, cells in cells_of if cells]
 
 
 def _labels(rows: list[_Row]) -> KittiLabels:
-    """The columns of checked rows.
-
-    Raises:
-        LabelFileError: a row has a wrong length, or an implausible number.
-    """
+    """The columns of the rows; LabelFileError for a row of a wrong length, or an implausible number."""
     texts: list[str] = []
     for path, line, cells, n_columns in rows:
         if len(cells) not in (_TRACKING_COLUMNS, _TRACKING_COLUMNS + 1):
@@ -165,10 +157,8 @@ def _labels(rows: list[_Row]) -> KittiLabels:
             )
         if len(cells[2]) > _MAX_TYPE:
             raise LabelFileError(f"{path}, line {line}: expected a type such as Car, got {quoted(cells[2])}.")
-        texts += cells[:2]
-        texts += cells[3:]
-        if len(cells) == _TRACKING_COLUMNS:
-            texts.append("nan")
+        score = ["nan"] if len(cells) == _TRACKING_COLUMNS else []
+        texts += [*cells[:2], *cells[3:], *score]
     table = np.array(_numbers(texts), np.float64).reshape(-1, _TRACKING_COLUMNS)
     is_valid = (table >= _LOW) & (table <= _HIGH)
     is_valid[:, _INTEGERS] &= np.rint(table[:, _INTEGERS]) == table[:, _INTEGERS]

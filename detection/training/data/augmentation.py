@@ -47,9 +47,7 @@ class AugmentationSettings:
 
 
 MIN_SIDE_PX = 2.0  # smallest visible side of a box that is not ignored
-
-MIN_FRACTION = 0.1
-"""Smallest visible fraction of the area of a box that is not ignored (as in YOLOv5)."""
+MIN_FRACTION = 0.1  # smallest visible fraction of the area of a box that is not ignored (as in YOLOv5)
 
 
 @dataclass(frozen=True, slots=True)

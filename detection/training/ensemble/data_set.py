@@ -50,9 +50,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.files.atomic_files import describe, write_text
 from track_range.foundation.files.input_files import shortened
 
-MIN_IGNORED_PROBABILITY = 0.6
-"""Minimum probability of a box of a completely labelled class."""
-
+MIN_IGNORED_PROBABILITY = 0.6  # minimum probability of a box of a completely labelled class
 _SAME_OBJECT_IOU = 0.5  # IoU above which a box is that of a label, or that of the other detector
 
 _MISSING_SCORE = 0.12
@@ -137,8 +135,7 @@ def _combined(xyxy: FloatArray, probability: FloatArray, other: YoloLabels) -> F
     return np.where(is_seen | (probability > 0), q, 0.0)
 
 
-DETECTIONS = "detections"
-"""Folder of the detectors' boxes in the folder of pseudo-labels, while a run is not finished."""
+DETECTIONS = "detections"  # folder of the detectors' boxes in the folder of pseudo-labels, while a run is not finished
 
 COUNTED_PROBABILITIES = (0.1, 0.3, 0.6)
 

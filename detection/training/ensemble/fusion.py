@@ -24,11 +24,8 @@ from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
 from track_range.detection.training.ensemble.views import N_VIEWS, ViewBoxes
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
-SAME_OBJECT_IOU = 0.55
-"""IoU above which boxes of easily confused classes are boxes of one object."""
-
-MIN_CLUSTER_SCORE = 0.04
-"""Minimum score of the best box of a cluster."""
+SAME_OBJECT_IOU = 0.55  # IoU above which boxes of easily confused classes are boxes of one object
+MIN_CLUSTER_SCORE = 0.04  # minimum score of the best box of a cluster
 
 
 @dataclass(frozen=True, slots=True)

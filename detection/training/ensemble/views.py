@@ -21,9 +21,7 @@ from track_range.foundation.files.atomic_files import atomic_path, describe
 from track_range.foundation.files.input_files import real_path
 
 N_VIEWS = 2  # the image and its mirror image
-
-MIN_SCORE = 0.02
-"""Lowest score of the boxes; low, since calibration decides what the scores mean."""
+MIN_SCORE = 0.02  # lowest score of the boxes; low, since calibration decides what the scores mean
 
 _MAX_IOU, _MAX_BOXES = 0.6, 200
 """IoU threshold of non-maximum suppression, and largest number of boxes per view; the fusion merges what remains."""

@@ -26,9 +26,7 @@ from track_range.detection.training.networks.blocks import ConvolutionBlock
 from track_range.detection.training.networks.network import DetectionNetwork, cells_xy
 from track_range.detection.training.networks.yolov5 import SCALES, YoloV5Body
 
-N_BINS = 8
-"""R + 1: bins of a distance, which is at most R = 7 cells."""
-
+N_BINS = 8  # R + 1: bins of a distance, which is at most R = 7 cells
 _N_HIDDEN = 48  # channels of a head's branches
 _INITIAL_SCORE = 0.01  # class scores at the start of the training (Lin et al., "Focal Loss", ICCV 2017)
 

@@ -18,9 +18,7 @@ from track_range.detection.training.networks.network import AnchorNetwork
 from track_range.detection.training.networks.yolov5 import background_head
 from track_range.detection.yolo.layouts import YOLOV4_TINY_ANCHORS
 
-DEFAULT_ANCHORS_PX: Anchors = YOLOV4_TINY_ANCHORS[::-1]
-"""Anchors in input pixels, stride 16 first."""
-
+DEFAULT_ANCHORS_PX: Anchors = YOLOV4_TINY_ANCHORS[::-1]  # anchors in input pixels, stride 16 first
 _SCALE_X_Y = 1.05  # Darknet's factor on the range of the centre offsets
 
 _MAX_LOG_SIZE = 6.0

@@ -38,8 +38,7 @@ class ModelScale:
 SCALES: Mapping[str, ModelScale] = {"yolov5n": ModelScale(0.33, 0.25), "yolov5s": ModelScale(0.33, 0.50)}
 
 
-BODY_PREFIX = "body."
-"""Prefix of the names of the weights of `YoloV5Body` in networks that have one."""
+BODY_PREFIX = "body."  # prefix of the names of the weights of `YoloV5Body` in networks that have one
 
 
 class YoloV5Body(nn.Module):

@@ -44,8 +44,7 @@ def _list(_options: ListOptions) -> None:
     for heading in ("name", "input", "size", "licence", "from", "state"):
         table.add_column(heading, overflow="fold", no_wrap=heading in ("name", "size", "state"))
     for row in model_rows():
-        cells = (row.name, row.input, row.size, row.licence, row.source, row.state)
-        table.add_row(*(Text(cell) for cell in cells))
+        table.add_row(*map(Text, row))
     console.print(table)
     console.print(f"Downloaded models are stored in {models_folder()}", highlight=False, soft_wrap=True)
 

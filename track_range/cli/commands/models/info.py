@@ -19,8 +19,7 @@ from track_range.foundation.options import Options, option
 from track_range.run.options.detection import AnchorsField, LetterboxField, NamesField
 from track_range.run.options.opened import DetectorOptions, open_detector
 
-_ABOUT = ("data", "date", "epochs", "licence", "license")
-"""Metadata on the origin of a model."""
+_ABOUT = ("data", "date", "epochs", "licence", "license")  # metadata on the origin of a model
 
 _IDENTITY = {"mean": (0.0, 0.0, 0.0), "std": (1.0, 1.0, 1.0)}
 """Attributes that have no effect, and are not shown, with these values."""

@@ -41,8 +41,7 @@ from track_range.run.options.opened import DetectorOptions, class_names, open_de
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
 
-N_COMPARED = 100
-"""Maximum number of images on which copies are compared with the original if there are no labels."""
+N_COMPARED = 100  # maximum number of images on which copies are compared with the original if there are no labels
 
 
 @dataclass(slots=True)

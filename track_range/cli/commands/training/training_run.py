@@ -29,8 +29,7 @@ from track_range.run.ready_model import ready_model
 from track_range.views.report.detection_tables import class_grid
 from track_range.views.report.figures import training_chart
 
-CURVES = "curves.png"
-"""Chart of losses and accuracy in the run folder."""
+CURVES = "curves.png"  # chart of losses and accuracy in the run folder
 
 
 def train(options: TrainOptions) -> None:
