@@ -25,11 +25,7 @@ def score_outputs(detector: YoloDetector) -> tuple[int, ...]:
 
 
 def check_attributes(model: Path, out: Path) -> bytes | None:
-    """The file of attributes beside the model, `MODEL.yaml`, which belongs beside the copy too; None = there is none.
-
-    Raises:
-        OutputError: there are other attributes beside the copy, which would be used for it.
-    """
+    """The attributes beside the model, `MODEL.yaml`, or None; OutputError if the copy at `out` has others already."""
     source, target = model.with_suffix(".yaml"), out.with_suffix(".yaml")
     content = source.read_bytes() if source.is_file() else None
     if target.is_file() and target.read_bytes() != content:
@@ -40,11 +36,7 @@ def check_attributes(model: Path, out: Path) -> bytes | None:
 
 
 def write_calibrated_copy(detector: YoloDetector, fit: ScoreFit, out: Path, *, images: Path) -> None:
-    """Write a copy of a detector with the scores of a fit to `images`, and its attributes.
-
-    Raises:
-        ModelError: scores of background would be detections, or see `write_calibrated`.
-    """
+    """Write a copy of a detector with the scores of a fit to `images`, and its attributes; else ModelError."""
     known = detector.known_class_id
     background = fit.probability(np.full(len(known), BACKGROUND_SCORE), known)
     if background.max() > LOWEST_SCORE:

@@ -84,9 +84,7 @@ def match_class(
     """The matches of one class in the images in which it is labelled completely, for each bin.
 
     `min_height_px`: labels below this height are ignored, and so are unmatched detections below it (KITTI's rule).
-
-    Raises:
-        ValueError: `detections` and `truth` differ in length.
+    ValueError: `detections` and `truth` differ in length.
     """
     if len(detections) != len(truth):
         raise ValueError(f"detections: expected {len(truth)} images as in truth, got {len(detections)}")

@@ -47,11 +47,7 @@ class VideoFacts:
         return "rectified" if self.is_rectified else "original"
 
     def completed_by(self, stated: VideoFacts, path: Path) -> VideoFacts:
-        """These facts, where they are known, and else those that a file states; the first frame is the file's.
-
-        Raises:
-            LabelFileError: the images of the file have another size.
-        """
+        """These facts where known, else those that a file states; LabelFileError if its images have another size."""
         if stated.size_px is not None and self.size_px not in (None, stated.size_px):
             video_size, file_size = ("x".join(map(str, size or ())) for size in (self.size_px, stated.size_px))
             raise LabelFileError(

@@ -165,12 +165,7 @@ class NetLaneFinder:
         self._lane = EgoLane()
 
     def find(self, image: Image, time_s: float) -> LaneLines:
-        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`.
-
-        Raises:
-            ModelError: onnxruntime fails.
-            ValueError: the image has another shape.
-        """
+        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`; ValueError for another shape."""
         check_shape("image", image, (None, None, 3))
         image_hw = (image.shape[0], image.shape[1])
         is_new = self._lane.state is None

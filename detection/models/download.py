@@ -43,10 +43,7 @@ def pull(entry: CatalogueEntry, cache: Path, progress: Progress | None = None) -
     """Path of the entry's ONNX file in the cache folder, downloaded and converted if it is not there yet.
 
     The size of an input of variable size is written to `NAME.yaml` beside it (`detection.models.metadata`).
-
-    Raises:
-        DownloadError: the download failed, or the cache folder cannot be written.
-        ModelError: the Darknet files cannot be imported.
+    DownloadError: the download failed, or the cache folder cannot be written.
     """
     model = cache / f"{entry.name}.onnx"
     if model.is_file() and (entry.is_darknet or _has_checksum(model, entry.files[0].checksum)):

@@ -74,16 +74,12 @@ def quantize_int8(
 ) -> None:
     """Write an INT8 copy of the network at `path`, with the same inputs, outputs and metadata.
 
-    Args:
-        path: the float32 network.
-        out: the file to write.
-        blobs: calibration inputs (1, 3, H, W), 30 to 100 images typical of the network's use in random order; the
-            first ones also determine which layers stay in float, and the corrections of the biases, for which the
-            network is run once per convolution (a minute for YOLOv5n at 640 x 640). They are read once, one by one.
-        progress: called with the number of convolutions whose bias is corrected and the number of all.
+    `blobs` are calibration inputs (1, 3, H, W), 30 to 100 images typical of the network's use in random order, which
+    are read once, one by one; the first ones also determine which layers stay in float, and the corrections of the
+    biases, for which the network is run once per convolution (a minute for YOLOv5n at 640 x 640). `progress` is called
+    with the number of convolutions whose bias is corrected and the number of all.
 
-    Raises:
-        ModelError: not a usable float32 network with convolutions to quantise, no blobs, or blobs of the wrong shape.
+    ModelError: not a usable float32 network with convolutions to quantise, no blobs, or blobs of the wrong shape.
     """
     model = _float_model(path)
     session = OnnxSession(path, Runtime(device="cpu"))
@@ -110,10 +106,7 @@ def convert_fp16(path: Path, out: Path) -> None:
     """Write a copy of the network at `path` with weights and arithmetic in FP16, which halves its size.
 
     Inputs, outputs and everything after the last convolutions stay float32, because FP16 has a resolution of only half
-    a pixel above 512.
-
-    Raises:
-        ModelError: not a usable float32 network with convolutions.
+    a pixel above 512. ModelError: not a usable float32 network with convolutions.
     """
     model = _float_model(path)
     half = copy.deepcopy(model)

@@ -25,16 +25,10 @@ _SMALLEST = 1e-6  # distance from 0 and 1 of a score whose logit is computed; in
 def write_calibrated(
     path: Path, out: Path, *, score_outputs: Sequence[int], slope: FloatArray, offset: FloatArray
 ) -> None:
-    """Write a copy of the network at `path` with calibrated scores.
+    """Write a copy of the network at `path` with calibrated scores; ModelError if it cannot be read, written or loaded.
 
-    Args:
-        path: the network, which is not changed unless `out` is the same file.
-        out: the file to write.
-        score_outputs: at least one output (B, n, C) of scores of n cells and C classes, all in float32 or in float16.
-        slope, offset: (C,) a_c and b_c.
-
-    Raises:
-        ModelError: the file cannot be read, or the copy cannot be written or loaded.
+    `score_outputs` are outputs (B, n, C) of scores of n cells and C classes, all in float32 or in float16; `slope` (C,)
+    is a_c and `offset` (C,) b_c.
     """
     try:
         model = onnx.load(path)

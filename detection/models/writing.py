@@ -15,11 +15,7 @@ from track_range.foundation.files.atomic_files import atomic_folder, describe
 
 @contextlib.contextmanager
 def conversion_errors(path: Path, verb: str) -> Iterator[None]:
-    """Context of a converter of the model at `path`.
-
-    Raises:
-        ModelError: the converter raised an exception; the message is "`path`: cannot be `verb`" with the reason.
-    """
+    """Context of a converter of the model at `path`; its exceptions become a ModelError, "`path`: cannot be `verb`"."""
     try:
         yield
     except Exception as error:  # onnx and onnxruntime raise dozens of unrelated types
@@ -29,11 +25,7 @@ def conversion_errors(path: Path, verb: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def silent_conversion(path: Path, verb: str) -> Iterator[None]:
-    """`conversion_errors` of a converter whose prints, warnings and log lines are discarded, as all of the process are.
-
-    Raises:
-        ModelError: as `conversion_errors`.
-    """
+    """`conversion_errors` of a converter; all prints, warnings and log lines of the process are discarded."""
     handler, disabled = logging.NullHandler(), logging.root.manager.disable
     logging.root.addHandler(handler)  # otherwise logging.warning() would install a handler that prints
     logging.disable(logging.CRITICAL)
@@ -48,11 +40,7 @@ def silent_conversion(path: Path, verb: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def atomic_output(out: Path) -> Iterator[Path]:
-    """Context that yields a temporary folder; at the end its file with the name of `out` replaces `out`.
-
-    Raises:
-        ModelError: the folder of `out` does not exist or cannot be written.
-    """
+    """Context of a temporary folder; at the end its file named as `out` replaces `out`, or there is a ModelError."""
     if not out.parent.is_dir():
         raise ModelError(f"{out}: expected an existing folder, {out.parent} does not exist.")
     try:

@@ -69,10 +69,7 @@ def load_mean(paths: Sequence[Path]) -> dict[str, Any]:
 
     The mean of checkpoints of one run, or of runs that started from the same weights, is often better than each of
     them (Izmailov et al., "Averaging Weights Leads to Wider Optima and Better Generalization", UAI 2018); that of runs
-    from different random weights is useless.
-
-    Raises:
-        CheckpointError: as `load_checkpoint`, or the checkpoints are those of different networks.
+    from different random weights is useless. CheckpointError: the checkpoints are those of different networks.
     """
     contents = [load_checkpoint(path) for path in paths]
     first = contents[0]
@@ -136,9 +133,8 @@ def check_same_run(path: Path, saved: Mapping[str, Any], expected: Mapping[str, 
 def check_start(out: Path, *, resume: bool, weights: Sequence[Path], files: Sequence[str]) -> None:
     """Check the run folder and the checkpoints of `--weights` before images are read.
 
-    Raises:
-        OutputError: the folder contains a run that is not to be resumed, or one of its `files` would be overwritten.
-        CheckpointError: a checkpoint is missing or damaged.
+    OutputError: the folder contains a run that is not to be resumed, or one of its `files` would be overwritten.
+    CheckpointError: a checkpoint is missing or damaged.
     """
     if resume:
         load_checkpoint(out / LAST)

@@ -125,9 +125,7 @@ class Training:
 
         If that run trained another network with the same backbone and neck (YOLOv5n and RoadNet), only these are used.
         The convolutions of the feature loss are those of the first checkpoint, if it had the same teacher.
-
-        Raises:
-            CheckpointError: the checkpoint does not exist, is damaged, or has another network.
+        CheckpointError: the checkpoint does not exist, is damaged, or has another network.
         """
         content = load_mean([first, *others])
         shared: dict[str, Tensor] = {}

@@ -141,8 +141,7 @@ def _square_model(family: str, layout: str, n_classes: int | None, decoder: Deco
 def labels_boxes_scores(network: NetworkOutputs) -> YoloModel | None:
     """Match of integer labels [1, N], boxes [1, N, 4] and scores [1, N], in any order.
 
-    Raises:
-        ModelError: the network lacks the input `orig_target_sizes`, so that the unit of its boxes is unknown.
+    ModelError: the network lacks the input `orig_target_sizes`, so that the unit of its boxes is unknown.
     """
     vectors = [i for i, shape in enumerate(network.shapes) if len(shape) == 2 and shape[0] == 1]
     boxes = [i for i, shape in enumerate(network.shapes) if len(shape) == 3 and shape[0] == 1 and shape[2] == 4]

@@ -75,14 +75,10 @@ def images_in(folder: Path) -> list[Path]:
 def read_labelled(
     images: Path, labels: Path, label_format: str, *, names: Sequence[str] | None = None
 ) -> list[LabelledImage]:
-    """The images of a folder that have labels, sorted by name.
+    """The images of a folder that have labels, sorted by name; LabelFileError if there are none or they are invalid.
 
     `labels` is a folder of label files, or the file of a COCO data set or a KITTI sequence; `label_format` is a name in
     `IMAGE_LABELS`; `names` are class names for the numbers in YOLO labels, by default those for the folder.
-
-    Raises:
-        ImageFileError: there are no images.
-        LabelFileError: the labels cannot be read, or none of the images has labels.
     """
     labelled = IMAGE_LABELS[label_format](images_in(images), labels, names)
     if not labelled:
@@ -97,12 +93,9 @@ def read_sequence(labels: Path) -> Callable[[int], ImageTruth]:
 
 
 def read_manifest(path: Path) -> dict[str, tuple[str, BoolArray]]:
-    """Split, and (8,) which road classes are completely labelled, by file name, from a CSV.
+    """Split, and (8,) which road classes are completely labelled, by file name, from a CSV; else LabelFileError.
 
     Its columns are file, split, and labels_complete: eight flags such as 10111100, in the order of the road classes.
-
-    Raises:
-        LabelFileError: the file cannot be read, lacks a column, or has an invalid value.
     """
     table = read_csv_table(path, LabelFileError, "columns file, split, labels_complete")
     table.require(("file", "split", "labels_complete"))

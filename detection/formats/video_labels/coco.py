@@ -76,9 +76,8 @@ class CocoBox(NamedTuple):
 def read_coco(path: Path, video: VideoFacts) -> BoxTable:
     """The boxes of a COCO data set of one video; boxes without width or height are ignored with a note.
 
-    Raises:
-        LabelFileError: the file cannot be read, is larger than `MAX_COCO_BYTES`, has several videos, contradictory or
-            unknown ids, annotations without a box, or implausible numbers.
+    LabelFileError: the file cannot be read, is larger than `MAX_COCO_BYTES`, has several videos, contradictory or
+    unknown ids, annotations without a box, or implausible numbers.
     """
     coco = CocoFile(path)
     frame_of, notes = coco.frames()

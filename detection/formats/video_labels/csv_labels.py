@@ -89,9 +89,8 @@ def _first_line(path: Path) -> str | None:
 def read_csv_labels(path: Path) -> CsvLabels:
     """The rows of a CSV label file.
 
-    Raises:
-        LabelFileError: the file cannot be read, is empty or lacks a required column; or a value is out of range, a box
-            has x1 >= x2 or y1 >= y2, a class is unknown, or an id occurs twice in a frame.
+    LabelFileError: the file cannot be read, is empty or lacks a required column; or a value is out of range, a box has
+    x1 >= x2 or y1 >= y2, a class is unknown, or an id occurs twice in a frame.
     """
     expected = f"a first line with the columns {','.join(REQUIRED)} (optional: {','.join(OPTIONAL)})"
     table = read_csv_table(path, LabelFileError, expected, exact=True)

@@ -89,9 +89,8 @@ _Boxes = npt.NDArray[Any]  # (K,) boxes with the columns of `_BOX`
 def read_cvat(path: Path, video: VideoFacts) -> BoxTable:
     """The boxes of all tracks, with those between two boxes of a track interpolated.
 
-    Raises:
-        LabelFileError: the file cannot be read, is larger than `MAX_CVAT_BYTES`, is not in this format (such as "CVAT
-            for images"), has a document type or entities, shapes other than upright boxes, or invalid values.
+    LabelFileError: the file cannot be read, is larger than `MAX_CVAT_BYTES`, is not in this format (such as "CVAT for
+    images"), has a document type or entities, shapes other than upright boxes, or invalid values.
     """
     content = _Content(path)
     with open_regular(path, LabelFileError, "CVAT's annotations", max_bytes=MAX_CVAT_BYTES) as file:

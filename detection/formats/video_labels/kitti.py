@@ -110,9 +110,8 @@ def kitti_type_of(class_name: str) -> str:
 def read_kitti(path: Path) -> KittiLabels:
     """The rows of a tracking file, or of a folder of object files (000000.txt, ...; the number is the frame).
 
-    Raises:
-        LabelFileError: the file or folder cannot be read, is empty, or has a row of the wrong length or an
-            implausible number.
+    LabelFileError: the file or folder cannot be read, is empty, or has a row of the wrong length or an implausible
+    number.
     """
     if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
         files = sorted(file for file in path.glob("*.txt") if file.stem.isdecimal())

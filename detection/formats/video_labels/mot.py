@@ -73,9 +73,8 @@ def xyxy_from_mot(ltwh: FloatArray) -> FloatArray:
 def read_mot(path: Path) -> MotRows:
     """The rows of a gt.txt, det.txt or result file; blank lines are skipped.
 
-    Raises:
-        MotFormatError: no such file; or a line that is not 7 to 10 finite numbers with an integer frame >= 1, an
-            integer id, a plausible box and w, h >= 0; or an id from 0 that occurs twice in a frame.
+    MotFormatError: no such file; or a line that is not 7 to 10 finite numbers with an integer frame >= 1, an integer
+    id, a plausible box and w, h >= 0; or an id from 0 that occurs twice in a frame.
     """
     text = read_text(path, MotFormatError, "rows of MOTChallenge", max_bytes=MAX_TABLE_BYTES)
     numbered = [(i, line) for i, line in enumerate(text.split("\n"), start=1) if line.strip()]

@@ -87,9 +87,8 @@ def is_yolo_folder(path: Path) -> bool:
 def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
     """The boxes of a folder of label files; the image size is that of `video`, of data.yaml, or of the images.
 
-    Raises:
-        LabelFileError: the folder cannot be read, has no label files, or two for one frame; a row is invalid, has a
-            polygon, or a class number without a name; or the image size is unknown.
+    LabelFileError: the folder cannot be read, has no label files, or two for one frame; a row is invalid, has a
+    polygon, or a class number without a name; or the image size is unknown.
     """
     files, folder = _label_files(path)
     if not files:
@@ -160,10 +159,8 @@ def _row(where: str, cells: list[str], n_names: int) -> list[float]:
 def _score_and_identity(table: FloatArray, lines: Sequence[tuple[Path, int, list[str]]]) -> tuple[FloatArray, IntArray]:
     """(N,) score, NaN if there is none, and (N,) identity, -1 if there is none, of rows (N, 7).
 
-    Identities are in the last column if it has integers throughout, which scores are not.
-
-    Raises:
-        LabelFileError: rows of seven columns do not end with an identity, as those of a triangle.
+    Identities are in the last column if it has integers throughout, which scores are not. LabelFileError: rows of seven
+    columns do not end with an identity, as those of a triangle.
     """
     n_columns = np.array([len(cells) for _, _, cells in lines], np.int64)
     is_longer, is_full = n_columns > _N_BOX, n_columns == _N_COLUMNS
@@ -240,13 +237,9 @@ def _image_size_px(path: Path, labels: Path) -> tuple[int, int] | None:
 
 
 def write_yolo(table: BoxTable, path: Path) -> Written:
-    """Write a table as folder `path` with labels and data.yaml.
+    """Write a table as folder `path` with labels and data.yaml; LabelFileError if the image size is unknown.
 
     Boxes are clipped to the image. Identities, scores, distances and regions are not written.
-
-    Raises:
-        LabelFileError: the image size is unknown.
-        OSError: a file cannot be written.
     """
     video = table.video
     if video.size_px is None:

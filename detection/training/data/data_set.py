@@ -67,17 +67,11 @@ class CachedImages:
         max_bytes: int | None = None,
         progress: Callable[[int, int], None] = lambda done, total: None,
     ) -> None:
-        """Read every image once.
+        """Read every image once; ImageFileError if none can be read.
 
-        Args:
-            items: the images.
-            road_class_id: (C,) road class of each of the network's classes.
-            max_side_px: images are downscaled to this longer side; None = no limit.
-            max_bytes: size of the cache; None = half of the free memory.
-            progress: called after each image with the number of images read and their total.
-
-        Raises:
-            ImageFileError: none of the images can be read.
+        `road_class_id` (C,) is the road class of each of the network's classes. Images are downscaled to the longer
+        side `max_side_px`; None = no limit. `max_bytes` is the size of the cache; None = half of the free memory.
+        `progress` is called after each image with the number of images read and their total.
         """
         self._road_class_id, self._max_side_px = road_class_id, max_side_px
         self._index_of = np.full(len(ROAD_CLASSES), -1)

@@ -127,12 +127,7 @@ class TrainingData:
         return f"{len(self.train)} and {len(self.val)} images, {crc:08x}"
 
     def check_trainable(self, path: Path, model: str) -> None:
-        """Check that the data of the data.yaml at `path` can train a `model`.
-
-        Raises:
-            LabelFileError: no training image has an object.
-            TrainingError: there are pseudo-labels with probabilities, which only the loss of RoadNet uses.
-        """
+        """LabelFileError or TrainingError unless the data of the data.yaml at `path` can train a `model`."""
         if not any((~item.truth.is_ignored).any() for item in self.train):
             raise LabelFileError(f"{path}: expected labelled objects in the training images, found none.")
         if model != "road" and any((item.truth.confidence < 1).any() for item in self.train):
@@ -177,9 +172,8 @@ class OwnLabels:
 def read_own_labels(path: Path) -> OwnLabels:
     """The images and labels of a data.yaml to which pseudo-labels can be added; pixels are not read.
 
-    Raises:
-        LabelFileError, ImageFileError: as for `read_data_yaml`; or the labels are KITTI's, the pseudo-labels are
-            probabilities already, there are no training images, or two of them have the same name.
+    LabelFileError, ImageFileError: as for `read_data_yaml`; or the labels are KITTI's, the pseudo-labels are
+    probabilities already, there are no training images, or two of them have the same name.
     """
     reader = _Reader(path, frozenset(), is_alone=True)
     if reader.document.format == "kitti":
@@ -205,12 +199,9 @@ def read_own_labels(path: Path) -> OwnLabels:
 
 
 def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> TrainingData:
-    """The images and labels of a data.yaml; pixels are not read.
+    """The images and labels of a data.yaml; pixels are not read. LabelFileError or ImageFileError if one is invalid.
 
     `within` are the files that refer to this one, directly or indirectly, to detect circular references.
-
-    Raises:
-        LabelFileError, ImageFileError: the file, a folder or labels cannot be read or are invalid.
     """
     reader = _Reader(path, within)
     road = map_to_road_classes(reader.names)

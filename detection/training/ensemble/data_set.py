@@ -186,13 +186,8 @@ def label_training_images(
 ) -> PseudoLabelFigures:
     """Write the pseudo-labels of every training image to `out`, NAME.txt with lines `class cx cy w h probability`.
 
-    Args:
-        data: the images and their labels.
-        members: the detectors, which have stored the boxes of all images (`views.store_missing`).
-        out: an existing folder.
-        unreadable: images that are left out.
-        min_probability: that of pseudo-labels of classes that are not completely labelled.
-        progress: called after each image with the number of images whose boxes are fused, and their total.
+    The boxes of all images but the `unreadable` ones must be stored (`views.store_missing`). `min_probability` is that
+    of pseudo-labels of classes that are not completely labelled; `progress` is called after each image.
 
     Raises:
         LabelFileError: too few fused boxes match labels to fit probabilities, or the detectors know no class.

@@ -120,10 +120,7 @@ def store_missing(
 ) -> dict[Path, str]:
     """Run the detectors on the images whose boxes are not stored; returns the reason for each unreadable image.
 
-    `progress` is called after each image with the number of finished images and their total.
-
-    Raises:
-        ImageFileError: none of the images can be read.
+    `progress` is called after each image with their number and total. ImageFileError: none of the images can be read.
     """
     unreadable: dict[Path, str] = {}
     for done, file in enumerate(image_files, start=1):

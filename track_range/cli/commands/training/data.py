@@ -23,11 +23,7 @@ _N_PER_HEAD = 3  # number of anchors of each head, in all networks
 
 
 def print_anchors(options: AnchorOptions) -> None:
-    """Print k-means++ anchors of the training boxes of a data set, their mean best IoU, and that of the defaults.
-
-    Raises:
-        LabelFileError, ImageFileError: the data cannot be used, or contain too few boxes.
-    """
+    """Print k-means++ anchors of the training boxes of a data set, their mean best IoU, and that of the defaults."""
     size_px, n_anchors = options.size_px, options.clusters
     data = read_data_yaml(options.data)
     for note in data.notes:
@@ -51,11 +47,7 @@ def print_anchors(options: AnchorOptions) -> None:
 
 
 def read_images(items: Sequence[LabelledImage], data: TrainingData, *, max_side_px: int | None) -> CachedImages:
-    """Images of a data set; those that cannot be read are skipped and listed.
-
-    Raises:
-        ImageFileError: no image can be read.
-    """
+    """Images of a data set; those that cannot be read are listed and skipped, ImageFileError if these are all."""
     with step_progress(console, "reading images") as progress:
         images = CachedImages(items, data.road_class_id, max_side_px=max_side_px, progress=progress)
     print_first(console, f"{len(images.unreadable)} images cannot be read and are skipped:", images.unreadable)
@@ -63,12 +55,7 @@ def read_images(items: Sequence[LabelledImage], data: TrainingData, *, max_side_
 
 
 def fitted_anchors(images: CachedImages, model: str, size_px: int, seed: int) -> Anchors:
-    """K-means++ anchors of the training boxes, as many as the network has.
-
-    Raises:
-        LabelFileError: there are too few boxes.
-        TrainingError: the network has no anchors.
-    """
+    """K-means++ anchors of the training boxes, as many as the network has; TrainingError if it has none."""
     kind = NETWORKS[model]
     if not kind.anchors_px:
         raise TrainingError(f"--anchors kmeans++: expected a --model with anchors, got {model}, which has none.")

@@ -69,11 +69,7 @@ def _pseudo_label(options: PseudoLabelOptions) -> None:
 
 
 def _check_folder(options: PseudoLabelOptions, data: OwnLabels) -> None:
-    """Check the output folder before the models are loaded.
-
-    Raises:
-        OutputError: it is a file, or has pseudo-labels, also of other images than `data`, or no run to be resumed.
-    """
+    """OutputError if the output folder has other files than those of a run of `data` that is to be resumed."""
     if options.out.exists() and not options.out.is_dir():
         raise OutputError(f"{options.out}: expected a folder, found a file; choose another --out.")
     is_started = (options.out / DETECTIONS).is_dir()

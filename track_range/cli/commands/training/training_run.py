@@ -33,13 +33,7 @@ CURVES = "curves.png"  # chart of losses and accuracy in the run folder
 
 
 def train(options: TrainOptions) -> None:
-    """Train, export the best network to the run folder, and print its metrics.
-
-    Raises:
-        LabelFileError, ImageFileError: the data cannot be used.
-        CheckpointError, TrainingError, ModelError, OutputError: see the modules of `detection.training`.
-        FolderLockError: another run is writing to the folder.
-    """
+    """Train, export the best network to the run folder, and print its metrics."""
     settings = _settings(options)
     data = read_data_yaml(options.data)
     for note in data.notes:
