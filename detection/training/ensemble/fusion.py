@@ -38,8 +38,8 @@ class FusedBoxes:
 
 def fuse(boxes: Sequence[ViewBoxes]) -> FusedBoxes:
     """The fused boxes of one image, in order of their best score, from the boxes of each detector."""
-    s, b, c = (np.concatenate([getattr(found, key) for found in boxes]) for key in ("score", "xyxy", "class_id"))
-    d = np.repeat(np.arange(len(boxes)), [len(found.score) for found in boxes])
+    s, b, c = (np.concatenate([getattr(detected, key) for detected in boxes]) for key in ("score", "xyxy", "class_id"))
+    d = np.repeat(np.arange(len(boxes)), [len(detected.score) for detected in boxes])
     order = np.argsort(-s, kind="stable")
     s, b, c, d = s[order], b[order], c[order], d[order]
     is_same_object = (iou(b, b) > SAME_OBJECT_IOU) & (SAME_OBJECT_GROUP[c][:, None] == SAME_OBJECT_GROUP[c])
