@@ -209,6 +209,11 @@ class ClipTable:
             self.table = merged
             self.newer, self._is_sorted = {}, is_sorted
             default_memory_pool().release_unused()
+        self._clear_journal()
+        end_s = time.monotonic()
+        self._next_s = end_s + max(_COMPILE_S, _COMPILE_FRACTION * (end_s - start_s))
+
+    def _clear_journal(self) -> None:
         compiled = self._in_journal - self.newer.keys()
 
         def remove(name: str) -> None:
@@ -218,8 +223,6 @@ class ClipTable:
         with ThreadPoolExecutor(_N_CONNECTIONS) as threads:
             list(threads.map(remove, compiled))
         self._in_journal -= compiled
-        end_s = time.monotonic()
-        self._next_s = end_s + max(_COMPILE_S, _COMPILE_FRACTION * (end_s - start_s))
 
     def failed(self, names: Collection[str]) -> list[tuple[str, str]]:
         """Names and errors of the failed clips among `names`."""

@@ -23,33 +23,25 @@ from track_range.foundation.processes import is_running
 
 STATE_FILE = "fleet.json"
 
-HEARTBEAT_S = 5.0
-"""Time between two writings of the state, s."""
-
-STALE_S = 60.0
-"""Age of a state above which its run has ended without saying so, s."""
-
+HEARTBEAT_S = 5.0  # time between two writings of the state
+STALE_S = 60.0  # age of a state above which its run has ended without saying so
+_STALE_HERE_S = 600.0  # the same on this machine, where a missing process shows it, unless its number is reused
 _MAX_FAILED = 10  # largest number of failed clips that are named
-
-_STALE_HERE_S = 600.0
-"""The same on this machine, s: a missing process shows it earlier, but its number may be that of another one since."""
 
 State = Literal["running", "finished", "stopped", "failed"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetState:
-    """State of the run of a fleet.
+    """State of the run of a fleet, whose driver is the process `pid` on `host`.
 
     Attributes:
-        state: "running", "finished", "stopped" by the user, or "failed" for a `reason` that is not a clip.
-        started_s, heartbeat_s: start, and time of this state, Unix time; `host` and `pid` are those of the driver.
+        state: "stopped" by the user, or "failed" for a `reason` that is not a clip.
+        started_s, heartbeat_s: start, and time of this state, Unix time.
         total, skipped, done, failed: clips: all; complete at the start; completed in this run; failed in this run, or
             before and not repeated.
         video_s: duration of the clips completed in this run, s.
         settings_hash: hash of the settings that all clips have in common.
-        options: options of the run.
-        workers: state of each worker.
     """
 
     state: State
@@ -80,12 +72,16 @@ class FleetState:
     @property
     def is_alive(self) -> bool:
         """Whether the driver is at work, as far as can be seen from here."""
-        if self.state != "running":
-            return False
         age_s = time.time() - self.heartbeat_s
-        if self.host == socket.gethostname():
-            return age_s < _STALE_HERE_S and is_running(self.pid)
-        return age_s < STALE_S
+        is_here = self.host == socket.gethostname()
+        is_recent = age_s < _STALE_HERE_S and is_running(self.pid) if is_here else age_s < STALE_S
+        return self.state == "running" and is_recent
+
+    @property
+    def clips_per_hour(self) -> float | None:
+        """Rate of the run; None if it completed no clip."""
+        elapsed_s = self.heartbeat_s - self.started_s
+        return 3600 * self.done / elapsed_s if self.done and elapsed_s > 0 else None
 
 
 def read_state(out: Location) -> FleetState | None:
@@ -134,12 +130,7 @@ def locked_output(out: Location) -> Iterator[None]:
 
 
 def status_lines(out: Location) -> Iterator[str]:
-    """Lines of text about the fleet in a folder or an object store.
-
-    Raises:
-        FleetError: there is no fleet, or clips.parquet is damaged.
-        StorageError: the storage cannot be read.
-    """
+    """Lines of text about a fleet; raises as `read_clips`, and FleetError if there is none."""
     state, table = read_state(out), read_clips(out)
     if state is None and not table.num_rows:
         raise FleetError(f"{out}: expected the results of `track-range fleet run`, found neither fleet.json nor clips.")
@@ -151,9 +142,7 @@ def status_lines(out: Location) -> Iterator[str]:
     yield state_text(state)
     yield f"{n_done} of {counted(total, 'clip')} done, {video_h:.2f} h of video"
     if state is not None and state.is_alive:
-        elapsed_s = state.heartbeat_s - state.started_s
-        if state.done and elapsed_s > 0:
-            per_hour = 3600 * state.done / elapsed_s
+        if (per_hour := state.clips_per_hour) is not None:
             left_s = 3600 * (total - n_done - len(failed)) / per_hour
             yield f"{per_hour:.0f} clips/h, {duration_text(left_s)} left"
         for worker in state.workers:

@@ -6,12 +6,12 @@ Parts that are missing or damaged are named, and the figures are those of the re
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import islice
-from typing import TYPE_CHECKING
 
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import (
@@ -34,24 +34,16 @@ from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.structured_text import parse_json
 from track_range.results.events.files import EventFileError, events_in_parquet
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-
 _N_READERS = 8  # files that are read at a time; each clip takes memory for its rows meanwhile
 _MAX_PROBLEMS = 10  # largest number of damaged or missing files that are named
-
-LINKED_FILES = ("overlay.mp4", "report.html")
-"""Files of a clip to which the page links."""
+_LINKED_FILES = ("overlay.mp4", "report.html")  # files of a clip to which the page links
 
 
 @dataclass(frozen=True, slots=True)
 class FleetFigures:
-    """Figures of a fleet.
+    """Figures as in the JSON file (docs/fleet.md).
 
-    Attributes:
-        figures: as in the JSON file; see docs/fleet.md.
-        files: published files of the ranked clips, by name of the clip.
-        starts_s: time of the first frame of the ranked clips' overlays, by name of the clip.
+    By name of the clip: published files of the ranked clips, and time of the first frame of their overlays, s.
     """
 
     figures: Figures
@@ -62,12 +54,10 @@ class FleetFigures:
 def fleet_figures(
     out: Location, group: str | None = None, progress: Callable[[int, int | None], None] = lambda _done, _total: None
 ) -> FleetFigures:
-    """Figures of the fleet in a folder or an object store.
+    """Figures of the fleet with the results `out`.
 
-    Args:
-        out: its results.
-        group: column of clips.parquet that groups the calibration drift; None = the vehicle, if there is one.
-        progress: called with the number of the clips that were read, and of all.
+    `group`: column of clips.parquet that groups the calibration drift; None = the vehicle, if there is one. `progress`
+    is called with the number of the clips that were read, and of all.
 
     Raises:
         FleetError: there is no fleet.
@@ -75,7 +65,13 @@ def fleet_figures(
     """
     problems: list[str] = []
     state = read_state(out)
-    clips = ClipColumns(_clips(out, problems))
+    try:
+        table = read_clips(out)
+    except FleetError as error:
+        reason = str(error).partition("; ")[0].removesuffix(".")
+        problems.append(f"{reason}; only the clips in the journal are in this report.")
+        table = read_journal(out)
+    clips = ClipColumns(table)
     if state is None and not len(clips):
         content = f"only a damaged {CLIPS_FILE}" if problems else "neither fleet.json nor clips"
         raise FleetError(f"{out}: expected the results of `track-range fleet run`, found {content}.")
@@ -92,14 +88,9 @@ def fleet_figures(
         "written_utc": datetime.now(UTC).strftime("%Y-%m-%d %H:%M"),
         "state": state_text(state),
         "problems": problems,
-        "clips": {
-            "total": total,
-            "done": len(done),
-            "failed": len(failed),
-            "left": total - len(done) - len(failed),
-        },
+        "clips": {"total": total, "done": len(done), "failed": len(failed), "left": total - len(done) - len(failed)},
         **work,
-        "clips_per_hour": _clips_per_hour(state),
+        "clips_per_hour": None if state is None else state.clips_per_hour,
         "tracks": sum(tracks.n_tracks.values()),
         "rows": tracks.n_rows,
         "classes": _classes(tracks, work["video_h"]),
@@ -118,20 +109,16 @@ def fleet_figures(
         "stages_ms": clip_figures.stage_figures(done),
         "nodes": clip_figures.node_figures(done),
     }
-    files = {row["clip"]: [*LINKED_FILES] for row in (*tracks.closest, *tracks.collisions, *figures["events"])}
+    files = {row["clip"]: [*_LINKED_FILES] for row in (*tracks.closest, *tracks.collisions, *figures["events"])}
     for row in figures["events"]:
         files[row["clip"]].append(event_video(row))
-    published = {name: tuple(_existing(runs_location(out, name), names)) for name, names in sorted(files.items())}
+    published: dict[str, tuple[str, ...]] = {}
+    for name, names in sorted(files.items()):
+        published[name] = ()
+        with suppress(StorageError):
+            for file in names:
+                published[name] += (file,) if runs_location(out, name).child(file).exists() else ()
     return FleetFigures(figures, published, _starts_s(done, set(files), state))
-
-
-def _clips(out: Location, problems: list[str]) -> pa.Table:
-    try:
-        return read_clips(out)
-    except FleetError as error:
-        reason = str(error).partition("; ")[0].removesuffix(".")
-        problems.append(f"{reason}; only the clips in the journal are in this report.")
-        return read_journal(out)
 
 
 def _rows(
@@ -164,40 +151,26 @@ def _read_clip(out: Location, name: str, n_events: float) -> tuple[TrackFigures,
     from pyarrow.parquet import ParquetFile
 
     tracks, events, faults = TrackFigures(), EventFigures(), []
-    location = tracks_location(out, name)
-    try:
-        system, path = location.arrow()
-        with system.open_input_file(path) as stream, ParquetFile(stream) as file:
-            tracks = track_figures(name, file.read(columns=needed_columns(file.schema_arrow.names)))
-    except FileNotFoundError:
-        faults.append(f"{location}: the file is missing; clips.parquet lists the clip as done.")
-    except (ArrowException, OSError, ValueError, LookupError, MemoryError) as error:
-        faults.append(f"{location}: expected the rows of a clip, found a damaged file ({_reason(error)}).")
-    if not n_events > 0:
-        return tracks, events, faults
-    location = events_location(out, name)
-    try:
-        system, path = location.arrow()
-        with system.open_input_file(path) as stream:
-            events = EventFigures.of(name, events_in_parquet(stream, location))
-    except FileNotFoundError:
-        faults.append(f"{location}: the file is missing; clips.parquet lists events of the clip.")
-    except EventFileError as error:
-        faults.append(str(error))
-    except OSError as error:
-        faults.append(f"{location}: expected the events of a clip, found a damaged file ({_reason(error)}).")
+    for location, content in ((tracks_location(out, name), "rows"), (events_location(out, name), "events")):
+        if content == "events" and not n_events > 0:
+            continue
+        try:
+            system, path = location.arrow()
+            with system.open_input_file(path) as stream:
+                if content == "events":
+                    events = EventFigures.of(name, events_in_parquet(stream, location))
+                else:
+                    with ParquetFile(stream) as file:
+                        tracks = track_figures(name, file.read(columns=needed_columns(file.schema_arrow.names)))
+        except FileNotFoundError:
+            listed = "the clip as done" if content == "rows" else "events of the clip"
+            faults.append(f"{location}: the file is missing; clips.parquet lists {listed}.")
+        except EventFileError as error:
+            faults.append(str(error))
+        except (ArrowException, OSError, ValueError, LookupError, MemoryError) as error:
+            reason = shortened(" ".join(str(error).split()), 100)
+            faults.append(f"{location}: expected the {content} of a clip, found a damaged file ({reason}).")
     return tracks, events, faults
-
-
-def _reason(error: Exception) -> str:
-    return shortened(" ".join(str(error).split()), 100)
-
-
-def _clips_per_hour(state: FleetState | None) -> float | None:
-    """Rate of the last run; None if it completed no clip, or is unknown."""
-    if state is None or not state.done or state.heartbeat_s <= state.started_s:
-        return None
-    return 3600 * state.done / (state.heartbeat_s - state.started_s)
 
 
 def _classes(tracks: TrackFigures, hours: float) -> list[Figures]:
@@ -241,15 +214,6 @@ def _coverage(tracks: TrackFigures) -> list[Figures]:
         for method in methods
         for band in sorted(tracks.n_boxes)
     ]
-
-
-def _existing(folder: Location, names: Sequence[str]) -> Iterator[str]:
-    for name in names:
-        try:
-            if folder.child(name).exists():
-                yield name
-        except StorageError:
-            return
 
 
 def _starts_s(done: ClipColumns, names: set[str], state: FleetState | None) -> dict[str, float]:
