@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING
@@ -20,17 +20,12 @@ if TYPE_CHECKING:
 ALIGNMENT_FIGURES = ("row_offset_px", "offset_px")
 """Figures of the alignment that show a drift: vertical offset, and constant error of the disparities."""
 
-GROUP_COLUMNS = ("vehicle", "label_vehicle", "camera", "rig")
-"""Columns that group the calibration drift by default, the first that exists."""
-
-MAX_GROUPS = 100
-"""Largest number of rows of the calibration drift."""
-
+MAX_GROUPS = 100  # largest number of rows of the calibration drift
+_GROUP_COLUMNS = ("vehicle", "label_vehicle", "camera", "rig")  # columns that group it, the first that exists
 _ENDS = 5  # number of clips whose median is the first or last value of a drift
 _MAX_NAMED = 5  # largest number of clips that are named in a row
 _MAX_ROWS = 20  # largest number of reasons, notes, nodes and clips in a table
-
-_S_PER_H, _S_PER_DAY = 3600.0, 86400.0
+_S_PER_H = 3600.0
 
 
 class ClipColumns:
@@ -80,7 +75,7 @@ class ClipColumns:
         return [[str(text) for text in texts or ()] for texts in lists]
 
     def utc_s(self, name: str) -> FloatArray:
-        """Column of times (N,) in ISO 8601 as Unix time; NaN = unknown."""
+        """Column of times (N,) in ISO 8601 as Unix time; NaN = not a time, or without a time zone."""
         return np.array([_unix_time(text) for text in self.texts(name)], np.float64)
 
     def prefixes(self, suffix: str) -> list[str]:
@@ -90,7 +85,6 @@ class ClipColumns:
 
 
 def _unix_time(text: str) -> float:
-    """Unix time of a time in ISO 8601; NaN = not a time, or without a time zone."""
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:
@@ -101,11 +95,12 @@ def _unix_time(text: str) -> float:
 def video_s_by_hour(done: ClipColumns) -> dict[int | None, float]:
     """Seconds of video by hour of the day (UTC); None = clips without UTC."""
     seconds: dict[int | None, float] = defaultdict(float)
-    for start_s, duration_s in zip(done.utc_s("start_utc").tolist(), done.numbers("seconds").tolist(), strict=True):
+    durations_s = np.nan_to_num(done.numbers("seconds"), posinf=0.0, neginf=0.0)
+    for start_s, duration_s in zip(done.utc_s("start_utc").tolist(), durations_s.tolist(), strict=True):
         if not np.isfinite(start_s):
-            seconds[None] += duration_s if np.isfinite(duration_s) else 0.0
+            seconds[None] += duration_s
             continue
-        end_s = start_s + (duration_s if np.isfinite(duration_s) else 0.0)
+        end_s = start_s + duration_s
         while start_s < end_s:
             hour_end_s = (start_s // _S_PER_H + 1) * _S_PER_H
             seconds[int(start_s // _S_PER_H % 24)] += min(end_s, hour_end_s) - start_s
@@ -136,7 +131,7 @@ def group_column(clips: ClipColumns, requested: str | None) -> str | None:
     """Column that groups the calibration drift; None = no such column."""
     if requested is not None:
         return requested if requested in clips.names else None
-    return next((name for name in GROUP_COLUMNS if any(clips.texts(name))), None)
+    return next((name for name in _GROUP_COLUMNS if any(clips.texts(name))), None)
 
 
 def drift_figures(done: ClipColumns, group: str | None) -> list[Figures]:
@@ -158,16 +153,13 @@ def drift_figures(done: ClipColumns, group: str | None) -> list[Figures]:
         dated = chosen & np.isfinite(utc_s)
         if dated.any():
             row |= {"from_utc_s": float(utc_s[dated].min()), "to_utc_s": float(utc_s[dated].max())}
-        rows.append(row | {figure: _drift(utc_s[dated], values[figure][dated]) for figure in ALIGNMENT_FIGURES})
         for figure in ALIGNMENT_FIGURES:
-            rows[-1][figure]["median"] = _median(values[figure][chosen])
+            row[figure] = _drift(utc_s[dated], values[figure][dated]) | {"median": _median(values[figure][chosen])}
+        rows.append(row)
     if len(rows) > MAX_GROUPS:
-        rows = sorted(rows, key=_largest_change, reverse=True)[:MAX_GROUPS]
+        rows.sort(key=lambda row: -max(abs(row[figure]["change"] or 0.0) for figure in ALIGNMENT_FIGURES))
+        del rows[MAX_GROUPS:]
     return sorted(rows, key=lambda row: str(row["group"]))
-
-
-def _largest_change(row: Figures) -> float:
-    return float(max(abs(row[figure]["change"] or 0.0) for figure in ALIGNMENT_FIGURES))
 
 
 def _drift(utc_s: FloatArray, values: FloatArray) -> Figures:
@@ -188,20 +180,14 @@ def failure_figures(failed: ClipColumns) -> list[Figures]:
     """Failed clips by kind and reason, most frequent first; file names and numbers do not distinguish reasons."""
     by_reason: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
     for clip, kind, error, left in zip(*map(failed.texts, ("clip", "error_kind", "error", "left")), strict=True):
-        reason = _without_file(error, left)
+        is_of_left = left and error.startswith(f"{left}: ")
+        reason = error[len(left) + 2 :] if is_of_left else re.sub(r"^\S*[/\\]\S*: ", "", error)
         by_reason[kind or "unknown", _pattern(reason)].append((clip, reason))
     groups = sorted(by_reason.items(), key=lambda item: (-len(item[1]), item[0]))
     return [
         {"kind": kind, "reason": clips[0][1], "n": len(clips), "clips": [name for name, _ in clips[:_MAX_NAMED]]}
         for (kind, _), clips in groups[:_MAX_ROWS]
     ]
-
-
-def _without_file(error: str, left: str) -> str:
-    """A message without the file in front of it."""
-    if left and error.startswith(f"{left}: "):
-        return error[len(left) + 2 :]
-    return re.sub(r"^\S*[/\\]\S*: ", "", error)
 
 
 def _pattern(text: str) -> str:
@@ -211,16 +197,11 @@ def _pattern(text: str) -> str:
 
 def note_figures(done: ClipColumns) -> list[Figures]:
     """Most frequent notes of the runs, with the number of clips and one of them."""
-    counts: Counter[str] = Counter()
-    examples: dict[str, tuple[str, str]] = {}
+    rows: dict[str, Figures] = {}
     for clip, notes in zip(done.texts("clip"), done.lists("warnings"), strict=True):
         for pattern, note in {_pattern(note): note for note in notes}.items():
-            counts[pattern] += 1
-            examples.setdefault(pattern, (note, clip))
-    return [
-        {"n": n, "note": examples[pattern][0], "clip": examples[pattern][1]}
-        for pattern, n in counts.most_common(_MAX_ROWS // 2)
-    ]
+            rows.setdefault(pattern, {"n": 0, "note": note, "clip": clip})["n"] += 1
+    return sorted(rows.values(), key=lambda row: -row["n"])[: _MAX_ROWS // 2]
 
 
 def stage_figures(done: ClipColumns) -> dict[str, float]:
@@ -256,13 +237,12 @@ def node_figures(done: ClipColumns) -> list[Figures]:
 
 def work_figures(done: ClipColumns) -> Figures:
     """Hours of video and of workers, speed of a worker, and time per clip that is not the run."""
-    video_s, wall_s, frames = (done.numbers(name) for name in ("seconds", "wall_s", "frames"))
-    worker_s = float(np.nansum(wall_s))
+    video_s, worker_s, frames = (float(np.nansum(done.numbers(name))) for name in ("seconds", "wall_s", "frames"))
     return {
-        "video_h": float(np.nansum(video_s)) / _S_PER_H,
+        "video_h": video_s / _S_PER_H,
         "worker_h": worker_s / _S_PER_H,
-        "frames_per_worker_s": float(np.nansum(frames)) / worker_s if worker_s > 0 else None,
-        "video_s_per_worker_s": float(np.nansum(video_s)) / worker_s if worker_s > 0 else None,
+        "frames_per_worker_s": frames / worker_s if worker_s > 0 else None,
+        "video_s_per_worker_s": video_s / worker_s if worker_s > 0 else None,
         "median_overhead_s": _median(done.numbers("overhead_s")),
     }
 

@@ -25,33 +25,21 @@ from track_range.results.columns import NOT_METHODS
 if TYPE_CHECKING:
     import pyarrow as pa
 
-N_RANKED = 20
-"""Number of tracks in a ranking."""
+N_RANKED = 20  # number of tracks in a ranking
+EDGES_M = (0.0, *BANDS_M, float("inf"))  # edges of the distance bands: those of the evaluation, and all other distances
 
 COURSE_HALF_WIDTH_M = 2.0
 """Largest lateral offset of an object on a collision course: half the width of the ego vehicle, and of the object."""
 
-MAX_RELATIVE_SIGMA = 0.5
-"""Largest standard deviation of a ranked distance or time to collision, relative to it."""
-
-EDGES_M = (0.0, *BANDS_M, float("inf"))
-"""Edges of the distance bands: those of the evaluation, with the distances below and above."""
-
-NOT_ROAD_USERS = ("traffic light", "traffic sign")
-"""Classes that are not ranked."""
-
-_COURSE_S, _MIN_ROWS = 1.0, 4
-"""Time in s over which the lateral speed is estimated, and number of rows that this requires."""
-
-_STEADY_S, _MIN_STEADY_ROWS = 0.5, 3
-"""Time in s for which a track has to be on a collision course, and number of rows in it."""
-
+_MAX_RELATIVE_SIGMA = 0.5  # largest standard deviation of a ranked distance or time to collision, relative to it
+_NOT_ROAD_USERS = ("traffic light", "traffic sign")  # classes that are not ranked
+_COURSE_S, _MIN_ROWS = 1.0, 4  # time in s over which the lateral speed is estimated, and smallest number of rows in it
+_STEADY_S, _MIN_STEADY_ROWS = 0.5, 3  # time in s on a collision course before a track is ranked, and rows in it
 _REFERENCES = ("fused_kf", "fused")  # distances that give the band and the closest approach, the first that a row has
 _MAX_NUMBER = 1e12  # limit of track numbers, and of times in s
 
 _NEEDED = ("time_s", "track_id", "class")
 _OTHERS = ("observed", "ttc_s", "ttc_sigma_s", "closing_mps", "x_m", "utc")
-
 
 Figures = dict[str, Any]
 """Figures by name, as in the JSON file; None = unknown."""
@@ -62,14 +50,11 @@ class TrackFigures:
     """Figures of the rows of one or more clips.
 
     Attributes:
-        n_rows: number of rows.
-        n_tracks: number of tracks by class.
-        visible_s: time from the first to the last row of the tracks, s, by class.
+        n_tracks: by class, as `visible_s`, the time from the first to the last row of the tracks, s.
         n_by_hour: number of tracks by hour of the day (UTC; None = unknown) of their first row, and class.
         n_boxes: number of observed boxes with a reference distance, by index of the distance band.
         n_measured: number of these with a distance of a method, by method and index of the band.
-        closest: closest moments of the closest tracks; see `_approach`.
-        collisions: moments with the shortest times to collision.
+        closest, collisions: moments of the tracks with the smallest distance, or time to collision; see `approaches`.
     """
 
     n_rows: int = 0
@@ -84,14 +69,18 @@ class TrackFigures:
     def add(self, other: TrackFigures) -> None:
         """Add the figures of other clips."""
         self.n_rows += other.n_rows
-        self.n_tracks.update(other.n_tracks)
-        for name, seconds in other.visible_s.items():
-            self.visible_s[name] = self.visible_s.get(name, 0.0) + seconds
+        for name, n in other.n_tracks.items():
+            self.count(name, n, other.visible_s[name])
         self.n_by_hour.update(other.n_by_hour)
         self.n_boxes.update(other.n_boxes)
         self.n_measured.update(other.n_measured)
         self.closest = _ranked([*self.closest, *other.closest], "distance_m")
         self.collisions = _ranked([*self.collisions, *other.collisions], "ttc_s")
+
+    def count(self, name: str, n_tracks: int, visible_s: float) -> None:
+        """Add tracks of a class, with the sum of their times."""
+        self.n_tracks[name] += n_tracks
+        self.visible_s[name] = self.visible_s.get(name, 0.0) + visible_s
 
 
 def _ranked(approaches: Iterable[Figures], key: str) -> list[Figures]:
@@ -99,16 +88,11 @@ def _ranked(approaches: Iterable[Figures], key: str) -> list[Figures]:
 
 
 def needed_columns(names: Sequence[str]) -> list[str]:
-    """Those of the columns of tracks.parquet that the figures need.
-
-    Raises:
-        ValueError: one that every file has is missing.
-    """
+    """Those of the columns of tracks.parquet that the figures need; raises ValueError if a required one is missing."""
     if missing := [name for name in _NEEDED if name not in names]:
         raise ValueError(f"no column {missing[0]}")
     distances = [name for method in _methods(names) for name in (f"{method}_m", f"{method}_sigma_m")]
-    needed = (*_NEEDED, *_OTHERS, *distances)
-    return [name for name in names if name in needed]
+    return [name for name in names if name in (*_NEEDED, *_OTHERS, *distances)]
 
 
 def _methods(names: Sequence[str]) -> list[str]:
@@ -120,9 +104,7 @@ def _methods(names: Sequence[str]) -> list[str]:
 def track_figures(clip: str, table: pa.Table) -> TrackFigures:
     """Figures of the rows of a clip, from the columns `needed_columns` of its tracks.parquet.
 
-    Raises:
-        ValueError: a row has no track or time.
-        ArrowException: a column does not have the expected type.
+    Raises ValueError for a row without a track or time, and ArrowException for a column with another type.
     """
     figures = TrackFigures(n_rows=table.num_rows)
     if table.num_rows:
@@ -182,8 +164,7 @@ class _Rows:
         visible_s = self.time_s[ends] - self.time_s[self.starts]
         utc_s = self._column("utc")[self.starts]
         for name, seconds, utc in zip(self.class_of_track, visible_s.tolist(), utc_s.tolist(), strict=True):
-            figures.n_tracks[name] += 1
-            figures.visible_s[name] = figures.visible_s.get(name, 0.0) + seconds
+            figures.count(name, 1, seconds)
             figures.n_by_hour[int(utc // 3600 % 24) if np.isfinite(utc) else None, name] += 1
 
     def count_coverage(self, figures: TrackFigures) -> None:
@@ -198,7 +179,7 @@ class _Rows:
     def precise_m(self) -> FloatArray:
         """Reference distance of the rows where its sigma is small enough or unknown, else NaN."""
         with np.errstate(invalid="ignore"):
-            return np.where(self.sigma_m > MAX_RELATIVE_SIGMA * self.distance_m, np.nan, self.distance_m)
+            return np.where(self.sigma_m > _MAX_RELATIVE_SIGMA * self.distance_m, np.nan, self.distance_m)
 
     def ttc_on_course_s(self) -> FloatArray:
         """Time to collision of the rows that are on a collision course and whose sigma is small enough, else NaN."""
@@ -206,7 +187,7 @@ class _Rows:
         with np.errstate(invalid="ignore"):
             offset_m = x_m + ttc_s * self._lateral_mps(x_m)
             is_on_course = np.abs(offset_m) <= COURSE_HALF_WIDTH_M
-            is_precise = sigma_s <= MAX_RELATIVE_SIGMA * ttc_s
+            is_precise = sigma_s <= _MAX_RELATIVE_SIGMA * ttc_s
         n_on_course, n = self._window_sums(np.array([is_on_course, np.ones_like(x_m)]), _STEADY_S)
         return np.where(is_precise & (n_on_course == n) & (n >= _MIN_STEADY_ROWS), ttc_s, np.nan)
 
@@ -244,7 +225,7 @@ class _Rows:
         ranked = np.where(self.observed & np.isfinite(self.distance_m) & ~np.isnan(values), values, np.inf)
         smallest = np.minimum.reduceat(ranked, self.starts)
         tracks = [i for i in np.argsort(smallest, kind="stable").tolist() if smallest[i] < np.inf]
-        road_users = (i for i in tracks if self.class_of_track[i] not in NOT_ROAD_USERS)
+        road_users = (i for i in tracks if self.class_of_track[i] not in _NOT_ROAD_USERS)
         rows = {
             i: self.starts[i] + int(np.argmax(ranked[self.starts[i] :] == smallest[i]))
             for i in islice(road_users, N_RANKED)
