@@ -15,8 +15,8 @@ from track_range.fleet.inputs.tree import FileTree, is_image_name, wildcard_tree
 from track_range.fleet.storage.location import Location, shown
 from track_range.foundation.files.input_files import quoted, shortened
 
+# largest length of a clip's name in the results, percent-encoded; file systems allow 255 bytes with what is added
 MAX_NAME_BYTES = 200
-"""Largest length of a clip's name in the results, percent-encoded; file systems allow 255 bytes with what is added."""
 
 _N_CONNECTIONS = 16  # files that are looked up at a time
 
@@ -54,34 +54,21 @@ def clips_of(recordings: Sequence[str], pattern: str | None, rig: str | None) ->
 def _clips_in(location: Location, pattern: FilePattern | None) -> list[Clip]:
     """The clips of a folder, file or pattern of files."""
     tree = wildcard_tree(location)
-    if tree is not None:
-        if not (tree.files or tree.folders):
-            raise FleetInputError(f"{location}: no file matches this pattern; check it.")
-    elif _is_file(location):
-        if pattern is not None:
-            raise FleetInputError(f"{location}: expected a folder with --pattern, found a file.")
-        return [Clip(without_suffix(location.name), location.address)]
-    else:
+    if tree is None:
+        # on a web server, an address without a suffix is that of a folder
+        if not location.is_web or (location.parent is not None and without_suffix(location.name) != location.name):
+            status = location.stat()
+            if status is None:
+                raise FleetInputError(f"{location}: no such file, folder or bucket; expected recordings.")
+            if not status.is_folder:
+                if pattern is not None:
+                    raise FleetInputError(f"{location}: expected a folder with --pattern, found a file.")
+                return [Clip(without_suffix(location.name), location.address)]
         tree = FileTree.of_entries(location, location.list(recursive=True))
-    return _recordings(tree, location) if pattern is None else matched_clips(tree, pattern, location)
-
-
-def _is_file(location: Location) -> bool:
-    """Whether a location is a file; on a web server, an address with a suffix.
-
-    Raises:
-        FleetInputError: there is no such file or folder.
-    """
-    if location.is_web and (location.parent is None or without_suffix(location.name) == location.name):
-        return False
-    status = location.stat()
-    if status is None:
-        raise FleetInputError(f"{location}: no such file, folder or bucket; expected recordings.")
-    return not status.is_folder
-
-
-def _recordings(tree: FileTree, location: Location) -> list[Clip]:
-    """One clip for each recording below a folder."""
+    elif not (tree.files or tree.folders):
+        raise FleetInputError(f"{location}: no file matches this pattern; check it.")
+    if pattern is not None:
+        return matched_clips(tree, pattern, location)
     names = tree.recordings()
     if not names:
         raise FleetInputError(
@@ -98,24 +85,30 @@ def _recordings(tree: FileTree, location: Location) -> list[Clip]:
 
 
 def matched_clips(tree: FileTree, pattern: FilePattern, location: Location) -> list[Clip]:
-    """One clip for each match of a pattern below a folder; one with half of a pair has a problem.
+    """One clip for each match of a pattern below a folder (`location` in messages); half of a pair is a problem.
 
-    Args:
-        tree: all files.
-        pattern: names of the videos.
-        location: the folder or pattern of folders, for messages.
-
-    Raises:
-        FleetInputError: no file matches, or there is no complete pair.
+    Raises FleetInputError if no file matches, or there is no complete pair.
     """
     left_names, recorded = pattern.left.expression(), tree.recorded_folders()
     candidates = [*(name for name in tree.files if not is_image_name(name)), *(recorded - {""})]
+
+    def clip_of(values: Mapping[str, str], left: str, right: str | None, missing: str) -> Clip:
+        """The clip with these values of the placeholders; `missing`: the video that does not exist, "" = none."""
+        addresses = {role: tree.folder.child(name).address for role, name in (("left", left), ("right", right)) if name}
+        problem = ""
+        if missing:
+            reason = "a folder without images" if left in tree.folders else "no such file"
+            problem = (
+                f"{shortened(shown(addresses[missing]), 200)}: {reason}; expected the {missing} video of the clip."
+            )
+        labels = {name: value for name, value in values.items() if name != CLIP}
+        return Clip(values[CLIP], addresses["left"], addresses.get("right"), labels=labels, problem=problem)
+
     clips = []
     for name in candidates:
         if (match := left_names.fullmatch(name)) is not None:
-            values = match.groupdict()
-            right = None if pattern.right is None else pattern.right.filled(values)
-            clips.append(_matched_clip(tree, values, name, right, "" if right is None or right in tree else "right"))
+            right = None if pattern.right is None else pattern.right.filled(match.groupdict())
+            clips.append(clip_of(match.groupdict(), name, right, "" if right is None or right in tree else "right"))
     if not clips:
         example = f", such as {quoted(min(candidates))}" if candidates else ""
         raise FleetInputError(
@@ -137,74 +130,50 @@ def matched_clips(tree: FileTree, pattern: FilePattern, location: Location) -> l
                 continue
             left = pattern.left.filled(match.groupdict())
             if left not in tree.files and left not in recorded:
-                lone[match[CLIP]] = _matched_clip(tree, match.groupdict(), left, name, "left")
+                lone[match[CLIP]] = clip_of(match.groupdict(), left, name, "left")
     return [*clips, *lone.values()]
-
-
-def _matched_clip(tree: FileTree, values: Mapping[str, str], left: str, right: str | None, missing: str) -> Clip:
-    """The clip with these values of the placeholders; `missing`: the video that does not exist, "" = none."""
-    addresses = {"left": tree.folder.child(left).address}
-    if right is not None:
-        addresses["right"] = tree.folder.child(right).address
-    problem = ""
-    if missing:
-        reason = "a folder without images" if left in tree.folders else "no such file"
-        problem = f"{shortened(shown(addresses[missing]), 200)}: {reason}; expected the {missing} video of the clip."
-    labels = {name: value for name, value in values.items() if name != CLIP}
-    return Clip(values[CLIP], addresses["left"], addresses.get("right"), labels=labels, problem=problem)
 
 
 def _with_rigs(clips: Sequence[Clip], template: Template) -> list[Clip]:
     """The clips with the calibration file of --rig, unless they have one or a focal length already.
 
-    A clip without the file of its placeholders has a problem.
-
-    Raises:
-        FleetInputError: a placeholder is unknown, or no file exists.
-        StorageError: the storage cannot be reached.
+    A clip without the file of its placeholders has a problem; FleetInputError: a placeholder is unknown, or no file
+    exists.
     """
-    rigs = [None if clip.settings.keys() & {"rig", "focal_px"} else _rig(clip, template) for clip in clips]
-    locations = {text: Location.of(text) for text in rigs if text is not None}
+    locations: dict[str, Location] = {}  # by name of the clip
+    for clip in clips:
+        values = {CLIP: clip.name, **clip.labels}
+        try:
+            if not clip.settings.keys() & {"rig", "focal_px"}:
+                locations[clip.name] = Location.of(template.filled(values))
+        except KeyError as error:
+            raise FleetInputError(
+                f"--rig {quoted(template.text)}: {{{error.args[0]}}} is unknown; expected one of "
+                f"{shortened(', '.join(values), 100)}."
+            ) from error
+    distinct = set(locations.values())
     with ThreadPoolExecutor(_N_CONNECTIONS) as threads:
-        exists = dict(zip(locations, threads.map(Location.exists, locations.values()), strict=True))
-    if locations and not any(exists.values()):
-        raise FleetInputError(f"{locations[min(locations)]}: no such file; expected the calibration of --rig.")
+        exists = dict(zip(distinct, threads.map(Location.exists, distinct), strict=True))
+    if exists and not any(exists.values()):
+        first = min(exists, key=lambda location: location.address)
+        raise FleetInputError(f"{first}: no such file; expected the calibration of --rig.")
     result = []
-    for clip, text in zip(clips, rigs, strict=True):
-        if text is None:
-            result.append(clip)
-            continue
-        missing = f"{shortened(str(locations[text]), 200)}: no such file; expected the calibration of the clip."
-        problem = clip.problem or ("" if exists[text] else missing)
-        result.append(replace(clip, settings={**clip.settings, "rig": locations[text].address}, problem=problem))
+    for clip in clips:
+        if (location := locations.get(clip.name)) is not None:
+            missing = f"{shortened(str(location), 200)}: no such file; expected the calibration of the clip."
+            problem = clip.problem or ("" if exists[location] else missing)
+            clip = replace(clip, settings={**clip.settings, "rig": location.address}, problem=problem)
+        result.append(clip)
     return result
 
 
-def _rig(clip: Clip, template: Template) -> str:
-    values = {CLIP: clip.name, **clip.labels}
-    try:
-        return template.filled(values)
-    except KeyError as error:
-        raise FleetInputError(
-            f"--rig {quoted(template.text)}: {{{error.args[0]}}} is unknown; expected one of "
-            f"{shortened(', '.join(values), 100)}."
-        ) from error
-
-
 def _checked(clips: list[Clip]) -> list[Clip]:
-    """The clips sorted by name.
-
-    Raises:
-        FleetInputError: two clips have the same name, or a name is too long.
-    """
+    """The clips sorted by name; FleetInputError: two clips have the same name, or a name is too long."""
     clips = sorted((_printable(clip) for clip in clips), key=lambda clip: clip.name)
     for one, other in itertools.pairwise(clips):
         if one.name == other.name:
-            files = (
-                f"twice for {shortened(shown(one.left), 80)}"
-                if one.left == other.left
-                else f"for {shortened(shown(one.left), 80)} and {shortened(shown(other.left), 80)}"
-            )
+            first, second = (shortened(shown(clip.left), 80) for clip in (one, other))
+            files = f"twice for {first}" if one.left == other.left else f"for {first} and {second}"
             raise FleetInputError(
                 f"expected a different name for each clip, found {quoted(one.name)} {files}; rename one, or use "
                 "--pattern or a manifest."
@@ -220,11 +189,8 @@ def _checked(clips: list[Clip]) -> list[Clip]:
 
 def _printable(clip: Clip) -> Clip:
     """The clip; one with a file name that is not UTF-8 has escaped names and a problem."""
-    try:
-        "".join((clip.name, clip.left, clip.right or "", *clip.labels.values())).encode()
-    except UnicodeEncodeError:  # bytes of a file name that could not be decoded
-        pass
-    else:
+    texts = (clip.name, clip.left, clip.right or "", *clip.labels.values())
+    if all(text == _escaped(text) for text in texts):
         return clip
     return replace(
         clip,
