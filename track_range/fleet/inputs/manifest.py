@@ -42,9 +42,7 @@ _MAX_COLUMNS, _MAX_CELLS, _MAX_CELL = 1000, 50_000_000, 10_000
 def manifest_clips(location: Location) -> list[Clip]:
     """The clips of a manifest, in its order.
 
-    Raises:
-        FleetInputError: it cannot be read, or has no clips or a wrong value; with the line.
-        StorageError: the storage cannot be reached.
+    Raises FleetInputError, with the line, if it cannot be read, or has no clips or a wrong value; StorageError.
     """
     if location.is_local:
         return _Manifest(location, location.path).clips()
@@ -91,28 +89,19 @@ class _Manifest:
         left, right = cells.pop("left"), cells.pop("right", "")
         if not left:
             raise self._fault(row, "expected the left video, found an empty cell")
-        left_address = self._file(row, left)
-        name = self._name(row, cells.pop("clip", ""), left)
-        settings = {key: self._setting(row, key, text) for key, text in cells.items() if text and key in CLIP_SETTINGS}
-        if "rig" in settings and "focal_px" in settings:
-            raise self._fault(row, "expected rig or focal_px, found both")
-        return Clip(
-            name,
-            left_address,
-            self._file(row, right) if right else None,
-            settings,
-            {key: text for key, text in cells.items() if key not in CLIP_SETTINGS},
-        )
-
-    def _name(self, row: int, text: str, left: str) -> str:
-        name = text or _default_name(left)
+        addresses = self._file(row, left), self._file(row, right) if right else None
+        name = cells.pop("clip", "") or _default_name(left)
         if not name:
             raise self._fault(row, f"expected a name in the column clip, found none for {quoted(shown(left))}")
         other = self._names.setdefault(name, row)
         if other != row:
-            place = f"{self._unit} {self._numbers[other]}"
-            raise self._fault(row, f"expected a different name for each clip, found {quoted(name)} as in {place}")
-        return name
+            before = f"{self._unit} {self._numbers[other]}"
+            raise self._fault(row, f"expected a different name for each clip, found {quoted(name)} as in {before}")
+        settings = {key: self._setting(row, key, text) for key, text in cells.items() if text and key in CLIP_SETTINGS}
+        if "rig" in settings and "focal_px" in settings:
+            raise self._fault(row, "expected rig or focal_px, found both")
+        labels = {key: text for key, text in cells.items() if key not in CLIP_SETTINGS}
+        return Clip(name, *addresses, settings, labels)
 
     def _setting(self, row: int, name: str, text: str) -> str:
         known = self._values.get((name, text))
@@ -161,10 +150,10 @@ def _parquet_columns(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
     check_regular(path, FleetInputError, "a manifest", max_bytes=MAX_TABLE_BYTES)
     try:
         with parquet.ParquetFile(path) as file:
-            schema, n_rows = file.schema_arrow, file.metadata.num_rows
+            schema, n_cells = file.schema_arrow, file.metadata.num_rows * len(file.schema_arrow)
         texts = [field.name for field in schema if types.is_string(field.type) or types.is_large_string(field.type)]
-        if n_rows * len(schema) > _MAX_CELLS:
-            raise FleetInputError(f"{path}: expected at most {_MAX_CELLS} cells, found {n_rows * len(schema)}.")
+        if n_cells > _MAX_CELLS:
+            raise FleetInputError(f"{path}: expected at most {_MAX_CELLS} cells, found {n_cells}.")
         names = tuple(name.strip().lower() for name in schema.names)
         _check_columns(path, names)
         # as dictionaries, repeated texts need memory once
@@ -188,19 +177,17 @@ def _cells(path: Path, name: str, column: pa.ChunkedArray) -> list[str]:
     cells: list[str] = []
     for chunk in column.chunks:
         if types.is_dictionary(chunk.type):
-            texts = [_text(value) for value in chunk.dictionary.to_pylist()]
-            cells += ["" if index is None else texts[index] for index in chunk.indices.to_pylist()]
+            texts = [*map(_text, chunk.dictionary.to_pylist()), ""]
+            cells += [texts[index] for index in chunk.indices.fill_null(len(texts) - 1).to_pylist()]
         else:
-            cells += [_text(value) for value in chunk.to_pylist()]
+            cells += map(_text, chunk.to_pylist())
     return cells
 
 
 def _text(value: object) -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
-    if isinstance(value, datetime):
-        return value.isoformat()
-    return str(value).strip()
+    return value.isoformat() if isinstance(value, datetime) else str(value).strip()
 
 
 def _check_columns(path: Path, names: tuple[str, ...]) -> None:

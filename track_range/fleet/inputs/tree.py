@@ -19,16 +19,11 @@ _VIDEO_SUFFIXES, _IMAGE_SUFFIXES = tuple(sorted(VIDEO_SUFFIXES)), tuple(sorted(I
 
 _BAG_SUFFIXES = (".mcap", ".db3", ".bag")  # suffixes of MCAP files and ROS bags
 
-_RESULT_NAMES = frozenset(("overlay.mp4", "disparity.mp4", "run.mcap"))
-"""Files that runs write, which are not recordings."""
-
+_RESULT_NAMES = ("overlay.mp4", "disparity.mp4", "run.mcap")  # files that runs write, which are not recordings
+# file and folders in the results of a fleet, which may be below the recordings
 _FLEET_STATE, _FLEET_FOLDERS = "fleet.json", ("tracks", "events", "runs", "journal", "unfinished")
-"""File and folders in the results of a fleet, which may be below the recordings."""
-
 _BAG_METADATA = "metadata.yaml"  # file that makes a folder a ROS 2 bag
 _MIN_IMAGES = 2  # smallest number of numbered images that make a folder a recording; a single one may be a preview
-
-
 _MAGIC = re.compile(r"[*?\[]")
 
 
@@ -43,14 +38,14 @@ class FileTree:
     @classmethod
     def of_entries(cls, folder: Location, entries: Iterable[Entry]) -> FileTree:
         """The tree of a listing of `folder`."""
-        names: dict[bool, list[str]] = {False: [], True: []}
-        for entry in entries:
-            if not is_hidden(entry.name):
-                names[entry.stat.is_folder].append(entry.name)
-        fleets = {posixpath.dirname(name) for name in names[False] if posixpath.basename(name) == _FLEET_STATE}
+        names = {entry.name: entry.stat.is_folder for entry in entries if not is_hidden(entry.name)}
+        fleets = [
+            posixpath.dirname(name) for name in names if not names[name] and posixpath.basename(name) == _FLEET_STATE
+        ]
         results = tuple(f"{posixpath.join(fleet, name)}/" for fleet in fleets for name in _FLEET_FOLDERS)
-        files, folders = (frozenset(n for n in names[key] if not n.startswith(results)) for key in (False, True))
-        return cls(folder, files, folders)
+        known = {name: is_folder for name, is_folder in names.items() if not name.startswith(results)}
+        files = frozenset(name for name, is_folder in known.items() if not is_folder)
+        return cls(folder, files, frozenset(known.keys() - files))
 
     def __contains__(self, name: str) -> bool:
         return name in self.files or name in self.folders
@@ -61,11 +56,9 @@ class FileTree:
         names = list(folders)
         for name in self.files:
             folder, last = posixpath.split(name)
-            is_event_clip = posixpath.basename(folder) == CLIPS_FOLDER and is_clip_name(last)
-            is_bag = _is_bag_name(name)
-            if (_is_video_name(name) and last not in _RESULT_NAMES and not is_event_clip) or (
-                is_bag and last not in _RESULT_NAMES and folder not in folders
-            ):
+            if last in _RESULT_NAMES or (posixpath.basename(folder) == CLIPS_FOLDER and is_clip_name(last)):
+                continue
+            if _is_video_name(name) or (_is_bag_name(name) and folder not in folders):
                 names.append(name)
         return sorted(names)
 
