@@ -118,7 +118,7 @@ def cut_clip(video: Path, path: Path, start_s: float, end_s: float) -> bool:
                     head = folder / "head.mp4"
                     _encode(container, stream, first_tick, len(before), head)
                     encoded = opened.enter_context(_opened(head))
-                    if not _has_parameters(encoded[1], stream):
+                    if encoded[1].codec_context.extradata != stream.codec_context.extradata:
                         _encode(container, stream, first_tick, n_frames, head)
                         encoded, packets = opened.enter_context(_opened(head)), []
                     packets = [*_packets(*encoded), *packets]
@@ -165,11 +165,6 @@ def _encode(container: InputContainer, stream: VideoStream, first_tick: int, n_f
         for frame in islice(frames, n_frames):
             time_s = ((frame.pts or 0) - first_tick) * (frame.time_base or Fraction(1))
             writer.write(bgr_image(frame), float(time_s))
-
-
-def _has_parameters(stream: VideoStream, other: VideoStream) -> bool:
-    """Whether two streams have the same parameter sets, so that packets of both can follow each other."""
-    return stream.codec_context.extradata == other.codec_context.extradata
 
 
 def _mux(packets: Sequence[_Packet], path: Path) -> None:

@@ -13,7 +13,7 @@ from tests.command_line import run_command
 from tests.track_range.results.events.event_builder import event
 from track_range.evaluation.events.contacts import Contact, read_contacts
 from track_range.evaluation.events.objects import objects_by_time
-from track_range.evaluation.events.scores import combined_scores, contact_scores, event_scores
+from track_range.evaluation.events.scores import contact_scores, event_scores
 from track_range.foundation.errors import UsageError, UserError
 from track_range.results.columns import column_names
 from track_range.results.events.event import EVENT_KINDS, WARNING_KINDS
@@ -98,16 +98,6 @@ def test_nothing_at_all():
         "false_alarms_per_hour": None,
         "lead_s": [],
     }
-
-
-def test_drives_together():
-    one = contact_scores([warning(8.0)], [3], [CAR], hours=0.25)
-    two = contact_scores([warning(8.0)], [None], [CAR], hours=0.25)
-    both = combined_scores([one, two])
-    assert counts(both["overall"]) == (1, 1, 1)
-    assert both["overall"]["false_alarms_per_hour"] == 2.0
-    assert both["by_kind"]["forward_collision"] == both["overall"]
-    assert combined_scores([one, contact_scores([], [], [], hours=None)])["overall"]["hours"] is None
 
 
 @settings(max_examples=40, deadline=None)

@@ -19,7 +19,7 @@ overlap in time or are at most `TOLERANCE_S` apart. The lead is the time from `w
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -153,38 +153,15 @@ def _sections(results: Iterable[tuple[str, str, float | None]], kinds: Sequence[
     def section(chosen: Sequence[tuple[str, str, float | None]]) -> dict[str, Any]:
         counts = {name: sum(count == name for _, count, _ in chosen) for name in _COUNTS}
         leads_s = [lead_s for _, count, lead_s in chosen if count == "hits" and lead_s is not None]
-        return _with_rate({**counts, "lead_s": leads_s}, hours)
+        return {
+            **counts,
+            "hours": None if hours is None else round(hours, 6),
+            "false_alarms_per_hour": round(counts["false_alarms"] / hours, 4) if hours else None,
+            "lead_s": leads_s,
+        }
 
     by_kind = {kind: section([result for result in results if result[0] == kind]) for kind in kinds}
     return {"overall": section(results), "by_kind": by_kind}
-
-
-def _with_rate(counts: Mapping[str, Any], hours: float | None) -> dict[str, Any]:
-    rate = counts["false_alarms"] / hours if hours else None
-    return {
-        **{name: counts[name] for name in _COUNTS},
-        "hours": None if hours is None else round(hours, 6),
-        "false_alarms_per_hour": None if rate is None else round(rate, 4),
-        "lead_s": list(counts["lead_s"]),
-    }
-
-
-def combined_scores(scores: Iterable[Mapping[str, Any]]) -> Scores:
-    """Sections `overall` and `by_kind` of several drives together; unknown hours make those of all unknown."""
-    scores = list(scores)
-
-    def combined(sections: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        hours = [section["hours"] for section in sections]
-        counts = {name: sum(section[name] for section in sections) for name in _COUNTS}
-        leads_s = [lead_s for section in sections for lead_s in section["lead_s"]]
-        return _with_rate({**counts, "lead_s": leads_s}, None if None in hours else sum(hours))
-
-    kinds = dict.fromkeys(kind for score in scores for kind in score["by_kind"])
-    by_kind = {kind: [score["by_kind"][kind] for score in scores if kind in score["by_kind"]] for kind in kinds}
-    return {
-        "overall": combined([score["overall"] for score in scores]),
-        "by_kind": {kind: combined(sections) for kind, sections in by_kind.items()},
-    }
 
 
 def _rounded(value: float) -> float:

@@ -36,23 +36,16 @@ Slices = tuple[slice, slice]
 class Canvas:
     """An image with a depth buffer: (H, W, 4) uint8 `bgra`, and `inverse_depth`, (H, W) 1/z in 1/m, 0 = nothing drawn.
 
-    `labels` are those of the face that each sample shows, (H, W) as `FaceTable.label`; None = not drawn.
+    `labels` are those of the face that each sample shows, (H, W) as `FaceTable.label`; (0, 0) without `has_labels`.
     """
 
     def __init__(self, camera: PinholeCamera, store: TextureStore, *, has_labels: bool = False) -> None:
         self.camera = camera
         self.bgra: Image = np.zeros((camera.height_px, camera.width_px, 4), np.uint8)
         self.inverse_depth: npt.NDArray[np.float32] = np.zeros((camera.height_px, camera.width_px), np.float32)
-        self.labels = np.zeros((camera.height_px, camera.width_px), np.uint16) if has_labels else None
+        self.labels = np.zeros((camera.height_px, camera.width_px) if has_labels else (0, 0), np.uint16)
         self._store = store
         self._columns, self._rows = np.arange(camera.width_px), np.arange(camera.height_px)
-
-    @property
-    def drawn_labels(self) -> npt.NDArray[np.uint16]:
-        """The labels of a canvas that has them, else a ValueError."""
-        if self.labels is None:
-            raise ValueError("expected a canvas with labels")
-        return self.labels
 
     def project(self, table: FaceTable) -> Projected:
         """The faces, given in the camera's frame, projected to the image."""
@@ -119,7 +112,7 @@ class Canvas:
         is_drawn = cv2.bitwise_and(is_nearer, (warped.view(np.uint32)[:, :, 0] >= _OPAQUE_BGRA).view(np.uint8))
         cv2.copyTo(inverse_depth, is_drawn, self.inverse_depth[window])
         cv2.copyTo(warped, is_drawn, self.bgra[window])
-        if self.labels is not None:
+        if self.labels.size:
             self.labels[window][is_drawn > 0] = label
 
     def _shade(self, window: Slices, darkness: Image, inverse_depth: npt.NDArray[np.float32]) -> None:

@@ -73,7 +73,9 @@ def visible_pieces(table: FaceTable, camera: PinholeCamera) -> Pieces:
     window[:, 1::2] = table.texels[rows]
     pieces = _in_view(Pieces(rows, table.corner[rows], table.along[rows], table.down[rows], window), camera)
     for _ in range(CUTS):
-        is_deep = _is_deep(pieces)
+        z = pieces.corners[:, :, 2]
+        is_deep = z.max(axis=1) > DEPTH_RATIO * np.maximum(z.min(axis=1), NEAR_M)
+        is_deep &= pieces.n_texels.min(axis=1) > 1
         if not is_deep.any():
             break
         pieces = _in_view(_halved(pieces, is_deep), camera)
@@ -122,13 +124,6 @@ def _in_view(pieces: Pieces, camera: PinholeCamera) -> Pieces:
     is_outside = (x < -z).all(axis=1) | (x > camera.width_px * z).all(axis=1)
     is_outside |= (y < -z).all(axis=1) | (y > camera.height_px * z).all(axis=1)
     return pieces.select(~is_outside & (z.max(axis=1, initial=-np.inf) >= NEAR_M))
-
-
-def _is_deep(pieces: Pieces) -> BoolArray:
-    """(P,) pieces that extend too far in depth and have texels to split."""
-    z = pieces.corners[:, :, 2]
-    is_deep = z.max(axis=1) > DEPTH_RATIO * np.maximum(z.min(axis=1), NEAR_M)
-    return np.asarray(is_deep & (pieces.n_texels.min(axis=1) > 1))
 
 
 def _halved(pieces: Pieces, is_split: BoolArray) -> Pieces:

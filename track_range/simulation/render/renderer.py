@@ -98,8 +98,12 @@ class Renderer:
         )
         self._cameras = {"left": _finer(rig.left), "right": _finer(right_camera(rig.left, faults))}
         wobble = scene.wobble
-        self._rotates = not scene.road.is_straight or any((wobble.pitch_rad, wobble.roll_rad, scene.camera_pitch_rad))
-        self._sky = self._sky_picture(rng)
+        rotates = not scene.road.is_straight or any((wobble.pitch_rad, wobble.roll_rad, scene.camera_pitch_rad))
+        # The sky has half the resolution of the canvas, and is larger than the image if the camera rotates.
+        camera, (wide, high) = self._cameras["left"], SKY_SIZE if rotates else (1.0, 1.0)
+        size_px = (round(wide * camera.width_px), round(high * camera.height_px))
+        horizon_px = camera.cy_px + (size_px[1] - camera.height_px) / 2
+        self._sky = sky_picture(rng, size_px=size_px, horizon_px=horizon_px, is_night=scene.is_night)
 
     def render(self, time_s: float, *, side: Side = "left") -> Image:
         """(H, W, 3) uint8 BGR image of one camera; the same scene, time and side give the same pixels."""
@@ -116,7 +120,7 @@ class Renderer:
         A label is 2 n + part (`faces.IdentifyingPart`) for road user n, 0 = neither head nor plate.
         """
         canvas = self._drawn(time_s, "left", has_labels=True)
-        return self._exposed(canvas, time_s, "left"), np.asarray(canvas.inverse_depth), canvas.drawn_labels
+        return self._exposed(canvas, time_s, "left"), np.asarray(canvas.inverse_depth), canvas.labels
 
     def drawn_owners(self, time_s: float) -> tuple[FloatArray, npt.NDArray[np.uint16]]:
         """(2 H, 2 W) exact 1/z of the left image's samples in 1/m, and the body that each of them shows.
@@ -124,7 +128,7 @@ class Renderer:
         n + 1 is row n of the road users, followed by the obstacles; 0 = street or sky.
         """
         canvas = self._drawn(time_s, "left", has_labels=True, solids=self._solids.with_owners())
-        return np.asarray(canvas.inverse_depth, np.float64), canvas.drawn_labels
+        return np.asarray(canvas.inverse_depth, np.float64), canvas.labels
 
     def silhouette(self, time_s: float, row: int) -> FloatArray:
         """(2 H, 2 W) exact 1/z in 1/m of the road user in row `row` alone in the left image, 0 elsewhere."""
@@ -213,14 +217,6 @@ class Renderer:
         is_visible = (box or row in raised for box, row in zip(may_be_visible, nearest_first.tolist(), strict=True))
         self._shadows.draw(canvas, nearest_first, poses, repeat(True))  # first, since shadows fall only on the road
         solids.draw(canvas, nearest_first, poses, is_visible)
-
-    def _sky_picture(self, rng: np.random.Generator) -> Image:
-        """The sky at half the resolution of the canvas; larger than the image if the camera rotates."""
-        wide, high = SKY_SIZE if self._rotates else (1.0, 1.0)
-        camera = self._cameras["left"]
-        size_px = (round(wide * camera.width_px), round(high * camera.height_px))
-        horizon_px = camera.cy_px + (size_px[1] - camera.height_px) / 2
-        return sky_picture(rng, size_px=size_px, horizon_px=horizon_px, is_night=self.scene.is_night)
 
     def _background(self, pose: CameraPose, camera: PinholeCamera, n_rows: int) -> Image:
         """The upper rows of the sky as this camera sees it, which depends on its rotation and principal point only."""

@@ -53,17 +53,15 @@ class TextureStore:
         key = (number, window, size)
         average = self._averages.get(key)
         if average is None:
-            average = _with_margin(self._resized(number, window, size))
+            shape = (window[1] - window[0], window[3] - window[2])
+            # as often as the sizes can be halved without falling below `size`
+            n_rows, n_columns = ((before // after).bit_length() - 1 for before, after in zip(shape, size, strict=True))
+            average = _with_margin(_down_to(self._halving(number, window, (n_rows, n_columns)), size))
             self._averages[key] = average
             self._n_bytes += average.nbytes
             if self._n_bytes > self._max_bytes:
                 self._averages, self._halved, self._n_bytes = {}, {}, 0
         return average
-
-    def _resized(self, number: int, window: Window, size: tuple[int, int]) -> Image:
-        shape = (window[1] - window[0], window[3] - window[2])
-        halvings = (_n_halvings(shape[0], size[0]), _n_halvings(shape[1], size[1]))
-        return _down_to(self._halving(number, window, halvings), size)
 
     def _halving(self, number: int, window: Window, halvings: tuple[int, int]) -> Image:
         """The window with rows and columns halved `halvings` times."""
@@ -78,11 +76,6 @@ class TextureStore:
             self._halved[key] = halved
             self._n_bytes += halved.nbytes
         return halved
-
-
-def _n_halvings(n_from: int, n_to: int) -> int:
-    """Number of times that `n_from` texels can be halved without falling below `n_to`."""
-    return (n_from // n_to).bit_length() - 1
 
 
 def _down_to(picture: Image, shape: tuple[int, int]) -> Image:

@@ -10,7 +10,7 @@ lane     u |     ___    u(t) = by_m (3 q^2 - 2 q^3), q = (t - from) / (to - from
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -28,10 +28,11 @@ class LaneChange:
     to_s: float
     by_m: float
 
-    def moved_m(self, time_s: FloatArray | float) -> FloatArray:
+    def moved_m(self, time_s: Time) -> Time:
         """Lateral displacement at one or more times."""
-        fraction = np.clip((time_s - self.from_s) / (self.to_s - self.from_s), 0, 1)
-        return np.asarray(self.by_m * fraction**2 * (3 - 2 * fraction))
+        fraction: Any = np.clip((time_s - self.from_s) / (self.to_s - self.from_s), 0, 1)
+        moved_m: Time = self.by_m * fraction**2 * (3 - 2 * fraction)
+        return moved_m
 
 
 def speed_at_mps(changes: SpeedChanges, time_s: float) -> float:

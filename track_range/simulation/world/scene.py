@@ -73,7 +73,7 @@ class RoadUser:
         cos, sin = float(np.cos(self.rotation_y_rad)), float(np.sin(self.rotation_y_rad))
         return x_m + distance_m * cos + moved_m, z_m - distance_m * sin
 
-    def heading_rad(self, time_s: FloatArray | float) -> FloatArray | float:
+    def heading_rad(self, time_s: Time) -> FloatArray | float:
         """Heading at one or more times, including the rotation during a lane change."""
         if self.lane_change is None:
             return self.rotation_y_rad

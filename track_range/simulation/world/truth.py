@@ -78,7 +78,7 @@ def boxes_in_image(boxes_m: FloatArray, camera: PinholeCamera) -> tuple[FloatArr
     between the two borders, and by the crossings of segments of S with the borders. The same holds for the columns.
     """
     xy_px, is_in_front = _projected_points(boxes_m, camera)
-    boxes = _bounds(xy_px, is_in_front)
+    boxes = np.concatenate(_extremes(np.where(is_in_front[:, :, None], xy_px, np.nan)), axis=1)
     limit_px = np.array([camera.width_px - 1, camera.height_px - 1] * 2, np.float64)
     outside_fraction = 1 - _areas(np.clip(boxes, 0, limit_px)) / _areas(boxes)
     return _clipped_to_image(boxes, xy_px, is_in_front, limit_px[:2]), outside_fraction
@@ -120,11 +120,6 @@ def _projected_points(boxes_m: FloatArray, camera: PinholeCamera) -> tuple[Float
     is_in_front = points[:, :, 2] >= NEAR_M - 1e-9
     xy_px = camera.project(points.reshape(-1, 3)).reshape(*points.shape[:2], 2)
     return xy_px, np.asarray(is_in_front)
-
-
-def _bounds(xy_px: FloatArray, exists: BoolArray) -> FloatArray:
-    """(N, 4) bounding boxes of those of the points (N, P, 2) that exist (N, P); NaN if none does."""
-    return np.concatenate(_extremes(np.where(exists[:, :, None], xy_px, np.nan)), axis=1)
 
 
 def _extremes(values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -121,8 +121,11 @@ class LivePage(ThreadingHTTPServer):
         try:
             super().__init__((host, port), _Handler)
         except OSError as error:
+            advice = "choose a port above 1023" if error.errno == errno.EACCES else "choose another port"
+            if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
+                advice = "give an address of this machine, such as 0.0.0.0 for all interfaces"
             raise PageError(
-                f"--serve {shown}:{port}: cannot listen on this address ({error.strerror or error}); {_advice(error)}."
+                f"--serve {shown}:{port}: cannot listen on this address ({error.strerror or error}); {advice}."
             ) from error
         port = self.server_address[1]
         self.url = f"http://{_LOCAL_NAMES.get(host, shown)}:{port}/"
@@ -294,12 +297,6 @@ def _page() -> tuple[bytes, str]:
         f"script-src 'sha256-{hashes['script']}'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
     return page.encode(), policy
-
-
-def _advice(error: OSError) -> str:
-    if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
-        return "give an address of this machine, such as 0.0.0.0 for all interfaces"
-    return "choose a port above 1023" if error.errno == errno.EACCES else "choose another port"
 
 
 def _is_loopback(host: str) -> bool:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLines, points
@@ -148,9 +149,7 @@ def draw_box(canvas: Image, box: FloatArray, *, bgr: Bgr, line_px: int, dashed: 
     step = _DASH * line_px
     across = [((x, y), (min(x + step // 2, x2), y)) for y in (y1, y2) for x in range(x1, x2, step)]
     down = [((x, y), (x, min(y + step // 2, y2))) for x in (x1, x2) for y in range(y1, y2, step)]
-    strokes = np.array(across + down, np.int32).reshape(-1, 2, 2)
-    cv2.polylines(canvas, list(strokes), False, BLACK, line_px + 2)
-    cv2.polylines(canvas, list(strokes), False, bgr, line_px)
+    _draw_strokes(canvas, np.array(across + down, np.int32).reshape(-1, 2, 2), bgr, line_px)
 
 
 def draw_outline(canvas: Image, outline: FloatArray, *, bgr: Bgr, line_px: int, dashed: bool) -> None:
@@ -158,9 +157,12 @@ def draw_outline(canvas: Image, outline: FloatArray, *, bgr: Bgr, line_px: int, 
     size_px = np.array(canvas.shape[1::-1], np.float64)
     segments = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
     segments = segments[np.isfinite(segments).all(axis=(1, 2))][:: 2 if dashed else 1]
-    strokes = list(np.rint(np.clip(segments, -size_px, 2 * size_px)).astype(np.int32))
-    cv2.polylines(canvas, strokes, False, BLACK, line_px + 2)
-    cv2.polylines(canvas, strokes, False, bgr, line_px)
+    _draw_strokes(canvas, np.rint(np.clip(segments, -size_px, 2 * size_px)).astype(np.int32), bgr, line_px)
+
+
+def _draw_strokes(canvas: Image, strokes: npt.NDArray[np.int32], bgr: Bgr, line_px: int) -> None:
+    cv2.polylines(canvas, list(strokes), False, BLACK, line_px + 2)
+    cv2.polylines(canvas, list(strokes), False, bgr, line_px)
 
 
 def draw_inner_windows(canvas: Image, boxes: FloatArray, colours: Sequence[Bgr]) -> None:

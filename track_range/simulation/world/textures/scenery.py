@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.arrays import Image
 from track_range.simulation.world.surroundings import PAVEMENT, PERIOD_M, Surroundings
 from track_range.simulation.world.textures.surfaces import GLASS_BGR, opaque, value_noise
 
@@ -157,17 +157,15 @@ def sky_picture(rng: np.random.Generator, *, size_px: tuple[int, int], horizon_p
     y = np.arange(height, dtype=np.float32)[:, None]
     fraction = np.clip(y / max(horizon, 1.0), 0, 1)[:, :, None]
     above, below = np.array([232.0, 196.0, 158.0], np.float32), np.array([238.0, 232.0, 226.0], np.float32)
-    clouds = np.clip(_smooth_noise(rng, (height, width)), -0.6, 2).astype(np.float32)[:, :, None]
+    # clouds: value noise, smoothed to hide its grid and stretched horizontally
+    small = cv2.GaussianBlur(
+        value_noise(rng, (max(4, height // 8), max(4, width // 24)), cells=(2, 4, 8, 16)), (0, 0), 1.0
+    )
+    noise = cv2.resize(small, (width, height), interpolation=cv2.INTER_CUBIC)
+    clouds = np.clip(noise, -0.6, 2).astype(np.float32)[:, :, None]
     sky = above * (1 - fraction) + below * fraction + (7.0 + 10.0 * (1 - fraction)) * clouds
     ridge = horizon - height * (0.022 + 0.008 * value_noise(rng, (2, width), cells=(4, 10, 30))[0])
     grain = value_noise(rng, (height, width), cells=(2, 4, 8)).astype(np.float32)[:, :, None]
     trees = np.array([112.0, 122.0, 112.0], np.float32) + 6.0 * grain
     picture = np.where((y >= ridge[None, :])[:, :, None], trees, sky)
     return opaque(picture * np.array([0.07, 0.055, 0.05], np.float32) if is_night else picture)
-
-
-def _smooth_noise(rng: np.random.Generator, shape: tuple[int, int]) -> FloatArray:
-    """Clouds: value noise, smoothed to hide its grid and stretched horizontally."""
-    rows, columns = shape
-    small = value_noise(rng, (max(4, rows // 8), max(4, columns // 24)), cells=(2, 4, 8, 16))
-    return np.asarray(cv2.resize(cv2.GaussianBlur(small, (0, 0), 1.0), (columns, rows), interpolation=cv2.INTER_CUBIC))
