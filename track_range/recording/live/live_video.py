@@ -11,7 +11,6 @@ import time
 from collections import deque
 from collections.abc import Generator
 from contextlib import suppress
-from dataclasses import dataclass
 
 import av
 from av.container import InputContainer
@@ -31,7 +30,6 @@ _FALLBACK_RATE_HZ = 25.0  # of a stream that does not declare one
 
 _CAMERA_DELAY_S, _STREAM_DELAY_S = 0.1, 2.0
 """Largest delay, s, between exposure and arrival of the frames of a camera and of a network stream; assumed."""
-
 
 _SAME_CLOCK_S = 10.0
 """Largest difference, s, between timestamp and arrival time of a stream that uses this machine's clock."""
@@ -72,15 +70,6 @@ class StreamClock:
         return time_s
 
 
-@dataclass(frozen=True, slots=True)
-class _WaitingFrame:
-    """A frame in the queue, converted to BGR only when it is used, since a slow consumer drops most of them."""
-
-    index: int
-    time_s: float
-    frame: av.VideoFrame
-
-
 class LiveVideo:
     """An open camera or stream, read once: the iteration starts with the newest frame and closes the connection.
 
@@ -117,7 +106,8 @@ class LiveVideo:
         self.n_received = self.n_taken = 0
         self.ended_by, self.has_ended, self.is_over, self.is_closed = "", False, False, False
         self.busy_s = 0.0
-        self._waiting: deque[_WaitingFrame] = deque(maxlen=LIVE_FRAMES)
+        # index, time and frame, which is converted only when it is used: a slow consumer drops most of them
+        self._waiting: deque[tuple[int, float, av.VideoFrame]] = deque(maxlen=LIVE_FRAMES)
         self._lock = threading.Lock()
         self._arrivals: list[threading.Event] = []
         self._is_closing = threading.Event()
@@ -132,7 +122,7 @@ class LiveVideo:
         if not (first.wait(_OPEN_S) and self._waiting):
             self.close()
             raise VideoError(f"{address}: no frame received ({self.ended_by or 'timeout'}); check the camera.")
-        image = bgr_image(self._waiting[-1].frame)
+        image = bgr_image(self._waiting[-1][2])
         self.height_px, self.width_px = image.shape[:2]
         self.is_grey = is_neutral(image)
         self._utc_from_monotonic_s = time.time() - time.monotonic()
@@ -177,7 +167,7 @@ class LiveVideo:
     def waiting_s(self) -> list[tuple[int, float]]:
         """(index, time) of the waiting frames, oldest first."""
         with self._lock:
-            return [(waiting.index, waiting.time_s) for waiting in self._waiting]
+            return [(index, time_s) for index, time_s, _ in self._waiting]
 
     def take(self, index: int) -> VideoFrame | None:
         """The frame with this index, converted to BGR; earlier frames are dropped. None = it has been dropped already.
@@ -187,19 +177,19 @@ class LiveVideo:
         """
         began_s = time.thread_time()
         with self._lock:
-            while self._waiting and self._waiting[0].index < index:
+            while self._waiting and self._waiting[0][0] < index:
                 self._waiting.popleft()
-            waiting = self._waiting.popleft() if self._waiting and self._waiting[0].index == index else None
-        if waiting is None:
-            return None
+            if not self._waiting or self._waiting[0][0] > index:
+                return None
+            _, time_s, stored = self._waiting.popleft()
         self.n_taken += 1
-        width_px, height_px = waiting.frame.width, waiting.frame.height
+        width_px, height_px = stored.width, stored.height
         if (width_px, height_px) != (self.width_px, self.height_px):
             raise VideoError(
                 f"{self.path}: expected images of {self.width_px}x{self.height_px} px, got {width_px}x{height_px}; "
                 "set the camera to a fixed image size."
             )
-        frame = VideoFrame(waiting.index, waiting.time_s, bgr_image(waiting.frame))
+        frame = VideoFrame(index, time_s, bgr_image(stored))
         self.busy_s += time.thread_time() - began_s
         return frame
 
@@ -267,7 +257,7 @@ class LiveVideo:
         if time_s is None or frame.is_corrupt:
             return
         with self._lock:
-            self._waiting.append(_WaitingFrame(index, time_s, frame))
+            self._waiting.append((index, time_s, frame))
         for event in self._arrivals:
             event.set()
 

@@ -35,7 +35,7 @@ def read_blackvue(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | 
         if not read_at(file, box.start + 4, 4).strip(b"\0 ").isalnum():
             continue
         content = read_at(file, box.start, min(box.end - box.start, MAX_GPS_BYTES))
-        parts = {part.type: content[part.start : part.end] for part in boxes(content)}
+        parts = dict(boxes(content))
         if b"gps " in parts and (telemetry := _stamped_track(parts[b"gps "], parts.get(b"sttm", b""), str(path))):
             return telemetry
     return None

@@ -34,11 +34,11 @@ def read_camm(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | Non
     source = next((part for part in movie.tracks if part.format == b"camm"), None)
     if source is None:
         return None
-    is_gps = np.flatnonzero(source.sizes >= _POSITION.size)[:MAX_SAMPLES]
+    gps_rows = np.flatnonzero(source.sizes >= _POSITION.size)[:MAX_SAMPLES]
     positions: list[Sample] = []
     samples: list[Sample] = []
     sigmas_mps = []
-    for index, content in read_samples(file, source, is_gps, _GPS.size):
+    for index, content in read_samples(file, source, gps_rows, _GPS.size):
         type_number = int.from_bytes(content[2:4], "little")
         time_s = float(source.time_s[index]) - movie.start_s
         if type_number == 6 and len(content) >= _GPS.size:

@@ -231,7 +231,7 @@ def _atc(block: bytes) -> FreeGps | None:
         hour, minute, secs = record[0x0D] + 1, record[0x0E], record[0x0F]
         year, month, day = struct.unpack_from("<HBB", record, 0x2C)
         utc_s = date_s(year, month, day, hour & 0xFF, minute, secs)
-        latitude, longitude, speed = (struct.unpack_from("<i", record, place)[0] for place in (0x10, 0x18, 0x20))
+        latitude, longitude, speed = (struct.unpack_from("<i", record, at)[0] for at in (0x10, 0x18, 0x20))
         course_deg = struct.unpack_from("<h", record, 0x24)[0] / 100
         if math.isfinite(utc_s):
             samples.append(Sample(math.nan, utc_s, speed / 100, course_deg, latitude / 1e7, longitude / 1e7))

@@ -49,7 +49,7 @@ _SPEED_SCALE = 1.85407333 / 1.852
 
 def read_ligogps(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | None:
     """Telemetry of the trailer or of a box of a movie; None = there is none."""
-    for content in _places(file, movie):
+    for content in _contents(file, movie):
         if lines := [_sample(match) for match in _LINE.finditer(content)]:
             return _track(lines, "assumed")
         records = [content[match.start() :][:_SLOT_BYTES] for match in re.finditer(rb"####", content)]
@@ -60,7 +60,7 @@ def read_ligogps(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | 
     return None
 
 
-def _places(file: BinaryIO, movie: Movie) -> Iterator[bytes]:
+def _contents(file: BinaryIO, movie: Movie) -> Iterator[bytes]:
     """Contents that may hold records."""
     end = read_at(file, movie.n_bytes - 8, 8)
     n_bytes = int.from_bytes(end[4:], "big")

@@ -1,6 +1,6 @@
-"""MP4 and QuickTime files: boxes, tracks, and the place and time of samples (ISO/IEC 14496-12).
+"""MP4 and QuickTime files: boxes, tracks, and the offsets and times of samples (ISO/IEC 14496-12).
 
-    moov  tracks with tables of their samples: stsz = sizes, stsc and stco = places, stts and ctts = times
+    moov  tracks with tables of their samples: stsz = sizes, stsc and stco = offsets, stts and ctts = times
     mdat  the samples
 
 Cameras write fragments, too, so that a power cut loses only a second (8.8):
@@ -109,20 +109,17 @@ def read_movie(file: BinaryIO) -> Movie | None:
     top = tuple(_walk(lambda offset: read_at(file, offset, 16), 0, n_bytes))
     if not any(box.type in (b"ftyp", b"moov", b"mdat") for box in top[:8]):
         return None
-    place = next((box for box in top if box.type == b"moov"), None)
-    if place is None or place.end - place.start > MAX_MOVIE_BYTES:
+    moov = next((box for box in top if box.type == b"moov"), None)
+    if moov is None or moov.end - moov.start > MAX_MOVIE_BYTES:
         return Movie(top, n_bytes=n_bytes)
-    content = read_at(file, place.start, place.end - place.start)
     inner: dict[bytes, bytes] = {}
     traks = []
-    for box in boxes(content):
-        if box.type == b"trak":
-            traks.append(content[box.start : box.end])
-        elif box.type == b"udta":
-            for part in boxes(content, box.start, box.end):
-                inner.setdefault(part.type, content[part.start : part.end])
+    for box_type, content in boxes(read_at(file, moov.start, moov.end - moov.start)):
+        if box_type == b"trak":
+            traks.append(content)
         else:
-            inner.setdefault(box.type, content[box.start : box.end])
+            for part_type, part in boxes(content) if box_type == b"udta" else [(box_type, content)]:
+                inner.setdefault(part_type, part)
     scale = _timescale(inner.get(b"mvhd", b""))
     tracks = [track for trak in traks[:MAX_TRACKS] if (track := _track(trak, scale)) is not None]
     if b"mvex" in inner:
@@ -154,9 +151,10 @@ def read_samples(
         yield int(index), content
 
 
-def boxes(content: bytes, start: int = 0, end: int | None = None) -> Iterator[Box]:
-    """Boxes in a part of the content of another box; the last one may be cut off."""
-    return _walk(lambda offset: content[offset : offset + 16], start, len(content) if end is None else end)
+def boxes(content: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Types and contents of the boxes in the content of another box; the last one may be cut off."""
+    for box in _walk(lambda offset: content[offset : offset + 16], 0, len(content)):
+        yield box.type, content[box.start : box.end]
 
 
 def _walk(header_at: Callable[[int], bytes], start: int, end: int) -> Iterator[Box]:
@@ -179,11 +177,8 @@ def _walk(header_at: Callable[[int], bytes], start: int, end: int) -> Iterator[B
 
 def _first(content: bytes, *path: bytes) -> bytes:
     """Content of the first box at a path of types; b"" = there is none."""
-    for box_type in path:
-        box = next((box for box in boxes(content) if box.type == box_type), None)
-        if box is None:
-            return b""
-        content = content[box.start : box.end]
+    for wanted in path:
+        content = next((part for box_type, part in boxes(content) if box_type == wanted), b"")
     return content
 
 
@@ -304,9 +299,9 @@ class _Samples:
 def _with_fragments(file: BinaryIO, top: Sequence[Box], tracks: Sequence[Track], extends: bytes) -> list[Track]:
     """Tracks with the samples of their fragments; `extends` is the box `mvex`."""
     defaults = {}
-    for box in boxes(extends):
-        if box.type == b"trex" and box.end - box.start >= 20:
-            number, _, duration, size = struct.unpack_from(">4I", extends, box.start + 4)
+    for box_type, content in boxes(extends):
+        if box_type == b"trex" and len(content) >= 20:
+            number, _, duration, size = struct.unpack_from(">4I", content, 4)
             defaults[number] = duration, size
     samples = {t.number: _Samples(end=round(float(t.durations_s.sum()) * t.ticks_per_s)) for t in tracks}
     start = 0
@@ -335,26 +330,25 @@ def _add_fragment(
 ) -> None:
     """Add the samples of a box `moof` that starts at `start` in the file."""
     end_of_data = start
-    for box in boxes(content):
-        if box.type != b"traf":
+    for box_type, fragment in boxes(content):
+        if box_type != b"traf":
             continue
-        parts = [(part.type, content[part.start : part.end]) for part in boxes(content, box.start, box.end)]
-        header = next((body for part_type, body in parts if part_type == b"tfhd"), b"")
+        header = _first(fragment, b"tfhd")
         flags, number = struct.unpack_from(">II", header)
         duration, size = defaults.get(number, (0, 0))
-        base, place = start if flags & 0x20000 else end_of_data, 8  # the base is the `moof`, or the data before
+        base, offset = start if flags & 0x20000 else end_of_data, 8  # the base is the `moof`, or the data before
         if flags & 0x1:
-            base, place = min(struct.unpack_from(">Q", header, place)[0], _MAX_INTEGER), place + 8
-        place += 4 * bool(flags & 0x2)  # sample description
+            base, offset = min(struct.unpack_from(">Q", header, offset)[0], _MAX_INTEGER), offset + 8
+        offset += 4 * bool(flags & 0x2)  # sample description
         if flags & 0x8:
-            (duration,), place = struct.unpack_from(">I", header, place), place + 4
+            (duration,), offset = struct.unpack_from(">I", header, offset), offset + 4
         if flags & 0x10:
-            (size,) = struct.unpack_from(">I", header, place)
+            (size,) = struct.unpack_from(">I", header, offset)
         track = samples.get(number)
         if track is None:
             continue
         end_of_data = base
-        for part_type, body in parts:
+        for part_type, body in boxes(fragment):
             if part_type == b"tfdt":
                 (end,) = struct.unpack_from(">Q" if body[:1] == b"\x01" else ">I", body, 4)
                 track.end = min(end, _MAX_INTEGER)
@@ -365,17 +359,17 @@ def _add_fragment(
 def _add_run(track: _Samples, body: bytes, base: int, end_of_data: int, duration: int, size: int) -> int:
     """Add the samples of a box `trun`, with a default duration and size; returns where their data end in the file."""
     flags, n = struct.unpack_from(">II", body)
-    place, data_start = 8, end_of_data
+    offset, data_start = 8, end_of_data
     if flags & 0x1:
-        data_start, place = base + struct.unpack_from(">i", body, place)[0], place + 4
-    place += 4 * bool(flags & 0x4)  # flags of the first sample
+        data_start, offset = base + struct.unpack_from(">i", body, offset)[0], offset + 4
+    offset += 4 * bool(flags & 0x4)  # flags of the first sample
     fields = [
         name for name, flag in (("t", 0x100), ("size", 0x200), ("flags", 0x400), ("shift", 0x800)) if flags & flag
     ]
     n = min(n, MAX_EQUAL_SAMPLES, MAX_TABLE_ROWS - track.n)
     if fields:
-        n = min(n, (len(body) - place) // (4 * len(fields)))
-    rows = np.frombuffer(body, ">u4", n * len(fields), place).reshape(n, len(fields)).astype(np.int64)
+        n = min(n, (len(body) - offset) // (4 * len(fields)))
+    rows = np.frombuffer(body, ">u4", n * len(fields), offset).reshape(n, len(fields)).astype(np.int64)
     column = dict(zip(fields, rows.T, strict=True))
     durations = column.get("t", np.full(n, duration, np.int64))
     sizes = column.get("size", np.full(n, size, np.int64))

@@ -70,10 +70,10 @@ def read_mpeg_ts(file: BinaryIO, path: Path) -> TelemetryTrack | None:
     if n_bytes is None:
         return None
     scan = _Scan()
-    for place, packets in _packets(file, n_bytes):
+    for offset, packets in _packets(file, n_bytes):
         _read(packets, scan)
         has_record = any(_is_record(content) for _, content in scan.records[:50])
-        if (place > _PROBED_BYTES and not has_record) or len(scan.records) > MAX_BLOCKS:
+        if (offset > _PROBED_BYTES and not has_record) or len(scan.records) > MAX_BLOCKS:
             break
     scan.records += [(pts, bytes(content)) for pts, content in scan.open.values()]
     blocks = sorted(((pts, _block(content)) for pts, content in scan.records if _is_record(content)), key=itemgetter(0))
@@ -92,58 +92,46 @@ def _difference(pts: int, first: int) -> int:
 
 
 def _packets(file: BinaryIO, n_bytes: int) -> Iterator[tuple[int, npt.NDArray[np.uint8]]]:
-    """Place and (N, 188) packets of successive parts of the file; lost synchronisation is found again."""
-    place, offset, n_lost = 0, n_bytes - 188, 0
-    while content := read_at(file, place, n_bytes * _PACKETS_PER_READ):
+    """Offset and (N, 188) packets of successive parts of the file; lost synchronisation is found again."""
+    offset, n_stamp, n_lost = 0, n_bytes - 188, 0
+    while content := read_at(file, offset, n_bytes * _PACKETS_PER_READ):
         start = 0
         while len(content) - start >= n_bytes:
             part = content[start : start + (len(content) - start) // n_bytes * n_bytes]
-            rows = np.frombuffer(part, np.uint8).reshape(-1, n_bytes)[:, offset:]
+            rows = np.frombuffer(part, np.uint8).reshape(-1, n_bytes)[:, n_stamp:]
             lost = np.flatnonzero(rows[:, 0] != _SYNC)
             n = int(lost[0]) if len(lost) else len(rows)
-            yield place + start, rows[:n]
+            yield offset + start, rows[:n]
             start += n * n_bytes
             if len(lost):
                 n_lost += 1
                 start += 1
-                end = min(len(content) - n_bytes - offset, start + _SEARCHED_BYTES)
-                marks = (i for i in range(start, end) if content[i + offset] == _SYNC == content[i + offset + n_bytes])
+                end = min(len(content) - n_bytes - n_stamp, start + _SEARCHED_BYTES)
+                heads = range(start + n_stamp, end + n_stamp)
+                marks = (i - n_stamp for i in heads if content[i] == _SYNC == content[i + n_bytes])
                 start = next(marks, max(end, start))
             if n_lost > _MAX_LOST:
                 return
-        place += max(start, 1)
+        offset += max(start, 1)
 
 
 def _read(packets: npt.NDArray[np.uint8], scan: _Scan) -> None:
     """Add the frames and private data of packets to a scan."""
     pids = (packets[:, 1] & 0x1F).astype(np.uint16) << 8 | packets[:, 2]
-    has_payload = (packets[:, 3] & 0x10) > 0
-    heads = np.flatnonzero(has_payload & ((packets[:, 1] & 0x40) > 0))
-    places = _payload_starts(packets[heads])
-    heads, places = heads[places <= 188 - 6], places[places <= 188 - 6]
-    stream_ids = packets[heads, places + 3]
-    is_private = np.isin(stream_ids, (_PRIVATE_1, _PRIVATE_2))
-    scan.pids.update(np.unique(pids[heads[is_private]]).tolist())
-    is_private_pid = np.zeros(1 << 13, bool)
-    is_private_pid[list(scan.pids)] = True
-    is_own = is_private_pid[pids]
-    is_video = np.zeros(len(packets), bool)
-    is_video[heads[stream_ids & 0xF0 == 0xE0]] = True
-    is_head = np.zeros(len(packets), bool)
-    is_head[heads] = True
-    for index in np.flatnonzero(is_video | (is_own & has_payload)).tolist():
-        start = int(_payload_starts(packets[index : index + 1])[0])
-        payload = packets[index, start:].tobytes()
+    has_payload, has_adaptation = (packets[:, 3] & 0x10) > 0, (packets[:, 3] & 0x20) > 0
+    starts = np.where(has_adaptation, 5 + packets[:, 4].astype(np.int64), 4)  # of the payloads
+    is_head = has_payload & ((packets[:, 1] & 0x40) > 0) & (starts <= 188 - 6)
+    stream_ids = packets[np.arange(len(packets)), np.minimum(starts + 3, 187)]
+    scan.pids.update(np.unique(pids[is_head & np.isin(stream_ids, (_PRIVATE_1, _PRIVATE_2))]).tolist())
+    is_private = has_payload & np.isin(pids, list(scan.pids))
+    is_video = is_head & (stream_ids & 0xF0 == 0xE0)
+    for index in np.flatnonzero(is_video | is_private).tolist():
+        payload = packets[index, starts[index] :].tobytes()
         is_header = bool(is_head[index]) and payload[:3] == b"\0\0\1"
         if is_header and is_video[index]:
             _frame(payload, scan)
-        elif is_own[index]:
+        elif is_private[index]:
             _private(int(pids[index]), payload, is_header, scan)
-
-
-def _payload_starts(packets: npt.NDArray[np.uint8]) -> npt.NDArray[np.int64]:
-    """(N,) where the payloads of packets start, after the adaptation field if there is one."""
-    return np.where((packets[:, 3] & 0x20) > 0, 5 + packets[:, 4].astype(np.int64), 4)
 
 
 def _frame(payload: bytes, scan: _Scan) -> None:
@@ -172,8 +160,8 @@ def _private(pid: int, payload: bytes, is_header: bool, scan: _Scan) -> None:
 
 def _block(content: bytes) -> bytes:
     """A record as in a box of an MP4 file."""
-    place = content[:16].find(b"freeGPS ")
-    return bytes(4) + content[place:] if place >= 0 else _EMPTY_HEADER + content
+    start = content[:16].find(b"freeGPS ")
+    return bytes(4) + content[start:] if start >= 0 else _EMPTY_HEADER + content
 
 
 def _is_record(content: bytes) -> bool:

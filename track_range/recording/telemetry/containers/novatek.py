@@ -1,6 +1,6 @@
 """Boxes `freeGPS ` of a movie: found through the index `gps `, as boxes of the file, or between the samples.
 
-The times are those of the video at the same place in the file, or one second per box.
+The times are those of the video at the same offset in the file, or one second per box.
 """
 
 from __future__ import annotations
@@ -38,30 +38,30 @@ _CIPHER_MARK = b"4W`b]S<"  # `$GPRMC,` with 16 added to each character, at 0x3C
 
 def read_novatek(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:
     """Telemetry of the boxes `freeGPS ` of a movie; None = there are none that can be read."""
-    for places in (_indexed(movie), _top_level(movie), _between_samples(file, movie)):
+    for offsets in (_indexed(movie), _top_level(movie), _between_samples(file, movie)):
         blocks = []
-        for place in places:
-            block = read_at(file, place, MAX_BLOCK_BYTES)
+        for offset in offsets:
+            block = read_at(file, offset, MAX_BLOCK_BYTES)
             if block[4:12] == _MARK:
                 n_bytes = int.from_bytes(block[:4], "big")
-                blocks.append((place, block[:n_bytes] if 12 <= n_bytes < len(block) else block))
+                blocks.append((offset, block[:n_bytes] if 12 <= n_bytes < len(block) else block))
             if len(blocks) >= MAX_BLOCKS:
                 break
         if blocks:
-            times_s = _block_times_s(np.array([place for place, _ in blocks]), movie)
+            times_s = _block_times_s(np.array([offset for offset, _ in blocks]), movie)
             return track_of_blocks([block for _, block in blocks], times_s, path)
     return _seventymai_table(file, movie)
 
 
 def _indexed(movie: Movie) -> Iterator[int]:
-    """Places in the index `gps `: after version and count, offset and size of each box."""
+    """Offsets in the index `gps `: after version and count, offset and size of each box."""
     index = movie.inner.get(b"gps ", b"")
     for start in range(8, min(len(index), 8 + 8 * MAX_BLOCKS) - 7, 8):
         yield struct.unpack_from(">I", index, start)[0]
 
 
 def _top_level(movie: Movie) -> Iterator[int]:
-    """Places of boxes `free` of the file: the type is the first half of the mark, or it is followed by all of it."""
+    """Offsets of boxes `free` of the file: the type is the first half of the mark, or it is followed by all of it."""
     for box in movie.top:
         if box.type in (b"free", b"skip"):
             yield box.start - 8
@@ -69,7 +69,7 @@ def _top_level(movie: Movie) -> Iterator[int]:
 
 
 def _between_samples(file: BinaryIO, movie: Movie) -> Iterator[int]:
-    """Places of boxes in the parts of the media data that belong to no track."""
+    """Offsets of boxes in the parts of the media data that belong to no track."""
     media = [box for box in movie.top if box.type == b"mdat"]
     tracks = [part for part in movie.tracks if len(part)]
     if not media or not tracks:
@@ -85,27 +85,27 @@ def _between_samples(file: BinaryIO, movie: Movie) -> Iterator[int]:
     for n_probed, (start, end) in enumerate(zip(first[is_gap].tolist(), last[is_gap].tolist(), strict=True)):
         if n_probed >= _MAX_PROBED and not is_found:
             return
-        offset = read_at(file, start, min(end - start, _GAP_BYTES)).find(_MARK)
-        place = start + offset - 4
-        while offset >= 4 and place + 12 <= end:  # successive boxes
-            header = read_at(file, place, 12)
+        n_before = read_at(file, start, min(end - start, _GAP_BYTES)).find(_MARK)
+        offset = start + n_before - 4
+        while n_before >= 4 and offset + 12 <= end:  # successive boxes
+            header = read_at(file, offset, 12)
             if header[4:] != _MARK:
                 break
             is_found = True
-            yield place
-            place += max(int.from_bytes(header[:4], "big"), 12)
+            yield offset
+            offset += max(int.from_bytes(header[:4], "big"), 12)
 
 
-def _block_times_s(places: np.ndarray, movie: Movie) -> FloatArray:
+def _block_times_s(offsets: np.ndarray, movie: Movie) -> FloatArray:
     """(N,) times of the frames that follow the boxes in the file; one second per box where they are not spread."""
-    seconds = np.arange(len(places), dtype=float)
+    seconds = np.arange(len(offsets), dtype=float)
     video = movie.video
-    if video is None or len(places) < 2:
+    if video is None or len(offsets) < 2:
         return seconds
     order = np.argsort(video.offsets, kind="stable")
-    index = np.minimum(np.searchsorted(video.offsets[order], places), len(video) - 1)
+    index = np.minimum(np.searchsorted(video.offsets[order], offsets), len(video) - 1)
     time_s = video.time_s[order][index] - movie.start_s
-    is_spread = time_s[-1] - time_s[0] > 0.5 * (len(places) - 1) and bool((np.diff(time_s) >= 0).all())
+    is_spread = time_s[-1] - time_s[0] > 0.5 * (len(offsets) - 1) and bool((np.diff(time_s) >= 0).all())
     return np.asarray(time_s) if is_spread else seconds
 
 

@@ -67,10 +67,10 @@ def _message(content: bytes, video: Track) -> Sample | None:
 
 def _size_bytes(description: bytes) -> int:
     """Bytes of the size before each NAL unit, from the box `avcC` or `hvcC`; usually 4."""
-    for name, place in ((b"avcC", 4), (b"hvcC", 21)):
+    for name, offset in ((b"avcC", 8), (b"hvcC", 25)):  # from the start of the name
         start = description.find(name)
-        if start >= 0 and start + 4 + place < len(description):
-            return (description[start + 4 + place] & 3) + 1
+        if start >= 0 and start + offset < len(description):
+            return (description[start + offset] & 3) + 1
     return 4
 
 
@@ -87,7 +87,7 @@ def _user_data(messages: bytes) -> Iterator[bytes]:
 
 
 def _extended(content: bytes, start: int) -> tuple[int, int]:
-    """A number of an SEI header, which bytes 0xFF extend, and the place after it."""
+    """A number of an SEI header, which bytes 0xFF extend, and the offset after it."""
     value = 0
     while start < len(content) and content[start] == 0xFF:
         value, start = value + 255, start + 1
@@ -130,7 +130,7 @@ def _fields(content: bytes) -> dict[int, float] | None:
 
 
 def _varint(content: bytes, start: int) -> tuple[int, int]:
-    """A protobuf integer of variable length, and the place after it."""
+    """A protobuf integer of variable length, and the offset after it."""
     value = 0
     for shift in range(0, 70, 7):
         byte = content[start] if start < len(content) else 0
