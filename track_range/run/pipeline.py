@@ -28,9 +28,8 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ego_speed import MAX_SPEED_MPS, TABLE_SIGMA_MPS
 from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
-from track_range.recording.pairs.auto_alignment import PairAlignment, given_alignment
+from track_range.recording.pairs.auto_alignment import PairAlignment, StepwiseAlignment, given_alignment
 from track_range.recording.pairs.pair_monitor import PairMonitor
-from track_range.recording.pairs.stepwise_alignment import StepwiseAlignment
 from track_range.results.events.event import Event
 from track_range.results.events.finder import EventFinder
 from track_range.results.table import RecentRows

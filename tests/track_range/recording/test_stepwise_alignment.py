@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from track_range.recording.open_video import open_video
-from track_range.recording.pairs.stepwise_alignment import StepwiseAlignment
+from track_range.recording.pairs.auto_alignment import StepwiseAlignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.rig_formats.reading import load_rig

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import publish, read_clips
 from track_range.fleet.storage.location import Location
-from track_range.foundation.files.folder_lock import FolderLock
+from track_range.foundation.files.folder_lock import locked_folder
 from track_range.foundation.files.input_files import counted, shortened
 from track_range.foundation.files.structured_text import parse_json
 from track_range.foundation.processes import is_running
@@ -122,11 +122,8 @@ def locked_output(out: Location) -> Iterator[None]:
         raise FleetError(
             f"{out.path}: the folder cannot be created ({error.strerror}); choose another --out."
         ) from error
-    lock = FolderLock(out.path)
-    try:
+    with locked_folder(out.path):
         yield
-    finally:
-        lock.release()
 
 
 def status_lines(out: Location) -> Iterator[str]:

@@ -67,11 +67,7 @@ class FolderLock:
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Context in which no other run can write to an existing folder.
-
-    Raises:
-        FolderLockError: another run has locked the folder.
-    """
+    """Context in which no other run can write to an existing folder; a FolderLockError = another run does."""
     lock = FolderLock(folder)
     try:
         yield

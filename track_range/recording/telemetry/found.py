@@ -7,23 +7,43 @@ Telemetry that cannot be used is a note, and the next file is tried.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from track_range.foundation.files.input_files import counted
+from track_range.foundation.files.input_files import counted, open_regular, readable
 from track_range.recording.recorded_video import VideoPart
 from track_range.recording.telemetry.checks import usable
-from track_range.recording.telemetry.containers.embedded import embedded
+from track_range.recording.telemetry.containers.blackvue import read_blackvue
+from track_range.recording.telemetry.containers.camm import read_camm
+from track_range.recording.telemetry.containers.gpmf import MAX_BARE_BYTES, read_bare_gpmf, read_gpmf
+from track_range.recording.telemetry.containers.ligogps import read_ligogps
+from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at, read_movie
+from track_range.recording.telemetry.containers.mpeg_ts import packet_bytes, read_mpeg_ts
+from track_range.recording.telemetry.containers.novatek import read_novatek
+from track_range.recording.telemetry.containers.tesla import read_tesla
+from track_range.recording.telemetry.containers.text_tracks import read_text_tracks
 from track_range.recording.telemetry.exiftool import read_with_exiftool
 from track_range.recording.telemetry.sidecars.reading import SUFFIXES, read_sidecar, sidecar_names
 from track_range.recording.telemetry.track import COLUMNS, TelemetryError, TelemetryTrack
 from track_range.recording.telemetry.video_clock import on_video_clock
 
 _MAX_NOTES = 3  # messages about telemetry that is not used
+
+READERS: tuple[Callable[[BinaryIO, Movie, Path], TelemetryTrack | None], ...] = (
+    read_gpmf,
+    read_camm,
+    read_novatek,
+    read_blackvue,
+    read_text_tracks,
+    read_ligogps,
+    read_tesla,
+)
+"""Readers of MP4 and QuickTime files, in the order in which they are tried."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +106,40 @@ def _in_video(path: Path) -> TelemetryTrack | None:
         if track is None:
             raise
     return read_with_exiftool(path) if track is None else track
+
+
+def embedded(path: Path) -> TelemetryTrack | None:
+    """Telemetry inside a video file; None = it has none.
+
+    The first reader with a fix is used; without any fix, the first with samples. Damaged parts are left out. A
+    TelemetryError means that the file cannot be read, its telemetry has an unknown layout, or a package is missing.
+    """
+    with open_regular(path, TelemetryError, "a video") as file, readable(path, TelemetryError):
+        start = read_at(file, 0, 1024)
+        if packet_bytes(start):
+            return read_mpeg_ts(file, path)
+        if start[:4] == b"DEVC":
+            return read_bare_gpmf(read_at(file, 0, MAX_BARE_BYTES))
+        movie = read_movie(file)
+        return _first_with_fix(file, movie, path) if movie else None
+
+
+def _first_with_fix(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:
+    without_fix, problem = None, None
+    for read in READERS:
+        try:
+            telemetry = read(file, movie, path)
+        except (ValueError, IndexError, OverflowError, struct.error):  # damaged in a way that no check foresees
+            continue
+        except TelemetryError as error:
+            problem = problem or error
+            continue
+        if telemetry and np.isfinite(telemetry.speed_mps).any():
+            return telemetry
+        without_fix = without_fix or telemetry
+    if without_fix is None and problem is not None:
+        raise problem
+    return without_fix
 
 
 def _beside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:

@@ -158,9 +158,12 @@ def _is_table(path: Path) -> bool:
 
 
 def _table_beside(part: VideoPart) -> SpeedSource:
-    """Ego speed from ego_speed.csv or an oxts folder beside the first file of a recording."""
-    notes: list[str] = []
-    for path in _table_places(part.path):
+    """Ego speed from ego_speed.csv or an oxts folder beside the first file of a recording, or in a folder of images."""
+    video, notes = part.path, list[str]()
+    folders = [video, video.parent] if video.is_dir() else [video.parent]
+    if video.is_dir() and video.name == "data":  # KITTI's raw recordings: image_02/data, and oxts beside image_02
+        folders.append(video.parent.parent)
+    for path in (folder / name for folder in folders for name in (TABLE_NAME, OXTS_NAME)):
         if path.exists():
             try:
                 ego = open_ego_speed(str(path))
@@ -170,17 +173,6 @@ def _table_beside(part: VideoPart) -> SpeedSource:
             note = f"Ego speed from {path.name} beside the video; --ego-speed off ignores it."
             return SpeedSource(ego=ego, notes=(*notes, note), files=(path,))
     return SpeedSource(notes=tuple(notes))
-
-
-def _table_places(video: Path) -> tuple[Path, ...]:
-    """Paths of ego_speed.csv and oxts beside a video, or in and beside a folder of images, in order of precedence.
-
-    In KITTI's raw recordings, images are in image_02/data, and oxts is beside image_02.
-    """
-    folders = [video, video.parent] if video.is_dir() else [video.parent]
-    if video.is_dir() and video.name == "data":
-        folders.append(video.parent.parent)
-    return tuple(folder / name for folder in folders for name in (TABLE_NAME, OXTS_NAME))
 
 
 def _automatic(parts: Sequence[VideoPart], motion: Callable[[], MotionSeries], notes: tuple[str, ...]) -> SpeedSource:

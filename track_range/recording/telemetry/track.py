@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from importlib import import_module
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, check_shape
 from track_range.foundation.errors import UserError
+from track_range.foundation.files.output_files import write_text
 
 Clock = Literal["video", "utc", "local"]
 """What the times of samples are: seconds from the first frame of the video, or since 1970 in UTC or in local time."""
@@ -20,6 +23,9 @@ datasheets of u-blox's M8 to M10 state 0.05 m/s at the median, and dashcams roun
 
 COLUMNS = ("time_s", "speed_mps", "course_rad", "latitude_deg", "longitude_deg", "utc_s")
 """Fields of a track with one value per sample."""
+
+TELEMETRY_FILE = "telemetry.csv"  # positions, speeds and courses in the folder of a run, written only with --keep-gps
+_MARGIN_S = 1.0  # time before the first and after the last frame of which samples are written, s
 
 
 class TelemetryError(UserError):
@@ -80,12 +86,25 @@ class TelemetryTrack:
         return replace(self, **{name: getattr(self, name)[index] for name in COLUMNS})
 
 
-def optional_package(package: str, source: str) -> Any:
-    """A package of the extra [telemetry]; `source` is the file to read, for the message.
+def write_positions(path: Path, track: TelemetryTrack, *, first_s: float, last_s: float) -> None:
+    """Write the samples between two times of a recording; an empty cell = unknown. See `write_text` for the errors."""
+    during = (track.time_s >= first_s - _MARGIN_S) & (track.time_s <= last_s + _MARGIN_S)
+    columns = {
+        "time_s": (track.time_s, 3),
+        "latitude_deg": (track.latitude_deg, 7),
+        "longitude_deg": (track.longitude_deg, 7),
+        "speed_mps": (track.speed_mps, 3),
+        "course_deg": (np.degrees(track.course_rad), 2),
+    }
+    cells = [
+        ["" if math.isnan(value) else f"{value:.{decimals}f}" for value in values[during].tolist()]
+        for values, decimals in columns.values()
+    ]
+    write_text(path, "\n".join(map(",".join, (columns, *zip(*cells, strict=True)))) + "\n")
 
-    Raises:
-        TelemetryError: it is not installed.
-    """
+
+def optional_package(package: str, source: str) -> Any:
+    """A package of the extra [telemetry]; a TelemetryError that names the file `source` = it is not installed."""
     try:
         return import_module(package)
     except ImportError as error:

@@ -27,11 +27,11 @@ from tests.track_range.recording.telemetry.mp4_files import (
     tesla_frame,
     transport_stream,
 )
-from track_range.recording.telemetry.containers.embedded import embedded
 from track_range.recording.telemetry.containers.free_gps import parse_free_gps
 from track_range.recording.telemetry.containers.gpmf import gps_rows
 from track_range.recording.telemetry.containers.ligogps import parse_ligo_record, parse_ligo_text
 from track_range.recording.telemetry.containers.tesla import parse_message
+from track_range.recording.telemetry.found import embedded
 from track_range.recording.telemetry.track import TelemetryError
 
 LINE = b"2026/08/03 11:34:53 N:48.1 W:002.1 19.0 km/h A:212.0"

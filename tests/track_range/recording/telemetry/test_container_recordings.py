@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from track_range.recording.telemetry.checks import usable
-from track_range.recording.telemetry.containers.embedded import embedded
 from track_range.recording.telemetry.containers.gpmf import gps_rows
 from track_range.recording.telemetry.containers.mp4_boxes import read_movie
+from track_range.recording.telemetry.found import embedded
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
 KNOT = 1852 / 3600

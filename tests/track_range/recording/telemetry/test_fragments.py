@@ -17,8 +17,8 @@ from tests.track_range.recording.telemetry.mp4_files import (
     gps5_payload,
     rmc,
 )
-from track_range.recording.telemetry.containers.embedded import embedded
 from track_range.recording.telemetry.containers.mp4_boxes import read_movie
+from track_range.recording.telemetry.found import embedded
 
 TRACKS = {
     "GoPro GPMF": MadeTrack(b"meta", b"gpmd", [gps5_payload([speed]) for speed in (1.0, 2.0, 3.0)]),

@@ -1,1 +1,1 @@
-"""Readers of telemetry inside video files; `embedded` in `embedded.py` tries them."""
+"""Readers of telemetry inside video files; `embedded` in `telemetry/found.py` tries them."""
