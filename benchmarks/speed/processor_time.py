@@ -23,7 +23,7 @@ from track_range.run.settings_files import settings_from
 
 STEPS: dict[str, tuple[str, ...]] = {
     "decoding": ("recording.files.video_file:_Reading._next_decoded",),
-    "colour conversion, read": ("recording.files.video_file:_YuvImage.to_bgr",),
+    "colour conversion, read": ("recording.frame:DecodedImage.to_bgr",),
     "rectification": ("stereo.geometry.rectification:Rectifier.rectify Undistorter.undistort",),
     "checks of the pair": (
         "recording.pairs.pair_monitor:PairMonitor.add SyncMonitor.add",

@@ -165,16 +165,14 @@ def tracked_corners(
 
 @dataclass(frozen=True, slots=True)
 class FlowFrame:
-    """Small image and corners of one frame.
+    """Images and corners of one frame.
 
     Attributes:
-        time_s: time of the frame; NaN = unknown.
-        image_hw: height and width of the image.
-        n_halved: number of halvings of the small image.
-        grey: (H, W) grey image of full size.
-        small: (h, w) small image.
+        time_s: NaN = unknown.
+        grey: (H, W) image of full size, `image_hw`.
+        small: (h, w) image, halved `n_halved` times.
         is_masked: cells of the small image with boxes of road users.
-        corners: corners of the background.
+        corners: those of the background.
     """
 
     time_s: float

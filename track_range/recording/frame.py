@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import av
 import numpy as np
@@ -21,6 +20,8 @@ _NEUTRAL_DIFFERENCE, _NEUTRAL_FRACTION = 8, 0.999
 """Largest difference between the channels of a grey pixel, in grey levels, and smallest fraction of such pixels in an
 image without colour, which is assumed; lossy chroma of grey videos differs by 1 to 3."""
 
+UPRIGHT = (1, 0, 0, 1)  # axes of an image that needs no rotation
+
 _reformatters = threading.local()
 """One converter of colours per thread; its buffers are reused while the size and format of the frames remain."""
 
@@ -29,15 +30,37 @@ class VideoError(UserError):
     """A video that cannot be read, paired or written; the message names the path and what to do."""
 
 
-class DecodedImage(Protocol):
-    """An image in the decoder's native format, which takes less memory than BGR."""
+@dataclass(frozen=True, slots=True)
+class DecodedImage:
+    """A frame in the decoder's native format, which takes less memory than BGR.
+
+    Attributes:
+        axes: signs (a, b, c, d) of x' = a x + c y, y' = b x + d y, which rotate the stored image upright.
+    """
+
+    frame: av.VideoFrame
+    axes: tuple[int, int, int, int]
 
     @property
     def n_bytes(self) -> int:
         """Size in memory."""
+        return sum(plane.buffer_size for plane in self.frame.planes)
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the upright image."""
+        size_px = (self.frame.width, self.frame.height)
+        return size_px[::-1] if self.axes[1] else size_px
 
     def to_bgr(self) -> Image:
         """The image as (H, W, 3) uint8 BGR, upright; every call gives the same pixels."""
+        image = bgr_image(self.frame)
+        if self.axes == UPRIGHT:
+            return image
+        x_from_x, y_from_x, x_from_y, y_from_y = self.axes
+        if y_from_x:
+            return np.ascontiguousarray(image.swapaxes(0, 1)[::y_from_x, ::x_from_y])
+        return np.ascontiguousarray(image[::y_from_y, ::x_from_x])
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,4 +137,4 @@ def test_impossible_frame_rates(tmp_path: Path, film: Film, rate: tuple[int, int
 def test_devices_are_cameras_only_if_they_are() -> None:
     address = live_address("/dev/zero")
     assert address is not None
-    assert address.format == "v4l2"  # its opening fails at once, since /dev/zero is no camera
+    assert address.is_camera  # its opening fails at once, since /dev/zero is no camera

@@ -71,11 +71,7 @@ class CsvTable:
         return np.array([number(cell) for cell in self.texts(name)], np.float64)
 
     def finite(self, name: str) -> FloatArray:
-        """(N,) numbers of a column.
-
-        Raises:
-            error: a cell is not a finite number.
-        """
+        """(N,) numbers of a column; an `error` = a cell is not a finite number."""
         values = self.numbers(name)
         self.check(name, values, np.isfinite(values), "a finite number")
         return values

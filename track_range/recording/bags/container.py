@@ -116,11 +116,7 @@ def decompressed(data: bytes, compression: str, n_bytes: int) -> bytes:
 
 
 def library(name: str) -> Any:
-    """A module of the extra [mcap].
-
-    Raises:
-        VideoError: it is not installed.
-    """
+    """A module of the extra [mcap]; a VideoError = it is not installed."""
     try:
         return import_module(name)
     except ImportError as error:
@@ -128,11 +124,7 @@ def library(name: str) -> Any:
 
 
 def missing_library(error: ImportError) -> NoReturn:
-    """Raise the error for a package of the extra that is not installed.
-
-    Raises:
-        VideoError: always.
-    """
+    """Raise the VideoError for a package of the extra that is not installed."""
     raise VideoError(
         f"MCAP files and ROS bags require the package {error.name}: install it with pip install 'track-range[mcap]'."
     ) from error

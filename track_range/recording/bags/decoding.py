@@ -110,36 +110,30 @@ class ImageDecoder:
         return bgr_image(frames[-1]) if frames else None
 
 
+@cache
 def _message_reader(topic: Topic) -> Callable[[bytes], Any]:
     """Function that parses the messages of a topic; a VideoError = a library is missing."""
-    if topic.encoding == "protobuf":
-        return _protobuf_reader(topic.type, topic.definition)
-    return _ros_reader(topic.type, topic.encoding, topic.definition)
-
-
-@cache
-def _protobuf_reader(name: str, definition: bytes) -> Callable[[bytes], Any]:
-    descriptor_pb2, descriptor_pool, message_factory = (
-        library(f"google.protobuf.{part}") for part in ("descriptor_pb2", "descriptor_pool", "message_factory")
-    )
-    pool = descriptor_pool.DescriptorPool()
-    try:
-        for file in descriptor_pb2.FileDescriptorSet.FromString(definition).file:
-            pool.Add(file)
-        parsed: Callable[[bytes], Any] = message_factory.GetMessageClass(pool.FindMessageTypeByName(name)).FromString
-    except Exception as error:  # protobuf raises its own errors, TypeError and KeyError
-        raise DamagedError(f"schema of {name}") from error
-    return parsed
-
-
-@cache
-def _ros_reader(name: str, encoding: str, definition: bytes) -> Callable[[bytes], Any]:
+    name, encoding = topic.type, topic.encoding
+    if encoding == "protobuf":
+        descriptor_pb2, descriptor_pool, message_factory = (
+            library(f"google.protobuf.{part}") for part in ("descriptor_pb2", "descriptor_pool", "message_factory")
+        )
+        pool = descriptor_pool.DescriptorPool()
+        try:
+            for file in descriptor_pb2.FileDescriptorSet.FromString(topic.definition).file:
+                pool.Add(file)
+            parsed: Callable[[bytes], Any] = message_factory.GetMessageClass(
+                pool.FindMessageTypeByName(name)
+            ).FromString
+        except Exception as error:  # protobuf raises its own errors, TypeError and KeyError
+            raise DamagedError(f"schema of {name}") from error
+        return parsed
     typesys = library("rosbags.typesys")
     stores = typesys.Stores
     store = typesys.get_typestore(stores.ROS1_NOETIC if encoding == "ros1" else stores.ROS2_HUMBLE)
     if name not in store.types:
         try:
-            store.register(typesys.get_types_from_msg(definition.decode(), name))
+            store.register(typesys.get_types_from_msg(topic.definition.decode(), name))
         except Exception as error:  # the errors of the parser derive from Exception
             raise DamagedError(f"schema of {name}") from error
     if encoding == "ros1":
@@ -192,11 +186,7 @@ def _raw_image(message: Any) -> Image:
 
 
 def camera_message(topic: Topic, data: bytes) -> CameraInfo:
-    """The calibration in a message of one of `CALIBRATION_TYPES`.
-
-    Raises:
-        DamagedError: it cannot be read.
-    """
+    """The calibration in a message of one of `CALIBRATION_TYPES`; a DamagedError = it cannot be read."""
     try:
         message = _message_reader(topic)(data)
         d, k, r, p = (np.array(getattr(message, name, getattr(message, name.upper(), ())), float) for name in "dkrp")

@@ -28,12 +28,19 @@ from av.sidedata.sidedata import Type as SideDataType
 from av.stream import Disposition
 from av.video.stream import VideoStream
 
-from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import MAX_PIXELS, check_size, header_size_px
 from track_range.foundation.files.input_files import counted
 from track_range.recording.files.decode_log import DecodeLog
 from track_range.recording.files.file_state import FileState
-from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, bgr_image, is_neutral, strictly_later
+from track_range.recording.frame import (
+    TIME_EPSILON_S,
+    UPRIGHT,
+    DecodedImage,
+    VideoError,
+    VideoFrame,
+    is_neutral,
+    strictly_later,
+)
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.threads import DECODER_THREADS
 from track_range.recording.utc import Stamp, UtcStart, stamp_in_header, stamp_in_name, start_of
@@ -43,7 +50,6 @@ _FALLBACK_RATE_HZ = 25.0  # frame rate of a file that does not declare one
 _SHORTFALL_FRAMES = 2.5
 """Number of missing frames at the end, relative to the header's duration, above which a file counts as truncated."""
 
-_UPRIGHT = (1, 0, 0, 1)  # result of `_display_axes` for an image that needs no rotation
 _MIN_RATE_HZ, _MAX_RATE_HZ = 1e-4, 1e5  # range of frame rates; the rate of another header is ignored
 
 _FORMATS = (
@@ -67,11 +73,7 @@ _OPTIONS = {
 
 
 class VideoFile(RecordedVideo):
-    """A video file.
-
-    Raises:
-        VideoError: the file cannot be read, contains no video, or nothing can be decoded.
-    """
+    """A video file; a VideoError = it cannot be read, contains no video, or nothing can be decoded."""
 
     path: Path
 
@@ -104,10 +106,10 @@ class VideoFile(RecordedVideo):
             self.n_total = max(1, round((self._declared_end_s - self.first_time_s) * self.fps))
 
         self._axes = _display_axes(frame)
-        self.is_upright_file = self._axes == _UPRIGHT
+        self.is_upright_file = self._axes == UPRIGHT
         if not self.is_upright_file:
             self._file_notes.append(f"{path}: rotated upright according to its metadata.")
-        image = _YuvImage(frame, self._axes).to_bgr()
+        image = DecodedImage(frame, self._axes).to_bgr()
         self.height_px, self.width_px = image.shape[:2]
         self.is_grey = is_neutral(image)
 
@@ -142,7 +144,7 @@ class VideoFile(RecordedVideo):
                     return
                 if time_s >= from_s - TIME_EPSILON_S:
                     self._log.n_used += 1
-                    decoded = _YuvImage(frame, self._axes)
+                    decoded = DecodedImage(frame, self._axes)
                     if decoded.size_px != (self.width_px, self.height_px):
                         advice = f"cut the video after {counted(self._log.n_used - 1, 'frame')}, or use --duration"
                         self.check_size(decoded.size_px, "", advice)
@@ -161,12 +163,10 @@ class VideoHeader:
 
     Attributes:
         size_px: width and height of the images as stored.
-        fps: nominal frame rate.
         first_s: time stamp of the first frame.
         duration_s: 0 = not stated.
         n_frames: None = not stated.
         stamps: date and time in the metadata and in the file name; None = none.
-        state: state of the file, to detect changes.
     """
 
     size_px: tuple[int, int]
@@ -179,11 +179,7 @@ class VideoHeader:
 
     @classmethod
     def read(cls, path: Path) -> VideoHeader:
-        """The header of a file, which is closed again.
-
-        Raises:
-            VideoError: the file cannot be read, or contains no video.
-        """
+        """The header of a file, which is closed again; a VideoError = it cannot be read, or contains no video."""
         state = FileState.of(path)
         with closing(_Reading(path, state)) as reading:
             container, stream = reading.container, reading.stream
@@ -336,44 +332,15 @@ class _Reading:
             yield packet
 
 
-@dataclass(frozen=True, slots=True)
-class _YuvImage:
-    """A frame in the decoder's native format, with the rotation that makes it upright (see `_display_axes`)."""
-
-    frame: av.VideoFrame
-    axes: tuple[int, int, int, int]
-
-    @property
-    def n_bytes(self) -> int:
-        """Size in memory."""
-        return sum(plane.buffer_size for plane in self.frame.planes)
-
-    @property
-    def size_px(self) -> tuple[int, int]:
-        """Width and height of the upright image."""
-        size_px = (self.frame.width, self.frame.height)
-        return size_px[::-1] if self.axes[1] else size_px
-
-    def to_bgr(self) -> Image:
-        """The image as (H, W, 3) uint8 BGR, upright."""
-        image = bgr_image(self.frame)
-        if self.axes == _UPRIGHT:
-            return image
-        x_from_x, y_from_x, x_from_y, y_from_y = self.axes
-        if y_from_x:
-            return np.ascontiguousarray(image.swapaxes(0, 1)[::y_from_x, ::x_from_y])
-        return np.ascontiguousarray(image[::y_from_y, ::x_from_x])
-
-
 def _display_axes(frame: av.VideoFrame) -> tuple[int, int, int, int]:
-    """Signs (a, b, c, d) of x' = a x + c y, y' = b x + d y, which rotate the stored image upright as players do."""
+    """Axes of `DecodedImage`, which rotate the stored image upright as players do."""
     try:
         side = cast(SideDataContainer, frame.side_data)[SideDataType.DISPLAYMATRIX]  # PyAV's type hint is too narrow
     except KeyError:
-        return _UPRIGHT
+        return UPRIGHT
     a, b, _, c, d = (int(sign) for sign in np.sign(np.frombuffer(bytes(side), np.int32)[:5]))
     is_right_angle = (a == d == 0 and b and c) or (b == c == 0 and a and d)
-    return (a, b, c, d) if is_right_angle else _UPRIGHT
+    return (a, b, c, d) if is_right_angle else UPRIGHT
 
 
 def _open(path: Path) -> tuple[InputContainer, VideoStream]:

@@ -46,11 +46,6 @@ class LiveAddress:
         return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")[:60] or "live"
 
     @property
-    def format(self) -> str | None:
-        """FFmpeg's input format; None = detected."""
-        return "v4l2" if self.is_camera else None
-
-    @property
     def options(self) -> dict[str, str]:
         """FFmpeg's options for opening it."""
         if self.is_camera:

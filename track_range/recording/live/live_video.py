@@ -267,7 +267,7 @@ def _opened(address: LiveAddress) -> InputContainer:
         container = av.open(
             address.url,
             mode="r",
-            format=address.format,
+            format="v4l2" if address.is_camera else None,
             options={**address.options, **_SIZE_LIMIT},
             timeout=(_OPEN_S, SILENCE_S),
         )

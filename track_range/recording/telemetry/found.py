@@ -75,11 +75,7 @@ def candidates(parts: Sequence[VideoPart]) -> Iterator[FoundTelemetry]:
 
 
 def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
-    """Telemetry of a file that the user names, for the whole recording.
-
-    Raises:
-        TelemetryError: it cannot be used.
-    """
+    """Telemetry of a file that the user names, for the whole recording; a TelemetryError = it cannot be used."""
     first = parts[0]
     whole_s = max(part.start_s + part.duration_s for part in parts) if first.duration_s else 0.0
     recording = replace(first, duration_s=whole_s)
