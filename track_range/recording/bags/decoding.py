@@ -86,28 +86,25 @@ class ImageDecoder:
             DamagedError: it cannot be read.
         """
         try:
-            return self._image(message)
+            name = str(message.encoding if self._topic.type in RAW_TYPES else message.format)
+            if any(part in name for part in _DEPTH):
+                raise DamagedError(f"depth images ({quoted(name, 30)})")
+            if self._topic.type in RAW_TYPES:
+                return _raw_image(message)
+            content = bytes(message.data)
+            if not self.is_video:
+                return _compressed_image(content)
+            if self._codec is None:
+                codec = _VIDEO_CODECS.get(name.lower())
+                if codec is None:
+                    raise DamagedError(f"video format {quoted(name)}, expected h264 or h265")
+                self._codec = cast(VideoCodecContext, av.CodecContext.create(codec, "r"))
+                self._codec.options = {"max_pixels": str(MAX_PIXELS), "flags": "low_delay"}
+                self._codec.thread_count = 1
+            frames = self._codec.decode(av.Packet(content))
+            return bgr_image(frames[-1]) if frames else None
         except (*DAMAGE, cv2.error, av.FFmpegError) as error:
             raise DamagedError(str(error)[:80]) from error
-
-    def _image(self, message: Any) -> Image | None:
-        name = str(message.encoding if self._topic.type in RAW_TYPES else message.format)
-        if any(part in name for part in _DEPTH):
-            raise DamagedError(f"depth images ({quoted(name, 30)})")
-        if self._topic.type in RAW_TYPES:
-            return _raw_image(message)
-        content = bytes(message.data)
-        if not self.is_video:
-            return _compressed_image(content)
-        if self._codec is None:
-            codec = _VIDEO_CODECS.get(name.lower())
-            if codec is None:
-                raise DamagedError(f"video format {quoted(name)}, expected h264 or h265")
-            self._codec = cast(VideoCodecContext, av.CodecContext.create(codec, "r"))
-            self._codec.options = {"max_pixels": str(MAX_PIXELS), "flags": "low_delay"}
-            self._codec.thread_count = 1
-        frames = self._codec.decode(av.Packet(content))
-        return bgr_image(frames[-1]) if frames else None
 
 
 @cache
@@ -122,12 +119,10 @@ def _message_reader(topic: Topic) -> Callable[[bytes], Any]:
         try:
             for file in descriptor_pb2.FileDescriptorSet.FromString(topic.definition).file:
                 pool.Add(file)
-            parsed: Callable[[bytes], Any] = message_factory.GetMessageClass(
-                pool.FindMessageTypeByName(name)
-            ).FromString
+            message: Any = message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
         except Exception as error:  # protobuf raises its own errors, TypeError and KeyError
             raise DamagedError(f"schema of {name}") from error
-        return parsed
+        return cast(Callable[[bytes], Any], message.FromString)
     typesys = library("rosbags.typesys")
     stores = typesys.Stores
     store = typesys.get_typestore(stores.ROS1_NOETIC if encoding == "ros1" else stores.ROS2_HUMBLE)

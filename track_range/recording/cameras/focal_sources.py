@@ -4,8 +4,8 @@ f_px = f_35 diagonal_px / 43.27 mm       f_35: focal length for 35 mm film, whos
 
 A field of view of a wide lens does not determine the focal length f at the image centre, since it depends on the
 projection. With half the image width r and half the field of view w, a lens without distortion has r = f tan w, and a
-fisheye r = f w. Wide lenses of dashcams are between the two; r = 2 f tan(w / 2) (stereographic) is used, with a sigma
-that covers both.
+fisheye r = f w. Wide lenses of dashcams are between the two; r = 2 f tan(w / 2) (stereographic) is used from 80 degrees
+on, with a sigma that covers both.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.images import IMAGE_SUFFIXES
@@ -23,68 +23,49 @@ from track_range.ranging.fitting.camera.focal_evidence import default_guess
 from track_range.ranging.fitting.camera.measurements import FocalGuess
 from track_range.recording.recorded_video import RecordedVideo
 
-_WIDE_DEG = 80.0  # field of view above which a lens counts as wide
-
-_SIGMA, _WIDE_SIGMA = 0.05, 0.15
-"""Relative standard deviation of a focal length from a stated field of view: stabilisation and modes crop the image;
-the projection of wide lenses is unknown."""
-
+_WIDE_SIGMA = 0.15  # relative standard deviation of a focal length from the field of view of a wide lens
 _MEASURED_SIGMA = 0.02  # relative standard deviation of a focal length in px that was measured
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class KnownCamera:
-    """One camera model; a field of view or a focal length is known.
+class KnownCamera(NamedTuple):
+    """One camera model.
 
     Attributes:
         name: maker and model, also as the option takes it.
-        tags: texts in the metadata of its videos that identify it, in lower case.
-        field_deg: stated horizontal field of view; NaN = `focal_per_width` is known.
-        focal_per_width: measured focal length divided by the image width.
+        focal_per_width: focal length at the image centre divided by the image width.
         source: where the value is published.
+        tags: texts in the metadata of its videos that identify it, in lower case.
+        sigma: relative standard deviation of the focal length.
     """
 
     name: str
-    tags: tuple[str, ...] = ()
-    field_deg: float = math.nan
-    focal_per_width: float = math.nan
+    focal_per_width: float
     source: str
+    tags: tuple[str, ...] = ()
+    sigma: float = _MEASURED_SIGMA
 
-    def focal_px(self, width_px: int) -> float:
-        """Focal length at the image centre in images of this width."""
-        if math.isfinite(self.focal_per_width):
-            return self.focal_per_width * width_px
-        half = math.radians(self.field_deg) / 2
-        tangent = 2 * math.tan(half / 2) if self.is_wide else math.tan(half)
-        return width_px / 2 / tangent
-
-    @property
-    def is_wide(self) -> bool:
-        """Whether the projection of the lens matters."""
-        return math.isfinite(self.field_deg) and self.field_deg > _WIDE_DEG
-
-    @property
-    def sigma(self) -> float:
-        """Relative standard deviation of the focal length."""
-        return _MEASURED_SIGMA if math.isfinite(self.focal_per_width) else _WIDE_SIGMA if self.is_wide else _SIGMA
+    def guess(self, width_px: int, evidence: str) -> FocalGuess:
+        """The focal length in images of this width."""
+        return FocalGuess(self.focal_per_width * width_px, self.sigma, f"{evidence} ({self.source})")
 
 
 _OPENPILOT = "openpilot, common/transformations/camera.py"
 
-KNOWN_CAMERAS: tuple[KnownCamera, ...] = (
-    KnownCamera(name="comma EON", focal_per_width=910.0 / 1164, source=_OPENPILOT),
-    KnownCamera(name="comma three", focal_per_width=2648.0 / 1928, source=_OPENPILOT),
+KNOWN_CAMERAS = (
+    KnownCamera("comma EON", 910.0 / 1164, _OPENPILOT),
+    KnownCamera("comma three", 2648.0 / 1928, _OPENPILOT),
     KnownCamera(
-        name="GoPro HERO9 Black wide",
+        "GoPro HERO9 Black wide",
+        869.96 / 1920,
+        "calibration of 1920x1080 at 60 fps, Wide, by urbste/OpenImuCameraCalibrator, Readme.md",
         tags=("hd9.",),
-        focal_per_width=869.96 / 1920,
-        source="calibration of 1920x1080 at 60 fps, Wide, by urbste/OpenImuCameraCalibrator, Readme.md",
     ),
     KnownCamera(
-        name="GoPro HERO3 Black wide",
+        "GoPro HERO3 Black wide",
+        1 / (4 * math.tan(math.radians(121.0) / 4)),
+        "measured by R. Cunniff, racunniff.blogspot.com, December 2012",  # the field of view, 121 degrees
         tags=("hd3.",),
-        field_deg=121.0,
-        source="measured by R. Cunniff, racunniff.blogspot.com, December 2012",
+        sigma=_WIDE_SIGMA,
     ),
 )
 """The known cameras; the mode of a camera with several fields of view is part of its name."""
@@ -127,7 +108,7 @@ def _of_model(name: str, width_px: int) -> FocalGuess:
     if camera is None:
         names = ", ".join(known.name for known in KNOWN_CAMERAS)
         raise UsageError(f"--camera-model {quoted(name)}: expected one of {names}.")
-    return FocalGuess(camera.focal_px(width_px), camera.sigma, f"the camera model {camera.name} ({camera.source})")
+    return camera.guess(width_px, f"the camera model {camera.name}")
 
 
 def _of_film(tags: Mapping[str, str], size_px: tuple[int, int]) -> FocalGuess | None:
@@ -143,8 +124,7 @@ def _of_tags(tags: Mapping[str, str], width_px: int) -> FocalGuess | None:
     texts = [tags[key].lower() for key in _MODEL_KEYS if key in tags]
     for camera in KNOWN_CAMERAS:
         if any(text.startswith(tag) for text in texts for tag in camera.tags):
-            source = f"the file's metadata, which names a {camera.name} ({camera.source})"
-            return FocalGuess(camera.focal_px(width_px), camera.sigma, source)
+            return camera.guess(width_px, f"the file's metadata, which names a {camera.name}")
     return None
 
 

@@ -26,10 +26,9 @@ class FileState:
 
     @classmethod
     def of(cls, path: Path, n_bytes: int | None = None) -> FileState:
-        """The present state of a file, with the samples at the places that they have in a file of `n_bytes`.
+        """The present state of a file, with the samples at the offsets that they have in a file of `n_bytes`.
 
-        Raises:
-            VideoError: it is not a regular file, or cannot be read.
+        A VideoError means that it is not a regular file, or cannot be read.
         """
         with open_regular(path, VideoError, "a video file or a folder of numbered images") as file:
             status = os.fstat(file.fileno())
@@ -44,35 +43,28 @@ class FileState:
                 raise VideoError(f"{path}: cannot be read ({error.strerror or error}); check the disk.") from error
         return cls(status.st_size, status.st_mtime_ns, tuple(samples))
 
-    def change_of(self, path: Path) -> str:
-        """How the file with this path has changed since: a clause for messages, empty if it is the same file.
+    def check_unchanged(self, path: Path) -> None:
+        """Raise a VideoError if the file with this path was replaced, shortened or overwritten.
 
         A file that was deleted, or has grown while its beginning stayed the same, counts as unchanged.
         """
         try:
             status = path.stat()
         except OSError:
-            return ""
+            return
         if (status.st_size, status.st_mtime_ns) == (self.n_bytes, self.modified_ns):
-            return ""
-        if status.st_size < self.n_bytes:
-            return f"shortened from {self.n_bytes} to {status.st_size} bytes"
+            return
         try:
             present = FileState.of(path, self.n_bytes)
+            n_different = sum(a != b for a, b in zip(self.samples, present.samples, strict=True))
+            # a recorder that ends meanwhile may write the header again
+            is_other = n_different > (_N_SAMPLES // 4 if present.n_bytes > self.n_bytes else 0)
+            change = "replaced or overwritten" if is_other else ""
         except VideoError:
-            return "replaced"
-        n_different = sum(a != b for a, b in zip(self.samples, present.samples, strict=True))
-        # a recorder that ends meanwhile may write the header again
-        is_other = n_different > (_N_SAMPLES // 4 if present.n_bytes > self.n_bytes else 0)
-        return "replaced or overwritten" if is_other else ""
-
-    def check_unchanged(self, path: Path) -> None:
-        """Check that the file with this path is the same one; see `change_of`.
-
-        Raises:
-            VideoError: it was replaced, shortened or overwritten.
-        """
-        if change := self.change_of(path):
+            change = "replaced"
+        if status.st_size < self.n_bytes:
+            change = f"shortened from {self.n_bytes} to {status.st_size} bytes"
+        if change:
             raise VideoError(f"{path}: the file was {change} while it was read; repeat the run with the complete file.")
 
     def has_grown(self, path: Path) -> bool:

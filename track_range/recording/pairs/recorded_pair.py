@@ -157,22 +157,19 @@ class RecordedPair(VideoPair[RecordedVideo]):
 
     def _unpaired_notes(self, side: _Side, other: _Side) -> list[str]:
         """Messages about the unpaired frames of one side before, after and between the pairs."""
-        later_s, earlier_s = other.first_s - side.first_s, side.end_s - other.end_s
         n_between, notes, noun = side.n_between, [], f"{side.name} frame"
-        if side.n_before and later_s > self.tolerance_s:
-            notes.append(
-                f"The {other.name} video starts {later_s:.2f} s later than the {side.name} one: "
-                f"{counted(side.n_before, noun)} before it skipped."
-            )
-        else:
-            n_between += side.n_before
-        if side.n_after and earlier_s > self.tolerance_s:
-            notes.append(
-                f"The {other.name} video ends {earlier_s:.2f} s earlier than the {side.name} one: "
-                f"{counted(side.n_after, noun)} after it skipped."
-            )
-        else:
-            n_between += side.n_after
+        ends = (
+            ("starts", "later", "before", side.n_before, other.first_s - side.first_s),
+            ("ends", "earlier", "after", side.n_after, side.end_s - other.end_s),
+        )
+        for verb, adverb, preposition, n_skipped, by_s in ends:
+            if n_skipped and by_s > self.tolerance_s:
+                notes.append(
+                    f"The {other.name} video {verb} {by_s:.2f} s {adverb} than the {side.name} one: "
+                    f"{counted(n_skipped, noun)} {preposition} it skipped."
+                )
+            else:
+                n_between += n_skipped
         if n_between:
             notes.append(
                 f"{counted(n_between, noun)} without a {other.name} frame within {1000 * self.tolerance_s:.1f} ms "

@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from track_range.foundation.files.input_files import counted
@@ -33,7 +33,7 @@ _PARTNER_S = 2.0  # largest difference, s, between the start times of the left a
 
 @dataclass(frozen=True, slots=True)
 class SegmentFacts:
-    """Properties of one file that determine its place in the recording.
+    """Properties of one file that determine its position in the recording.
 
     Attributes:
         first_s: time stamp of the first frame.
@@ -68,7 +68,7 @@ class SegmentPlan:
     starts_s: tuple[float, ...]
     clock_s: tuple[float, ...] = ()
     utc: UtcStart | None = None
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
 
 def arranged(
@@ -189,9 +189,9 @@ def _dated_starts_s(
 
 def _cut_notes(files: Sequence[SegmentFacts], gaps_s: Sequence[float]) -> list[str]:
     """Messages about gaps and overlaps between consecutive files."""
-    places = list(zip(gaps_s, (file.path.name for file in files), strict=False))
-    gaps = [(gap_s, name) for gap_s, name in places if gap_s >= _NOTED_GAP_S]
-    overlaps = [(-gap_s, name) for gap_s, name in places if gap_s <= -_NOTED_GAP_S]
+    named = [(gap_s, file.path.name) for gap_s, file in zip(gaps_s, files, strict=False)]
+    gaps = [(gap_s, name) for gap_s, name in named if gap_s >= _NOTED_GAP_S]
+    overlaps = [(-gap_s, name) for gap_s, name in named if gap_s <= -_NOTED_GAP_S]
     notes = []
     if gaps:
         longest_s, name = max(gaps)

@@ -20,9 +20,9 @@ from track_range.recording.recorded_video import VideoPart
 from track_range.recording.telemetry.checks import usable
 from track_range.recording.telemetry.containers.blackvue import read_blackvue
 from track_range.recording.telemetry.containers.camm import read_camm
-from track_range.recording.telemetry.containers.gpmf import MAX_BARE_BYTES, read_bare_gpmf, read_gpmf
+from track_range.recording.telemetry.containers.gpmf import read_bare_gpmf, read_gpmf
 from track_range.recording.telemetry.containers.ligogps import read_ligogps
-from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at, read_movie
+from track_range.recording.telemetry.containers.mp4_boxes import MAX_TELEMETRY_BYTES, Movie, read_at, read_movie
 from track_range.recording.telemetry.containers.mpeg_ts import packet_bytes, read_mpeg_ts
 from track_range.recording.telemetry.containers.novatek import read_novatek
 from track_range.recording.telemetry.containers.tesla import read_tesla
@@ -115,7 +115,7 @@ def embedded(path: Path) -> TelemetryTrack | None:
         if packet_bytes(start):
             return read_mpeg_ts(file, path)
         if start[:4] == b"DEVC":
-            return read_bare_gpmf(read_at(file, 0, MAX_BARE_BYTES))
+            return read_bare_gpmf(read_at(file, 0, MAX_TELEMETRY_BYTES))
         movie = read_movie(file)
         return _first_with_fix(file, movie, path) if movie else None
 

@@ -25,6 +25,7 @@ COLUMNS = ("time_s", "speed_mps", "course_rad", "latitude_deg", "longitude_deg",
 """Fields of a track with one value per sample."""
 
 TELEMETRY_FILE = "telemetry.csv"  # positions, speeds and courses in the folder of a run, written only with --keep-gps
+MAX_SIDECAR_BYTES = 100_000_000  # size limit of a file beside a video; a day of NMEA sentences at 10 Hz has 60 MB
 _MARGIN_S = 1.0  # time before the first and after the last frame of which samples are written, s
 
 

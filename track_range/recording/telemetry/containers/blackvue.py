@@ -12,12 +12,10 @@ from typing import BinaryIO
 
 import numpy as np
 
-from track_range.recording.telemetry.containers.mp4_boxes import Movie, boxes, read_at
+from track_range.recording.telemetry.containers.mp4_boxes import MAX_TELEMETRY_BYTES, Movie, boxes, read_at
 from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, track
 from track_range.recording.telemetry.sidecars.nmea import rmc_samples
 from track_range.recording.telemetry.track import TelemetryTrack
-
-MAX_GPS_BYTES = 64_000_000  # size limit of the boxes; an hour at 1 Hz has 1.5 MB
 
 _SENTENCE = re.compile(rb"\[(\d{10,16})\]\s*(\$[A-Z]{2}RMC,[^\r\n\[]{6,100})")
 _MAX_JITTER_S = 2.0
@@ -34,7 +32,7 @@ def read_blackvue(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | 
             continue
         if not read_at(file, box.start + 4, 4).strip(b"\0 ").isalnum():
             continue
-        content = read_at(file, box.start, min(box.end - box.start, MAX_GPS_BYTES))
+        content = read_at(file, box.start, min(box.end - box.start, MAX_TELEMETRY_BYTES))
         parts = dict(boxes(content))
         if b"gps " in parts and (telemetry := _stamped_track(parts[b"gps "], parts.get(b"sttm", b""), str(path))):
             return telemetry

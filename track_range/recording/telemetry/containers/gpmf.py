@@ -25,7 +25,6 @@ from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, date_s,
 from track_range.recording.telemetry.track import Clock, TelemetryTrack
 
 MAX_PAYLOAD_BYTES = 1_000_000  # size limit of a payload, which covers about one second; GoPro's have 10 to 100 kB
-MAX_BARE_BYTES = 64_000_000  # size limit of a file of payloads alone
 _PROBED_PAYLOADS = 60  # payloads without GPS rows after which a file counts as one without GPS
 _MIN_FIX = 2  # smallest GPSF with a fix: 0 = none, 2 = two-dimensional, 3 = three-dimensional
 

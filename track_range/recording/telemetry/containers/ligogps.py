@@ -16,7 +16,7 @@ from typing import BinaryIO
 import numpy as np
 
 from track_range.foundation.files.numeric_text import number
-from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at
+from track_range.recording.telemetry.containers.mp4_boxes import MAX_TELEMETRY_BYTES, Movie, read_at
 from track_range.recording.telemetry.positions import MPS_PER_UNIT
 from track_range.recording.telemetry.samples import (
     MAX_SAMPLES,
@@ -30,7 +30,6 @@ from track_range.recording.telemetry.samples import (
 )
 from track_range.recording.telemetry.track import TelemetryTrack
 
-MAX_TRAILER_BYTES = 16_000_000  # size limit of the trailer; 33 hours at 1 Hz
 _SLOT_BYTES = 132  # size of a slot or record: 4 bytes of number, then text or encrypted text
 
 _TERMINATORS = (b"####", b"&&&&")
@@ -64,14 +63,14 @@ def _contents(file: BinaryIO, movie: Movie) -> Iterator[bytes]:
     """Contents that may hold records."""
     end = read_at(file, movie.n_bytes - 8, 8)
     n_bytes = int.from_bytes(end[4:], "big")
-    if end[:4] in _TERMINATORS and 16 <= n_bytes <= min(movie.n_bytes, MAX_TRAILER_BYTES):
+    if end[:4] in _TERMINATORS and 16 <= n_bytes <= min(movie.n_bytes, MAX_TELEMETRY_BYTES):
         yield read_at(file, movie.n_bytes - n_bytes, n_bytes)
     for box in movie.top:
         if box.type in (b"skip", b"SKIP", b"free") and b"GPSINFO" in read_at(file, box.start, 24):
-            yield read_at(file, box.start, min(box.end - box.start, MAX_TRAILER_BYTES))
+            yield read_at(file, box.start, min(box.end - box.start, MAX_TELEMETRY_BYTES))
     for content in movie.inner.values():
         if b"LIGOGPSINFO" in content[:65_536]:
-            yield content[:MAX_TRAILER_BYTES]
+            yield content[:MAX_TELEMETRY_BYTES]
 
 
 def _track(samples: Sequence[Sample], unit: Unit) -> TelemetryTrack | None:

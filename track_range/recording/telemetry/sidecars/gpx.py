@@ -15,9 +15,7 @@ from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.xml_events import parse_xml
 from track_range.recording.telemetry.positions import speed_from_positions
 from track_range.recording.telemetry.samples import Sample, plain_track
-from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack, optional_package
-
-MAX_GPX_BYTES = 50_000_000  # size limit of a GPX file, bytes; a day at 1 Hz with extensions has 35 MB
+from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryError, TelemetryTrack, optional_package
 
 _MAX_NAMESPACES = 100
 """Largest number of namespace declarations; gpxpy searches for them in the text, which is slow with many."""
@@ -33,7 +31,7 @@ def read_gpx(path: Path) -> TelemetryTrack:
     Raises:
         TelemetryError: it cannot be read, is unsafe XML, has no points with times, or gpxpy is not installed.
     """
-    text = read_text(path, TelemetryError, _EXPECTED, max_bytes=MAX_GPX_BYTES)
+    text = read_text(path, TelemetryError, _EXPECTED, max_bytes=MAX_SIDECAR_BYTES)
     if text.count("xmlns") > _MAX_NAMESPACES:
         raise TelemetryError(f"{path}: expected {_EXPECTED} with at most {_MAX_NAMESPACES} namespaces, found more.")
     parse_xml(io.BytesIO(text.encode()), path, None, TelemetryError, _EXPECTED)

@@ -14,10 +14,7 @@ from typing import Any
 from track_range.foundation.files.input_files import read_text
 from track_range.recording.telemetry.positions import MPS_PER_UNIT
 from track_range.recording.telemetry.samples import Sample, plain_track
-from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack, optional_package
-
-MAX_NMEA_BYTES = 100_000_000
-"""Size limit of a file of sentences, bytes; a day at 10 Hz with all usual sentences has 60 MB."""
+from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryError, TelemetryTrack, optional_package
 
 _RMC = re.compile(r"\$[A-Z]{2}RMC,[^$*\r\n]{10,90}(?:\*([0-9A-Fa-f]{2}))?")
 """Recommended minimum sentence of any satellite system."""
@@ -38,7 +35,7 @@ def read_nmea(path: Path) -> TelemetryTrack | None:
     Raises:
         TelemetryError: it cannot be read, or pynmea2 is not installed.
     """
-    text = read_text(path, TelemetryError, "NMEA sentences", max_bytes=MAX_NMEA_BYTES)
+    text = read_text(path, TelemetryError, "NMEA sentences", max_bytes=MAX_SIDECAR_BYTES)
     fixes = [fix for fix in fixes_in(text.splitlines(), str(path)) if fix is not None]
     dated = [fix.at(fix.utc_s) for fix in fixes if math.isfinite(fix.utc_s)]
     return plain_track(dated, path.name, "utc") if dated else None

@@ -15,9 +15,8 @@ import numpy as np
 
 from track_range.foundation.files.input_files import first_line, read_text
 from track_range.foundation.files.numeric_text import numbers
-from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryError, TelemetryTrack
 
-_MAX_BYTES = 200_000_000  # a day at 1 Hz has 8 MB
 _N_CELLS = 10
 _MAX_STEP_S = 5.0
 """Largest time between the last row of a video and the first one of the next, if the recording did not stop between."""
@@ -33,7 +32,7 @@ def read_seventymai(path: Path, video: str, duration_s: float) -> TelemetryTrack
     """
     if not first_line(path, TelemetryError, "a log of a 70mai dashcam").startswith("$V0"):
         return None
-    text = read_text(path, TelemetryError, "a log of a 70mai dashcam", max_bytes=_MAX_BYTES)
+    text = read_text(path, TelemetryError, "a log of a 70mai dashcam", max_bytes=MAX_SIDECAR_BYTES)
     cells = [line.split(",") for line in text.splitlines()]
     rows = [row for row in cells if len(row) >= _N_CELLS and row[1] in ("A", "V")]
     values = np.array([[*numbers(row[:1]), *numbers(row[2:6])] for row in rows]).reshape(-1, 5)

@@ -14,10 +14,7 @@ from track_range.foundation.files.numeric_text import number
 from track_range.recording.telemetry.positions import MPS_PER_UNIT, speed_from_positions
 from track_range.recording.telemetry.samples import Sample, plain_track, signed, unit_in
 from track_range.recording.telemetry.sidecars.nmea import fixes_in
-from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
-
-MAX_SRT_BYTES = 100_000_000
-"""Size limit of a file of subtitles, bytes; DJI writes about 10 kB per second of video at 60 Hz, an hour is 36 MB."""
+from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryError, TelemetryTrack
 
 _CUE = re.compile(r"(\d{1,3}):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
 
@@ -51,7 +48,7 @@ def read_srt(path: Path) -> TelemetryTrack | None:
     Raises:
         TelemetryError: the file cannot be read, or states speeds without a unit.
     """
-    text = read_text(path, TelemetryError, "subtitles in SRT", max_bytes=MAX_SRT_BYTES)
+    text = read_text(path, TelemetryError, "subtitles in SRT", max_bytes=MAX_SIDECAR_BYTES)
     cues = list(_cues(text))
     return _track([content for _, content in cues], [time_s for time_s, _ in cues], path)
 
