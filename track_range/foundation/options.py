@@ -194,11 +194,7 @@ class Options(BaseModel):
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
-        """Options from values by name; None values are treated as not given.
-
-        Raises:
-            UsageError: a value is missing, invalid or contradicts another.
-        """
+        """Options from values by name, None = not given; a UsageError = one is missing, invalid or contradictory."""
         try:
             return cls(**{name: value for name, value in given.items() if value is not None})
         except ValidationError as error:

@@ -48,11 +48,7 @@ VideoName = Path | LiveAddress | Segments | BagTopic  # any source of one camera
 
 
 def video_name(name: str | VideoName | Sequence[str | Path]) -> VideoName:
-    """The camera, stream, file, folder or pattern with this name, or several files.
-
-    Raises:
-        ValueError: no file, or a live source among several files.
-    """
+    """The source or pattern with this name, or several files; a ValueError = none, or a live source among them."""
     if isinstance(name, str):
         return live_address(name) or Path(name)
     if isinstance(name, Path | LiveAddress | Segments | BagTopic):

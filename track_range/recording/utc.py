@@ -104,11 +104,7 @@ class Stamp:
 
 
 def parsed_utc(text: str) -> UtcStart:
-    """The time of `--start-utc`, an ISO 8601 date and time; without a time zone it is UTC.
-
-    Raises:
-        ValueError: it is not a date and time.
-    """
+    """The time of `--start-utc`, ISO 8601 and UTC if it states no zone; a ValueError = it is no date and time."""
     moment = _parsed(text)
     if moment is None:
         raise ValueError(f"expected a date and time such as 2026-01-31T14:25:30.000Z, got {quoted(text)}")

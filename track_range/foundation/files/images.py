@@ -56,10 +56,8 @@ def read_image(
 ) -> npt.NDArray[Any]:
     """The image of a PNG, JPEG, BMP, TIFF, WebP or PNM file, decoded by OpenCV with its `flags`.
 
-    The flags determine the number of channels and the type; `expected` is the noun phrase for the file in messages.
-
-    Raises:
-        error: the file cannot be read, is not a regular file, is damaged or of an unknown format, or is too large.
+    The flags determine the number of channels and the type; `expected` is the noun phrase for the file in messages. An
+    `error` = the file cannot be read, is not a regular file, is damaged or of an unknown format, or is too large.
     """
     with open_regular(path, error, expected) as file:
         try:

@@ -31,11 +31,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Create a folder with its parents, and check that files can be written to it.
-
-    Raises:
-        OutputError: the path is a file, or the folder cannot be created or written to.
-    """
+    """Create a folder with its parents, and check it; an OutputError = files cannot be written to it."""
     probe = folder / ".writable"
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -70,11 +70,7 @@ def open_bag(path: Path) -> Bag:
 
 
 class SqliteFile:
-    """Messages of a .db3 file; see `Bag` for the attributes.
-
-    Raises:
-        VideoError: the file cannot be read.
-    """
+    """Messages of a .db3 file; see `Bag` for the attributes. A VideoError = the file cannot be read."""
 
     def __init__(self, path: Path) -> None:
         check_regular(path, VideoError, EXPECTED)

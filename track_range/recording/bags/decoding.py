@@ -68,11 +68,7 @@ class ImageDecoder:
         self._codec: VideoCodecContext | None = None
 
     def message(self, data: bytes) -> tuple[float, Any]:
-        """Time stamp of a message in seconds since 1970, 0 = none, and the parsed message.
-
-        Raises:
-            DamagedError: it cannot be read.
-        """
+        """Seconds since 1970, 0 = none, and content of a message; a DamagedError = it cannot be read."""
         try:
             message = self._parsed(data)
             return _stamp_s(message), message
@@ -80,11 +76,7 @@ class ImageDecoder:
             raise DamagedError(f"no {self._topic.type}") from error
 
     def image(self, message: Any) -> Image | None:
-        """The image of a message as (H, W, 3) uint8 BGR; None = a video frame that yields no image.
-
-        Raises:
-            DamagedError: it cannot be read.
-        """
+        """(H, W, 3) uint8 BGR; None = a video frame without image. A DamagedError = it cannot be read."""
         try:
             name = str(message.encoding if self._topic.type in RAW_TYPES else message.format)
             if any(part in name for part in _DEPTH):

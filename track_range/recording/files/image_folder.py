@@ -33,11 +33,8 @@ _TIMESTAMP = re.compile(r"((?:19|20|21)\d\d-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d
 class ImageFolder(RecordedVideo):
     """Numbered images in one folder, in the order of their numbers.
 
-    `fps` is the argument, or the median rate of timestamps.txt, with which times are seconds since 1970.
-
-    Raises:
-        VideoError: no numbered images, two with the same number, one that is not a regular file, or the first cannot
-            be decoded.
+    `fps` is the argument, or the median rate of timestamps.txt, with which times are seconds since 1970. A VideoError =
+    no numbered images, two with the same number, one that is not a regular file, or the first cannot be decoded.
     """
 
     path: Path

@@ -198,11 +198,7 @@ class VideoHeader:
 
 
 def count_packets(path: Path) -> tuple[int, float]:
-    """Number of frames of a file that does not state it, and time from the first to the end of the last one, s.
-
-    Raises:
-        VideoError: the file cannot be read.
-    """
+    """Number of frames and duration, s, of a file by its packets; a VideoError = the file cannot be read."""
     with closing(_Reading(path, FileState.of(path))) as reading:
         n_frames, first, last = 0, math.inf, -math.inf
         for packet in reading.with_frames():

@@ -170,11 +170,7 @@ class LiveVideo:
             return [(index, time_s) for index, time_s, _ in self._waiting]
 
     def take(self, index: int) -> VideoFrame | None:
-        """The frame with this index, converted to BGR; earlier frames are dropped. None = it has been dropped already.
-
-        Raises:
-            VideoError: its size differs from that of the first frame.
-        """
+        """The frame with this index; earlier ones are dropped. None = it was dropped; a VideoError = another size."""
         began_s = time.thread_time()
         with self._lock:
             while self._waiting and self._waiting[0][0] < index:

@@ -114,11 +114,7 @@ class PairAlignment:
 
 
 def given_alignment(align: str | Path | Alignment | PairAlignment, rig: StereoRig) -> PairAlignment | None:
-    """The alignment of a file or an object, or none ("off"); None = to be estimated ("auto").
-
-    Raises:
-        RigError: the file cannot be used.
-    """
+    """The given alignment, or none ("off"); None = to be estimated ("auto"). A RigError = an unusable file."""
     if isinstance(align, PairAlignment):
         return align
     if isinstance(align, Alignment):

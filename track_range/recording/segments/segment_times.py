@@ -124,10 +124,8 @@ def arranged(
 def paired_starts_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
     """Start times of the right files of a pair on the time axis of the left ones.
 
-    Files of a pair that start within 2 s are assumed to start together, since their dates have a resolution of 1 s.
-
-    Raises:
-        VideoError: the files have no dates, and one side lacks files of the other.
+    Files of a pair that start within 2 s are assumed to start together, since their dates have a resolution of 1 s. A
+    VideoError = the files have no dates, and one side lacks files of the other.
     """
     has_equal_clocks = plan.utc is not None and left.utc is not None and plan.utc.is_local == left.utc.is_local
     if plan.clock_s and left.clock_s and has_equal_clocks:

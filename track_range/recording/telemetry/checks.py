@@ -48,10 +48,8 @@ _MIN_COMPARED, _UNIT_TOLERANCE = 10, 0.08
 def usable(track: TelemetryTrack) -> TelemetryTrack:
     """The track in the order of time, without wild samples, which become NaN.
 
-    A clock that is set when the receiver gets its first fix does not matter if the fix then lasts (`MIN_STABLE_S`).
-
-    Raises:
-        TelemetryError: no fix, wild positions or speeds, or a clock that jumps.
+    A clock that is set when the receiver gets its first fix does not matter if the fix then lasts (`MIN_STABLE_S`). A
+    TelemetryError = no fix, wild positions or speeds, or a clock that jumps.
     """
     if not len(track) or not np.isfinite(track.speed_mps).any():
         raise TelemetryError("the receiver had no fix.")

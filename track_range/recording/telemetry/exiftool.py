@@ -44,11 +44,7 @@ _MIN_MODE = 2  # smallest GPSMeasureMode with a fix
 
 
 def read_with_exiftool(path: Path) -> TelemetryTrack | None:
-    """Telemetry that ExifTool finds in a file; None = it is not installed, or finds none.
-
-    Raises:
-        TelemetryError: it did not finish within `TIMEOUT_S`.
-    """
+    """Telemetry that ExifTool finds; None = it is not installed, or finds none. A TelemetryError = a timeout."""
     program = shutil.which("exiftool")
     if program is None:
         return None

@@ -27,9 +27,7 @@ def read_gpx(path: Path) -> TelemetryTrack:
     """Telemetry of the track points of a GPX file, or of its route or way points if it has no track.
 
     Speeds are those of the file (GPX 1.0 `speed`, Garmin's TrackPointExtension and others, in m/s), or from positions.
-
-    Raises:
-        TelemetryError: it cannot be read, is unsafe XML, has no points with times, or gpxpy is not installed.
+    A TelemetryError = it cannot be read, is unsafe XML, has no points with times, or gpxpy is not installed.
     """
     text = read_text(path, TelemetryError, _EXPECTED, max_bytes=MAX_SIDECAR_BYTES)
     if text.count("xmlns") > _MAX_NAMESPACES:

@@ -44,11 +44,7 @@ def is_telemetry_csv(table: CsvTable) -> bool:
 
 
 def read_csv(path: Path) -> TelemetryTrack | None:
-    """Telemetry of a CSV file; None = the file has no columns of telemetry.
-
-    Raises:
-        TelemetryError: the file cannot be read, its times cannot, or its speeds have no unit.
-    """
+    """Telemetry of a CSV file; None = no such columns. A TelemetryError = it, its times or its unit are unreadable."""
     table = read_csv_table(path, TelemetryError, "columns of times and speeds")
     if not is_telemetry_csv(table) or not len(table):
         return None

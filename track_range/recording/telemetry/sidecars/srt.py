@@ -43,11 +43,7 @@ _MIN_FRACTION = 0.5
 
 
 def read_srt(path: Path) -> TelemetryTrack | None:
-    """Telemetry of the subtitles beside a video, in its time; None = they have neither speeds nor positions.
-
-    Raises:
-        TelemetryError: the file cannot be read, or states speeds without a unit.
-    """
+    """Telemetry of subtitles, in the time of the video; None = none. A TelemetryError = unreadable, or without unit."""
     text = read_text(path, TelemetryError, "subtitles in SRT", max_bytes=MAX_SIDECAR_BYTES)
     cues = list(_cues(text))
     return _track([content for _, content in cues], [time_s for time_s, _ in cues], path)
