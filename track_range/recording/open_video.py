@@ -28,14 +28,9 @@ def open_video(
 ) -> RecordedVideo:
     """A video file, several files that are one recording, a folder of numbered images, or a topic of a bag.
 
-    Args:
-        name: the file, the folder of images or videos, a pattern such as `DIR/*_F.mp4`, several files, or a topic.
-        folder_fps: frame rate of a folder without timestamps.txt.
-        start_s, duration_s: part to read; it starts in seconds after the first frame, for a right video of the left
-        one. left: the left video of a pair, if this is the right one.
-
-    Raises:
-        VideoError: the path does not exist, is no video, nothing can be decoded, or the images are too small.
+    The part to read begins `start_s` after the first frame, for the right video of a pair after that of its `left` one;
+    `folder_fps` is the frame rate of a folder without timestamps.txt. A VideoError = the path does not exist, is no
+    video, nothing can be decoded, or the images are too small.
     """
     video = _opened(name, folder_fps, left)
     if min(video.width_px, video.height_px) < _MIN_SIDE_PX:

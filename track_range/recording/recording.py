@@ -22,11 +22,12 @@ from track_range.recording.names import BagTopic, VideoName, video_name
 from track_range.recording.open_video import open_video
 from track_range.recording.pairs.auto_alignment import ESTIMATION_SPAN_S, find_alignment
 from track_range.recording.pairs.live_pair import LivePair
-from track_range.recording.pairs.pair_monitor import MAX_CHECKED_PAIRS, Monitor, PairMonitor, SyncMonitor
+from track_range.recording.pairs.pair_monitor import MAX_CHECKED_PAIRS, PairMonitor, SyncMonitor
 from track_range.recording.pairs.recorded_pair import RecordedPair
 from track_range.recording.pairs.video_pair import VideoPair
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart, parsed_utc
+from track_range.stereo.alignment.drift import DriftMonitor
 from track_range.stereo.alignment.from_drive import MIN_STEP_S
 from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -34,6 +35,7 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 
 PairedVideos = RecordedPair | LivePair
+Monitor = PairMonitor | SyncMonitor | DriftMonitor  # a check that receives each frame once, in order of time
 
 _N_ROW_PAIRS = 3  # conclusive image pairs from which the row offset of an uncalibrated pair is estimated
 

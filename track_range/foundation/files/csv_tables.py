@@ -22,7 +22,6 @@ class CsvTable:
     """Cells of a CSV file, stripped of surrounding spaces; blank lines are omitted.
 
     Attributes:
-        path: the file.
         header: names of the columns, in lower case.
         rows: N lists of one cell per column.
         lines: N line numbers in the file, from 1.

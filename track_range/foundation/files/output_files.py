@@ -47,9 +47,7 @@ def make_folder(folder: Path) -> None:
 def locked_output(folder: Path) -> Iterator[None]:
     """Context in which this process alone writes to a folder, which is created if necessary.
 
-    Raises:
-        FolderLockError: another run is writing to the folder.
-        OutputError: the folder cannot be created or written to.
+    A FolderLockError = another run is writing to it; an OutputError = it cannot be created or written to.
     """
     make_folder(folder)
     with locked_folder(folder):

@@ -71,14 +71,11 @@ class RecordingCalibration:
     """The camera models of a recording's rectified images.
 
     Attributes:
-        kind: source of the metric scale.
         camera: the left or only camera.
         rectifier: computes the rectified (one camera: undistorted) images.
         sizes_px: (width, height) of the left or only recorded images, and of the right ones; larger ones are cropped.
         rig: the rectified pair with its alignment; None = one camera, or a pair without calibration.
-        raw_rig: the pair as loaded.
-        raw_camera: the left or only camera as loaded; None = as recorded images are.
-        view: the part of the field of view of wide lenses to which their images are undistorted.
+        raw_rig, raw_camera: the pair, and the left or only camera, as loaded; None = as recorded images are.
         path: the calibration file; None = a focal length.
         left_from_reference_m: (3,) translation of labels from the rig's reference camera to the left camera's frame.
         file_notes: messages for the user about the file.

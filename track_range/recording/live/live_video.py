@@ -79,12 +79,9 @@ class LiveVideo:
         duration_s: length of the part to read; None = until the stream ends or the run is stopped.
 
     Attributes:
-        path: the address.
-        width_px, height_px, is_grey, fps: see `RecordedVideo`.
+        path, width_px, height_px, is_grey, fps: see `RecordedVideo`.
         first_time_s: time of `time.monotonic` at which the reading started.
-        n_frames: None = unknown.
         busy_s: CPU time spent on converting frames.
-        clock: converts timestamps to times.
         n_received: frames decoded so far.
         n_taken: frames passed to the consumer.
         ended_by: FFmpeg's error message if the connection was lost; empty = it is open, or was ended normally.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from typing import Protocol
 
 from track_range.foundation.arrays import Image
 from track_range.stereo.alignment.pair_checks import Sync, check_pair, check_sync
@@ -23,17 +22,6 @@ _UNMATCHED = (
 
 _SYNC_EVERY, _MAX_SYNC_CHECKS = 5, 12  # interval in frames, and number, of synchronisation checks
 _N_AGREEING_CHECKS = 3  # equal results after which the synchronisation is decided
-
-
-class Monitor(Protocol):
-    """A check that receives each frame once, in order of time."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Messages for the user so far."""
-
-    def add(self, frame: Frame) -> None:
-        """Check the next frame."""
 
 
 class PairMonitor:

@@ -57,11 +57,9 @@ class SegmentPlan:
     """Files in the order of time.
 
     Attributes:
-        facts: properties of the files.
         starts_s: times of their first frames; the first file has the time of its time stamps.
         clock_s: the same as seconds since 1970; empty = unknown.
         utc: UTC of the first frame; None = unknown.
-        notes: messages for the user.
     """
 
     facts: tuple[SegmentFacts, ...]
@@ -74,15 +72,10 @@ class SegmentPlan:
 def arranged(
     files: Sequence[SegmentFacts], *, is_given_order: bool, repeated_s: Repeated = lambda _before, _after: 0.0
 ) -> SegmentPlan:
-    """The files, at least one, in the order of time.
+    """The files, at least one, in the order of time; a VideoError = they are those of several cameras.
 
-    Args:
-        files: properties of the files.
-        is_given_order: whether the order of `files` was chosen by the user; it is used if no times are known.
-        repeated_s: overlap from the content, used where times with a resolution of 1 s leave it open.
-
-    Raises:
-        VideoError: the files are those of several cameras.
+    An order that the user chose (`is_given_order`) is used if no times are known. `repeated_s` is the overlap from the
+    content, used where times with a resolution of 1 s leave it open.
     """
     _check_one_camera([file.path for file in files])
     by_name = sorted(files, key=lambda file: natural_key(file.path.name))

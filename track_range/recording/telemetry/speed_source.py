@@ -81,16 +81,10 @@ def open_speed(
     duration_s: float | None = None,
     folder_fps: float = 10.0,
 ) -> SpeedSource:
-    """Ego speed of a run.
+    """Ego speed of a run from a setting: "auto", "off", a number in km/h, or the path of a file or folder.
 
-    Args:
-        setting: "auto", "off", a number in km/h, or the path of a file or folder.
-        recording: the opened recording.
-        start_s, duration_s: part of the run, from the first frame on, in which the motion of the images is measured.
-        folder_fps: frame rate of folders of images without timestamps.
-
-    Raises:
-        EgoSpeedError, TelemetryError: the number or the named file cannot be used.
+    The motion of the images is measured in the part of the run from `start_s` after the first frame on. An
+    EgoSpeedError or a TelemetryError = the number or the named file cannot be used.
     """
     if setting == OFF:
         return SpeedSource()

@@ -46,8 +46,7 @@ class TelemetryTrack:
         time_s: (N,) finite times in seconds, of the clock `clock`.
         speed_mps: (N,) horizontal speed, >= 0; NaN = no fix.
         course_rad: (N,) direction of motion, clockwise from north; NaN = unknown.
-        latitude_deg: (N,) NaN = unknown.
-        longitude_deg: (N,) NaN = unknown.
+        latitude_deg, longitude_deg: (N,) NaN = unknown.
         utc_s: (N,) date and time of each sample in seconds since 1970, NaN = unknown. Equal to `time_s` if `clock` is
             "utc" or "local"; with `clock` "video" it is the receiver's clock, which the checks use.
         source: origin of the samples, for notes, such as "GoPro GPMF" or "drive.gpx".
