@@ -14,8 +14,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -25,7 +23,8 @@ from track_range.stereo.calibration.block_least_squares import BlockSolution, so
 from track_range.stereo.calibration.board_views import BoardView
 from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.lenses.kannala_brandt import KANNALA_BRANDT, distorted_angle
+from track_range.stereo.geometry.lenses import KANNALA_BRANDT, distorted_angle
+from track_range.stereo.geometry.rig import StereoRig
 
 N_INTRINSICS = 8  # fx, fy, cx, cy, k1, k2, k3, k4
 _FOCAL_PER_WIDTH = np.geomspace(0.18, 3.0, 36)  # focal lengths tried / image width: lenses of 318 to 19 degrees
@@ -33,29 +32,13 @@ _LARGEST_RAD = np.pi * 0.98  # largest angle from the axis of a corner at the st
 _N_STARTS = 3  # number of the best focal lengths from which the optimisation starts
 
 
-@dataclass(frozen=True, slots=True)
-class FisheyeFit:
-    """The least-squares camera of some views."""
-
-    camera: PinholeCamera
-    poses: FloatArray  # (V, 4, 4) board to camera
-    std: FloatArray  # (8,) standard deviations of the parameters for independent errors of the corners
-
-
-@dataclass(frozen=True, slots=True)
-class FisheyePairFit:
-    """The least-squares cameras of some pairs of views."""
-
-    left: PinholeCamera
-    right: PinholeCamera
-    right_from_left: FloatArray  # (4, 4) transform, metres
-    poses: FloatArray  # (V, 4, 4) board to left camera
-
-
-def fit_fisheye(views: Sequence[BoardView], start: PinholeCamera | None = None) -> FisheyeFit:
+def fit_fisheye(
+    views: Sequence[BoardView], start: PinholeCamera | None = None
+) -> tuple[PinholeCamera, FloatArray, FloatArray]:
     """The camera of all views; `start` = a camera near it, which saves the search for the focal length.
 
-    Raises CalibrationError if the views do not determine the camera.
+    Also (V, 4, 4) board to camera, and (8,) standard deviations of the parameters for independent errors of the
+    corners. Raises CalibrationError if the views do not determine the camera.
     """
     starts = _initial_cameras(views) if start is None else [start]
     solutions = [solution for camera in starts if (solution := _solved([views], [camera], None)) is not None]
@@ -63,13 +46,13 @@ def fit_fisheye(views: Sequence[BoardView], start: PinholeCamera | None = None) 
         raise CalibrationError(UNDETERMINED)
     best = min(solutions, key=lambda solution: float(solution.residuals @ solution.residuals))
     camera = _camera(best.common, views[0].size_px)
-    return FisheyeFit(camera, _matrices(best.view_parameters), np.sqrt(np.maximum(np.diag(best.covariance), 0.0)))
+    return camera, _matrices(best.view_parameters), np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
 
 
 def fit_fisheye_pair(
     pairs: Sequence[tuple[BoardView, BoardView]], starts: tuple[PinholeCamera, PinholeCamera]
-) -> FisheyePairFit:
-    """Both cameras and their relative pose, from cameras that were fitted alone.
+) -> tuple[StereoRig, FloatArray]:
+    """Both cameras with their relative pose, from cameras that were fitted alone, and (V, 4, 4) board to left camera.
 
     Raises CalibrationError if the pairs do not determine the rig.
     """
@@ -83,9 +66,8 @@ def fit_fisheye_pair(
     if solution is None:
         raise CalibrationError(UNDETERMINED)
     left, right = (_camera(solution.common[side * N_INTRINSICS :], views[side][0].size_px) for side in (0, 1))
-    return FisheyePairFit(
-        left, right, _matrices(solution.common[None, 2 * N_INTRINSICS :])[0], _matrices(solution.view_parameters)
-    )
+    rig = StereoRig(left, right, _matrices(solution.common[None, 2 * N_INTRINSICS :])[0])
+    return rig, _matrices(solution.view_parameters)
 
 
 UNDETERMINED = "the views do not determine the camera; add views with the board tilted and in other parts of the image."
@@ -124,8 +106,7 @@ def _initial_cameras(views: Sequence[BoardView]) -> list[PinholeCamera]:
     reach_px = max(float(np.linalg.norm(view.xy_px - centre_px, axis=1).max()) for view in views)
     focal_px = [focal_px for focal_px in width_px * _FOCAL_PER_WIDTH if reach_px / focal_px < _LARGEST_RAD]
     cameras = [
-        PinholeCamera(float(f), float(f), *centre_px, width_px, height_px, (0.0,) * 4, KANNALA_BRANDT.name)
-        for f in focal_px
+        PinholeCamera(float(f), float(f), *centre_px, width_px, height_px, (0.0,) * 4, KANNALA_BRANDT) for f in focal_px
     ]
 
     def error_px(camera: PinholeCamera, view: BoardView) -> float:
@@ -143,7 +124,7 @@ def _solved(
     views: Sequence[Sequence[BoardView]], cameras: Sequence[PinholeCamera], right_from_left: FloatArray | None
 ) -> BlockSolution | None:
     """The optimum for the views of one camera, or of two with their relative pose (4, 4); None = undetermined."""
-    sides = [_Corners.of(side) for side in views]
+    sides = [_Corners(side) for side in views]
     order = np.argsort(np.concatenate([np.repeat(corners.view, 2) for corners in sides]), kind="stable")
     common = np.concatenate(
         [(camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion) for camera in cameras]
@@ -167,19 +148,13 @@ def _solved(
         return None
 
 
-class _Corners(NamedTuple):
+class _Corners:
     """Corners of all views of one camera: view (N,), positions on the board (N, 3), metres, and in the image (N, 2)."""
 
-    view: IntArray
-    xyz_m: FloatArray
-    xy_px: FloatArray
-
-    @classmethod
-    def of(cls, views: Sequence[BoardView]) -> _Corners:
-        index = np.repeat(np.arange(len(views)), [len(view.xy_px) for view in views])
-        return cls(
-            index, np.concatenate([view.xyz_m for view in views]), np.concatenate([view.xy_px for view in views])
-        )
+    def __init__(self, views: Sequence[BoardView]) -> None:
+        self.view: IntArray = np.repeat(np.arange(len(views)), [len(view.xy_px) for view in views])
+        self.xyz_m: FloatArray = np.concatenate([view.xyz_m for view in views])
+        self.xy_px: FloatArray = np.concatenate([view.xy_px for view in views])
 
     def residuals_px(self, intrinsics: FloatArray, board_to_camera: FloatArray) -> FloatArray:
         """(N, 2) projected minus measured corners for intrinsics (8 or more,) and poses (V, 4, 4).
@@ -197,7 +172,7 @@ class _Corners(NamedTuple):
 def _camera(parameters: FloatArray, size_px: tuple[int, int]) -> PinholeCamera:
     """The camera with parameters (8 or more,)."""
     fx, fy, cx, cy, *k = parameters[:N_INTRINSICS].tolist()
-    return PinholeCamera(fx, fy, cx, cy, *size_px, tuple(k), KANNALA_BRANDT.name)
+    return PinholeCamera(fx, fy, cx, cy, *size_px, tuple(k), KANNALA_BRANDT)
 
 
 def _matrices(vectors: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.calibration.coverage import Coverage, coverage_of, is_static
 from track_range.stereo.calibration.fisheye_fit import UNDETERMINED, fit_fisheye
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.lenses.registry import PINHOLE
+from track_range.stereo.geometry.lenses import PINHOLE
 
 Advance = Callable[[int, int], None]  # progress callback: number of finished steps, and the total
 T = TypeVar("T")
@@ -71,22 +71,21 @@ class ViewFit:
     residual_px: FloatArray  # (N, 2) measured minus projected corners
     board_to_camera: FloatArray  # (4, 4) transform from the board's frame to the camera's, metres
 
+    @classmethod
+    def of(cls, view: BoardView, board_to_camera: FloatArray, camera: PinholeCamera) -> ViewFit:
+        """The fit of a view with a pose in a camera."""
+        projected_px = camera.recorded_px(view.xyz_m @ board_to_camera[:3, :3].T + board_to_camera[:3, 3])
+        return cls(view, view.xy_px - projected_px, board_to_camera)
+
     @property
     def rms_px(self) -> float:
         """Root mean square distance between measured and projected corners."""
-        return float(np.sqrt((self.residual_px**2).sum(axis=1).mean()))
-
-
-class Fit(Protocol):
-    """Fit of one view, or of a pair of views."""
+        return total_rms_px([self])
 
     @property
-    def view(self) -> BoardView:
-        """The view, or the left view of the pair."""
-
-    @property
-    def rms_px(self) -> float:
-        """Root mean square residual."""
+    def tilt_deg(self) -> float:
+        """Angle between the board and the image plane, degrees."""
+        return float(np.degrees(np.arccos(np.clip(abs(self.board_to_camera[2, 2]), 0, 1))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,17 +121,20 @@ def calibrate_camera(
 
     Raises CalibrationError if there are too few views, or they do not determine the camera.
     """
-    check_views(len(views))
-    check_motion(views)
+    check_views(views)
     model = CameraModel(lens, n_distortion_coefficients).started(views)
-    used, rejected = without_outliers(list(views), lambda subset: fit_camera(subset, model)[1])
+    used, rejected = without_outliers(views, lambda subset: fit_camera(subset, model)[1], lambda view: view.name)
     camera, fits = fit_camera(used, model)
     coverage = coverage_of(used, np.stack([fit.board_to_camera for fit in fits]))
     if coverage.is_parallel:
         raise CalibrationError(PARALLEL)
     sampled = leave_out_groups(used, lambda subset: intrinsics(fit_camera(subset, model)[0]), advance)
     # With few views the jackknife is uncertain itself; the scatter of the corners is a lower limit.
-    std = IntrinsicStd(*np.maximum(jackknife_sigma(sampled), _corner_std(used, model)).tolist())
+    if lens == PINHOLE:
+        corner_std = np.asarray(cv2.calibrateCameraExtended(**_problem(used, model))[5], np.float64).ravel()
+    else:
+        corner_std = fit_fisheye(used, model.start)[2]
+    std = IntrinsicStd(*np.maximum(jackknife_sigma(sampled), corner_std[:4]).tolist())
     check_determined(std, camera)
     return CameraCalibration(camera, std, total_rms_px(fits), fits, rejected, coverage)
 
@@ -145,16 +147,17 @@ PARALLEL = (
 
 def fit_camera(views: Sequence[BoardView], model: CameraModel) -> tuple[PinholeCamera, tuple[ViewFit, ...]]:
     """The least-squares camera of all views, and the fit of each view."""
+    poses: Iterable[FloatArray]
     if model.lens != PINHOLE:
-        fit = fit_fisheye(views, model.start)
-        return fit.camera, _view_fits(views, fit.poses, fit.camera)
-    try:
-        _, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(**_problem(views, model))
-    except cv2.error as error:
-        raise CalibrationError(UNDETERMINED) from error
-    camera = camera_of(matrix, distortion, views[0].size_px, model.n_distortion_coefficients)
-    poses = [pose_of(rvec, tvec) for rvec, tvec in zip(rvecs, tvecs, strict=True)]
-    return camera, _view_fits(views, poses, camera)
+        camera, poses, _ = fit_fisheye(views, model.start)
+    else:
+        try:
+            _, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(**_problem(views, model))
+        except cv2.error as error:
+            raise CalibrationError(UNDETERMINED) from error
+        camera = camera_of(matrix, distortion, views[0].size_px, model.n_distortion_coefficients)
+        poses = map(pose_of, rvecs, tvecs)
+    return camera, tuple(ViewFit.of(view, pose, camera) for view, pose in zip(views, poses, strict=True))
 
 
 def _problem(views: Sequence[BoardView], model: CameraModel) -> dict[str, Any]:
@@ -169,19 +172,6 @@ def _problem(views: Sequence[BoardView], model: CameraModel) -> dict[str, Any]:
     }
 
 
-def _view_fits(
-    views: Sequence[BoardView], board_to_camera: Iterable[FloatArray], camera: PinholeCamera
-) -> tuple[ViewFit, ...]:
-    return tuple(
-        ViewFit(view, residuals_px(view, pose, camera), pose) for view, pose in zip(views, board_to_camera, strict=True)
-    )
-
-
-def residuals_px(view: BoardView, board_to_camera: FloatArray, camera: PinholeCamera) -> FloatArray:
-    """(N, 2) measured minus projected corners."""
-    return view.xy_px - camera.recorded_px(view.xyz_m @ board_to_camera[:3, :3].T + board_to_camera[:3, 3])
-
-
 def camera_of(
     matrix: npt.ArrayLike, distortion: npt.ArrayLike, size_px: tuple[int, int], n_distortion_coefficients: int
 ) -> PinholeCamera:
@@ -194,17 +184,13 @@ def total_rms_px(fits: Sequence[ViewFit]) -> float:
     return float(np.sqrt((np.concatenate([fit.residual_px for fit in fits]) ** 2).sum(axis=1).mean()))
 
 
-def check_views(n_views: int) -> None:
-    """Raise CalibrationError for fewer views than `MIN_VIEWS`."""
-    if n_views < MIN_VIEWS:
+def check_views(views: Sequence[BoardView]) -> None:
+    """Raise CalibrationError for fewer views than `MIN_VIEWS`, or if the board hardly moves between them."""
+    if len(views) < MIN_VIEWS:
         raise CalibrationError(
-            f"expected the board in at least {MIN_VIEWS} views, found it in {n_views}; add views (15 to 30 are "
+            f"expected the board in at least {MIN_VIEWS} views, found it in {len(views)}; add views (15 to 30 are "
             "recommended) with the board tilted and in all parts of the image."
         )
-
-
-def check_motion(views: Sequence[BoardView]) -> None:
-    """Raise CalibrationError if the board hardly moves between the views."""
     if is_static(views):
         raise CalibrationError(
             "expected the board at different positions, found it at the same position in all views; move and tilt it, "
@@ -223,20 +209,26 @@ def check_determined(std: IntrinsicStd, camera: PinholeCamera) -> None:
         )
 
 
+class Fit(Protocol):
+    """Fit of one view, or of a pair of views."""
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square residual."""
+
+
 def without_outliers(
-    views: list[T], fitted: Callable[[list[T]], Sequence[Fit]]
+    views: Sequence[T], fitted: Callable[[list[T]], Sequence[Fit]], name_of: Callable[[T], str]
 ) -> tuple[list[T], tuple[RejectedView, ...]]:
     """The views (or pairs) without outliers, and these, worst first; `fitted` gives fits of some, in their order."""
     used, rejected = list(views), []
     while len(used) > min_used(len(views)):
-        fits = fitted(used)
-        rms_px = np.array([fit.rms_px for fit in fits])
+        rms_px = np.array([fit.rms_px for fit in fitted(used)])
         median_px, worst = float(np.median(rms_px)), int(rms_px.argmax())
         if rms_px[worst] <= max(_OUTLIER_RATIO * median_px, median_px + _OUTLIER_SIGMAS * mad_sigma(rms_px)):
             break
-        used.pop(worst)
         reason = f"outlier: residual {rms_px[worst]:.2f} px, median of the views {median_px:.2f} px"
-        rejected.append(RejectedView(fits[worst].view.name, reason))
+        rejected.append(RejectedView(name_of(used.pop(worst)), reason))
     return used, tuple(rejected)
 
 
@@ -256,13 +248,6 @@ def leave_out_groups(
         if advance is not None:
             advance(group + 1, n_groups)
     return np.stack(samples)
-
-
-def _corner_std(views: Sequence[BoardView], model: CameraModel) -> FloatArray:
-    """(4,) standard deviations of fx, fy, cx, cy for independent errors of the corners."""
-    if model.lens != PINHOLE:
-        return fit_fisheye(views, model.start).std[:4]
-    return np.asarray(cv2.calibrateCameraExtended(**_problem(views, model))[5], np.float64).ravel()[:4]
 
 
 def intrinsics(camera: PinholeCamera) -> FloatArray:

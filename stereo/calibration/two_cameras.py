@@ -32,21 +32,20 @@ from track_range.stereo.calibration.one_camera import (
     ViewFit,
     camera_of,
     check_determined,
-    check_motion,
     check_views,
     fit_camera,
     intrinsics,
     leave_out_groups,
     min_used,
     pose_of,
-    residuals_px,
     total_rms_px,
     without_outliers,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.lenses.registry import PINHOLE
+from track_range.stereo.geometry.lenses import PINHOLE
 from track_range.stereo.geometry.rectification import (
     Rectifier,
+    distortion_coefficients,
     rectified_points,
     rotation_angle_rad,
     stereo_rectification,
@@ -72,11 +71,6 @@ class PairFit:
     left: ViewFit
     right: ViewFit
     row_error_px: float
-
-    @property
-    def view(self) -> BoardView:
-        """The left view, which names the pair."""
-        return self.left.view
 
     @property
     def rms_px(self) -> float:
@@ -114,12 +108,11 @@ def calibrate_pair(
     Raises CalibrationError if there are too few pairs, they do not determine the rig, or the cameras are swapped or
     upside down.
     """
-    check_views(len(pairs))
     for side in (0, 1):
-        check_motion([pair[side] for pair in pairs])
+        check_views([pair[side] for pair in pairs])
     model = CameraModel(lens, n_distortion_coefficients)
     models = model.started([pair[0] for pair in pairs]), model.started([pair[1] for pair in pairs])
-    used, rejected = without_outliers(list(pairs), lambda subset: _fit(subset, models)[1])
+    used, rejected = without_outliers(pairs, lambda subset: _fit(subset, models)[1], lambda pair: pair[0].name)
     used, moved = _without_moved_boards(used, min_used(len(pairs)), models) if lens != PINHOLE else (used, ())
     rig, fits = _fit(used, models)
     left_px, right_px = (total_rms_px(fits) for _, fits in _single_fits(used, models))
@@ -169,26 +162,22 @@ def _fit(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoRig, tuple[Pa
     """The least-squares rig, starting from the calibrations of the single cameras."""
     starts = [model.start for model in models if model.start is not None]
     if len(starts) == 2:
-        fit = fit_fisheye_pair(pairs, (starts[0], starts[1]))
-        rig, poses = StereoRig(fit.left, fit.right, fit.right_from_left), list(fit.poses)
+        rig, poses = fit_fisheye_pair(pairs, (starts[0], starts[1]))
     else:
         rig, poses = _fitted_pinholes(pairs, models)
     fits = []
     for pair, board_to_left in zip(pairs, poses, strict=True):
-        board_to_right = rig.right_from_left @ board_to_left
-        left = ViewFit(pair[0], residuals_px(pair[0], board_to_left, rig.left), board_to_left)
-        right = ViewFit(pair[1], residuals_px(pair[1], board_to_right, rig.right), board_to_right)
+        left = ViewFit.of(pair[0], board_to_left, rig.left)
+        right = ViewFit.of(pair[1], rig.right_from_left @ board_to_left, rig.right)
         fits.append(PairFit(left, right, row_error_px(rig, pair)))
     return rig, tuple(fits)
 
 
-def _fitted_pinholes(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoRig, list[FloatArray]]:
+def _fitted_pinholes(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoRig, FloatArray]:
     """The least-squares rig of pinholes, starting from the cameras calibrated alone, and the boards' poses in it."""
-    cameras, n_distortion_coefficients = (
-        [fit[0] for fit in _single_fits(pairs, models)],
-        models[0].n_distortion_coefficients,
-    )
-    distortion = [np.array(camera.distortion or (0.0,) * 5) for camera in cameras]
+    n_distortion_coefficients = models[0].n_distortion_coefficients
+    cameras = [camera for camera, _ in _single_fits(pairs, models)]
+    distortion = [distortion_coefficients(camera) for camera in cameras]
     _, m1, d1, m2, d2, r, t, _, _, rvecs, tvecs, _ = (
         cv2.stereoCalibrateExtended(
             [pair[0].xyz_m.astype(np.float32) for pair in pairs],
@@ -204,7 +193,7 @@ def _fitted_pinholes(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoR
     left = camera_of(m1, d1, pairs[0][0].size_px, n_distortion_coefficients)
     right = camera_of(m2, d2, pairs[0][1].size_px, n_distortion_coefficients)
     rig = StereoRig(left, right, right_from_left)
-    return rig, [pose_of(rvec, tvec) for rvec, tvec in zip(rvecs, tvecs, strict=True)]
+    return rig, np.stack(list(map(pose_of, rvecs, tvecs)))
 
 
 def _camera_calibration(camera: PinholeCamera, fits: Sequence[ViewFit], std: FloatArray) -> CameraCalibration:

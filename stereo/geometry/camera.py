@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.geometry.lenses.registry import LENSES, PINHOLE
+from track_range.stereo.geometry.lenses import LENSES, PINHOLE
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +56,11 @@ class PinholeCamera:
     def matrix(self) -> FloatArray:
         """(3, 3) camera matrix K."""
         return np.array([[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """(width, height) of the images."""
+        return self.width_px, self.height_px
 
     @property
     def is_distorted(self) -> bool:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -34,17 +33,19 @@ _MAX_ZOOM = 4.0  # largest factor between the focal lengths before and after rec
 _FOCAL_SCATTER = 0.1  # relative difference of focal lengths of unequal cameras; equal lenses differ by 1 or 2 %
 _MIN_REDUCTION = 1.3  # factor by which the right image is reduced above which it is smoothed first, against aliasing
 _N_BOX_STEPS = 4  # number of fixed-point steps of `recorded_boxes`; each reduces the error about ten times
+N_OUTLINE = 8  # number of points of each edge of a box in the recorded image, where edges are curves
 _OUTSIDE_PX = -100.0  # source of the pixels that the lens does not image; black, as everything outside of the image
 
 
 class _UndistortedImages:
     """The left, or only, images of a rectifier or undistorter in relation to the recorded video."""
 
+    recorded_size_px: tuple[int, int]  # (width, height) of the images of the video
     _view: _View | None  # None = the images are those of the video
 
     def left_boxes(self, xyxy_px: FloatArray) -> FloatArray:
-        """Boxes (N, 4) in pixels of the left video -> in pixels of its undistorted images."""
-        return xyxy_px if self._view is None else self._view.boxes(xyxy_px)
+        """Boxes (N, 4) in pixels of the left video -> of its undistorted images: each edge moves like its midpoint."""
+        return xyxy_px if self._view is None else _moved_boxes(xyxy_px, self._view.points)
 
     def recorded_points(self, xy_px: FloatArray) -> FloatArray:
         """Points (N, 2) in pixels of the undistorted left images -> of the left video; NaN where not imaged."""
@@ -53,6 +54,16 @@ class _UndistortedImages:
     def recorded_boxes(self, xyxy_px: FloatArray) -> FloatArray:
         """Boxes (N, 4) in pixels of the undistorted left images -> of the left video; inverse of `left_boxes`."""
         return xyxy_px if self._view is None else self._view.recorded_boxes(xyxy_px)
+
+    def recorded_outlines(self, xyxy_px: FloatArray) -> FloatArray:
+        """(N, 4 N_OUTLINE, 2) closed outlines of boxes (N, 4) of the undistorted images, in pixels of the video."""
+        if not len(xyxy_px):
+            return np.zeros((0, 4 * N_OUTLINE, 2))
+        corners = xyxy_px[:, [0, 1, 2, 1, 2, 3, 0, 3]].reshape(-1, 4, 2)
+        following = np.roll(corners, -1, axis=1)
+        fraction = (np.arange(N_OUTLINE) / N_OUTLINE)[:, None]
+        points = corners[:, :, None] * (1 - fraction) + following[:, :, None] * fraction
+        return self.recorded_points(points.reshape(-1, 2)).reshape(len(xyxy_px), -1, 2)
 
 
 class Rectifier(_UndistortedImages):
@@ -95,12 +106,12 @@ class Rectifier(_UndistortedImages):
             RigError: the rig is implausible, the cameras are not side by side, or one of them is upside down.
         """
         check_rig(rig, source)
-        self._sizes_px = [(camera.width_px, camera.height_px) for camera in (rig.left, rig.right)]
+        self.recorded_size_px, self._right_size_px = rig.left.size_px, rig.right.size_px
         if rig.is_rectified:
             self.rig, self._view, right_view = rig, None, _View(rig.right, np.eye(3), rig.right.matrix)
         else:
             self.rig, self._view, right_view = _rectified(rig, fov_deg, source)
-        size_px = (self.rig.left.width_px, self.rig.left.height_px)
+        size_px = self.rig.left.size_px
         self._left_maps = None if self._view is None else _maps(self._view, size_px)
         reduction = axial_focal_px(rig.right) / self.rig.left.fx_px
         self._right_blur_px = 0.5 * math.sqrt(reduction**2 - 1) if reduction > _MIN_REDUCTION else 0.0
@@ -114,8 +125,8 @@ class Rectifier(_UndistortedImages):
         A remapped right image is grey and computed only where it is read. Pixels outside a camera's view are black.
         Raises ValueError if the size of an image differs from that of its camera.
         """
-        _check_size(left, self._sizes_px[0], "left")
-        _check_size(right, self._sizes_px[1], "right")
+        _check_size(left, self.recorded_size_px, "left")
+        _check_size(right, self._right_size_px, "right")
         if self._right_blur_px:
             right = np.asarray(cv2.GaussianBlur(right, (0, 0), self._right_blur_px), np.uint8)
         return (
@@ -171,18 +182,17 @@ class Undistorter(_UndistortedImages):
 
     def __init__(self, camera: PinholeCamera, *, fov_deg: float | None = None, yaw_deg: float = 0.0) -> None:
         self.camera = virtual_pinhole(camera, fov_deg, yaw_deg) if camera.is_wide else camera.without_distortion()
-        self._size_px = (camera.width_px, camera.height_px)
+        self.recorded_size_px = camera.size_px
         view = _View(camera, view_from_camera(yaw_deg), self.camera.matrix)
         self._view = view if camera.is_distorted else None
-        size_px = (self.camera.width_px, self.camera.height_px)
-        self._maps = None if self._view is None else _maps(self._view, size_px)
+        self._maps = None if self._view is None else _maps(self._view, self.camera.size_px)
 
     def undistort(self, image: Image) -> Image:
         """The image, (H, W) or (H, W, 3), without distortion; the same array if the camera has none.
 
         Raises ValueError if the size of the image differs from that of the camera.
         """
-        _check_size(image, self._size_px, "image")
+        _check_size(image, self.recorded_size_px, "image")
         return image if self._maps is None else _remapped(image, self._maps)
 
 
@@ -220,17 +230,13 @@ class _View:
         rays = homogeneous @ np.linalg.inv(self.matrix[:, :3]).T @ np.asarray(self.rotation)
         return self.camera.recorded_px(np.asarray(rays, np.float64))
 
-    def boxes(self, xyxy_px: FloatArray) -> FloatArray:
-        """Boxes (N, 4) in pixels of this view: each edge is moved like its midpoint."""
-        return _moved_boxes(xyxy_px, self.points)
-
     def recorded_boxes(self, xyxy_px: FloatArray) -> FloatArray:
-        """Boxes (N, 4) in pixels of the recorded image whose `boxes` are these of this view."""
+        """Boxes (N, 4) in pixels of the recorded image that move to these of this view."""
         target = _moved_boxes(xyxy_px, self.recorded_points)
         recorded = target
         with np.errstate(over="ignore", invalid="ignore"):  # of boxes far outside the image
             for _ in range(_N_BOX_STEPS):  # midpoints of edges become points beside the midpoints
-                recorded = recorded + target - _moved_boxes(self.boxes(recorded), self.recorded_points)
+                recorded = recorded + target - _moved_boxes(_moved_boxes(recorded, self.points), self.recorded_points)
         return recorded
 
 
@@ -244,48 +250,43 @@ def _moved_boxes(xyxy_px: FloatArray, moved: Callable[[FloatArray], FloatArray])
     return np.stack([edges[:, 0, 0], edges[:, 1, 1], edges[:, 2, 0], edges[:, 3, 1]], axis=1)
 
 
-class StereoRectification(NamedTuple):
-    """Rotations R1, R2 (3, 3) and projections P1, P2 (3, 4) of the rectified cameras, and Q (4, 4), as in OpenCV."""
-
-    r1: cv2.typing.MatLike
-    r2: cv2.typing.MatLike
-    p1: cv2.typing.MatLike
-    p2: cv2.typing.MatLike
-    q: cv2.typing.MatLike
+_Matrix = cv2.typing.MatLike
 
 
-def stereo_rectification(rig: StereoRig, fov_deg: float | None = None) -> StereoRectification:
-    """Bouguet's rectification of a rig (`cv2.stereoRectify`), without plausibility checks.
+def stereo_rectification(
+    rig: StereoRig, fov_deg: float | None = None
+) -> tuple[_Matrix, _Matrix, _Matrix, _Matrix, _Matrix]:
+    """Bouguet's rectification of a rig (`cv2.stereoRectify`), without plausibility checks: R1, R2, P1, P2, Q.
 
+    These are the rotations (3, 3) and projections (3, 4) of the rectified cameras, and Q (4, 4), as in OpenCV.
     Unequal cameras are rectified to the field of view and the resolution of the left one: OpenCV knows one image size,
     and would cut both images to what the narrower camera sees. So are pairs with wide lenses, to the left one's virtual
     pinhole with the horizontal field of view `fov_deg`, None = that of the lens up to 120 degrees.
     """
     if rig.left.is_wide or rig.right.is_wide:
         return _wide_rectification(rig, fov_deg)
-    sizes = [(camera.width_px, camera.height_px) for camera in (rig.left, rig.right)]
-    has_equal_cameras = sizes[0] == sizes[1] and abs(rig.right.fx_px / rig.left.fx_px - 1) <= _FOCAL_SCATTER
-    right = rig.right if has_equal_cameras else rig.left
+    has_equal_focal_px = abs(rig.right.fx_px / rig.left.fx_px - 1) <= _FOCAL_SCATTER
+    right = rig.right if rig.left.size_px == rig.right.size_px and has_equal_focal_px else rig.left
     result = cv2.stereoRectify(
         rig.left.matrix,
         distortion_coefficients(rig.left),
         right.matrix,
         distortion_coefficients(right),
-        (rig.left.width_px, rig.left.height_px),
+        rig.left.size_px,
         rig.right_from_left[:3, :3],
         rig.right_from_left[:3, 3:],
         flags=cv2.STEREO_ZERO_DISPARITY,
         alpha=0,  # no black borders where the lenses allow it
     )
-    return StereoRectification(*result[:5])
+    return result[:5]
 
 
-def _wide_rectification(rig: StereoRig, fov_deg: float | None) -> StereoRectification:
+def _wide_rectification(rig: StereoRig, fov_deg: float | None) -> tuple[_Matrix, _Matrix, _Matrix, _Matrix, _Matrix]:
     """Bouguet's rotations with the left camera's virtual pinhole: wide lenses also image what the rotations move in."""
     camera = _ideal(rig.left, fov_deg)
-    size_px, translation = (camera.width_px, camera.height_px), rig.right_from_left[:3, 3:]
+    translation = rig.right_from_left[:3, 3:]
     r1, r2, *_ = cv2.stereoRectify(
-        camera.matrix, np.zeros(4), camera.matrix, np.zeros(4), size_px, rig.right_from_left[:3, :3], translation
+        camera.matrix, np.zeros(4), camera.matrix, np.zeros(4), camera.size_px, rig.right_from_left[:3, :3], translation
     )
     moved_m = (np.asarray(r2) @ translation).ravel()
     p1 = np.concatenate([camera.matrix, np.zeros((3, 1))], axis=1)
@@ -299,7 +300,7 @@ def _wide_rectification(rig: StereoRig, fov_deg: float | None) -> StereoRectific
             [0.0, 0.0, -1.0 / (moved_m[0] or np.nan), 0.0],
         ]
     )
-    return StereoRectification(r1, r2, p1, p2, q)
+    return r1, r2, p1, p2, q
 
 
 def rectified_points(
@@ -339,8 +340,7 @@ def _rectified(rig: StereoRig, fov_deg: float | None, source: object) -> tuple[S
             f"{source}: expected a rectification that changes the focal length by a factor of at most {_MAX_ZOOM:g}, "
             f"found {zoom:.2g}; check the distortion coefficients and the principal points, or calibrate again."
         )
-    size_px = (target.width_px, target.height_px)
-    camera = PinholeCamera(focal_px, focal_px, float(p1[0, 2]), float(p1[1, 2]), *size_px)
+    camera = PinholeCamera(focal_px, focal_px, float(p1[0, 2]), float(p1[1, 2]), *target.size_px)
     baseline_m = -float(p2[0, 3]) / focal_px
     return StereoRig.rectified(camera, baseline_m), _View(rig.left, r1, p1), _View(rig.right, r2, p2)
 
@@ -371,7 +371,7 @@ def distortion_coefficients(camera: PinholeCamera) -> FloatArray:
 
 
 def _remapped(image: Image, maps: Maps) -> Image:
-    return np.asarray(cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR), np.uint8)
+    return np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR), np.uint8)
 
 
 def _check_size(image: Image, size_px: tuple[int, int], name: str) -> None:

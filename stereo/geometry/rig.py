@@ -68,10 +68,12 @@ class StereoRig:
         """Whether corresponding points already have equal rows in both images."""
         translation = np.eye(4)
         translation[0, 3] = self.right_from_left[0, 3]
-        sizes = [(camera.width_px, camera.height_px) for camera in (self.left, self.right)]
-        has_equal_cameras = sizes[0] == sizes[1] and np.allclose(self.left.matrix, self.right.matrix, atol=1e-6)
-        is_undistorted = not (self.left.is_distorted or self.right.is_distorted)
-        return is_undistorted and has_equal_cameras and np.allclose(self.right_from_left, translation, atol=1e-9)
+        return (
+            not (self.left.is_distorted or self.right.is_distorted)
+            and self.left.size_px == self.right.size_px
+            and np.allclose(self.left.matrix, self.right.matrix, atol=1e-6)
+            and np.allclose(self.right_from_left, translation, atol=1e-9)
+        )
 
     def distance_m(self, disparity_px: FloatArray) -> FloatArray:
         """(N,) depth z, metres, of disparities (N,) of the rectified pair; NaN for disparities <= 0."""

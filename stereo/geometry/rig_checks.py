@@ -15,7 +15,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted, shortened
 from track_range.foundation.validation import Integer
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.lenses.registry import LENSES
+from track_range.stereo.geometry.lenses import LENSES
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rig import RigError, StereoRig
 
@@ -102,9 +102,7 @@ def check_rig(rig: StereoRig, source: object) -> None:
 
 def shared_view(rig: StereoRig) -> float:
     """Fraction of the left image, 0 to 1, that the right camera sees far away; only wide lenses have distortion."""
-    x, y = np.meshgrid(
-        *(np.linspace(0, side_px - 1, _N_VIEW_POINTS) for side_px in (rig.left.width_px, rig.left.height_px))
-    )
+    x, y = np.meshgrid(*(np.linspace(0, side_px - 1, _N_VIEW_POINTS) for side_px in rig.left.size_px))
     xy_px = np.stack([x.ravel(), y.ravel()], axis=1)
     rays = rig.left.recorded_rays(xy_px) if rig.left.is_wide else rig.left.rays(xy_px)
     rays = rays[np.isfinite(rays).all(axis=1)] @ rig.right_from_left[:3, :3].T
@@ -128,7 +126,7 @@ def shared_view_notes(rig: StereoRig, source: object) -> tuple[str, ...]:
 
 def check_camera(camera: PinholeCamera, source: object) -> None:
     """Raise RigError for an implausible size, focal length, principal point or distortion; it begins with `source`."""
-    size_px = (camera.width_px, camera.height_px)
+    size_px = camera.size_px
     if size_px != (0, 0) and not all(1 <= side <= MAX_SIDE_PX for side in size_px):
         raise RigError(
             f"{source}: expected an image size of 1 to {MAX_SIDE_PX} px, found "
@@ -220,7 +218,7 @@ def fitted_to_size(
 
 def _is_size_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
     """Whether images of this size are those of the camera, perhaps cropped by a codec."""
-    return all(0 <= side <= _CROPPED_PX for side in (camera.width_px - size_px[0], camera.height_px - size_px[1]))
+    return all(0 <= own - side <= _CROPPED_PX for own, side in zip(camera.size_px, size_px, strict=True))
 
 
 def _has_aspect_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:

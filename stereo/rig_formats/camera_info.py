@@ -15,8 +15,7 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.lenses.kannala_brandt import KANNALA_BRANDT
-from track_range.stereo.geometry.lenses.registry import PINHOLE
+from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS
 
@@ -59,7 +58,7 @@ def camera_of(message: CameraInfo, path: Path, *, is_rectified: bool) -> Pinhole
             f"{path}: expected a distortion model plumb_bob, rational_polynomial or equidistant, found "
             f"{quoted(message.model)} with {n_coefficients} coefficients; use rectified images, or give a rig.yaml."
         )
-    lens = KANNALA_BRANDT.name if message.is_fisheye else PINHOLE
+    lens = KANNALA_BRANDT if message.is_fisheye else PINHOLE
     return PinholeCamera.of_matrix(message.k, message.size_px, message.distortion if has_distortion else (), lens)
 
 

@@ -31,8 +31,7 @@ from track_range.foundation.files.input_files import quoted, read_text, shortene
 from track_range.foundation.files.structured_text import parse_json, parse_yaml
 from track_range.foundation.validation import Integer, Number, validated
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.lenses.kannala_brandt import KANNALA_BRANDT
-from track_range.stereo.geometry.lenses.registry import PINHOLE
+from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rectification import distortion_coefficients, stereo_rectification
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX, RigCalibration, check_camera, check_rig
@@ -121,7 +120,7 @@ def _camera(values: Mapping[str, FloatArray], number: str, path: Path, *, is_fis
             "for undistorted images."
         )
     width_px, height_px = (round(side) for side in values.get("size", np.zeros(2)).tolist())
-    lens = KANNALA_BRANDT.name if is_fisheye else PINHOLE
+    lens = KANNALA_BRANDT if is_fisheye else PINHOLE
     return PinholeCamera.of_matrix(matrix, (width_px, height_px), distortion, lens)
 
 
@@ -217,9 +216,9 @@ def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
     Raises RigError if the cameras are implausible or of different image sizes, or the file cannot be written.
     """
     left, right = (cameras.left, cameras.right) if isinstance(cameras, StereoRig) else (cameras, cameras)
-    if left.lens != right.lens or left.lens not in (PINHOLE, KANNALA_BRANDT.name):
+    if left.lens != right.lens or left.lens not in (PINHOLE, KANNALA_BRANDT):
         raise RigError(
-            f"{path}: expected the lens {PINHOLE} or {KANNALA_BRANDT.name} for OpenCV's format, the same of both "
+            f"{path}: expected the lens {PINHOLE} or {KANNALA_BRANDT} for OpenCV's format, the same of both "
             f"cameras, got {' and '.join(sorted({left.lens, right.lens}))}; write a rig.yaml."
         )
     matrices: dict[str, npt.ArrayLike]

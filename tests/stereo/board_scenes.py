@@ -7,7 +7,7 @@ import numpy as np
 
 from track_range.stereo.calibration.board_views import BoardView
 from track_range.stereo.calibration.boards import Board, CharucoBoard, ChessBoard, charuco_detectors
-from track_range.stereo.calibration.one_camera import residuals_px
+from track_range.stereo.calibration.one_camera import ViewFit
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -64,7 +64,7 @@ def exact_view(
     zeros = np.zeros((len(board.corners_m), 2))
     ids = np.arange(len(zeros))
     blank = BoardView(name, (camera.width_px, camera.height_px), ids, zeros, board.corners_m, 2.0)
-    xy_px = -residuals_px(blank, board_to_camera, camera)
+    xy_px = -ViewFit.of(blank, board_to_camera, camera).residual_px
     if noise_px:
         xy_px = xy_px + rng.normal(scale=noise_px, size=xy_px.shape)
     return BoardView(name, blank.size_px, ids, xy_px, board.corners_m, 2.0)

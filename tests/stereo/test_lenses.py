@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.lenses.kannala_brandt import KANNALA_BRANDT, largest_angle_rad
-from track_range.stereo.geometry.lenses.registry import LENSES, PINHOLE
+from track_range.stereo.geometry.lenses import KANNALA_BRANDT, LENSES, PINHOLE, largest_angle_rad
 
 TUM_VI = (0.0034823894, 0.0007150348, -0.0020532361, 0.00020293673)
 """Kannala-Brandt coefficients of a lens with 190 degrees."""
@@ -47,13 +46,13 @@ def test_undistortion_inverts_distortion(name):
 def test_kannala_brandt_inverse_for_any_coefficients(k, theta, phi):
     theta = min(theta, largest_angle_rad(k))
     ray = np.array([[math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)]])
-    assert np.allclose(KANNALA_BRANDT.undistort(KANNALA_BRANDT.distort(ray, k), k), ray, atol=1e-5)
+    assert np.allclose(LENSES[KANNALA_BRANDT].undistort(LENSES[KANNALA_BRANDT].distort(ray, k), k), ray, atol=1e-5)
 
 
 def test_kannala_brandt_equals_opencvs_fisheye():
     rays = directions(80)
     expected = cv2.fisheye.projectPoints(rays[:, None], np.zeros(3), np.zeros(3), np.eye(3), np.array(TUM_VI))[0]
-    assert np.allclose(KANNALA_BRANDT.distort(rays, TUM_VI), expected.reshape(-1, 2), atol=1e-9)
+    assert np.allclose(LENSES[KANNALA_BRANDT].distort(rays, TUM_VI), expected.reshape(-1, 2), atol=1e-9)
 
 
 def test_pinhole_equals_opencvs_projection():

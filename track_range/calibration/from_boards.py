@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +13,20 @@ import numpy as np
 
 from track_range.calibration.board_images import board_images
 from track_range.calibration.board_search import BoardSearch, find_views
-from track_range.calibration.figures import mono_figures, pair_figures
 from track_range.calibration.picture import calibration_picture
 from track_range.calibration.settings import CalibrationSettings
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.output_files import check_outputs, write_bytes, write_text
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.stereo.calibration.boards import Board, board_of
-from track_range.stereo.calibration.one_camera import CameraCalibration, calibrate_camera
+from track_range.stereo.calibration.coverage import view_shape
+from track_range.stereo.calibration.one_camera import CameraCalibration, ViewFit, calibrate_camera
 from track_range.stereo.calibration.two_cameras import PairCalibration, calibrate_pair
-from track_range.stereo.geometry.lenses.kannala_brandt import KANNALA_BRANDT
-from track_range.stereo.geometry.lenses.registry import PINHOLE
+from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
-LENS_NAMES = {"pinhole": PINHOLE, "fisheye": KANNALA_BRANDT.name}  # names of the lens models by value of --lens
+LENS_NAMES = {"pinhole": PINHOLE, "fisheye": KANNALA_BRANDT}  # names of the lens models by value of --lens
 _REACH_DEG = 5.0  # angle by which images may reach farther from the optical axis than the corners of the boards
 _BOARD_M = (0.1, 20.0)  # plausible range of the median distance of the board, m; outside, --square-mm is probably wrong
 _OUT_OF_FOCUS_PX = 6.0  # median edge width of the views, px, above which the images count as out of focus
@@ -100,15 +99,58 @@ def calibrate_views(
     with progress("calibrating") as advance:
         if settings.stereo is None:
             result = calibrate_camera([shot[0] for shot in search.shots], advance=advance, **model)
-            measured = mono_figures(result, search)
         else:
             result = calibrate_pair([(shot[0], shot[1]) for shot in search.shots], advance=advance, **model)
-            measured = pair_figures(result, search)
     board, sources = _board(settings), list(_sources(settings))
-    figures = {"board": board.name, "square_mm": board.square_m * 1000, "sources": sources, **measured}
+    figures = {"board": board.name, "square_mm": board.square_m * 1000, "sources": sources}
     calibration = BoardCalibration(search, result, figures)
+    figures |= _measured_figures(calibration)
     figures["warnings"] += _warnings(search, calibration.cameras)
     return calibration
+
+
+def _measured_figures(calibration: BoardCalibration) -> dict[str, Any]:
+    """Cameras, standard deviations, used and rejected views as plain values for JSON."""
+    result, search, cameras = calibration.result, calibration.search, calibration.cameras
+    figures: dict[str, Any] = {name: _camera_figures(camera) for name, camera in cameras.items()}
+    if isinstance(result, PairCalibration):
+        figures |= {
+            "right_from_left": result.rig.right_from_left.tolist(),
+            "baseline_m": result.rig.baseline_m,
+            "baseline_sd_m": result.baseline_std_m,
+            "rms_px": result.rms_px,
+            "single_rms_px": list(result.single_rms_px),
+            "rows_px": result.row_error_px,
+            "held_out_rows_px": result.held_out_row_error_px,
+        }
+        views = [
+            {
+                **_view_figures(fit.left),
+                "right_name": fit.right.view.name,
+                "right_rms_px": fit.right.rms_px,
+                "rows_px": fit.row_error_px,
+            }
+            for fit in result.fits
+        ]
+        warnings = [f"{name}: {text}" for name, camera in cameras.items() for text in camera.coverage.warnings]
+    else:
+        figures["rms_px"] = result.rms_px
+        views = [_view_figures(fit) for fit in result.fits]
+        warnings = list(result.coverage.warnings)
+    rejected = [asdict(view) for view in (*search.rejected, *result.rejected)]
+    return {**figures, "views": views, "rejected": rejected, "notes": search.notes, "warnings": warnings}
+
+
+def _camera_figures(calibration: CameraCalibration) -> dict[str, Any]:
+    coverage = {key: value for key, value in asdict(calibration.coverage).items() if key != "warnings"}
+    std = asdict(calibration.std)
+    return {**asdict(calibration.camera), "sd": std, "rms_px": calibration.rms_px, "coverage": coverage}
+
+
+def _view_figures(fit: ViewFit) -> dict[str, Any]:
+    x, y, size, skew = view_shape(fit.view).tolist()
+    shape = {"x": x, "y": y, "size": size, "skew": skew, "tilt_deg": fit.tilt_deg}
+    return {"name": fit.view.name, "rms_px": fit.rms_px, "edge_px": fit.view.edge_px, "n": len(fit.view.xy_px), **shape}
 
 
 def picture_file(settings: CalibrationSettings) -> Path:

@@ -18,7 +18,7 @@ def pictures(settings: RunSettings, recording: Recording, status: Status) -> dic
     rig, size_px = recording.rig, recording.size_px
     if settings.overlay:
         recorded = recording.calibration.recorded_view if settings.overlay_recorded else None
-        width_px, height_px = size_px if recorded is None else recorded.size_px
+        width_px, height_px = size_px if recorded is None else recorded.recorded_size_px
         height_px *= 2 if settings.overlay_disparity and rig is not None else 1
         drawn["overlay"] = overlay_picture(settings, recording, status), (width_px, height_px)
     if settings.disparity and rig is not None:

@@ -14,7 +14,6 @@ from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.pipeline.colours import CALM, LANE_COLOUR, PALETTE, RED, alarm_colour, track_colour
 from track_range.ranging.filtering.lateral_motion import PassingOffsets
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.recorded_view import RecordedView
 from track_range.stereo.geometry.rectification import Undistorter
 from track_range.views.overlay.annotator import Overlay
 from track_range.views.overlay.labels import (
@@ -226,7 +225,7 @@ def test_boxes_are_curved_in_the_recorded_image_of_a_wide_lens() -> None:
     box = [camera.cx_px + 150, camera.cy_px + 40, camera.cx_px + 300, camera.cy_px + 180]
     shown = result([box], image=grey(camera.height_px, camera.width_px))
     recorded = replace(shown, frame=replace(shown.frame, recorded=grey(400, 640)))
-    drawn = Overlay(camera=camera, recorded=RecordedView(undistorter, (640, 400))).draw(recorded)
+    drawn = Overlay(camera=camera, recorded=undistorter).draw(recorded)
     assert drawn.shape == (400, 640, 3)
     middle_px = undistorter.recorded_points(np.array([[box[2], (box[1] + box[3]) / 2], [box[2], box[3]]]))
     for x, y in np.rint(middle_px).astype(int):

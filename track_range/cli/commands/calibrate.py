@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from track_range.calibration.figures import tilt_deg
 from track_range.calibration.from_boards import LENS_NAMES, calibrate_views, find_boards
 from track_range.calibration.settings import CalibrationSettings
 from track_range.cli.console import console, print_grid, print_line
@@ -110,7 +109,7 @@ def _print_views(fits: Sequence[ViewFit] | Sequence[PairFit]) -> None:
     columns = [
         Column("residual px", [fit.rms_px for fit in fits], "{:.2f}"),
         Column("vertical px", [fit.row_error_px if isinstance(fit, PairFit) else None for fit in fits], "{:.2f}"),
-        Column("tilt deg", [tilt_deg(fit) for fit in lefts], "{:.0f}"),
+        Column("tilt deg", [fit.tilt_deg for fit in lefts], "{:.0f}"),
         Column("size %", [100 * float(view_shape(fit.view)[2]) for fit in lefts], "{:.0f}"),
         Column("corner blur px", [fit.view.edge_px for fit in lefts], "{:.1f}"),
     ]

@@ -26,7 +26,6 @@ from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.stereo.geometry.mounting import Mounting
-from track_range.stereo.geometry.recorded_view import RecordedView
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera, check_rig, fitted_to_size
@@ -170,11 +169,9 @@ class RecordingCalibration:
         return self.raw_camera is not None and self.raw_camera.is_wide
 
     @property
-    def recorded_view(self) -> RecordedView | None:
-        """The recorded image behind the undistorted left images of a wide lens; None for other lenses."""
-        if self.raw_camera is None or not self.raw_camera.is_wide:
-            return None
-        return RecordedView(self.rectifier, (self.raw_camera.width_px, self.raw_camera.height_px))
+    def recorded_view(self) -> Rectifier | Undistorter | None:
+        """What undistorted the left images of a wide lens, for drawing in recorded images; None for other lenses."""
+        return self.rectifier if self.has_wide_lens else None
 
     def frame(self, left: VideoFrame, right: VideoFrame | None, first_s: float, start: UtcStart | None = None) -> Frame:
         """The images of one time, cropped to `sizes_px` and rectified (one camera: undistorted).

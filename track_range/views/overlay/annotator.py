@@ -21,7 +21,7 @@ from track_range.pipeline.colours import BLACK, LANE_COLOUR, Bgr, track_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.registry import methods
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.recorded_view import RecordedView
+from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.matching.patches import inner_halves
 from track_range.views.overlay.birds_eye import BirdsEye
 from track_range.views.overlay.label_layout import LabelPlacer
@@ -46,8 +46,8 @@ class Overlay:
     """Draws the results of one video in their order; not thread-safe.
 
     The bird's-eye view needs the camera of the images. The texts of `status` follow frame number and time in the upper
-    left corner, `warning` follows them in amber. `recorded` is the recorded image of a wide lens to draw on, in which
-    boxes are curved; None = the left image.
+    left corner, `warning` follows them in amber. `recorded` is what undistorted the images of a wide lens: boxes are
+    drawn, as curves, on the images before; None = on the left images.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Overlay:
         camera: PinholeCamera | None = None,
         status: Status = tuple,
         warning: str = "",
-        recorded: RecordedView | None = None,
+        recorded: Rectifier | Undistorter | None = None,
     ) -> None:
         self.class_names = tuple(class_names)
         self._recorded = recorded
@@ -74,7 +74,7 @@ class Overlay:
         view = self._recorded
         canvas = (result.frame.left if view is None or result.frame.recorded is None else result.frame.recorded).copy()
         line_px = text_sizes_px((canvas.shape[1], canvas.shape[0]))[2]
-        boxes = result.tracks.xyxy_px if view is None else view.boxes(result.tracks.xyxy_px)
+        boxes = result.tracks.xyxy_px if view is None else view.recorded_boxes(result.tracks.xyxy_px)
         valid = np.flatnonzero(np.isfinite(boxes).all(axis=1))
         colours = [track_colour(track_id) for track_id in result.tracks.track_id.tolist()]
         nearest_first = valid[np.argsort(-boxes[valid, 3])].tolist()
@@ -82,8 +82,8 @@ class Overlay:
         size_px = np.array(canvas.shape[1::-1], np.float64)
         boxes = np.clip(boxes, -8.0 * line_px, np.tile(size_px, 2) + 8.0 * line_px)
         if result.lanes is not None:
-            draw_lanes(canvas, result.lanes, line_px=line_px, moved=None if view is None else view.points)
-        shapes = list(boxes) if view is None else view.outlines(result.tracks.xyxy_px)
+            draw_lanes(canvas, result.lanes, line_px=line_px, moved=None if view is None else view.recorded_points)
+        shapes = list(boxes) if view is None else view.recorded_outlines(result.tracks.xyxy_px)
         draw_shape = draw_box if view is None else draw_outline
         observed = result.tracks.observed.tolist()
         for row in nearest_first[::-1]:

@@ -1,1 +1,0 @@
-"""Lens models: the relation of viewing directions to points of the normalised image plane."""
