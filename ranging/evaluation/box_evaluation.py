@@ -20,8 +20,7 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.errors import BANDS_M, MethodColumn, score_bands, score_rows
 from track_range.ranging.fitting.labelled_boxes import CLASS_OF, BoxSet
-from track_range.stereo.evaluation.disparity_errors import MatcherColumn
-from track_range.stereo.evaluation.risk_coverage import risk_coverage
+from track_range.stereo.evaluation.disparity_errors import MatcherColumn, risk_coverage
 
 CLASSES = tuple(CLASS_OF.values())  # evaluated classes, in the order of tables
 NEAREST_M, FAR_M = 10.0, 30.0  # smallest distance in m of the metrics of a class, and of those of far objects

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -117,31 +117,29 @@ def _is_in_row(left_px: FloatArray, right_px: FloatArray, *, tolerance_px: float
     return np.asarray(np.abs(row_offset - np.median(offsets[start : until[start]])) <= tolerance_px)
 
 
-class _Features(NamedTuple):
-    """ORB features of one image: (N, 2) pixels and (N, 32) descriptors."""
-
-    xy_px: FloatArray
-    descriptors: npt.NDArray[np.uint8]
+_Features = tuple[FloatArray, npt.NDArray[np.uint8]]
 
 
 def _features(image: Image) -> _Features:
+    """ORB features of one image: (N, 2) pixels and (N, 32) descriptors."""
     points, descriptors = cv2.ORB.create(nfeatures=_N_FEATURES).detectAndCompute(grey(image), None)
     xy_px = np.asarray(cv2.KeyPoint.convert(points), np.float64).reshape(-1, 2)
-    return _Features(xy_px, np.asarray(descriptors, np.uint8) if len(points) else np.zeros((0, 32), np.uint8))
+    return xy_px, np.asarray(descriptors, np.uint8) if len(points) else np.zeros((0, 32), np.uint8)
 
 
 def _matched_points(left: _Features, right: _Features) -> tuple[FloatArray, FloatArray]:
     """(N, 2) pixels of matched features in the left and the right image, by cross-check and ratio test."""
-    if min(len(left.xy_px), len(right.xy_px)) < 2:
+    (left_px, left_descriptors), (right_px, right_descriptors) = left, right
+    if min(len(left_px), len(right_px)) < 2:
         return np.zeros((0, 2)), np.zeros((0, 2))
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
     pairs = [
         (first.queryIdx, first.trainIdx)
-        for first, second in matcher.knnMatch(left.descriptors, right.descriptors, k=2)
+        for first, second in matcher.knnMatch(left_descriptors, right_descriptors, k=2)
         if first.distance < _MAX_RATIO * second.distance
     ]
     chosen = np.array(pairs, np.int64).reshape(-1, 2)
     if len(chosen):  # the cross-check of these few takes a quarter of the time of that of all features
-        back = [match.trainIdx for match in matcher.match(right.descriptors[chosen[:, 1]], left.descriptors)]
+        back = [match.trainIdx for match in matcher.match(right_descriptors[chosen[:, 1]], left_descriptors)]
         chosen = chosen[np.array(back) == chosen[:, 0]]
-    return left.xy_px[chosen[:, 0]], right.xy_px[chosen[:, 1]]
+    return left_px[chosen[:, 0]], right_px[chosen[:, 1]]

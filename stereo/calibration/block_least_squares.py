@@ -53,7 +53,7 @@ def solve_blocks(
         normal = _normal_equations(residuals_of, residuals, starts, common, view_parameters)
         cost = float(residuals @ residuals)
         while damping <= _LARGEST_DAMPING:
-            step, view_steps = normal.steps(damping)
+            step, view_steps, _ = normal.steps(damping)
             moved = common + step, view_parameters + view_steps
             candidate = residuals_of(*moved)
             candidate_cost = float(candidate @ candidate) if np.isfinite(candidate).all() else np.inf
@@ -68,7 +68,7 @@ def solve_blocks(
             break
     normal = _normal_equations(residuals_of, residuals, starts, common, view_parameters)
     n_free = max(len(residuals) - common.size - view_parameters.size, 1)
-    covariance = np.asarray(np.linalg.inv(normal.schur(normal.u, normal.v)[0]))
+    covariance = np.asarray(np.linalg.inv(normal.steps(0.0)[2]))
     return BlockSolution(common, view_parameters, residuals, covariance * float(residuals @ residuals) / n_free)
 
 
@@ -81,18 +81,15 @@ class _NormalEquations(NamedTuple):
     g_common: FloatArray  # (C,)
     g_views: FloatArray  # (V, P)
 
-    def schur(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The Schur complement (C, C) of the views with other, damped u and v, and W V^-1 (V, C, P)."""
-        w_over_v = np.linalg.solve(v, self.w.transpose(0, 2, 1)).transpose(0, 2, 1)
-        return np.asarray(u - (w_over_v @ self.w.transpose(0, 2, 1)).sum(axis=0)), np.asarray(w_over_v, np.float64)
-
-    def steps(self, damping: float) -> tuple[FloatArray, FloatArray]:
-        """Steps (C,) and (V, P) of the parameters."""
+    def steps(self, damping: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Steps (C,) and (V, P) of the parameters, and the Schur complement (C, C) of the views."""
+        u = self.u + damping * np.diag(np.diag(self.u))
         v = self.v + damping * np.einsum("vii->vi", self.v)[:, :, None] * np.eye(self.v.shape[1])
-        schur, w_over_v = self.schur(self.u + damping * np.diag(np.diag(self.u)), v)
+        w_over_v = np.linalg.solve(v, self.w.transpose(0, 2, 1)).transpose(0, 2, 1)
+        schur = np.asarray(u - (w_over_v @ self.w.transpose(0, 2, 1)).sum(axis=0))
         common = np.linalg.solve(schur, self.g_common - (w_over_v @ self.g_views[:, :, None]).sum(axis=0)[:, 0])
         right = self.g_views - np.einsum("vcp,c->vp", self.w, common)
-        return common, np.linalg.solve(v, right[:, :, None])[:, :, 0]
+        return common, np.linalg.solve(v, right[:, :, None])[:, :, 0], schur
 
 
 def _normal_equations(

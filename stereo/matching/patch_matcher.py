@@ -5,7 +5,7 @@
     3. matches    semi-global matching between the windows of a box                        `window_sgm`
     4. surfaces   groups of windows on a plane: the object, occluders, background          `surfaces`
     5. choice     the probability of each surface to be the object                         `surface_choice`
-    6. subpixel   least squares on grey values, and the surface through the windows        `subpixel`, `surface_fit`
+    6. subpixel   least squares on grey values, and the surface through the windows        `subpixel`, `surfaces`
     7. checks     texture, uniqueness, search range, cost; sigma                           `confidence`
 
 The range of disparities is that about the last match of the box's track; else that about the disparity expected from
@@ -34,8 +34,7 @@ from track_range.stereo.matching.confidence import match_confidence
 from track_range.stereo.matching.patch_matches import ExpectedDisparity, Outcome, PatchMatches
 from track_range.stereo.matching.subpixel import RefinedSurface, refine_surface
 from track_range.stereo.matching.surface_choice import OtherBoxes, SurfaceChoice, choose_surface, features
-from track_range.stereo.matching.surface_fit import SurfaceFit
-from track_range.stereo.matching.surfaces import Surfaces, find_surfaces, window_weights
+from track_range.stereo.matching.surfaces import SurfaceFit, Surfaces, find_surfaces, window_weights
 from track_range.stereo.matching.tiles import COARSE, FINE, MIN_IMAGE_HW, BoxTiles, TileShape, box_tiles, tile_scale
 from track_range.stereo.matching.window_sgm import WindowMatches, match_windows
 

@@ -24,8 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32
-from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces, surface_terms
-from track_range.stereo.matching.surfaces import centre_weights
+from track_range.stereo.matching.surfaces import SurfaceFit, centre_weights, fit_surfaces, surface_terms
 from track_range.stereo.matching.tiles import MARGIN_PX, BoxTiles, Grey, window_sums
 
 _N_FIT_ITERATIONS = (2, 3)  # of the surface, for each iteration of the least squares on grey values

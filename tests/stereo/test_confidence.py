@@ -9,7 +9,7 @@ import pytest
 from tests.stereo.tile_cases import tiles_of
 from track_range.stereo.matching.confidence import MatchConfidence, match_confidence
 from track_range.stereo.matching.subpixel import RefinedSurface
-from track_range.stereo.matching.surface_fit import SurfaceFit
+from track_range.stereo.matching.surfaces import SurfaceFit
 
 N_DISPARITIES = 41
 

@@ -7,8 +7,7 @@ import pytest
 
 from tests.stereo.kitti_folder import noise
 from track_range.stereo.evaluation.dense_confidence import MEASURES, confidence_measures, consistent_pixels
-from track_range.stereo.evaluation.disparity_errors import MatcherColumn
-from track_range.stereo.evaluation.risk_coverage import certain_first, risk_coverage
+from track_range.stereo.evaluation.disparity_errors import MatcherColumn, certain_first, risk_coverage
 from track_range.stereo.matching.sgbm import SgbmSettings
 
 TRUE_PX = np.array([20.0, 20.0, 20.0, 20.0])

@@ -16,7 +16,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.stereo.evaluation.kitti_2015 import pair_names, read_pair
 from track_range.stereo.matching.patch_matcher import PatchMatcher
 from track_range.stereo.matching.subpixel import RefinedSurface, refine_surface
-from track_range.stereo.matching.surface_fit import SurfaceFit
+from track_range.stereo.matching.surfaces import SurfaceFit
 from track_range.stereo.matching.tiles import COARSE, FINE, BoxTiles, TileShape
 
 WHOLE = 20

@@ -8,8 +8,14 @@ import pytest
 
 from tests.stereo.tile_cases import EXACT_BOX, tiles_of
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.matching.surface_fit import SurfaceFit, fit_surfaces, surface_terms
-from track_range.stereo.matching.surfaces import Surfaces, find_surfaces, window_weights
+from track_range.stereo.matching.surfaces import (
+    SurfaceFit,
+    Surfaces,
+    find_surfaces,
+    fit_surfaces,
+    surface_terms,
+    window_weights,
+)
 from track_range.stereo.matching.window_sgm import WindowMatches
 
 TILES = tiles_of(first_px=12.0)

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.calibration.drive_pairs import LEFT, RIGHT, open_pair
-from track_range.calibration.reference_pairs import reference_pairs
+from track_range.calibration.reference_pairs import LEFT, RIGHT, open_pair, reference_pairs
 from track_range.calibration.settings import AlignmentSettings, RigCheckSettings
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import real_path

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from track_range.foundation.options import Options, option
 
 _ROAD = "Without a board"  # heading of the options of the calibration from a drive
+_KNOWN_BOX: dict[str, Any] = {"metavar": "BOX=M", "panel": _ROAD, "is_repeated": True}
 OFF, LEAVE_TWO_OUT = "off", "leave-two-out"  # values of --align that name no file
 
 
@@ -83,22 +84,18 @@ class CalibrationSettings(Options):
             "Known distance of an object, along the camera's axis to its nearest surface, with its box in pixels of "
             "the video T_S seconds after the start: 'T_S,X1,Y1,X2,Y2=12.4'; with a class behind Y2 if the detector "
             "does not know it, 'T_S,X1,Y1,X2,Y2,van=12.4'. Repeat for more.",
-            metavar="BOX=M",
-            panel=_ROAD,
-            is_repeated=True,
+            **_KNOWN_BOX,
         ),
     ] = ()
     known_height: Annotated[
         tuple[str, ...],
-        option("Known height of an object, with its box as above.", metavar="BOX=M", panel=_ROAD, is_repeated=True),
+        option("Known height of an object, with its box as above.", **_KNOWN_BOX),
     ] = ()
     known_width: Annotated[
         tuple[str, ...],
         option(
             "Known width of an object seen from behind or the front, with its box as above.",
-            metavar="BOX=M",
-            panel=_ROAD,
-            is_repeated=True,
+            **_KNOWN_BOX,
         ),
     ] = ()
     known_lane_width: Annotated[

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.calibration.drive_pairs import is_drive, read_drive
+from track_range.calibration.reference_pairs import is_drive, read_drive
 from track_range.calibration.settings import LEAVE_TWO_OUT, OFF, StereoEvaluationSettings
 from track_range.evaluation.expected_disparities import expected_disparities
 from track_range.foundation.arrays import FloatArray
@@ -23,9 +23,9 @@ from track_range.stereo.evaluation.disparity_errors import (
     corrected,
     left_out_alignments,
     matcher_figures,
+    risk_coverage,
 )
 from track_range.stereo.evaluation.kitti_2015 import PairFileError, StereoPair, is_kitti_2015, pair_names, read_pairs
-from track_range.stereo.evaluation.risk_coverage import risk_coverage
 from track_range.stereo.matching.box_matchers import MATCHER_NAMES, MatcherResults, measure_pairs
 
 
