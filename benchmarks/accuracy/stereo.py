@@ -31,8 +31,7 @@ from track_range.stereo.geometry.rectification import Maps, RemappedView
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.box_matchers import MatcherResults, measure_pairs
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
-from track_range.stereo.matching.patches import inner_halves
-from track_range.stereo.matching.sgbm import Mode, Sgbm, SgbmSettings
+from track_range.stereo.matching.sgbm import Mode, Sgbm, SgbmSettings, inner_halves
 
 DRIVES = tuple(REAL_DATA / "kitti_stereo" / name for name in ("0003", "0005"))
 FROM_M, TO_M = 15.0, 25.0  # distance range in m on simulated drives

@@ -27,7 +27,7 @@ from track_range.simulation.world.scenarios.occlusion import reference_times_s
 from track_range.simulation.world.truth import visible_objects
 from track_range.stereo.evaluation.disparity_errors import BANDS_M
 from track_range.stereo.evaluation.kitti_2015 import MIN_INNER_PIXELS, MIN_TRUE_PIXELS, StereoPair
-from track_range.stereo.matching.patches import inner_halves
+from track_range.stereo.matching.sgbm import inner_halves
 
 SIZES_PX = ((1242, 375), (1280, 720))  # image sizes of even and of odd seeds
 SECONDS = 7.0  # length of a drive, s
@@ -98,7 +98,7 @@ def covered_objects(renderer: Renderer, time_s: float, *, modal_fraction: float 
             continue
         is_modal = np.random.default_rng([scene.seed, 32, user.track_id]).uniform() < modal_fraction
         box = _bounding_box(shown, window) if is_modal else label_box
-        patch = next(inner_halves(box[None], (camera.height_px, camera.width_px), margin_px=0, min_side_px=1))
+        patch = next(inner_halves(box[None], (camera.height_px, camera.width_px)))
         inner = np.zeros_like(body)
         if patch is not None:
             inner_box = np.array([patch.left, patch.top, patch.right, patch.bottom], np.float64)

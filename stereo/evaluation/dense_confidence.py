@@ -22,8 +22,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, Image
 from track_range.foundation.robust_statistics import mad_sigma
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.geometry.frames import whole_image
-from track_range.stereo.matching.patches import inner_halves
-from track_range.stereo.matching.sgbm import DisparityMap, Sgbm, SgbmSettings
+from track_range.stereo.matching.sgbm import DisparityMap, Sgbm, SgbmSettings, inner_halves
 
 MEASURES = ("spread", "invalid", "disagreeing", "left_right")  # names of the measures
 # Measure with the smallest area under the curve of failures, chosen on 628 objects of the 80 unrelated images of the
@@ -64,7 +63,7 @@ def confidence_measures(
     mirrored = sgbm.dense_disparity(np.ascontiguousarray(right[:, ::-1]), np.ascontiguousarray(left[:, ::-1]))
     is_consistent = consistent_pixels(disparity, mirrored[:, ::-1])
     values = {measure: np.full(len(xyxy_px), np.nan) for measure in MEASURES}
-    for i, patch in enumerate(inner_halves(xyxy_px, disparity.shape, margin_px=0, min_side_px=1)):
+    for i, patch in enumerate(inner_halves(xyxy_px, disparity.shape)):
         if patch is None:
             continue
         inside = disparity[patch.window]

@@ -24,7 +24,7 @@ from track_range.foundation.files.images import read_image
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.matching.patches import inner_halves
+from track_range.stereo.matching.sgbm import inner_halves
 from track_range.stereo.rig_formats.reading import load_rig
 
 LEFT, RIGHT, TRUTH, INSTANCES = "image_2", "image_3", "disp_occ_0", "obj_map"  # the four folders of a set
@@ -132,7 +132,7 @@ def labelled_instances(true_px: FloatArray, instance: npt.NDArray[np.integer]) -
         mask = instance == number
         rows, columns = np.nonzero(mask)
         box = np.array([columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5])
-        patch = next(inner_halves(box[None], (mask.shape[0], mask.shape[1]), margin_px=0, min_side_px=1))
+        patch = next(inner_halves(box[None], (mask.shape[0], mask.shape[1])))
         known = mask & (true_px > 0)
         if patch is None or known.sum() < MIN_TRUE_PIXELS:
             continue

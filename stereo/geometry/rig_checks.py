@@ -16,8 +16,7 @@ from track_range.foundation.files.input_files import quoted, shortened
 from track_range.foundation.validation import Integer
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses import LENSES
-from track_range.stereo.geometry.mounting import Mounting
-from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
 
 BASELINE_M = (0.01, 5.0)  # plausible range of the baseline, metres
 MAX_SIDE_PX = 32768  # largest plausible width or height of an image, pixels; four times that of 8K video

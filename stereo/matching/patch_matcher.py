@@ -1,8 +1,8 @@
 """PatchMatcher: the disparity of each box from windows inside it, for all boxes of a frame at once.
 
     1. tiles      each box, and the strip of the right image it may match, at one size     `tiles`
-    2. costs      census costs of the windows at each disparity                            `census`
-    3. matches    semi-global matching between the windows of a box                        `window_sgm`
+    2. costs      census costs of the windows at each disparity                            `window_matches`
+    3. matches    semi-global matching between the windows of a box                        `window_matches`
     4. surfaces   groups of windows on a plane: the object, occluders, background          `surfaces`
     5. choice     the probability of each surface to be the object                         `surface_choice`
     6. subpixel   least squares on grey values, and the surface through the windows        `subpixel`, `surfaces`
@@ -29,14 +29,13 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.matching.census import window_costs
 from track_range.stereo.matching.confidence import match_confidence
 from track_range.stereo.matching.patch_matches import ExpectedDisparity, Outcome, PatchMatches
 from track_range.stereo.matching.subpixel import RefinedSurface, refine_surface
 from track_range.stereo.matching.surface_choice import OtherBoxes, SurfaceChoice, choose_surface, features
 from track_range.stereo.matching.surfaces import SurfaceFit, Surfaces, find_surfaces, window_weights
 from track_range.stereo.matching.tiles import COARSE, FINE, MIN_IMAGE_HW, BoxTiles, TileShape, box_tiles, tile_scale
-from track_range.stereo.matching.window_sgm import WindowMatches, match_windows
+from track_range.stereo.matching.window_matches import WindowMatches, match_windows, window_costs
 
 _EXPECTED_SIGMAS = 2.0  # largest deviation of an expected disparity from that by size, in standard deviations
 _MIN_EXPECTED_LOG_SIGMA = 0.1  # smallest of these

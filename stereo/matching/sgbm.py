@@ -7,9 +7,9 @@ image. Here both images are padded on the left first, and only pixels with a mat
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -19,12 +19,12 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.robust_statistics import mad_sigma
 from track_range.stereo.geometry.frames import grey
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.matching.patches import Patch, inner_halves
 
 DisparityMap = npt.NDArray[np.float32]
 Mode = Literal["3way", "sgbm", "hh", "hh4"]
 _STEPS_PER_PX = 16  # disparity steps per pixel: OpenCV's disparities are multiples of 1/16 px
 _MEDIAN_SIGMA_PX = 0.15  # of the median of a flat, textured patch: mostly pixel locking (0.14 px on synthetic pairs)
+_FRACTION_CUT = 0.25  # fraction of the box's width (height) that is cut off on each side
 _MAX_COST = 32767  # largest cost: OpenCV sums costs in 16 bits
 
 # Other names of settings in configuration files, and the fields of `SgbmSettings`, which have OpenCV's names.
@@ -157,6 +157,38 @@ class Sgbm:
         return np.where(is_unknown, np.float32(np.nan), disparity)
 
 
+class Patch(NamedTuple):
+    """A rectangle of pixels; all four edges are inclusive."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """Index of the pixels in an image."""
+        return np.s_[self.top : self.bottom + 1, self.left : self.right + 1]
+
+
+def inner_halves(
+    xyxy_px: FloatArray, image_hw: tuple[int, int], *, margin_px: int = 0, min_side_px: int = 1
+) -> Iterator[Patch | None]:
+    """The inner half of each box (N, 4), clipped at `margin_px` from the image border.
+
+    It is the central half in width and height, which contains the object and little background. None where fewer than
+    `min_side_px` columns or rows are left, or the box is not finite or inverted.
+    """
+    height, width = image_hw
+    with np.errstate(invalid="ignore", over="ignore"):  # infinite boxes become NaN, which gives no patch
+        cut = (xyxy_px[:, 2:] - xyxy_px[:, :2]) * _FRACTION_CUT
+        first = np.maximum(np.ceil(xyxy_px[:, :2] + cut), margin_px)
+        last = np.minimum(np.floor(xyxy_px[:, 2:] - cut), np.array([width, height]) - 1.0 - margin_px)
+    big_enough = (last - first + 1 >= min_side_px).all(axis=1)  # False for NaN too
+    for i, usable in enumerate(np.asarray(big_enough).tolist()):
+        yield Patch(*first[i].astype(np.int64).tolist(), *last[i].astype(np.int64).tolist()) if usable else None
+
+
 def inner_half_median(
     disparity: DisparityMap | FloatArray, xyxy_px: FloatArray, *, settings: SgbmSettings | None = None
 ) -> tuple[FloatArray, FloatArray]:
@@ -166,7 +198,7 @@ def inner_half_median(
     """
     settings = settings or SgbmSettings()
     median_px, sigma_px = np.full(len(xyxy_px), np.nan), np.full(len(xyxy_px), np.nan)
-    for i, patch in enumerate(inner_halves(xyxy_px, disparity.shape, margin_px=0, min_side_px=1)):
+    for i, patch in enumerate(inner_halves(xyxy_px, disparity.shape)):
         if patch is not None:
             median_px[i], sigma_px[i] = _median_and_sigma(disparity, patch, settings)
     return median_px, sigma_px
@@ -185,7 +217,7 @@ def centre_disparity(
     with np.errstate(invalid="ignore", over="ignore"):  # the centres of infinite boxes are outside the image
         centres_px = np.nan_to_num((xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2, nan=-1.0)
     centres = np.rint(np.clip(centres_px, -1.0, max(disparity.shape))).astype(np.int64).tolist()
-    for i, patch in enumerate(inner_halves(xyxy_px, disparity.shape, margin_px=0, min_side_px=1)):
+    for i, patch in enumerate(inner_halves(xyxy_px, disparity.shape)):
         x, y = centres[i]
         is_inside = 0 <= y < disparity.shape[0] and 0 <= x < disparity.shape[1]
         if patch is not None and is_inside and np.isfinite(disparity[y, x]):

@@ -23,7 +23,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.stereo.matching.tiles import BoxTiles
-from track_range.stereo.matching.window_sgm import WindowMatches
+from track_range.stereo.matching.window_matches import WindowMatches
 
 # f: residual below which windows have equal weights, as a fraction of the mean disparity, and its minimum in px.
 _FLOOR_FRACTION, _FLOOR_PX = 0.015, 0.05

@@ -10,8 +10,7 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import read_text
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.mounting import Mounting
-from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import (
     RigCalibration,
     check_camera,

@@ -27,8 +27,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.structured_text import parse_yaml, yaml_text
 from track_range.foundation.validation import Number, PositiveNumber, Version1, validated
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.mounting import Mounting
-from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration, check_camera, check_rig
 from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
 

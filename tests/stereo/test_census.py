@@ -8,8 +8,8 @@ import pytest
 from tests.stereo.shifted_pairs import pair
 from tests.stereo.tile_cases import EXACT_BOX, tiles_of
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.matching.census import census, window_costs
 from track_range.stereo.matching.tiles import COARSE, FINE, MARGIN_PX, BoxTiles, Grey, TileShape
+from track_range.stereo.matching.window_matches import census, window_costs
 
 
 def slow_bits(grey: Grey) -> list[list[list[bool]]]:

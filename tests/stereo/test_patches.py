@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from track_range.stereo.matching.patches import inner_halves
+from track_range.stereo.matching.sgbm import inner_halves
 
 IMAGE_HW = (100, 200)
 

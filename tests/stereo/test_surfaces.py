@@ -16,7 +16,7 @@ from track_range.stereo.matching.surfaces import (
     surface_terms,
     window_weights,
 )
-from track_range.stereo.matching.window_sgm import WindowMatches
+from track_range.stereo.matching.window_matches import WindowMatches
 
 TILES = tiles_of(first_px=12.0)
 U, V = TILES.u, TILES.v

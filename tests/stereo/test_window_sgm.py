@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.matching.window_sgm import match_windows
+from track_range.stereo.matching.window_matches import match_windows
 
 SMALL_STEP, LARGE_STEP, UNSEEN = 1.5, 6.0, 8.0
 

@@ -14,7 +14,7 @@ from track_range.calibration.road.measurement_text import known_lanes, known_met
 from track_range.foundation.errors import UsageError
 from track_range.recording.cameras.focal_sources import KNOWN_CAMERAS, focal_guesses
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.geometry.rig import Mounting
 from track_range.stereo.rig_formats.reading import load_camera, mounting_of
 from track_range.stereo.rig_formats.rig_yaml import save_camera
 

@@ -13,8 +13,7 @@ from track_range.recording.recording import open_recording
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import whole_image
-from track_range.stereo.geometry.mounting import Mounting
-from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
 WIDTH_PX, HEIGHT_PX, SHIFT_PX = 320, 160, 12

@@ -37,7 +37,7 @@ from track_range.recording.open_video import open_video
 from track_range.recording.recording import open_recording
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.geometry.rig import Mounting
 from track_range.stereo.rig_formats.rig_yaml import save_camera
 
 _PART_S = 10.0  # length of each part of the video that is read

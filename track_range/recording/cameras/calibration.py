@@ -25,9 +25,8 @@ from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX
 from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame, ImageView
-from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
-from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera, check_rig, fitted_to_size
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats.camera_info import camera_of, is_undistorted, rig_of

@@ -22,7 +22,7 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.registry import methods
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
-from track_range.stereo.matching.patches import inner_halves
+from track_range.stereo.matching.sgbm import inner_halves
 from track_range.views.overlay.birds_eye import BirdsEye
 from track_range.views.overlay.label_layout import LabelPlacer
 from track_range.views.overlay.labels import BOLD, TextRenderer, corner_lines, label_lines, text_sizes_px
