@@ -88,14 +88,8 @@ def measure_pairs(
     """
     notes = dict[str, None]()
     cameras = list[PinholeCamera]()
-    none = np.zeros(0)
-    columns: dict[str, list[Any]] = {
-        "true_px": [none],
-        "focal_baseline_m": [none],
-        "x_px": [none],
-        "pair": [none.astype(np.int64)],
-        "group": [none.astype(np.int64)],
-    }
+    none, none_int = np.zeros(0), np.zeros(0, np.int64)
+    columns: list[tuple[Any, ...]] = [(none, none, none, none_int, none_int)]  # those of `Objects`
     measured: dict[str, list[tuple[FloatArray, FloatArray]]] = {name: [(none, none)] for name in names}
     times_ms: dict[str, list[float]] = {name: [] for name in names}
     last_px: dict[str, dict[int, float]] = {name: {} for name in names}
@@ -113,13 +107,12 @@ def measure_pairs(
             measured[name].append((matches.disparity_px, matches.sigma_px))
             last_px[name] = {n: d for n, d in zip(ids, matches.disparity_px.tolist(), strict=True) if n >= 0}
         cameras.append(pair.rig.left)
-        columns["true_px"].append(pair.true_px)
-        columns["focal_baseline_m"].append(np.full(n_objects, pair.rig.left.fx_px * pair.rig.baseline_m))
-        columns["x_px"].append(pair.x_px)
-        columns["pair"].append(np.full(n_objects, number))
-        columns["group"].append(pair.track_id if len(pair.track_id) else np.full(n_objects, number))
+        focal_baseline_m = np.full(n_objects, pair.rig.left.fx_px * pair.rig.baseline_m)
+        numbers = np.full(n_objects, number)
+        group = pair.track_id if len(pair.track_id) else numbers
+        columns.append((pair.true_px, focal_baseline_m, pair.x_px, numbers, group))
     return MatcherResults(
-        Objects(**{name: np.concatenate(parts) for name, parts in columns.items()}, cameras=tuple(cameras)),
+        Objects(*map(np.concatenate, zip(*columns, strict=True)), tuple(cameras)),
         {name: MatcherColumn(*map(np.concatenate, zip(*parts, strict=True))) for name, parts in measured.items()},
         {name: float(np.median(times)) for name, times in times_ms.items() if times},
         tuple(notes),

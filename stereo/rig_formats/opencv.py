@@ -224,7 +224,7 @@ def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
     matrices: dict[str, npt.ArrayLike]
     if isinstance(cameras, StereoRig):
         check_rig(cameras, path)
-        if (left.width_px, left.height_px) != (right.width_px, right.height_px):
+        if left.size_px != right.size_px:
             raise RigError(
                 f"{path}: expected cameras of equal image size for OpenCV's format, got "
                 f"{left.width_px}x{left.height_px} and {right.width_px}x{right.height_px} px; write a rig.yaml."

@@ -31,7 +31,6 @@ _EXPECTED = "a camera_info of ROS"
 # Keys at the start of a line, one of which every camera_info has.
 _RECOGNISED = re.compile(r"^(?:(?:camera|projection)_matrix|[kKpP])[ \t]*:", re.MULTILINE)
 _SEPARATOR = re.compile(r"^---[^\n]*$", re.MULTILINE)  # line between two YAML documents
-_SIDE = re.compile("left|right", re.IGNORECASE)
 _OTHER_SIDE = {"left": "right", "right": "left", "Left": "Right", "Right": "Left", "LEFT": "RIGHT", "RIGHT": "LEFT"}
 
 _SUFFIXES = (".yaml", ".yml")
@@ -101,7 +100,7 @@ def _is_camera_info(text: str) -> bool:
     return _RECOGNISED.search(text) is not None
 
 
-def _read(text: str, path: Path) -> RigCalibration:
+def _read(text: str, path: Path, _is_grey: bool) -> RigCalibration:
     """The camera, or the two cameras, of one file."""
     cameras = _cameras(text, path)
     if len(cameras) == 2:
@@ -112,12 +111,12 @@ def _read(text: str, path: Path) -> RigCalibration:
     return RigCalibration(only, None, None, notes=(note,))
 
 
-def _read_pair(text: str, path: Path) -> RigCalibration:
+def _read_pair(text: str, path: Path, is_grey: bool) -> RigCalibration:
     """As `_read`; the other camera of a file with one is that of the file for the other side, if there is one."""
     cameras = _cameras(text, path)
     if len(cameras) == 1 and (partner := _partner(path)) is not None:
         cameras += _cameras(read_text(partner, RigError, _EXPECTED), partner)
-    return _pair(cameras[0], cameras[1], path) if len(cameras) == 2 else _read(text, path)
+    return _pair(cameras[0], cameras[1], path) if len(cameras) == 2 else _read(text, path, is_grey)
 
 
 def read_folder(folder: Path) -> RigCalibration:
@@ -213,7 +212,7 @@ def _partner(path: Path) -> Path | None:
 
 def _other_side(name: str) -> str:
     """A file name of the other side; the same name without one."""
-    return _SIDE.sub(lambda match: _OTHER_SIDE.get(match[0], match[0]), name)
+    return re.sub("|".join(_OTHER_SIDE), lambda match: _OTHER_SIDE[match[0]], name)
 
 
 def _missing(_text: str, path: Path, _is_grey: bool) -> str:
@@ -227,7 +226,7 @@ ROS = RigFormat(
     name="ros",
     title=_TITLE,
     recognises=_is_camera_info,
-    read=lambda text, path, _is_grey: _read(text, path),
-    read_pair=lambda text, path, _is_grey: _read_pair(text, path),
+    read=_read,
+    read_pair=_read_pair,
     missing=_missing,
 )

@@ -149,7 +149,7 @@ def _natural_order(path: Path) -> list[tuple[int, str]]:
 
 def _paired(sources: Sequence[str], files: Sequence[list[Path]]) -> ImageFiles:
     """Left and right images paired by name, or by order if their names have nothing in common."""
-    tried: list[tuple[Key, Key]] = [(_stem, _stem), (_last_number, _last_number)]
+    tried: list[tuple[Key, Key]] = [(lambda path: path.stem,) * 2, (_last_number, _last_number)]
     if all(_WILDCARD.search(source) for source in sources):
         tried.insert(0, (_wildcard_key(sources[0]), _wildcard_key(sources[1])))
     for keys in tried:
@@ -181,10 +181,6 @@ def _wildcard_key(pattern: str) -> Key:
         return str(path) if match is None else "|".join(match.groups())
 
     return key
-
-
-def _stem(path: Path) -> str:
-    return path.stem
 
 
 def _last_number(path: Path) -> str:
