@@ -36,7 +36,7 @@ class PinholeCamera:
     height_px: int  # image height
     # coefficients of the lens model; of a pinhole OpenCV's (4, 5, 8, 12 or 14 of them); empty = none
     distortion: tuple[float, ...] = ()
-    lens: str = PINHOLE  # name of the lens model, one of `lenses.registry.LENSES`
+    lens: str = PINHOLE  # name of the lens model, one of `lenses.LENSES`
 
     @classmethod
     def of_focal_length(cls, focal_px: float, size_px: tuple[int, int]) -> PinholeCamera:
