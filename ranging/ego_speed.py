@@ -136,7 +136,22 @@ def _from_oxts(folder: Path) -> EgoSpeed:
     files = sorted(file for part in (folder, folder / "data") for file in part.glob("*.txt") if file.stem.isdecimal())
     if not files:
         raise EgoSpeedError(f"{folder}: expected KITTI oxts files such as 0000000000.txt, found none.")
-    times_s = _oxts_times_s(folder)
+    paths = [path / "timestamps.txt" for path in (folder, folder.parent) if os.path.lexists(path / "timestamps.txt")]
+    if not paths:
+        raise EgoSpeedError(f"{folder}: expected a timestamps.txt in this folder or next to it, found none.")
+    lines = read_text(paths[0], EgoSpeedError, "timestamps", max_bytes=MAX_TABLE_BYTES).split("\n")
+    moments = []
+    for i, line in [(i, line.strip()) for i, line in enumerate(lines, start=1) if line.strip()]:
+        try:
+            # The file has nanoseconds, datetime reads microseconds: 26 characters. A time zone is ignored.
+            moments.append(datetime.fromisoformat(line[:26]).replace(tzinfo=None))
+        except ValueError as error:
+            raise EgoSpeedError(
+                f"{paths[0]}, line {i}: expected a time such as '2011-09-26 13:10:51.168593664', got {quoted(line)}."
+            ) from error
+    times_s = np.array([(moment - moments[0]).total_seconds() for moment in moments])
+    if (np.diff(times_s) <= 0).any():
+        raise EgoSpeedError(f"{paths[0]}: expected times that increase from line to line.")
     frames = [int(file.stem) for file in files]
     if max(frames) >= len(times_s):
         raise EgoSpeedError(
@@ -145,30 +160,6 @@ def _from_oxts(folder: Path) -> EgoSpeed:
         )
     speed_mps = np.concatenate([_plausible(np.array([_oxts_forward_mps(file)]), str(file)) for file in files])
     return EgoSpeed(times_s[np.array(frames)], speed_mps, folder.name)
-
-
-def _oxts_times_s(folder: Path) -> FloatArray:
-    """(N,) seconds from the first line of timestamps.txt, which is in the folder or next to it."""
-    paths = [path / "timestamps.txt" for path in (folder, folder.parent) if os.path.lexists(path / "timestamps.txt")]
-    if not paths:
-        raise EgoSpeedError(f"{folder}: expected a timestamps.txt in this folder or next to it, found none.")
-    lines = read_text(paths[0], EgoSpeedError, "timestamps", max_bytes=MAX_TABLE_BYTES).split("\n")
-    moments = [_moment(line.strip(), f"{paths[0]}, line {i}") for i, line in enumerate(lines, start=1) if line.strip()]
-    times_s = np.array([(moment - moments[0]).total_seconds() for moment in moments])
-    if (np.diff(times_s) <= 0).any():
-        raise EgoSpeedError(f"{paths[0]}: expected times that increase from line to line.")
-    return times_s
-
-
-def _moment(text: str, where: str) -> datetime:
-    """The time in one line of timestamps.txt; a time zone is ignored."""
-    try:
-        # The file has nanoseconds, datetime reads microseconds: 26 characters.
-        return datetime.fromisoformat(text[:26]).replace(tzinfo=None)
-    except ValueError as error:
-        raise EgoSpeedError(
-            f"{where}: expected a time such as '2011-09-26 13:10:51.168593664', got {quoted(text)}."
-        ) from error
 
 
 def _oxts_forward_mps(file: Path) -> float:

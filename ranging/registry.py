@@ -15,8 +15,7 @@ from importlib.metadata import EntryPoint
 from types import MappingProxyType
 
 from track_range.foundation.registry import Registry, imported
-from track_range.ranging.method import MethodContext, MethodError, RangingMethod
-from track_range.ranging.ranger import Ranger
+from track_range.ranging.method import MethodContext, MethodError, Ranger, RangingMethod
 
 _METHODS_FOLDER = "track_range.ranging.methods"
 

@@ -45,11 +45,11 @@ if TYPE_CHECKING:
     from track_range.ranging.fusion.fusion import Fusion as Fusion
     from track_range.ranging.method import ErrorSource as ErrorSource
     from track_range.ranging.method import MethodError as MethodError
+    from track_range.ranging.method import Ranger as Ranger
     from track_range.ranging.method import RangingMethod as RangingMethod
     from track_range.ranging.methods.ground_plane import GroundRanger as GroundRanger
     from track_range.ranging.methods.patch_stereo import StereoRanger as StereoRanger
     from track_range.ranging.methods.size_regression import SizeRanger as SizeRanger
-    from track_range.ranging.ranger import Ranger as Ranger
     from track_range.ranging.ranges import Ranges as Ranges
     from track_range.ranging.registry import methods as ranging_methods
     from track_range.ranging.registry import register as register_method
@@ -134,7 +134,7 @@ _MODULE_OF = {
     "evaluate_score_calibration": "detection.evaluation.score_calibration:evaluate_calibration",
     "write_report": "views.report.page",
     # extension
-    "Ranger": "ranging.ranger",
+    "Ranger": "ranging.method",
     "RangingMethod": "ranging.method",
     "ErrorSource": "ranging.method",
     "ranging_methods": "ranging.registry:methods",

@@ -102,7 +102,9 @@ def _motion(
     if inliers.mean() < settings.similarity_fraction:
         c, t, inliers = _rotation(points, flow, settings, min_radius_px=_NEAR_CENTRE * long_side_px)
     has_enough = inliers.sum() >= settings.min_inliers and inliers.mean() >= settings.min_inlier_fraction
-    if not (has_enough and _is_plausible(c, t, grey_hw, settings)):
+    is_near = abs(t.real) <= settings.max_shift * grey_hw[1] and abs(t.imag) <= settings.max_shift * grey_hw[0]
+    is_level = abs(np.angle(c)) <= settings.max_roll_rad
+    if not (has_enough and is_near and is_level and 1 / settings.max_scale <= abs(c) <= settings.max_scale):
         return np.eye(2, 3)
     origin = t + centre - c * centre
     return np.array([[c.real, -c.imag, origin.real], [c.imag, c.real, origin.imag]])
@@ -172,11 +174,3 @@ def _rotation(
     )
     c = complex(1.0, solution[2])
     return c / abs(c), t, np.asarray(inliers)
-
-
-def _is_plausible(c: complex, t: complex, grey_hw: tuple[int, ...], settings: CameraMotionSettings) -> bool:
-    is_near = abs(t.real) <= settings.max_shift * grey_hw[1] and abs(t.imag) <= settings.max_shift * grey_hw[0]
-    roll_rad = abs(np.angle(c))
-    return bool(
-        is_near and 1 / settings.max_scale <= abs(c) <= settings.max_scale and roll_rad <= settings.max_roll_rad
-    )

@@ -166,27 +166,25 @@ class DeepSortTracker:
 
         The embeddings come from the detector or the appearance model; the distance is 0 where there are none.
         """
-        chosen_distance, model = self._settings.appearance.max_cosine_distance, self._appearance_model
-        if chosen_distance == 0:
-            return _without_embeddings(detections), 0.0
-        if detections.descriptor.shape[1] and is_high.any():
-            is_visible, max_cosine_distance = self._is_visible(detections, is_high), _MAX_COSINE_DISTANCE_OF_FILES
-            visible_embedding = unit_rows(detections.descriptor[is_visible])
-        elif image is not None and model is not None and is_high.any():
-            is_visible, max_cosine_distance = self._is_visible(detections, is_high), model.max_cosine_distance
-            visible_embedding = model.embed(image, detections.xyxy_px[is_visible])
-        else:
-            return _without_embeddings(detections), 0.0
-        embedding = np.zeros((len(detections), visible_embedding.shape[1]), np.float32)
-        embedding[is_visible] = visible_embedding
-        return replace(
-            detections, descriptor=embedding
-        ), max_cosine_distance if chosen_distance is None else chosen_distance
-
-    def _is_visible(self, detections: Detections, is_high: BoolArray) -> BoolArray:
-        """(N,) whether a detection has high confidence and no nearer one occludes more than `max_occlusion` of it."""
-        occlusion = history.occluded_fraction(detections.xyxy_px, detections.xyxy_px)
-        return np.asarray(is_high & (occlusion <= self._settings.appearance.max_occlusion))
+        settings, model = self._settings.appearance, self._appearance_model
+        is_given, visible, max_cosine_distance = detections.descriptor.shape[1] > 0, None, 0.0
+        if settings.max_cosine_distance != 0 and is_high.any() and (is_given or image is not None):
+            occlusion = history.occluded_fraction(detections.xyxy_px, detections.xyxy_px)
+            is_visible = is_high & (occlusion <= settings.max_occlusion)
+            if is_given:
+                visible = unit_rows(detections.descriptor[is_visible])
+                max_cosine_distance = _MAX_COSINE_DISTANCE_OF_FILES
+            elif image is not None and model is not None:
+                visible = model.embed(image, detections.xyxy_px[is_visible])
+                max_cosine_distance = model.max_cosine_distance
+        if visible is None:
+            descriptor = np.zeros((len(detections), 0), np.float32)
+            return replace(detections, descriptor=descriptor) if is_given else detections, 0.0
+        embedding = np.zeros((len(detections), visible.shape[1]), np.float32)
+        embedding[is_visible] = visible
+        chosen_distance = settings.max_cosine_distance
+        detections = replace(detections, descriptor=embedding)
+        return detections, max_cosine_distance if chosen_distance is None else chosen_distance
 
     def _predict(self, detections: Detections, time_s: float, image: Image | None) -> None:
         """Stage 1: compensate camera motion, delete dead tracks, and predict the others to `time_s`."""
@@ -305,13 +303,6 @@ class DeepSortTracker:
         table = self._table
         boxes_px = table.history.last_xyxy_px.take(rows, axis=0)
         return Tracks(table.track_id[rows], boxes_px, table.class_id[rows], table.score[rows], is_detected[rows])
-
-
-def _without_embeddings(detections: Detections) -> Detections:
-    """The same boxes without the detector's embeddings."""
-    if not detections.descriptor.shape[1]:
-        return detections
-    return replace(detections, descriptor=np.zeros((len(detections), 0), np.float32))
 
 
 def deepsort(options: TrackerOptions) -> DeepSortTracker:

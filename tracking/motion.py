@@ -110,14 +110,8 @@ class BoxFilters:
 
     def concatenate(self, other: BoxFilters) -> BoxFilters:
         """The filters of both, `other`'s last."""
-        return BoxFilters(
-            x=np.concatenate([self.x, other.x]),
-            v=np.concatenate([self.v, other.v]),
-            P_xx=np.concatenate([self.P_xx, other.P_xx]),
-            P_xv=np.concatenate([self.P_xv, other.P_xv]),
-            P_vv=np.concatenate([self.P_vv, other.P_vv]),
-            height_px=np.concatenate([self.height_px, other.height_px]),
-        )
+        columns = ([getattr(self, name), getattr(other, name)] for name in self.__slots__)
+        return BoxFilters(*map(np.concatenate, columns))
 
 
 def initiate(xyxy_px: FloatArray, noise: MotionNoise) -> BoxFilters:

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.tracking.tracks import Tracks
 
 
@@ -47,87 +47,51 @@ class OfflineRefinement:
 
     def refine(self, threshold: ActivationThreshold | None, settings: RefinementSettings | None = None) -> list[Tracks]:
         """The refined tracks of every frame, by id; without a threshold, no track is dropped for its scores."""
-        settings = settings or RefinementSettings()
-        rows = _Rows.of(self._parts)
-        time_s = np.array(self._time_s)
-        rows = rows.select(rows.are_reliable(threshold, settings, n_frames=len(time_s)))
-        return _by_frame(rows.with_gaps_interpolated(time_s, settings.max_gap_s), len(time_s))
+        settings, time_s = settings or RefinementSettings(), np.array(self._time_s)
 
-
-@dataclass(frozen=True, slots=True)
-class _Rows:
-    """Boxes of all frames, sorted by track, then by frame."""
-
-    frame: IntArray  # (N,) frame numbers from 0
-    tracks: Tracks  # N boxes with their identities
-
-    @classmethod
-    def of(cls, parts: Sequence[tuple[int, Tracks, bool]]) -> _Rows:
-        """All boxes of tracks that were confirmed at some time, from (frame, tracks, whether they are confirmed).
-
-        Every box gets the last class of its track.
-        """
-        frame = np.concatenate([np.zeros(0, np.int64), *(np.full(len(tracks), i) for i, tracks, _ in parts)])
-        tracks = _concatenated([tracks for _, tracks, _ in parts])
-        is_confirmed = np.concatenate(
-            [np.zeros(0, np.bool_), *(np.full(len(tracks), is_confirmed) for _, tracks, is_confirmed in parts)]
-        )
+        # Boxes of all tracks that were confirmed at some time, sorted by track, then by frame.
+        frame = np.concatenate([np.zeros(0, np.int64), *(np.full(len(tracks), k) for k, tracks, _ in self._parts)])
+        tracks = _concatenated([tracks for _, tracks, _ in self._parts])
+        confirmed_id = _concatenated([tracks for _, tracks, is_confirmed in self._parts if is_confirmed]).track_id
         order = np.lexsort((frame, tracks.track_id))
-        order = order[np.isin(tracks.track_id[order], tracks.track_id[is_confirmed])]
-        rows = cls(frame[order], tracks.select(order))
-        track_id = rows.tracks.track_id
-        last = np.searchsorted(track_id, track_id, side="right") - 1
-        class_id = rows.tracks.class_id[last] if len(last) else rows.tracks.class_id
-        return cls(rows.frame, Tracks(track_id, rows.tracks.xyxy_px, class_id, rows.tracks.score, rows.tracks.observed))
+        order = order[np.isin(tracks.track_id[order], confirmed_id)]
+        frame, tracks = frame[order], tracks.select(order)
+        if len(frame):  # every box gets the last class of its track
+            last = np.searchsorted(tracks.track_id, tracks.track_id, side="right") - 1
+            tracks = replace(tracks, class_id=tracks.class_id[last])
 
-    def select(self, rows: BoolArray) -> _Rows:
-        return _Rows(self.frame[rows], self.tracks.select(rows))
-
-    def are_reliable(
-        self, threshold: ActivationThreshold | None, settings: RefinementSettings, *, n_frames: int
-    ) -> BoolArray:
-        """(N,) whether a box belongs to a track with enough boxes and a sufficient mean score."""
-        _, track, n_boxes = np.unique(self.tracks.track_id, return_inverse=True, return_counts=True)
-        is_reliable = np.asarray(n_boxes[track] >= min(settings.min_boxes, n_frames))
+        # Tracks with enough boxes and a sufficient mean score.
+        _, track, n_boxes = np.unique(tracks.track_id, return_inverse=True, return_counts=True)
+        is_reliable = np.asarray(n_boxes[track] >= min(settings.min_boxes, len(time_s)))
         if threshold is not None:
-            mean_score = np.bincount(track, self.tracks.score, len(n_boxes)) / np.maximum(n_boxes, 1)
-            is_reliable &= mean_score[track] >= settings.min_score_fraction * threshold(self.tracks.class_id)
-        return is_reliable
+            mean_score = np.bincount(track, tracks.score, len(n_boxes)) / np.maximum(n_boxes, 1)
+            is_reliable &= mean_score[track] >= settings.min_score_fraction * threshold(tracks.class_id)
+        frame, tracks = frame[is_reliable], tracks.select(is_reliable)
 
-    def with_gaps_interpolated(self, time_s: FloatArray, max_gap_s: float) -> _Rows:
-        """The boxes, and interpolated ones in every frame of each gap of at most `max_gap_s`."""
-        if len(self.frame) < 2:
-            return self
-        tracks = self.tracks
-        is_same_track = tracks.track_id[1:] == tracks.track_id[:-1]
-        n_missing = np.where(is_same_track, np.diff(self.frame) - 1, 0)
-        n_missing[np.diff(time_s[self.frame]) > max_gap_s] = 0
-        start = np.repeat(np.arange(len(n_missing)), n_missing)
-        nth = np.arange(len(start)) - np.repeat(np.cumsum(n_missing) - n_missing, n_missing) + 1
-        frame = self.frame[start] + nth
-        start_s, end_s = time_s[self.frame[start]], time_s[self.frame[start + 1]]
-        fraction = (time_s[frame] - start_s) / (end_s - start_s)
-        boxes = tracks.xyxy_px[start] + fraction[:, None] * (tracks.xyxy_px[start + 1] - tracks.xyxy_px[start])
-        score = tracks.score[start] + fraction * (tracks.score[start + 1] - tracks.score[start])
-        observed = np.zeros(len(start), np.bool_)
-        interpolated = Tracks(tracks.track_id[start], boxes, tracks.class_id[start], score, observed)
-        return _Rows(np.concatenate([self.frame, frame]), _concatenated([tracks, interpolated]))
+        if len(frame) > 1:
+            added_frame, added = _interpolated(frame, tracks, time_s, settings.max_gap_s)
+            frame, tracks = np.concatenate([frame, added_frame]), _concatenated([tracks, added])
+        order = np.lexsort((tracks.track_id, frame))
+        ends = np.searchsorted(frame[order], np.arange(len(time_s) + 1))
+        return [tracks.select(order[begin:end]) for begin, end in itertools.pairwise(ends)]
+
+
+def _interpolated(frame: IntArray, tracks: Tracks, time_s: FloatArray, max_gap_s: float) -> tuple[IntArray, Tracks]:
+    """Frames and interpolated boxes of each gap of at most `max_gap_s`, of boxes sorted by track, then by frame."""
+    n_missing = np.where(tracks.track_id[1:] == tracks.track_id[:-1], np.diff(frame) - 1, 0)
+    n_missing[np.diff(time_s[frame]) > max_gap_s] = 0
+    start = np.repeat(np.arange(len(n_missing)), n_missing)
+    nth = np.arange(len(start)) - np.repeat(np.cumsum(n_missing) - n_missing, n_missing) + 1
+    added_frame = frame[start] + nth
+    start_s, end_s = time_s[frame[start]], time_s[frame[start + 1]]
+    fraction = (time_s[added_frame] - start_s) / (end_s - start_s)
+    boxes = tracks.xyxy_px[start] + fraction[:, None] * (tracks.xyxy_px[start + 1] - tracks.xyxy_px[start])
+    score = tracks.score[start] + fraction * (tracks.score[start + 1] - tracks.score[start])
+    observed = np.zeros(len(start), np.bool_)
+    return added_frame, Tracks(tracks.track_id[start], boxes, tracks.class_id[start], score, observed)
 
 
 def _concatenated(parts: Sequence[Tracks]) -> Tracks:
     parts = [Tracks.empty(), *parts]
-    return Tracks(
-        np.concatenate([tracks.track_id for tracks in parts]),
-        np.concatenate([tracks.xyxy_px for tracks in parts]),
-        np.concatenate([tracks.class_id for tracks in parts]),
-        np.concatenate([tracks.score for tracks in parts]),
-        np.concatenate([tracks.observed for tracks in parts]),
-    )
-
-
-def _by_frame(rows: _Rows, n_frames: int) -> list[Tracks]:
-    """The tracks of each frame, by id."""
-    order = np.lexsort((rows.tracks.track_id, rows.frame))
-    tracks = rows.tracks.select(order)
-    ends = np.searchsorted(rows.frame[order], np.arange(n_frames + 1))
-    return [tracks.select(np.arange(begin, end)) for begin, end in itertools.pairwise(ends)]
+    columns = ([getattr(tracks, name) for tracks in parts] for name in Tracks.__slots__)
+    return Tracks(*map(np.concatenate, columns))

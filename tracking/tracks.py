@@ -86,10 +86,4 @@ class Tracks:
             IndexError: the mask has another length, or a row does not exist.
         """
         rows = row_numbers(rows, len(self.track_id))
-        return Tracks(
-            self.track_id.take(rows),
-            self.xyxy_px.take(rows, axis=0),
-            self.class_id.take(rows),
-            self.score.take(rows),
-            self.observed.take(rows),
-        )
+        return Tracks(*(getattr(self, name).take(rows, axis=0) for name in self.__slots__))

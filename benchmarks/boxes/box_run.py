@@ -23,10 +23,9 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.stage_clock import StageClock
 from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, RangingStage
 from track_range.ranging.ego_speed import EgoSpeed
-from track_range.ranging.method import MethodContext
+from track_range.ranging.method import MethodContext, Ranger
 from track_range.ranging.methods.patch_stereo import STEREO
 from track_range.ranging.methods.size_regression import MONO
-from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.warning.collision_warning import CollisionWarning

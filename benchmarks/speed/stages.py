@@ -23,12 +23,11 @@ from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.arrays import Image
-from track_range.pipeline.frame_pipeline import noise_fractions
 from track_range.pipeline.frame_result import FrameResult
+from track_range.pipeline.stages import noise_fractions
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.fusion.fusion import Fusion
-from track_range.ranging.method import MethodContext
-from track_range.ranging.ranger import Ranger
+from track_range.ranging.method import MethodContext, Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import create_rangers, methods
 from track_range.results.columns import methods_with_sigma

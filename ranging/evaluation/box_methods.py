@@ -22,8 +22,7 @@ from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.fitting.prior_fit import fit_size_priors
 from track_range.ranging.fusion.fusion import Fusion
-from track_range.ranging.method import MethodContext, RangingMethod, checked_ranges
-from track_range.ranging.ranger import Ranger
+from track_range.ranging.method import MethodContext, Ranger, RangingMethod, checked_ranges
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import create_rangers, methods
 from track_range.ranging.size_models.curve import CurveError, load_curves

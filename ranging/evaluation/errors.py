@@ -128,9 +128,7 @@ def score_closing(closing_mps: FloatArray, sigma_mps: FloatArray, true_mps: Floa
     return {
         "coverage": _fraction(measured[rows]),
         "n": n,
-        "mean_error_mps": _rounded(np.abs(error_mps).mean()) if n else None,
-        "median_error_mps": _rounded(np.median(np.abs(error_mps))) if n else None,
-        "bias_mps": _rounded(np.median(error_mps)) if n else None,
+        **_statistics(error_mps, ("mean_error_mps", "median_error_mps", "bias_mps")),
         **_within(in_sigmas),
         "median_sigma_mps": _rounded(np.median(sigma_mps[measured])) if n else None,
     }
@@ -144,12 +142,16 @@ def _sigma_pct(column: MethodColumn, measured: BoolArray) -> float | None:
 
 def _figures(error: FloatArray, in_sigmas: FloatArray) -> dict[str, Any]:
     """Metrics of relative errors (N,) and of errors in units of sigma (N,); None if N = 0."""
-    return {
-        "mean_relative_error_pct": _rounded(100 * np.abs(error).mean()) if len(error) else None,
-        "median_relative_error_pct": _rounded(100 * np.median(np.abs(error))) if len(error) else None,
-        "bias_pct": _rounded(100 * np.median(error)) if len(error) else None,
-        **_within(in_sigmas),
-    }
+    names = ("mean_relative_error_pct", "median_relative_error_pct", "bias_pct")
+    return {**_statistics(error, names, scale=100), **_within(in_sigmas)}
+
+
+def _statistics(error: FloatArray, names: tuple[str, str, str], *, scale: int = 1) -> dict[str, float | None]:
+    """Mean and median absolute error and median error by these names, multiplied by `scale`; None without errors."""
+    if not len(error):
+        return dict.fromkeys(names)
+    values = np.abs(error).mean(), np.median(np.abs(error)), np.median(error)
+    return {name: _rounded(scale * value) for name, value in zip(names, values, strict=True)}
 
 
 def _within(in_sigmas: FloatArray) -> dict[str, float | None]:

@@ -141,32 +141,23 @@ def _check(settings: RangeEvaluationSettings, names: Sequence[str]) -> None:
     is_fitted, fit_frames = settings.cross_validate or settings.same_drive, settings.fit_frames
     unknown = ",".join(name for name in names if name not in method_names())
     is_rrc = settings.boxes.startswith("rrc:") and settings.boxes != "rrc:"
-    checks = (
-        (not unknown, f"--method {unknown}: expected methods from {', '.join(method_names())}."),
-        (settings.boxes == "labels" or is_rrc, f"--boxes {settings.boxes}: expected labels or rrc:DIR."),
-        (
-            not is_fitted or settings.curves is None,
-            "--curves: not allowed with --cross-validate or --same-drive, which fit the curves themselves.",
+    is_both, is_refitted = settings.cross_validate and settings.same_drive, fit_frames is not None
+    faults = {
+        f"--method {unknown}: expected methods from {', '.join(method_names())}.": unknown,
+        f"--boxes {settings.boxes}: expected labels or rrc:DIR.": settings.boxes != "labels" and not is_rrc,
+        "--curves: not allowed with --cross-validate or --same-drive, which fit the curves themselves.": (
+            is_fitted and settings.curves is not None
         ),
-        (
-            not (settings.cross_validate and settings.same_drive),
-            "--cross-validate: not allowed with --same-drive; give only one of them.",
-        ),
-        (
-            (settings.truth == "lidar") == (settings.velodyne is not None),
-            "expected --truth lidar with --velodyne DIR, or neither.",
-        ),
-        (
-            fit_frames is None or not (is_fitted or settings.curves),
-            "--fit-frames: not allowed with --cross-validate, --same-drive or --curves.",
-        ),
-        (
-            fit_frames is None or settings.frames is not None,
-            "--fit-frames: expected --frames with other frames, which are evaluated.",
-        ),
-    )
-    for is_met, message in checks:
-        if not is_met:
+        "--cross-validate: not allowed with --same-drive; give only one of them.": is_both,
+        "expected --truth lidar with --velodyne DIR, or neither.": (settings.truth == "lidar")
+        == (settings.velodyne is None),
+        "--fit-frames: not allowed with --cross-validate, --same-drive or --curves.": is_refitted
+        and (is_fitted or settings.curves),
+        "--fit-frames: expected --frames with other frames, which are evaluated.": is_refitted
+        and settings.frames is None,
+    }
+    for message, is_fault in faults.items():
+        if is_fault:
             raise UsageError(message)
     if fit_frames is not None and settings.frames is not None:
         lists = (fit_frames, settings.frames)

@@ -227,13 +227,9 @@ class DistanceFilters:
             is_ego_known = math.isfinite(ego_speed_mps)
             rate_mps = -ego_speed_mps if is_ego_known else 0.0
             rate_sigma_mps = settings.target_speed_sigma_mps if is_ego_known else settings.initial_rate_sigma_mps
-            state = ConstantVelocity(
-                np.where(starts, z, state.x),
-                np.where(starts, rate_mps, state.v),
-                np.where(starts, z * z * independent, state.P_xx),
-                np.where(starts, 0.0, state.P_xv),
-                np.where(starts, rate_sigma_mps**2, state.P_vv),
-            )
+            initial = (z, rate_mps, z * z * independent, 0.0, rate_sigma_mps**2)
+            filtered = (state.x, state.v, state.P_xx, state.P_xv, state.P_vv)
+            state = ConstantVelocity(*(np.where(starts, *pair) for pair in zip(initial, filtered, strict=True)))
             n_outliers, steady_since_s = np.where(starts, 0.0, n_outliers), np.where(starts, time_s, steady_since_s)
 
         new = _FilterState(

@@ -107,8 +107,7 @@ def _solve(boxes: BoxSet, *, use_width: bool) -> FloatArray:
     low, high = np.array([free, *_SLOPE_BOUNDS[: 2 if use_width else 1], free]).T
     start = np.array([0.0, -1.0, *([-0.1] if use_width else []), 0.0])
 
-    def residuals(x: FloatArray) -> FloatArray:
-        return np.asarray(design @ x - log_distance)
-
-    result = least_squares(residuals, start, bounds=(low, high), loss="huber", f_scale=_HUBER_SCALE)
+    result = least_squares(
+        lambda x: design @ x - log_distance, start, bounds=(low, high), loss="huber", f_scale=_HUBER_SCALE
+    )
     return np.asarray(result.x)

@@ -105,12 +105,12 @@ def _check(settings: FitSettings) -> None:
 def _boxes(settings: FitSettings) -> tuple[BoxSet, tuple[str, ...]]:
     if settings.csv is not None:
         boxes, notes = read_box_csv(settings.csv, focal_px=settings.focal_px)
-    elif settings.labels is not None and settings.calib is not None:
-        boxes, notes = box_set(settings.labels, settings.calib), ()
-    elif settings.labels is not None:
-        boxes, notes = read_box_labels(settings.labels, focal_px=settings.focal_px)
-    else:
+    elif settings.labels is None:
         raise UsageError("expected either --labels with --calib or --csv.")
+    elif settings.calib is not None:
+        boxes, notes = box_set(settings.labels, settings.calib), ()
+    else:
+        boxes, notes = read_box_labels(settings.labels, focal_px=settings.focal_px)
     excluded = set(settings.leave_out) - {""}
     unknown = excluded - set(boxes.sequence_names)
     if unknown:  # an error, since a misspelt name would put test sequences into the fit

@@ -210,7 +210,8 @@ def _listed(files: Sequence[Path], frames: Path, labels: Path) -> list[Path]:
 
 def _sequence(file: Path, calib: Path, boxes: str, selection: BoxSelection) -> tuple[BoxSet, bool]:
     """Usable boxes of one file, as sequence 0, and whether any of its labels has a 3-D box."""
-    labels = _labels_in(file)
+    n_columns = len(first_line(file, LabelFileError, "KITTI labels").split())
+    labels = read_kitti_image(file) if n_columns in (0, *_OBJECT_COLUMNS) else read_kitti(file)
     camera, _ = load_camera(calib, size_px=None)
     shift_m = left_from_reference_m(calib, is_grey=False)
     box_set = _rows(labels, camera, shift_m)
@@ -227,12 +228,6 @@ def _sequence(file: Path, calib: Path, boxes: str, selection: BoxSelection) -> t
     is_usable = is_chosen & labels.has_3d_box & are_valid_boxes(box_set.xyxy_px)
     rows = np.flatnonzero(is_usable & (box_set.class_name != ""))
     return box_set.select(rows[np.argsort(labels.frame[rows], kind="stable")]), bool(labels.has_3d_box.any())
-
-
-def _labels_in(file: Path) -> KittiLabels:
-    """The labels of a tracking file, or the object labels of one image."""
-    n_columns = len(first_line(file, LabelFileError, "KITTI labels").split())
-    return read_kitti_image(file) if n_columns in (0, *_OBJECT_COLUMNS) else read_kitti(file)
 
 
 def _rows(labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray) -> BoxSet:

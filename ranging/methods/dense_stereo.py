@@ -8,9 +8,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray32
-from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
+from track_range.ranging.method import ErrorSource, MethodContext, Ranger, RangingMethod
 from track_range.ranging.methods.triangulation import Triangulation
-from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.frames import Frame, whole_image

@@ -21,10 +21,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.lanes.lines import LaneLine, LaneLines
+from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import BoolArray, FloatArray
-from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
-from track_range.ranging.ranger import Ranger
+from track_range.ranging.method import ErrorSource, MethodContext, Ranger, RangingMethod
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.size_model import BORDER_PX
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -183,13 +182,18 @@ class LaneWidthRanger(Ranger):
         left_px, w = left.coefficients @ powers, width @ powers
         divisor = np.maximum(w, 1.0)
         lateral = ((x1_px + x2_px) / 2 - left_px) / divisor
-        max_px, min_px = _width_limits_px(left, right, width)
+        # Rows within the allowed extrapolation of both lines.
+        top, bottom = max(left.y_top_px, right.y_top_px), min(left.y_bottom_px, right.y_bottom_px)
+        constant, slope, curvature = width.tolist()
+        min_px = (constant + top * (slope + top * curvature)) / _MAX_EXTRAPOLATION
+        max_px = (constant + bottom * (slope + bottom * curvature)) / _MIN_EXTRAPOLATION
         is_valid = (
             tracks.observed
             & _ON_THE_ROAD[tracks.class_id]
             & (y_px < frame.left.shape[0] - 0.5 - BORDER_PX)
             & (w >= max(_MIN_WIDTH_PX, min_px))
             & (w <= max_px)
+            & (top < bottom)
             & (lateral > _LATERAL_RANGE[0])
             & (lateral < _LATERAL_RANGE[1])
         )
@@ -225,20 +229,6 @@ def inflated_by_disagreement(ranges: Ranges, others: Sequence[Ranges]) -> Ranges
     e = np.sort(log_ratio[both])
     common = max(abs(float(e[(len(e) - 1) // 2] + e[len(e) // 2]) / 2) - standard_error, 0.0)
     return Ranges(ranges.track_id, ranges.distance_m, np.hypot(ranges.sigma_m, common * ranges.distance_m))
-
-
-def _width_limits_px(left: LaneLine, right: LaneLine, width: FloatArray) -> tuple[float, float]:
-    """Largest and smallest lane width w in px for rows within the allowed extrapolation of both lines.
-
-    `width` (3,) are the coefficients of w as a polynomial in the row.
-    """
-    top, bottom = max(left.y_top_px, right.y_top_px), min(left.y_bottom_px, right.y_bottom_px)
-    if top >= bottom:
-        return -math.inf, math.inf  # there is no row with both lines
-    constant, slope, curvature = width.tolist()
-    top_px = constant + top * (slope + top * curvature)
-    bottom_px = constant + bottom * (slope + bottom * curvature)
-    return bottom_px / _MIN_EXTRAPOLATION, top_px / _MAX_EXTRAPOLATION
 
 
 def _create(context: MethodContext) -> Ranger:

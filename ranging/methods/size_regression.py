@@ -9,9 +9,8 @@ import numpy as np
 
 from track_range.detection.boxes import area_px2, intersection_px2
 from track_range.foundation.arrays import BoolArray, FloatArray
-from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
+from track_range.ranging.method import ErrorSource, Measured, MethodContext, Ranger, RangingMethod
 from track_range.ranging.parallax import Parallax
-from track_range.ranging.ranger import Measured, Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence

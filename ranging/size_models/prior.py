@@ -178,7 +178,10 @@ def _nodes(prior: SizePrior, sizes: BodySizes) -> Floats:
     a, c = a + prior.scatter[0] ** 2, c + prior.scatter[1] ** 2
     slopes = [np.gradient(value, step, axis=axis) for axis, step in ((2, _LOG_STEP), (1, _BEARING_STEP))]
     value += np.array(prior.offset, np.float32)[:, None, None, None]
-    weight = np.broadcast_to(_log_weights(np.array(prior.turn_weights)), a.shape)
+    turn_weights = np.array(prior.turn_weights)
+    half = turn_weights / turn_weights.sum()  # of each yaw bin: the weights are for both sides together
+    half[1:-1] /= 2
+    weight = np.broadcast_to(np.log(np.maximum(np.concatenate([half, half[1:-1]]), 1e-9)), a.shape)
     rest = np.stack([a, c, b, typical.log_inverse_depth + log_m, weight])
     nodes = np.concatenate([value, *slopes, rest]).transpose(1, 2, 0, 3)
     nodes.setflags(write=False)
@@ -187,10 +190,3 @@ def _nodes(prior: SizePrior, sizes: BodySizes) -> Floats:
 
 def _log_size(box: CuboidBox) -> Floats:
     return np.stack([box.log_height, box.log_width])
-
-
-def _log_weights(weights: FloatArray) -> FloatArray:
-    """(K,) log weights of the yaw bins to both sides, from one weight per angle of `YAW_DEG`."""
-    half = weights / weights.sum()
-    half[1:-1] /= 2
-    return np.asarray(np.log(np.maximum(np.concatenate([half, half[1:-1]]), 1e-9)))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from track_range.ranging.methods.size_scaled_stereo import FocalBaseline, SizeScaledRanger
+from track_range.ranging.methods.patch_stereo import FocalBaseline, SizeScaledRanger
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.matching.patch_matches import PatchMatches

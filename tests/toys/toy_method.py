@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from track_range.ranging.method import ErrorSource, RangingMethod
-from track_range.ranging.ranger import Ranger
+from track_range.ranging.method import ErrorSource, Ranger, RangingMethod
 from track_range.ranging.ranges import Ranges
 
 

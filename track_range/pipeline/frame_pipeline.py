@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.stage_clock import StageClock
-from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, RangingStage
-from track_range.ranging.filtering.distance_filter import DistanceFilters, FilteredRanges
-from track_range.ranging.filtering.lateral_motion import LateralFilters, passing_offsets
-from track_range.ranging.fusion.fusion import Fusion
-from track_range.ranging.ranges import Ranges
-from track_range.ranging.registry import methods
+from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, FusionStage, RangingStage
+from track_range.ranging.filtering.lateral_motion import passing_offsets
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -24,18 +17,6 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.registry import checked_tracks
 from track_range.tracking.tracker import ObjectTracker
-from track_range.tracking.tracks import Tracks
-
-FUSED_NOISE_FRACTION = 0.35  # initial fraction of the fused sigma that is independent between frames
-
-
-def noise_fractions() -> dict[str, float]:
-    """Initial fraction of sigma that is independent between frames, for each distance that is filtered over time.
-
-    The filters adapt it to their innovations. Fusion uses the declared error sources of the methods instead.
-    """
-    filtered = {method.name: method.noise_fraction for method in methods() if method.is_filtered}
-    return {**filtered, "fused": FUSED_NOISE_FRACTION}
 
 
 @dataclass(slots=True, kw_only=True)
@@ -54,12 +35,10 @@ class FramePipeline:
     shared_sigma: float = 0.0  # relative error shared by all methods, from an uncalibrated focal length
     notes: tuple[str, ...] = ()  # messages for the user about the parts of the pipeline
     clock: StageClock = field(default_factory=StageClock)  # time spent in each stage
-    _fusion: Fusion = field(default_factory=Fusion)
-    _filters: DistanceFilters = field(default_factory=lambda: DistanceFilters(noise_fractions()))
-    _lateral: LateralFilters = field(init=False)
+    _fusion: FusionStage = field(init=False)
 
     def __post_init__(self) -> None:
-        self._lateral = LateralFilters(self.camera)
+        self._fusion = FusionStage(self.camera)
 
     def detected(self, frame: Frame) -> Detected:
         """The frame with its boxes and lane lines, in the calling thread."""
@@ -80,25 +59,24 @@ class FramePipeline:
         ranges, evidence = self.ranging.measure(tracks, frame, lanes, ego, self.scale, clock)
         with clock.stage("fuse"):
             self.scale = self.scale.after(evidence, frame.time_s)
-            motion = self._fused_motion(frame, tracks, ranges, ego.motion)
+            motion, lateral = self._fusion.update(frame, tracks, ranges, ego.motion)
             ego_mps, yaw_rad_s = ego.motion.speed_mps, ego.motion.yaw_rad_s
-            lateral = self._lateral.update(
-                tracks,
-                motion.ranges.distance_m,
-                frame.time_s,
-                distance_sigma_m=np.sqrt(motion.state.P_xx),
-                yaw_rad_s=yaw_rad_s,
-                own_mps=motion.state.v + ego_mps if math.isfinite(ego_mps) else 0.0,
-            )
+            rate_sigma_mps = motion.rate_sigma_mps
+            if self.shared_sigma:  # neither fusion nor filtering reduces it; times to collision do not contain it
+                rate_sigma_mps = np.hypot(rate_sigma_mps, self.shared_sigma * motion.rate_mps)
+                for name, measured in ranges.items():
+                    sigma_m = np.hypot(measured.sigma_m, self.shared_sigma * measured.distance_m)
+                    ranges[name] = replace(measured, sigma_m=sigma_m)
+            centre_px = (tracks.xyxy_px[:, :2] + tracks.xyxy_px[:, 2:]) / 2
             return FrameResult(
                 frame=frame,
                 tracks=tracks,
-                ranges=self._with_shared_error(ranges),
+                ranges=ranges,
                 closing_mps=-motion.rate_mps,
-                closing_sigma_mps=motion.rate_sigma_mps,
+                closing_sigma_mps=rate_sigma_mps,
                 ttc_s=motion.ttc_s if self.warning is not None else np.full(len(tracks), np.nan),
                 ttc_sigma_s=motion.ttc_sigma_s,
-                xyz_m=self._points_m(tracks, ranges["fused"].distance_m),
+                xyz_m=self.camera.rays(centre_px) * ranges["fused"].distance_m[:, None],
                 disparity=self.ranging.disparity,
                 lanes=lanes,
                 misses=passing_offsets(lateral, motion.ttc_s),
@@ -109,39 +87,6 @@ class FramePipeline:
                 ego_mps=ego_mps,
                 ego_sigma_mps=ego.motion.speed_sigma_mps,
             )
-
-    def _fused_motion(self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges], ego: EgoMotion) -> FilteredRanges:
-        """Filtered fused distance and speed of the tracks; adds the fused and filtered distances to `ranges`."""
-        fused = self._fusion.fuse(ranges, tracks.track_id, frame.time_s)
-        ranges["fused"] = fused.ranges
-        filtered = self._filters.update(
-            ranges,
-            frame.time_s,
-            conditions={"fused": fused.condition},
-            ego_speed_mps=ego.speed_mps,
-            ego_sigma_mps=ego.speed_sigma_mps,
-        )
-        ranges |= {f"{name}_kf": state.ranges for name, state in filtered.items()}
-        motion = filtered["fused"]
-        if not self.shared_sigma:
-            return motion
-        # A scale error affects speeds by the same factor, but not times to collision.
-        rate_sigma_mps = np.hypot(motion.rate_sigma_mps, self.shared_sigma * motion.rate_mps)
-        return replace(motion, rate_sigma_mps=rate_sigma_mps)
-
-    def _with_shared_error(self, ranges: Mapping[str, Ranges]) -> Mapping[str, Ranges]:
-        """Ranges with sigma increased by the shared error, which neither fusion nor filtering reduces."""
-        if not self.shared_sigma:
-            return ranges
-        return {
-            name: replace(measured, sigma_m=np.hypot(measured.sigma_m, self.shared_sigma * measured.distance_m))
-            for name, measured in ranges.items()
-        }
-
-    def _points_m(self, tracks: Tracks, distance_m: FloatArray) -> FloatArray:
-        """(N, 3) points in metres at the given depths on the rays through the box centres."""
-        centre_px = (tracks.xyxy_px[:, :2] + tracks.xyxy_px[:, 2:]) / 2
-        return self.camera.rays(centre_px) * distance_m[:, None]
 
     def close(self) -> None:
         """End the threads of the stages; no frame follows."""

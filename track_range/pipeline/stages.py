@@ -1,4 +1,4 @@
-"""Stages of the pipeline: DetectionStage, EgoStage and RangingStage.
+"""Stages of the pipeline: DetectionStage, EgoStage, RangingStage and FusionStage.
 
 Detection has two steps, which threads may overlap.
 """
@@ -13,16 +13,21 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneFinder, LaneLines
 from track_range.foundation.arrays import FloatArray, FloatArray32
 from track_range.pipeline.stage_clock import StageClock
 from track_range.ranging.ego_speed import EgoSpeed
-from track_range.ranging.method import checked_ranges
-from track_range.ranging.ranger import Ranger
+from track_range.ranging.filtering.distance_filter import DistanceFilters, FilteredRanges
+from track_range.ranging.filtering.lateral_motion import LateralFilters, LateralMotion
+from track_range.ranging.fusion.fusion import Fusion
+from track_range.ranging.method import Ranger, checked_ranges
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
+from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import CameraStep, EgoMotion, Odometry
@@ -32,6 +37,16 @@ from track_range.stereo.odometry.road_horizon import RoadView
 from track_range.tracking.tracks import Tracks
 
 _LANE_INTERVAL_S = 0.09  # between two detections of lane lines, which change slowly and are expensive to detect
+FUSED_NOISE_FRACTION = 0.35  # initial fraction of the fused sigma that is independent between frames
+
+
+def noise_fractions() -> dict[str, float]:
+    """Initial fraction of sigma that is independent between frames, for each distance that is filtered over time.
+
+    The filters adapt it to their innovations. Fusion uses the declared error sources of the methods instead.
+    """
+    filtered = {method.name: method.noise_fraction for method in methods() if method.is_filtered}
+    return {**filtered, "fused": FUSED_NOISE_FRACTION}
 
 
 class Prepared(NamedTuple):
@@ -202,3 +217,36 @@ class RangingStage:
         for name, ranger in self.rangers.items():
             ranger.close()
             clock.add(name, ranger.background_s)
+
+
+class FusionStage:
+    """Fuses the distances of the methods, and filters distances and lateral positions over time."""
+
+    def __init__(self, camera: PinholeCamera) -> None:
+        self._fusion, self._lateral = Fusion(), LateralFilters(camera)
+        self._filters = DistanceFilters(noise_fractions())
+
+    def update(
+        self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges], ego: EgoMotion
+    ) -> tuple[FilteredRanges, LateralMotion]:
+        """Filtered fused distances of the tracks and their lateral motion; adds fused and filtered ones to `ranges`."""
+        fused = self._fusion.fuse(ranges, tracks.track_id, frame.time_s)
+        ranges["fused"] = fused.ranges
+        filtered = self._filters.update(
+            ranges,
+            frame.time_s,
+            conditions={"fused": fused.condition},
+            ego_speed_mps=ego.speed_mps,
+            ego_sigma_mps=ego.speed_sigma_mps,
+        )
+        ranges |= {f"{name}_kf": state.ranges for name, state in filtered.items()}
+        motion = filtered["fused"]
+        lateral = self._lateral.update(
+            tracks,
+            motion.ranges.distance_m,
+            frame.time_s,
+            distance_sigma_m=np.sqrt(motion.state.P_xx),
+            yaw_rad_s=ego.yaw_rad_s,
+            own_mps=motion.state.v + ego.speed_mps if math.isfinite(ego.speed_mps) else 0.0,
+        )
+        return motion, lateral

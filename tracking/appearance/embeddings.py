@@ -105,7 +105,10 @@ class ColourLayout:
         check_shape("image", image, (None, None, 3))
         embedding = np.zeros((len(xyxy_px), self.n_values), np.float32)
         usable = np.flatnonzero(has_appearance(image, xyxy_px))
-        has_colour = not _is_neutral(image)
+        # The largest difference between the colour channels on a coarse grid of pixels.
+        blue, green, red = image[::_STEP_PX, ::_STEP_PX].astype(np.int16).reshape(-1, 3).T
+        difference = max(np.abs(blue - green).max(initial=0), np.abs(green - red).max(initial=0))
+        has_colour = bool(difference > _NEUTRAL)
         for start in range(0, len(usable), _BOX_BLOCK):
             rows = usable[start : start + _BOX_BLOCK]
             embedding[rows] = self._embed(image, np.clip(xyxy_px[rows], -_FAR_PX, _FAR_PX), has_colour)
@@ -142,9 +145,3 @@ def _soft_bins(value: FloatArray, n_bins: int) -> FloatArray:
     """(L, bins) fraction of each value (L,), clipped to 0..1, in each bin, linear between the two nearest bins."""
     position = np.clip(value, 0.0, 1.0) * (n_bins - 1)
     return np.maximum(1.0 - np.abs(position[:, None] - np.arange(n_bins)), 0.0)
-
-
-def _is_neutral(image: Image) -> bool:
-    """Whether an image has no colour, from a coarse grid of its pixels."""
-    blue, green, red = image[::_STEP_PX, ::_STEP_PX].astype(np.int16).reshape(-1, 3).T
-    return bool(max(np.abs(blue - green).max(initial=0), np.abs(green - red).max(initial=0)) <= _NEUTRAL)

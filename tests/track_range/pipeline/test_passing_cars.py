@@ -10,7 +10,7 @@ from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.stages import DetectionStage, RangingStage
 from track_range.pipeline.threads import run_in_threads
-from track_range.ranging.ranger import Ranger
+from track_range.ranging.method import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
