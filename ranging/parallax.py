@@ -128,12 +128,15 @@ class Parallax:
         turned = self._rays(corners, now.n_halved) @ step.rotation.T
         from_epipole = turned[:, :2] / turned[:, 2:] - step.travel
         expected = 1.0 + np.nan_to_num(step.travelled_m / expected_m[owner])
-        start = self._pixels(step.travel + from_epipole * expected[:, None], now.n_halved)
+        camera, factor = self._camera, 1 << now.n_halved
+        tangents = step.travel + from_epipole * expected[:, None]
+        full_px = tangents * [camera.fx_px, camera.fy_px] + [camera.cx_px, camera.cy_px]
+        start = np.asarray((full_px - (factor - 1) / 2) / factor, np.float32)
         points, is_tracked = tracked_corners(
             before.image, now.image, corners, window_px=_WINDOW_PX, n_levels=_N_LEVELS, start=start
         )
         moved = self._rays(points, now.n_halved)[:, :2] - step.travel
-        focal_px = self._camera.fx_px / (1 << now.n_halved)
+        focal_px = camera.fx_px / factor
         radius = np.maximum(np.linalg.norm(from_epipole, axis=1), _MIN_RADIUS / 10)
         away = from_epipole / radius[:, None]
         across_px = focal_px * np.abs(moved[:, 0] * away[:, 1] - moved[:, 1] * away[:, 0])
@@ -155,12 +158,6 @@ class Parallax:
         """(N, 3) rays of points (N, 2) of an image halved `n_halved` times."""
         factor = 1 << n_halved
         return self._camera.rays(factor * points.astype(np.float64) + (factor - 1) / 2)
-
-    def _pixels(self, tangents: FloatArray, n_halved: int) -> FloatArray32:
-        """(N, 2) points of an image halved `n_halved` times of rays with tangents (N, 2)."""
-        camera, factor = self._camera, 1 << n_halved
-        full_px = tangents * [camera.fx_px, camera.fy_px] + [camera.cx_px, camera.cy_px]
-        return np.asarray((full_px - (factor - 1) / 2) / factor, np.float32)
 
 
 def _corners_of_tracks(before: _Picture, now: Tracks) -> list[tuple[int, FloatArray32]]:

@@ -34,8 +34,8 @@ from track_range.tracking.camera_motion import CameraMotion
 from track_range.tracking.confidence_threshold import ConfidenceThreshold, ConfidenceThresholdSettings
 from track_range.tracking.history import PredictionGates
 from track_range.tracking.motion import MotionNoise, ProcessNoiseScale, ProcessNoiseSettings
+from track_range.tracking.registry import AppearanceModel, TrackerOptions
 from track_range.tracking.track_table import TrackTable
-from track_range.tracking.tracker import AppearanceModel, TrackerOptions
 from track_range.tracking.tracks import Tracks
 
 _OUTWARDS = np.array([-1.0, -1.0, 1.0, 1.0])  # directions of the left, top, right and bottom edge

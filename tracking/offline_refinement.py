@@ -29,7 +29,7 @@ class RefinementSettings:
 
 
 ActivationThreshold = Callable[[IntArray], FloatArray]
-"""Track-activation thresholds (N,) of classes (N,), see `track_range.tracking.tracker.RefinableTracker`."""
+"""Track-activation thresholds (N,) of classes (N,), see `track_range.tracking.registry.RefinableTracker`."""
 
 
 class OfflineRefinement:

@@ -27,7 +27,7 @@ from track_range.tracking.camera_motion import CameraMotion
 from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker
 from track_range.tracking.evaluation.scores import TrackingCounts, evaluate_tracks
 from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, TrackedBoxes
-from track_range.tracking.tracker import AppearanceModel
+from track_range.tracking.registry import AppearanceModel
 from track_range.tracking.tracks import Tracks
 
 NO_APPEARANCE = AppearanceSettings(max_cosine_distance=0.0)  # settings for tracking by motion only

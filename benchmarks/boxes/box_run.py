@@ -20,8 +20,8 @@ from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.stage_clock import StageClock
 from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, RangingStage
+from track_range.pipeline.throughput import StageClock
 from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.method import MethodContext, Ranger
 from track_range.ranging.methods.patch_stereo import STEREO

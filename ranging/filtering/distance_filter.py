@@ -189,8 +189,7 @@ class DistanceFilters:
         dV_variance = np.where(
             dV == 0, 0.0, 2 * np.nan_to_num(ego_sigma_mps) ** 2 * -np.expm1(-dt / _EGO_CORRELATION_S)
         )
-        state = ConstantVelocity(last.d, last.v, last.P_dd, last.P_dv, last.P_vv)
-        state = state.predict(dt, q=settings.acceleration_noise**2)
+        state = ConstantVelocity(*last[:5]).predict(dt, q=settings.acceleration_noise**2)
         d, v = state.x - dt * dV / 2, state.v - dV
         is_expired = (time_s - last.measured_s > settings.max_gap_s) | (d < _MIN_DISTANCE_M)
         d[is_expired] = v[is_expired] = np.nan
@@ -227,17 +226,12 @@ class DistanceFilters:
             is_ego_known = math.isfinite(ego_speed_mps)
             rate_mps = -ego_speed_mps if is_ego_known else 0.0
             rate_sigma_mps = settings.target_speed_sigma_mps if is_ego_known else settings.initial_rate_sigma_mps
-            initial = (z, rate_mps, z * z * independent, 0.0, rate_sigma_mps**2)
-            filtered = (state.x, state.v, state.P_xx, state.P_xv, state.P_vv)
-            state = ConstantVelocity(*(np.where(starts, *pair) for pair in zip(initial, filtered, strict=True)))
+            initial: tuple[FloatArray | float, ...] = (z, rate_mps, z * z * independent, 0.0, rate_sigma_mps**2)
+            state = ConstantVelocity(*(np.where(starts, *pair) for pair in zip(initial, state.columns, strict=True)))
             n_outliers, steady_since_s = np.where(starts, 0.0, n_outliers), np.where(starts, time_s, steady_since_s)
 
         new = _FilterState(
-            d=state.x,
-            v=state.v,
-            P_dd=state.P_xx,
-            P_dv=state.P_xv,
-            P_vv=state.P_vv,
+            *state.columns,
             systematic=np.where(valid, systematic, last.systematic),
             time_s=np.full(valid.shape, time_s),
             measured_s=np.where(valid, time_s, last.measured_s),

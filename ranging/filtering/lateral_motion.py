@@ -154,8 +154,7 @@ class LateralFilters:
         last = _LateralState._make(self._tracks.get(tracks.track_id))
         is_stale = ~(time_s - last.measured_s <= _MAX_GAP_S)
         dt = time_s - last.time_s
-        state = ConstantVelocity(last.x, last.u, last.P_xx, last.P_xu, last.P_uu)
-        state = state.predict(dt, q=_ACCELERATION_NOISE**2)
+        state = ConstantVelocity(*last[:5]).predict(dt, q=_ACCELERATION_NOISE**2)
         if math.isfinite(yaw_rad_s):
             turned = yaw_rad_s * dt
             state = replace(state, x=state.x - turned * np.nan_to_num(distance_m), v=state.v - turned * own_mps)
@@ -165,13 +164,12 @@ class LateralFilters:
         state = state.update(innovation, R, valid=is_measured)
 
         initial = np.array([x, 0 * x, R, 0 * x, 0 * x + _INITIAL_RATE_SIGMA_MPS**2])
-        filtered = np.array([state.x, state.v, state.P_xx, state.P_xv, state.P_vv])
-        x, u, P_xx, P_xu, P_uu = np.where(starts, initial, np.where(is_stale, np.nan, filtered))
+        state = ConstantVelocity(*np.where(starts, initial, np.where(is_stale, np.nan, np.array(state.columns))))
         measured_s = np.where(is_measured | starts, time_s, last.measured_s)
-        new = _LateralState(x, u, P_xx, P_xu, P_uu, np.full(len(tracks), time_s), measured_s)
+        new = _LateralState(*state.columns, np.full(len(tracks), time_s), measured_s)
         known_s = _LateralState._make(self._tracks.known).measured_s
         self._tracks.put(tracks.track_id, np.array(new), keep_known=time_s - known_s <= _MAX_GAP_S)
-        return LateralMotion(ConstantVelocity(x, u, P_xx, P_xu, P_uu), half_width_m)
+        return LateralMotion(state, half_width_m)
 
     def _measured(self, tracks: Tracks, distance_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         """Lateral position of the centre, its standard deviation, half the width in m, and whether a box is whole."""

@@ -29,9 +29,8 @@ from track_range.ranging.fitting.labelled_boxes import BoxSet, box_set
 from track_range.ranging.fitting.prior_fit import fit_size_priors
 from track_range.ranging.fitting.settings import FitSettings
 from track_range.ranging.size_models.curve import CurveError, save_curves
-from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, SAFE_CURVES, Curve
+from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, SAFE_CURVES, Curve, TableCurve, TableSizes
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, StoredSizeModel
-from track_range.ranging.size_models.tables import TableCurve, TableSizes
 
 CUBOIDS, LOG_LINEAR = "cuboids", "log-linear"
 

@@ -50,7 +50,13 @@ class ErrorModel:
         independent, independent_correlation = _correlation(methods, "independent", min_own=_MIN_OWN_NOISE)
         independent_covariance = independent * independent.T * independent_correlation
         correlation = systematic * systematic.T * systematic_correlation + independent_covariance
-        is_reference, superseded_by = _references(methods), _superseded_by(methods)
+        # Scale references, and methods with only systematic errors of one.
+        parts = {method.name: set(_parts(method, "systematic")) for method in methods}
+        known = set[str]().union(*(parts[method.name] for method in methods if method.is_scale_reference)) - {"own"}
+        is_reference = np.array(
+            [method.is_scale_reference or set() < parts[method.name] <= known for method in methods], bool
+        )
+        superseded_by = _superseded_by(methods)
         has_size, has_baseline, has_contact, has_lane = (
             np.array([any(source.name == name for source in method.error_sources) for method in methods], bool)
             for name in ("size", "baseline", "contact_point", "lane_width")
@@ -102,19 +108,6 @@ def _correlation(
     correlation = (root[:, None] * root).sum(axis=2)
     np.fill_diagonal(correlation, 1.0)
     return np.sqrt(variance)[:, None], correlation
-
-
-def _references(methods: Sequence[RangingMethod]) -> BoolArray:
-    """(M,) whether each method is a scale reference."""
-    known = {name for method in methods if method.is_scale_reference for name in _parts(method, "systematic")}
-    parts = [set(_parts(method, "systematic")) for method in methods]
-    return np.array(
-        [
-            method.is_scale_reference or (bool(names) and names <= known - {"own"})
-            for method, names in zip(methods, parts, strict=True)
-        ],
-        bool,
-    )
 
 
 def _superseded_by(methods: Sequence[RangingMethod]) -> BoolArray:

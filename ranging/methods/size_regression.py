@@ -14,8 +14,7 @@ from track_range.ranging.parallax import Parallax
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
-from track_range.ranging.size_models.drive_state import DriveState
-from track_range.ranging.size_models.size_model import BORDER_PX, BoxNoise, SizeModel, measured_boxes
+from track_range.ranging.size_models.size_model import BORDER_PX, BoxNoise, DriveState, SizeModel, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import CameraStep

@@ -88,7 +88,7 @@ def _corners(centre: _Pair, size: _Pair, yaw: _Pair) -> _Pair:
 
 
 def _entry_depth(centre: _Pair, size: _Pair, yaw: _Pair, bearing: Floats) -> Floats:
-    """Depth at which the ray (bearing, 1) enters the cuboid: the slab test of `box_surface` in the ground plane."""
+    """Depth at which the ray (bearing, 1) enters the cuboid: the slab test (Kay and Kajiya) in the ground plane."""
     (x, z), (width, length), (cos, sin) = centre, size, yaw
     along, across = sin * bearing + cos, cos * bearing - sin
     along, across = (np.where(np.abs(part) < 1e-9, 1e-9, part) for part in (along, across))

@@ -14,7 +14,6 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.ranging.size_models.drive_state import DriveState
 from track_range.ranging.size_models.posterior import (
     IMPOSSIBLE,
     LogGrid,
@@ -26,7 +25,7 @@ from track_range.ranging.size_models.posterior import (
 )
 from track_range.ranging.size_models.prior import ShapeTables, SizePrior
 from track_range.ranging.size_models.shared_ground import GroundContacts, GroundPrior, ground_from_others
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeClass, SizeRanges
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, DriveState, SizeClass, SizeRanges
 
 KIND = "cuboids"  # value of "kind" in curve files of this model
 

@@ -18,7 +18,7 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.atomic_files import describe, write_text
 from track_range.foundation.files.structured_text import read_json
 from track_range.foundation.validation import Integer, validated
-from track_range.ranging.size_models import cuboid_sizes, log_linear, tables
+from track_range.ranging.size_models import cuboid_sizes, log_linear, plain_curves
 from track_range.ranging.size_models.size_model import StoredSizeModel
 
 CURVE_VERSION = 2  # version of the file format that is written and read
@@ -32,7 +32,7 @@ class CurveError(UserError):
 _MODELS: Mapping[str, tuple[type[BaseModel], Callable[[Any], StoredSizeModel]]] = {
     cuboid_sizes.KIND: (cuboid_sizes.CuboidFile, cuboid_sizes.cuboids_in),
     log_linear.KIND: (log_linear.LogLinearFile, log_linear.log_linear_in),
-    tables.KIND: (tables.TableFile, tables.tables_in),
+    plain_curves.KIND: (plain_curves.TableFile, plain_curves.tables_in),
 }
 """Content of each kind of curve file, and the function from the content to the size model."""
 

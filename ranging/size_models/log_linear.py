@@ -19,8 +19,14 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.validation import Integer, Number
-from track_range.ranging.size_models.drive_state import DriveState
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, Sigma, SizeClass, SizeRanges
+from track_range.ranging.size_models.size_model import (
+    SIZE_CLASSES,
+    BoxExtents,
+    DriveState,
+    Sigma,
+    SizeClass,
+    SizeRanges,
+)
 
 KIND = "log-linear"  # value of "kind" in curve files of this model
 

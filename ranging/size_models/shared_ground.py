@@ -8,7 +8,7 @@ z_i has a relative error of about 8 %. On KITTI, contact points within 4 m of th
 below the plane, those at 8-14 m 0.36 m, at 14-25 m 0.6 m: cross slopes, roll and side roads, which act as an angle
 times the bearing. Far objects, whose contact points matter little, determine the horizon for the near ones. y0 and H
 are estimated for each object from the other objects only, so that they are independent of its size: those of the frame,
-and those that were seen earlier in the drive (`drive_state`), between which the pitch has changed.
+and those that were seen earlier in the drive (`DriveState`), between which the pitch has changed.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ from pydantic import Field
 
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.validation import Number
-from track_range.ranging.size_models.drive_state import DriveState, GroundTerms
-from track_range.ranging.size_models.size_model import Sigma
+from track_range.ranging.size_models.size_model import DriveState, GroundTerms, Sigma
 
 _N_ITERATIONS = 3  # iterations of reweighted least squares
 _CAUCHY_SIGMA = 2.0  # scale of the robust weights 1 / (1 + (residual / scale)^2) (Cauchy), in standard deviations

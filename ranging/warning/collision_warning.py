@@ -244,11 +244,7 @@ class CollisionWarning:
         active, since_s = self._alarm(last, time_s, may_start, may_end, is_uncertain)
 
         new = _WarningState(
-            u=own.x,
-            a=own.v,
-            P_uu=own.P_xx,
-            P_ua=own.P_xv,
-            P_aa=own.P_vv,
+            *own.columns,
             time_s=np.full(len(tracks), time_s),
             certain_s=certain_s,
             known_s=np.where(is_known, time_s, last.known_s),
@@ -267,8 +263,7 @@ class CollisionWarning:
 
         `is_known` (N,) is whether their distances are known.
         """
-        trend = ConstantVelocity(last.u, last.a, last.P_uu, last.P_ua, last.P_aa)
-        predicted = trend.predict(time_s - last.time_s, q=_JERK_NOISE**2)
+        predicted = ConstantVelocity(*last[:5]).predict(time_s - last.time_s, q=_JERK_NOISE**2)
         u, R = measured.v + self._ego.speed_mps, _RATE_FACTOR * measured.P_vv
         nu = u - predicted.x
         is_stale = ~(time_s - last.known_s <= _MAX_GAP_S)
@@ -278,7 +273,7 @@ class CollisionWarning:
         if starts.any():
             zero = np.zeros_like(u)
             initial = (u, zero, R, zero, zero + _INITIAL_ACCELERATION_MPS2**2)
-            state = ConstantVelocity(*np.where(starts, initial, _columns(state)))
+            state = ConstantVelocity(*np.where(starts, initial, state.columns))
         return state, starts
 
     def _alarm(
@@ -312,7 +307,7 @@ class CollisionWarning:
     ) -> Encounter:
         """Motion of the objects in these rows relative to the ego vehicle and its path."""
         settings, ego = self.settings, self._ego
-        gap, offset = (ConstantVelocity(*np.array(_columns(state)).take(rows, axis=1)) for state in (gap, offset))
+        gap, offset = (ConstantVelocity(*np.array(state.columns).take(rows, axis=1)) for state in (gap, offset))
         u, u_change, change_variance = gap.v + ego.speed_mps, own.v[rows], own.P_vv[rows]
         stops_s = np.full(len(rows) + 1, np.inf)
         if ego.has_speed:
@@ -389,11 +384,6 @@ class CollisionWarning:
         enters = (fraction >= settings.cut_in_probability) & (since_beside_s <= _BESIDE_S) & (offset.x * offset.v < 0)
         is_along = encounter.object_mps > _STATIC_MPS
         return np.asarray(is_near & is_along & enters & (gap.v <= settings.max_cut_in_mps))
-
-
-def _columns(state: ConstantVelocity) -> tuple[FloatArray, ...]:
-    """The values of a state, in the order of the constructor."""
-    return state.x, state.v, state.P_xx, state.P_xv, state.P_vv
 
 
 def _with_rate(state: ConstantVelocity, rate_mps: float, sigma_mps: FloatArray) -> ConstantVelocity:

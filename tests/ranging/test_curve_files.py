@@ -8,9 +8,8 @@ import pytest
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import CURVE_VERSION, CurveError, load_curves, save_curves
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
-from track_range.ranging.size_models.plain_curves import SAFE_CURVES
+from track_range.ranging.size_models.plain_curves import SAFE_CURVES, TableCurve, TableSizes
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents
-from track_range.ranging.size_models.tables import TableCurve, TableSizes
 
 
 def log_linear(**more):

@@ -5,9 +5,8 @@ import pytest
 
 from track_range.ranging.methods.size_regression import incomplete_sigma
 from track_range.ranging.size_models.curve import load_curves
-from track_range.ranging.size_models.drive_state import DriveState, GroundTerms
 from track_range.ranging.size_models.shared_ground import GroundContacts, GroundPrior, ground_from_others
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, DriveState, GroundTerms
 
 PACKAGED = load_curves()
 HORIZON, HEIGHT_M = 0.02, 1.3

@@ -5,8 +5,15 @@ import pytest
 
 from tests.toys.toy_tracker import GreedyIouTracker
 from track_range.detection.detections import Detections
-from track_range.tracking.registry import TRACKERS, TrackerError, create_tracker, find_tracker, register_tracker
-from track_range.tracking.tracker import RefinableTracker, TrackerOptions
+from track_range.tracking.registry import (
+    TRACKERS,
+    RefinableTracker,
+    TrackerError,
+    TrackerOptions,
+    create_tracker,
+    find_tracker,
+    register_tracker,
+)
 
 BOX = Detections.of([[10, 10, 50, 50]], [0.9], [2])
 

@@ -30,6 +30,11 @@ class ConstantVelocity:
     P_xv: FloatArray
     P_vv: FloatArray
 
+    @property
+    def columns(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """The values in the order of the constructor."""
+        return self.x, self.v, self.P_xx, self.P_xv, self.P_vv
+
     def predict(
         self, dt: FloatArray | float, *, q: FloatArray | float, drift: FloatArray | float = 0.0
     ) -> ConstantVelocity:

@@ -7,16 +7,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.stage_clock import StageClock
 from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, FusionStage, RangingStage
+from track_range.pipeline.throughput import StageClock
 from track_range.ranging.filtering.lateral_motion import passing_offsets
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import EgoMotion
-from track_range.tracking.registry import checked_tracks
-from track_range.tracking.tracker import ObjectTracker
+from track_range.tracking.registry import ObjectTracker, checked_tracks
 
 
 @dataclass(slots=True, kw_only=True)

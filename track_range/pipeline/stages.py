@@ -18,7 +18,7 @@ import numpy as np
 from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneFinder, LaneLines
 from track_range.foundation.arrays import FloatArray, FloatArray32
-from track_range.pipeline.stage_clock import StageClock
+from track_range.pipeline.throughput import StageClock
 from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralFilters, LateralMotion

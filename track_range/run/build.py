@@ -29,8 +29,7 @@ from track_range.stereo.odometry.camera_height import CameraHeight
 from track_range.stereo.odometry.ego_motion import Odometry
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.stereo_odometry import StereoOdometry
-from track_range.tracking.registry import create_tracker
-from track_range.tracking.tracker import ObjectTracker
+from track_range.tracking.registry import ObjectTracker, create_tracker
 
 _SIDE_VIEW = (
     "--yaw-deg: in a view to the side there are no lane lines, no horizon from image motion, no times to collision and "

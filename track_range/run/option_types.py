@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from track_range.detection.detector import ObjectDetector
     from track_range.stereo.geometry.rig import StereoRig
-    from track_range.tracking.tracker import ObjectTracker
+    from track_range.tracking.registry import ObjectTracker
 
 
 class PipelineKeywords(TypedDict, total=False):

@@ -46,7 +46,7 @@ from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.stereo.rig_formats.reading import load_calibration
-from track_range.tracking.tracker import ObjectTracker
+from track_range.tracking.registry import ObjectTracker
 
 if TYPE_CHECKING:
     from typing import Unpack

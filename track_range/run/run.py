@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from track_range.run.options.opened import OpenedDetectors
     from track_range.stereo.geometry.camera import PinholeCamera
     from track_range.stereo.geometry.rig import StereoRig
-    from track_range.tracking.tracker import ObjectTracker
+    from track_range.tracking.registry import ObjectTracker
 
 
 class Run:

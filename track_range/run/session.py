@@ -52,7 +52,7 @@ from track_range.run.settings import RunSettings
 from track_range.run.settings_files import absolute_settings, input_files, unused_options, without_folders
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.tracking.evaluation.frame_shift import frame_shift_note
-from track_range.tracking.tracker import ObjectTracker
+from track_range.tracking.registry import ObjectTracker
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
 _INPUTS = ("left", "right", "mono", "rig", "focal_px", "detector", "detections", "curves", "truth")

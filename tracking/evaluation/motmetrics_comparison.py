@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.foundation.arrays import FloatArray
 from track_range.tracking.evaluation.clear import MIN_IOU
 from track_range.tracking.evaluation.tracked_boxes import Similarity
 
@@ -80,7 +79,9 @@ def motmetrics_figures(sequences: Mapping[str, Similarity]) -> MotmetricsFigures
     for similarity in sequences.values():
         accumulator = motmetrics.MOTAccumulator()
         for frame, (truth, results, iou) in enumerate(similarity.by_frame):
-            accumulator.update(truth, results, _distance(iou), frameid=frame)
+            # NaN forbids a match.
+            distance = np.where(iou >= MIN_IOU - np.finfo(np.float64).eps, 1.0 - iou, np.nan)
+            accumulator.update(truth, results, distance, frameid=frame)
         accumulators.append(accumulator)
     table = motmetrics.metrics.create().compute_many(
         accumulators,
@@ -89,17 +90,12 @@ def motmetrics_figures(sequences: Mapping[str, Similarity]) -> MotmetricsFigures
         generate_overall=True,
     )
     # The mean distance over all matches; motmetrics' own is NaN where one sequence has no match.
-    n_matches, distance = table["num_detections"].to_numpy()[:-1], table["motp"].to_numpy()[:-1]
+    n_matches, mean_distance = table["num_detections"].to_numpy()[:-1], table["motp"].to_numpy()[:-1]
     table.loc[table.index[-1], "motp"] = (
-        np.nansum(n_matches * distance) / n_matches.sum() if n_matches.any() else np.nan
+        np.nansum(n_matches * mean_distance) / n_matches.sum() if n_matches.any() else np.nan
     )
     *rows, combined = (_figures(dict(row)) for _, row in table.iterrows())
     return MotmetricsFigures(combined, dict(zip(sequences, rows, strict=True)))
-
-
-def _distance(iou: FloatArray) -> FloatArray:
-    """(n, m) 1 - IoU; NaN forbids a match."""
-    return np.where(iou >= MIN_IOU - np.finfo(np.float64).eps, 1.0 - iou, np.nan)
 
 
 def _figures(row: Mapping[str, float]) -> dict[str, float]:

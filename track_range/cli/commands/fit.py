@@ -12,8 +12,8 @@ from track_range.ranging.fitting.fit import TABLE_DISTANCES_M, CurveFit, fit_siz
 from track_range.ranging.fitting.settings import FitSettings
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.log_linear import SizeCurves
+from track_range.ranging.size_models.plain_curves import TableSizes
 from track_range.ranging.size_models.size_model import StoredSizeModel
-from track_range.ranging.size_models.tables import TableSizes
 from track_range.views.report import tables
 
 

@@ -39,8 +39,7 @@ from track_range.recording.recorded_video import RecordedVideo
 from track_range.run.options.detection import check_tracker
 from track_range.run.options.opened import open_tracker_options
 from track_range.tracking.offline_refinement import OfflineRefinement
-from track_range.tracking.registry import checked_tracks, create_tracker
-from track_range.tracking.tracker import ObjectTracker, RefinableTracker
+from track_range.tracking.registry import ObjectTracker, RefinableTracker, checked_tracks, create_tracker
 from track_range.tracking.tracks import Tracks
 
 DEFAULT_FPS = 10.0  # frame rate of sequences without seqinfo.ini: KITTI's

@@ -16,7 +16,7 @@ from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import quoted, read_text, shortened
 from track_range.foundation.files.numeric_text import number
 from track_range.tracking.appearance.reid import ReidModel
-from track_range.tracking.tracker import TrackerOptions
+from track_range.tracking.registry import TrackerOptions
 
 _MAX_NAME = 200  # largest number of characters of a class name
 

@@ -11,7 +11,7 @@ from typing import Self
 from track_range.foundation.arrays import Image
 from track_range.foundation.prefetch import lower_thread_priority
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.stage_clock import StageClock
+from track_range.pipeline.throughput import StageClock
 from track_range.views.video_writer import MAX_HELD_FRAMES, VideoWriter
 
 QUANTIZER = 28
