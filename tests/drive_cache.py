@@ -29,7 +29,7 @@ SOURCES = (
         "detection/classes.py",
         "detection/formats/video_labels/kitti.py",
         "detection/formats/limits.py",
-        "ranging/evaluation/box_surface.py",
+        "ranging/evaluation/reference_distance.py",
     ),
     *("stereo/geometry", "stereo/rig_formats", "stereo/evaluation/kitti_2015.py"),
 )
