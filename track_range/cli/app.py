@@ -218,7 +218,13 @@ def main() -> None:
         raise SystemExit(error.exit_status) from None
     except Exception as error:
         _exit_if_full(error)
-        error.add_note(_report_note(arguments))
+        from track_range.recording.live.address import LiveAddress
+
+        shown = shlex.join(str(LiveAddress(argument)) for argument in arguments)  # without user names and passwords
+        error.add_note(
+            f"{PROGRAM}: unexpected error; please report it in the project's issue tracker with these lines, the "
+            f"output of `{PROGRAM} doctor` and the command: {PROGRAM} {shown}"
+        )
         raise
 
 
@@ -238,17 +244,6 @@ def _exit_if_full(error: Exception) -> None:
     if isinstance(error, OSError) and error.errno == errno.ENOSPC:
         _print_error(f"{error.filename or 'output'}: no space left on the device; free some space.")
         raise SystemExit(1) from None
-
-
-def _report_note(arguments: list[str]) -> str:
-    """Last line of the traceback of an unexpected error; addresses are without user names and passwords."""
-    from track_range.recording.live.address import LiveAddress
-
-    arguments = [str(LiveAddress(argument)) for argument in arguments]
-    return (
-        f"{PROGRAM}: unexpected error; please report it in the project's issue tracker with these lines, the output of "
-        f"`{PROGRAM} doctor` and the command: {PROGRAM} {shlex.join(arguments)}"
-    )
 
 
 def _is_run(arguments: list[str]) -> bool:

@@ -16,6 +16,8 @@ from track_range.foundation.options import Options, choices_of, is_list, option_
 
 _O = TypeVar("_O", bound=Options)
 
+_PLACEHOLDERS = {bool: "", int: "N", float: "NUMBER", Path: "FILE"}  # in the help, by type; "" for a switch
+
 
 def command(model: type[_O], function: Callable[[_O], object]) -> typer.Typer:
     """Application of one command with the fields of `model` as parameters; it calls `function` with the options."""
@@ -56,8 +58,10 @@ def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Par
         declaration = _declaration(model, name, is_checked=not is_only_given)
         listed.append(_parameter(name, kind, declaration, default))
         for old_name in shown.old_names:
-            hidden = typer.Option(_old_flag(model.flag(name), shown.flag, old_name), hidden=True)
-            listed.append(_parameter(old_name, kind, hidden, None))
+            old = "--" + old_name.replace("_", "-")
+            is_switch = "/" in (shown.flag or "")  # with a negative form
+            flag = f"{old}/--no-{old.removeprefix('--')}" if is_switch else old
+            listed.append(_parameter(old_name, kind, typer.Option(flag, hidden=True), None))
     return listed
 
 
@@ -81,10 +85,11 @@ def _declaration(model: type[Options], name: str, *, is_checked: bool) -> Any:
     """typer.Option or typer.Argument of a field, with its bounds or choices if `is_checked`."""
     field = model.model_fields[name]
     shown, kind = option_of(field), value_type(field)
+    placeholder = "|".join(choices_of(field)) or _PLACEHOLDERS.get(kind, "TEXT")
     common: dict[str, Any] = {
         "help": _help(field),
         "show_default": False,  # the help text names it
-        "metavar": "|".join((*shown.words, shown.metavar or _placeholder(field))) or None,
+        "metavar": "|".join((*shown.words, shown.metavar or placeholder)) or None,
         "rich_help_panel": model.panel_of(name),
     }
     if (choices := choices_of(field)) and not is_checked:
@@ -97,28 +102,17 @@ def _declaration(model: type[Options], name: str, *, is_checked: bool) -> Any:
     return typer.Option(shown.flag or model.flag(name), **common)
 
 
-def _placeholder(field: FieldInfo) -> str:
-    """Placeholder of a value in the help where the option declares none; "" for a switch."""
-    return "|".join(choices_of(field)) or _PLACEHOLDERS.get(value_type(field), "TEXT")
-
-
-_PLACEHOLDERS = {bool: "", int: "N", float: "NUMBER", Path: "FILE"}
-"""Default placeholder in the help by type of the value."""
-
-
 def _typer_type(field: FieldInfo) -> Any:
     """Type for Typer's parsing of a field; unsupported types are parsed as text and validated by the model."""
     if choices := choices_of(field):
         return Literal[*choices]
     kind, is_repeated = value_type(field), option_of(field).is_repeated
-    if get_origin(kind) is tuple:
-        first, *others = get_args(kind)
-        if others != [Ellipsis] and not is_repeated:
-            return tuple[tuple(_plain(part) for part in (first, *others))]  # type: ignore[misc]
-        return list[_plain(first)] if is_repeated else str  # type: ignore[misc]
+    parts = get_args(kind) if get_origin(kind) is tuple else (kind,)
     if is_repeated:
-        return list[_plain(kind)]  # type: ignore[misc]
-    return _plain(kind)
+        return list[_plain(parts[0])]  # type: ignore[misc]
+    if len(parts) > 1 and parts[1:] != (Ellipsis,):
+        return tuple[tuple(map(_plain, parts))]  # type: ignore[misc]
+    return _plain(kind)  # str for a list
 
 
 def _plain(kind: Any) -> Any:
@@ -140,18 +134,9 @@ def _help(field: FieldInfo) -> str:
     if field.is_required():
         return f"{text}." if option_of(field).is_argument else f"{text} (required)."
     value = ",".join(map(str, field.default)) if is_list(field) else field.default
-    if isinstance(value, bool) or not isinstance(value, str | int | float | Path | tuple) or value in ("", Path()):
+    is_shown = isinstance(value, str | int | float | Path | tuple) and not isinstance(value, bool)
+    if not is_shown or value in ("", Path()) or "(default:" in text:
         return f"{text}."
-    if "(default:" in text:
-        return f"{text}."
-    if isinstance(value, tuple):
-        shown = " ".join(f"{part:g}" if isinstance(part, float) else str(part) for part in value)
-    else:
-        shown = f"{value:g}" if isinstance(value, float) else str(value)
+    parts = value if isinstance(value, tuple) else (value,)
+    shown = " ".join(f"{part:g}" if isinstance(part, float) else str(part) for part in parts)
     return f"{text} (default: {shown})."
-
-
-def _old_flag(flag: str, declared: str | None, old_name: str) -> str:
-    """Option for an old name, with a negative form if the current option has one."""
-    old = "--" + old_name.replace("_", "-")
-    return f"{old}/--no-{old.removeprefix('--')}" if declared and "/" in declared else old

@@ -305,11 +305,11 @@ def _is_number(value: object) -> bool:
 
 
 def _known_motion(ego_speed_mps: float | None) -> EgoMotion | None:
-    if ego_speed_mps is None or (_is_number(ego_speed_mps) and math.isnan(ego_speed_mps)):
+    if ego_speed_mps is None:
         return None
-    if not _is_number(ego_speed_mps) or not abs(ego_speed_mps) <= MAX_SPEED_MPS:
+    if not _is_number(ego_speed_mps) or abs(ego_speed_mps) > MAX_SPEED_MPS:
         raise FrameError(f"ego_speed_mps: expected up to {MAX_SPEED_MPS:.0f} m/s, found {ego_speed_mps!r}.")
-    return EgoMotion(float(ego_speed_mps), TABLE_SIGMA_MPS)
+    return None if math.isnan(ego_speed_mps) else EgoMotion(float(ego_speed_mps), TABLE_SIGMA_MPS)
 
 
 def _checked(image: Any, name: str, *, is_left: bool) -> Image:

@@ -1,19 +1,202 @@
-"""RunSettings: all options of a run in one object, declared by group in `run.options`, and the rules between them."""
+"""RunSettings: all options of a run in one object, and the rules between them.
+
+The options of input, detection and tracking are in `run.options`; those of ranging and output are here.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from track_range.foundation.files.input_files import quoted
+from track_range.foundation.options import Options, option
+from track_range.foundation.validation import chosen_numbers
+from track_range.ranging.warning.warnings import WarningSettings
 from track_range.recording.names import stem_of
+from track_range.results.events.event import EventSettings
+from track_range.results.formats.mcap import PROFILES
+from track_range.results.writers import DEFAULT_WRITERS, FILES_OF_WRITERS, WRITERS
 from track_range.run.options.detection import DetectionOptions, TrackingOptions
 from track_range.run.options.input import InputOptions
-from track_range.run.options.output import OutputOptions
-from track_range.run.options.ranging import RangingOptions
+
+_clip_option = partial(option, is_per_clip=True)
+_file_option = partial(option, is_output=True)
+
+
+class RangingOptions(Options):
+    """How distances are measured, and what is a warning or an event."""
+
+    panel: ClassVar = "Ranging"
+
+    curves: Annotated[
+        Path | None,
+        _clip_option("Size curves of the mono method, written by `track-range fit` (default: the packaged curves)."),
+    ] = None
+    sgbm: Annotated[
+        bool,
+        option(
+            "Dense stereo matching (sgbm, slow) in addition to the patch matcher (stereo).",
+            flag="--sgbm/--no-sgbm",
+            is_shared=True,
+        ),
+    ] = True
+    sgbm_options: Annotated[
+        dict[str, Any],
+        option(
+            "Parameters of dense stereo that override those for the rig: fields of SgbmSettings.", is_file_only=True
+        ),
+    ] = Field(default_factory=dict)
+    warning_options: Annotated[
+        dict[str, Any],
+        option(
+            "Thresholds of the collision warning that override the defaults: fields of WarningSettings.",
+            is_file_only=True,
+        ),
+    ] = Field(default_factory=dict)
+    event_options: Annotated[
+        dict[str, Any],
+        option("Thresholds of the events that override the defaults: fields of EventSettings.", is_file_only=True),
+    ] = Field(default_factory=dict)
+    align: Annotated[
+        str,
+        _clip_option(
+            "Disparity correction: estimated from the drive (auto), none (off), or read from a file written by "
+            "`track-range align`.",
+            words=("auto", "off"),
+            metavar="FILE",
+            is_file=True,
+        ),
+    ] = "auto"
+    lanes: Annotated[
+        str,
+        option(
+            "Detector of the lines of the ego lane, for distances by lane width: edge-based (classical), none (off), "
+            "or a lane network (ONNX).",
+            words=("classical", "off"),
+            metavar="FILE",
+            is_file=True,
+        ),
+    ] = "classical"
+    lane_width_m: Annotated[
+        float,
+        _clip_option("Width of the ego lane in metres; refined with stereo distances.", metavar="M", ge=1.5, le=6.0),
+    ] = 3.5
+    camera_height_m: Annotated[
+        float | None,
+        _clip_option(
+            "Height of the camera above the road in metres (default: estimated from the drive).",
+            metavar="M",
+            ge=0.2,
+            le=5.0,
+        ),
+    ] = None
+
+    @field_validator("sgbm_options", "warning_options", "event_options")
+    @classmethod
+    def _known_parameters(cls, values: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        if values and info.field_name == "sgbm_options":
+            from track_range.stereo.matching.sgbm import SgbmSettings  # imports OpenCV
+
+            SgbmSettings.of(values)
+        elif values:
+            chosen_numbers(WarningSettings if info.field_name == "warning_options" else EventSettings, values)
+        return values
+
+    @property
+    def warning_settings(self) -> WarningSettings:
+        """Thresholds of the collision warning."""
+        return chosen_numbers(WarningSettings, self.warning_options)
+
+    @property
+    def event_settings(self) -> EventSettings:
+        """Thresholds of the events."""
+        return chosen_numbers(EventSettings, self.event_options)
+
+
+class OutputOptions(Options):
+    """The files of a run."""
+
+    panel: ClassVar = "Output"
+
+    out: Annotated[
+        Path | None,
+        _file_option(
+            "Folder of the results (default: LEFT-track-range in the current folder).", metavar="DIR", is_shared=True
+        ),
+    ] = None
+    write: Annotated[
+        tuple[str, ...],
+        _file_option(
+            f"Formats of the result files: {', '.join(f'{name} ({text})' for name, text in FILES_OF_WRITERS.items())}, "
+            "or formats of installed packages.",
+            metavar="A,B,...",
+        ),
+    ] = DEFAULT_WRITERS
+    anonymize: Annotated[
+        bool,
+        option(
+            "Blur of heads and number plates in all images of the results, irreversibly, and no folder names in them; "
+            "what is not detected is not covered."
+        ),
+    ] = False
+    mcap_profile: Annotated[
+        str,
+        _file_option("Message types of run.mcap: those of Foxglove, or of ROS 2 (CDR).", choices=PROFILES.keys),
+    ] = "foxglove"
+    mcap_images: Annotated[
+        bool, _file_option("Images in run.mcap, as JPEG.", flag="--mcap-images/--no-mcap-images")
+    ] = False
+    table: Annotated[
+        Path | None,
+        _file_option(
+            "Markdown file for the tables of the run.",
+            metavar="FILE.md",
+            instead="it would be overwritten by every clip; use `track-range fleet report`",
+        ),
+    ] = None
+    keep_gps: Annotated[
+        bool,
+        _file_option("Positions of the recording in the results, telemetry.csv; without this option there are none."),
+    ] = False
+    overlay: Annotated[bool, _file_option("Annotated video, overlay.mp4.", flag="--overlay/--no-overlay")] = True
+    clips: Annotated[
+        bool,
+        _file_option(
+            "Short video of each event in the folder clips, cut from overlay.mp4: from 3 s before its start to 2 s "
+            "after its end."
+        ),
+    ] = False
+    disparity: Annotated[
+        bool,
+        _file_option("Video of the disparities of dense stereo, disparity.mp4.", flag="--disparity/--no-disparity"),
+    ] = False
+    overlay_disparity: Annotated[
+        bool,
+        _file_option(
+            "Colour-coded disparities of dense stereo below each frame of the overlay.",
+            flag="--overlay-disparity/--no-overlay-disparity",
+            old_names=("overlay_side",),
+        ),
+    ] = False
+    overlay_recorded: Annotated[
+        bool,
+        option(
+            "Overlay on the recorded images of a wide lens instead of the undistorted ones.",
+            flag="--overlay-recorded/--no-overlay-recorded",
+        ),
+    ] = False
+
+    @field_validator("write")
+    @classmethod
+    def _known_writers(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        known = WRITERS.names
+        if unknown := [name for name in names if name not in known]:
+            raise ValueError(f"unknown format {', '.join(unknown)}: expected {', '.join(known)}")
+        return tuple(dict.fromkeys(names))
 
 
 # pydantic lists the fields of the last base first

@@ -33,8 +33,7 @@ from track_range.results.formats.scene import VEHICLE_FROM_CAMERA_XYZW, track_ob
 from track_range.results.replay import frames_of_rows
 from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters, RunInfo, create_writers
-from track_range.run.export.export import export
-from track_range.run.export.settings import ExportSettings
+from track_range.run.export.export import ExportSettings, export
 from track_range.run.settings_files import settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
 

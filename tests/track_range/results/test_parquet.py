@@ -31,8 +31,7 @@ from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.formats.parquet_file import read_tracks_arrows, read_tracks_parquet
 from track_range.results.provenance import settings_hash
 from track_range.results.replay import frames_of_rows
-from track_range.run.export.export import export
-from track_range.run.export.settings import ExportSettings
+from track_range.run.export.export import ExportSettings, export
 from track_range.views.report.run_folders import report
 
 PARQUET, ARROWS = "tracks.parquet", "tracks.arrows"

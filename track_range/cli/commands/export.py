@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from track_range.cli.console import console, print_line, print_notes
 from track_range.cli.parameters import command
-from track_range.run.export.export import export
-from track_range.run.export.settings import ExportSettings
+from track_range.run.export.export import ExportSettings, export
 
 
 def _export(settings: ExportSettings) -> None:

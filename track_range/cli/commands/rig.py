@@ -106,17 +106,17 @@ def _show(options: ShowOptions) -> None:
 
 
 def _camera_columns(cameras: list[PinholeCamera]) -> list[Column]:
-    columns = [
-        Column(f"{name} px", [getattr(camera, f"{name}_px") for camera in cameras], "{:.2f}")
-        for name in ("fx", "fy", "cx", "cy")
-    ]
+    def column(name: str, pattern: str) -> Column:
+        return Column(f"{name} px", [getattr(camera, f"{name}_px") for camera in cameras], pattern)
+
+    columns = [column(name, "{:.2f}") for name in ("fx", "fy", "cx", "cy")]
     if not all(camera.width_px for camera in cameras):
         return columns
     # angles between the outer edges of the first and the last pixel
     angles = [field_of_view(camera if camera.is_wide else camera.without_distortion()) for camera in cameras]
     return [
-        Column("width px", [camera.width_px for camera in cameras], "{:.0f}"),
-        Column("height px", [camera.height_px for camera in cameras], "{:.0f}"),
+        column("width", "{:.0f}"),
+        column("height", "{:.0f}"),
         *columns,
         Column("horizontal deg", [angle.horizontal_deg for angle in angles]),
         Column("vertical deg", [angle.vertical_deg for angle in angles]),
@@ -126,7 +126,10 @@ def _camera_columns(cameras: list[PinholeCamera]) -> list[Column]:
 def _show_pair(rig: StereoRig, source: Path) -> None:
     x_m, y_m, z_m = rig.right_from_left[:3, 3].tolist()
     print_line(console, f"baseline {rig.baseline_m:.4f} m (translation {x_m:.4f}, {y_m:.4f}, {z_m:.4f} m).")
-    pitch, yaw, roll = _angles_deg(rig)
+    rotation = rig.right_from_left[:3, :3]  # Rz Ry Rx
+    pitch = math.degrees(math.atan2(rotation[2, 1], rotation[2, 2])) + 0.0  # + 0.0 avoids -0.0
+    yaw = math.degrees(math.asin(float(np.clip(-rotation[2, 0], -1, 1)))) + 0.0
+    roll = math.degrees(math.atan2(rotation[1, 0], rotation[0, 0])) + 0.0
     state = "already rectified" if rig.is_rectified else "not rectified"
     print_line(console, f"right relative to left: pitch {pitch:.3f}, yaw {yaw:.3f}, roll {roll:.3f} degrees; {state}.")
     if not (rig.is_rectified or rig.left.width_px):
@@ -144,15 +147,6 @@ def _show_pair(rig: StereoRig, source: Path) -> None:
         console, f"rectified: focal length {rectified.left.fx_px:.2f} px, baseline {rectified.baseline_m:.4f} m."
     )
     print_grid(console, grid_of("Disparity and range resolution", "distance", names, columns))
-
-
-def _angles_deg(rig: StereoRig) -> tuple[float, float, float]:
-    """Rotation of the right camera in degrees about the x, y and z axes (R = Rz Ry Rx)."""
-    rotation = rig.right_from_left[:3, :3]
-    pitch = math.atan2(rotation[2, 1], rotation[2, 2])
-    yaw = math.asin(float(np.clip(-rotation[2, 0], -1, 1)))
-    roll = math.atan2(rotation[1, 0], rotation[0, 0])
-    return math.degrees(pitch) + 0.0, math.degrees(yaw) + 0.0, math.degrees(roll) + 0.0  # + 0.0 avoids -0.0
 
 
 def _size_of(text: str | None) -> tuple[int, int] | None:

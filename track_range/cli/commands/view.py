@@ -15,8 +15,7 @@ from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.library_telemetry import VIEWER_VARIABLES
 from track_range.foundation.options import Options, option
 from track_range.results.formats.rerun_file import RERUN_FILE, RerunWriter
-from track_range.run.export.export import export
-from track_range.run.export.settings import ExportSettings
+from track_range.run.export.export import ExportSettings, export
 from track_range.run.export.source import is_run
 
 

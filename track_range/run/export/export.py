@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -22,11 +23,11 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.files.atomic_files import atomic_path, describe, write_bytes
 from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.files.output_files import OutputError, make_folder
+from track_range.foundation.options import Options, option
 from track_range.results.columns import Columns, methods_measured
 from track_range.results.folder import DEFAULT_FPS, RunFolder
 from track_range.results.replay import frames_of_rows
 from track_range.results.writers import WRITERS, RunInfo, create_writer
-from track_range.run.export.settings import MARKS, ExportSettings
 from track_range.run.export.source import (
     boxes_of_labels,
     boxes_of_run,
@@ -38,10 +39,49 @@ from track_range.run.export.source import (
 )
 from track_range.stereo.geometry.camera import PinholeCamera
 
+MARKS: Mapping[str, bytes] = {"parquet": b"PAR1", "mcap": b"\x89MCAP", "rrd": b"RRF"}
+"""First bytes of the files that only result writers write, from the rows of a run."""
+
 _Write = Callable[[BoxTable, Path], Written]
 
 _JPEG_QUALITY = 95  # differences to the video are not visible
 _WRITTEN_ENTRIES = frozenset({"labels", "images", DATA_YAML})  # of a folder that an export writes
+
+
+def export_formats() -> tuple[str, ...]:
+    """Names of the formats that are written: label formats, then those of the rows of a run."""
+    return (*(name for name, label_format in LABEL_FORMATS.items() if label_format.write is not None), *MARKS)
+
+
+class ExportSettings(Options):
+    """Input, format and output of `track-range export`."""
+
+    source: Annotated[
+        Path,
+        option(
+            "Result folder of a run, or labels: COCO, CVAT for video 1.1, KITTI, MOTChallenge, a CSV of labels, or a "
+            "folder of YOLO labels.",
+            metavar="RUN|LABELS",
+            is_argument=True,
+        ),
+    ]
+    to: Annotated[str, option("Format of the output.", choices=export_formats)]
+    out: Annotated[Path, option("File to write; a folder for yolo.", metavar="PATH")]
+    observed_only: Annotated[bool, option("Output without predicted boxes.")] = False
+    images: Annotated[
+        bool,
+        option(
+            "With yolo, additional output of the video's frames as JPEG images, for training; those of a run are "
+            "rectified like its boxes."
+        ),
+    ] = False
+    video: Annotated[
+        Path | None,
+        option("Video or folder of images of a label file, for its image size and --images.", metavar="VIDEO|DIR"),
+    ] = None
+    first_frame: Annotated[
+        int, option("Number of the video's first frame in a label file.", metavar="N", ge=0, le=1_000_000)
+    ] = 0
 
 
 @dataclass(frozen=True, slots=True)

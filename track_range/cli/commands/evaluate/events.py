@@ -6,8 +6,13 @@ from collections.abc import Mapping
 from statistics import median
 from typing import Any
 
-from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files, write_json
-from track_range.cli.commands.evaluate.risk_tables import ColumnSpec, metric_columns
+from track_range.cli.commands.evaluate.result_files import (
+    ColumnSpec,
+    JsonField,
+    check_result_files,
+    metric_columns,
+    write_json,
+)
 from track_range.cli.console import console, print_grid, print_notes
 from track_range.cli.parameters import command
 from track_range.evaluation.events.evaluate import evaluate_events

@@ -6,8 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from track_range.cli.commands.evaluate.result_files import JsonField, RiskFigureField, check_result_files, write_json
-from track_range.cli.commands.evaluate.risk_tables import ColumnSpec, draw_risk, metric_columns, risk_grids
+from track_range.cli.commands.evaluate.result_files import (
+    ColumnSpec,
+    JsonField,
+    RiskFigureField,
+    check_result_files,
+    draw_risk,
+    metric_columns,
+    risk_grids,
+    write_json,
+)
 from track_range.cli.console import console, print_grid, print_line, print_notes
 from track_range.cli.parameters import command
 from track_range.foundation.files.output_files import write_text

@@ -1,4 +1,4 @@
-"""check_result_files: files of results can be written and are not inputs; checked before an evaluation."""
+"""Result files of evaluations, which are checked before one, columns of metrics, and risk-coverage tables."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.output_files import OutputError, write_text
 from track_range.foundation.options import option
+from track_range.views.report import tables
 
 JsonField = Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")]
 RiskFigureField = Annotated[
@@ -85,3 +86,54 @@ def _check_can_be_written(file: Path) -> None:
 def _is_replaced(file: Path) -> bool:
     """Whether a new file takes the place of this one; devices and pipes are written in place."""
     return file.is_file() or not file.exists()
+
+
+# -- metrics ---------------------------------------------------------------------------------------------------------
+
+ColumnSpec = tuple[str, str, str, float, tables.Cost | None]
+"""Heading, key in a row of metrics, format, scale and cost of a column, as in `tables.METHOD_COLUMNS`."""
+
+ANSWERED_PCT = (100, 95, 90, 80, 50)
+"""Answered fractions of the boxes in the risk-coverage tables, per cent."""
+
+_Curves = Mapping[str, Mapping[str, Any]]
+
+
+def metric_columns(rows: _Curves, specs: Sequence[ColumnSpec]) -> list[tables.Column]:
+    """Columns of rows of metrics by name."""
+    return [
+        tables.Column(heading, [tables.figure(row, key) for row in rows.values()], pattern, scale, cost)
+        for heading, key, pattern, scale, cost in specs
+    ]
+
+
+def draw_risk(curves: _Curves, path: Path) -> None:
+    """Draw curves by name."""
+    from track_range.views.report.figures import risk_coverage_chart  # imports matplotlib: a third of a second
+
+    risk_coverage_chart({name: curve["curve"] for name, curve in curves.items()}, path)
+
+
+def risk_grids(curves: _Curves) -> list[tables.Grid]:
+    """Failures, mean and 95th percentile of the error among the most certain boxes, by the share that is answered."""
+    grids = []
+    for title, key, area in (
+        ("Failures (%) when only the most certain boxes are answered", "failures_pct", "area_failures_pct"),
+        ("Mean error (%) of the answered boxes", "mean_relative_error_pct", "area_error_pct"),
+        ("95th percentile of the error (%) of the answered boxes", "p95_relative_error_pct", None),
+    ):
+        columns = []
+        for fraction_pct in ANSWERED_PCT:
+            values = [_at(curve, fraction_pct, key) for curve in curves.values()]
+            columns.append(tables.Column(f"{fraction_pct} %", values, "{:.2f}", cost=abs))
+        if area is not None:
+            columns.append(
+                tables.Column("area", [tables.figure(row, area) for row in curves.values()], "{:.2f}", cost=abs)
+            )
+        grids.append(tables.grid_of(title, "answered", list(curves), columns))
+    return grids
+
+
+def _at(curve: Mapping[str, Any], answered_pct: int, key: str) -> float | None:
+    row = next(row for row in curve["curve"] if row["answered_pct"] == answered_pct)
+    return tables.figure(row, key)

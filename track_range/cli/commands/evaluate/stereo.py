@@ -7,8 +7,16 @@ from functools import partial
 from typing import Any
 
 from track_range.calibration.settings import StereoEvaluationSettings
-from track_range.cli.commands.evaluate.result_files import JsonField, RiskFigureField, check_result_files, write_json
-from track_range.cli.commands.evaluate.risk_tables import ColumnSpec, draw_risk, metric_columns, risk_grids
+from track_range.cli.commands.evaluate.result_files import (
+    ColumnSpec,
+    JsonField,
+    RiskFigureField,
+    check_result_files,
+    draw_risk,
+    metric_columns,
+    risk_grids,
+    write_json,
+)
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.parameters import command
 from track_range.evaluation.stereo_evaluation import evaluate_stereo
