@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 
 from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.occlusion_pairs import CoveredObjects, OcclusionPair, is_scored, sequences, unrelated_pairs
-from track_range.evaluation.expected_disparities import expected_disparities
+from track_range.evaluation.stereo_evaluation import expected_disparities
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.stereo.evaluation.disparity_errors import FAILURE, MatcherColumn, Objects, figures_with_intervals
 from track_range.stereo.evaluation.kitti_2015 import StereoPair

@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.harness import Figures, median_or_none, option, workload
 from benchmarks.inputs.drives import REAL_DATA
 from track_range.calibration.reference_pairs import read_drive
-from track_range.evaluation.expected_disparities import expected_disparities
+from track_range.evaluation.stereo_evaluation import expected_disparities
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.foundation.processes import one_opencv_thread
 from track_range.simulation.drive import write_drive

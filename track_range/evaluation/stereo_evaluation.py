@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 from track_range.calibration.reference_pairs import is_drive, read_drive
 from track_range.calibration.settings import LEAVE_TWO_OUT, OFF, StereoEvaluationSettings
-from track_range.evaluation.expected_disparities import expected_disparities
-from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.progress import StepProgress, no_progress
+from track_range.ranging.methods.size_regression import SizeRanger
+from track_range.ranging.methods.triangulation import disparities_by_size
+from track_range.ranging.size_models.size_model import SIZE_CLASSES
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.from_reference import fit_reference
 from track_range.stereo.alignment.model import Alignment
@@ -26,7 +27,10 @@ from track_range.stereo.evaluation.disparity_errors import (
     risk_coverage,
 )
 from track_range.stereo.evaluation.kitti_2015 import PairFileError, StereoPair, is_kitti_2015, pair_names, read_pairs
+from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.matching.box_matchers import MATCHER_NAMES, MatcherResults, measure_pairs
+from track_range.stereo.matching.patch_matches import ExpectedDisparity
+from track_range.tracking.tracks import Tracks
 
 
 def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress = no_progress) -> dict[str, Any]:
@@ -54,6 +58,10 @@ def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress =
     matchers = matcher_figures(columns, measured.objects, seed=settings.seed)
     for name, row in matchers.items():
         row["ms_per_frame"] = round(measured.ms_per_frame[name], 3)
+    # curve and areas by matcher and by the measure that sorts its boxes: sigma, or a confidence measure
+    curves = {name: {"sigma": risk_coverage(column, measured.objects.true_px)} for name, column in columns.items()}
+    for measure, uncertainty in () if recorder is None else recorder.measures.items():
+        curves[DENSE_MATCHER][measure] = risk_coverage(columns[DENSE_MATCHER], measured.objects.true_px, uncertainty)
     return {
         "pairs": str(settings.pairs),
         "n_pairs": len(measured.objects.cameras),
@@ -62,21 +70,10 @@ def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress =
         "alignment": alignment,
         "matchers": matchers,
         "common": common_figures(columns, measured.objects, seed=settings.seed) if len(columns) > 1 else {},
-        "risk_coverage": _risk_coverage(columns, measured, {} if recorder is None else recorder.measures),
+        "risk_coverage": curves,
         "best_confidence": {DENSE_MATCHER: BEST_MEASURE} if recorder is not None else {},
         "notes": list(measured.notes),
     }
-
-
-def _risk_coverage(
-    columns: Mapping[str, MatcherColumn], measured: MatcherResults, measures: Mapping[str, FloatArray]
-) -> dict[str, dict[str, Any]]:
-    """Curve and areas by matcher and by the measure that sorts its boxes: sigma, or a confidence measure."""
-    true_px = measured.objects.true_px
-    curves = {name: {"sigma": risk_coverage(column, true_px)} for name, column in columns.items()}
-    for measure, uncertainty in measures.items():
-        curves[DENSE_MATCHER][measure] = risk_coverage(columns[DENSE_MATCHER], true_px, uncertainty)
-    return curves
 
 
 def _n_pairs(settings: StereoEvaluationSettings) -> int | None:
@@ -130,3 +127,15 @@ def _aligned(
         for name, alignments in by_pair.items()
     }
     return {name: corrected(column, objects, by_pair[name]) for name, column in columns.items()}, means
+
+
+def expected_disparities(pair: StereoPair) -> ExpectedDisparity:
+    """Disparities by size of the objects of a pair; NaN for objects of unknown class."""
+    n = len(pair.xyxy_px)
+    ids = [SIZE_CLASSES.index(name) if name in SIZE_CLASSES else -1 for name in pair.class_names]
+    class_id = np.array(ids, np.int64)
+    if len(class_id) != n:
+        return ExpectedDisparity.unknown(n)
+    tracks = Tracks(np.arange(n), pair.xyxy_px, np.maximum(class_id, 0), np.ones(n), class_id >= 0)
+    by_size = SizeRanger(pair.rig.left).measure(tracks, Frame(0, 0.0, pair.left, None))
+    return disparities_by_size(by_size, pair.xyxy_px, pair.rig, (pair.left.shape[0], pair.left.shape[1]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from track_range.evaluation.expected_disparities import expected_disparities
+from track_range.evaluation.stereo_evaluation import expected_disparities
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from track_range.detection.training.data.data_yaml import read_data_yaml
-from track_range.simulation.images import write_image_set
+from track_range.simulation.simulate import write_image_set
 
 
 @pytest.mark.slow

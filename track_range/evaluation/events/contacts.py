@@ -26,11 +26,7 @@ class Contact:
 
 
 def read_contacts(path: Path) -> tuple[Contact, ...]:
-    """Contacts of a file, in its order.
-
-    Raises:
-        EventFileError: the file cannot be read, lacks a column, or has an invalid value.
-    """
+    """Contacts of a file, in its order; EventFileError if it cannot be read or lacks a valid value."""
     table = read_csv_table(path, EventFileError, f"contacts with the columns {','.join(COLUMNS)}", exact=True)
     table.require(COLUMNS)
     numbers = {}

@@ -89,10 +89,7 @@ def evaluate(
 
     After an interrupt (Ctrl-C) the results are those of the finished images. `min_score` is a confidence threshold as
     in `--min-score`, None = `WORKING_SCORE`; objects below `min_height_px` are ignored; `is_detailed` adds the
-    evaluation by size of object and the calibration of the scores.
-
-    Raises:
-        LabelFileError, VideoError: no image can be read.
+    evaluation by size of object and the calibration of the scores. LabelFileError, VideoError: no image can be read.
     """
     truth: list[ImageTruth] = []
     is_complete = True

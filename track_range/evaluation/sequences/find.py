@@ -48,10 +48,8 @@ class SequenceFile:
 def find_sequences(path: Path, kind: Kind) -> list[SequenceFile]:
     """All sequences of a file, a folder of files, a folder in MOTChallenge's layout or one sequence of it, by name.
 
-    `kind` selects which of MOTChallenge's files are read.
-
-    Raises:
-        LabelFileError: there is no sequence, or two have the same name.
+    `kind` selects which of MOTChallenge's files are read. LabelFileError if there is no sequence, or two have the same
+    name.
     """
     if os.path.isfile(path):
         return [_sequence(path)]
@@ -78,8 +76,7 @@ def find_sequences(path: Path, kind: Kind) -> list[SequenceFile]:
 def paired(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> list[tuple[SequenceFile, SequenceFile]]:
     """Pairs of truth and results with equal names; one file of each is a pair even if their names differ.
 
-    Raises:
-        LabelFileError: truth without results; ignoring such sequences would raise the score.
+    LabelFileError for truth without results, since ignoring such sequences would raise the score.
     """
     if len(truth) == len(results) == 1:
         return [(truth[0], results[0])]

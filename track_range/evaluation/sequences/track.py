@@ -219,9 +219,7 @@ def images_of(sequence: SequenceFile, path: Path | None, *, is_single: bool) -> 
 
     `path` is the user's video, or a folder with NAME.mp4, NAME/ or NAME/img1/; without it, only MOTChallenge's img1
     next to the boxes is used. If there is no other sequence (`is_single`), `path` or `path`/img1 may be the images.
-
-    Raises:
-        VideoError: `path` does not exist, or contains no images of this sequence.
+    VideoError if `path` does not exist, or contains no images of this sequence.
     """
     if path is None:
         neighbour = sequence.path.parent.parent / "img1"

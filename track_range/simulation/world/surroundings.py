@@ -6,7 +6,7 @@ road and sides repeat.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 PERIOD_M = 48.0  # length along the road after which its textures and objects repeat
@@ -53,27 +53,24 @@ class Surroundings:
         return next((number for number, from_m, to_m in self.lanes if from_m <= x_m < to_m), None)
 
 
-_TOWN_LANES = ((-1, -5.25, -1.75), (0, -1.75, 1.75), (1, 1.75, 5.25))
 _TOWN_BANDS = ((-11.0, -7.6, PAVEMENT), (-7.65, -7.5, KERB), (7.6, 11.0, PAVEMENT), (7.5, 7.65, KERB))
 
+_TOWN = Surroundings(
+    half_width_m=11.0,
+    lanes=((-1, -5.25, -1.75), (0, -1.75, 1.75), (1, 1.75, 5.25)),
+    bands=_TOWN_BANDS,
+    solid_m=(-1.87, -1.63, -5.3, 5.3),
+    dashed_m=(1.75,),
+    dash_m=(4.0, 12.0),
+    side="houses",
+)
+
 SURROUNDINGS = {
-    "town": Surroundings(
-        half_width_m=11.0,
-        lanes=_TOWN_LANES,
-        bands=_TOWN_BANDS,
-        solid_m=(-1.87, -1.63, -5.3, 5.3),
-        dashed_m=(1.75,),
-        dash_m=(4.0, 12.0),
-        side="houses",
-    ),
-    "city": Surroundings(
+    "town": _TOWN,
+    "city": replace(
+        _TOWN,
         half_width_m=13.0,
-        lanes=_TOWN_LANES,
         bands=((-13.0, -7.6, PAVEMENT), _TOWN_BANDS[1], (7.6, 13.0, PAVEMENT), _TOWN_BANDS[3]),
-        solid_m=(-1.87, -1.63, -5.3, 5.3),
-        dashed_m=(1.75,),
-        dash_m=(4.0, 12.0),
-        side="houses",
         rows=(
             Row("tree", -10.6, 16.0, 9.0),
             Row("tree", 10.8, 24.0, 15.0),

@@ -104,7 +104,6 @@ class _History:
     candidates: deque[tuple[float, Detections]] = field(default_factory=deque)  # time, detections without identity
 
     def add(self, result: FrameResult) -> None:
-        """Add the boxes of the newest frame."""
         tracks, time_s = result.tracks, result.time_s
         for row, track_id in enumerate(tracks.track_id.tolist()):
             box = _Box(time_s, tracks.xyxy_px[row], int(tracks.class_id[row]), bool(tracks.observed[row]))
@@ -113,7 +112,6 @@ class _History:
             self.candidates.append((time_s, result.candidates))
 
     def forget_before(self, time_s: float) -> None:
-        """Remove older boxes."""
         while self.candidates and self.candidates[0][0] < time_s:
             self.candidates.popleft()
         for track_id, boxes in list(self.tracks.items()):
@@ -123,7 +121,6 @@ class _History:
                 del self.tracks[track_id]
 
     def boxes_at(self, time_s: float) -> Boxes:
-        """All boxes to cover in the frame at `time_s`."""
         rows = [row for boxes in self.tracks.values() for row in _track_boxes(boxes, time_s)]
         boxes = Boxes(
             np.array([box for box, _, _ in rows], np.float64).reshape(-1, 4),

@@ -46,8 +46,11 @@ def pole(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     style = rng.uniform()
     if style < 0.2:
         stripe = (36.0, 30.0, 180.0) if rng.uniform() < 0.5 else (40.0, 190.0, 230.0)
-        for face in faces[:-1]:
-            _paint_bands(face.texture, stripe)
+        n_rows = round(BAND_M * TEXELS_PER_M)
+        for face in faces[:-1]:  # every second band is tinted; the dirt remains
+            for top in range(0, face.texture.shape[0], 2 * n_rows):
+                part = face.texture[top : top + n_rows, :, :3].astype(np.float64)
+                face.texture[top : top + n_rows, :, :3] = np.clip(part - part.mean(axis=(0, 1)) + stripe, 0, 255)
     elif style < 0.4:
         low_m = float(rng.uniform(0.6, 1.6))
         notice = rng.uniform(60, 235, 3)
@@ -93,14 +96,6 @@ def bush(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
 
 BUILDERS: dict[str, Callable[[np.random.Generator, Size], list[Face]]] = {"pole": pole, "fence": fence, "bush": bush}
 """Function of each kind that creates its faces, without shadow."""
-
-
-def _paint_bands(picture: Image, bgr: tuple[float, ...]) -> None:
-    """Tint every second band of a pole; the dirt remains."""
-    n_rows = round(BAND_M * TEXELS_PER_M)
-    for top in range(0, picture.shape[0], 2 * n_rows):
-        part = picture[top : top + n_rows, :, :3].astype(np.float64)
-        picture[top : top + n_rows, :, :3] = np.clip(part - part.mean(axis=(0, 1)) + bgr, 0, 255)
 
 
 def _fence_parts(rng: np.random.Generator, shape: tuple[int, int]) -> BoolArray:

@@ -32,11 +32,7 @@ SCENARIOS: dict[str, Callable[[int, float], Scene]] = {
 
 
 def make_scenario(name: str, *, seed: int = 0, seconds: float = 10.0) -> Scene:
-    """The scene of a scenario for a drive of the given length; the same seed gives the same scene.
-
-    Raises:
-        ValueError: an unknown scenario.
-    """
+    """The scene of a scenario, the same for the same seed and length of the drive; ValueError if it is unknown."""
     if name not in SCENARIOS:
         raise ValueError(f"scenario {name}: expected one of {', '.join(SCENARIOS)}")
     return SCENARIOS[name](seed, seconds)
