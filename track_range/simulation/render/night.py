@@ -41,7 +41,7 @@ def lamps_of(scene: Scene, time_s: float, *, lamp_heads_m: FloatArray, shift_m: 
             rows += _vehicle_lamps(user, location, rotation)
     for head in (lamp_heads_m - pose.position_m) @ pose.camera_from_world.T:
         rows.append((*head.tolist(), *AMBER, 0.22))
-    return np.array(rows, np.float64).reshape(-1, 7) + np.concatenate([shift_m, np.zeros(4)])
+    return np.asarray(np.array(rows, np.float64).reshape(-1, 7) + np.concatenate([shift_m, np.zeros(4)]))
 
 
 def _vehicle_lamps(user: RoadUser, location: FloatArray, rotation: FloatArray) -> list[tuple[float, ...]]:

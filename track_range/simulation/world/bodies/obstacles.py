@@ -49,8 +49,8 @@ def pole(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
         n_rows = round(BAND_M * TEXELS_PER_M)
         for face in faces[:-1]:  # every second band is tinted; the dirt remains
             for top in range(0, face.texture.shape[0], 2 * n_rows):
-                part = face.texture[top : top + n_rows, :, :3].astype(np.float64)
-                face.texture[top : top + n_rows, :, :3] = np.clip(part - part.mean(axis=(0, 1)) + stripe, 0, 255)
+                band = face.texture[top : top + n_rows, :, :3].astype(np.float64)
+                face.texture[top : top + n_rows, :, :3] = np.clip(band - band.mean(axis=(0, 1)) + stripe, 0, 255)
     elif style < 0.4:
         low_m = float(rng.uniform(0.6, 1.6))
         notice = rng.uniform(60, 235, 3)
