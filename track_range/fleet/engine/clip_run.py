@@ -55,6 +55,9 @@ if TYPE_CHECKING:
 _DETECTORS = OpenedDetectors()  # detector of this process, which its clips share
 _MAX_ERROR = 600  # longest error of a clip, in characters
 
+_NOT_PUBLISHED = {"settings.yaml", TRACKS_FILE, EVENTS_PARQUET}
+"""Files of a run that contain paths of this machine, or are published elsewhere."""
+
 
 class _PublishingError(Exception):
     """The results cannot be written; the fleet ends."""
@@ -86,7 +89,11 @@ class _ClipRun:
     def outcome(self) -> ClipOutcome:
         try:
             self._progress.phase = "fetching"
-            self._progress.fetch_bytes = _fetch_bytes(self._clip)
+            for address in self._clip.named_files().values():
+                state = FolderListings().state(Location.of(address))
+                # files on this machine only have to be read
+                weight = 0.05 if Location.of(address).is_local else 1.0
+                self._progress.fetch_bytes += 0.0 if state is None else max(state.size, 0) * weight
             with (
                 tempfile.TemporaryDirectory(prefix="clip-", ignore_cleanup_errors=True) as name,
                 fetched(self._clip, Path(name, "inputs"), size_bytes(self._plan.settings.cache_size)) as (local, files),
@@ -140,7 +147,11 @@ class _ClipRun:
         settings = settings.model_copy(update={"out": run_folder, "write": tuple(names)})
         start_s = time.perf_counter()
         progress.phase = "opening"
-        progress.video_s = plausible_s(_header_s(clip, settings), n_bytes)
+        header = next(check_clips([clip], folder_fps=settings.folder_fps, threads=1))
+        stated_s = header.duration_s or 0.0
+        if settings.duration_s is not None:
+            stated_s = min(stated_s, settings.duration_s)
+        progress.video_s = plausible_s(stated_s, n_bytes)
         with Run(settings, opened_detectors=_DETECTORS) as run, tuned_process(has_dense_stereo=settings.sgbm):
             progress.phase = "processing"
             for _ in run:
@@ -161,8 +172,10 @@ class _ClipRun:
             publish(out, tracks_location(out, name), folder / TRACKS_FILE)
             publish(out, events_location(out, name), folder / EVENTS_PARQUET)
             if run_folder is not None:
-                for file in _published_files(run_folder, has_report=plan.settings.reports):
-                    publish(out, runs_location(out, name).child(file.name), file)
+                left_out = _NOT_PUBLISHED | (set() if plan.settings.reports else {"report.html", "summary.json"})
+                for file in sorted(run_folder.iterdir()):
+                    if file.is_file() and file.name not in left_out and file.name[0] != ".":
+                        publish(out, runs_location(out, name).child(file.name), file)
                 if settings.clips:
                     publish_event_videos(out, name, sorted((run_folder / CLIPS_FOLDER).glob("*.mp4")))
             self._record = self._with_times(self._record)
@@ -172,10 +185,7 @@ class _ClipRun:
 
     def _add_summary(self, summary: Mapping[str, Any], n_rows: int, run: Run) -> None:
         methods: Mapping[str, Mapping[str, Any]] = summary["methods"]
-        figures = {
-            name: {figure: values[figure] for figure in ERROR_FIGURES if _is_number(values.get(figure))}
-            for name, values in methods.items()
-        }
+        errors = {name: _numbers({key: values.get(key) for key in ERROR_FIGURES}) for name, values in methods.items()}
         self._record = replace(
             self._record,
             status="done",
@@ -189,8 +199,8 @@ class _ClipRun:
             warnings=[self._with_names(note) for note in summary["notes"]],
             stages_ms=summary["stages_ms"],
             coverage={name: values.get("coverage") for name, values in methods.items()},
-            errors={name: values for name, values in figures.items() if values},
-            alignment={key: float(value) for key, value in summary.get("alignment", {}).items() if _is_number(value)},
+            errors={name: values for name, values in errors.items() if values},
+            alignment={key: float(value) for key, value in _numbers(summary.get("alignment", {})).items()},
         )
 
     def _with_times(self, record: ClipRecord) -> ClipRecord:
@@ -213,8 +223,7 @@ class _ClipRun:
 def clip_settings(options: Mapping[str, Any], clip: Clip) -> RunSettings:
     """Settings of the run of a clip with local files; its settings have precedence over the options of all clips.
 
-    Raises:
-        UsageError: a setting of the clip is invalid, or does not suit its video.
+    Raises UsageError for a setting of the clip that is invalid, or does not suit its video.
     """
     video: dict[str, Any] = {"mono": clip.left} if clip.right is None else {"stereo": (clip.left, clip.right)}
     own: dict[str, Any] = dict(clip.settings)
@@ -231,42 +240,17 @@ def write_tracks(path: Path, table: pa.Table, metadata: Mapping[str, str]) -> No
     write_table(path, table.replace_schema_metadata(dict(metadata)))
 
 
-def _published_files(folder: Path, *, has_report: bool) -> list[Path]:
-    """Files of a run, without those that contain paths of this machine, and the report only if requested."""
-    left_out = {"settings.yaml", TRACKS_FILE, EVENTS_PARQUET} | (
-        set() if has_report else {"report.html", "summary.json"}
-    )
-    files = sorted(folder.iterdir())
-    return [file for file in files if file.is_file() and file.name not in left_out and file.name[0] != "."]
-
-
 def _is_full(error: BaseException | None) -> bool:
     """Whether a full disk is the cause of an error."""
     while error is not None:
-        if getattr(error, "kind", "") == "full":
-            return True
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        number = error.errno if isinstance(error, OSError) else None
+        if getattr(error, "kind", "") == "full" or number in (errno.ENOSPC, errno.EDQUOT):
             return True
         error = error.__cause__ or error.__context__
     return False
 
 
-def _header_s(clip: Clip, settings: RunSettings) -> float:
-    """Duration of a clip according to the header of its left video, s; 0 = not stated."""
-    checked = next(check_clips([clip], folder_fps=settings.folder_fps, threads=1))
-    stated_s = checked.duration_s or 0.0
-    return stated_s if settings.duration_s is None else min(stated_s, settings.duration_s)
-
-
-def _fetch_bytes(clip: Clip) -> float:
-    """Bytes of a clip that have to be downloaded, and a twentieth of those that only have to be read."""
-    n_bytes = 0.0
-    for address in clip.named_files().values():
-        location = Location.of(address)
-        if (state := FolderListings().state(location)) is not None:
-            n_bytes += max(state.size, 0) * (0.05 if location.is_local else 1.0)
-    return n_bytes
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        key: value for key, value in values.items() if isinstance(value, int | float) and not isinstance(value, bool)
+    }

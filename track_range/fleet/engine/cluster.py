@@ -40,15 +40,10 @@ _FOLDER_PREFIX = "tr-ray-"
 
 _TOKEN = secrets.token_hex(32)  # token of the clusters of this process; Ray reads it once
 
-_VARIABLES = {
-    "RAY_DEDUP_LOGS_SKIP_REGEX": "A worker died or was killed",  # a paragraph for what the driver reports by clip
-}
-"""Environment of this process, which Ray reads when it is imported."""
-
-_LOCAL_VARIABLES = {
-    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # the address of the node is that of the loopback interface
-}
-"""Environment of a cluster of this machine."""
+# environment of this process, which Ray reads when it is imported: no paragraph for what the driver reports by clip
+_VARIABLES = {"RAY_DEDUP_LOGS_SKIP_REGEX": "A worker died or was killed"}
+# environment of a cluster of this machine: the address of the node is that of the loopback interface
+_LOCAL_VARIABLES = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 
 
 class RayMissingError(UserError):
@@ -118,11 +113,7 @@ def _existing_cluster(settings: FleetSettings) -> Iterator[int]:
 
 
 def _check_reachable(address: str) -> None:
-    """Check that the server of a cluster listens at HOST:PORT; Ray itself would wait for it for minutes.
-
-    Raises:
-        FleetError: none does, or the address has another form.
-    """
+    """Raise FleetError unless a server of a cluster listens at HOST:PORT; Ray itself would wait for it for minutes."""
     if address == "auto" or "://" in address:  # the latter is a Ray Client, which has its own time limit
         return
     host, _, port = address.rpartition(":")
@@ -144,11 +135,7 @@ def _no_cluster(address: str, reason: object) -> FleetError:
 
 
 def _init(**options: Any) -> None:
-    """Start or join a cluster.
-
-    Raises:
-        FleetError: it cannot be started or reached.
-    """
+    """Start or join a cluster; raises FleetError if it cannot be started or reached."""
     import ray
 
     logging.getLogger("ray").setLevel(logging.CRITICAL)
@@ -162,26 +149,17 @@ def _init(**options: Any) -> None:
 
 
 def _fitting(settings: FleetSettings, n_requested: int) -> int:
-    """Number of workers for which this machine has memory and GPUs.
-
-    Raises:
-        FleetError: there is too little for the requested number.
-    """
+    """Number of workers for which this machine has memory and GPUs; FleetError: too little for the requested number."""
     import ray
 
     resources: Mapping[str, float] = ray.cluster_resources()  # type: ignore[no-untyped-call]
     memory, gpus = resources.get("memory", 0.0), resources.get("GPU", 0.0)
     size, n_gpus = settings.worker_memory, settings.gpus_per_worker
+    memory_text, gpu_text = f"--worker-memory {size}: expected memory", f"--gpus-per-worker {n_gpus:g}: expected GPUs"
     n_fitting = n_requested
     for needed, available, requirement, stock, remedy in (
-        (
-            size_bytes(size),
-            memory,
-            f"--worker-memory {size}: expected memory",
-            f"{memory / 1e9:.1f} GB for all of them",
-            "less memory",
-        ),
-        (n_gpus, gpus, f"--gpus-per-worker {n_gpus:g}: expected GPUs", f"{gpus:g}", "a smaller fraction"),
+        (size_bytes(size), memory, memory_text, f"{memory / 1e9:.1f} GB for all of them", "less memory"),
+        (n_gpus, gpus, gpu_text, f"{gpus:g}", "a smaller fraction"),
     ):
         n_fitting = min(n_fitting, int(available / needed)) if needed else n_fitting
         if n_fitting < n_requested and (settings.workers is not None or not n_fitting):

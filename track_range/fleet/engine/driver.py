@@ -25,13 +25,7 @@ from track_range.fleet.engine.attempts import Attempts, ErrorKind, time_limit_s
 from track_range.fleet.engine.plan import ClipOutcome, ClipTask, FleetPlan, Process
 from track_range.fleet.engine.progress import Counts
 from track_range.fleet.engine.remaining import present_fingerprint
-from track_range.fleet.engine.worker import (
-    FOLDER_PREFIX,
-    WorkerState,
-    process_clip,
-    remove_dead_folders,
-    shared_files,
-)
+from track_range.fleet.engine.worker import FOLDER_PREFIX, WorkerState, process_clip, remove_dead_folders, shared_files
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import ClipTable, journal_rows, publish_record
 from track_range.fleet.output.file_names import FileNames
@@ -49,7 +43,6 @@ class Slot:
     """A place for a worker.
 
     Attributes:
-        task: the clip in it; None = none.
         states: generator of Ray with the states of the worker and the outcome.
         state: last state; None = the worker has not started yet.
         start_s, cancel_s: times of the first state, and of the cancellation, on the monotonic clock.
@@ -100,12 +93,7 @@ class Driver:
         self._start_s = time.monotonic()
 
     def run(self) -> None:
-        """Process all clips.
-
-        Raises:
-            FleetError: the fleet cannot continue.
-            StorageError: the results cannot be written.
-        """
+        """Process all clips; FleetError: the fleet cannot continue; StorageError: the results cannot be written."""
         while self._todo or any(slot.task for slot in self._slots):
             for slot in self._slots:
                 if self._todo and slot.task is None:
@@ -144,8 +132,7 @@ class Driver:
     def _take(self, slot: Slot) -> None:
         """Take the next state of a worker, its outcome, or the error with which it ended.
 
-        Raises:
-            FleetError: the workers cannot start, or the results cannot be stored.
+        Raises FleetError if the workers cannot start, or the results cannot be stored.
         """
         try:
             value: WorkerState | ClipOutcome = ray.get(next(slot.states))
@@ -222,11 +209,7 @@ class Driver:
             self._fail(task, kind, reason)
 
     def _check_limits(self) -> None:
-        """Cancel the tasks that are over a limit.
-
-        Raises:
-            FleetError: no worker starts.
-        """
+        """Cancel the tasks that are over a limit; raise FleetError if no worker starts."""
         now_s = time.monotonic()
         if not self._has_started and now_s - self._start_s > _START_S:
             raise FleetError(
@@ -251,12 +234,12 @@ class Driver:
             )
         at = state.progress
         limit_s = time_limit_s(self._settings.timeout, at.video_s, at.fetch_bytes, at.frames)
-        if elapsed_s <= limit_s:
-            return None
-        return "timeout", (
-            f"not finished within the time limit of {limit_s:.0f} s (--timeout) while {at.phase}, after {at.frames} "
-            "frames."
-        )
+        if elapsed_s > limit_s:
+            return "timeout", (
+                f"not finished within the time limit of {limit_s:.0f} s (--timeout) while {at.phase}, after "
+                f"{at.frames} frames."
+            )
+        return None
 
     def _done(self, row: Row) -> None:
         self._table.add(row, is_in_journal=True)

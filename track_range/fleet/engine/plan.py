@@ -33,20 +33,15 @@ _NOT_TAKEN = RunSettings.fields_where(lambda field: option_of(field).instead) | 
 )
 """Options of a run that belong to its clips, or are options of a fleet with another meaning."""
 
-_OUTPUTS = RunSettings.fields_where(lambda field: option_of(field).is_output)
-"""Options of a run for its outputs, which a fleet does not take from the settings.yaml of a run."""
-
-_SHARED_FILES = RunSettings.fields_where(is_file) - _NOT_TAKEN
-"""Settings of a run that are, or may be, files which all clips share."""
+_OUTPUTS = RunSettings.fields_where(lambda field: option_of(field).is_output)  # not taken from a settings.yaml
+_SHARED_FILES = RunSettings.fields_where(is_file) - _NOT_TAKEN  # that are, or may be, files which all clips share
 
 
 @dataclass(frozen=True, slots=True)
 class ClipTask:
-    """A clip for a worker.
+    """A clip for a worker; attempts count from 1.
 
-    Attributes:
-        attempt: number of the attempt, from 1.
-        known_hash: content hash of the complete result, if the files have only been touched since; "" = none.
+    `known_hash`: content hash of the complete result, if the files have only been touched since; "" = none.
     """
 
     clip: Clip
@@ -56,10 +51,9 @@ class ClipTask:
 
 @dataclass(frozen=True, slots=True)
 class ClipOutcome:
-    """Answer of a worker about a clip; the record of one that is done has been published.
+    """Answer of a worker about a clip, with its record; that of one that is done has been published.
 
     Attributes:
-        row: record of the clip, by column.
         is_unchanged: whether the content of the files is that of the complete result; only `inputs` of the row counts.
         is_transient: whether the failure may not repeat itself.
         defect: text of an exception that the processing has not caught; "" = none.
@@ -92,13 +86,9 @@ class ClipProgress:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetPlan:
-    """What every worker has to know.
+    """What every worker has to know: settings of the fleet, and options of the runs by name of the setting.
 
-    Attributes:
-        options: options of the runs by name of the setting.
-        settings_hash: hash of the settings that all clips have in common.
-        shared: settings that are files, which all clips share.
-        version: version of track-range.
+    `settings_hash`: hash of the settings that all clips have in common; `shared`: those that are files.
     """
 
     settings: FleetSettings
@@ -137,13 +127,8 @@ Process = Callable[[ClipTask, FleetPlan, ClipProgress], ClipOutcome]
 
 
 def common_options(file: Path) -> dict[str, Any]:
-    """Options of the settings.yaml of a run for all clips: without its inputs and outputs.
-
-    Raises:
-        ConfigError: the file cannot be read, or contains an unknown key or an invalid value.
-    """
-    values = read_settings(file)
-    options = {key: value for key, value in values.items() if key not in _NOT_TAKEN | _OUTPUTS}
+    """Options of the settings.yaml of a run for all clips, without its inputs and outputs; raises ConfigError."""
+    options = {key: value for key, value in read_settings(file).items() if key not in _NOT_TAKEN | _OUTPUTS}
     try:
         _validated(options)
     except UsageError as error:
@@ -170,7 +155,10 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
             "a manifest."
         )
     files = _shared_files(checked)
-    hashes = {name: f"sha256:{_sha256(path)}" for name, path in files.items()}
+    hashes = {}
+    for name, path in files.items():
+        with open_regular(path, UsageError, "a file of the settings") as file:
+            hashes[name] = f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"
     # the detector and the size curves are checked once, instead of in every clip
     load_curves(checked.curves)
     road_class_ids(checked.classes)
@@ -189,11 +177,7 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
 
 
 def _validated(options: Mapping[str, Any]) -> RunSettings:
-    """Settings of a run with these options; the names of its videos do not matter.
-
-    Raises:
-        UsageError: an option is unknown or invalid.
-    """
+    """Settings of a run with these options; the names of its videos do not matter. Raises UsageError."""
     topics = options.get("topics") or ()
     n_topics = len(topics.split(",")) if isinstance(topics, str) else len(topics) if isinstance(topics, Sized) else 0
     is_pair = options.get("disparity") or options.get("overlay_disparity") or n_topics > 1
@@ -212,8 +196,3 @@ def _shared_files(settings: RunSettings) -> dict[str, Path]:
         elif isinstance(value, Path) or (value is not None and Path(value).suffix and math.isnan(number(value))):
             files[name] = Path(value).absolute()
     return files
-
-
-def _sha256(path: Path) -> str:
-    with open_regular(path, UsageError, "a file of the settings") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -33,7 +33,6 @@ FOLDER_PREFIX = f"track-range-fleet-{platform.node() or 'host'}-"
 
 _COLLECT_S = 3.0  # shortest clip after which free objects are searched, which takes 0.1 s
 _STATE_S = 1.0  # time between two states, s
-
 _MAX_SHARED_BYTES = 2_000_000_000
 
 SharedFiles = Mapping[str, tuple[str, bytes]]
@@ -55,14 +54,8 @@ def process_clip(
 ) -> Iterator[WorkerState | ClipOutcome]:
     """States of the worker while it processes a clip, then the outcome.
 
-    Args:
-        task: the clip.
-        plan: of the fleet.
-        process: processes a clip.
-        files: files that all clips share, if the driver is on another machine.
-
-    Raises:
-        FleetError: the version of track-range is not that of the driver.
+    `files` are those that all clips share, if the driver is on another machine. Raises FleetError if the version of
+    track-range is not that of the driver.
     """
     if (installed := version("track-range")) != plan.version:
         raise FleetError(
@@ -116,9 +109,6 @@ def scratch_folder(cache_dir: Path | None) -> Iterator[Path]:
     """Folder of this process in `cache_dir` (None = the temporary folder), which is its temporary folder meanwhile.
 
     Those of processes that were killed are removed.
-
-    Raises:
-        OSError: it cannot be created.
     """
     before = tempfile.tempdir
     parent = cache_dir or Path(tempfile.gettempdir())
@@ -143,11 +133,7 @@ def remove_dead_folders(parent: Path, prefix: str) -> None:
 
 
 def shared_files(plan: FleetPlan) -> SharedFiles:
-    """The files in the options of a plan, for workers on other machines.
-
-    Raises:
-        FleetError: a file cannot be read.
-    """
+    """The files in the options of a plan, for workers on other machines; raises FleetError if one cannot be read."""
     paths = {name: Path(plan.options[name]) for name in plan.shared if name in plan.options}
     return {
         name: (path.name, read_bytes(path, FleetError, f"the file of --{name}", max_bytes=_MAX_SHARED_BYTES))

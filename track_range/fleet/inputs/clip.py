@@ -17,14 +17,11 @@ from track_range.run.settings import RunSettings
 CLIP_SETTINGS = RunSettings.fields_where(lambda field: option_of(field).is_per_clip)
 """Names of the run settings that may differ from clip to clip."""
 
-RIG_NAMES = ("rig.yaml", "calib.txt")
-"""Calibration files that a run uses if they lie beside the left video, in order of precedence."""
-
 TELEMETRY_ROLE = "telemetry_"
 """Beginning of the roles of telemetry beside the left video, which a run finds by its place."""
 
-_TIMESTAMPS = "timestamps.txt"
-"""File with the times of the images in a folder, which may lie beside the folder (KITTI)."""
+_RIG_NAMES = ("rig.yaml", "calib.txt")  # calibration files that a run finds beside the left video, the first counts
+_TIMESTAMPS = "timestamps.txt"  # file with the times of the images in a folder, which may lie beside it (KITTI)
 
 
 class FleetInputError(UserError):
@@ -33,10 +30,9 @@ class FleetInputError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """One recording.
+    """One recording, with a name that is unique in the fleet.
 
     Attributes:
-        name: name that is unique in the fleet.
         left: the left or only video: absolute local path, or address (`s3://...`).
         right: the right video; None = one camera.
         settings: run settings that apply only to this clip, as text by name; see `CLIP_SETTINGS`. Files are absolute.
@@ -53,9 +49,8 @@ class Clip:
 
     def named_files(self) -> dict[str, str]:
         """The files that the clip names, by role: left, right, and settings that are files."""
-        right = {} if self.right is None else {"right": self.right}
-        given = {name: value for name, value in self.settings.items() if is_file_setting(name, value)}
-        return {"left": self.left, **right, **given}
+        videos = {"left": self.left} if self.right is None else {"left": self.left, "right": self.right}
+        return videos | {name: value for name, value in self.settings.items() if is_file_setting(name, value)}
 
     def files(self, stat: Callable[[Location], FileStat | None] = Location.stat) -> dict[str, str]:
         """All files on which the results depend, by role.
@@ -79,7 +74,7 @@ class Clip:
         folders = [role for role in maybe if exists(videos[role], is_folder=True)]
         if "rig" not in files and "focal_px" not in self.settings:
             parents = (left if "left" in folders else None, left.parent)
-            candidates = (parent.child(name) for parent in parents if parent is not None for name in RIG_NAMES)
+            candidates = (parent.child(name) for parent in parents if parent is not None for name in _RIG_NAMES)
             if (rig := next(filter(exists, candidates), None)) is not None:
                 files["rig"] = rig.address
         for role in sorted(folders):
@@ -89,15 +84,18 @@ class Clip:
         if self.settings.get("ego_speed", "auto") == "auto" and left.parent is not None:
             names = [TABLE_NAME, OXTS_NAME, *(() if "left" in folders else sidecar_names(left.name))]
             sidecars = [left.parent.child(name) for name in names]
-            telemetry = [
-                sidecar.address
-                for sidecar in sidecars
-                if sidecar != left and exists(sidecar, is_folder=sidecar.name == OXTS_NAME)
-            ]
-            if sidecars[1].address in telemetry and exists(left.parent.child(_TIMESTAMPS)):
-                telemetry.append(left.parent.child(_TIMESTAMPS).address)
-            files.update({f"{TELEMETRY_ROLE}{index}": address for index, address in enumerate(telemetry)})
+            found = [path for path in sidecars if path != left and exists(path, is_folder=path.name == OXTS_NAME)]
+            if sidecars[1] in found and exists(left.parent.child(_TIMESTAMPS)):
+                found.append(left.parent.child(_TIMESTAMPS))
+            files.update({f"{TELEMETRY_ROLE}{index}": path.address for index, path in enumerate(found)})
         return files
+
+
+def file_title(role: str) -> str:
+    """Name of the file of a role, for messages."""
+    return {"left": "the left video", "right": "the right video", "rig": "the calibration"}.get(
+        role, f"the {role} file"
+    )
 
 
 def is_file_setting(name: str, value: str) -> bool:

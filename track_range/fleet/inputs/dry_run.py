@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from track_range.fleet.inputs.clip import TELEMETRY_ROLE, Clip
+from track_range.fleet.inputs.clip import TELEMETRY_ROLE, Clip, file_title
 from track_range.fleet.storage.location import FolderListings, Location
 from track_range.foundation.errors import UserError
 from track_range.recording.bags.bag import is_bag
@@ -62,34 +63,32 @@ class _Check:
 
     def result(self) -> CheckedClip:
         """The properties of the clip."""
-        checked = CheckedClip(self.clip)
-        if self.clip.problem:
-            self.problems.append(self.clip.problem)
-        else:
-            try:
-                checked = self._checked()
-            except UserError as error:
-                self.problems.append(str(error))
-        return replace(checked, problems=tuple(self.problems), notes=tuple(self.notes))
+        found: dict[str, Any] = {}
+        try:
+            if self.clip.problem:
+                self.problems.append(self.clip.problem)
+            else:
+                found = self._properties()
+        except UserError as error:
+            self.problems.append(str(error))
+        return CheckedClip(self.clip, **found, problems=tuple(self.problems), notes=tuple(self.notes))
 
-    def _checked(self) -> CheckedClip:
+    def _properties(self) -> dict[str, Any]:
         files = {role: Location.of(address) for role, address in self.clip.files(self.listings.stat).items()}
-        n_bytes = self._size(files)
-        checked = CheckedClip(self.clip, n_bytes=n_bytes)
-        if self.problems:
-            return checked
+        found: dict[str, Any] = {"n_bytes": self._size(files)}
         videos = [files[role] for role in ("left", "right") if role in files]
+        if self.problems:
+            return found
         if not all(video.is_local for video in videos):
             self.notes.append("The videos were not opened, since they are not on this machine.")
-            return checked
+            return found
         headers = [self._header(video.path, index) for index, video in enumerate(videos)]
         size_px, fps, duration_s, _ = headers[0]
         calibration = self._calibration(headers, files.get("rig"))
         if len(headers) == 2:
             self._compare(headers[0], headers[1], has_rig=calibration in ("file", "bag"))
-        return replace(
-            checked, size_px=size_px, fps=fps or None, duration_s=duration_s or None, calibration=calibration
-        )
+        known = {"size_px": size_px, "fps": fps or None, "duration_s": duration_s or None, "calibration": calibration}
+        return found | known
 
     def _size(self, files: dict[str, Location]) -> int:
         """Size of all files; those that do not exist or are empty are problems."""
@@ -97,7 +96,7 @@ class _Check:
         for role, location in files.items():
             state = self.listings.state(location)
             if state is None:
-                self.problems.append(f"{location}: no such file; expected {_TITLES.get(role, f'the {role} file')}.")
+                self.problems.append(f"{location}: no such file; expected {file_title(role)}.")
             elif state.size == 0 and not role.startswith(TELEMETRY_ROLE):
                 self.problems.append(f"{location}: the {'folder' if state.is_folder else 'file'} is empty.")
             else:
@@ -145,23 +144,17 @@ class _Check:
         return "file"
 
     def _check_rig(self, path: Path, left_px: tuple[int, int], right_px: tuple[int, int]) -> None:
-        def load(left_px: tuple[int, int], right_px: tuple[int, int]) -> None:
-            if self.clip.right is None:
-                load_camera(path, size_px=left_px)
-            else:
-                load_rig(path, size_px=left_px, right_size_px=right_px)
-
-        try:
-            load(left_px, right_px)
-        except UserError as error:
+        errors = []
+        for step in (1, -1):  # -1: a video that is rotated by its metadata
             try:
-                load(left_px[::-1], right_px[::-1])  # a video that is rotated by its metadata
-            except UserError:
-                self.problems.append(str(error))
-
-
-_TITLES = {"left": "the left video", "right": "the right video", "rig": "the calibration"}
-"""Files of a clip by role, for messages."""
+                if self.clip.right is None:
+                    load_camera(path, size_px=left_px[::step])
+                else:
+                    load_rig(path, size_px=left_px[::step], right_size_px=right_px[::step])
+                return
+            except UserError as error:
+                errors.append(str(error))
+        self.problems.append(errors[0])
 
 
 def check_clips(
@@ -174,13 +167,14 @@ def check_clips(
 
     Args:
         clips: the clips.
-        focal_px: focal length of clips without calibration, as in a run; None = not given.
-        folder_fps: frame rate of folders of images without timestamps.txt.
+        focal_px, folder_fps: as in a run, for clips without calibration, and folders of images without timestamps.txt.
         threads: number of clips that are checked at the same time.
     """
     listings = FolderListings()
+
+    def checked(clip: Clip) -> CheckedClip:
+        return _Check(clip, listings, focal_px, folder_fps).result()
+
     with ThreadPoolExecutor(threads) as pool:
         for start in range(0, len(clips), _BATCH):
-            yield from pool.map(
-                lambda clip: _Check(clip, listings, focal_px, folder_fps).result(), clips[start : start + _BATCH]
-            )
+            yield from pool.map(checked, clips[start : start + _BATCH])

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from track_range.fleet.inputs.clip import TELEMETRY_ROLE, Clip, FleetInputError
+from track_range.fleet.inputs.clip import TELEMETRY_ROLE, Clip, FleetInputError, file_title
 from track_range.fleet.storage.errors import StorageError, storage_errors
 from track_range.fleet.storage.location import Entry, FileStat, Location, folder_state, is_hidden
 from track_range.foundation.files.input_files import open_regular, shortened
@@ -27,13 +27,9 @@ _MAX_NAME = 200  # largest length of a file name in the cache, bytes; object sto
 
 @dataclass(frozen=True, slots=True)
 class FetchedFile:
-    """A file of a clip as it was read.
+    """A file of a clip as it was read, with the local path; size in bytes and time in ns as in `FileStat`.
 
-    Attributes:
-        address: where it is stored.
-        path: local path.
-        size, mtime_ns: as its storage states them; see `FileStat`.
-        sha256: hash of the content in hexadecimal digits; of a folder, of the names and contents of its files.
+    `sha256`: hash of the content in hexadecimal digits; of a folder, of the names and contents of its files.
     """
 
     address: str
@@ -47,10 +43,7 @@ class FetchedFile:
 def fetched(clip: Clip, cache_folder: Path, limit_bytes: int) -> Iterator[tuple[Clip, Mapping[str, FetchedFile]]]:
     """A clip with local paths, and its files by role; remote ones are downloaded, and removed at the end.
 
-    Args:
-        clip: the clip.
-        cache_folder: folder of the downloads, which is created; several processes may share it.
-        limit_bytes: largest size of the clip's downloads.
+    Several processes may share the folder of the downloads, which is created.
 
     Raises:
         FleetInputError: the clip has a problem that was found when it was listed.
@@ -86,8 +79,7 @@ class _Fetch:
     def _state(self, role: str, location: Location) -> FileStat:
         status = location.stat()
         if status is None:
-            title = _TITLES.get(role, f"the {role} file")
-            raise StorageError(f"{location}: no such file; expected {title} of the clip.", "missing")
+            raise StorageError(f"{location}: no such file; expected {file_title(role)} of the clip.", "missing")
         if not status.is_folder:
             return status
         entries = (entry for entry in location.list(recursive=True) if not entry.stat.is_folder)
@@ -96,23 +88,20 @@ class _Fetch:
         return folder_state(known)
 
     def check_space(self, folder: Path) -> None:
-        """Check the size of the downloads against the limit and the free space.
-
-        Raises:
-            StorageError: they are larger.
-        """
+        """Raise StorageError for downloads that are larger than the limit or the free space."""
         remote = [role for role, location in self.locations.items() if not location.is_local]
         size = sum(max(self._states[role].size, 0) for role in remote)
+        left, needed = self.locations["left"], _megabytes(size)
         if size > self._limit_bytes:
             raise StorageError(
-                f"{self.locations['left']}: expected a clip of at most {_megabytes(self._limit_bytes)}, found "
-                f"{_megabytes(size)}; increase --cache-size, or cut the recording."
+                f"{left}: expected a clip of at most {_megabytes(self._limit_bytes)}, found {needed}; "
+                "increase --cache-size, or cut the recording."
             )
         with storage_errors(folder, "read"):
             free = shutil.disk_usage(folder).free
         if size > free:
             raise StorageError(
-                f"{folder}: no space left for the clip {self.locations['left']}, which needs {_megabytes(size)}, found "
+                f"{folder}: no space left for the clip {left}, which needs {needed}, found "
                 f"{_megabytes(free)}; free space, or choose another --cache-dir.",
                 "full",
             )
@@ -127,13 +116,12 @@ class _Fetch:
             if entries is None:
                 self._download(location, path, state.size)
             else:
+
+                def download(entry: Entry) -> None:
+                    self._download(location.child(entry.name), path / entry.name, entry.stat.size)
+
                 with ThreadPoolExecutor(_N_CONNECTIONS) as threads:
-                    downloads = [
-                        threads.submit(self._download, location.child(entry.name), path / entry.name, entry.stat.size)
-                        for entry in entries
-                    ]
-                for download in downloads:
-                    download.result()
+                    list(threads.map(download, entries))
         sha256 = _file_hash(path) if entries is None else _folder_hash(path, entries)
         return FetchedFile(location.address, path, state.size, state.mtime_ns, sha256)
 
@@ -171,9 +159,8 @@ def _file_hash(path: Path) -> str:
 def _folder_hash(folder: Path, entries: list[Entry]) -> str:
     digest = hashlib.sha256()
     for entry in entries:
-        path = folder / entry.name
         name = entry.name.encode("utf-8", "surrogateescape")
-        digest.update(b"%d:%s%s" % (len(name), name, _file_hash(path).encode()))
+        digest.update(b"%d:%s%s" % (len(name), name, _file_hash(folder / entry.name).encode()))
     return digest.hexdigest()
 
 
@@ -193,9 +180,6 @@ def _safe_name(location: Location) -> str:
     stem, point, suffix = name.rpartition(".")
     short = stem.encode("utf-8", "surrogateescape")[: _MAX_NAME // 2].decode("utf-8", "ignore")
     return f"{short}-{hashlib.sha256(data).hexdigest()[:16]}{point}{shortened(suffix, 20)}"
-
-
-_TITLES = {"left": "the left video", "right": "the right video", "rig": "the calibration"}
 
 
 def _megabytes(n_bytes: int) -> str:
