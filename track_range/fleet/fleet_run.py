@@ -25,9 +25,8 @@ from track_range.run.interrupts import ignore_interrupts, stop_on_interrupt
 from track_range.run.settings_files import without_folders
 
 _MAX_STATES = 1000  # largest number of workers in fleet.json
-
+# settings that fleet.json of an anonymized fleet does not contain, since they name folders
 _WITH_FOLDERS = ("recordings", "out", "pattern", "rig", "settings", "cache_dir")
-"""Settings that fleet.json of an anonymized fleet does not contain, since they name folders."""
 
 
 class FleetResult(NamedTuple):
@@ -48,12 +47,8 @@ def run_fleet(
 ) -> FleetResult:
     """Process the clips that are not complete.
 
-    Args:
-        settings: of the fleet.
-        options: options of the runs, by name of the setting.
-        clips: all clips.
-        console: for the progress; None = none.
-        process: processes a clip in a worker; None = `engine.clip_run.run_clip`.
+    `options`: those of the runs, by name of the setting; `console`: for the progress; `process`: processes a clip in a
+    worker (default: `engine.clip_run.run_clip`).
 
     Raises:
         UsageError: an option is invalid.
@@ -155,7 +150,8 @@ class _FleetRun:
         counts = self._counts
         own = self._plan.settings.model_dump(mode="json", exclude_none=True)
         own["recordings"] = own["recordings"][:10]
-        run = {key: _plain(value) for key, value in self._plan.options.items()}
+        plain = str | int | float | bool | list | dict | None
+        run = {key: value if isinstance(value, plain) else str(value) for key, value in self._plan.options.items()}
         if self._plan.is_anonymized:
             own = {key: value for key, value in own.items() if key not in _WITH_FOLDERS}
             run = without_folders(run)
@@ -172,7 +168,3 @@ class _FleetRun:
             options={**own, "run": run},
             workers=workers,
         ).write(self._plan.out)
-
-
-def _plain(value: Any) -> Any:
-    return value if isinstance(value, str | int | float | bool | list | dict | None) else str(value)

@@ -26,15 +26,9 @@ _MAX_NAME = 40  # longest name of a clip in the table
 
 @dataclass(slots=True)
 class Counts:
-    """Clips of a run by result.
+    """Clips of a run by result, as in `FleetState`; `start_s` is on the monotonic clock.
 
-    Attributes:
-        total: all clips.
-        skipped: complete before, or found to be unchanged by a worker.
-        done: completed in this run.
-        failed: failed in this run, or before and not repeated.
-        video_s: duration of the clips completed in this run, s.
-        start_s: start on the monotonic clock.
+    Those that a worker found to be unchanged are skipped, too.
     """
 
     total: int = 0

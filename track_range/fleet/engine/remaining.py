@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from sys import intern
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from track_range.fleet.engine.plan import ClipTask
 from track_range.fleet.inputs.clip import Clip, is_file_setting
@@ -85,16 +85,12 @@ def present_fingerprint(clip: Clip, listings: FolderListings | None = None) -> s
     )
 
 
-def fingerprint(clip: Clip, files: Mapping[str, tuple[int, int]]) -> str:
-    """Files of a clip with size and time of change, and its settings, as canonical JSON."""
-    return _canonical(clip, {role: list(state) for role, state in files.items()})
-
-
 def content_hash(clip: Clip, digests: Mapping[str, str]) -> str:
     """Hash of the content of the files of a clip, given as SHA-256, and of its settings."""
-    return f"sha256:{hashlib.sha256(_canonical(clip, digests).encode()).hexdigest()}"
+    return f"sha256:{hashlib.sha256(fingerprint(clip, digests).encode()).hexdigest()}"
 
 
-def _canonical(clip: Clip, files: Mapping[str, Any]) -> str:
+def fingerprint(clip: Clip, files: Mapping[str, object]) -> str:
+    """Files of a clip, each with its size and time of change or with its hash, and its settings, as canonical JSON."""
     settings = {name: value for name, value in clip.settings.items() if not is_file_setting(name, value)}
     return json.dumps({"files": files, "settings": settings}, sort_keys=True, separators=(",", ":"))

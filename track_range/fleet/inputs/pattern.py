@@ -11,12 +11,8 @@ from string import Formatter
 from track_range.fleet.inputs.clip import CLIP_SETTINGS, FleetInputError
 from track_range.foundation.files.input_files import quoted
 
-CLIP = "clip"
-"""Placeholder of the clip's name."""
-
-_RESERVED = CLIP_SETTINGS | {"left", "right"}
-"""Names that a placeholder cannot have: a column of a manifest with this name is an option of the clip."""
-
+CLIP = "clip"  # placeholder of the clip's name
+_RESERVED = CLIP_SETTINGS | {"left", "right"}  # columns of a manifest that are not labels, which a placeholder would be
 _MAX_FIELDS = 8  # largest number of placeholders; the time of a comparison grows with them
 
 
@@ -29,11 +25,7 @@ class Template:
 
     @classmethod
     def of(cls, text: str, option: str) -> Template:
-        """The template of the value of an option.
-
-        Raises:
-            FleetInputError: a brace is not closed, or a placeholder is not a name.
-        """
+        """The template of the value of an option; FleetInputError: an open brace, or a placeholder is not a name."""
         try:
             parsed = list(Formatter().parse(text))
         except ValueError as error:
@@ -62,15 +54,14 @@ class Template:
 
         A placeholder matches as few characters as possible, at least one; only that of the clip matches "/".
         """
-        known: set[str] = set()
-        parts: list[str] = []
+        expression = ""
         for literal, name in self.parts:
-            parts.append(re.escape(literal))
+            expression += re.escape(literal)
             if name is not None:
+                group = f"(?P<{name}>"
                 characters = ".+?" if name == CLIP else "[^/]+?"
-                parts.append(f"(?P={name})" if name in known else f"(?P<{name}>{characters})")
-                known.add(name)
-        return re.compile("".join(parts), re.DOTALL)
+                expression += f"(?P={name})" if group in expression else f"{group}{characters})"
+        return re.compile(expression, re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,11 +74,7 @@ class FilePattern:
 
     @classmethod
     def of(cls, text: str) -> FilePattern:
-        """The pattern of `--pattern`.
-
-        Raises:
-            FleetInputError: no {clip}, more than two names, or placeholders that do not determine the right video.
-        """
+        """The pattern of `--pattern`; raises FleetInputError if it does not determine the videos of a clip."""
         names = text.split(",")
         if len(names) > 2 or not all(name.strip() for name in names):
             raise _fault(text, "expected the name of one video, or of the left and the right one separated by a comma.")

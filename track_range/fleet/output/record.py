@@ -10,11 +10,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Row = dict[str, Any]
-"""Values of a record by column."""
-
-SCHEMA_VERSION = 1
-"""Version of clips.parquet; increased when a column changes its meaning or is removed."""
+Row = dict[str, Any]  # values of a record by column
+SCHEMA_VERSION = 1  # of clips.parquet; increased when a column changes its meaning or is removed
 
 ERROR_FIGURES = ("median_relative_error_pct", "mean_relative_error_pct", "bias_pct", "within_1_sigma", "within_2_sigma")
 """Figures of a method where there is ground truth."""
@@ -25,20 +22,16 @@ class ClipRecord:
     """Result of a clip; the fields up to `finished_utc` are the first columns of clips.parquet, in this order.
 
     Attributes:
-        clip: name, the text that `{clip}` matched.
         status: "done" or "failed".
-        error, error_kind: reason of the failure, one sentence; "input", "crash", "memory", "timeout", "fetch" or
-            "internal"; "" = none.
+        error, error_kind: reason of the failure, one sentence, and `ErrorKind`; "" = none.
         left, right: path or address of the videos; "" = one camera.
         inputs: files of the clip with size and time of change, and its settings, as JSON.
         content_hash: hash of the content of the files and of the clip's settings; "" = not read.
-        settings_hash: hash of the settings that all clips have in common.
         events: number of events; None = a result of an earlier version, without a file of events.
         seconds: duration of the processed video, s.
         wall_s: time for the clip in the worker, s; `overhead_s` is the part that is not the run: fetching, hashing,
             publishing.
         start_utc, finished_utc: UTC of the first frame ("" = unknown), and of the end of the attempt, ISO 8601.
-        warnings: notes of the run.
         peak_memory_mb: largest resident memory of the worker's process until the end of the clip, MB.
         stages_ms: time of each stage, ms per frame; columns `STAGE_ms`.
         coverage: fraction of boxes with a distance by method; columns `METHOD_coverage`.

@@ -30,12 +30,11 @@ _ERRNO_FAULTS: dict[int, StorageFault] = {
     **dict.fromkeys(_NETWORK_ERRORS, "network"),
 }
 
-_STATUS_FAULTS: dict[int, StorageFault] = {
+_STATUS_FAULTS: dict[int, StorageFault] = {  # by HTTP status; from 500 on "network", else "other"
     **dict.fromkeys((401, 403), "permission"),
     **dict.fromkeys((404, 410), "missing"),
     **dict.fromkeys((408, 429), "network"),
 }
-"""Kinds by HTTP status; from 500 on "network", else "other"."""
 
 _TEXT_FAULTS: dict[StorageFault, str] = {
     "permission": r"ACCESS_?DENIED|INVALID_\w*(?:KEY|SIGNATURE|TOKEN)|SIGNATURE_DOES_NOT|EXPIRED_?TOKEN|UNAUTHENTICATED"
@@ -47,9 +46,7 @@ _TEXT_FAULTS: dict[StorageFault, str] = {
 }
 """Texts of the errors of pyarrow's object stores (AWS, Google Cloud) by kind; the first that matches counts."""
 
-_NAMES = re.compile(r"^When .*?: (?=AWS Error)", re.DOTALL)
-"""Start of a text about S3, which contains names of objects."""
-
+_NAMES = re.compile(r"^When .*?: (?=AWS Error)", re.DOTALL)  # start of a text about S3, with names of objects
 _SECRETS = re.compile(
     r"(?i)((?:access.?key(?:.?id)?|secret\w*|token|signature|credential|authorization|password)\s*[=:]\s*)[\w%+/=.~-]+"
 )
@@ -83,9 +80,7 @@ class StorageError(UserError):
 def storage_errors(address: object, action: str) -> Iterator[None]:
     """Context in which errors of the operating system, pyarrow and aiohttp become a StorageError.
 
-    Args:
-        address: file or folder, for messages, without credentials.
-        action: what is done, as a participle: "read", "written".
+    Messages contain the address, without credentials, and the action as a participle: "read", "written".
     """
     aiohttp: Any = sys.modules.get("aiohttp")
     web_error = () if aiohttp is None else (aiohttp.ClientError,)

@@ -23,15 +23,10 @@ _GCS_TIME_LIMIT_S = 10  # time for which pyarrow repeats a request to Google Clo
 
 
 def object_store(scheme: str, bucket: str, options: Mapping[str, str]) -> FileSystem:
-    """File system of pyarrow for a bucket.
+    """File system of pyarrow for a bucket of "s3" or "gs".
 
-    Args:
-        scheme: "s3" or "gs".
-        bucket: its name.
-        options: `endpoint_override`, `scheme`, `region` and `anonymous` by name.
-
-    Raises:
-        OSError, ValueError: the options are wrong, or the region of the bucket is not known.
+    Options are `endpoint_override`, `scheme`, `region` and `anonymous`. Raises OSError or ValueError if they are wrong,
+    or the region of the bucket is not known.
     """
     endpoint, variables = options.get("endpoint_override", ""), os.environ
     if scheme == "gs":
@@ -86,11 +81,7 @@ def _server(endpoint: str, scheme: str) -> dict[str, Any]:
 
 
 def web_files() -> HTTPFileSystem:
-    """File system of fsspec for web servers.
-
-    Raises:
-        StorageError: a package is missing.
-    """
+    """File system of fsspec for web servers; raises StorageError if a package is missing."""
     return _web_files(CONNECT_TIMEOUT_S, REQUEST_TIMEOUT_S)
 
 

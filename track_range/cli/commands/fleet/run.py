@@ -25,7 +25,7 @@ def _fleet_run(**values: Any) -> None:
     from track_range.fleet.fleet_run import run_fleet
     from track_range.fleet.inputs.listing import clips_of
     from track_range.fleet.output.state import duration_text
-    from track_range.foundation.files.input_files import printable
+    from track_range.foundation.files.input_files import printable, shortened
 
     settings = FleetSettings.of(given_values(FleetSettings, values))
     options = {
@@ -46,16 +46,12 @@ def _fleet_run(**values: Any) -> None:
     if result.failed:
         for name, error in result.failed[:_MAX_NAMED]:
             print_line(console, printable(f"failed: {name}: {error}"))
-        raise ClipsFailedError(failures_text([name for name, _ in result.failed], counts.total))
-
-
-def failures_text(names: Sequence[str], total: int) -> str:
-    """Sentence with the names of the failed clips, the first ones of many."""
-    from track_range.foundation.files.input_files import shortened
-
-    named = ", ".join(shortened(name, _MAX_NAME) for name in names[:_MAX_NAMED])
-    more = f" and {len(names) - _MAX_NAMED} more, see clips.parquet" if len(names) > _MAX_NAMED else ""
-    return f"{len(names)} of {total} clips failed: {named}{more}; --retry-failed repeats them."
+        named = ", ".join(shortened(name, _MAX_NAME) for name, _ in result.failed[:_MAX_NAMED])
+        n_failed = len(result.failed)
+        more = f" and {n_failed - _MAX_NAMED} more, see clips.parquet" if n_failed > _MAX_NAMED else ""
+        raise ClipsFailedError(
+            f"{n_failed} of {counts.total} clips failed: {named}{more}; --retry-failed repeats them."
+        )
 
 
 def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequence[Clip]) -> None:
@@ -78,11 +74,11 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
     checked_settings = {key: options[key] for key in ("focal_px", "folder_fps") if key in options}
     for checked in check_clips([task.clip for task in todo], **checked_settings):
         seconds += checked.duration_s or 0.0
-        size = "" if checked.size_px is None else f", {checked.size_px[0]}x{checked.size_px[1]}"
-        rate = "" if checked.fps is None else f" at {checked.fps:.3g} Hz"
-        length = "" if checked.duration_s is None else f", {duration_text(checked.duration_s)}"
-        calibration = f", calibration: {checked.calibration}" if checked.calibration else ""
-        line = f"{checked.clip.name}: {Location.of(checked.clip.left)}{size}{rate}{length}{calibration}"
+        line = f"{checked.clip.name}: {Location.of(checked.clip.left)}"
+        line += "" if checked.size_px is None else f", {checked.size_px[0]}x{checked.size_px[1]}"
+        line += "" if checked.fps is None else f" at {checked.fps:.3g} Hz"
+        line += "" if checked.duration_s is None else f", {duration_text(checked.duration_s)}"
+        line += f", calibration: {checked.calibration}" if checked.calibration else ""
         print_line(console, printable(line))
         for text in (*checked.problems, *checked.notes):
             print_line(console, f"  - {printable(text)}")
