@@ -84,10 +84,10 @@ class Clip:
         if self.settings.get("ego_speed", "auto") == "auto" and left.parent is not None:
             names = [TABLE_NAME, OXTS_NAME, *(() if "left" in folders else sidecar_names(left.name))]
             sidecars = [left.parent.child(name) for name in names]
-            found = [path for path in sidecars if path != left and exists(path, is_folder=path.name == OXTS_NAME)]
-            if sidecars[1] in found and exists(left.parent.child(_TIMESTAMPS)):
-                found.append(left.parent.child(_TIMESTAMPS))
-            files.update({f"{TELEMETRY_ROLE}{index}": path.address for index, path in enumerate(found)})
+            telemetry = [path for path in sidecars if path != left and exists(path, is_folder=path.name == OXTS_NAME)]
+            if sidecars[1] in telemetry and exists(left.parent.child(_TIMESTAMPS)):
+                telemetry.append(left.parent.child(_TIMESTAMPS))
+            files.update({f"{TELEMETRY_ROLE}{index}": path.address for index, path in enumerate(telemetry)})
         return files
 
 

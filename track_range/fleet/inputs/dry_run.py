@@ -63,32 +63,32 @@ class _Check:
 
     def result(self) -> CheckedClip:
         """The properties of the clip."""
-        found: dict[str, Any] = {}
+        properties: dict[str, Any] = {}
         try:
             if self.clip.problem:
                 self.problems.append(self.clip.problem)
             else:
-                found = self._properties()
+                properties = self._properties()
         except UserError as error:
             self.problems.append(str(error))
-        return CheckedClip(self.clip, **found, problems=tuple(self.problems), notes=tuple(self.notes))
+        return CheckedClip(self.clip, **properties, problems=tuple(self.problems), notes=tuple(self.notes))
 
     def _properties(self) -> dict[str, Any]:
         files = {role: Location.of(address) for role, address in self.clip.files(self.listings.stat).items()}
-        found: dict[str, Any] = {"n_bytes": self._size(files)}
+        properties: dict[str, Any] = {"n_bytes": self._size(files)}
         videos = [files[role] for role in ("left", "right") if role in files]
         if self.problems:
-            return found
+            return properties
         if not all(video.is_local for video in videos):
             self.notes.append("The videos were not opened, since they are not on this machine.")
-            return found
+            return properties
         headers = [self._header(video.path, index) for index, video in enumerate(videos)]
         size_px, fps, duration_s, _ = headers[0]
         calibration = self._calibration(headers, files.get("rig"))
         if len(headers) == 2:
             self._compare(headers[0], headers[1], has_rig=calibration in ("file", "bag"))
         known = {"size_px": size_px, "fps": fps or None, "duration_s": duration_s or None, "calibration": calibration}
-        return found | known
+        return properties | known
 
     def _size(self, files: dict[str, Location]) -> int:
         """Size of all files; those that do not exist or are empty are problems."""

@@ -22,20 +22,14 @@ _MAX_LINES, _MAX_POINTS = 10, 300  # largest number of lines in a chart, and of 
 
 
 def fleet_page(fleet: FleetFigures, out: Location, page: Location) -> str:
-    """HTML of the page.
-
-    Args:
-        fleet: figures of the fleet.
-        out: its results.
-        page: where the page will be; links are relative to it.
-    """
+    """HTML of the page about the results `out`, with links that are relative to the location of the page."""
     figures = fleet.figures
     charts = drift_charts(figures["drift"])
     return rendered(
         "fleet.html.j2",
         title=f"Fleet {out.name or out}",
         subtitle=f"State on {figures['written_utc']} UTC: {figures['state']}.",
-        cards=list(fleet_cards(figures)),
+        cards=_cards(figures),
         problems=figures["problems"],
         sections=fleet_sections(figures, _links(fleet, out, page)),
         charts=charts,
@@ -44,16 +38,11 @@ def fleet_page(fleet: FleetFigures, out: Location, page: Location) -> str:
     )
 
 
-def fleet_cards(figures: Figures) -> list[dict[str, str]]:
-    """Main figures."""
-    clips = figures["clips"]
-    left = f"{clips['left']} left" if clips["left"] else "all"
-    rate = figures["clips_per_hour"]
-    speed = figures["video_s_per_worker_s"]
+def _cards(figures: Figures) -> list[dict[str, str]]:
+    clips, rate, speed = (figures[key] for key in ("clips", "clips_per_hour", "video_s_per_worker_s"))
+    rest = f"{clips['left']} left" if clips["left"] else "" if clips["failed"] else "all"
     return [
-        card(
-            "clips done", f"{clips['done']} of {clips['total']}", left if clips["left"] or not clips["failed"] else ""
-        ),
+        card("clips done", f"{clips['done']} of {clips['total']}", rest),
         card("clips failed", clips["failed"], ""),
         card("hours of video", f"{figures['video_h']:.2f}", ""),
         card("tracks", figures["tracks"], f"{figures['rows']} rows"),
@@ -95,7 +84,13 @@ def _line(points: Sequence[Sequence[float]], start_s: float) -> dict[str, list[f
 
 
 def _links(fleet: FleetFigures, out: Location, page: Location) -> Links:
-    base = relative_address(out, page)
+    folder = page.parent
+    base: list[str] | None = None  # parts of the path from the folder of the page to the results; None = no path
+    if folder is not None and out.is_local and page.is_local:
+        path = os.path.relpath(os.path.realpath(out.path), os.path.realpath(folder.path))
+        base = [] if path == "." else path.split(os.sep)
+    elif folder == out:
+        base = []
 
     def link(row: Figures, name: str, fragment: str = "") -> str:
         if base is None or name not in fleet.files.get(row["clip"], ()):
@@ -112,14 +107,3 @@ def _links(fleet: FleetFigures, out: Location, page: Location) -> Links:
     return Links(
         report=lambda row: link(row, "report.html"), overlay=lambda row: at_moment(row, row["time_s"]), event=event
     )
-
-
-def relative_address(out: Location, page: Location) -> list[str] | None:
-    """Parts of the path from the folder of a page to a folder; None if a relative link cannot lead there."""
-    folder = page.parent
-    if folder is None:
-        return None
-    if out.is_local and page.is_local:
-        path = os.path.relpath(os.path.realpath(out.path), os.path.realpath(folder.path))
-        return [] if path == "." else path.split(os.sep)
-    return [] if folder == out else None
