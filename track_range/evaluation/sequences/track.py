@@ -287,7 +287,7 @@ def _size_and_outside(xyxy_px: FloatArray, image: Image) -> tuple[str, BoolArray
     height, width = image.shape[:2]
     centre = (xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2
     outside = (centre < -0.5) | (centre > [width - 0.5, height - 0.5])
-    return f"{width} x {height}", outside.any(axis=1)
+    return f"{width} x {height}", np.asarray(outside.any(axis=1))
 
 
 def _image_notes(with_image: Sequence[tuple[str, BoolArray]], images: Path | None, n_frames: int) -> Iterator[str]:
