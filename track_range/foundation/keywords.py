@@ -76,5 +76,4 @@ def with_keywords(sentence: str, model: type[Options]) -> str:
     return _FLAG.sub(keyword, sentence)
 
 
-_VALUE = re.compile(r"'|-?\d|[A-Z]|\S+:$")
-"""A word that is a value: a quoted text, a number, a placeholder, or what is before a colon."""
+_VALUE = re.compile(r"'|-?\d|[A-Z]|\S+:$")  # a quoted text, a number, a placeholder, or what is before a colon

@@ -19,9 +19,7 @@ import cv2
 import numpy as np
 
 T = TypeVar("T")
-
-_NICENESS = 15
-"""Niceness (0..19) of low-priority threads; the scheduler weight is a thirtieth of that of an ordinary thread."""
+_NICENESS = 15  # of low-priority threads (0..19); a thirtieth of the weight of an ordinary thread
 
 
 def lower_thread_priority() -> None:

@@ -12,9 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 
-_SWITCH_INTERVAL_S = 0.0005
-"""Longest wait of a thread for the GIL in a tuned process; Python's default, 5 ms, is a tenth of the time per frame."""
-
+_SWITCH_INTERVAL_S = 0.0005  # longest wait for the GIL; Python's default, 5 ms, is a tenth of the time per frame
 _FEW_CORES = 2  # up to which inference and the other stages need all of them
 
 _is_owned = False  # whether the process serves track-range alone

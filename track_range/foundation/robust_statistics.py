@@ -9,8 +9,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
 
-MAD_TO_SIGMA = 1.4826
-"""Ratio of standard deviation to median absolute deviation (MAD) of a normal distribution: 1 / 0.6745."""
+MAD_TO_SIGMA = 1.4826  # sigma over median absolute deviation (MAD) of a normal distribution: 1 / 0.6745
 
 
 def median_of(values: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-SCHEMA_VERSION = 1
-"""Version of the result files; increased when a column, key or unit changes its meaning or is removed."""
-
-METADATA_PREFIX = "track_range."
-"""Prefix of the keys in the metadata of files, so that they differ from those of other programs."""
-
+SCHEMA_VERSION = 1  # of result files; increased when a column, key or unit changes its meaning or is removed
+METADATA_PREFIX = "track_range."  # of keys in the metadata of files, so that they differ from other programs'
 _MAX_DIGITS = 9  # number of digits to which a version is read; longer ones are newer in any case
 
 

@@ -18,22 +18,13 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image
 
-_CELL_PX = 8
-"""Side of the cells of the mask of boxes, small pixels: boxes grow by up to one cell, so that few windows overlap."""
-
+_CELL_PX = 8  # side of the cells of the mask, small pixels: boxes grow by up to one, so that few windows overlap
 _GRID_PX = 8  # side of the squares of the half-size image with one feature each: 16 small pixels, two cells
 _MIN_EIGENVALUE = 1e-5  # minimum corner quality (OpenCV's smaller eigenvalue), above the noise of a textureless area
-
-_TENSOR_PX, _MIN_TENSOR = 5, 1e-6
-"""Side of the window of the structure tensor, pixels of the half-size image, and smallest eigenvalue that counts."""
-
-_WINDOW_PX, _N_LEVELS = 9, 4
-"""Side of the tracked window, and pyramid levels above the small image, for motions larger than the window."""
-
+_TENSOR_PX, _MIN_TENSOR = 5, 1e-6  # window of the structure tensor at half size, and smallest eigenvalue that counts
+_WINDOW_PX, _N_LEVELS = 9, 4  # tracked window, and pyramid levels, for motions larger than the window
 _MIN_SIDE_PX = 32  # of a small image that has room for windows
-
-_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
-"""Stop criteria of Lucas-Kanade: number of iterations and step in px."""
+_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)  # iterations and step in px
 
 
 def small_grey(image: Image, n_halved: int) -> Image:

@@ -13,8 +13,7 @@ from av.video.reformatter import VideoReformatter
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UserError
 
-TIME_EPSILON_S = 1e-6
-"""Times closer than this, s, are equal: far below any frame interval, far above the rounding of a float64."""
+TIME_EPSILON_S = 1e-6  # times closer than this are equal: below frame intervals, above the rounding of a float64
 
 _NEUTRAL_DIFFERENCE, _NEUTRAL_FRACTION = 8, 0.999
 """Largest difference between the channels of a grey pixel, in grey levels, and smallest fraction of such pixels in an

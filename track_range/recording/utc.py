@@ -19,13 +19,9 @@ from typing import Any
 
 from track_range.foundation.files.input_files import quoted
 
-ZONE_SPAN_S, ZONE_STEP_S = 14 * 3600.0, 900.0
-"""Largest difference, s, between local time and UTC (Kiribati), and the step of all differences."""
-
+ZONE_SPAN_S, ZONE_STEP_S = 14 * 3600.0, 900.0  # largest difference of local time and UTC (Kiribati), and their step
 STAMP_RESOLUTION_S = 1.0  # of times in headers and names
-
-_AGREEMENT_S = 5.0
-"""Largest difference, s, between the times of a header and of a name that state the same moment; assumed."""
+_AGREEMENT_S = 5.0  # largest difference between times of a header and a name that are the same moment; assumed
 
 _EARLIEST, _LATEST = datetime(1990, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC)
 """Range of plausible times; headers without a time often state 1904 or 1970."""

@@ -18,9 +18,7 @@ import numpy.typing as npt
 
 from track_range.foundation.files.input_files import open_regular
 
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})
-"""File name suffixes of images, in lower case."""
-
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})  # in lower case
 MAX_SIDE_PX = 16_384  # largest width and height of an image; the widest panoramic cameras have about 12,000 px
 MAX_PIXELS = 2**26  # largest number of pixels of an image: 8192x8192, of which 8-bit BGR takes 200 MB
 
@@ -34,15 +32,11 @@ _MAX_HEADER_FIELDS, _MAX_SKIPPED_BYTES = 4096, 65_536
 _PNG_START = b"\x89PNG\r\n\x1a\n"
 
 _JPEG_SIZES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # start-of-frame markers
-
-_MAX_SCANS = 64
-"""Largest number of scans of a progressive JPEG file, about 12 in practice; a scan of 100 bytes may take 0.6 s."""
+_MAX_SCANS = 64  # of a progressive JPEG file, about 12 in practice; a scan of 100 bytes may take 0.6 s
 
 _JPEG_START = b"\xff\xd8"
 _JPEG_END, _JPEG_SCAN = 0xD9, 0xDA
-_JPEG_MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])")
-"""Start of a JPEG segment; between the bytes of pixels it does not occur."""
-
+_JPEG_MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])")  # a segment; not between the bytes of pixels
 _JPEG_BARE = frozenset({0x01, *range(0xD0, 0xD8)})  # markers without a length
 
 _TIFF_WIDTHS, _TIFF_HEIGHTS, _TIFF_SHORT = (256, 322), (257, 323), 3

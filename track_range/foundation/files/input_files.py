@@ -17,16 +17,13 @@ from typing import BinaryIO
 
 from track_range.foundation.files.atomic_files import describe
 
-MAX_TEXT_BYTES = 1_000_000
-"""Size limit, bytes, of files that a person or a calibration program writes: rigs, settings, data.yaml."""
-
+MAX_TEXT_BYTES = 1_000_000  # size limit, bytes, of files that a person or a calibration program writes: rigs, settings
 MAX_TABLE_BYTES = 2_000_000_000  # size limit, bytes, of tables with a row per object: labels, detections, tracks
 _BLOCK_BYTES, _START_BYTES = 1 << 20, 65_536  # sizes of the blocks in which files are read, and of their start
 _MAX_QUOTED = 60  # characters of a value in a message
 
 _ARCHIVES = {b"PK\x03\x04": "a ZIP archive", b"\x1f\x8b": "a gzip archive", b"7z\xbc\xaf": "a 7z archive"}
-_UTF_16_MARKS = (b"\xff\xfe", b"\xfe\xff")
-"""Byte order marks of text in UTF-16 and UTF-32, which spreadsheets and Windows' editors write."""
+_UTF_16_MARKS = (b"\xff\xfe", b"\xfe\xff")  # also of UTF-32, which spreadsheets and Windows' editors write
 
 _SPECIAL_FILES = (
     (stat.S_ISDIR, "a folder"),

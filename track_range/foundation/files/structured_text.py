@@ -18,11 +18,8 @@ import yaml
 
 from track_range.foundation.files.input_files import MAX_TEXT_BYTES, quoted, read_text, shortened
 
-MAX_CONTAINERS = 10_000_000
-"""Largest number of lists and objects of a JSON file; empty ones take 3 bytes of the file and 64 of memory."""
-
-MAX_YAML_VALUES = 25_000
-"""Largest number of keys and values of a YAML file, which take half a second; 21,000 class names fit."""
+MAX_CONTAINERS = 10_000_000  # lists and objects of a JSON file; empty ones take 3 bytes of it and 64 of memory
+MAX_YAML_VALUES = 25_000  # keys and values of a YAML file, which take half a second; 21,000 class names fit
 
 MAX_DEPTH, _MAX_DIGITS = 32, 400
 """Largest depth of nested lists and mappings, and largest number of characters of a number; float64 has at most 309

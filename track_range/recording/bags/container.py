@@ -20,8 +20,7 @@ from track_range.recording.frame import VideoError
 
 EXPECTED = "an MCAP file or ROS bag"
 
-MAX_RECORD_BYTES = 2**29
-"""Size limit, bytes, of a record, compressed or not; chunks usually have 1 to 10 MB, the largest raw image 200 MB."""
+MAX_RECORD_BYTES = 2**29  # size limit of a record, bytes; chunks have 1 to 10 MB, the largest raw image 200 MB
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 

@@ -47,9 +47,7 @@ _ENCODINGS: Mapping[str, tuple[int, int | None]] = {
 }
 """Bytes per pixel, and OpenCV's conversion to BGR, for each encoding of raw images; None = none is necessary."""
 
-_DEPTH = ("16UC1", "32FC1", "compressedDepth")
-"""Parts of the encodings of depth images (REP 118), which are not images of a camera."""
-
+_DEPTH = ("16UC1", "32FC1", "compressedDepth")  # in the encodings of depth images (REP 118)
 _VIDEO_CODECS = {"h264": "h264", "h265": "hevc"}
 
 

@@ -35,9 +35,7 @@ from track_range.stereo.rig_formats.reading import find_rig, left_from_reference
 _GIVEN_FOCAL_SIGMA = 0.02  # relative standard deviation of a focal length given by the user; assumed
 _ASSUMED_BASELINE_M = 0.5  # baseline of an uncalibrated pair; it only sets the range of disparities that is searched
 _MAX_HEIGHT_SIGMA = 0.05  # relative standard deviation of a fitted camera height up to which it is used as known
-
-_CODEC_CROP_PX = 2
-"""Tolerated difference in size between left and right, px: codecs need even sizes, so one may lack a row or column."""
+_CODEC_CROP_PX = 2  # tolerated difference in size of left and right: codecs need even sizes, so one may lack a row
 
 Video = RecordedVideo | LiveVideo  # a source of the images of one camera
 

@@ -6,8 +6,7 @@ import heapq
 
 from track_range.foundation.files.input_files import counted
 
-_GAP_INTERVALS = 2.5
-"""Time step, in nominal frame intervals, above which a gap is reported; the jitter of phone cameras is smaller."""
+_GAP_INTERVALS = 2.5  # time step, in frame intervals, above which a gap is reported; the jitter of phones is smaller
 
 
 class DecodeLog:

@@ -10,9 +10,7 @@ from pathlib import Path
 from track_range.foundation.files.input_files import open_regular
 from track_range.recording.frame import VideoError
 
-_N_SAMPLES, _SAMPLE_BYTES = 16, 4096
-"""Number and largest size, bytes, of the samples by which two contents are compared if the time of change differs."""
-
+_N_SAMPLES, _SAMPLE_BYTES = 16, 4096  # samples by which contents are compared if the time of change differs
 _DIGEST_BYTES = 16  # size of the digest of a sample, bytes; recordings may have thousands of files
 
 

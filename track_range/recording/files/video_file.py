@@ -46,10 +46,7 @@ from track_range.recording.threads import DECODER_THREADS
 from track_range.recording.utc import Stamp, UtcStart, stamp_in_header, stamp_in_name, start_of
 
 _FALLBACK_RATE_HZ = 25.0  # frame rate of a file that does not declare one
-
-_SHORTFALL_FRAMES = 2.5
-"""Number of missing frames at the end, relative to the header's duration, above which a file counts as truncated."""
-
+_SHORTFALL_FRAMES = 2.5  # frames missing at the end of the header's duration from which a file counts as truncated
 _MIN_RATE_HZ, _MAX_RATE_HZ = 1e-4, 1e5  # range of frame rates; the rate of another header is ignored
 
 _FORMATS = (

@@ -27,15 +27,9 @@ from track_range.recording.utc import UtcStart
 _OPEN_S, SILENCE_S = 10.0, 5.0  # timeouts for opening a stream, and for its next frame, s
 _SIZE_LIMIT = {"max_pixels": str(MAX_PIXELS)}  # FFmpeg's option for the largest size of an image
 _FALLBACK_RATE_HZ = 25.0  # of a stream that does not declare one
-
-_CAMERA_DELAY_S, _STREAM_DELAY_S = 0.1, 2.0
-"""Largest delay, s, between exposure and arrival of the frames of a camera and of a network stream; assumed."""
-
-_SAME_CLOCK_S = 10.0
-"""Largest difference, s, between timestamp and arrival time of a stream that uses this machine's clock."""
-
-_N_OFFSETS = 300
-"""Number of recent frames for the offset: 10 s at 30 Hz, in which clocks that differ by 50 ppm drift by 0.5 ms."""
+_CAMERA_DELAY_S, _STREAM_DELAY_S = 0.1, 2.0  # largest delay from exposure to arrival; assumed
+_SAME_CLOCK_S = 10.0  # largest difference between timestamp and arrival of a stream on this machine's clock
+_N_OFFSETS = 300  # frames for the offset: 10 s at 30 Hz, in which clocks that differ by 50 ppm drift by 0.5 ms
 
 
 class StreamClock:

@@ -19,12 +19,8 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 
 ESTIMATION_SPAN_S = 8.0  # length, in s, of the part of a drive from which the alignment is estimated
-
-_MAX_STATIC_FRAMES = 50
-"""Frames without motion after which the search starts again, so that they do not use up the frames of a drive."""
-
-ESTIMATES_S = (2.0, 4.0, 8.0)
-"""Times after the first frame in motion at which the alignment is estimated again; the last estimate stays."""
+_MAX_STATIC_FRAMES = 50  # after which the search starts again, so that they do not use up the frames of a drive
+ESTIMATES_S = (2.0, 4.0, 8.0)  # times of estimates after the first frame in motion; the last one stays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

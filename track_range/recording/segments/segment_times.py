@@ -19,15 +19,10 @@ from track_range.foundation.files.input_files import counted
 from track_range.recording.frame import VideoError
 from track_range.recording.utc import STAMP_RESOLUTION_S, Stamp, UtcStart, start_of
 
-_TOLERANCE_S = 1.5 * STAMP_RESOLUTION_S
-"""Gap or overlap, s, that two times with a resolution of 1 s prove, with the error of the durations."""
-
+_TOLERANCE_S = 1.5 * STAMP_RESOLUTION_S  # gap that times with a resolution of 1 s prove, with the error of durations
 _NOTED_GAP_S = 0.25  # smallest gap between two files, s, that is reported
 _CONTINUOUS_S = 1.0  # largest overlap, s, of two files with continuing time stamps
-
-_EQUAL_DURATION_S = 1.0
-"""Largest difference, s, between the durations of the left and right recording if they have different cuts."""
-
+_EQUAL_DURATION_S = 1.0  # largest difference between the durations of left and right with different cuts
 _PARTNER_S = 2.0  # largest difference, s, between the start times of the left and right file of a pair
 
 

@@ -32,17 +32,12 @@ VIDEO_SUFFIXES = frozenset(
 _MAX_FILES = 20_000  # of a recording: two weeks in files of a minute
 _N_NOTES = 5  # messages about single files
 _RESULT_VIDEOS = ("overlay.mp4", "disparity.mp4")  # names of the videos that a run writes
-
-_CUT_STEP_S = 1e-4
-"""Frames of two files closer than this, s, are the same one: more than the rounding of time stamps, 1/90000 s."""
-
+_CUT_STEP_S = 1e-4  # frames of two files closer than this are one: more than the rounding of time stamps, 1/90000 s
 _RATE_DIFFERENCE = 0.01  # relative difference up to which frame rates count as equal
 _MAX_OVERLAP_S = 5.0  # longest overlap that is searched; dashcams repeat 1 to 3 s
 
 _LIKE, _ADVICE = " as in other files", "select files of one camera and setting"  # of messages about other sizes
-
-_MIN_REPEATED_BYTES = 2000
-"""Smallest number of bytes of repeated frames; fewer are those of an empty picture, which may be equal by chance."""
+_MIN_REPEATED_BYTES = 2000  # of repeated frames; fewer are those of an empty picture, which may be equal by chance
 
 
 class SegmentedVideo(RecordedVideo):

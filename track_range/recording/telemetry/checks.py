@@ -27,22 +27,19 @@ _MAX_CLOCK_STEP_S, _MAX_BACKWARD_S = 30.0, 2.0
 """Largest change between the receiver's clock, which may lack 18 leap seconds at first, and the time in the video, and
 largest step back of a clock; receivers repeat a second now and then."""
 
-_HOUR_S, _HOUR_TOLERANCE_S = 3600.0, 3.0
-"""Gaps of whole hours within this tolerance are jumps of the clock: one pause in 600 is as near to one."""
+_HOUR_S, _HOUR_TOLERANCE_S = 3600.0, 3.0  # gaps of whole hours are jumps of the clock; one pause in 600 is like that
 
 MIN_STABLE_S, _MIN_STABLE_FRACTION = 10.0, 0.9
 """Shortest time with a fix, and smallest fraction of samples with one, after which a clock that was wrong before the
 fix is no reason to doubt the rest."""
 
-_FIRST_DATE_S = 1_199_145_600.0
-"""2008-01-01 in seconds since 1970: receivers without a date state 1980, 2000 or 2004, or a date 1024 weeks ago."""
+_FIRST_DATE_S = 1_199_145_600.0  # 2008; receivers without a date state 1980, 2000 or 2004, or 1024 weeks ago
 
 _MIN_LOSSES, _MIN_FIX_FRACTION = 5, 0.6
 """Number of losses of the fix from which speeds are doubted if fewer samples have a fix. Assumed: the
 one known recording of a parked car with false speeds has 22 losses in 3 minutes and a fraction of 0.38."""
 
-_MIN_COMPARED, _UNIT_TOLERANCE = 10, 0.08
-"""Number of steps, and the largest relative difference, for a unit inferred from positions."""
+_MIN_COMPARED, _UNIT_TOLERANCE = 10, 0.08  # steps, and relative difference, for a unit inferred from positions
 
 
 def usable(track: TelemetryTrack) -> TelemetryTrack:

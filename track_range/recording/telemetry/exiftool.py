@@ -34,10 +34,7 @@ _TAGS = (
 """Tags that are read. `SampleTime` is the time in the video, s."""
 
 _KEY = re.compile(r"Doc(\d+)(?:-(\d+))?(?:-\d+)*:(\w+)")
-
-_UNITS = {"K": "km/h", "M": "mph", "N": "kn"}
-"""Units by GPSSpeedRef (Exif); without it, ExifTool's documentation states km/h."""
-
+_UNITS = {"K": "km/h", "M": "mph", "N": "kn"}  # by GPSSpeedRef (Exif); without it, km/h is documented
 _DATE = re.compile(r"(\d{4}):(\d\d):(\d\d) (\d\d):(\d\d):(\d\d(?:\.\d+)?)")
 
 _MIN_MODE = 2  # smallest GPSMeasureMode with a fix

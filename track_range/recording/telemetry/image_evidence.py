@@ -24,18 +24,14 @@ from track_range.recording.telemetry.time_offset import MAX_OFFSET_S, MotionSeri
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 
-SPAN_S = 30.0
-"""Length of the video, s, from which motion is measured before a run: three times the largest offset on both sides."""
-
+SPAN_S = 30.0  # length of the video measured before a run: three times the largest offset on both sides
 _STEP_S = 0.095  # shortest time between two images that are compared, s: 10 Hz
 
 _N_PAIRS = 30
 """Number of pairs of images in the part that is read. With one pair per second, offsets of simulated drives (city,
 seeds 1 and 2, and queue, seed 2) have the same errors as with ten, and at most 1.5 times their sigma."""
 
-_MIN_PAIRS = 20
-"""Smallest number of pairs with which a time offset can be estimated; with fewer key frames, all frames are decoded."""
-
+_MIN_PAIRS = 20  # for an estimate of the time offset; with fewer key frames, all frames are decoded
 _MAX_GROUP_S = 1.5  # longest time between two key frames with which only pairs are decoded, s
 
 _MAX_DECODED_PX, _MIN_DECODED = 250e6, 60

@@ -18,9 +18,7 @@ _MIN_STEP_S = 0.9
 """Shortest time between two positions from which a speed is computed: receivers repeat positions between their fixes,
 and at 1 Hz the noise of a position, about 0.2 m from fix to fix, is 0.3 m/s."""
 
-_POSITION_SPEED_SIGMA_MPS = 0.5
-"""Standard deviation of such speeds in m/s; assumed, see `_MIN_STEP_S`, with the rounding of times to 0.01 s."""
-
+_POSITION_SPEED_SIGMA_MPS = 0.5  # standard deviation of such speeds; assumed, with the rounding of times to 0.01 s
 MOVING_MPS = 3.0  # speed above which a sample is moving: the noise of positions is small against it
 
 

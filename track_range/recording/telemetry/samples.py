@@ -20,14 +20,10 @@ MAX_SAMPLES = 500_000  # largest number of samples read from one file: seven hou
 Unit = Literal["known", "assumed", "unknown"]
 """Whether the unit of a format's speed is documented, assumed from few recordings, or unknown."""
 
-_UNIT_TOLERANCE, _MIN_MOVING = 0.06, 5
-"""Largest relative difference of speeds to those from positions, and number of moving samples, that confirm a unit."""
-
+_UNIT_TOLERANCE, _MIN_MOVING = 0.06, 5  # difference to speeds from positions, and moving samples, that confirm a unit
 _PACE_TOLERANCE = 0.1  # largest relative difference between the pace of a track and that of the receiver's clock
 _MAX_SPEED_MPS = 120.0  # largest plausible speed, as in the checks of telemetry
-
-_COURSE_AGREEMENT = 0.3
-"""Largest relative difference between the speed from positions and the stated one at which the course is used."""
+_COURSE_AGREEMENT = 0.3  # largest difference to the stated speed at which the course from positions is used
 
 _UNITS = (
     ("km/h", re.compile(r"km\s?/?\s?h|kmph|kph|km\s?/\s?hr", re.IGNORECASE)),

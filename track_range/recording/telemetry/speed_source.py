@@ -30,9 +30,7 @@ from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
 AUTO, OFF = "auto", "off"  # values of --ego-speed that are neither a number nor a path
 _MIN_SPAN_S = 10.0  # length of the video, s, from which motion is measured for a shorter run
-
-_TABLE_COLUMNS = ({"time_s", "speed_mps"}, {"time_s", "speed_kmh"})
-"""Columns of a CSV with times of the video, which needs no interpretation."""
+_TABLE_COLUMNS = ({"time_s", "speed_mps"}, {"time_s", "speed_kmh"})  # of a CSV with times of the video
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

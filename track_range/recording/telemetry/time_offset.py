@@ -20,24 +20,16 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA, mad_sigma
 
-MAX_OFFSET_S = 3.0
-"""Largest offset in s that is searched: receivers lag by up to 1 s, and clocks in whole seconds by another one."""
-
+MAX_OFFSET_S = 3.0  # largest one that is searched: receivers lag by up to 1 s, clocks in whole seconds by another one
 _STEP_S = 0.05
 _DEPTH_SIGMA, _DEPTH_TIME_S = 0.3, 2.0
 """sigma_z and tau in s. The spread of v over expansion in simulated drives (city, seed 1, and queue, seed 2, of 24 s)
 is 0.2 with this time constant; 0.3 gives standard deviations that cover the errors there."""
 
 _MIN_LEVEL_HZ = 0.02  # smallest level of the expansion to which sigma_z applies, 1/s
-
-_CORRELATION_S = 1.0
-"""Shortest time between independent samples of the yaw rate, s: that between the fixes of most receivers."""
-
+_CORRELATION_S = 1.0  # shortest time between independent samples of the yaw rate: that between fixes
 _MIN_SAMPLES, _MIN_FIXES = 20, 3  # smallest numbers of images and of samples of the telemetry for an estimate
-
-_INTERPOLATION_FRACTION = 0.1
-"""Error of an offset from the interpolation between samples, relative to their interval (queue, seed 2, at 1 Hz)."""
-
+_INTERPOLATION_FRACTION = 0.1  # error of an offset, relative to the interval of samples (queue, seed 2, at 1 Hz)
 _MIN_CORRELATION = 0.9  # smallest correlation between image motion and telemetry at the best offset
 _MAX_SIGMA_S = 0.2  # largest standard deviation of an offset that is applied, s: below the lag that it corrects
 _MIN_SPEED_MPS = 2.0  # smallest speed at which a course is known, m/s

@@ -29,9 +29,7 @@ _CLOCK_SIGMA_S = 1.0  # standard deviation of the difference between two clocks 
 _MAX_GAP_S = 3.0  # longest interval between samples that covers a video, as in `ranging.ego_speed`
 _MIN_COVERED = 0.5  # smallest fraction of a video that telemetry of another time zone must cover
 _START_S = 5.0  # largest difference in s between the starts of a video and of telemetry that was recorded with it
-
-_EQUAL_LENGTH_S, _EQUAL_LENGTH_FRACTION = 3.0, 0.05
-"""Largest difference between equal lengths: seconds, and fraction of the length of the video."""
+_EQUAL_LENGTH_S, _EQUAL_LENGTH_FRACTION = 3.0, 0.05  # largest difference of equal lengths, and fraction of the length
 
 
 def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTrack, float]:

@@ -18,11 +18,8 @@ from track_range.recording.telemetry.sidecars.nmea import rmc_samples
 from track_range.recording.telemetry.track import TelemetryTrack
 
 _SENTENCE = re.compile(rb"\[(\d{10,16})\]\s*(\$[A-Z]{2}RMC,[^\r\n\[]{6,100})")
-_MAX_JITTER_S = 2.0
-"""Largest variation of the time between fix and stamp at which the receiver's clock gives the intervals."""
-
-_MAX_START_DIFFERENCE_MS = 600_000
-"""Largest distance between the stamps of the start and of the first sentence: ten minutes, twice a recording."""
+_MAX_JITTER_S = 2.0  # largest variation from fix to stamp at which the receiver's clock gives the intervals
+_MAX_START_DIFFERENCE_MS = 600_000  # from the start to the first sentence: ten minutes, twice a recording
 
 
 def read_blackvue(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:

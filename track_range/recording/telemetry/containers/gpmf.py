@@ -27,10 +27,7 @@ from track_range.recording.telemetry.track import Clock, TelemetryTrack
 MAX_PAYLOAD_BYTES = 1_000_000  # size limit of a payload, which covers about one second; GoPro's have 10 to 100 kB
 _PROBED_PAYLOADS = 60  # payloads without GPS rows after which a file counts as one without GPS
 _MIN_FIX = 2  # smallest GPSF with a fix: 0 = none, 2 = two-dimensional, 3 = three-dimensional
-
-_MAX_DOP = 10.0
-"""Dilution of precision above which positions count as poor, the scale's usual upper end; GoPro recommends 5."""
-
+_MAX_DOP = 10.0  # dilution of precision above which positions count as poor, as usual; GoPro recommends 5
 _NO_FIX_DOP = 99.99  # dilution of precision that GoPro writes without a fix (GPSP 9999)
 _MAX_ENTRIES = 20_000  # largest number of entries read on one level; a payload has about 500
 _RATE_HZ = 18.0  # nominal rate of GPS5, for payloads without a duration

@@ -31,9 +31,7 @@ from track_range.recording.telemetry.samples import (
 from track_range.recording.telemetry.track import TelemetryTrack
 
 _SLOT_BYTES = 132  # size of a slot or record: 4 bytes of number, then text or encrypted text
-
-_TERMINATORS = (b"####", b"&&&&")
-"""Marks before the length at the end of a trailer."""
+_TERMINATORS = (b"####", b"&&&&")  # marks before the length at the end of a trailer
 
 _LINE = re.compile(
     rb"(\d{4})/(\d\d)/(\d\d)[ _](\d\d):(\d\d):(\d\d)\s+([NS]):(-?[\d.]+)\s+([EW]):(-?[\d.]+)\s+(-?[\d.]+)"
@@ -42,8 +40,7 @@ _LINE = re.compile(
 _COURSE = re.compile(rb"\bA:(\d+(?:\.\d+)?)")
 _JSON = re.compile(rb"LIGOGPSINFO (\{[^}]{20,1000}\})")
 _FIELD = re.compile(rb'"(\w{1,20})"\s*:\s*"?([-+.\w]{1,20})')
-_SPEED_SCALE = 1.85407333 / 1.852
-"""Encrypted records state speeds that are too small by this factor, besides being in knots."""
+_SPEED_SCALE = 1.85407333 / 1.852  # encrypted speeds are too small by this factor, besides being in knots
 
 
 def read_ligogps(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | None:

@@ -26,9 +26,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, IntArray
 
-MAX_MOVIE_BYTES = 256_000_000
-"""Size limit of the box `moov`, bytes; ten hours of video at 60 frames per second have about 50 MB."""
-
+MAX_MOVIE_BYTES = 256_000_000  # size limit of the box `moov`, bytes; ten hours at 60 frames per second have about 50 MB
 MAX_FRAGMENT_BYTES = 16_000_000  # size limit of a box `moof`, bytes; a second of video with all tables has about 5 kB
 MAX_TELEMETRY_BYTES = 64_000_000  # size limit of a box, trailer or file of telemetry; an hour at 1 Hz has 1.5 MB
 MAX_BOXES = 200_000  # largest number of boxes read on one level; dashcams write up to one small box per second

@@ -25,10 +25,7 @@ _SYNC = 0x47
 _PACKETS_PER_READ = 40_000  # 7.5 MB
 _MAX_LOST = 1000  # times that synchronisation is found again in a file
 _SEARCHED_BYTES = 4096  # in which synchronisation is looked for before the next packets are tried
-
-_PROBED_BYTES = 48_000_000
-"""Bytes at the start of a file in which a record must be found; about ten seconds of 4K video."""
-
+_PROBED_BYTES = 48_000_000  # in which a record must be found; about ten seconds of 4K video
 _PRIVATE_1, _PRIVATE_2 = 0xBD, 0xBF  # stream ids of private data with and without the header fields of other streams
 
 _PTS_HZ = 90_000

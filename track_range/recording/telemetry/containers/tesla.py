@@ -19,17 +19,11 @@ from track_range.recording.telemetry.containers.mp4_boxes import Movie, Track, r
 from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, track
 from track_range.recording.telemetry.track import TelemetryTrack
 
-_SPEED_SIGMA_MPS = 0.1
-"""Standard deviation of the speed in m/s, assumed: wheel speeds differ from the true one with the wear of the tyres."""
-
+_SPEED_SIGMA_MPS = 0.1  # standard deviation, assumed: wheel speeds change with the wear of the tyres
 _SEI_BYTES = 4096  # bytes read at the start of a frame; parameter sets and SEI messages come before the picture
-
-_PROBED_FRAMES = 120
-"""Number of frames, spread over the video, that are read to find out whether there are messages at all."""
-
+_PROBED_FRAMES = 120  # frames, spread over the video, that are read to find out whether there are messages
 _USER_DATA = 5  # type of SEI messages with unregistered user data
-_SEI_TYPES = {b"avc1": (6,), b"avc3": (6,), b"hvc1": (39, 40), b"hev1": (39, 40)}
-"""Types of NAL units with SEI messages."""
+_SEI_TYPES = {b"avc1": (6,), b"avc3": (6,), b"hvc1": (39, 40), b"hev1": (39, 40)}  # of NAL units
 
 
 def read_tesla(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | None:

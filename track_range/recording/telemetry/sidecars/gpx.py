@@ -17,8 +17,7 @@ from track_range.recording.telemetry.positions import speed_from_positions
 from track_range.recording.telemetry.samples import Sample, plain_track
 from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryError, TelemetryTrack, optional_package
 
-_MAX_NAMESPACES = 100
-"""Largest number of namespace declarations; gpxpy searches for them in the text, which is slow with many."""
+_MAX_NAMESPACES = 100  # number of declarations; gpxpy searches for them in the text, which is slow with many
 
 _EXPECTED = "a GPX file"
 

@@ -17,8 +17,7 @@ from track_range.recording.telemetry.sidecars.speed_csv import read_csv
 from track_range.recording.telemetry.sidecars.srt import read_srt
 from track_range.recording.telemetry.track import TelemetryTrack
 
-TABLE_NAME, OXTS_NAME = "ego_speed.csv", "oxts"
-"""Names of the speed beside a video that are not telemetry: a table and KITTI's folder."""
+TABLE_NAME, OXTS_NAME = "ego_speed.csv", "oxts"  # speeds beside a video that are no telemetry: a table, KITTI's folder
 
 
 class Sidecar(NamedTuple):

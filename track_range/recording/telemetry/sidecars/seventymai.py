@@ -18,8 +18,7 @@ from track_range.foundation.files.numeric_text import numbers
 from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryError, TelemetryTrack
 
 _N_CELLS = 10
-_MAX_STEP_S = 5.0
-"""Largest time between the last row of a video and the first one of the next, if the recording did not stop between."""
+_MAX_STEP_S = 5.0  # longest time from one video to the next, if the recording did not stop between
 
 _COURSE_SCALE, _SPEED_SCALE = 0.01, 0.01
 """Degrees and m/s per unit of the columns; as documented by users of several models, and the noise of parked cars."""

@@ -34,8 +34,7 @@ _CLOCK_TIME = re.compile(r"(?:^|[^a-z])(?:utc|date|time|timestamp|datetime|epoch
 _EPOCH_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0))
 """Smallest value and seconds per unit of times since 1970 in nanoseconds, microseconds, milliseconds and seconds."""
 
-_UNIT_TOLERANCE, _MIN_MOVING = 0.08, 10
-"""Largest relative difference of speeds to those from positions, and number of moving samples, that show a unit."""
+_UNIT_TOLERANCE, _MIN_MOVING = 0.08, 10  # difference to speeds from positions, and moving samples, that show a unit
 
 
 def is_telemetry_csv(table: CsvTable) -> bool:

@@ -38,8 +38,7 @@ _POSITION = (
 _DJI_POSITION = rf"GPS\s*\({_DEGREES}\s*,{_DEGREES}\s*,"  # DJI's older form: longitude first
 _HEMISPHERES = r"\b([NS])\s*:?\s*(\d{1,2}\.\d+)[\s,;]+([EW])\s*:?\s*(\d{1,3}\.\d+)"
 
-_MIN_FRACTION = 0.5
-"""Fraction of the subtitles that must have a speed or a position: a film's dialogue may mention a speed."""
+_MIN_FRACTION = 0.5  # of subtitles with a speed or position: a film's dialogue may mention a speed
 
 
 def read_srt(path: Path) -> TelemetryTrack | None:
