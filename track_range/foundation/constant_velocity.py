@@ -19,10 +19,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True)
 class ConstantVelocity:
-    """States, values x and rates v per second, and their covariances P.
-
-    Elements that share a covariance may have axes of length 1.
-    """
+    """Values x, rates v per second and covariances P; shared covariances may have axes of length 1."""
 
     x: FloatArray
     v: FloatArray
@@ -54,10 +51,7 @@ class ConstantVelocity:
     def update(
         self, innovation: FloatArray, R: FloatArray | float, *, valid: BoolArray | bool = True
     ) -> ConstantVelocity:
-        """The states after measurements with the innovation nu and the variance R > 0.
-
-        Elements that are not `valid` have no measurement, and their state does not change.
-        """
+        """The states after measurements with innovation nu and variance R > 0; others than `valid` do not change."""
         weight, nu = 1.0 / (self.P_xx + R), innovation
         if valid is not True:
             weight, nu = np.where(valid, weight, 0.0), np.where(valid, innovation, 0.0)

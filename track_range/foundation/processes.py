@@ -30,10 +30,7 @@ def is_running(pid: int) -> bool:
 
 
 def n_usable_cores() -> int:
-    """Number of logical cores that this process may use: those of its affinity, which containers and `taskset` limit.
-
-    Where the system has no affinity (macOS, Windows), all cores.
-    """
+    """Cores that this process may use, which containers and `taskset` limit; all where there is no affinity."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -55,11 +55,7 @@ class Registry(Generic[T]):
 
 
 def imported(thing: T | str) -> T:
-    """The object that a text "package.module:attribute" names; anything else is returned as it is.
-
-    Raises:
-        ImportError, AttributeError, ValueError: there is none, besides what the module itself raises.
-    """
+    """The object that a text "package.module:attribute" names; others stay. Errors of the import are passed on."""
     if not isinstance(thing, str):
         return thing
     module, _, attribute = thing.partition(":")

@@ -28,10 +28,7 @@ _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)  # iteration
 
 
 def small_grey(image: Image, n_halved: int) -> Image:
-    """The green channel of a BGR or grey image, halved `n_halved` times by 2x2 means, which prevent aliasing.
-
-    Green is faster than grey.
-    """
+    """The green channel, which is faster than grey, halved `n_halved` times by 2x2 means, which prevent aliasing."""
     grey = image if image.ndim == 2 else np.asarray(cv2.extractChannel(image, 1), np.uint8)
     for _ in range(n_halved):
         grey = halved(grey)

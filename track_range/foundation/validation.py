@@ -47,11 +47,7 @@ _Settings = TypeVar("_Settings")
 
 
 def chosen_numbers(settings: type[_Settings], chosen: Mapping[str, Any]) -> _Settings:
-    """Settings of a dataclass with numbers only: the defaults, updated with `chosen` values by name.
-
-    Raises:
-        ValueError: an unknown name, or a value that is not a finite number of at least 0.
-    """
+    """Settings of a dataclass with `chosen` numbers >= 0 by name; a ValueError = another name or value."""
     known = [field.name for field in fields(settings)]  # type: ignore[arg-type]  # every dataclass has fields
     for name, value in chosen.items():
         if name not in known:

@@ -23,9 +23,6 @@ def cache_folder() -> Path | None:
 
 
 def set_matplotlib_folder() -> None:
-    """Make matplotlib store its list of fonts in our cache folder, unless the user has set MPLCONFIGDIR.
-
-    Has to be called before matplotlib is imported.
-    """
+    """Store matplotlib's list of fonts in our cache, unless MPLCONFIGDIR is set; call before its import."""
     if folder := cache_folder():
         os.environ.setdefault("MPLCONFIGDIR", str(folder / "matplotlib"))

@@ -35,11 +35,7 @@ class FolderLockError(UserError):
 
 
 class FolderLock:
-    """Lock of an existing folder, held until `release`, the end of the process, or the deletion of this object.
-
-    Raises:
-        FolderLockError: another run has locked the folder, or the lock file cannot be created.
-    """
+    """Lock of a folder until `release`, the end of the process, or its deletion; a FolderLockError = not possible."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / LOCK_FILE

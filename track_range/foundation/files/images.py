@@ -77,11 +77,7 @@ def read_image(
 def decode_image(
     stored: bytes, source: object, error: type[Exception], expected: str = "an image", *, flags: int = cv2.IMREAD_COLOR
 ) -> npt.NDArray[Any]:
-    """The image of a PNG, JPEG or other file that is in memory; see `read_image`. Messages begin with `source`.
-
-    Raises:
-        error: the image is damaged, of an unknown format, or too large.
-    """
+    """The image of a file in memory, see `read_image`; an `error`, which names `source` = it cannot be used."""
     size_px = header_size_px(io.BytesIO(stored))
     if size_px is None or 0 in size_px:
         raise error(f"{source}: expected {expected} (PNG or JPEG), found another format or damaged data.")

@@ -92,8 +92,7 @@ def read_bytes(path: Path, error: type[Exception], expected: str, *, max_bytes: 
 def read_text(path: Path, error: type[Exception], expected: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:
     """Text of a regular file in UTF-8, with or without a byte order mark; lines end with a line feed.
 
-    Raises:
-        error: as in `open_regular`, or the file is not UTF-8, or has null characters.
+    An `error` = as in `open_regular`, or the file is not UTF-8, or has null characters.
     """
     first_line(path, error, expected)  # rejects a large binary file before all of it is read
     content = read_bytes(path, error, expected, max_bytes=max_bytes)
@@ -101,10 +100,7 @@ def read_text(path: Path, error: type[Exception], expected: str, *, max_bytes: i
 
 
 def first_line(path: Path, error: type[Exception], expected: str) -> str:
-    """The first line that is not blank in the first 64 kB of a text file; "" if there is none.
-
-    See `read_text` for the arguments and errors.
-    """
+    """The first line that is not blank in the first 64 kB of a text file; "" = none. See `read_text`."""
     with open_regular(path, error, expected) as file:
         try:
             start = _read(file, _START_BYTES)

@@ -45,21 +45,14 @@ def make_folder(folder: Path) -> None:
 
 @contextmanager
 def locked_output(folder: Path) -> Iterator[None]:
-    """Context in which this process alone writes to a folder, which is created if necessary.
-
-    A FolderLockError = another run is writing to it; an OutputError = it cannot be created or written to.
-    """
+    """Context in which this process alone writes to a folder, created if needed; FolderLockError, OutputError."""
     make_folder(folder)
     with locked_folder(folder):
         yield
 
 
 def check_outputs(outputs: Sequence[Path], inputs: Iterable[Path]) -> None:
-    """Check output files before the work begins, and create their folders.
-
-    Raises:
-        OutputError: a path is a folder, cannot be written, is given twice, or is an input.
-    """
+    """Create the folders of outputs; an OutputError = one is a folder, not writable, given twice, or an input."""
     read, written = {os.path.realpath(path) for path in inputs}, set[str]()
     for file in outputs:
         place = os.path.realpath(file)
@@ -74,11 +67,7 @@ def check_outputs(outputs: Sequence[Path], inputs: Iterable[Path]) -> None:
 
 
 def clear_results(folder: Path, names: Sequence[str], *, except_for: Iterable[Path]) -> None:
-    """Remove the files of an earlier run, so that all files in the folder are of one run; sub-folders remain.
-
-    Raises:
-        OutputError: one of the files is an input of this run (`except_for`), or cannot be removed.
-    """
+    """Remove the files of an earlier run; an OutputError = one is an input (`except_for`), or cannot be removed."""
     inputs, files = {os.path.realpath(path) for path in except_for}, [folder / name for name in names]
     for file in files:
         if os.path.realpath(file) in inputs:

@@ -78,11 +78,7 @@ def read_json(path: Path, error: type[Exception], expected: str, *, max_bytes: i
 
 
 def parse_yaml(text: str, source: object, error: type[Exception], expected: str) -> Any:
-    """Content of a YAML text as plain values; `source` is the file, for messages. See `read_yaml`.
-
-    Raises:
-        error: the text is not YAML within the limits.
-    """
+    """Plain values of a YAML text of `source`, a file; an `error` = it is not YAML within the limits."""
     try:
         _check_events(text)
         return yaml.load(text, _Loader)  # noqa: S506 - derived from the safe loader
@@ -96,11 +92,7 @@ def parse_yaml(text: str, source: object, error: type[Exception], expected: str)
 
 
 def parse_json(text: str, source: object, error: type[Exception], expected: str) -> Any:
-    """Content of a JSON text as plain values; `source` is the file, for messages. See `read_yaml`.
-
-    Raises:
-        error: the text is not JSON within the limits, a key is given twice, or a number is not finite.
-    """
+    """Plain values of a JSON text of `source`, a file; an `error` = no JSON within the limits, or a key is repeated."""
     if text.count("[") + text.count("{") > MAX_CONTAINERS:
         raise error(f"{source}: expected {expected} in JSON, found more than {MAX_CONTAINERS} lists and objects.")
     try:

@@ -215,10 +215,7 @@ class RecordingCalibration:
         return replace(self, rectifier=Rectifier(_assumed_rig(self.camera), row_offset_px=row_px), row_offset_px=row_px)
 
     def with_focal_length(self, guess: FocalGuess) -> RecordingCalibration:
-        """A copy of an uncalibrated camera or pair with another estimate of its focal length.
-
-        The rectified images do not depend on it.
-        """
+        """An uncalibrated recording with another focal length, on which its rectified images do not depend."""
         return replace(self, camera=PinholeCamera.of_focal_length(guess.focal_px, self.sizes_px[0]), focal=guess)
 
 

@@ -56,10 +56,7 @@ class LiveAddress:
 
 
 def live_address(name: str) -> LiveAddress | None:
-    """The camera or stream with this name on the command line; None = a file or folder.
-
-    A number is a camera unless a file or folder has that name.
-    """
+    """The camera or stream with this name; None = a file or folder. Numbers are cameras unless a file has the name."""
     scheme, colon, _ = name.partition("://")
     if colon and scheme.lower() in _SCHEMES:
         return LiveAddress(name)

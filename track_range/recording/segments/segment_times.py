@@ -149,10 +149,7 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
 def _dated_starts_s(
     files: Sequence[SegmentFacts], stamps_s: Sequence[float], repeated_s: Repeated
 ) -> tuple[tuple[float, ...], list[float]]:
-    """Start times of files, and gaps after them, from dates with a resolution of 1 s.
-
-    Time jumps only where the dates or equal frames prove it.
-    """
+    """Start times of dated files, and gaps after them: time jumps only where dates or equal frames prove it."""
     starts_s, gaps_s = [files[0].first_s], list[float]()
     for number, (before, after) in enumerate(itertools.pairwise(files)):
         end_s = starts_s[-1] + before.duration_s

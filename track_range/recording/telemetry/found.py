@@ -158,10 +158,7 @@ def _beside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
 
 
 def _checked(track: TelemetryTrack, path: Path, part: VideoPart) -> tuple[TelemetryTrack, float]:
-    """A track without wild samples on the clock of its video, and the standard deviation of its time offset in s.
-
-    A TelemetryError with the path means that it cannot be used.
-    """
+    """A checked track on the clock of its video, and the sigma of its offset, s; errors name the file."""
     try:
         return on_video_clock(usable(track), part)
     except TelemetryError as error:

@@ -102,9 +102,6 @@ def speed_ratio(
 
 
 def unit_of_ratio(ratio: float, tolerance: float) -> str | None:
-    """The unit of which the factor to m/s differs by at most a fraction `tolerance` from a ratio; None = no unit.
-
-    The units differ by at least 13 %.
-    """
+    """The unit whose factor to m/s is within a fraction `tolerance` of a ratio; None = none. Units differ by 13 %."""
     unit = min(MPS_PER_UNIT, key=lambda name: abs(math.log(MPS_PER_UNIT[name] / ratio)))
     return unit if abs(MPS_PER_UNIT[unit] / ratio - 1) <= tolerance else None

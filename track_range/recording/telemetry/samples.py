@@ -99,10 +99,7 @@ def track(
 
 
 def on_receiver_clock(samples: Sequence[Sample]) -> list[Sample]:
-    """Samples with their times scaled to the pace of the receiver's clock where the two differ by more than 10 %.
-
-    For tracks without a video, of which the times may be nominal.
-    """
+    """Samples of a track without video, scaled to the receiver's clock if the paces differ by more than 10 %."""
     known = [sample for sample in samples if math.isfinite(sample.utc_s)]
     if len(known) < 2 or known[-1].time_s <= known[0].time_s:
         return list(samples)

@@ -108,10 +108,7 @@ def open_speed(
 
 
 def _file_at(parts: Sequence[VideoPart], start_s: float, span_s: float) -> tuple[Path, float] | None:
-    """File of a recording in several files with most of the part from `start_s` on, and the time of its first frame.
-
-    None = the recording has one file, or none of them has that part.
-    """
+    """The one of several files with most of the part from `start_s` on, and its start; None = there is none."""
     for part in parts if len(parts) > 1 else ():
         if part.start_s <= start_s and start_s + span_s / 2 <= part.start_s + part.duration_s:
             return part.path, part.start_s

@@ -137,10 +137,7 @@ def read_at(file: BinaryIO, offset: int, n_bytes: int) -> bytes:
 def read_samples(
     file: BinaryIO, track: Track, indices: Sequence[int] | IntArray, max_bytes: int
 ) -> Iterator[tuple[int, bytes]]:
-    """Index and first `max_bytes` of samples of a track; the end once more bytes were read than the file has.
-
-    That happens only in damaged files, where samples overlap.
-    """
+    """Index and first bytes of samples; ends after as many bytes as the file has: damaged tables may overlap."""
     budget = os.fstat(file.fileno()).st_size
     for index in indices:
         content = read_at(file, int(track.offsets[index]), min(int(track.sizes[index]), max_bytes))

@@ -136,10 +136,7 @@ def _vantrue(text: bytes) -> Sample | None:
 
 
 def _rove(text: bytes) -> Sample | None:
-    """Rove R2-4K, 32 bytes, and Neoline, 40 bytes: coordinates, altitude, speed, date, time and course / 2.
-
-    Rove states knots and years since 2000, Neoline km/h and years since 1900.
-    """
+    """Rove R2-4K (32 bytes; knots, years since 2000) and Neoline (40 bytes; km/h, years since 1900)."""
     if len(text) not in (32, 40):
         return None
     latitude, longitude, _, speed, year, month, day, hour, minute, second, half_course = struct.unpack_from(

@@ -50,10 +50,7 @@ def rmc_samples(contents: Iterable[bytes], source: str) -> list[Sample | None]:
 
 
 def fixes_in(texts: Iterable[str], source: str) -> list[Sample | None]:
-    """The first RMC sentence in each text, without time in the video; None = it has none.
-
-    A TelemetryError about the file `source` means that there are sentences, but pynmea2 is not installed.
-    """
+    """The first RMC sentence in each text, without time in the video; None = none. TelemetryError: no pynmea2."""
     matches = [_RMC.search(text) for text in texts]
     if not any(matches):
         return [None] * len(matches)
