@@ -293,10 +293,7 @@ def _first_frames(
 
 
 def _frames(
-    source: Video | PairedVideos,
-    calibration: RecordingCalibration,
-    monitors: tuple[Monitor, ...],
-    utc: UtcStart | None,
+    source: Video | PairedVideos, calibration: RecordingCalibration, monitors: tuple[Monitor, ...], utc: UtcStart | None
 ) -> Generator[Frame, None, None]:
     """All frames, each passed to the monitors; closing the generator closes the videos."""
     video = source.left if isinstance(source, VideoPair) else source

@@ -17,14 +17,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.recording.telemetry.containers.free_gps import MAX_BLOCK_BYTES, parse_free_gps
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at
 from track_range.recording.telemetry.positions import MPS_PER_UNIT
-from track_range.recording.telemetry.samples import (
-    Sample,
-    Unit,
-    degrees,
-    has_plausible_positions,
-    in_known_unit,
-    track,
-)
+from track_range.recording.telemetry.samples import Sample, Unit, degrees, has_plausible_positions, in_known_unit, track
 from track_range.recording.telemetry.sidecars.nmea import has_rmc, rmc_samples
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
