@@ -23,6 +23,11 @@ def numbers(cells: Iterable[str]) -> list[float]:
     return [number(cell) for cell in cells]
 
 
+def plain_number(value: object) -> float:
+    """A value as float; NaN if it is not a number."""
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+
+
 def are_integers(values: FloatArray, low: float, high: float) -> bool:
     """Whether all values are integers from `low` to `high`; NaN is none."""
     return bool(np.all((values >= low) & (values <= high) & (np.rint(values) == values)))

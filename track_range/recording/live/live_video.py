@@ -195,27 +195,24 @@ class LiveVideo:
     def __iter__(self) -> Generator[VideoFrame, None, None]:
         self.begin()
         try:
-            yield from self._newest()
+            arrival = threading.Event()
+            self.notify(arrival)
+            while True:
+                arrival.clear()  # cleared first: a frame that arrives meanwhile sets it again
+                is_over, newest = self.is_over, self.waiting_s()[-1:]
+                if not newest and is_over:
+                    self.check()
+                    return
+                if not newest and not arrival.wait(SILENCE_S):
+                    raise VideoError(f"{self.path}: connection lost, no frame for {SILENCE_S:.0f} s; check the camera.")
+                for index, time_s in newest:
+                    if self.is_after_end(time_s):
+                        return
+                    frame = self.take(index)
+                    if frame is not None and self.is_after_start(time_s):
+                        yield frame
         finally:
             self.close()
-
-    def _newest(self) -> Generator[VideoFrame, None, None]:
-        arrival = threading.Event()
-        self.notify(arrival)
-        while True:
-            arrival.clear()  # cleared first: a frame that arrives meanwhile sets it again
-            is_over, newest = self.is_over, self.waiting_s()[-1:]
-            if not newest and is_over:
-                self.check()
-                return
-            if not newest and not arrival.wait(SILENCE_S):
-                raise VideoError(f"{self.path}: connection lost, no frame for {SILENCE_S:.0f} s; check the camera.")
-            for index, time_s in newest:
-                if self.is_after_end(time_s):
-                    return
-                frame = self.take(index)
-                if frame is not None and self.is_after_start(time_s):
-                    yield frame
 
     def _read(self, container: InputContainer, stream: VideoStream) -> None:
         """Receive and decode frames, in the thread."""

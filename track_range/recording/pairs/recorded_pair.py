@@ -36,11 +36,9 @@ class _Side:
     """One of the two videos while they are read.
 
     Attributes:
-        frames: its frames, decoded ahead in a thread.
         current: the frame to be paired next; None = not started, or ended.
         n_before, n_between, n_after: unpaired frames before the first pair, between pairs, after the last pair.
         first_s, last_s: times of the first and the last frame read.
-        error: the error that ended it; None = none.
     """
 
     name: str
@@ -100,8 +98,14 @@ class RecordedPair(VideoPair[RecordedVideo]):
     @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user about unpaired frames; complete only after the last pair."""
-        left, right = self._sides
-        return (*self._rate_notes(), *self._unpaired_notes(left, right), *self._unpaired_notes(right, left))
+        (left, right), left_hz, right_hz = self._sides, self.left.fps, self.right.fps
+        rates = (
+            f"The left video has {left_hz:.2f} and the right one {right_hz:.2f} frames per second: only frames within "
+            f"{1000 * self.tolerance_s:.1f} ms of each other are paired.",
+        )
+        has_equal_rates = abs(left_hz - right_hz) <= _RATE_DIFFERENCE * max(left_hz, right_hz)
+        unpaired = *self._unpaired_notes(left, right), *self._unpaired_notes(right, left)
+        return unpaired if has_equal_rates else rates + unpaired
 
     def pairs(self) -> Generator[Pair, None, None]:
         """Pair the earlier of two frames with the other one unless its successor is nearer to that."""
@@ -143,15 +147,6 @@ class RecordedPair(VideoPair[RecordedVideo]):
                 f"{self._nearest_s:.3f} s apart; use two videos of one recording, from cameras with synchronised "
                 "clocks."
             )
-
-    def _rate_notes(self) -> list[str]:
-        left_hz, right_hz = self.left.fps, self.right.fps
-        if abs(left_hz - right_hz) <= _RATE_DIFFERENCE * max(left_hz, right_hz):
-            return []
-        return [
-            f"The left video has {left_hz:.2f} and the right one {right_hz:.2f} frames per second: only frames within "
-            f"{1000 * self.tolerance_s:.1f} ms of each other are paired."
-        ]
 
     def _unpaired_notes(self, side: _Side, other: _Side) -> list[str]:
         """Messages about the unpaired frames of one side before, after and between the pairs."""

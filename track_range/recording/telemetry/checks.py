@@ -58,7 +58,8 @@ def usable(track: TelemetryTrack) -> TelemetryTrack:
             raise
         _check_clock(warm)
         track = warm
-    track = _in_order(track)
+    order = np.lexsort((np.isnan(track.speed_mps), track.time_s))  # of several with the same time, one with a speed
+    track = track.selected(order[np.concatenate([[True], np.diff(track.time_s[order]) > 0])])
     _check_losses(track)
     _check_positions(track)
     track = _with_unit(track)
@@ -112,14 +113,6 @@ def _check_losses(track: TelemetryTrack) -> None:
 
 def _duration(seconds: float) -> str:
     return f"{seconds / 3600:.3g} h" if seconds >= _HOUR_S / 2 else f"{seconds:.3g} s"
-
-
-def _in_order(track: TelemetryTrack) -> TelemetryTrack:
-    """Samples with increasing times; of several with the same time, the first one with a speed."""
-    order = np.lexsort((np.isnan(track.speed_mps), track.time_s))
-    times_s = track.time_s[order]
-    is_first = np.concatenate([[True], np.diff(times_s) > 0])
-    return track.selected(order[is_first])
 
 
 def _check_positions(track: TelemetryTrack) -> None:

@@ -19,6 +19,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+from track_range.foundation.files.numeric_text import plain_number
 from track_range.foundation.files.structured_text import parse_json
 from track_range.recording.telemetry.positions import MPS_PER_UNIT
 from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, date_s, track
@@ -113,29 +114,24 @@ def _times_s(documents: Mapping[_Document, Mapping[str, Any]]) -> dict[_Document
         timed = next((key for key in keys if "SampleTime" in documents[key]), None)
         if timed is None:
             continue
-        start_s, duration_s = (_number(documents[timed], name) for name in ("SampleTime", "SampleDuration"))
+        start_s, duration_s = (plain_number(documents[timed].get(name)) for name in ("SampleTime", "SampleDuration"))
         has_gps = [key for key in keys if "GPSLatitude" in documents[key] or "GPSSpeed" in documents[key]]
         step_s = duration_s / len(has_gps) if has_gps and math.isfinite(duration_s) else 0.0
         for i, key in enumerate(has_gps):
-            own_s = _number(documents[key], "SampleTime")
+            own_s = plain_number(documents[key].get("SampleTime"))
             times_s[key] = own_s if key != timed and math.isfinite(own_s) else start_s + i * step_s
     return times_s
 
 
 def _sample(tags: Mapping[str, Any], time_s: float) -> Sample:
     """A record as a sample; without speed and position if it states that there is no fix."""
-    mode, status = _number(tags, "GPSMeasureMode"), str(tags.get("GPSStatus", "A"))
-    latitude_deg, longitude_deg = _number(tags, "GPSLatitude"), _number(tags, "GPSLongitude")
+    mode, status = plain_number(tags.get("GPSMeasureMode")), str(tags.get("GPSStatus", "A"))
+    latitude_deg, longitude_deg = plain_number(tags.get("GPSLatitude")), plain_number(tags.get("GPSLongitude"))
     date = _DATE.match(str(tags.get("GPSDateTime", "")))
     utc_s = date_s(*(float(part) for part in date.groups())) if date else math.nan
     is_void = latitude_deg == longitude_deg == 0 or mode < _MIN_MODE or status not in ("A", "Active")
     if is_void:
         return Sample(time_s, utc_s)
     factor = MPS_PER_UNIT[_UNITS.get(str(tags.get("GPSSpeedRef", "K"))[:1], "km/h")]
-    speed_mps = factor * _number(tags, "GPSSpeed")
-    return Sample(time_s, utc_s, speed_mps, _number(tags, "GPSTrack"), latitude_deg, longitude_deg)
-
-
-def _number(tags: Mapping[str, Any], name: str) -> float:
-    value = tags.get(name)
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+    speed_mps = factor * plain_number(tags.get("GPSSpeed"))
+    return Sample(time_s, utc_s, speed_mps, plain_number(tags.get("GPSTrack")), latitude_deg, longitude_deg)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.files.input_files import read_text
-from track_range.foundation.files.numeric_text import number
+from track_range.foundation.files.numeric_text import number, plain_number
 from track_range.foundation.files.xml_events import parse_xml
 from track_range.recording.telemetry.positions import speed_from_positions
 from track_range.recording.telemetry.samples import Sample, plain_track
@@ -64,12 +64,8 @@ def _sample(point: Any) -> Sample:
         if isinstance(element.tag, str) and math.isfinite(value):
             extended[element.tag.rpartition("}")[2].lower()] = value  # without namespace
     speed_mps, course_deg = (
-        extended.get(name, math.nan) if getattr(point, name, None) is None else _number(getattr(point, name))
+        extended.get(name, math.nan) if getattr(point, name, None) is None else plain_number(getattr(point, name))
         for name in ("speed", "course")
     )
     utc_s = time.timestamp()
-    return Sample(utc_s, utc_s, speed_mps, course_deg, _number(point.latitude), _number(point.longitude))
-
-
-def _number(value: Any) -> float:
-    return float(value) if isinstance(value, int | float) else math.nan
+    return Sample(utc_s, utc_s, speed_mps, course_deg, plain_number(point.latitude), plain_number(point.longitude))

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from track_range.foundation.files.input_files import read_text
+from track_range.foundation.files.numeric_text import plain_number
 from track_range.recording.telemetry.positions import MPS_PER_UNIT
 from track_range.recording.telemetry.samples import Sample, plain_track
 from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryError, TelemetryTrack, optional_package
@@ -88,8 +89,5 @@ def _fix(pynmea2: Any, sentence: str) -> Sample | None:
             latitude_deg, longitude_deg = float(message.latitude), float(message.longitude)
     except (ValueError, TypeError, AttributeError):
         latitude_deg = longitude_deg = math.nan
-    speed_kn, course_deg = (
-        float(value) if isinstance(value, int | float) else math.nan
-        for value in (message.spd_over_grnd, message.true_course)
-    )
+    speed_kn, course_deg = plain_number(message.spd_over_grnd), plain_number(message.true_course)
     return Sample(math.nan, utc_s, speed_kn * MPS_PER_UNIT["kn"], course_deg, latitude_deg, longitude_deg)
