@@ -67,12 +67,7 @@ def are_masked(points: FloatArray | FloatArray32, is_masked: BoolArray) -> BoolA
 
 
 class RankedCorners(NamedTuple):
-    """The best corner of each square of 16 px, in descending order of quality.
-
-    Attributes:
-        points: (N, 2) float32 positions.
-        quality: (N,) the smaller eigenvalue of OpenCV; 0 in masked cells.
-    """
+    """The best corner (N, 2) of each square of 16 px, by descending quality, which is 0 in masked cells."""
 
     points: FloatArray32
     quality: FloatArray32
@@ -131,12 +126,7 @@ def tracked_corners(
 ) -> tuple[FloatArray32, BoolArray]:
     """Corners (N, 2) of one image found in another by pyramidal Lucas-Kanade (Bouguet, 2000), and (N,) which of them.
 
-    Args:
-        before, now: (H, W) image of the corners, and the other one.
-        corners: (N, 2) points in `before`.
-        window_px: side of the tracked window.
-        n_levels: pyramid levels above the images, for motions larger than the window.
-        start: (N, 2) first guess of the points in `now`; None = the corners.
+    The search begins at the points `start` (N, 2), by default at the corners, with `n_levels` above the images.
     """
     if len(corners) == 0:
         return np.zeros((0, 2), np.float32), np.zeros(0, bool)
@@ -221,12 +211,7 @@ class BackgroundFlow:
         return (max(image_hw) // (self._long_side_px + 1)).bit_length()
 
     def tracked(self, n_corners: int, min_quality: float) -> tuple[FloatArray32, FloatArray32]:
-        """Corners tracked from the frame before into an unmasked part of this one: (N, 2) in both frames.
-
-        Args:
-            n_corners: largest number of corners of the frame before.
-            min_quality: minimum quality of a corner, as a fraction of the best corner's.
-        """
+        """(N, 2) corners of both frames, of `n_corners` with a fraction `min_quality` of the best quality."""
         if self.now is None or self.before is None:
             return np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32)
         corners = self.before.corners

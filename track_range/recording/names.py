@@ -13,11 +13,7 @@ from track_range.recording.live.address import LiveAddress, live_address
 
 @dataclass(frozen=True, slots=True)
 class Segments:
-    """Several video files that are one recording, such as those of a dashcam.
-
-    Attributes:
-        paths: at least two files.
-    """
+    """At least two video files that are one recording, such as those of a dashcam."""
 
     paths: tuple[Path, ...]
 
@@ -27,12 +23,7 @@ class Segments:
 
 @dataclass(frozen=True, slots=True)
 class BagTopic:
-    """A topic with the images of one camera in an MCAP file or ROS bag.
-
-    Attributes:
-        path: the file, or the folder of a ROS 2 bag.
-        topic: name of the topic; None = the only one with images.
-    """
+    """A topic with images, None = the only one, of an MCAP file, ROS bag, or folder of a ROS 2 bag."""
 
     path: Path
     topic: str | None

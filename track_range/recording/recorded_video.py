@@ -20,13 +20,7 @@ _now_s = time.thread_time if DECODER_THREADS == 1 else time.perf_counter
 
 @dataclass(frozen=True, slots=True)
 class VideoPart:
-    """One file of a recording, or its folder of images.
-
-    Attributes:
-        start_s: time of its first frame, in seconds from the first frame of the recording.
-        duration_s: length in seconds as the header states it; 0 = unknown.
-        utc: UTC of its first frame; None = unknown.
-    """
+    """A file or folder: start, s, in the recording, duration, s (0 = unknown), and UTC of its first frame."""
 
     path: Path
     start_s: float

@@ -19,13 +19,9 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d{1,20},\d{1,20}")
 
 @dataclass(frozen=True, slots=True)
 class CsvTable:
-    """Cells of a CSV file, stripped of surrounding spaces; blank lines are omitted.
+    """N rows of cells, stripped, of a CSV file, their line numbers, from 1, and the names of the columns in lower case.
 
-    Attributes:
-        header: names of the columns, in lower case.
-        rows: N lists of one cell per column.
-        lines: N line numbers in the file, from 1.
-        error, expected: class of the exceptions of the methods, and what the file should hold, for messages.
+    `error` and `expected` are the class of exceptions and what the file should hold, for messages.
     """
 
     path: Path
@@ -86,18 +82,11 @@ class CsvTable:
 def read_csv_table(
     path: Path, error: type[Exception], expected: str, *, default_header: Sequence[str] = (), exact: bool = False
 ) -> CsvTable:
-    """Read a CSV file in UTF-8 with a header line.
+    """Read a CSV file in UTF-8 with a header line; `expected` is what it should hold, such as "columns time_s".
 
-    Args:
-        path: the file.
-        error: class of the exceptions to raise.
-        expected: what the file should hold, for messages, such as "columns time_s and speed_mps".
-        default_header: names of the columns, in order, of a file of which the first line has none of them.
-        exact: reject rows with another number of cells than the header. Otherwise, missing cells are empty, and one
-            comma at the end of a row is ignored.
-
-    Raises:
-        error: the file is unreadable, empty or no CSV with commas, a row has too many cells, or a column no name.
+    `default_header` names the columns of a file of which the first line has none of them. Rows with missing cells, or
+    one comma at the end, are allowed unless `exact`. An `error` = the file is unreadable, empty or no CSV with commas,
+    a row has too many cells, or a column no name.
     """
     text = read_text(path, error, "CSV", max_bytes=MAX_TABLE_BYTES)
     reader = csv.reader(text.split("\n"), strict=True)

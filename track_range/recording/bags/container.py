@@ -55,12 +55,7 @@ class Topic:
 
 
 class Bag(Protocol):
-    """One file with messages.
-
-    Attributes:
-        path: the file.
-        topics: topics by name.
-    """
+    """One file, `path`, with messages, and its topics by name."""
 
     path: Path
     topics: dict[str, Topic]

@@ -225,11 +225,7 @@ def compressed_frames(path: Path, *, last_s: float | None = None) -> Generator[t
 class _Reading:
     """One reading of a file from its start; iterating gives the intact frames in order of time.
 
-    Attributes:
-        time_base: unit of the time stamps, s.
-        packets: packets that were not decoded yet; see `_demuxed`.
-        log: frame numbers and unusable frames.
-        notes: messages for the user about the header, without the path.
+    `packets` were not decoded yet, see `_demuxed`; `notes` are messages about the header, without the path.
     """
 
     def __init__(self, path: Path, state: FileState) -> None:

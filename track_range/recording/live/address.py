@@ -23,11 +23,7 @@ _NETWORK = {
 
 @dataclass(frozen=True, slots=True)
 class LiveAddress:
-    """The address of a camera or stream; its text form omits the user name and password.
-
-    Attributes:
-        url: URL of a stream, or path of a camera device.
-    """
+    """The address of a camera (path) or stream (URL); its text form omits the user name and password."""
 
     url: str
 

@@ -67,17 +67,13 @@ class StreamClock:
 class LiveVideo:
     """An open camera or stream, read once: the iteration starts with the newest frame and closes the connection.
 
-    Args:
-        address: the camera or stream.
-        start_s: time in s to skip at the beginning.
-        duration_s: length of the part to read; None = until the stream ends or the run is stopped.
+    The part to read begins after `start_s` and lasts `duration_s`; None = until the stream ends or the run is stopped.
 
     Attributes:
         path, width_px, height_px, is_grey, fps: see `RecordedVideo`.
         first_time_s: time of `time.monotonic` at which the reading started.
         busy_s: CPU time spent on converting frames.
-        n_received: frames decoded so far.
-        n_taken: frames passed to the consumer.
+        n_received, n_taken: frames decoded so far, and frames passed to the consumer.
         ended_by: FFmpeg's error message if the connection was lost; empty = it is open, or was ended normally.
         has_ended: whether the source ended the stream normally.
         is_over: whether no more frames will arrive.

@@ -178,12 +178,7 @@ class StepwiseAlignment:
         return Alignment() if self.current is None else self.current.correction.at(time_s)
 
     def add(self, unaligned: Frame, aligned: Frame) -> PairAlignment | None:
-        """A new alignment for the frames after this one; None = as before.
-
-        Args:
-            unaligned: the frame as rectified by the rig alone.
-            aligned: the frame as rectified with the current alignment.
-        """
+        """A new alignment for the frames after this one, without and with the current alignment; None = as before."""
         if self._is_final:
             if self._drift is not None:
                 self._drift.add(aligned)

@@ -24,11 +24,8 @@ Pair = tuple[VideoFrame, VideoFrame]
 class VideoPair(ABC, Generic[V]):
     """Pairs of frames of two videos; the first ones may be read once before the iteration, and are not decoded twice.
 
-    Args:
-        left, right: the videos.
-        tolerance_s: largest time difference within a pair.
-        max_ahead_bytes: size of the buffer, which always holds one pair. If more pairs do not fit, the buffer is
-            dropped and the iteration restarts: recorded videos from their start, live ones with the next pair.
+    The buffer always holds one pair. If more than `max_ahead_bytes` are needed, it is dropped and reading restarts:
+    recorded videos from their start, live ones with the next pair. Times differ by at most `tolerance_s`.
     """
 
     def __init__(self, left: V, right: V, *, tolerance_s: float, max_ahead_bytes: int) -> None:

@@ -28,13 +28,7 @@ _PARTNER_S = 2.0  # largest difference, s, between the start times of the left a
 
 @dataclass(frozen=True, slots=True)
 class SegmentFacts:
-    """Properties of one file that determine its position in the recording.
-
-    Attributes:
-        first_s: time stamp of the first frame.
-        duration_s: duration stated by the header.
-        in_header, in_name: date and time in the header and in the name; None = none.
-    """
+    """Properties of one file: first time stamp, duration by the header, and dates in header and name, None = none."""
 
     path: Path
     first_s: float

@@ -46,13 +46,7 @@ class SegmentedVideo(RecordedVideo):
     Files that cannot be read are skipped with a note, unless none can. A file that is named repeatedly, or copied, is
     used once.
 
-    Args:
-        name: the files, or a folder or pattern for messages.
-        paths: the files.
-        left: the left video of a pair, if this is the right one; its files give the times of the right ones.
-
-    Attributes:
-        plan: order and times of the files.
+    If this is the right video of a pair, the files of the `left` one give the times.
 
     Raises:
         VideoError: a named file does not exist, no file can be read, the files are those of several cameras, or their

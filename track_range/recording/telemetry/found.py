@@ -48,12 +48,9 @@ READERS: tuple[Callable[[BinaryIO, Movie, Path], TelemetryTrack | None], ...] = 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundTelemetry:
-    """Telemetry of a recording, in seconds from its first frame; without a track, none can be used.
+    """Telemetry in seconds from the first frame, None = not usable, and the sigma of its offset, s.
 
-    Attributes:
-        sigma_s: standard deviation of the time offset.
-        notes: messages for the user.
-        files: the files that were read, besides the videos.
+    `files` are those that were read, besides the videos.
     """
 
     track: TelemetryTrack | None = None

@@ -82,12 +82,9 @@ def speed_from_positions(
 def speed_ratio(
     positions: TelemetryTrack | None, time_s: FloatArray, stated: FloatArray, n_min: int
 ) -> tuple[float | None, int]:
-    """Median ratio of the speeds from positions to the stated ones, and the number of moving samples.
+    """Median ratio of speeds from positions to the (N,) stated ones, in any unit, and the number of moving samples.
 
-    Args:
-        positions: speeds from the positions of the same file; None = it has none.
-        time_s, stated: (N,) times and stated speeds in any unit, NaN = unknown.
-        n_min: smallest number of samples, and of moving ones, for a ratio; with fewer it is None.
+    None = fewer than `n_min` samples, or moving ones.
     """
     known = np.flatnonzero(np.isfinite(time_s) & np.isfinite(stated))
     if positions is None or not len(known):

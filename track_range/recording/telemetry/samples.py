@@ -121,12 +121,7 @@ def has_plausible_positions(samples: Sequence[Sample]) -> bool:
 
 
 def in_known_unit(samples: Sequence[Sample], unit: Unit) -> tuple[list[Sample], tuple[str, ...]]:
-    """Samples with their speeds in m/s as positions confirm, and notes.
-
-    Args:
-        samples: samples with times, and speeds as if the file had km/h.
-        unit: what is known of the unit. If it is unknown and positions do not confirm one, speeds become NaN.
-    """
+    """Samples, read as km/h, in the unit that positions confirm, and notes; NaN speeds if it stays unknown."""
     if unit == "known":
         return list(samples), ()
     time_s, _, speed_mps, _, latitude_deg, longitude_deg = np.array(samples, np.float64).reshape(-1, 6).T

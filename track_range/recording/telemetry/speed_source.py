@@ -35,14 +35,9 @@ _TABLE_COLUMNS = ({"time_s", "speed_mps"}, {"time_s", "speed_kmh"})  # of a CSV 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedSource:
-    """Ego speed of a run and its origin.
+    """Ego speed of a run and its origin; None = unknown, or not estimated.
 
-    Attributes:
-        ego: the speed; None = unknown.
-        notes: messages for the user.
-        files: the files that were read, besides the videos.
-        offset: time offset of the telemetry, estimated from the images; None = not estimated.
-        track: the telemetry on the clock of the recording, with positions; None = the speed has another source.
+    `files` were read besides the videos; `offset` is estimated from the images; `track` is on the recording's clock.
     """
 
     ego: EgoSpeed | None = None
@@ -52,12 +47,7 @@ class SpeedSource:
     track: TelemetryTrack | None = None
 
     def summary(self, ego_mps: FloatArray, odometry: str | None = None) -> dict[str, Any] | None:
-        """Section `ego_speed` of summary.json; None = the speed is unknown.
-
-        Args:
-            ego_mps: (N,) speed at the N frames of the run, NaN = unknown.
-            odometry: method that measured the speed from the images; None = none did.
-        """
+        """Section `ego_speed` of summary.json from (N,) speeds and the odometry, None = none; None = unknown."""
         if self.ego is None and odometry is None:
             return None
         known = ego_mps[np.isfinite(ego_mps)]

@@ -55,13 +55,9 @@ class TimeOffset:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionSeries:
-    """Motion of the images over time, (N,) each; NaN = unknown.
+    """Motion of the images at (N,) increasing times; NaN = unknown.
 
-    Attributes:
-        time_s: increasing times.
-        yaw_rad_s: yaw rate, positive = to the right.
-        expansion_hz: forward speed over a typical depth.
-        is_still: whether the camera is at rest.
+    Yaw rate, positive = to the right; expansion: forward speed over a typical depth.
     """
 
     time_s: FloatArray
@@ -120,11 +116,7 @@ def _fit(
 ) -> tuple[FloatArray, FloatArray] | None:
     """(G,) log likelihood and correlation of each offset of a grid; None = too few samples.
 
-    Args:
-        t, image: (N,) times and motion of the images, NaN = unknown.
-        at_s, value: (M,) times and motion of the telemetry.
-        grid_s: (G,) offsets.
-        likelihood: of the image motion given the telemetry.
+    (N,) motion `image` at times `t`, NaN = unknown, and (M,) telemetry `value` at times `at_s`.
     """
     if len(at_s) < _MIN_FIXES:
         return None
