@@ -35,9 +35,7 @@ _OBJECT_STORE_BYTES = 80 * 2**20
 _MAX_FOLDER = 40  # longest temporary folder for Ray, whose sockets have paths of at most 107 characters
 _CONNECT_S = 15.0  # time limit for reaching the address of a cluster, s
 _END_S = 5.0  # time in which Ray's processes end after a shutdown, s
-
 _FOLDER_PREFIX = "tr-ray-"
-
 _TOKEN = secrets.token_hex(32)  # token of the clusters of this process; Ray reads it once
 
 # environment of this process, which Ray reads when it is imported: no paragraph for what the driver reports by clip
@@ -100,9 +98,8 @@ def _existing_cluster(settings: FleetSettings) -> Iterator[int]:
     is_ours = not ray.is_initialized()
     try:
         if is_ours:
-            address = str(settings.address)
-            _check_reachable(address)
-            _init(address=address)
+            _check_reachable(str(settings.address))
+            _init(address=str(settings.address))
         nodes: list[dict[str, Any]] = ray.nodes()  # type: ignore[no-untyped-call]
         n_cores = int(sum(node["Resources"].get("CPU", 0) for node in nodes if node["Alive"]))
         yield settings.workers or max(1, n_cores // settings.threads)

@@ -56,10 +56,8 @@ class Clip:
         """All files on which the results depend, by role.
 
         These are the named files, a calibration file and telemetry beside the left video, and the timestamps.txt
-        beside a folder of images. `stat` looks a file up; `FolderListings.stat` does it with fewer requests.
-
-        Raises:
-            StorageError: the storage cannot be reached.
+        beside a folder of images. `stat` looks a file up; `FolderListings.stat` does it with fewer requests. Raises
+        StorageError.
         """
 
         def exists(location: Location, *, is_folder: bool = False) -> bool:

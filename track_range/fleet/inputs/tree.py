@@ -98,10 +98,7 @@ def without_suffix(name: str) -> str:
 def wildcard_tree(location: Location) -> FileTree | None:
     """The files that match a pattern, and all that is in the folders that match; None = no wildcard, or it exists.
 
-    `**` matches any number of folders. Hidden files match no `*`.
-
-    Raises:
-        StorageError: a folder cannot be read.
+    `**` matches any number of folders. Hidden files match no `*`. Raises StorageError.
     """
     address, query = location.address_and_options()
     if not _MAGIC.search(address) or location.exists():

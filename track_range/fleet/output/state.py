@@ -101,11 +101,8 @@ def read_state(out: Location) -> FleetState | None:
 def locked_output(out: Location) -> Iterator[None]:
     """Lock of the output of a fleet: one driver at a time.
 
-    A local folder is locked by the operating system, an object store by the heartbeat in fleet.json.
-
-    Raises:
-        FolderLockError, FleetError: another driver is at work.
-        StorageError: the storage cannot be read or written.
+    A local folder is locked by the operating system, an object store by the heartbeat in fleet.json. Raises
+    FolderLockError or FleetError if another driver is at work, and StorageError.
     """
     if not out.is_local:
         state = read_state(out)

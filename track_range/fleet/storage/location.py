@@ -94,8 +94,7 @@ class Location:
     def of(cls, name: str | Path | Location) -> Location:
         """The location with a path or address; relative paths start in the current folder.
 
-        Raises:
-            StorageError: an unknown scheme, no bucket, or credentials in the address.
+        Raises StorageError for an unknown scheme, no bucket, or credentials in the address.
         """
         if isinstance(name, Location):
             return name
@@ -288,11 +287,7 @@ class Location:
                     yield block
 
     def write_bytes(self, content: bytes) -> None:
-        """Write a file atomically; readers see the old or the new content. Folders are created, buckets are not.
-
-        Raises:
-            StorageError: it cannot be written.
-        """
+        """Write a file atomically, or raise StorageError. Folders are created, buckets are not."""
         self._write(io.BytesIO(content))
 
     def upload(self, file: Path) -> None:
