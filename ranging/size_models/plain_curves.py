@@ -184,7 +184,14 @@ class TableSizes:
             class_boxes = boxes.select(rows)
             distance_m[rows] = curve.table(class_boxes.wh_over_f, class_boxes.bearing)
             systematic_m[rows] = distance_m[rows] * curve.sigma_relative
-            noise = (_slopes(curve.table, class_boxes) ** 2 * class_boxes.log_variance).sum(axis=1)
+            # (N, 2) slopes of log distance in log width and log height.
+            wh, bearing = class_boxes.wh_over_f, class_boxes.bearing
+            differences = [
+                np.log(curve.table(wh * np.exp(step), bearing)) - np.log(curve.table(wh * np.exp(-step), bearing))
+                for step in _STEP * np.identity(2)
+            ]
+            slopes = np.stack(differences, axis=1) / (2 * _STEP)
+            noise = (slopes**2 * class_boxes.log_variance).sum(axis=1)
             sigma_m[rows] = np.hypot(systematic_m[rows], distance_m[rows] * np.sqrt(noise))
         return SizeRanges(distance_m, sigma_m, systematic_m)
 
@@ -201,16 +208,6 @@ class TableSizes:
             for name, curve in self.curves.items()
         }
         return {"kind": KIND, "measure": self.box_measure, "classes": classes}
-
-
-def _slopes(table: FittedTable, boxes: BoxExtents) -> FloatArray:
-    """(N, 2) slopes of log distance in log width and log height."""
-    wh, bearing = boxes.wh_over_f, boxes.bearing
-    differences = [
-        np.log(table(wh * np.exp(step), bearing)) - np.log(table(wh * np.exp(-step), bearing))
-        for step in _STEP * np.identity(2)
-    ]
-    return np.stack(differences, axis=1) / (2 * _STEP)
 
 
 def tables_in(content: TableFile) -> TableSizes:

@@ -253,7 +253,11 @@ class _Terms:
         priors = (theta - self.prior_mean) / self.prior_sigma
         known = np.array([residual.value / residual.sigma for residual in self.table(theta)])
         n_known = len(known) - len(self._horizon)
-        return np.concatenate([priors, known[:n_known], _robust(known[n_known:]), self._of_scene(theta)])
+        # Bottom edges of other road users.
+        x1, _, x2, y2 = self._scene.xyxy_px.T
+        drop_px = math.exp(theta[_LOG_H] - theta[_SIZE]) * self._scene_slope
+        scene = (self._below_horizon(theta, (x1 + x2) / 2, y2) - drop_px) / self._scene_sigma_px
+        return np.concatenate([priors, known[:n_known], _robust(known[n_known:]), self._scene_weight * _robust(scene)])
 
     def deviations(self, theta: FloatArray) -> list[tuple[str, float]]:
         """The priors and the user's measurements with their residuals in standard deviations."""
@@ -337,13 +341,6 @@ class _Terms:
         self._fixed = theta
         distance_m = np.exp(self._scene_by_size.at(theta[_LOG_F])) - self._scene_offset_m
         self._scene_slope = math.exp(theta[_LOG_F]) / np.maximum(distance_m, 1.0)
-
-    def _of_scene(self, theta: FloatArray) -> FloatArray:
-        """(N,) residuals of the bottom edges of other road users."""
-        x1, _, x2, y2 = self._scene.xyxy_px.T
-        drop_px = math.exp(theta[_LOG_H] - theta[_SIZE]) * self._scene_slope
-        residual = (self._below_horizon(theta, (x1 + x2) / 2, y2) - drop_px) / self._scene_sigma_px
-        return np.asarray(self._scene_weight * _robust(residual))
 
     def _sigma_of_scene(self, slope: FloatArray) -> FloatArray:
         """(N,) standard deviations in px of the bottom edges of other road users about the road."""
