@@ -35,26 +35,21 @@ class ClassScores:
     """Scores of one class, as fractions 0..1; NaN without labels, precision also NaN without detections.
 
     Attributes:
-        n_images: number of images in which all objects of the class are labelled; other images are not evaluated.
-        n_boxes: number of labels in these images, without labels to ignore.
         ap50, ap50_95: average precision.
         precision, recall: of the detections at or above the confidence threshold, at IoU >= 0.5.
         recall_at: (6,) for each of `PRECISIONS`, the largest recall at which the precision is at least that.
-        best_score: score threshold that maximises F1 = 2 precision recall / (precision + recall) at IoU >= 0.5.
-        is_known: the detector has a name for this class.
-        is_averaged: the class is included in the means.
     """
 
-    n_images: int
-    n_boxes: int
+    n_images: int  # number of images in which all objects of the class are labelled; other images are not evaluated
+    n_boxes: int  # number of labels in these images, without labels to ignore
     ap50: float
     ap50_95: float
     precision: float
     recall: float
     recall_at: tuple[float, ...]
-    best_score: float
-    is_known: bool
-    is_averaged: bool
+    best_score: float  # score threshold that maximises F1 = 2 precision recall / (precision + recall) at IoU >= 0.5
+    is_known: bool  # the detector has a name for this class
+    is_averaged: bool  # the class is included in the means
 
 
 @dataclass(frozen=True, slots=True)

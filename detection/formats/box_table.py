@@ -26,17 +26,14 @@ class VideoFacts:
     """Properties of the video that a label file belongs to; None = unknown.
 
     Attributes:
-        name: name of the video or sequence; "" = unknown.
-        first_frame: number of the first frame that has labels if there are any objects in it.
-        size_px: (width, height) of its images.
         is_rectified: whether boxes are in rectified pixels, as in the results of a run, not in those of the video.
         provenance: program version, model and so on of the boxes, by name, for the metadata of written files.
     """
 
-    name: str = ""
+    name: str = ""  # name of the video or sequence; "" = unknown
     n_frames: int | None = None
-    first_frame: int = 0
-    size_px: tuple[int, int] | None = None
+    first_frame: int = 0  # number of the first frame that has labels if there are any objects in it
+    size_px: tuple[int, int] | None = None  # (width, height) of its images
     fps: float | None = None
     is_rectified: bool = False
     provenance: Mapping[str, str] = field(default_factory=dict)

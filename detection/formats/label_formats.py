@@ -39,11 +39,6 @@ class LabelFormat:
         is_format: whether a file or folder has the format, from its path and its first line that is not blank ("" for a
             folder, the first bytes of Parquet).
         read: returns the boxes of a file or folder; facts about the video fill in what the file does not state.
-        write: writes a table to a path; None = not written.
-        has_classes: whether a box has a class.
-        is_general: whether detections and ground truth are read with `read`, without rules of a benchmark.
-        is_folder: whether it is written as a folder with one file per frame.
-        is_of_run: whether it has the rows of a run, and so no ground truth.
         precision_px: largest difference of an edge that is written and read again; None = depends on the image size.
     """
 
@@ -51,11 +46,11 @@ class LabelFormat:
     title: str
     is_format: Callable[[Path, str], bool]
     read: Callable[[Path, VideoFacts], BoxTable]
-    write: Callable[[BoxTable, Path], Written] | None = None
-    has_classes: bool = True
-    is_general: bool = False
-    is_folder: bool = False
-    is_of_run: bool = False
+    write: Callable[[BoxTable, Path], Written] | None = None  # writes a table to a path; None = not written
+    has_classes: bool = True  # whether a box has a class
+    is_general: bool = False  # whether detections and ground truth are read with `read`, without rules of a benchmark
+    is_folder: bool = False  # whether it is written as a folder with one file per frame
+    is_of_run: bool = False  # whether it has the rows of a run, and so no ground truth
     precision_px: float | None = None
 
 

@@ -50,25 +50,21 @@ class YoloSettings:
     """Settings of a YOLO detector.
 
     Attributes:
-        min_score: confidence threshold; low, since the tracker uses low-confidence boxes to continue tracks.
-        class_min_score: (class id, score) of road classes with a separate threshold.
         max_iou: IoU threshold of non-maximum suppression among classes that are easily confused; end-to-end networks
             need none, only equal boxes are removed.
-        max_boxes: largest number of boxes per image.
         size_px: longer side of the network's input if its size is variable; None = the size or area in the model's
             metadata, else `DEFAULT_SIZE_PX`.
         is_square: an input of variable size is square; otherwise it has the image's aspect ratio, padded to strides,
             except for DETR-like networks.
-        class_id: ids of the road classes to detect; empty = all.
     """
 
-    min_score: float = 0.1
-    class_min_score: tuple[tuple[int, float], ...] = ()
+    min_score: float = 0.1  # confidence threshold; low, since the tracker uses low-confidence boxes to continue tracks
+    class_min_score: tuple[tuple[int, float], ...] = ()  # (class id, score) of road classes with a separate threshold
     max_iou: float = 0.5
-    max_boxes: int = 300
+    max_boxes: int = 300  # largest number of boxes per image
     size_px: int | None = None
     is_square: bool = False
-    class_id: tuple[int, ...] = ()
+    class_id: tuple[int, ...] = ()  # ids of the road classes to detect; empty = all
 
     def min_score_by_class(self) -> FloatArray:
         """(8,) score threshold of each road class, above 1 for classes that are left out."""

@@ -40,19 +40,16 @@ class Level:
 
     Attributes:
         scores_output, bins_output: indices of the outputs, the same one if it has both.
-        rows: rows of the outputs.
         score_columns, bin_columns: columns of the C scores and of the 4 (R + 1) bins.
-        centre_px: (n, 2) centre of each cell in the network's corner coordinates.
-        stride_px: unit of the distances.
     """
 
     scores_output: int
     bins_output: int
-    rows: slice
+    rows: slice  # rows of the outputs
     score_columns: slice
     bin_columns: slice
-    centre_px: FloatArray
-    stride_px: int
+    centre_px: FloatArray  # (n, 2) centre of each cell in the network's corner coordinates
+    stride_px: int  # unit of the distances
 
 
 def decode_distributions(

@@ -26,21 +26,18 @@ class AugmentationSettings:
     """Strength of the augmentation.
 
     Attributes:
-        mosaic: probability that a training image is a mosaic of four images.
         min_gain, max_gain: range of the scale, relative to an image whose longer side fills the training image.
         rotation_deg, shear_deg: largest angle of rotation and shear; uniform in -x..x.
-        shift: range of the shift of a single smaller image, as a fraction of the free space.
-        mirror: probability of mirroring left to right.
         hue, saturation, value: largest relative change; uniform in -x..x (values of YOLOv5).
     """
 
-    mosaic: float = 0.9
+    mosaic: float = 0.9  # probability that a training image is a mosaic of four images
     min_gain: float = 0.5
     max_gain: float = 1.5
     rotation_deg: float = 0.0
     shear_deg: float = 0.0
-    shift: float = 1.0
-    mirror: float = 0.5
+    shift: float = 1.0  # range of the shift of a single smaller image, as a fraction of the free space
+    mirror: float = 0.5  # probability of mirroring left to right
     hue: float = 0.015
     saturation: float = 0.7
     value: float = 0.4
@@ -95,12 +92,11 @@ class _Part:
 
     Attributes:
         columns, rows: columns and rows of the training image.
-        side: (x, y) side of the meeting point, -1 or 1; 0 = no mosaic.
     """
 
     columns: slice
     rows: slice
-    side: tuple[int, int]
+    side: tuple[int, int]  # (x, y) side of the meeting point, -1 or 1; 0 = no mosaic
 
 
 def _affine(

@@ -142,21 +142,18 @@ class OwnLabels:
     """The images that the entries of a data.yaml list, with their labels alone.
 
     Attributes:
-        root: folder that paths in the file are relative to.
-        names: class names, in the order of the numbers in label files.
         train, val: the images, each once, without pseudo-labels and without those of another data.yaml; the boxes are
             fractions of the image size. `val` may be empty.
         labels_pseudo: detections of each training image by its path; None = the file names no folder of detections.
-        notes: notes for the user on clipped boxes, ignored images and assumptions.
     """
 
     path: Path
-    root: Path
-    names: tuple[str, ...]
+    root: Path  # folder that paths in the file are relative to
+    names: tuple[str, ...]  # class names, in the order of the numbers in label files
     train: list[LabelledImage]
     val: list[LabelledImage]
     labels_pseudo: dict[Path, YoloLabels] | None
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # notes for the user on clipped boxes, ignored images and assumptions
 
     @property
     def image_files(self) -> list[Path]:

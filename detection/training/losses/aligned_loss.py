@@ -53,15 +53,13 @@ class AlignedCells(Rows):
 
     Attributes:
         image, cell: (P,) int64 index of the image and of the cell among the N cells of all levels.
-        object_index: (P,) int64 index of the object.
-        target: (P,) target of the score of the object's class, 0..1.
         has_box: (P,) the target of the cell's box is this object's; false for all but one of the objects of a cell.
     """
 
     image: Tensor
     cell: Tensor
-    object_index: Tensor
-    target: Tensor
+    object_index: Tensor  # (P,) int64 index of the object
+    target: Tensor  # (P,) target of the score of the object's class, 0..1
     has_box: Tensor
 
 

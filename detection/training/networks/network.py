@@ -18,10 +18,9 @@ class DetectionNetwork(nn.Module):
         name: name of the network, such as "yolov5n".
         n_classes: number of classes.
         has_cbam: the backbone has CBAM attention.
-        strides_px: side of a cell in pixels for each head, in the order of `forward`'s outputs.
     """
 
-    strides_px: tuple[int, ...]
+    strides_px: tuple[int, ...]  # side of a cell in pixels for each head, in the order of `forward`'s outputs
 
     def __init__(self, name: str, n_classes: int, *, has_cbam: bool) -> None:
         super().__init__()
