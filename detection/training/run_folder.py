@@ -71,10 +71,9 @@ def load_mean(paths: Sequence[Path]) -> dict[str, Any]:
     them (Izmailov et al., "Averaging Weights Leads to Wider Optima and Better Generalization", UAI 2018); that of runs
     from different random weights is useless. CheckpointError: the checkpoints are those of different networks.
     """
-    contents = [load_checkpoint(path) for path in paths]
-    first = contents[0]
+    first, *others = contents = [load_checkpoint(path) for path in paths]
     before = _network_of(first)
-    for path, other in zip(paths[1:], contents[1:], strict=True):
+    for path, other in zip(paths[1:], others, strict=True):
         after = _network_of(other)
         for part in before | after:
             old, new = before.get(part, "none"), after.get(part, "none")
@@ -86,8 +85,8 @@ def load_mean(paths: Sequence[Path]) -> dict[str, Any]:
     if len(contents) > 1:
         try:
             parts = {name: torch.stack([other["average"][name] for other in contents]) for name in first["average"]}
-            is_float = {name: value.is_floating_point() for name, value in first["average"].items()}
-            first["average"] = {name: value.mean(0) if is_float[name] else value[0] for name, value in parts.items()}
+            mean = {name: part.mean(0) if part.is_floating_point() else part[0] for name, part in parts.items()}
+            first["average"] = mean
         except RuntimeError as error:
             raise CheckpointError(f"{paths[0]}: its weights cannot be averaged ({type(error).__name__}).") from error
     return first

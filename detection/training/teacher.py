@@ -79,11 +79,8 @@ def _convolutions(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
 def _in_order(network: nn.Module) -> list[nn.Conv2d]:
     """The convolutions of a network in the order of execution."""
     order: list[nn.Conv2d] = []
-    hooks = [
-        module.register_forward_pre_hook(lambda conv, _: order.append(conv))
-        for module in network.modules()
-        if isinstance(module, nn.Conv2d)
-    ]
+    convolutions = (module for module in network.modules() if isinstance(module, nn.Conv2d))
+    hooks = [conv.register_forward_pre_hook(lambda conv, _: order.append(conv)) for conv in convolutions]
     with torch.no_grad():
         network(torch.zeros(1, 3, 64, 64))
     for hook in hooks:

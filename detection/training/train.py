@@ -89,15 +89,16 @@ class Training:
         self._batches = BatchMaker(
             sets.train, size_px=settings.size_px, batch_size=settings.batch_size, seed=settings.seed
         )
+        self._loss: AlignedLoss | DetectionLoss
+        self._feature_loss: FeatureLoss | None = None
         if isinstance(self.network, RoadNet):
-            self._loss: AlignedLoss | DetectionLoss = AlignedLoss(self.network, box_loss=settings.box_loss)
+            self._loss = AlignedLoss(self.network, box_loss=settings.box_loss)
+            if teacher is not None:
+                self._feature_loss = FeatureLoss(teacher, self.network).to(self._device)
         elif isinstance(self.network, AnchorNetwork):
             self._loss = DetectionLoss(self.network, box_loss=settings.box_loss)
         else:
             raise TrainingError(f"{network.name}: expected a network with a loss function, found none.")
-        self._feature_loss: FeatureLoss | None = None
-        if teacher is not None and isinstance(self.network, RoadNet):
-            self._feature_loss = FeatureLoss(teacher, self.network).to(self._device)
         trained = [module for module in (self.network, self._feature_loss) if module is not None]
         self._optimiser = optimiser_of(nn.ModuleList(trained), settings.schedule)
         self._schedule = Schedule(settings.schedule, n_epochs=settings.n_epochs, n_steps_per_epoch=len(self._batches))
@@ -128,14 +129,11 @@ class Training:
         CheckpointError: the checkpoint does not exist, is damaged, or has another network.
         """
         content = load_mean([first, *others])
-        shared: dict[str, Tensor] = {}
-        if content["identity"].get("model") != self.network.name:
-            body = {name: value for name, value in self.network.state_dict().items() if name.startswith(BODY_PREFIX)}
-            saved = content["average"]
-            shared = {name: saved[name] for name in body} if _same_shapes(body, saved) else {}
+        body = {name: value for name, value in self.network.state_dict().items() if name.startswith(BODY_PREFIX)}
+        saved, is_other = content["average"], content["identity"].get("model") != self.network.name
         for network in (self.network, self.average.network):
-            if shared:
-                network.load_state_dict(shared, strict=False)
+            if is_other and _same_shapes(body, saved):
+                network.load_state_dict({name: saved[name] for name in body}, strict=False)
             else:
                 self._set_weights(network, content, first)
         if self._feature_loss is not None and content["identity"].get("teacher") == self._identity()["teacher"]:

@@ -188,11 +188,8 @@ def read_own_labels(path: Path) -> OwnLabels:
             f"{path}: expected training images with different names, as pseudo-labels are files NAME.txt in one "
             f"folder, found {quoted(name)} twice."
         )
-    pseudo = None
-    if reader.document.labels_pseudo:
-        pseudo = {item.path: reader.pseudo_labels_of(item)[1] for item in train}
-    notes = reader.all_notes(train, val)
-    return OwnLabels(path, reader.root, tuple(reader.names), train, val, pseudo, notes)
+    pseudo = {item.path: reader.pseudo_labels_of(item)[1] for item in train} if reader.document.labels_pseudo else None
+    return OwnLabels(path, reader.root, tuple(reader.names), train, val, pseudo, reader.all_notes(train, val))
 
 
 def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> TrainingData:
@@ -269,8 +266,7 @@ class _Reader:
         items = [*labelled, *(LabelledImage(image, background, True, (_BACKGROUND_NOTE,)) for image in others)]
         if self.document.manifest:
             manifest = read_manifest(self.root / self.document.manifest)
-            n_unlisted = sum(item.path.name not in manifest for item in items)
-            if n_unlisted:
+            if n_unlisted := sum(item.path.name not in manifest for item in items):
                 self._notes.append(f"Ignored {n_unlisted} images for '{split}' that are not in the manifest.")
             items = of_split(items, manifest, split)
         if self.document.labels_pseudo and split == "train" and not self._is_alone:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,11 +105,10 @@ class EnsembleMember:
 
     def _file(self, image_file: Path) -> Path:
         """The file of an image's boxes; its name depends on size and date, so that a replaced image has another."""
-        try:
+        version = ""
+        with suppress(OSError):  # else the image cannot be read either
             stat = image_file.stat()
             version = f"{stat.st_size} {stat.st_mtime_ns}"
-        except OSError:  # the image cannot be read either
-            version = ""
         identity = f"{real_path(image_file)} {version}"
         return self._folder / f"{image_file.stem}-{zlib.crc32(identity.encode()):08x}.npy"
 

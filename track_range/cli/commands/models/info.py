@@ -71,8 +71,10 @@ def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
     yield "family", model.family, family.source
     yield "outputs", model.layout, ""
     shape = ", ".join("any" if side is None else str(side) for side in session.input_shape)
-    yield "input", f"[{shape}] {session.input_dtype.__name__}", _rectangular(detector)
-    if None in session.input_shape[2:]:
+    is_variable = None in session.input_shape[2:]
+    source = "variable size: set by --size and the aspect ratio of the video" if is_variable else ""
+    yield "input", f"[{shape}] {session.input_dtype.__name__}", source
+    if is_variable:
         if detector.area is None:
             yield "size", str(detector.size.value), detector.size.source
         else:
@@ -91,12 +93,6 @@ def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
     yield "runs on", session.device, ""
     yield "file", f"{session.path.stat().st_size / 1e6:.1f} MB", ""
     yield "sha256", session.sha256(), ""
-
-
-def _rectangular(detector: YoloDetector) -> str:
-    if None in detector.session.input_shape[2:]:
-        return "variable size: set by --size and the aspect ratio of the video"
-    return ""
 
 
 def _text(value: Any) -> str:

@@ -40,13 +40,17 @@ def train(options: TrainOptions) -> None:
         print_line(console, note)
     data.check_trainable(options.data, options.model)
     check_start(options.out, resume=options.resume, weights=options.weights, files=(CURVES, f"{options.model}.onnx"))
-    teacher = _teacher(options, data, settings)
+    teacher = None
+    if options.teacher is not None:
+        path = ready_model(options.teacher, console)
+        teacher = Teacher(path, data.road_class_id, device=settings.device, precision=settings.dtype)
     make_folder(options.out)
     curves = options.out / CURVES
     with locked_folder(options.out), stop_on_interrupt():
         try:
             training = _prepared(options, settings, data, teacher)
-            with _Display(settings.n_epochs, lambda: training_chart(training.history, curves)) as display:
+            display = _Display(settings.n_epochs, lambda: training_chart(training.history, curves))
+            with display.progress:
                 training.run(display)
             _finish(training, options, data)
         except KeyboardInterrupt:
@@ -88,7 +92,7 @@ class _Display:
 
     def __init__(self, n_epochs: int, draw: Callable[[], None]) -> None:
         self._n_epochs, self._draw = n_epochs, draw
-        self._progress = Progress(
+        self.progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
@@ -97,15 +101,8 @@ class _Display:
             console=console,
             disable=not console.is_terminal,
         )
-        self._task: TaskID = self._progress.add_task("", total=None, text="")
+        self._task: TaskID = self.progress.add_task("", total=None, text="")
         self._minutes: list[float] = []
-
-    def __enter__(self) -> _Display:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
 
     def step(self, epoch: int, i: int, n: int, losses: Losses) -> None:
         """Implements `Listener`."""
@@ -121,14 +118,13 @@ class _Display:
         self._minutes.append(row["minutes"])
         left = (self._n_epochs - row["epoch"]) * float(np.median(self._minutes))
         figures = f"AP50 {100 * row['ap50']:.1f} %, AP50-95 {100 * row['ap50_95']:.1f} %, " if "ap50" in row else ""
-        parts = [(key.removeprefix("loss_"), loss) for key, loss in row.items() if key.startswith("loss_")]
-        losses = ", ".join(f"{name} {loss:.4f}" for name, loss in parts)
+        losses = ", ".join(f"{key[5:]} {loss:.4f}" for key, loss in row.items() if key.startswith("loss_"))
         text = f"epoch {row['epoch']:.0f}/{self._n_epochs}: {figures}losses: {losses}; {_duration(row['minutes'])}"
         print_line(console, f"{text}, {_duration(left)} left")
         self._draw()
 
     def _move(self, description: str, i: int, n: int, text: str) -> None:
-        self._progress.update(self._task, description=description, completed=i, total=n, text=text)
+        self.progress.update(self._task, description=description, completed=i, total=n, text=text)
 
 
 def _settings(options: TrainOptions) -> TrainingSettings:
@@ -154,21 +150,13 @@ def _settings(options: TrainOptions) -> TrainingSettings:
     )
 
 
-def _teacher(options: TrainOptions, data: TrainingData, settings: TrainingSettings) -> Teacher | None:
-    if options.teacher is None:
-        return None
-    path = ready_model(options.teacher, console)
-    return Teacher(path, data.road_class_id, device=settings.device, precision=settings.dtype)
-
-
 def _finish(training: Training, options: TrainOptions, data: TrainingData) -> None:
     """Export the best network and print its metrics."""
     training.load_best()
     model = options.out / f"{options.model}.onnx"
     name = options.data.stem if options.data.stem != "data" else options.data.absolute().parent.name
     training.export(model, family=NETWORKS[options.model].family, data=name, licence=options.licence)
-    figures = {"n_images": len(data.val), "models": {options.model: training.scores().as_dict()}}
-    print_grid(console, class_grid(figures))
+    print_grid(console, class_grid({"n_images": len(data.val), "models": {options.model: training.scores().as_dict()}}))
     names = [name for name in (CURVES, RESULTS, BEST, LAST) if (options.out / name).exists()]
     print_line(console, f"Written: {model}, and in the same folder {', '.join(names)}.")
     print_line(console, f"To use it: track-range --mono VIDEO --focal-px PX --detector {model}")
