@@ -10,7 +10,7 @@ If an option occurs twice in a section, the first one is used, as in Darknet (`o
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,13 +71,13 @@ class CfgSection:
             if key in self.options and self.numbers(key) != (value,):
                 raise self._invalid(key, f"{key}={value:g} (the only supported value)")
 
-    def _text(self, key: str, default: object) -> str:
+    def _text(self, key: str, default: object = None) -> str:
         if default is None and key not in self.options:
             raise self.error(f"expected a line '{key}=...', found none")
         return self.options.get(key, str(default))
 
     def _list(self, key: str) -> list[str]:
-        texts = [text for text in self._text(key, None).split(",") if text]
+        texts = [text for text in self._text(key).split(",") if text]
         if not texts:
             raise self._invalid(key, "numbers")
         return texts
@@ -96,7 +96,20 @@ def read_sections(path: Path, known: Collection[str]) -> list[CfgSection]:
     """The sections of a cfg, [net] and then `known` ones; ModelError if it is not readable, or has others."""
     content = read_bytes(path, ModelError, "a Darknet cfg", max_bytes=MAX_TEXT_BYTES)
     text = content.decode("utf-8-sig", errors="replace")  # comments may have any encoding
-    sections = list(_sections(path, text))
+    sections: list[CfgSection] = []
+    options: dict[str, str] = {}
+    for line_number, raw in enumerate(text.split("\n"), start=1):
+        line = "".join(raw.partition("#")[0].split())  # without blanks and comments
+        if not line or line.startswith(";"):
+            continue
+        key, equals, value = line.partition("=")
+        if line.startswith("["):
+            kind, options = line.strip("[]"), {}
+            sections.append(CfgSection(path, line_number, _ALIASES.get(kind, kind), options))
+        elif equals and key and sections:
+            options.setdefault(key, value)
+        else:
+            raise ModelError(f"{path}, line {line_number}: expected [section] or key=value, got '{_short(line)}'.")
     if not sections or sections[0].kind != "net":
         first = f"[{_short(sections[0].kind)}]" if sections else "no section"
         raise ModelError(f"{path}: expected a Darknet cfg whose first section is [net], got {first}.")
@@ -105,24 +118,6 @@ def read_sections(path: Path, known: Collection[str]) -> list[CfgSection]:
             supported = ", ".join(f"[{kind}]" for kind in known)
             raise section.error(f"this section is not supported; expected one of {supported}")
     return sections
-
-
-def _sections(path: Path, text: str) -> Iterator[CfgSection]:
-    options: dict[str, str] = {}
-    is_open = False
-    for line_number, raw in enumerate(text.split("\n"), start=1):
-        line = "".join(raw.partition("#")[0].split())  # without blanks and comments
-        if not line or line.startswith(";"):
-            continue
-        if line.startswith("["):
-            kind = line.strip("[]")
-            options, is_open = {}, True
-            yield CfgSection(path, line_number, _ALIASES.get(kind, kind), options)
-            continue
-        key, equals, value = line.partition("=")
-        if not (equals and key and is_open):
-            raise ModelError(f"{path}, line {line_number}: expected [section] or key=value, got '{_short(line)}'.")
-        options.setdefault(key, value)
 
 
 def _short(text: str) -> str:

@@ -34,7 +34,7 @@ import numpy.typing as npt
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from track_range.detection.darknet.layers import (
+from track_range.detection.darknet.network import (
     ACTIVATIONS,
     IMAGE,
     Convolution,
@@ -43,8 +43,8 @@ from track_range.detection.darknet.layers import (
     Route,
     Shortcut,
     Upsample,
+    read_network,
 )
-from track_range.detection.darknet.network import read_network
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.models.writing import atomic_output, conversion_errors
 from track_range.foundation.arrays import FloatArray32

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from tests.detection import darknet_networks
 from tests.detection.darknet_networks import section
-from track_range.detection.darknet.layers import Convolution
-from track_range.detection.darknet.network import read_layers, read_network
+from track_range.detection.darknet.network import Convolution, read_layers, read_network
 from track_range.detection.models.onnx_session import ModelError
 
 NET = "[net]\nwidth=32\nheight=16\n"

@@ -10,10 +10,9 @@ from onnx import TensorProto, helper, numpy_helper
 from scipy.special import expit, logit
 
 from tests.detection.onnx_models import write_model
-from track_range.detection.evaluation.calibrated_copy import write_calibrated_copy
+from track_range.detection.evaluation.calibrated_copy import write_calibrated, write_calibrated_copy
 from track_range.detection.evaluation.score_fit import ScoreSamples, fit_scores
 from track_range.detection.models.onnx_session import ModelError, OnnxSession
-from track_range.detection.models.score_outputs import write_calibrated
 from track_range.detection.yolo.detector import YoloDetector
 
 SLOPE, OFFSET = np.array([1.5, 0.5, 1.0]), np.array([-0.3, 0.7, 0.0])

@@ -40,7 +40,10 @@ class DetectionNetwork(nn.Module):
 
 
 class AnchorNetwork(DetectionNetwork):
-    """A network with several heads, each a grid of cells with A boxes per cell."""
+    """A network with several heads, each a grid of cells with A boxes per cell.
+
+    `forward` returns (B, A, rows, columns, 5 + classes) of each head; H and W must be divisible by the largest stride.
+    """
 
     anchors_px: Tensor  # (heads, A, 2) width and height in input pixels
     reach_cells: float  # largest distance of a predicted centre outside its cell, in cells
@@ -54,13 +57,6 @@ class AnchorNetwork(DetectionNetwork):
     def n_anchors(self) -> int:
         """Number of boxes per cell."""
         return int(self.anchors_px.shape[1])
-
-    def forward(self, images: Tensor) -> list[Tensor]:
-        """Raw outputs (B, A, rows, columns, 5 + classes) of each head for images (B, 3, H, W), RGB in 0..1.
-
-        H and W must be divisible by the largest stride.
-        """
-        raise NotImplementedError
 
     def boxes(self, raw: Tensor, cells_xy: Tensor, anchors_px: Tensor, stride_px: int) -> Tensor:
         """(..., 4) centre and size in input pixels of boxes from raw outputs (..., 4).
