@@ -126,18 +126,14 @@ def cross_validated(
     The halves consist of alternate blocks of successive images, so that few images have neighbours in the other half.
     """
     half = np.arange(len(truth)) * _N_BLOCKS // max(len(truth), 1) % 2
-    halves = []
-    for i in range(2):
-        rows = np.flatnonzero(half == i).tolist()
-        halves.append(ScoreSamples.of([detections[k] for k in rows], [truth[k] for k in rows], known_class_id))
-    scores, is_match = [], []
+    rows = [np.flatnonzero(half == i).tolist() for i in range(2)]
+    halves = [ScoreSamples.of([detections[k] for k in own], [truth[k] for k in own], known_class_id) for own in rows]
+    scores = []
     for own, other in (halves, halves[::-1]):
-        fit = fit_scores(other)
-        if fit is None:
+        if (fit := fit_scores(other)) is None:
             return None
         scores.append(fit.probability(own.score, own.class_id))
-        is_match.append(own.is_match)
-    return reliability(np.concatenate(scores), np.concatenate(is_match))
+    return reliability(np.concatenate(scores), np.concatenate([own.is_match for own in halves]))
 
 
 def reliability(score: FloatArray, is_match: BoolArray) -> Reliability:

@@ -48,8 +48,7 @@ def read_supervision(
     """
     xyxy = np.asarray(boxes.xyxy, np.float64).reshape(-1, 4)
     n = len(xyxy)
-    names = _class_names(boxes, class_names, n)
-    class_id = map_to_road_classes(names)
+    class_id = map_to_road_classes(_class_names(boxes, class_names, n))
     score = _column(boxes, "confidence", n)
     tracker_id = _column(boxes, "tracker_id", n)
     rows = np.flatnonzero(class_id >= 0)

@@ -58,8 +58,7 @@ class Proposals:
 def proposals(markings: Markings, image_hw: tuple[int, int]) -> Proposals:
     """Straight lines through the markings of an image, (height, width) `image_hw`; K may be 0."""
     is_numbered = bool((markings.line >= 0).any())
-    lines = _numbered_lines(markings) if is_numbered else _hough_lines(markings.xy_px, image_hw)
-    constant, slope, line = lines
+    constant, slope, line = _numbered_lines(markings) if is_numbered else _hough_lines(markings.xy_px, image_hw)
     if not len(line):
         return Proposals(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.int64))
     x, y = markings.xy_px.T
@@ -98,16 +97,14 @@ def _hough_lines(xy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArr
     canvas = np.zeros((round(image_hw[0] * scale) + 1, _CANVAS_WIDTH_PX + 1), np.uint8)
     x, y = np.rint(xy_px.T * scale).astype(np.int64)
     canvas[np.clip(y, 0, canvas.shape[0] - 1), np.clip(x, 0, _CANVAS_WIDTH_PX)] = 1
-    lines = cv2.HoughLines(canvas, 1.0, np.pi / 180, _MIN_VOTES)
-    rho, theta = (
-        np.zeros((0, 2)).T if lines is None else np.asarray(lines, np.float64).reshape(-1, lines.shape[-1]).T[:2]
-    )
+    found = cv2.HoughLines(canvas, 1.0, np.pi / 180, _MIN_VOTES)
+    lines = np.zeros((0, 2)) if found is None else np.asarray(found, np.float64).reshape(-1, found.shape[-1])
+    rho, theta = lines.T[:2]
     steep = np.abs(np.tan(theta)) < _MAX_SLOPE
     rho, theta = rho[steep][:_MAX_HOUGH_LINES], theta[steep][:_MAX_HOUGH_LINES]
     constant, slope = rho / np.cos(theta) / scale, -np.tan(theta)
-    kept = _strongest(
-        constant[:, None] + slope[:, None] * np.array([0.95, 0.7]) * image_hw[0], _MIN_DISTANCE * image_hw[1]
-    )
+    x_px = constant[:, None] + slope[:, None] * np.array([0.95, 0.7]) * image_hw[0]
+    kept = _strongest(x_px, _MIN_DISTANCE * image_hw[1])
     return constant[kept], slope[kept], np.full(len(kept), -1, np.int64)
 
 

@@ -73,6 +73,8 @@ class OnnxSession:
 
     Attributes:
         input_shape: shape of the image input; None for dimensions of variable size.
+        input_dtype: number type of the image input.
+        has_target_sizes: whether the network has the input `orig_target_sizes`.
         metadata: metadata that the exporter wrote into the file; often empty.
         device: "cpu", "cuda" or "tensorrt", the device in use.
         notes: notes for the user, such as that the requested device is not available.
@@ -99,17 +101,9 @@ class OnnxSession:
             )
         self._input, self._size_input = _checked_inputs(path, self._session.get_inputs())
         self.input_shape = tuple(d if isinstance(d, int) else None for d in self._input.shape)
+        self.input_dtype = np.float16 if self._input.type == "tensor(float16)" else np.float32
+        self.has_target_sizes = self._size_input is not None
         self.metadata: Mapping[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
-
-    @property
-    def input_dtype(self) -> type[np.floating[Any]]:
-        """Number type of the image input."""
-        return np.float16 if self._input.type == "tensor(float16)" else np.float32
-
-    @property
-    def has_target_sizes(self) -> bool:
-        """Whether the network has the input `orig_target_sizes`."""
-        return self._size_input is not None
 
     def inputs(self, blob: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
         """All inputs by name, for an input blob (batch, 3, height, width) of the network's type."""

@@ -112,12 +112,12 @@ def of_split(
     labelled: Sequence[LabelledImage], manifest: Mapping[str, tuple[str, BoolArray]], split: str
 ) -> list[LabelledImage]:
     """The images of one split of a manifest, with the manifest's completely labelled classes."""
-    items = []
-    for item in labelled:
-        listed, is_complete = manifest.get(item.path.name, (None, None))
-        if listed == split and is_complete is not None:
-            items.append(replace(item, truth=replace(item.truth, is_complete=is_complete)))
-    return items
+    complete_by_name = {name: is_complete for name, (listed, is_complete) in manifest.items() if listed == split}
+    return [
+        replace(item, truth=replace(item.truth, is_complete=complete_by_name[item.path.name]))
+        for item in labelled
+        if item.path.name in complete_by_name
+    ]
 
 
 def _with_files(paths: Sequence[Path], folder: Path) -> Iterator[tuple[Path, Path]]:
@@ -144,9 +144,8 @@ def _coco(paths: Sequence[Path], file: Path, names: Sequence[str] | None) -> lis
     """The images that a COCO file has labels for, by file name without folder."""
     coco = CocoFile(file)
     boxes, n_empty = coco.boxes({image_id: number for number, image_id in enumerate(coco.images)})
-    class_id = map_to_road_classes([box.class_name for box in boxes])
     boxes_of = defaultdict(list)
-    for box, road in zip(boxes, class_id.tolist(), strict=True):
+    for box, road in zip(boxes, map_to_road_classes([box.class_name for box in boxes]).tolist(), strict=True):
         if road >= 0:
             boxes_of[box.frame].append((box, road))
     file_names = {path.name for path in paths}

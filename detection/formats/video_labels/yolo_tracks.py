@@ -116,9 +116,10 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
         text = read_text(file, LabelFileError, "YOLO labels", max_bytes=MAX_TABLE_BYTES)
         for number, line in enumerate(text.split("\n"), start=1):
             if cells := line.split():
+                where = f"{file}, line {number}"
                 frame.append(frame_of[file])
-                rows.append(_row(f"{file}, line {number}", cells, len(names)))
-                lines.append((file, number, cells))
+                rows.append(_row(where, cells, len(names)))
+                lines.append((where, cells))
     table = np.array(rows, np.float64).reshape(-1, _N_COLUMNS)
     score, track_id = _score_and_identity(table, lines)
     is_valid = (table[:, 3:5] > 0).all(axis=1)
@@ -156,18 +157,18 @@ def _row(where: str, cells: list[str], n_names: int) -> list[float]:
     return values + [np.nan] * (_N_COLUMNS - len(cells))
 
 
-def _score_and_identity(table: FloatArray, lines: Sequence[tuple[Path, int, list[str]]]) -> tuple[FloatArray, IntArray]:
+def _score_and_identity(table: FloatArray, lines: Sequence[tuple[str, list[str]]]) -> tuple[FloatArray, IntArray]:
     """(N,) score, NaN if there is none, and (N,) identity, -1 if there is none, of rows (N, 7).
 
     Identities are in the last column if it has integers throughout, which scores are not. LabelFileError: rows of seven
     columns do not end with an identity, as those of a triangle.
     """
-    n_columns = np.array([len(cells) for _, _, cells in lines], np.int64)
+    n_columns = np.array([len(cells) for _, cells in lines], np.int64)
     is_longer, is_full = n_columns > _N_BOX, n_columns == _N_COLUMNS
-    is_integer = all(_INTEGER.fullmatch(cells[-1]) for _, _, cells in lines if len(cells) > _N_BOX)
+    is_integer = all(_INTEGER.fullmatch(cells[-1]) for _, cells in lines if len(cells) > _N_BOX)
     for row in np.flatnonzero(is_full & (not is_integer))[:1]:
         raise LabelFileError(
-            f"{lines[row][0]}, line {lines[row][1]}: expected a row 'class cx cy w h score id', found seven columns, "
+            f"{lines[row][0]}: expected a row 'class cx cy w h score id', found seven columns, "
             "as of a polygon; other rows do not end with an identity."
         )
     last = table[np.arange(len(table)), n_columns - 1]

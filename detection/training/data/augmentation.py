@@ -110,30 +110,22 @@ def _affine(
     rotation = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     linear = gain * rotation @ np.array([[flip, math.tan(shear)], [0.0, 1.0]])
     extent = np.abs(linear) @ size
-    focus = extent / 2 + linear @ (_point_of_interest(source, size, rng) - size / 2)
-    ranges = ((part.columns.start, part.columns.stop), (part.rows.start, part.rows.stop))
+    fraction = rng.random(2)
+    interest = fraction * size  # point that should be visible: in an object, if there is one
+    if len(source.xyxy):
+        box = source.xyxy[rng.integers(len(source.xyxy))]
+        interest = box[:2] + fraction * (box[2:] - box[:2])
+    focus = extent / 2 + linear @ (interest - size / 2)
     low = [
         _low_edge(span, extent[axis], focus[axis], part.side[axis], settings.shift, rng)
-        for axis, span in enumerate(ranges)
+        for axis, span in enumerate((part.columns, part.rows))
     ]
     return np.column_stack([linear, np.array(low) + extent / 2 - linear @ size / 2])
 
 
-def _point_of_interest(source: LabelledPixels, size: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """(2,) random point of the image that should be visible: in an object, if there is one."""
-    n = len(source.xyxy)
-    fraction = rng.random(2)
-    if n == 0:
-        return fraction * size
-    box = source.xyxy[rng.integers(n)]
-    return np.asarray(box[:2] + fraction * (box[2:] - box[:2]))
-
-
-def _low_edge(
-    span: tuple[int, int], extent: float, focus: float, side: int, shift: float, rng: np.random.Generator
-) -> float:
+def _low_edge(span: slice, extent: float, focus: float, side: int, shift: float, rng: np.random.Generator) -> float:
     """Start of an image of size `extent` on one axis, so that it fills the span or starts at the meeting point."""
-    low, high = span
+    low, high = span.start, span.stop
     position, jitter = rng.random(2)
     if extent > high - low:
         return float(np.clip(low + position * (high - low) - focus, high - extent, low))
@@ -153,27 +145,17 @@ def _combined(
     labels = []
     for source, part in zip(sources, parts, strict=True):
         matrix = _affine(source, part, size_px, settings, rng)
-        _paint(source.image, matrix, canvas, part)
+        shown = canvas[part.rows, part.columns]
+        if shown.size:
+            centres = matrix.copy()  # OpenCV's pixel centres are at integers, those of corner coordinates at halves
+            first = np.array([part.columns.start, part.rows.start])
+            centres[:, 2] += matrix[:, :2] @ np.array([0.5, 0.5]) - 0.5 - first
+            options = {"flags": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_TRANSPARENT}
+            cv2.warpAffine(source.image, centres, (shown.shape[1], shown.shape[0]), dst=shown, **options)
         labels.append(_transformed_labels(source, matrix, part))
     boxes, class_index, ignored, confidence = (np.concatenate(column) for column in zip(*labels, strict=True))
     image = _coloured(canvas, settings, rng)
     return LabelledPixels(image, boxes, class_index, ignored, confidence, sources[0].is_complete)
-
-
-def _paint(image: Image, matrix: FloatArray, canvas: Image, shown: _Part) -> None:
-    part = canvas[shown.rows, shown.columns]
-    if part.size == 0:
-        return
-    centres = matrix.copy()  # OpenCV's pixel centres are at integers, those of corner coordinates at half-integers
-    centres[:, 2] += matrix[:, :2] @ np.array([0.5, 0.5]) - 0.5 - np.array([shown.columns.start, shown.rows.start])
-    cv2.warpAffine(
-        image,
-        centres,
-        (part.shape[1], part.shape[0]),
-        dst=part,
-        flags=cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_TRANSPARENT,
-    )
 
 
 def _transformed_labels(
