@@ -39,10 +39,6 @@ class LaneLine:
         c = self.coefficients
         return np.asarray(c[0] + y_px * (c[1] + y_px * c[2]))
 
-    def slope(self, y_px: FloatArray) -> FloatArray:
-        """dx/dy in the given rows."""
-        return np.asarray(self.coefficients[1] + 2.0 * y_px * self.coefficients[2])
-
     def sigma_px(self, y_px: FloatArray) -> FloatArray:
         """Standard deviation of x in the given rows, in the shape of `y_px`."""
         return np.asarray(np.sqrt(np.maximum(_variance_px2(self.covariance, y_px), 0.0)))

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import torch
 
-from track_range.detection.boxes import are_valid_boxes, nms
-from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.evaluation import DetectionScores, evaluate_detections
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.training.networks.network import DetectionNetwork
 from track_range.detection.yolo.decoders import decode_rows
+from track_range.detection.yolo.detector import suppressed
 from track_range.detection.yolo.input_format import InputFormat
 from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
 from track_range.foundation.arrays import Image, IntArray
@@ -44,7 +44,7 @@ class NetworkDetector:
     def detect(self, image: Image) -> Detections:
         """The road users in `image`, (H, W, 3) uint8 BGR, in order of decreasing score."""
         hw = (image.shape[0], image.shape[1])
-        letterbox = Letterbox.centred(hw, rectangular_input_hw(hw, size_px=self._size_px))
+        letterbox = Letterbox.of_placement("centred", hw, rectangular_input_hw(hw, size_px=self._size_px))
         input_format, blob = InputFormat(), np.empty((1, 3, *letterbox.input_hw), np.float32)
         input_format.fill_padding(blob)
         input_format.write(image, letterbox, blob, scaled=np.empty((*letterbox.resized_hw, 3), np.uint8))
@@ -52,12 +52,8 @@ class NetworkDetector:
             raw = self._network(torch.from_numpy(blob).to(self._device, memory_format=torch.channels_last))
         rows = self._network.decode([head.float() for head in raw]).cpu().numpy()
         candidates = decode_rows(0, [rows], self._min_score)
-        class_id, group = self._road_class_id[candidates.class_index], SAME_OBJECT_GROUP
-        best = nms(candidates.xyxy_net, candidates.score, group[class_id], max_iou=_MAX_IOU, max_boxes=_MAX_BOXES)
-        xyxy_px = letterbox.to_image_clipped(candidates.xyxy_net[best])
-        is_valid = are_valid_boxes(xyxy_px)
-        best = best[is_valid]
-        return Detections.of(xyxy_px[is_valid], candidates.score[best], class_id[best])
+        class_id = self._road_class_id[candidates.class_index]
+        return suppressed(candidates, class_id, letterbox, max_iou=_MAX_IOU, max_boxes=_MAX_BOXES)
 
 
 def validate(

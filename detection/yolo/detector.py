@@ -28,6 +28,7 @@ from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, map_t
 from track_range.detection.detections import Detections
 from track_range.detection.models.metadata import Attribute, ModelMetadata, ModelOptions, read_metadata
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
+from track_range.detection.yolo.decoders import Candidates
 from track_range.detection.yolo.layouts import identify_layout
 from track_range.detection.yolo.letterbox import Letterbox, input_hw_of_area, rectangular_input_hw
 from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
@@ -235,18 +236,9 @@ class YoloDetector:
         with np.errstate(over="ignore", invalid="ignore"):  # the decoder drops and counts what is not finite
             candidates = source.model.decoder(outputs, min_score)
         self.n_invalid += candidates.n_invalid
-        class_id = self._road_class[candidates.class_index]
-        best = nms(
-            candidates.xyxy_net,
-            candidates.score,
-            SAME_OBJECT_GROUP[class_id],
-            max_iou=_SAME_BOX_IOU if source.model.is_end_to_end else self._settings.max_iou,
-            max_boxes=self._settings.max_boxes,
-        )
-        xyxy_px = source.letterbox.to_image_clipped(candidates.xyxy_net[best])
-        is_valid = are_valid_boxes(xyxy_px)
-        best = best[is_valid]
-        return Detections.of(xyxy_px[is_valid], candidates.score[best], class_id[best])
+        max_iou = _SAME_BOX_IOU if source.model.is_end_to_end else self._settings.max_iou
+        class_id, max_boxes = self._road_class[candidates.class_index], self._settings.max_boxes
+        return suppressed(candidates, class_id, source.letterbox, max_iou=max_iou, max_boxes=max_boxes)
 
     def _written(self, image: Image) -> tuple[_Input, _Buffers]:
         """The input for images of this size, and buffers with the image."""
@@ -290,3 +282,15 @@ class YoloDetector:
         if self.area is not None:
             return input_hw_of_area(shape_hw, area_px2=self.area.value)
         return rectangular_input_hw(shape_hw, size_px=int(self.size.value))
+
+
+def suppressed(
+    candidates: Candidates, class_id: IntArray, letterbox: Letterbox, *, max_iou: float, max_boxes: int
+) -> Detections:
+    """The candidates of road classes (N,) that remain after non-maximum suppression, in pixels of the image."""
+    groups = SAME_OBJECT_GROUP[class_id]
+    best = nms(candidates.xyxy_net, candidates.score, groups, max_iou=max_iou, max_boxes=max_boxes)
+    xyxy_px = letterbox.to_image_clipped(candidates.xyxy_net[best])
+    is_valid = are_valid_boxes(xyxy_px)
+    best = best[is_valid]
+    return Detections.of(xyxy_px[is_valid], candidates.score[best], class_id[best])

@@ -16,6 +16,7 @@ overridden (`detection.models.metadata`).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -43,7 +44,7 @@ from track_range.detection.yolo.end_to_end import (
     query_rows,
 )
 from track_range.detection.yolo.input_format import InputFormat, placement_and_grey
-from track_range.detection.yolo.network_outputs import DetectorLayout, NetworkOutputs, YoloModel
+from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.files.input_files import shortened
 
 _EXPORT_HINT = "export with batch size 1 and without postprocessing (docs/detectors.md)"
@@ -80,11 +81,11 @@ _YOLOX_INPUT = InputFormat(placement="top-left", colours="bgr", divisor=1.0)
 def identify_layout(network: NetworkOutputs) -> YoloModel:
     """The model with these outputs; ModelError if the layout is unknown, or the model's attributes do not fit it."""
     path, metadata = network.path, network.metadata
-    matches = (layout.match(network) for layout in DETECTOR_LAYOUTS)
+    matches = (match(network) for _, match in DETECTOR_LAYOUTS)
     matched = next((match for match in matches if match is not None), None)
     if matched is None:
         shapes = ", ".join(f"{name} {list(shape)}" for name, shape in zip(network.names, network.shapes, strict=True))
-        known = ", ".join(dict.fromkeys(layout.name for layout in DETECTOR_LAYOUTS))
+        known = ", ".join(dict.fromkeys(name for name, _ in DETECTOR_LAYOUTS))
         is_suppressed = any(len(shape) == 2 and shape[1] in (6, 7) for shape in network.shapes)
         hint = _SUPPRESSED_HINT if is_suppressed else _EXPORT_HINT
         raise ModelError(f"{path}: unknown outputs {shortened(shapes, 80)}; expected those of {known}; {hint}.")
@@ -216,18 +217,18 @@ def _names(path: Path, n_classes: int | None, metadata: ModelMetadata) -> Attrib
     return explicit
 
 
-DETECTOR_LAYOUTS: tuple[DetectorLayout, ...] = (
-    DetectorLayout("RF-DETR", logits_and_boxes),
-    DetectorLayout("D-FINE/DEIM", labels_boxes_scores),
-    DetectorLayout("YOLOv4", _boxes_and_scores),
-    DetectorLayout("YOLOv5", _anchor_rows),
-    DetectorLayout("NanoDet", score_and_bin_rows),
-    DetectorLayout("NanoDet", scores_and_bins),
-    DetectorLayout("YOLOX", _cell_rows),
-    DetectorLayout("YOLOv8", _cell_columns),
-    DetectorLayout("RT-DETR", labelled_query_rows),
-    DetectorLayout("YOLOv10", labelled_rows),
-    DetectorLayout("RT-DETR", query_rows),
-    DetectorLayout("Darknet", _raw_heads),
+DETECTOR_LAYOUTS: tuple[tuple[str, Callable[[NetworkOutputs], YoloModel | None]], ...] = (
+    ("RF-DETR", logits_and_boxes),
+    ("D-FINE/DEIM", labels_boxes_scores),
+    ("YOLOv4", _boxes_and_scores),
+    ("YOLOv5", _anchor_rows),
+    ("NanoDet", score_and_bin_rows),
+    ("NanoDet", scores_and_bins),
+    ("YOLOX", _cell_rows),
+    ("YOLOv8", _cell_columns),
+    ("RT-DETR", labelled_query_rows),
+    ("YOLOv10", labelled_rows),
+    ("RT-DETR", query_rows),
+    ("Darknet", _raw_heads),
 )
-"""The known layouts, in the order in which they are tried."""
+"""The known layouts, in the order in which they are tried: a name for messages, and the function that matches it."""

@@ -36,27 +36,19 @@ class Letterbox:
 
     @classmethod
     def of_placement(cls, placement: Placement, image_hw: tuple[int, int], input_hw: tuple[int, int]) -> Letterbox:
-        """The letterbox with the named placement."""
-        return _PLACEMENTS[placement](image_hw, input_hw)
+        """The letterbox of the largest image that fits into the input, or of an image that is stretched to it.
 
-    @classmethod
-    def centred(cls, image_hw: tuple[int, int], input_hw: tuple[int, int]) -> Letterbox:
-        """The largest image that fits, in the middle, as in YOLOv5; odd padding has its smaller half top and left."""
+        "centred" as in YOLOv5: odd padding has its smaller half top and left; "top-left" as in YOLOX: sizes are rounded
+        down; "stretch": regardless of the aspect ratio, as Darknet does without letter_box=1.
+        """
+        if placement == "stretch":
+            return cls(image_hw, input_hw, input_hw, (0, 0))
         scale = min(input_hw[0] / image_hw[0], input_hw[1] / image_hw[1])
-        resized_hw = (max(round(image_hw[0] * scale), 1), max(round(image_hw[1] * scale), 1))
-        pad_yx = ((input_hw[0] - resized_hw[0]) // 2, (input_hw[1] - resized_hw[1]) // 2)
-        return cls(image_hw, input_hw, resized_hw, pad_yx)
-
-    @classmethod
-    def top_left(cls, image_hw: tuple[int, int], input_hw: tuple[int, int]) -> Letterbox:
-        """The largest image that fits, in the upper left corner, as in YOLOX; sizes are rounded down."""
-        scale = min(input_hw[0] / image_hw[0], input_hw[1] / image_hw[1])
-        return cls(image_hw, input_hw, (max(int(image_hw[0] * scale), 1), max(int(image_hw[1] * scale), 1)), (0, 0))
-
-    @classmethod
-    def stretched(cls, image_hw: tuple[int, int], input_hw: tuple[int, int]) -> Letterbox:
-        """The image resized to the whole input regardless of its aspect ratio, as Darknet does without letter_box=1."""
-        return cls(image_hw, input_hw, input_hw, (0, 0))
+        height, width = (
+            max(round(side * scale) if placement == "centred" else int(side * scale), 1) for side in image_hw
+        )
+        pad_yx = ((input_hw[0] - height) // 2, (input_hw[1] - width) // 2) if placement == "centred" else (0, 0)
+        return cls(image_hw, input_hw, (height, width), pad_yx)
 
     def scaled(self, image: Image, *, buffer: Image | None = None) -> Image:
         """The image resized to `resized_hw`, in `buffer` if given; `image` itself if it already has that size."""
@@ -84,9 +76,6 @@ class Letterbox:
         h, w = self.image_hw
         limit = np.array([w, h, w, h]) - 0.5
         return np.clip(self.to_image(xyxy_net), -0.5, limit)
-
-
-_PLACEMENTS = {"centred": Letterbox.centred, "top-left": Letterbox.top_left, "stretch": Letterbox.stretched}
 
 
 def rectangular_input_hw(image_hw: tuple[int, int], *, size_px: int, stride_px: int = 32) -> tuple[int, int]:

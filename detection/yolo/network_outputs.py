@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -61,11 +61,3 @@ class NetworkOutputs:
         """Number of explicit class names; None without names."""
         names = self.metadata.get("names", None, "").value
         return None if names is None else len(names)
-
-
-@dataclass(frozen=True, slots=True)
-class DetectorLayout:
-    """One known output layout: a name for messages, and the function that matches it with a network's outputs."""
-
-    name: str
-    match: Callable[[NetworkOutputs], YoloModel | None]

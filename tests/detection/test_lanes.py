@@ -11,7 +11,6 @@ def line(*coefficients, covariance=None, rows=(200.0, 350.0)):
 def test_line_by_hand():
     curved = line(100.0, 2.0, 0.01)
     assert curved.x_px(np.array([0.0, 10.0])) == pytest.approx([100.0, 121.0])
-    assert curved.slope(np.array([10.0])) == pytest.approx([2.2])
 
 
 def test_sigma_follows_from_the_covariance():

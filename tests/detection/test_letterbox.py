@@ -19,7 +19,7 @@ def to_input(letterbox, xyxy_px):
 @settings(deadline=None)
 @given(SIDE, SIDE, st.sampled_from([(640, 640), (416, 416), (384, 640)]), st.integers(0, 99))
 def test_round_trip_is_exact(height, width, input_hw, seed):
-    letterbox = Letterbox.centred((height, width), input_hw)
+    letterbox = Letterbox.of_placement("centred", (height, width), input_hw)
     boxes = np.random.default_rng(seed).uniform(-10, 3000, (5, 4))
     np.testing.assert_allclose(letterbox.to_image(to_input(letterbox, boxes)), boxes, atol=1e-6)
 
@@ -27,7 +27,7 @@ def test_round_trip_is_exact(height, width, input_hw, seed):
 @settings(deadline=None)
 @given(SIDE, SIDE)
 def test_whole_image_fills_resized_part(height, width):
-    letterbox = Letterbox.centred((height, width), (640, 640))
+    letterbox = Letterbox.of_placement("centred", (height, width), (640, 640))
     whole = np.array([[-0.5, -0.5, width - 0.5, height - 0.5]])
     (x1, y1, x2, y2) = to_input(letterbox, whole)[0]
     assert (y1, x1) == letterbox.pad_yx
@@ -40,7 +40,7 @@ def test_rectangle_edges_within_tenth_of_pixel(size_hw, box):
     image = np.zeros((*size_hw, 3), np.uint8)
     image[y1:y2, x1:x2] = 255
     image = cv2.GaussianBlur(image, (0, 0), 3)  # so that sampling every other pixel does not alias the edge
-    letterbox = Letterbox.centred(size_hw, (640, 640))
+    letterbox = Letterbox.of_placement("centred", size_hw, (640, 640))
     canvas = np.zeros((640, 640, 3), np.uint8)
     canvas[letterbox.inside] = letterbox.scaled(image)
     white = canvas[..., 0].astype(float) / 255
@@ -58,13 +58,13 @@ def edges(line):
 
 def test_same_size_is_not_copied_and_padding_is_split():
     image = np.random.default_rng(0).integers(0, 255, (32, 32, 3), np.uint8)
-    letterbox = Letterbox.centred((32, 32), (32, 65))
+    letterbox = Letterbox.of_placement("centred", (32, 32), (32, 65))
     assert letterbox.scaled(image) is image
     assert letterbox.inside == (slice(0, 32), slice(16, 48))
 
 
 def test_boxes_are_clipped_to_the_outer_border():
-    letterbox = Letterbox.centred((100, 200), (640, 640))
+    letterbox = Letterbox.of_placement("centred", (100, 200), (640, 640))
     clipped = letterbox.to_image_clipped(to_input(letterbox, np.array([[-30.0, 10.0, 500.0, 120.0]])))
     np.testing.assert_allclose(clipped, [[-0.5, 10.0, 199.5, 99.5]])
 

@@ -23,10 +23,10 @@ _EPSILON = 1e-7  # added to denominators, which are 0 for empty boxes
 
 
 def pair_iou(a_cxcywh: Tensor, b_cxcywh: Tensor) -> Tensor:
-    """(P,) intersection over union of P pairs of boxes (P, 4)."""
+    """(...) intersection over union of pairs of boxes (..., 4), with broadcasting."""
     (a1, a2), (b1, b2) = _corners(a_cxcywh), _corners(b_cxcywh)
-    intersection = (torch.minimum(a2, b2) - torch.maximum(a1, b1)).clamp(min=0).prod(1)
-    union = a_cxcywh[:, 2:].prod(1) + b_cxcywh[:, 2:].prod(1) - intersection
+    intersection = (torch.minimum(a2, b2) - torch.maximum(a1, b1)).clamp(min=0).prod(-1)
+    union = a_cxcywh[..., 2:].prod(-1) + b_cxcywh[..., 2:].prod(-1) - intersection
     return intersection / (union + _EPSILON)
 
 
@@ -59,5 +59,5 @@ def _terms(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _corners(cxcywh: Tensor) -> tuple[Tensor, Tensor]:
-    half = cxcywh[:, 2:] / 2
-    return cxcywh[:, :2] - half, cxcywh[:, :2] + half
+    half = cxcywh[..., 2:] / 2
+    return cxcywh[..., :2] - half, cxcywh[..., :2] + half

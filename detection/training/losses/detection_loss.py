@@ -28,7 +28,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits as cross_entrop
 from torch.nn.functional import one_hot
 
 from track_range.detection.training.losses.assignment import LabelledObjects, Rows, assign
-from track_range.detection.training.losses.box_losses import BOX_LOSSES, BoxLoss
+from track_range.detection.training.losses.box_losses import BOX_LOSSES, BoxLoss, pair_iou
 from track_range.detection.training.networks.network import AnchorNetwork
 from track_range.detection.training.teacher import TeacherOutputs
 
@@ -180,14 +180,6 @@ def _best_overlap(teacher: TeacherOutputs, objects: LabelledObjects, is_candidat
         boxes = (teacher.cells.image == image).nonzero()[:, 0]
         candidates = ((objects.image == image) & is_candidate).nonzero()[:, 0]
         if len(candidates):
-            overlap[boxes], best = _iou(teacher.cxcywh[boxes], objects.cxcywh[candidates]).max(1)
+            overlap[boxes], best = pair_iou(teacher.cxcywh[boxes, None], objects.cxcywh[None, candidates]).max(1)
             index[boxes] = candidates[best]
     return index, overlap >= _SAME_OBJECT_IOU
-
-
-def _iou(a_cxcywh: Tensor, b_cxcywh: Tensor) -> Tensor:
-    """(N, M) IoU of boxes (N, 4) and (M, 4)."""
-    (a1, a2), (b1, b2) = ((box[:, :2] - box[:, 2:] / 2, box[:, :2] + box[:, 2:] / 2) for box in (a_cxcywh, b_cxcywh))
-    intersection = (torch.minimum(a2[:, None], b2[None]) - torch.maximum(a1[:, None], b1[None])).clamp(min=0).prod(2)
-    area_a, area_b = a_cxcywh[:, 2:].prod(1), b_cxcywh[:, 2:].prod(1)
-    return intersection / (area_a[:, None] + area_b[None] - intersection + 1e-7)

@@ -9,8 +9,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -27,16 +25,8 @@ COCO_ANCHORS_PX: Anchors = (
 """YOLOv5's default anchors in input pixels, for COCO at 640 pixels."""
 
 
-@dataclass(frozen=True, slots=True)
-class ModelScale:
-    """Depth and width of a variant as multiples of those of the base architecture (YOLOv5l)."""
-
-    depth: float
-    width: float
-
-
-SCALES: Mapping[str, ModelScale] = {"yolov5n": ModelScale(0.33, 0.25), "yolov5s": ModelScale(0.33, 0.50)}
-
+SCALES = {"yolov5n": (0.33, 0.25), "yolov5s": (0.33, 0.50)}
+"""Depth and width of each variant as multiples of those of the base architecture (YOLOv5l)."""
 
 BODY_PREFIX = "body."  # prefix of the names of the weights of `YoloV5Body` in networks that have one
 
@@ -48,10 +38,11 @@ class YoloV5Body(nn.Module):
         n_channels: channels of the three levels of features.
     """
 
-    def __init__(self, scale: ModelScale, *, has_cbam: bool = False) -> None:
+    def __init__(self, scale: tuple[float, float], *, has_cbam: bool = False) -> None:
         super().__init__()
-        c1, c2, c3, c4, c5 = (math.ceil(n * scale.width / 8) * 8 for n in (64, 128, 256, 512, 1024))  # multiples of 8
-        d1, d2, d3 = (max(round(n * scale.depth), 1) for n in (3, 6, 9))
+        depth, width = scale
+        c1, c2, c3, c4, c5 = (math.ceil(n * width / 8) * 8 for n in (64, 128, 256, 512, 1024))  # multiples of 8
+        d1, d2, d3 = (max(round(n * depth), 1) for n in (3, 6, 9))
         self.n_channels = (c3, c4, c5)
         self.to_p3 = nn.Sequential(
             ConvolutionBlock(3, c1, size=6, stride=2, padding=2),
