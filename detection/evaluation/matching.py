@@ -101,14 +101,14 @@ def _match_image(
 ) -> list[ClassMatches]:
     chosen = np.flatnonzero(detections.class_id == class_id)
     chosen = chosen[np.argsort(-detections.score[chosen], kind="stable")][:MAX_DETECTIONS]
-    of_class = np.flatnonzero((truth.class_id == class_id) | (truth.class_id == ANY_CLASS))
-    boxes, labels = detections.xyxy_px[chosen], truth.xyxy_px[of_class]
-    is_region = truth.is_region[of_class]
+    label_rows = np.flatnonzero((truth.class_id == class_id) | (truth.class_id == ANY_CLASS))
+    boxes, labels = detections.xyxy_px[chosen], truth.xyxy_px[label_rows]
+    is_region = truth.is_region[label_rows]
     overlap = np.where(is_region, fraction_inside(boxes, labels), iou(boxes, labels))
     matches = []
     for size_bin in bins:
         is_counted = size_bin.contains(labels) & (height_px(labels) >= min_height_px)
-        is_ignored = truth.is_ignored[of_class] | ~is_counted
+        is_ignored = truth.is_ignored[label_rows] | ~is_counted
         is_hit = np.zeros((len(IOU_THRESHOLDS), len(boxes)), np.bool_)
         is_void = np.zeros_like(is_hit)
         if len(labels):

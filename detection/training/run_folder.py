@@ -99,12 +99,10 @@ def _network_of(content: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _is_dictionary(value: object, of: type | UnionType) -> bool:
-    """Whether a value is a dictionary of `of` by name."""
     return isinstance(value, dict) and all(isinstance(k, str) and isinstance(v, of) for k, v in value.items())
 
 
 def _is_identity(value: object) -> bool:
-    """Whether a value is a dictionary by name with a list of class names."""
     classes = value.get("classes") if isinstance(value, dict) else None
     return _is_dictionary(value, object) and isinstance(classes, list) and all(isinstance(n, str) for n in classes)
 

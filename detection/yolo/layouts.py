@@ -89,22 +89,19 @@ def identify_layout(network: NetworkOutputs) -> YoloModel:
         is_suppressed = any(len(shape) == 2 and shape[1] in (6, 7) for shape in network.shapes)
         hint = _SUPPRESSED_HINT if is_suppressed else _EXPORT_HINT
         raise ModelError(f"{path}: unknown outputs {shortened(shapes, 80)}; expected those of {known}; {hint}.")
-    used = {
-        "family": metadata.get("family", matched.family, "from its outputs"),
-        "names": _names(path, matched.n_classes, metadata),
-    }
+    family = metadata.get("family", matched.family, "from its outputs")
+    used = {"family": family, "names": _names(path, matched.n_classes, metadata)}
     for key in ("letterbox", "colours", "divisor", "mean", "std"):
         used[key] = metadata.get(key, getattr(matched.input_format, key), f"default of {matched.family}")
     placement, pad_grey = placement_and_grey(used["letterbox"].value)
-    input_format = replace(
-        matched.input_format,
-        placement=placement,
-        pad_grey=pad_grey,
-        **{key: used[key].value for key in ("colours", "divisor", "mean", "std")},
+    scale = {key: used[key].value for key in ("colours", "divisor", "mean", "std")}
+    return replace(
+        matched,
+        family=str(family.value),
+        names=used["names"].value,
+        input_format=replace(matched.input_format, placement=placement, pad_grey=pad_grey, **scale),
+        attributes={**used, **matched.attributes},
     )
-    family, names = str(used["family"].value), used["names"].value
-    attributes = {**used, **matched.attributes}
-    return replace(matched, family=family, names=names, input_format=input_format, attributes=attributes)
 
 
 def _boxes_and_scores(network: NetworkOutputs) -> YoloModel | None:
@@ -185,11 +182,10 @@ def _raw_heads(network: NetworkOutputs) -> YoloModel | None:
             f"{shortened(str(list(scales)))} ({used['scale_x_y'].source})."
         )
     height, width = network.input_hw
+    scales = scales * len(shapes) if len(scales) == 1 else scales
     heads = [
         Head(np.array(anchor, np.float64), np.array([width / shape[3], height / shape[2]]), scale)
-        for shape, anchor, scale in zip(
-            shapes, used["anchors"].value, scales * len(shapes) if len(scales) == 1 else scales, strict=True
-        )
+        for shape, anchor, scale in zip(shapes, used["anchors"].value, scales, strict=True)
     ]
     layout = f"raw heads {', '.join(str(list(shape)) for shape in shapes)}: {n_anchors} anchors per cell"
     return YoloModel(family, layout, n_columns - 5, _DARKNET_INPUT, partial(decode_heads, heads), attributes=used)

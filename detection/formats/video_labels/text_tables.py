@@ -115,17 +115,14 @@ def read_parquet_table(path: Path, video: VideoFacts) -> BoxTable:
             raise LabelFileError(
                 f"{path}: expected the tracks.parquet of a run, but columns are missing: {', '.join(missing)}."
             )
-        table = file.read([name for name in (*_COLUMNS, *_DISTANCES, "class") if name in names])
-        columns = {
-            name: np.asarray(table.column(name).cast(pa.float64()).to_numpy(), np.float64)
-            for name in (*_COLUMNS, *_DISTANCES)
-            if name in table.column_names
-        }
+        known = [name for name in (*_COLUMNS, *_DISTANCES) if name in names]
+        table = file.read([*known, "class"])
+        cells = [np.asarray(table.column(name).cast(pa.float64()).to_numpy(), np.float64) for name in known]
         classes = [str(name) for name in table.column("class").to_pylist()]
     except (pa.ArrowException, OSError, ValueError) as error:
         raise LabelFileError(f"{path}: expected the tracks.parquet of a run, found a damaged file.") from error
-    missing_m = {name: np.full(len(classes), np.nan) for name in _DISTANCES}
-    return _table_of_rows(path, missing_m | columns, classes, video)
+    missing_m = dict.fromkeys(_DISTANCES, np.full(len(classes), np.nan))
+    return _table_of_rows(path, missing_m | dict(zip(known, cells, strict=True)), classes, video)
 
 
 def _table_of_rows(
