@@ -257,7 +257,6 @@ class _Graph:
         return output
 
     def _activated(self, operator: str, inputs: Sequence[str], output: str, activation: str, **attributes: Any) -> None:
-        """Add an operator and its activation."""
         function = ACTIVATIONS[activation]
         if not function.operators:
             self._node(operator, inputs, output, **attributes)

@@ -74,7 +74,6 @@ def supervision_boxes(
 
 
 def _class_names(boxes: Any, class_names: Sequence[str] | None, n: int) -> list[str]:
-    """Class name of each of the n boxes; ValueError if they have none."""
     named = (getattr(boxes, "data", None) or {}).get("class_name")
     if class_names is None and named is not None:
         if len(named) != n:

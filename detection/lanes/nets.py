@@ -198,7 +198,6 @@ class NetLaneFinder:
         return slice(top, top + rows), slice(left, left + columns)
 
     def _markings(self, image: Image, view: tuple[slice, slice]) -> Markings:
-        """The markings that the network detects in a view of the image."""
         part = image[view]
         pixels = cv2.resize(part, self._input_hw[::-1], interpolation=cv2.INTER_LINEAR)
         mean, deviation = self._family.scale

@@ -245,7 +245,6 @@ def _quantisable(model: onnx.ModelProto, blobs: list[FloatArray32], folder: Path
 
 
 def _probe(model: onnx.ModelProto, tensors: Sequence[str], folder: Path) -> OnnxSession:
-    """The network with these tensors as its outputs."""
     probe = copy.deepcopy(model)
     del probe.graph.output[:]
     float32 = onnx.TensorProto.FLOAT

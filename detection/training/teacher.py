@@ -56,7 +56,6 @@ def yolov5_of_export(path: Path) -> YoloV5:
 
 
 def _convolutions(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Weights and biases of the convolutions, in the order of the graph."""
     check_model_file(path)
     try:
         graph = onnx.load(str(path)).graph
@@ -77,7 +76,6 @@ def _convolutions(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def _in_order(network: nn.Module) -> list[nn.Conv2d]:
-    """The convolutions of a network in the order of execution."""
     order: list[nn.Conv2d] = []
     convolutions = (module for module in network.modules() if isinstance(module, nn.Conv2d))
     hooks = [conv.register_forward_pre_hook(lambda conv, _: order.append(conv)) for conv in convolutions]
@@ -156,7 +154,6 @@ class Teacher:
         return [self._of_head(index, head) for index, head in enumerate(heads)]
 
     def _of_head(self, index: int, head: Tensor) -> TeacherOutputs:
-        """The outputs of head `index` from its raw output."""
         objectness = head[..., 4].float().sigmoid()
         where = (objectness > MIN_OBJECTNESS).nonzero(as_tuple=True)
         image, anchor, row, column = where

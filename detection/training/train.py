@@ -220,7 +220,6 @@ class Training:
         export_onnx(network, path, about | ({"licence": licence} if licence else {}))
 
     def _epoch(self, listener: Listener) -> None:
-        """Train one epoch, validate, and write the run folder."""
         epoch, start_s = len(self.history), time.perf_counter()
         row = {"epoch": epoch + 1.0, "rate": self._schedule.rate(epoch * len(self._batches))}
         row |= {f"loss_{name}": loss for name, loss in self._learn(epoch, listener).items()}
@@ -255,7 +254,6 @@ class Training:
         return {name: loss / done for name, loss in total.items()}
 
     def _step(self, batch: Batch) -> Losses:
-        """One step of the optimiser."""
         settings, device = self._settings, self._device
         images = scaled(batch.images.to(device, memory_format=torch.channels_last))
         targets = None if self._teacher is None or self._feature_loss is not None else self._teacher.outputs(images)
@@ -281,7 +279,6 @@ class Training:
         return f", and --weights {self._out / LAST}" if self.history else ""
 
     def _save(self, row: dict[str, float]) -> None:
-        """Write the checkpoints and results of an epoch."""
         is_rounded = self._settings.is_rounded_in
         # Epochs without rounding are no rivals of those with it: validation is in float and does not show the gain.
         rivals = [old for i, old in enumerate(self.history) if is_rounded(i) == is_rounded(len(self.history))]

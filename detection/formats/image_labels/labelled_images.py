@@ -121,7 +121,6 @@ def of_split(
 
 
 def _with_files(paths: Sequence[Path], folder: Path) -> Iterator[tuple[Path, Path]]:
-    """The images that have a label file in a folder, each with it."""
     return ((path, file) for path in paths if (file := folder / f"{path.stem}.txt").is_file())
 
 

@@ -374,7 +374,6 @@ CVAT_ATTRIBUTES = (
 
 
 def _track_lines(rows: BoxTable, track_id: int, n_frames: int) -> Iterator[str]:
-    """The element of one track, whose boxes have one class."""
     label = quoteattr(_NOT_XML.sub("?", rows.label[0]))
     yield f'  <track id={quoteattr(str(track_id))} label={label} source="auto">\n'
     edges = rows.xyxy_px + HALF_PIXEL_PX

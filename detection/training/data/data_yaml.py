@@ -59,7 +59,6 @@ def _printable(path: str) -> str:
 
 
 def _listed(entry: object) -> object:
-    """The entries of a split as a list."""
     entries = entry if isinstance(entry, list) else [entry]
     if not entries or not all(isinstance(part, str) and part for part in entries):
         raise ValueError(
@@ -300,7 +299,6 @@ class _Reader:
         ]
 
     def _labels_of(self, images: Path) -> Path:
-        """Folder of the label files for a folder of images."""
         if self.document.labels:
             return self._folder(self.document.labels)
         parts = list(images.parts)

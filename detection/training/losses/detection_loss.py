@@ -109,7 +109,6 @@ class DetectionLoss:
     def _of_head(
         self, head: int, raw: Tensor, labels: LabelledObjects, batch: Batch, teacher: TeacherOutputs | None
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Box, objectness and class loss of one head, without their weights."""
         network = self._network
         stride_px = network.strides_px[head]
         cells = assign(labels, network, head, (raw.shape[2], raw.shape[3]))

@@ -127,7 +127,6 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
 
 
 def _coefficient_grid(fit: ScoreFit, detector: YoloDetector) -> Grid:
-    """One row per class: matches and coefficients."""
     ids = [i for i in range(len(ROAD_CLASSES)) if i in detector.known_class_id]
     columns = [
         Column("matches", fit.n_positives[ids].tolist(), "{:.0f}"),
@@ -140,7 +139,6 @@ def _coefficient_grid(fit: ScoreFit, detector: YoloDetector) -> Grid:
 
 
 def _error_grid(before: Reliability, after: Reliability | None) -> Grid:
-    """Calibration errors of the original scores and of the cross-validated calibrated ones."""
     rows = {"original": before} | ({} if after is None else {"calibrated, cross-validated": after})
     columns = [
         Column("detections", [float(row.n.sum()) for row in rows.values()], "{:.0f}"),

@@ -65,7 +65,6 @@ def _entry_rows(model: ModelLocation) -> Iterator[tuple[str, str, str]]:
 
 
 def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
-    """Rows (property, value, source) of a loaded model."""
     session, model = detector.session, detector.model
     family = model.attributes["family"]
     yield "family", model.family, family.source

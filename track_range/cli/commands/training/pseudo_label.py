@@ -126,7 +126,6 @@ def _print_outcome(outcome: PseudoLabelFigures, members: list[EnsembleMember]) -
 
 
 def _label_grid(outcome: PseudoLabelFigures) -> Grid:
-    """One row per class: matches of the fit, pseudo-labels by minimum probability, and boxes to ignore."""
     rows = outcome.known_class_id
     fitted = [int(n) or None for n in outcome.calibration.n_positives[rows]]
     columns = [Column("fitted to", fitted, "{:.0f}")]

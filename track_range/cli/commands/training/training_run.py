@@ -60,7 +60,6 @@ def train(options: TrainOptions) -> None:
 def _prepared(
     options: TrainOptions, settings: TrainingSettings, data: TrainingData, teacher: Teacher | None
 ) -> Training:
-    """Read the images and create the network, resumed or with initial weights if requested."""
     largest_px = int(settings.size_px * settings.augmentation.max_gain)
     images = read_images(data.train, data, max_side_px=largest_px)
     validation = read_images(data.val, data, max_side_px=None)
@@ -151,7 +150,6 @@ def _settings(options: TrainOptions) -> TrainingSettings:
 
 
 def _finish(training: Training, options: TrainOptions, data: TrainingData) -> None:
-    """Export the best network and print its metrics."""
     training.load_best()
     model = options.out / f"{options.model}.onnx"
     name = options.data.stem if options.data.stem != "data" else options.data.absolute().parent.name
