@@ -92,7 +92,7 @@ def test_resize_maps_areas_onto_areas():
     np.testing.assert_allclose(small[0], (np.arange(100) + 0.5) * 2 - 0.5)
 
 
-@pytest.mark.parametrize("placement", ["centred", "top_left"])
+@pytest.mark.parametrize("placement", ["centred", "top-left"])
 def test_extreme_aspect_ratios_leave_one_pixel(placement):
-    assert getattr(Letterbox, placement)((1, 4000), (320, 320)).resized_hw == (1, 320)
-    assert getattr(Letterbox, placement)((4000, 1), (320, 320)).resized_hw == (320, 1)
+    assert Letterbox.of_placement(placement, (1, 4000), (320, 320)).resized_hw == (1, 320)
+    assert Letterbox.of_placement(placement, (4000, 1), (320, 320)).resized_hw == (320, 1)
