@@ -93,8 +93,8 @@ def _hough_lines(xy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArr
     canvas = np.zeros((round(image_hw[0] * scale) + 1, _CANVAS_WIDTH_PX + 1), np.uint8)
     x, y = np.rint(xy_px.T * scale).astype(np.int64)
     canvas[np.clip(y, 0, canvas.shape[0] - 1), np.clip(x, 0, _CANVAS_WIDTH_PX)] = 1
-    found = cv2.HoughLines(canvas, 1.0, np.pi / 180, _MIN_VOTES)
-    lines = np.zeros((0, 2)) if found is None else np.asarray(found, np.float64).reshape(-1, found.shape[-1])
+    detected = cv2.HoughLines(canvas, 1.0, np.pi / 180, _MIN_VOTES)
+    lines = np.zeros((0, 2)) if detected is None else np.asarray(detected, np.float64).reshape(-1, detected.shape[-1])
     rho, theta = lines.T[:2]
     steep = np.abs(np.tan(theta)) < _MAX_SLOPE
     rho, theta = rho[steep][:_MAX_HOUGH_LINES], theta[steep][:_MAX_HOUGH_LINES]
