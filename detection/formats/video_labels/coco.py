@@ -117,7 +117,7 @@ class CocoFile:
             if self.images.setdefault(number, image) is not image:
                 raise LabelFileError(f"{path}, {where}: expected each image id once, found {quoted(number)} twice.")
 
-    def _section(self, key: str) -> Iterator[tuple[str, _Object]]:
+    def _section(self, key: str) -> Iterator[tuple[str, dict[str, Any]]]:
         """The objects of a list of the file, each with its place for messages."""
         if isinstance(self._document, list):
             raise LabelFileError(
