@@ -107,7 +107,8 @@ def _solve(boxes: BoxSet, *, use_width: bool) -> FloatArray:
     low, high = np.array([free, *_SLOPE_BOUNDS[: 2 if use_width else 1], free]).T
     start = np.array([0.0, -1.0, *([-0.1] if use_width else []), 0.0])
 
-    result = least_squares(
-        lambda x: design @ x - log_distance, start, bounds=(low, high), loss="huber", f_scale=_HUBER_SCALE
-    )
+    def residual(x: FloatArray) -> FloatArray:
+        return np.asarray(design @ x - log_distance)
+
+    result = least_squares(residual, start, bounds=(low, high), loss="huber", f_scale=_HUBER_SCALE)
     return np.asarray(result.x)

@@ -111,8 +111,9 @@ def measure_pairs(
         numbers = np.full(n_objects, number)
         group = pair.track_id if len(pair.track_id) else numbers
         columns.append((pair.true_px, focal_baseline_m, pair.x_px, numbers, group))
+    true_px, focal_baseline_m, x_px, pair_number, group = map(np.concatenate, zip(*columns, strict=True))
     return MatcherResults(
-        Objects(*map(np.concatenate, zip(*columns, strict=True)), tuple(cameras)),
+        Objects(true_px, focal_baseline_m, x_px, pair_number, group, tuple(cameras)),
         {name: MatcherColumn(*map(np.concatenate, zip(*parts, strict=True))) for name, parts in measured.items()},
         {name: float(np.median(times)) for name, times in times_ms.items() if times},
         tuple(notes),

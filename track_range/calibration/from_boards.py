@@ -105,7 +105,7 @@ def calibrate_views(
         else:
             result = calibrate_pair([(shot[0], shot[1]) for shot in search.shots], advance=advance, **model)
     board, sources = _board(settings), list(_sources(settings))
-    figures = {"board": board.name, "square_mm": board.square_m * 1000, "sources": sources}
+    figures: dict[str, Any] = {"board": board.name, "square_mm": board.square_m * 1000, "sources": sources}
     calibration = BoardCalibration(search, result, figures)
     figures |= _measured_figures(calibration)
     figures["warnings"] += _warnings(search, calibration.cameras)

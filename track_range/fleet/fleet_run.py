@@ -150,7 +150,7 @@ class _FleetRun:
         counts = self._counts
         own = self._plan.settings.model_dump(mode="json", exclude_none=True)
         own["recordings"] = own["recordings"][:10]
-        plain = str | int | float | bool | list | dict | None
+        plain = (str, int, float, bool, list, dict, type(None))
         run = {key: value if isinstance(value, plain) else str(value) for key, value in self._plan.options.items()}
         if self._plan.is_anonymized:
             own = {key: value for key, value in own.items() if key not in _WITH_FOLDERS}

@@ -142,7 +142,7 @@ def write_drive(
                 labels.append(visible.labels)
                 rows.append(truth_rows(renderer, time_s, visible))
                 if options.masks:
-                    write_masks(folder, len(rows) - 1, *part_labels, scene)
+                    write_masks(folder, len(rows) - 1, part_labels[0], scene)
                 if options.disparity:
                     objects = object_map(inverse_depth, pinholes, visible, scene.rotations(time_s))
                     _write_kitti_2015(folder / "image_2", number, image)

@@ -197,7 +197,7 @@ class CocoFile:
                 n_empty += 1
                 continue
             attributes = item.get("attributes")
-            both = attributes | item if isinstance(attributes, dict) else item
+            both: dict[str, Any] = {**attributes, **item} if isinstance(attributes, dict) else item
             if both.get("outside") is True:
                 continue
             given = [(source, key) for source in (item, both) for key in _IDENTITY_KEYS if source.get(key) is not None]

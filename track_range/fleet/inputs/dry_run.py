@@ -145,12 +145,13 @@ class _Check:
 
     def _check_rig(self, path: Path, left_px: tuple[int, int], right_px: tuple[int, int]) -> None:
         errors = []
-        for step in (1, -1):  # -1: a video that is rotated by its metadata
+        # the second sizes are those of a video that is rotated by its metadata
+        for left, right in ((left_px, right_px), ((left_px[1], left_px[0]), (right_px[1], right_px[0]))):
             try:
                 if self.clip.right is None:
-                    load_camera(path, size_px=left_px[::step])
+                    load_camera(path, size_px=left)
                 else:
-                    load_rig(path, size_px=left_px[::step], right_size_px=right_px[::step])
+                    load_rig(path, size_px=left, right_size_px=right)
                 return
             except UserError as error:
                 errors.append(str(error))
