@@ -274,10 +274,8 @@ class RangingMethod:
 def checked_ranges(method: str, ranges: Any, tracks: Tracks) -> Ranges:
     """Ranges of the tracks as a ranger of this method returned them, for fusion and filters.
 
-    A track with a distance or sigma that is not finite and positive counts as not measured: both become NaN.
-
-    Raises:
-        MethodError: `ranges` is not a `Ranges`, or has other tracks.
+    A track with a distance or sigma that is not finite and positive counts as not measured: both become NaN. Raises
+    MethodError: `ranges` is not a `Ranges`, or has other tracks.
     """
     if not isinstance(ranges, Ranges):
         raise MethodError(f"ranging method {method!r}: expected Ranges, got {type(ranges).__name__}")

@@ -43,11 +43,7 @@ def method_notes() -> tuple[str, ...]:
 
 
 def register(method: RangingMethod) -> None:
-    """Add a method for the lifetime of the process.
-
-    Raises:
-        MethodError: another method has its name or its letter.
-    """
+    """Add a method for the lifetime of the process. Raises MethodError: another method has its name or its letter."""
     _check_unique(method, methods())
     METHODS.registered[method.name] = method
 
@@ -68,10 +64,8 @@ def in_measuring_order(listed: Sequence[RangingMethod]) -> tuple[RangingMethod, 
 def create_rangers(context: MethodContext, listed: Sequence[RangingMethod] | None = None) -> dict[str, Ranger]:
     """Rangers by name, in measuring order, of all methods (or those `listed`) with their requirements met.
 
-    Each factory gets the context with the rangers created before.
-
-    Raises:
-        MethodError: the `reads` of the methods form a cycle.
+    Each factory gets the context with the rangers created before. Raises MethodError: the `reads` of the methods form a
+    cycle.
     """
     rangers: dict[str, Ranger] = {}
     for method in in_measuring_order(methods() if listed is None else listed):
@@ -84,7 +78,6 @@ def create_rangers(context: MethodContext, listed: Sequence[RangingMethod] | Non
 
 @cache
 def _installed() -> tuple[tuple[RangingMethod, ...], tuple[str, ...]]:
-    """The built-in methods and those of entry points, and notes on entry points that cannot be used."""
     installed = [imported(method) for method in METHODS.built_in.values()]
     notes = []
     for entry in METHODS.installed:

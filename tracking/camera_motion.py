@@ -55,7 +55,6 @@ class CameraMotion:
     """Estimates the background motion between the frames of one stream; the state belongs to the instance.
 
     Args:
-        settings: None = the defaults.
         flow: flow of the background, which other estimators of the same stream may use too; None = a separate one.
     """
 
@@ -73,8 +72,7 @@ class CameraMotion:
             xyxy_px: (N, 4) boxes of road users in this frame, which are not background; invalid ones are ignored.
             time_s: time of the frame, by which estimators with the same flow identify it; NaN = a new frame.
 
-        Raises:
-            ValueError: an argument has another shape.
+        Raises ValueError: an argument has another shape.
         """
         check_shape("image", image, (None, None, 3))
         check_shape("xyxy_px", xyxy_px, (None, 4))

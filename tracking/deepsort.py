@@ -123,10 +123,7 @@ class DeepSortTracker:
         """The confirmed tracks at `time_s`, by id: detected ones, and missing ones with a reliable prediction.
 
         `image` is used for camera motion, embeddings and the image border; without it, the border is the extent of all
-        boxes so far.
-
-        Raises:
-            ValueError: `time_s` is not later than in the previous call.
+        boxes so far. Raises ValueError: `time_s` is not later than in the previous call.
         """
         if not self._last_s < time_s < np.inf:
             raise ValueError(f"time_s: expected more than {self._last_s} s, the time of the last frame, got {time_s} s")

@@ -149,9 +149,6 @@ def predict_missing(
     """Row numbers (M,) of the N missing tracks that can be predicted at `time_s`, and their boxes (M, 4).
 
     Args:
-        history: histories of the missing tracks.
-        time_s: time of the frame.
-        gates: conditions for a prediction.
         border_xyxy_px: (4,) outer edges of the image, or the extent of all boxes so far; None = unknown, so that boxes
             that leave the image are predicted for a while.
         others_xyxy_px: (K, 4) detected boxes of this frame, which may occlude a missing one; None = none.

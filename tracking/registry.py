@@ -29,8 +29,7 @@ class ObjectTracker(Protocol):
     def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
         """The confirmed tracks at `time_s`, which must increase from call to call; `image` is (H, W, 3) BGR or None.
 
-        Raises:
-            ValueError: `time_s` is not later than in the previous call.
+        Raises ValueError: `time_s` is not later than in the previous call.
         """
         ...
 
@@ -110,9 +109,7 @@ TRACKERS: Registry[RegisteredTracker] = Registry(
 def register_tracker(name: str, factory: TrackerFactory | str, *, uses_reid: bool = False) -> None:
     """Make a tracker available as `--tracker NAME`; see `RegisteredTracker` for the arguments.
 
-    Raises:
-        TrackerError: another tracker has this name.
-        ValueError: the name is empty or contains a colon.
+    Raises TrackerError: another tracker has this name; ValueError: the name is empty or contains a colon.
     """
     if not name or ":" in name:
         raise ValueError(f"{name!r}: expected a tracker's name without a colon")
@@ -125,9 +122,7 @@ def find_tracker(name: str) -> RegisteredTracker:
     """The tracker with a name or `package.module:Class`, checked as far as possible without creating one.
 
     The command line also searches for a `package.module:Class` in the current folder, after the installed modules.
-
-    Raises:
-        TrackerError: there is no such tracker, or it does not take `TrackerOptions`.
+    Raises TrackerError: there is no such tracker, or it does not take `TrackerOptions`.
     """
     listed = TRACKERS.find(name)
     if isinstance(listed, RegisteredTracker):
@@ -150,10 +145,8 @@ def create_tracker(name: str, options: TrackerOptions | None = None) -> ObjectTr
 
     Args:
         name: one of `TRACKERS.names`, or `package.module:Class`.
-        options: options for the tracker; None = the defaults.
 
-    Raises:
-        TrackerError: the name is unknown, the tracker does not take `TrackerOptions`, or it has no method `update`.
+    Raises TrackerError: the name is unknown, the tracker does not take `TrackerOptions`, or it has no method `update`.
     """
     factory = _imported(find_tracker(name).factory)
     try:
@@ -168,8 +161,7 @@ def create_tracker(name: str, options: TrackerOptions | None = None) -> ObjectTr
 def checked_tracks(tracker: ObjectTracker, result: Any) -> Tracks:
     """The result of a tracker's `update`, checked to be `Tracks`.
 
-    Raises:
-        TrackerError: the result has another type, or class ids that do not exist.
+    Raises TrackerError: the result has another type, or class ids that do not exist.
     """
     name = f"{type(tracker).__module__}:{type(tracker).__qualname__}"
     if not isinstance(result, Tracks):

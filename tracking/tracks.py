@@ -62,10 +62,8 @@ class Tracks:
     def from_supervision(cls, boxes: Any, class_names: Sequence[str] | None = None) -> Tracks:
         """Tracks from supervision's `Detections` with `tracker_id`, as returned by the trackers of other libraries.
 
-        Boxes with a negative identity (not confirmed yet) are left out; other identities do not change.
-
-        Raises:
-            ValueError: `tracker_id` is missing, or contains an identity twice.
+        Boxes with a negative identity (not confirmed yet) are left out; other identities do not change. Raises
+        ValueError: `tracker_id` is missing, or contains an identity twice.
         """
         xyxy_px, score, class_id, track_id = read_supervision(boxes, class_names)
         if track_id is None:
@@ -82,8 +80,7 @@ class Tracks:
     def select(self, rows: Rows) -> Tracks:
         """The rows that a mask (N,), an array or list of row numbers or a slice selects, in its order.
 
-        Raises:
-            IndexError: the mask has another length, or a row does not exist.
+        Raises IndexError: the mask has another length, or a row does not exist.
         """
         rows = row_numbers(rows, len(self.track_id))
         return Tracks(*(getattr(self, name).take(rows, axis=0) for name in self.__slots__))

@@ -83,7 +83,6 @@ class PaperFilter:
 
 
 def _kalman_filter(first_m: float) -> Any:
-    """A filterpy KalmanFilter with the first distance as its state."""
     from filterpy.kalman import KalmanFilter  # a local import, since it takes seconds
 
     kalman = KalmanFilter(dim_x=1, dim_z=1, dim_u=1)

@@ -49,9 +49,8 @@ _TRUTH: Mapping[str, str] = {
 def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
     """Errors and calibration of sigma per method and class, with the settings and notes, as JSON values.
 
-    Raises:
-        LabelFileError, RigError, CurveError: labels, calibration or curves cannot be used.
-        UsageError: an unknown method, or settings that contradict each other.
+    Raises LabelFileError, RigError, CurveError: labels, calibration or curves cannot be used; UsageError: an unknown
+    method, or settings that contradict each other.
     """
     settings = _with_split(settings)
     names = tuple(name for name in settings.methods if name)

@@ -41,8 +41,7 @@ def surface_distance_m(
     Args:
         rays: (N, 3) directions with z = 1, so that the parameter of a ray is the depth.
         location_m: (N, 3) bottom centre of each box in the camera's frame.
-        size_hwl_m: (N, 3) height, width, length.
-        rotation_y_rad: (N,) yaw.
+        size_hwl_m, rotation_y_rad: (N, 3) height, width, length; (N,) yaw.
     """
     origin = _in_box_axes(-location_m, rotation_y_rad)
     direction = _in_box_axes(rays, rotation_y_rad)
@@ -91,8 +90,7 @@ def lidar_distance_m(labels: KittiLabels, points_m: FloatArray, left_from_refere
 def read_lidar(path: Path, calib: Path) -> FloatArray:
     """(M, 3) points of a KITTI velodyne file (x, y, z, reflectance as float32) in the frame of the reference camera.
 
-    Raises:
-        LabelFileError: the file is missing or is not made of points, or the calibration has no lidar.
+    Raises LabelFileError: the file is missing or is not made of points, or the calibration has no lidar.
     """
     try:
         values = np.fromfile(path, np.float32)
@@ -106,7 +104,6 @@ def read_lidar(path: Path, calib: Path) -> FloatArray:
 
 
 def _matrix(calib: Path, matrix: str, shape: tuple[int, int]) -> FloatArray:
-    """A matrix of a calibration file by the names of its row."""
     for line in read_text(calib, LabelFileError, "a calibration file of KITTI").splitlines():
         name, *values = line.replace(":", " ").split()[: 1 + shape[0] * shape[1]] or [""]
         if name in _ROWS[matrix] and len(values) == shape[0] * shape[1]:

@@ -83,9 +83,8 @@ def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatAr
         camera: the left camera, undistorted.
         left_from_reference_m: (3,) shift from the frame of KITTI's reference camera to that of the left camera.
 
-    Raises:
-        LabelFileError: the file cannot be read, or has no identities, or no distances (KITTI: no 3-D boxes), which are
-            optional for COCO, CVAT and YOLO.
+    Raises LabelFileError: the file cannot be read, or has no identities, or no distances (KITTI: no 3-D boxes), which
+    are optional for COCO, CVAT and YOLO.
     """
     if os.path.isdir(path) or label_format_of(path, "ground truth").is_general:
         return _of_table(path, camera)

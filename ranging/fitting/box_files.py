@@ -40,9 +40,8 @@ _POSITIVE = ("distance_m", "fx", "fy")
 def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, tuple[str, ...]]:
     """Boxes from a CSV file, and notes for the user; `focal_px` is used if the file has no column fx.
 
-    Raises:
-        LabelFileError: the file cannot be read, a column, number or focal length is missing, a class is unknown, or a
-            box has x1 >= x2 or y1 >= y2.
+    Raises LabelFileError: the file cannot be read, a column, number or focal length is missing, a class is unknown, or
+    a box has x1 >= x2 or y1 >= y2.
     """
     table = read_csv_table(path, LabelFileError, f"columns {','.join(COLUMNS[:7])}", default_header=COLUMNS)
     table.require(_REQUIRED)
@@ -103,8 +102,7 @@ def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, 
 def read_box_labels(path: Path, *, focal_px: float | None) -> tuple[BoxSet, tuple[str, ...]]:
     """Boxes with distances from a label file, and notes for the user.
 
-    Raises:
-        LabelFileError: the file cannot be read, no box has a distance, or the focal length is missing.
+    Raises LabelFileError: the file cannot be read, no box has a distance, or the focal length is missing.
     """
     table = read_labels(path, expected="labels with distances")
     if focal_px is None:

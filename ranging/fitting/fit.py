@@ -69,9 +69,8 @@ class FittedSizes:
 def fit_sizes(settings: FitSettings) -> FittedSizes:
     """Fit a size model to labelled boxes, and write it to `settings.out`, if given.
 
-    Raises:
-        LabelFileError, RigError, CurveError: labels or calibration cannot be used, or there are too few labels.
-        UsageError: settings that contradict each other.
+    Raises LabelFileError, RigError, CurveError: labels or calibration cannot be used, or there are too few labels;
+    UsageError: settings that contradict each other.
     """
     _check(settings)
     boxes, notes = _boxes(settings)

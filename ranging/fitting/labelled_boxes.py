@@ -173,9 +173,8 @@ def box_set(
         seed: see `noise_px`.
         selection: labels that are used; None = visible objects at 5-100 m of all files.
 
-    Raises:
-        LabelFileError: no files, no 3-D boxes, no usable labels, or detections that cannot be read.
-        RigError: a calibration file is missing or cannot be read.
+    Raises LabelFileError: no files, no 3-D boxes, no usable labels, or detections that cannot be read; RigError: a
+    calibration file is missing or cannot be read.
     """
     files = sorted(file for file in labels.glob("*.txt") if not file.name.startswith("."))
     if not files:

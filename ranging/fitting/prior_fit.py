@@ -137,7 +137,6 @@ def _yaw_rad(labels: BoxSet) -> FloatArray:
 
 
 def _standard(name: str) -> SizePrior:
-    """Prior of a class from its standard size."""
     hwl_m, sigma, source = STANDARD_SIZES[name]
     return SizePrior(
         hwl_m=hwl_m,
@@ -156,7 +155,6 @@ def _standard(name: str) -> SizePrior:
 
 
 def _fitted(name: str, labels: BoxSet, source: str) -> SizePrior:
-    """Prior of a class from its labels."""
     _, first, row, counts = np.unique(
         _object(labels), axis=1, return_index=True, return_inverse=True, return_counts=True
     )

@@ -81,7 +81,6 @@ class ErrorModel:
 
 
 def _parts(method: RangingMethod, component: str) -> dict[str, float]:
-    """Fraction of the variance by error source, of one component ("systematic" or "independent")."""
     parts: dict[str, float] = {}
     for source in method.error_sources:
         parts[source.name] = parts.get(source.name, 0.0) + getattr(source, component)

@@ -188,7 +188,6 @@ class Fusion:
 def _with_biases_learnt(
     track: TrackBiases, used: Measurements, estimate: Estimate, model: ErrorModel, *, in_conflict: BoolArray
 ) -> TrackBiases:
-    """The biases with u and C updated by the differences between methods."""
     size, matching = model.size[:, None], model.matching
     is_apart = np.abs(used.z[size] - used.z[matching]) > _MAX_BIAS_SIGMA * np.hypot(
         used.sigma[size], used.sigma[matching]

@@ -106,7 +106,6 @@ class LaneWidthRanger(Ranger):
         """Create a ranger for `camera` (undistorted).
 
         Args:
-            camera: camera of the images with the lines and boxes.
             width_m: lane width W between the centre lines of the lane markings.
             width_sigma: relative standard deviation of `width_m`.
             box_sigma_px: standard deviation of the bottom edge of a detected box.

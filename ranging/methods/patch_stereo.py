@@ -33,7 +33,6 @@ from track_range.tracking.tracks import Tracks
 
 _DETAILS = ("surfaces", "probability")
 _REFERENCE_SIGMA = 0.01  # relative error of all distances of a pair, as a reference for the scale of the drive
-
 _UNALIGNED_SIGMA_PX = 1.0  # standard deviation in px of the disparities of uncalibrated cameras, apart from the scale
 _SIZES_SIGMA = 0.08  # relative, of the mean size of a class: countries, car models and detectors differ
 _TRACK_SIGMA = 0.15  # relative, of K from single tracks, in addition to the sigma of their distances by size
@@ -67,8 +66,7 @@ class StereoRanger(Ranger):
             matcher: matcher of boxes; None = the patch matcher with the settings for this rig.
             alignment: correction of the disparities; None = that of the rig, which `open_recording` has estimated.
 
-        Raises:
-            ValueError: the rig is not rectified.
+        Raises ValueError: the rig is not rectified.
         """
         if not rig.is_rectified:
             raise ValueError("rig: expected a rectified pair; use Rectifier(rig).rig, and its images")

@@ -109,7 +109,6 @@ class SizeRanger(Ranger):
         return Measured(scale.after([evidence], frame.time_s).corrected(by_size, tracks.class_id), evidence)
 
     def _by_size(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances by size alone."""
         height_px, width_px = frame.left.shape[:2]
         x1_px, y1_px, x2_px, y2_px = tracks.xyxy_px.T
         first_px, last_x_px, last_y_px = BORDER_PX - 0.5, width_px - 0.5 - BORDER_PX, height_px - 0.5 - BORDER_PX

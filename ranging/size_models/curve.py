@@ -38,8 +38,6 @@ _MODELS: Mapping[str, tuple[type[BaseModel], Callable[[Any], StoredSizeModel]]] 
 
 
 class _CurveFile(BaseModel):
-    """Keys of all curve files."""
-
     track_range_size_curves: Integer
     kind: Literal["cuboids", "log-linear", "table"]
 
@@ -47,8 +45,7 @@ class _CurveFile(BaseModel):
 def load_curves(path: Path | None = None) -> StoredSizeModel:
     """The size model in a curve file; None = the packaged file.
 
-    Raises:
-        CurveError: no such file, another format or version, an unknown kind or class, or an invalid value.
+    Raises CurveError: no such file, another format or version, an unknown kind or class, or an invalid value.
     """
     if path is None:
         with resources.as_file(resources.files("track_range.ranging").joinpath("curves/cuboids.json")) as packaged:

@@ -190,7 +190,6 @@ class DriveScale:
         return replace(scale, _corrections=_Corrections(*merged))
 
     def _solved(self, time_s: float, reference_sigma: float) -> DriveScale:
-        """The posterior of a and c_k over all tracks."""
         tracks, n_classes = self._tracks, len(SIZE_CLASSES)
         m = tracks.weighted_ratio / tracks.information
         variance = tracks.own_variance + 1.0 / tracks.information
@@ -224,7 +223,6 @@ class DriveScale:
 
 
 def _averaged(known: _Tracks, frame: _Tracks) -> _Tracks:
-    """The averages of the known tracks with those of one frame, in the order of their first frames."""
     is_new = ~_rows(frame.track_id, known.track_id)[1]
     added = frame._replace(information=0.0 * frame.information, weighted_ratio=0.0 * frame.weighted_ratio)
     tracks = _Tracks._make(np.concatenate([a, b[is_new]]) for a, b in zip(known, added, strict=True))

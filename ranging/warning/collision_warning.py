@@ -76,8 +76,6 @@ _REACH_SIGMA = 3.0  # standard deviations of the gap beyond which an object is o
 
 
 class _EgoTrend:
-    """Speed, acceleration and yaw rate of the ego vehicle."""
-
     def __init__(self, settings: WarningSettings) -> None:
         self._settings = settings
         # 0 = unknown; yaw_noise: growth of the variance of w' per second
@@ -126,7 +124,6 @@ class _EgoTrend:
 
 
 def _state(x: float, P_xx: float, P_vv: float) -> ConstantVelocity:
-    """The state of a value without a rate."""
     return ConstantVelocity(*(np.array(value) for value in (x, 0.0, P_xx, 0.0, P_vv)))
 
 

@@ -48,12 +48,9 @@ def run_fleet(
     """Process the clips that are not complete.
 
     `options`: those of the runs, by name of the setting; `console`: for the progress; `process`: processes a clip in a
-    worker (default: `engine.clip_run.run_clip`).
-
-    Raises:
-        UsageError: an option is invalid.
-        FleetError, FolderLockError, StorageError: the fleet cannot run, or cannot continue.
-        RunStoppedError: the user stopped it; what is complete stays.
+    worker (default: `engine.clip_run.run_clip`). Raises UsageError: an option is invalid; FleetError, FolderLockError,
+    StorageError: the fleet cannot run, or cannot continue; RunStoppedError: the user stopped it; what is complete
+    stays.
     """
     import pyarrow as pa
 
@@ -77,8 +74,6 @@ def run_fleet(
 
 
 class _FleetRun:
-    """A run of a fleet, with its output locked."""
-
     def __init__(self, plan: FleetPlan, clips: Sequence[Clip], console: Console) -> None:
         self._plan, self._clips, self._console = plan, clips, console
         self._counts = Counts(total=len(clips))
@@ -138,7 +133,6 @@ class _FleetRun:
                         driver.stop()
 
     def _finish(self, state: State, reason: str) -> None:
-        """Write what is known after a failure, as far as the storage allows it."""
         with ignore_interrupts():
             with suppress(StorageError):
                 self._counts.done += self._table.collect_journal()

@@ -18,11 +18,7 @@ _SIZE = re.compile(r"(\d{1,12}(?:\.\d{1,3})?)\s*([kmgt]?)i?b?", re.IGNORECASE)  
 
 
 def size_bytes(text: str) -> int:
-    """Bytes of a size such as "2GB".
-
-    Raises:
-        ValueError: the text is not a size.
-    """
+    """Bytes of a size such as "2GB". Raises ValueError: the text is not a size."""
     match = _SIZE.fullmatch(text.strip())
     if match is None or not float(match[1]):
         raise ValueError("expected a size such as 2GB or 500MB")

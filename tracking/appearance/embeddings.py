@@ -99,8 +99,7 @@ class ColourLayout:
     def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
         """As `AppearanceModel.embed`; parts of a box outside the image do not count.
 
-        Raises:
-            ValueError: the image is not (H, W, 3).
+        Raises ValueError: the image is not (H, W, 3).
         """
         check_shape("image", image, (None, None, 3))
         embedding = np.zeros((len(xyxy_px), self.n_values), np.float32)

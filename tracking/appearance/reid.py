@@ -57,9 +57,7 @@ class ReidModel:
     def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
         """(N, D) unit-norm embeddings of the boxes (N, 4) in `image`, (H, W, 3) uint8 BGR; zeros = unknown.
 
-        Raises:
-            ModelError: the network fails.
-            ValueError: the image is not (H, W, 3).
+        Raises ModelError: the network fails; ValueError: the image is not (H, W, 3).
         """
         check_shape("image", image, (None, None, 3))
         embedding = np.zeros((len(xyxy_px), self.n_values), np.float32)

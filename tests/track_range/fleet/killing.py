@@ -19,7 +19,7 @@ def killed_workers(out: Path, n: int, *, interval_s: float = 1.0) -> Iterator[li
     """Context in which random workers of the fleet are killed; yields the list of the processes killed so far.
 
     The first clip to be interrupted is spared until a second one has been: if workers die with one clip only, it
-    fails after two attempts (`engine.attempts`).
+    fails after two attempts (`engine.driver`).
     """
     stop = threading.Event()
     killed: list[int] = []

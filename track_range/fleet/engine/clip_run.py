@@ -17,8 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from track_range.fleet.engine.attempts import plausible_s
-from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, FleetPlan
+from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, FileNames, FleetPlan
 from track_range.fleet.engine.remaining import content_hash, fingerprint
 from track_range.fleet.engine.worker import peak_memory_bytes
 from track_range.fleet.inputs.clip import Clip
@@ -32,7 +31,6 @@ from track_range.fleet.output.data_set import (
     runs_location,
     tracks_location,
 )
-from track_range.fleet.output.file_names import FileNames
 from track_range.fleet.output.record import ERROR_FIGURES, ClipRecord, utc_now
 from track_range.fleet.settings import size_bytes
 from track_range.fleet.storage.errors import StorageError
@@ -54,6 +52,7 @@ if TYPE_CHECKING:
 
 _DETECTORS = OpenedDetectors()  # detector of this process, which its clips share
 _MAX_ERROR = 600  # longest error of a clip, in characters
+_MIN_BYTES_PER_S = 1000.0  # lowest plausible data rate of a video; a damaged header may state any duration
 
 _NOT_PUBLISHED = {"settings.yaml", TRACKS_FILE, EVENTS_PARQUET}
 """Files of a run that contain paths of this machine, or are published elsewhere."""
@@ -74,8 +73,6 @@ def run_clip(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> ClipOut
 
 
 class _ClipRun:
-    """Processing of one clip."""
-
     def __init__(self, task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> None:
         self._task, self._plan, self._progress = task, plan, progress
         self._clip = task.clip
@@ -151,7 +148,7 @@ class _ClipRun:
         stated_s = header.duration_s or 0.0
         if settings.duration_s is not None:
             stated_s = min(stated_s, settings.duration_s)
-        progress.video_s = plausible_s(stated_s, n_bytes)
+        progress.video_s = max(0.0, min(stated_s, n_bytes / _MIN_BYTES_PER_S))
         with Run(settings, opened_detectors=_DETECTORS) as run, tuned_process(has_dense_stereo=settings.sgbm):
             progress.phase = "processing"
             for _ in run:
@@ -241,7 +238,6 @@ def write_tracks(path: Path, table: pa.Table, metadata: Mapping[str, str]) -> No
 
 
 def _is_full(error: BaseException | None) -> bool:
-    """Whether a full disk is the cause of an error."""
     while error is not None:
         number = error.errno if isinstance(error, OSError) else None
         if getattr(error, "kind", "") == "full" or number in (errno.ENOSPC, errno.EDQUOT):

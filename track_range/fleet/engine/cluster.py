@@ -52,9 +52,8 @@ class RayMissingError(UserError):
 def connected(settings: FleetSettings) -> Iterator[int]:
     """Connection to the cluster of the settings; the number of workers to start.
 
-    Raises:
-        RayMissingError: Ray is not installed.
-        FleetError: there is no cluster at the address, or no node of it is large enough for a worker.
+    Raises RayMissingError: Ray is not installed; FleetError: there is no cluster at the address, or no node of it is
+    large enough for a worker.
     """
     disable_telemetry()
     if find_spec("ray") is None:
@@ -167,7 +166,6 @@ def _fitting(settings: FleetSettings, n_requested: int) -> int:
 
 @contextmanager
 def _environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Context with variables of the environment, which Ray's processes inherit."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:

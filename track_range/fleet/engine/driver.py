@@ -1,41 +1,94 @@
 """Driver: gives the clips of a fleet to its workers until each has a record.
 
     todo -> worker -> record in the journal -> clips.parquet
-             |  worker lost: again at the end of the queue, or a record with an error (`engine.attempts`)
+             |  worker lost: again at the end of the queue, or a record with an error
 
 A clip is a task of Ray, which never repeats it: only the driver knows how a clip has failed. It has one clip per worker
 in flight, and of the others only the names.
+
+failure                              attempts in all
+input, internal (application error)  1
+network while fetching               2
+over the limit of time or memory     2
+worker died                          2; 4 if workers died with other clips too, since the machine is then the cause
+node lost                            not counted
 """
 
 from __future__ import annotations
 
 import tempfile
 import time
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import ray
 
 from track_range.fleet.engine import worker
-from track_range.fleet.engine.attempts import Attempts, ErrorKind, time_limit_s
-from track_range.fleet.engine.plan import ClipOutcome, ClipTask, FleetPlan, Process
+from track_range.fleet.engine.plan import ClipOutcome, ClipTask, FileNames, FleetPlan, Process
 from track_range.fleet.engine.progress import Counts
 from track_range.fleet.engine.remaining import present_fingerprint
 from track_range.fleet.engine.worker import FOLDER_PREFIX, WorkerState, process_clip, remove_dead_folders, shared_files
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import ClipTable, journal_rows, publish_record
-from track_range.fleet.output.file_names import FileNames
 from track_range.fleet.output.record import Row, utc_now
 from track_range.foundation.files.input_files import shortened
+
+ErrorKind = Literal["", "input", "crash", "memory", "timeout", "fetch", "internal"]  # kind of a failure; "" = none
+
+_REPEATED: frozenset[ErrorKind] = frozenset(("crash", "memory", "timeout", "fetch"))
+
+_N_ATTEMPTS, _N_ATTEMPTS_ELSEWHERE = 2, 4  # attempts for a clip, and those if workers died with other clips as well
+BASE_S = 60.0  # time for opening a clip, in addition to that for its frames
+_FETCH_BYTES_PER_S = 1e6  # lowest rate of downloads that is not taken for a hang
+
+_FRAMES_PER_S = 10.0
+"""Processed frames that extend the limit like a second of video: slow machines, and videos of high rate or size."""
 
 _POLL_S = 0.5  # longest wait for the workers at a time, s
 _MAX_STARTS = 3  # workers that may die before any of them has started
 _START_S = 900.0  # time in which the first worker has to start, s: a cluster may have to start machines
 _CANCEL_S = 30.0  # time in which Ray ends a cancelled task; its node is taken for lost afterwards
+
+
+class Attempts:
+    """Failed attempts of the clips of a fleet."""
+
+    def __init__(self) -> None:
+        self._failures: dict[str, list[ErrorKind]] = defaultdict(list)
+
+    def add(self, clip: str, kind: ErrorKind) -> None:
+        """Count a failed attempt."""
+        self._failures[clip].append(kind)
+
+    def n_failed(self, clip: str) -> int:
+        """Number of failed attempts."""
+        return len(self._failures.get(clip, ()))
+
+    def is_repeated(self, clip: str) -> bool:
+        """Whether the clip is attempted again after its last failure."""
+        kinds = self._failures.get(clip, [])
+        if not _REPEATED.issuperset(kinds):
+            return False
+        crashed_elsewhere = any("crash" in others for name, others in self._failures.items() if name != clip)
+        is_elsewhere = set(kinds) == {"crash"} and crashed_elsewhere
+        return len(kinds) < (_N_ATTEMPTS_ELSEWHERE if is_elsewhere else _N_ATTEMPTS)
+
+
+def time_limit_s(time_factor: float, video_s: float, fetch_bytes: float = 0.0, n_frames: int = 0) -> float:
+    """Time limit of a clip; it grows with the processed frames, since a worker that makes progress does not hang.
+
+    Args:
+        time_factor: seconds for each second of video, or for ten frames.
+        video_s: duration of its video; 0 = not known yet.
+        fetch_bytes: bytes to download.
+        n_frames: frames processed so far.
+    """
+    length_s = max(video_s, n_frames / _FRAMES_PER_S)
+    return BASE_S + time_factor * length_s + fetch_bytes / _FETCH_BYTES_PER_S
 
 
 @dataclass(slots=True)
@@ -121,7 +174,6 @@ class Driver:
         slot.states = self._process_clip.remote(slot.task, *self._arguments)
 
     def _ready(self) -> Iterator[Slot]:
-        """The slots in which something has happened, after waiting for it for a moment."""
         slots = {slot.states: slot for slot in self._slots if slot.states is not None}
         if slots:
             ready, _ = ray.wait(list(slots), num_returns=1, timeout=_POLL_S)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Collection, Mapping, Sized
+import os
+from collections.abc import Callable, Collection, Iterable, Mapping, Sized
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -14,7 +15,6 @@ from typing import Any
 from track_range.detection.classes import road_class_ids
 from track_range.detection.models.lookup import find_model
 from track_range.fleet.inputs.clip import Clip
-from track_range.fleet.output.file_names import FileNames
 from track_range.fleet.output.record import ClipRecord, Row
 from track_range.fleet.settings import FleetSettings
 from track_range.fleet.storage.location import Location
@@ -35,6 +35,37 @@ _NOT_TAKEN = RunSettings.fields_where(lambda field: option_of(field).instead) | 
 
 _OUTPUTS = RunSettings.fields_where(lambda field: option_of(field).is_output)  # not taken from a settings.yaml
 _SHARED_FILES = RunSettings.fields_where(is_file) - _NOT_TAKEN  # that are, or may be, files which all clips share
+
+
+class FileNames:
+    """Names of the left and right video of a clip ("" = one camera); anonymized ones are without folders.
+
+    Folders may contain the name of a person.
+    """
+
+    def __init__(self, clip: Clip, *, is_anonymized: bool) -> None:
+        self._is_anonymized = is_anonymized
+        left, right = Location.of(clip.left), None if clip.right is None else Location.of(clip.right)
+        self.left = left.name if is_anonymized else str(left)
+        self.right = "" if right is None else right.name if is_anonymized else str(right)
+        folders = {text for address in clip.named_files().values() for text in _folders(Location.of(address))}
+        self._folders = sorted(folders, key=len, reverse=True) if is_anonymized else []
+
+    def text(self, text: str) -> str:
+        """A message about the clip with these names."""
+        if not self._is_anonymized:
+            return text
+        for folder in self._folders:
+            text = text.replace(folder, "")
+        return text.replace(str(Path.home()), "~")
+
+
+def _folders(location: Location) -> Iterable[str]:
+    """Texts before the name of a file, as messages contain them; for folders of images, those before its last part."""
+    if not location.is_local:
+        return [f"{str(location).partition('?')[0].rpartition('/')[0]}/"]
+    parents = (location.path.parent, Path(os.path.realpath(location.path)).parent)
+    return [f"{parent}/" for parent in parents if parent != parent.parent]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +104,7 @@ class ClipProgress:
 
     Attributes:
         phase: "starting", "fetching", "opening", "processing" or "publishing".
-        frames: frames processed.
         video_s: duration of the video, s; 0 = not known yet.
-        fetch_bytes: bytes to download.
     """
 
     phase: str = "starting"
@@ -122,8 +151,7 @@ class FleetPlan:
         )
 
 
-Process = Callable[[ClipTask, FleetPlan, ClipProgress], ClipOutcome]
-"""Processes a clip in a worker."""
+Process = Callable[[ClipTask, FleetPlan, ClipProgress], ClipOutcome]  # processes a clip in a worker
 
 
 def common_options(file: Path) -> dict[str, Any]:
@@ -139,9 +167,8 @@ def common_options(file: Path) -> dict[str, Any]:
 def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan:
     """Plan with given options of the runs, by name of the setting.
 
-    Raises:
-        UsageError: an option is invalid, or one that a fleet does not take.
-        ModelError, ConfigError, CurveError: a shared file cannot be used.
+    Raises UsageError: an option is invalid, or one that a fleet does not take; ModelError, ConfigError, CurveError: a
+    shared file cannot be used.
     """
     for name in options:
         field = RunSettings.model_fields.get(name)

@@ -22,8 +22,6 @@ _N_BATCH = 2000  # clips whose files are looked up together; a request that wait
 
 
 class _Known(NamedTuple):
-    """Result of an earlier run."""
-
     status: str
     settings_hash: str
     inputs: str

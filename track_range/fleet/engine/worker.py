@@ -35,8 +35,7 @@ _COLLECT_S = 3.0  # shortest clip after which free objects are searched, which t
 _STATE_S = 1.0  # time between two states, s
 _MAX_SHARED_BYTES = 2_000_000_000
 
-SharedFiles = Mapping[str, tuple[str, bytes]]
-"""Name and content of the files that all clips share, by setting."""
+SharedFiles = Mapping[str, tuple[str, bytes]]  # name and content of the files that all clips share, by setting
 
 
 @dataclass(frozen=True, slots=True)

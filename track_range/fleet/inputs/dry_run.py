@@ -167,7 +167,6 @@ def check_clips(
     the existence and size of the files are known.
 
     Args:
-        clips: the clips.
         focal_px, folder_fps: as in a run, for clips without calibration, and folders of images without timestamps.txt.
         threads: number of clips that are checked at the same time.
     """

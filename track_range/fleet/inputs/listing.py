@@ -31,9 +31,8 @@ def clips_of(recordings: Sequence[str], pattern: str | None, rig: str | None) ->
         rig: calibration file of all clips, which may contain the placeholders of the pattern or the columns of the
             manifest; None = as in a run.
 
-    Raises:
-        FleetInputError: nothing is found, names are not unique, or a pattern or manifest is wrong.
-        StorageError: a storage cannot be reached.
+    Raises FleetInputError: nothing is found, names are not unique, or a pattern or manifest is wrong; StorageError: a
+    storage cannot be reached.
     """
     file_pattern = None if pattern is None else FilePattern.of(pattern)
     rig_template = None if rig is None else Template.of(rig, "--rig")
@@ -52,7 +51,6 @@ def clips_of(recordings: Sequence[str], pattern: str | None, rig: str | None) ->
 
 
 def _clips_in(location: Location, pattern: FilePattern | None) -> list[Clip]:
-    """The clips of a folder, file or pattern of files."""
     tree = wildcard_tree(location)
     if tree is None:
         # on a web server, an address without a suffix is that of a folder

@@ -56,8 +56,6 @@ def manifest_clips(location: Location) -> list[Clip]:
 
 
 class _Manifest:
-    """Conversion of the rows of a manifest to clips."""
-
     def __init__(self, location: Location, path: Path) -> None:
         self._path = path
         self._folder = location.parent or location
@@ -120,7 +118,6 @@ class _Manifest:
         return value
 
     def _file(self, row: int, text: str) -> str:
-        """Absolute path or address of a file."""
         try:
             if self._local_folder and text[0] not in "/~" and "://" not in text and "\0" not in text:
                 return os.path.normpath(f"{self._local_folder}/{text}")  # the usual case, without a Location
@@ -144,7 +141,6 @@ def _default_name(left: str) -> str:
 
 
 def _parquet_columns(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
-    """Names of the columns in lower case, and their cells as text."""
     from pyarrow import ArrowException, parquet, types
 
     check_regular(path, FleetInputError, "a manifest", max_bytes=MAX_TABLE_BYTES)

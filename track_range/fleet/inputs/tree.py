@@ -18,7 +18,6 @@ _VIDEO_SUFFIXES, _IMAGE_SUFFIXES = tuple(sorted(VIDEO_SUFFIXES)), tuple(sorted(I
 """Suffixes as `str.endswith` needs them, which is called for every file."""
 
 _BAG_SUFFIXES = (".mcap", ".db3", ".bag")  # suffixes of MCAP files and ROS bags
-
 _RESULT_NAMES = ("overlay.mp4", "disparity.mp4", "run.mcap")  # files that runs write, which are not recordings
 # file and folders in the results of a fleet, which may be below the recordings
 _FLEET_STATE, _FLEET_FOLDERS = "fleet.json", ("tracks", "events", "runs", "journal", "unfinished")
@@ -116,7 +115,6 @@ def wildcard_tree(location: Location) -> FileTree | None:
 
 
 def _matching(folder: Location, prefix: str, patterns: Sequence[str]) -> Iterator[Entry]:
-    """Entries of a folder that match the patterns of their parts."""
     if patterns[0] == "**":
         for entry in folder.list(recursive=True):
             if not is_hidden(entry.name) and _is_match(entry.name.split("/"), patterns):

@@ -137,9 +137,7 @@ def publish_record(out: Location, row: Row) -> None:
 def read_clips(out: Location) -> pa.Table:
     """The rows of all clips, those in the journal included.
 
-    Raises:
-        FleetError: clips.parquet is damaged, or of a newer version.
-        StorageError: the storage cannot be read.
+    Raises FleetError: clips.parquet is damaged, or of a newer version; StorageError: the storage cannot be read.
     """
     rows = journal_rows(out, _journal_names(out))
     table = _compiled(out)  # read last: a row leaves the journal when it is in the table
@@ -154,9 +152,7 @@ def read_journal(out: Location) -> pa.Table:
 class ClipTable:
     """The rows of a fleet in the driver, with the journal as the source of those that are not compiled.
 
-    Attributes:
-        table: compiled rows.
-        newer: rows that are newer than those, by name of the clip.
+    `table` has the compiled rows, `newer` the rows that are newer than those, by name of the clip.
     """
 
     def __init__(self, out: Location) -> None:
@@ -278,7 +274,6 @@ def _journal_location(out: Location, name: str) -> Location:
 
 
 def _journal_names(out: Location) -> list[str]:
-    """Names of the clips in the journal."""
     folder = out.child(JOURNAL)
     names = [entry.name for entry in folder.list()] if folder.exists() else []
     # hidden files are those of a write that was killed

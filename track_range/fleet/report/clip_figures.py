@@ -49,7 +49,6 @@ class ClipColumns:
         return self.where(np.array(self.texts("status"), np.str_) == status)
 
     def _has(self, name: str, *types: str) -> bool:
-        """Whether there is a column of one of these kinds of types."""
         import pyarrow as pa
 
         return name in self.names and any(

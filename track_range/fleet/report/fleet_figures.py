@@ -5,13 +5,16 @@ Parts that are missing or damaged are named, and the figures are those of the re
 
 from __future__ import annotations
 
+import heapq
 import math
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import islice
+from typing import Any, NamedTuple
 
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import (
@@ -25,18 +28,77 @@ from track_range.fleet.output.data_set import (
 from track_range.fleet.output.state import FleetState, read_state, state_text
 from track_range.fleet.report import clip_figures
 from track_range.fleet.report.clip_figures import ClipColumns
-from track_range.fleet.report.event_figures import EventFigures, event_video
-from track_range.fleet.report.track_figures import EDGES_M, Figures, TrackFigures, needed_columns, track_figures
+from track_range.fleet.report.track_figures import (
+    EDGES_M,
+    N_RANKED,
+    Figures,
+    TrackFigures,
+    needed_columns,
+    track_figures,
+)
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.input_files import shortened
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.structured_text import parse_json
-from track_range.results.events.files import EventFileError, events_in_parquet
+from track_range.results.events.event import CLIPS_FOLDER, EVENT_KINDS, Event, clip_name, severity_key
+from track_range.results.events.files import EventFileError, events_in_parquet, rounded_values
 
 _N_READERS = 8  # files that are read at a time; each clip takes memory for its rows meanwhile
 _MAX_PROBLEMS = 10  # largest number of damaged or missing files that are named
 _LINKED_FILES = ("overlay.mp4", "report.html")  # files of a clip to which the page links
+
+
+class ClipEvent(NamedTuple):
+    """An event of a clip; `number` is that of its row in its file, from 1."""
+
+    clip: str
+    number: int
+    event: Event
+
+    def row(self, start_utc_s: float) -> Figures:
+        """Clip, number, the columns of events.csv, and Unix time of the peak (of the start: `start_utc_s`)."""
+        utc_s = start_utc_s + self.event.peak_s
+        values = {"clip": self.clip, "number": self.number, **rounded_values(self.event)}
+        return {**values, "utc_s": utc_s if math.isfinite(utc_s) else None}
+
+
+@dataclass(slots=True)
+class EventFigures:
+    """Events of one or more clips by kind, those with a collision warning, and the most severe ones."""
+
+    n_by_kind: Counter[str] = field(default_factory=Counter)
+    n_warnings: int = 0
+    worst: list[ClipEvent] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, clip: str, events: Sequence[Event]) -> EventFigures:
+        """Figures of a clip."""
+        return cls(
+            Counter(event.kind for event in events),
+            sum(math.isfinite(event.warning_s) for event in events),
+            _worst(ClipEvent(clip, i + 1, event) for i, event in enumerate(events)),
+        )
+
+    def add(self, other: EventFigures) -> None:
+        """Add the figures of other clips."""
+        self.n_by_kind.update(other.n_by_kind)
+        self.n_warnings += other.n_warnings
+        self.worst = _worst([*self.worst, *other.worst])
+
+    def by_kind(self, hours: float) -> list[Figures]:
+        """Number of events, and per hour of video, of the kinds that occur."""
+        counts = {kind: self.n_by_kind[kind] for kind in EVENT_KINDS if self.n_by_kind[kind]}
+        return [{"kind": kind, "events": n, "per_hour": n / hours if hours else None} for kind, n in counts.items()]
+
+
+def _worst(events: Iterable[ClipEvent]) -> list[ClipEvent]:
+    return heapq.nsmallest(N_RANKED, events, key=lambda item: (severity_key(item.event), item.clip, item.number))
+
+
+def event_video(row: Mapping[str, Any]) -> str:
+    """Name of the video of an event in a row of figures among the files of its clip, if it was written."""
+    return f"{CLIPS_FOLDER}/{clip_name(row['number'], row['kind'], row['track_id'])}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +119,8 @@ def fleet_figures(
     """Figures of the fleet with the results `out`.
 
     `group`: column of clips.parquet that groups the calibration drift; None = the vehicle, if there is one. `progress`
-    is called with the number of the clips that were read, and of all.
-
-    Raises:
-        FleetError: there is no fleet.
-        StorageError: the storage cannot be read.
+    is called with the number of the clips that were read, and of all. Raises FleetError: there is no fleet;
+    StorageError: the storage cannot be read.
     """
     problems: list[str] = []
     state = read_state(out)
@@ -174,7 +233,6 @@ def _read_clip(out: Location, name: str, n_events: float) -> tuple[TrackFigures,
 
 
 def _classes(tracks: TrackFigures, hours: float) -> list[Figures]:
-    """Tracks by class, most frequent first."""
     return [
         {
             "class": name,

@@ -47,8 +47,7 @@ _MEMORY_COLUMNS: tuple[ColumnSpec, ...] = (
     ("peak MB", "max_memory_mb", "{:.0f}"),
 )
 
-_Measure = tuple[str, str, str]
-"""Heading, key and format of a column of a ranking."""
+_Measure = tuple[str, str, str]  # heading, key and format of a column of a ranking
 
 _EVENT_MEASURES: tuple[_Measure, ...] = (
     ("event", "kind", "{}"),
@@ -180,7 +179,6 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
 
 
 def _grid(title: str, name: str, rows: Sequence[Figures], columns: Iterable[ColumnSpec]) -> Grid:
-    """Table of the rows, whose names are the values of the key `name`."""
     return grid_of(title, name, [str(row[name]) for row in rows], columns_of(rows, columns))
 
 
@@ -211,7 +209,6 @@ def _ranking(
 
 
 def _coverage_grid(rows: Sequence[Figures]) -> Grid:
-    """One row per distance band, one column per method."""
     bands = sorted({(row["from_m"], row["to_m"]): row["boxes"] for row in rows}.items(), key=lambda band: band[0][0])
     coverage = {(row["method"], row["from_m"]): row["coverage"] for row in rows}
     names = [f"{low:g} m and more" if high is None else f"{low:g}-{high:g} m" for (low, high), _ in bands]

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from track_range.fleet.output.data_set import RUNS, partition
-from track_range.fleet.report.event_figures import event_video
-from track_range.fleet.report.fleet_figures import FleetFigures
+from track_range.fleet.report.fleet_figures import FleetFigures, event_video
 from track_range.fleet.report.fleet_grids import DRIFT_TITLES, Links, fleet_sections, utc_text
 from track_range.fleet.report.track_figures import Figures
 from track_range.fleet.storage.location import Location

@@ -41,8 +41,7 @@ _MAX_NUMBER = 1e12  # limit of track numbers, and of times in s
 _NEEDED = ("time_s", "track_id", "class")
 _OTHERS = ("observed", "ttc_s", "ttc_sigma_s", "closing_mps", "x_m", "utc")
 
-Figures = dict[str, Any]
-"""Figures by name, as in the JSON file; None = unknown."""
+Figures = dict[str, Any]  # figures by name, as in the JSON file; None = unknown
 
 
 @dataclass(slots=True)
@@ -96,7 +95,6 @@ def needed_columns(names: Sequence[str]) -> list[str]:
 
 
 def _methods(names: Sequence[str]) -> list[str]:
-    """Names of the distances with a sigma."""
     methods = [name.removesuffix("_m") for name in names if name.endswith("_m") and f"{name[:-2]}_sigma_m" in names]
     return [method for method in methods if method not in NOT_METHODS]
 

@@ -15,10 +15,7 @@ if TYPE_CHECKING:
     from pyarrow.fs import FileSystem
 
 _N_ATTEMPTS = 3  # attempts of a request to S3; the caller decides on further ones
-
-CONNECT_TIMEOUT_S, REQUEST_TIMEOUT_S = 5.0, 20.0
-"""Time limits of the connection, and between two parts of an answer."""
-
+CONNECT_TIMEOUT_S, REQUEST_TIMEOUT_S = 5.0, 20.0  # time limits of the connection, and between two parts of an answer
 _GCS_TIME_LIMIT_S = 10  # time for which pyarrow repeats a request to Google Cloud Storage (default: 15 minutes)
 
 
@@ -41,7 +38,6 @@ def object_store(scheme: str, bucket: str, options: Mapping[str, str]) -> FileSy
 
 @lru_cache(maxsize=256)
 def _region_of(bucket: str) -> str:
-    """Region of a bucket at Amazon, by a request."""
     from pyarrow.fs import resolve_s3_region
 
     region: str = resolve_s3_region(bucket)

@@ -219,10 +219,8 @@ class Location:
         """Files and folders in this folder, in no particular order.
 
         Links to folders are followed, except back to a folder above. The sizes and times of files on a web server, to
-        which the pages of its folders link, are not known.
-
-        Raises:
-            StorageError: there is no such folder, or it cannot be read.
+        which the pages of its folders link, are not known. Raises StorageError: there is no such folder, or it cannot
+        be read.
         """
         if self.is_local:
             with storage_errors(self, "read"):

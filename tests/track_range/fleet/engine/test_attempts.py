@@ -2,7 +2,7 @@
 
 import pytest
 
-from track_range.fleet.engine.attempts import Attempts, time_limit_s
+from track_range.fleet.engine.driver import Attempts, time_limit_s
 
 
 def failed(attempts, clip, *kinds):

@@ -16,7 +16,7 @@ from tests.track_range.fleet.killing import killed_workers
 from tests.track_range.fleet.ray_clusters import OBJECT_STORE_BYTES
 from tests.track_range.fleet.stub_clips import process_stub, stub_clips
 from track_range.fleet import fleet_run
-from track_range.fleet.engine import attempts, driver, plan
+from track_range.fleet.engine import driver, plan
 from track_range.fleet.engine.worker import shared_files, with_shared_files
 from track_range.fleet.errors import FleetError
 from track_range.fleet.fleet_run import run_fleet
@@ -78,7 +78,7 @@ def test_defect_of_the_program_is_a_row(run):
 
 
 def test_hanging_clip(run, monkeypatch):
-    monkeypatch.setattr(attempts, "BASE_S", 2.0)
+    monkeypatch.setattr(driver, "BASE_S", 2.0)
     _, rows = run("a", "hang", "hang-once", timeout=1.0)
     assert rows["hang"]["error_kind"] == "timeout"
     assert rows["hang"]["attempts"] == 2
@@ -185,7 +185,7 @@ def test_full_disk_of_a_worker_ends_the_run(run):
 
 
 def test_killed_workers_leave_no_files(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(attempts, "BASE_S", 2.0)
+    monkeypatch.setattr(driver, "BASE_S", 2.0)
     cache = tmp_path / "cache"
     run("a", "crash", "hang-once", "b", cache_dir=cache, timeout=0.1)
     assert list(cache.iterdir()) == []

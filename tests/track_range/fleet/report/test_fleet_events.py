@@ -16,8 +16,7 @@ from track_range.fleet.output.data_set import (
     publish_event_videos,
     runs_location,
 )
-from track_range.fleet.report.event_figures import EventFigures
-from track_range.fleet.report.fleet_figures import fleet_figures
+from track_range.fleet.report.fleet_figures import EventFigures, fleet_figures
 from track_range.fleet.report.fleet_grids import fleet_sections
 from track_range.fleet.report.fleet_page import fleet_page
 from track_range.fleet.report.track_figures import N_RANKED

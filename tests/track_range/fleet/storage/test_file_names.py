@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
+from track_range.fleet.engine.plan import FileNames
 from track_range.fleet.inputs.clip import Clip
-from track_range.fleet.output.file_names import FileNames
 
 CLIP = Clip("a", "/data/j.doe/a_left.mp4", "/data/j.doe/a_right.mp4", {"rig": "/cars/red/rig.yaml"})
 
