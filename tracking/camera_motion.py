@@ -54,8 +54,7 @@ class CameraMotionSettings:
 class CameraMotion:
     """Estimates the background motion between the frames of one stream; the state belongs to the instance.
 
-    Args:
-        flow: flow of the background, which other estimators of the same stream may use too; None = a separate one.
+    `flow`: flow of the background, which other estimators of the same stream may use too; None = a separate one.
     """
 
     def __init__(self, settings: CameraMotionSettings | None = None, *, flow: BackgroundFlow | None = None) -> None:

@@ -57,7 +57,6 @@ class AppearanceModel(Protocol):
 
     Attributes:
         max_cosine_distance: largest cosine distance between two embeddings of one object.
-        notes: messages for the user.
     """
 
     max_cosine_distance: float
@@ -143,8 +142,7 @@ def find_tracker(name: str) -> RegisteredTracker:
 def create_tracker(name: str, options: TrackerOptions | None = None) -> ObjectTracker:
     """A new tracker without tracks.
 
-    Args:
-        name: one of `TRACKERS.names`, or `package.module:Class`.
+    `name`: one of `TRACKERS.names`, or `package.module:Class`; `options`: None = the defaults.
 
     Raises TrackerError: the name is unknown, the tracker does not take `TrackerOptions`, or it has no method `update`.
     """

@@ -169,8 +169,7 @@ def box_set(
         labels: folder of label files.
         calib: folder of calibration files with the same names.
         boxes: "labels", or "rrc:DIR" for detections DIR/Car/NAME.txt and DIR/Pedestrian/NAME.txt, matched to labels.
-        noise_px: standard deviation of noise added to every edge, with the random `seed`.
-        seed: see `noise_px`.
+        noise_px, seed: standard deviation and random seed of noise added to every edge.
         selection: labels that are used; None = visible objects at 5-100 m of all files.
 
     Raises LabelFileError: no files, no 3-D boxes, no usable labels, or detections that cannot be read; RigError: a

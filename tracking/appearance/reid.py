@@ -35,7 +35,6 @@ class ReidModel:
         max_cosine_distance: see `AppearanceModel`. 0.27 was chosen for OSNet x0.25 on KITTI 0003 and 0005 and simulated
             drives: 0 to 10 % of the pairs of the same object are rejected, 0 to 16 % of different objects accepted.
         input_hw: (height, width) that crops are resized to.
-        notes: messages for the user.
     """
 
     def __init__(self, model: Path, runtime: Runtime | None = None, *, max_cosine_distance: float = 0.27) -> None:

@@ -81,11 +81,8 @@ class Attempts:
 def time_limit_s(time_factor: float, video_s: float, fetch_bytes: float = 0.0, n_frames: int = 0) -> float:
     """Time limit of a clip; it grows with the processed frames, since a worker that makes progress does not hang.
 
-    Args:
-        time_factor: seconds for each second of video, or for ten frames.
-        video_s: duration of its video; 0 = not known yet.
-        fetch_bytes: bytes to download.
-        n_frames: frames processed so far.
+    `time_factor`: seconds for each second of video, or for ten frames; `video_s`: duration, 0 = not known yet;
+    `fetch_bytes`: bytes to download; `n_frames`: frames processed so far.
     """
     length_s = max(video_s, n_frames / _FRAMES_PER_S)
     return BASE_S + time_factor * length_s + fetch_bytes / _FETCH_BYTES_PER_S

@@ -102,9 +102,7 @@ class ClipOutcome:
 class ClipProgress:
     """Progress of the clip that a worker is at; written by one thread and read by another.
 
-    Attributes:
-        phase: "starting", "fetching", "opening", "processing" or "publishing".
-        video_s: duration of the video, s; 0 = not known yet.
+    `phase`: "starting", "fetching", "opening", "processing" or "publishing"; `video_s`: 0 = not known yet.
     """
 
     phase: str = "starting"

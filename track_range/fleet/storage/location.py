@@ -80,8 +80,7 @@ def folder_state(entries: Iterable[Entry]) -> FileStat:
 class Location:
     """A file or folder in any storage; it need not exist. Equal addresses are equal locations.
 
-    Attributes:
-        address: absolute local path, or address with scheme and options; may contain credentials of a web server.
+    `address`: absolute local path, or address with scheme and options; may contain credentials of a web server.
     """
 
     __slots__ = ("_key", "_options", "_scheme", "address")
