@@ -24,40 +24,26 @@ from track_range.foundation.validation import first_problem
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Declaration:
-    """Everything about an option besides its type, default and help text.
+    """Everything about an option besides its type, default and help text."""
 
-    Attributes:
-        flag: such as "--start" or "--overlay/--no-overlay"; None = the field's name with hyphens.
-        metavar: placeholder of the value in the help, without the words.
-        words: values with a special meaning, such as "auto" and "off".
-        choices: returns the values of an option of type `str` that has no others; called when they are needed, since
-            tables of formats import libraries.
-        panel: heading of the option's section in the help; None = that of the model in which the option is declared.
-        is_repeated: the option is repeated for each value of a list, instead of given once with commas.
-        is_argument: the option is positional, without a flag.
-        is_file_only: the option exists only in settings files, not on the command line.
-        is_file: a text that may be the path of a file or folder; fields of type `Path` are.
-        is_output: the option selects or shapes files of results: it does not change their rows, and is no input.
-        is_per_clip: the clips of a fleet may have different values, in a column of the manifest.
-        is_shared: all clips of a fleet have one value: a manifest has no column with this name.
-        instead: why a fleet does not take the option, and what to do instead; "" = it takes it.
-        old_names: earlier names of the field, still accepted in files and as hidden options.
-    """
-
-    flag: str | None = None
-    metavar: str | None = None
-    words: tuple[str, ...] = ()
+    flag: str | None = None  # such as "--start" or "--overlay/--no-overlay"; None = the field's name with hyphens
+    metavar: str | None = None  # placeholder of the value in the help, without the words
+    words: tuple[str, ...] = ()  # values with a special meaning, such as "auto" and "off"
+    # returns the values of an option of type `str` that has no others; called when they are needed, since tables of
+    # formats import libraries
     choices: Callable[[], Iterable[str]] | None = None
+    # heading of the option's section in the help; None = that of the model in which the option is declared
     panel: str | None = None
-    is_repeated: bool = False
-    is_argument: bool = False
-    is_file_only: bool = False
-    is_file: bool = False
+    is_repeated: bool = False  # the option is repeated for each value of a list, instead of given once with commas
+    is_argument: bool = False  # the option is positional, without a flag
+    is_file_only: bool = False  # the option exists only in settings files, not on the command line
+    is_file: bool = False  # a text that may be the path of a file or folder; fields of type `Path` are
+    # the option selects or shapes files of results: it does not change their rows, and is no input
     is_output: bool = False
-    is_per_clip: bool = False
-    is_shared: bool = False
-    instead: str = ""
-    old_names: tuple[str, ...] = ()
+    is_per_clip: bool = False  # the clips of a fleet may have different values, in a column of the manifest
+    is_shared: bool = False  # all clips of a fleet have one value: a manifest has no column with this name
+    instead: str = ""  # why a fleet does not take the option, and what to do instead; "" = it takes it
+    old_names: tuple[str, ...] = ()  # earlier names of the field, still accepted in files and as hidden options
 
 
 def option(description: str, **given: Any) -> Any:

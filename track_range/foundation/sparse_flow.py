@@ -143,23 +143,15 @@ def tracked_corners(
 
 @dataclass(frozen=True, slots=True)
 class FlowFrame:
-    """Images and corners of one frame.
+    """Images and corners of one frame."""
 
-    Attributes:
-        time_s: NaN = unknown.
-        grey: (H, W) image of full size, `image_hw`.
-        small: (h, w) image, halved `n_halved` times.
-        is_masked: cells of the small image with boxes of road users.
-        corners: those of the background.
-    """
-
-    time_s: float
+    time_s: float  # NaN = unknown
     image_hw: tuple[int, int]
     n_halved: int
-    grey: Image
-    small: Image
-    is_masked: BoolArray
-    corners: RankedCorners
+    grey: Image  # (H, W) image of full size, `image_hw`
+    small: Image  # (h, w) image, halved `n_halved` times
+    is_masked: BoolArray  # cells of the small image with boxes of road users
+    corners: RankedCorners  # those of the background
 
 
 class BackgroundFlow:

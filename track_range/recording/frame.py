@@ -31,13 +31,10 @@ class VideoError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class DecodedImage:
-    """A frame in the decoder's native format, which takes less memory than BGR.
-
-    Attributes:
-        axes: signs (a, b, c, d) of x' = a x + c y, y' = b x + d y, which rotate the stored image upright.
-    """
+    """A frame in the decoder's native format, which takes less memory than BGR."""
 
     frame: av.VideoFrame
+    # signs (a, b, c, d) of x' = a x + c y, y' = b x + d y, which rotate the stored image upright
     axes: tuple[int, int, int, int]
 
     @property
@@ -64,18 +61,12 @@ class DecodedImage:
 
 @dataclass(frozen=True, slots=True)
 class VideoFrame:
-    """One image of a video.
+    """One image of a video."""
 
-    Attributes:
-        index: number of the frame in its file, from 0; skipped, dropped and missing frames are counted too.
-        time_s: timestamp in the file, including the stream's start offset; strictly increasing.
-        image: (H, W, 3) uint8 BGR, upright.
-        decoded: the same image in the decoder's native format; None = not available.
-    """
-
-    index: int
-    time_s: float
-    image: Image
+    index: int  # number of the frame in its file, from 0; skipped, dropped and missing frames are counted too
+    time_s: float  # timestamp in the file, including the stream's start offset; strictly increasing
+    image: Image  # (H, W, 3) uint8 BGR, upright
+    # the same image in the decoder's native format; None = not available
     decoded: DecodedImage | None = field(default=None, repr=False, compare=False)
 
     @property

@@ -42,21 +42,14 @@ _N_ROW_PAIRS = 3  # conclusive image pairs from which the row offset of an uncal
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """An opened recording.
+    """An opened recording."""
 
-    Attributes:
-        frames: rectified (one camera: undistorted) frames, to be iterated once; closing it closes the videos.
-        source: the opened video, or two, paired by time.
-        calibration: the camera models.
-        monitors: the checks of a pair that continue while its frames are iterated.
-        start_utc: UTC of the first frame as given by the user; None = that of the video.
-    """
-
+    # rectified (one camera: undistorted) frames, to be iterated once; closing it closes the videos
     frames: Generator[Frame, None, None]
-    source: Video | PairedVideos
-    calibration: RecordingCalibration
-    monitors: tuple[Monitor, ...]
-    start_utc: UtcStart | None = None
+    source: Video | PairedVideos  # the opened video, or two, paired by time
+    calibration: RecordingCalibration  # the camera models
+    monitors: tuple[Monitor, ...]  # the checks of a pair that continue while its frames are iterated
+    start_utc: UtcStart | None = None  # UTC of the first frame as given by the user; None = that of the video
 
     @property
     def videos(self) -> tuple[Video, ...]:

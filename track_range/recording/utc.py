@@ -44,19 +44,13 @@ _STATED = "--start-utc"  # source of a time that the user states
 
 @dataclass(frozen=True, slots=True)
 class UtcStart:
-    """UTC of a recording's first frame.
+    """UTC of a recording's first frame."""
 
-    Attributes:
-        start_s: seconds since 1970-01-01 00:00 UTC.
-        source: source of the time, for summary.json.
-        uncertainty_s: largest error that the source allows, apart from that of the recorder's clock; None = unknown.
-        is_local: whether the time zone is unknown: `start_s` may be the recorder's local time.
-    """
-
-    start_s: float
-    source: str
+    start_s: float  # seconds since 1970-01-01 00:00 UTC
+    source: str  # source of the time, for summary.json
+    # largest error that the source allows, apart from that of the recorder's clock; None = unknown
     uncertainty_s: float | None
-    is_local: bool = False
+    is_local: bool = False  # whether the time zone is unknown: `start_s` may be the recorder's local time
 
     @property
     def is_stated(self) -> bool:
@@ -84,19 +78,12 @@ class UtcStart:
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """A date and time that a header or a name states.
+    """A date and time that a header or a name states."""
 
-    Attributes:
-        time_s: seconds since 1970, in UTC, or in local time if `is_local`.
-        source: source of the time, for summary.json.
-        is_local: whether no time zone is stated.
-        is_start: whether it is known to be the start of the recording.
-    """
-
-    time_s: float
-    source: str
-    is_local: bool = False
-    is_start: bool = True
+    time_s: float  # seconds since 1970, in UTC, or in local time if `is_local`
+    source: str  # source of the time, for summary.json
+    is_local: bool = False  # whether no time zone is stated
+    is_start: bool = True  # whether it is known to be the start of the recording
 
 
 def parsed_utc(text: str) -> UtcStart:

@@ -38,20 +38,13 @@ DAMAGE = (
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic of a bag, such as /camera/image.
-
-    Attributes:
-        type: type of its messages as ROS 2 writes it, such as sensor_msgs/msg/Image, or foxglove.CompressedImage.
-        encoding: cdr, ros1, protobuf or json.
-        definition: schema of the messages.
-        n_messages: None = unknown.
-    """
+    """A topic of a bag, such as /camera/image."""
 
     name: str
-    type: str
-    encoding: str
-    definition: bytes
-    n_messages: int | None
+    type: str  # type of its messages as ROS 2 writes it, such as sensor_msgs/msg/Image, or foxglove.CompressedImage
+    encoding: str  # cdr, ros1, protobuf or json
+    definition: bytes  # schema of the messages
+    n_messages: int | None  # None = unknown
 
 
 class Bag(Protocol):

@@ -48,15 +48,10 @@ CalibrationKind = Literal["rig", "focal length", "estimated"]
 
 @dataclass(frozen=True, slots=True)
 class LensView:
-    """The part of a wide lens's field of view that its images are undistorted to.
+    """The part of a wide lens's field of view that its images are undistorted to."""
 
-    Attributes:
-        fov_deg: horizontal field of view; None = that of the lens, up to 120 degrees.
-        yaw_deg: direction of its axis, to the right of the camera's; 0 for pairs.
-    """
-
-    fov_deg: float | None = None
-    yaw_deg: float = 0.0
+    fov_deg: float | None = None  # horizontal field of view; None = that of the lens, up to 120 degrees
+    yaw_deg: float = 0.0  # direction of its axis, to the right of the camera's; 0 for pairs
 
 
 WHOLE_VIEW = LensView()

@@ -28,21 +28,13 @@ _MEASURED_SIGMA = 0.02  # relative standard deviation of a focal length in px th
 
 
 class KnownCamera(NamedTuple):
-    """One camera model.
+    """One camera model."""
 
-    Attributes:
-        name: maker and model, also as the option takes it.
-        focal_per_width: focal length at the image centre divided by the image width.
-        source: where the value is published.
-        tags: texts in the metadata of its videos that identify it, in lower case.
-        sigma: relative standard deviation of the focal length.
-    """
-
-    name: str
-    focal_per_width: float
-    source: str
-    tags: tuple[str, ...] = ()
-    sigma: float = _MEASURED_SIGMA
+    name: str  # maker and model, also as the option takes it
+    focal_per_width: float  # focal length at the image centre divided by the image width
+    source: str  # where the value is published
+    tags: tuple[str, ...] = ()  # texts in the metadata of its videos that identify it, in lower case
+    sigma: float = _MEASURED_SIGMA  # relative standard deviation of the focal length
 
     def guess(self, width_px: int, evidence: str) -> FocalGuess:
         """The focal length in images of this width."""

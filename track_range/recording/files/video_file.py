@@ -156,22 +156,14 @@ class VideoFile(RecordedVideo):
 
 @dataclass(frozen=True, slots=True)
 class VideoHeader:
-    """Properties of a video file that can be read without decoding.
+    """Properties of a video file that can be read without decoding."""
 
-    Attributes:
-        size_px: width and height of the images as stored.
-        first_s: time stamp of the first frame.
-        duration_s: 0 = not stated.
-        n_frames: None = not stated.
-        stamps: date and time in the metadata and in the file name; None = none.
-    """
-
-    size_px: tuple[int, int]
+    size_px: tuple[int, int]  # width and height of the images as stored
     fps: float
-    first_s: float
-    duration_s: float
-    n_frames: int | None
-    stamps: tuple[Stamp | None, Stamp | None]
+    first_s: float  # time stamp of the first frame
+    duration_s: float  # 0 = not stated
+    n_frames: int | None  # None = not stated
+    stamps: tuple[Stamp | None, Stamp | None]  # date and time in the metadata and in the file name; None = none
     state: FileState
 
     @classmethod

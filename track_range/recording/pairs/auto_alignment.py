@@ -25,21 +25,14 @@ ESTIMATES_S = (2.0, 4.0, 8.0)  # times of estimates after the first frame in mot
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairAlignment:
-    """An alignment and whether it is applied.
+    """An alignment and whether it is applied."""
 
-    Attributes:
-        measured: as estimated or read.
-        is_applied: whether disparities are corrected by it.
-        rig: the rectified pair; None = unknown.
-        drifting: the applied alignment over the time of the drive, for images shifted by `shift_px`; None = constant.
-        estimation_s: time that the estimation took, including reading the first frames.
-    """
-
-    measured: Alignment
-    is_applied: bool
-    rig: StereoRig | None = None
+    measured: Alignment  # as estimated or read
+    is_applied: bool  # whether disparities are corrected by it
+    rig: StereoRig | None = None  # the rectified pair; None = unknown
+    # the applied alignment over the time of the drive, for images shifted by `shift_px`; None = constant
     drifting: DriftingAlignment | None = None
-    estimation_s: float = 0.0
+    estimation_s: float = 0.0  # time that the estimation took, including reading the first frames
 
     @classmethod
     def of_drive(cls, drive: DriveAlignment, rig: StereoRig) -> PairAlignment:

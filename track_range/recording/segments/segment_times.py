@@ -43,18 +43,12 @@ Repeated = Callable[[SegmentFacts, SegmentFacts], float]
 
 @dataclass(frozen=True, slots=True)
 class SegmentPlan:
-    """Files in the order of time.
-
-    Attributes:
-        starts_s: times of their first frames; the first file has the time of its time stamps.
-        clock_s: the same as seconds since 1970; empty = unknown.
-        utc: UTC of the first frame; None = unknown.
-    """
+    """Files in the order of time."""
 
     facts: tuple[SegmentFacts, ...]
-    starts_s: tuple[float, ...]
-    clock_s: tuple[float, ...] = ()
-    utc: UtcStart | None = None
+    starts_s: tuple[float, ...]  # times of their first frames; the first file has the time of its time stamps
+    clock_s: tuple[float, ...] = ()  # the same as seconds since 1970; empty = unknown
+    utc: UtcStart | None = None  # UTC of the first frame; None = unknown
     notes: tuple[str, ...] = ()
 
 

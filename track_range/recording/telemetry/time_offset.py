@@ -38,19 +38,13 @@ _MAX_GAP_S = 3.0  # longest interval between samples that is interpolated, as in
 
 @dataclass(frozen=True, slots=True)
 class TimeOffset:
-    """Time offset between telemetry and video.
+    """Time offset between telemetry and video."""
 
-    Attributes:
-        offset_s: time by which the telemetry is late: a motion at t in the video is at t + offset_s in the telemetry.
-        sigma_s: its standard deviation.
-        correlation: largest correlation of yaw or expansion at this offset.
-        is_certain: whether it may be applied: correlated, precise, and not at the edge of the search.
-    """
-
+    # time by which the telemetry is late: a motion at t in the video is at t + offset_s in the telemetry
     offset_s: float
-    sigma_s: float
-    correlation: float
-    is_certain: bool
+    sigma_s: float  # its standard deviation
+    correlation: float  # largest correlation of yaw or expansion at this offset
+    is_certain: bool  # whether it may be applied: correlated, precise, and not at the edge of the search
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

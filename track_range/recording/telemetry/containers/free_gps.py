@@ -25,15 +25,11 @@ _PADDED_BYTES = 0x140  # smallest size of the blocks that layouts read: fields b
 
 
 class FreeGps(NamedTuple):
-    """Content of one box.
+    """Content of one box."""
 
-    Attributes:
-        samples: in the order of the record, without time in the video; a void record has one without speed.
-        unit: what is known of the unit of the speed, which is read as km/h unless it is known.
-    """
-
+    # in the order of the record, without time in the video; a void record has one without speed
     samples: tuple[Sample, ...]
-    unit: Unit = "known"
+    unit: Unit = "known"  # what is known of the unit of the speed, which is read as km/h unless it is known
 
 
 def parse_free_gps(block: bytes) -> FreeGps | None:

@@ -42,23 +42,15 @@ _FIXED_POINT = {"q": 2.0**16, "Q": 2.0**32}  # divisor of the fixed-point types
 
 
 class GpsRows(NamedTuple):
-    """Rows of one GPS stream of one payload.
+    """Rows of one GPS stream of one payload."""
 
-    Attributes:
-        key: "GPS5" or "GPS9".
-        device: number of the device.
-        values: (N, 5) latitude and longitude in degrees, altitude in m, horizontal speed and speed in space in m/s.
-        utc_s: (N,) seconds since 1970; in GPS5 only the first is known, the others are NaN.
-        dop: (N,) dilution of precision.
-        has_fix: (N,) whether the receiver had a fix: without one GoPro repeats or extrapolates the last.
-    """
-
-    key: str
-    device: int
+    key: str  # "GPS5" or "GPS9"
+    device: int  # number of the device
+    # (N, 5) latitude and longitude in degrees, altitude in m, horizontal speed and speed in space in m/s
     values: FloatArray
-    utc_s: FloatArray
-    dop: FloatArray
-    has_fix: BoolArray
+    utc_s: FloatArray  # (N,) seconds since 1970; in GPS5 only the first is known, the others are NaN
+    dop: FloatArray  # (N,) dilution of precision
+    has_fix: BoolArray  # (N,) whether the receiver had a fix: without one GoPro repeats or extrapolates the last
 
 
 _Payload = tuple[float, float, list[GpsRows]]  # start and duration in s, NaN = unknown, and rows

@@ -77,17 +77,11 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Movie:
-    """Contents of an MP4 file that readers of telemetry need.
+    """Contents of an MP4 file that readers of telemetry need."""
 
-    Attributes:
-        top: boxes of the file, of `n_bytes`.
-        inner: content of the boxes in `moov` and `moov/udta`, by type.
-        tracks: all tracks with samples.
-    """
-
-    top: tuple[Box, ...]
-    inner: dict[bytes, bytes] = field(default_factory=dict)
-    tracks: tuple[Track, ...] = ()
+    top: tuple[Box, ...]  # boxes of the file, of `n_bytes`
+    inner: dict[bytes, bytes] = field(default_factory=dict)  # content of the boxes in `moov` and `moov/udta`, by type
+    tracks: tuple[Track, ...] = ()  # all tracks with samples
     n_bytes: int = 0
 
     @property
