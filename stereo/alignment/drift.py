@@ -29,8 +29,7 @@ from track_range.stereo.alignment.from_drive import (
     offset_of,
 )
 from track_range.stereo.alignment.health import Window
-from track_range.stereo.alignment.model import Alignment
-from track_range.stereo.alignment.right_view import RightView
+from track_range.stereo.alignment.model import Alignment, RightView
 from track_range.stereo.alignment.segments import Segment, segment_of
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig

@@ -19,8 +19,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.stereo.alignment.bundle_adjustment import CURVATURE, N_ERRORS, OFFSET, SLOPE, Observations
 from track_range.stereo.alignment.feature_tracks import MIN_ROWS, FeatureTracks, PairPoints, TrackedFrame
 from track_range.stereo.alignment.health import Window
-from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
-from track_range.stereo.alignment.right_view import RightView, fit_right_view
+from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment, RightView, fit_right_view
 from track_range.stereo.alignment.segments import CombinedEstimate, Segment, combine, segment_of
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig

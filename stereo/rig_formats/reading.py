@@ -1,4 +1,4 @@
-"""Reading camera calibrations from files in any of the formats of `registry.RIG_FORMATS`."""
+"""Reading camera calibrations from files: a new format is a module with a RigFormat, and an entry of `RIG_FORMATS`."""
 
 from __future__ import annotations
 
@@ -18,10 +18,20 @@ from track_range.stereo.geometry.rig_checks import (
     fitted_to_size,
     shared_view_notes,
 )
-from track_range.stereo.rig_formats.registry import FORMAT_TITLES, RIG_FORMATS
-from track_range.stereo.rig_formats.rig_format import RigFormat
-from track_range.stereo.rig_formats.ros import read_folder
+from track_range.stereo.rig_formats.kalibr import KALIBR
+from track_range.stereo.rig_formats.kitti import KITTI
+from track_range.stereo.rig_formats.opencv import OPENCV
+from track_range.stereo.rig_formats.rig_format import RigFormat, RigWriter
+from track_range.stereo.rig_formats.rig_yaml import RIG_YAML
+from track_range.stereo.rig_formats.ros import ROS, read_folder
 
+RIG_FORMATS: tuple[RigFormat, ...] = (OPENCV, KALIBR, KITTI, ROS, RIG_YAML)
+"""Formats in the order in which they are tried; the first that recognises a file reads it.
+
+OpenCV's precedes KITTI's, because both have lines P1 and P2.
+"""
+
+FORMAT_TITLES = ", ".join(rig_format.title for rig_format in RIG_FORMATS[::-1])  # list of the formats for messages
 _SCALE_TOLERANCE = 0.01  # largest relative difference of the factors by which left and right images are scaled
 
 
@@ -152,3 +162,8 @@ def _read(path: Path, *, is_grey: bool, is_pair: bool) -> RigCalibration:
     rig_format, text = _format_of(path)
     read = (rig_format.read_pair or rig_format.read) if is_pair else rig_format.read
     return read(text, path, is_grey)
+
+
+def rig_writers() -> dict[str, RigWriter]:
+    """The writers by name of the format, rig.yaml's first."""
+    return {rig_format.name: rig_format.write for rig_format in RIG_FORMATS[::-1] if rig_format.write is not None}

@@ -1,4 +1,4 @@
-"""RigFormat: a file format of camera calibrations, one row of `registry.RIG_FORMATS`."""
+"""RigFormat: a file format of camera calibrations, one row of `reading.RIG_FORMATS`."""
 
 from __future__ import annotations
 

@@ -10,10 +10,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from tests.stereo.board_scenes import exact_view, pose
-from track_range.stereo.calibration.block_least_squares import solve_blocks
 from track_range.stereo.calibration.board_views import BoardFinder, BoardView, common_corners
 from track_range.stereo.calibration.boards import CalibrationError, ChessBoard
-from track_range.stereo.calibration.fisheye_fit import board_pose, fit_fisheye
+from track_range.stereo.calibration.fisheye_fit import board_pose, fit_fisheye, solve_blocks
 from track_range.stereo.calibration.one_camera import calibrate_camera
 from track_range.stereo.calibration.two_cameras import calibrate_pair
 from track_range.stereo.geometry.camera import PinholeCamera

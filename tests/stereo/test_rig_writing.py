@@ -13,8 +13,7 @@ import pytest
 from tests.stereo.board_scenes import CAMERA, rig
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.opencv import save_opencv
-from track_range.stereo.rig_formats.reading import load_calibration, load_camera, load_rig
-from track_range.stereo.rig_formats.registry import RIG_FORMATS, rig_writers
+from track_range.stereo.rig_formats.reading import RIG_FORMATS, load_calibration, load_camera, load_rig, rig_writers
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
 SIZE = (640, 360)

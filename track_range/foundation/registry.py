@@ -19,14 +19,11 @@ class Registry(Generic[T]):
     Args:
         group: group of the entry points with which other packages register.
         built_in: our own things, in their order.
-
-    Attributes:
-        registered: things that were added at run time, in this order.
     """
 
     def __init__(self, group: str, built_in: Mapping[str, T | str]) -> None:
         self.group, self.built_in = group, built_in
-        self.registered: dict[str, T] = {}
+        self.registered: dict[str, T] = {}  # things that were added at run time, in this order
 
     @property
     def installed(self) -> tuple[metadata.EntryPoint, ...]:

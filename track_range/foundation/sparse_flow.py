@@ -163,16 +163,12 @@ class BackgroundFlow:
 
     Args:
         long_side_px: the small image is halved until neither side is longer.
-
-    Attributes:
-        now: the last frame; None = there is none, or it is too small.
-        before: the frame before it; None = there is none of equal size.
     """
 
     def __init__(self, long_side_px: int = 640) -> None:
         self._long_side_px = long_side_px
-        self.now: FlowFrame | None = None
-        self.before: FlowFrame | None = None
+        self.now: FlowFrame | None = None  # the last frame; None = there is none, or it is too small
+        self.before: FlowFrame | None = None  # the frame before it; None = there is none of equal size
         self._last_s = math.nan
         self._points: FloatArray32 = np.zeros((0, 2), np.float32)
         self._is_tracked: BoolArray = np.zeros(0, np.bool_)

@@ -34,13 +34,7 @@ class RecordedVideo(ABC):
     A file is opened once for its properties and the first iteration, and again for each later iteration.
 
     Attributes:
-        path: name of the recording.
         width_px, height_px: size of the upright images.
-        is_grey: whether the first frame has no colour.
-        fps: nominal frame rate.
-        first_time_s: time of the file's first frame, independent of the selected part.
-        n_total: estimated number of frames of the whole recording; None = unknown.
-        metadata: tags in the header of a single video file, and of its video stream; empty for other recordings.
         is_upright_file: whether this is one video file that stores its images as they are shown, without a rotation.
         busy_s: time spent reading and decoding so far: CPU time of this thread, or wall time where FFmpeg decodes in
             several threads.
@@ -50,13 +44,14 @@ class RecordedVideo(ABC):
             another size, or the file or folder was replaced, shortened or overwritten in the meantime.
     """
 
-    path: RecordedName
+    path: RecordedName  # name of the recording
     width_px: int
     height_px: int
-    is_grey: bool
-    fps: float
-    first_time_s: float
-    n_total: int | None
+    is_grey: bool  # whether the first frame has no colour
+    fps: float  # nominal frame rate
+    first_time_s: float  # time of the file's first frame, independent of the selected part
+    n_total: int | None  # estimated number of frames of the whole recording; None = unknown
+    # tags in the header of a single video file, and of its video stream; empty for other recordings
     metadata: Mapping[str, str] = {}
     is_upright_file = False
     busy_s = 0.0

@@ -7,6 +7,7 @@ guesses of the focal length (focal_sources) -> boxes and horizon of parts of the
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
@@ -17,7 +18,6 @@ import numpy as np
 
 from track_range.calibration.road.measurement_text import KnownMetres, known_lanes, known_metres
 from track_range.calibration.road.road_evidence import RoadEvidence
-from track_range.calibration.road.separability import separability
 from track_range.calibration.settings import CalibrationSettings
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Detections
@@ -40,6 +40,8 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import Mounting
 from track_range.stereo.rig_formats.rig_yaml import save_camera
 
+_DETERMINED = 0.7  # standard deviation relative to that of the prior below which the measurements determine a parameter
+_INSEPARABLE = 0.85  # magnitude of the correlation above which two parameters cannot be separated
 _PART_S = 10.0  # length of each part of the video that is read
 _PARTS = (0.1, 0.5, 0.85)  # starts of the parts, as fractions of the video, if it is longer than all of them
 _MIN_IOU = 0.4  # smallest IoU of a detection with a box of the user whose class it gives
@@ -256,3 +258,53 @@ def _detected_class(metres: KnownMetres, video: VideoName, camera: PinholeCamera
     overlap = iou(np.array([metres.xyxy_px]), detections.xyxy_px)[0]
     best = int(np.argmax(overlap))
     return SIZE_CLASSES[int(detections.class_id[best])] if overlap[best] >= _MIN_IOU else ""
+
+
+def separability(
+    fit: CameraFit, guesses: Sequence[FocalGuess], by_shape: FocalPosterior, *, has_height: bool
+) -> tuple[str, ...]:
+    """Sentences on focal length, camera height, pitch, and pairs of them.
+
+    `by_shape` is the prior of the fit: guesses from outside of the images, and shapes of road users.
+    """
+    camera, (shape_px, shape_sigma) = fit.camera, by_shape.guess
+    origin = guesses[0].source if len(guesses) == 1 else " and ".join(guess.source for guess in guesses)
+    if by_shape.n_tracks:
+        origin += (
+            f", and the shapes of {by_shape.n_tracks} vehicles ({shape_px:.0f} px within {100 * shape_sigma:.0f} %)"
+        )
+    focal = f"Focal length {camera.fx_px:.0f} px within {100 * fit.focal_sigma:.1f} %"
+    sentences = []
+    if fit.contradiction != 1.0:
+        name, deviation = fit.largest_deviation
+        sentences.append(
+            f"Warning: the measurements contradict each other, or what is usual: {name}, is off by "
+            f"{abs(deviation):.0f} sigma. All sigmas are {fit.contradiction:.1f} times as large; check boxes and "
+            "metres."
+        )
+    if fit.gain("focal length") < _DETERMINED:
+        sentences.append(f"{focal}, by the measurements (before: {shape_px:.0f} px, from {origin}).")
+    else:
+        sentences.append(f"{focal}: the measurements do not determine it; it comes from {origin}.")
+    height = f"Camera height {fit.height_m:.2f} ± {fit.height_sigma_m:.2f} m"
+    if has_height:
+        sentences.append(f"{height}, as measured.")
+    elif fit.gain("camera height") < _DETERMINED:
+        sentences.append(f"{height}, from the contact points of objects of known distance or size.")
+    else:
+        sentences.append(f"{height}: a usual height, which the measurements do not determine; give --camera-height-m.")
+    pitch = (
+        f"Pitch {math.degrees(fit.pitch_rad):+.1f} ± {math.degrees(fit.pitch_sigma_rad):.1f} degrees (positive = down)"
+    )
+    sentences.append(f"{pitch}." if fit.gain("horizon") < _DETERMINED else f"{pitch}: not determined.")
+    if abs(fit.correlation("focal length", "camera height")) > _INSEPARABLE:
+        sentences.append(
+            "Focal length and camera height cannot be separated: their product is known within "
+            f"{100 * fit.product_sigma:.1f} %. Measure the height of the camera, or a distance to an object of known "
+            "height."
+        )
+    if abs(fit.correlation("camera height", "horizon")) > _INSEPARABLE:
+        sentences.append(
+            "Camera height and pitch cannot be separated: add a distance at least twice as long or half as long."
+        )
+    return tuple(sentences)

@@ -18,8 +18,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
-from track_range.stereo.rig_formats.reading import left_from_reference_m, load_calibration, mounting_of
-from track_range.stereo.rig_formats.registry import rig_writers
+from track_range.stereo.rig_formats.reading import left_from_reference_m, load_calibration, mounting_of, rig_writers
 from track_range.stereo.rig_formats.rig_yaml import save_camera
 from track_range.views.report.tables import Column, grid_of
 

@@ -21,8 +21,7 @@ from track_range.recording.names import VideoName, files_of
 from track_range.recording.pairs.auto_alignment import PairAlignment
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart
-from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX
-from track_range.stereo.alignment.right_view import RightView
+from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX, RightView
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
@@ -59,43 +58,31 @@ WHOLE_VIEW = LensView()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingCalibration:
-    """The camera models of a recording's rectified images.
-
-    Attributes:
-        camera: the left or only camera.
-        rectifier: computes the rectified (one camera: undistorted) images.
-        sizes_px: (width, height) of the left or only recorded images, and of the right ones; larger ones are cropped.
-        rig: the rectified pair with its alignment; None = one camera, or a pair without calibration.
-        raw_rig, raw_camera: the pair, and the left or only camera, as loaded; None = as recorded images are.
-        path: the calibration file; None = a focal length.
-        left_from_reference_m: (3,) translation of labels from the rig's reference camera to the left camera's frame.
-        file_notes: messages for the user about the file.
-        search_notes: the sentence that names the file if it was not given but found.
-        alignment: disparity correction of a calibrated pair.
-        row_offset_px: y_right - y_left of matching points of a pair without calibration, which is corrected; None =
-            the rows do not match, so that the pair cannot be matched, or the recording is another one.
-        guesses: guesses of a focal length that is not known; empty = it is.
-        focal: estimate of a focal length that is not known exactly; None = it is.
-        mounting: height and pitch of a camera that was calibrated from the road, and the uncertainty of its focal
-            length; None = unknown.
-    """
+    """The camera models of a recording's rectified images."""
 
     kind: CalibrationKind
-    camera: PinholeCamera
-    rectifier: Rectifier | Undistorter
+    camera: PinholeCamera  # the left or only camera
+    rectifier: Rectifier | Undistorter  # computes the rectified (one camera: undistorted) images
+    # (width, height) of the left or only recorded images, and of the right ones; larger ones are cropped
     sizes_px: Sizes
+    # the rectified pair with its alignment; None = one camera, or a pair without calibration
     rig: StereoRig | None = None
-    raw_rig: StereoRig | None = None
-    raw_camera: PinholeCamera | None = None
+    raw_rig: StereoRig | None = None  # the pair as loaded; None = as recorded images are
+    raw_camera: PinholeCamera | None = None  # the same of the left or only camera
     view: LensView = WHOLE_VIEW
-    path: Path | None = None
+    path: Path | None = None  # the calibration file; None = a focal length
+    # (3,) translation of labels from the rig's reference camera to the left camera's frame
     left_from_reference_m: FloatArray = field(default_factory=lambda: np.zeros(3))
-    file_notes: tuple[str, ...] = ()
-    search_notes: tuple[str, ...] = ()
-    alignment: PairAlignment | None = None
+    file_notes: tuple[str, ...] = ()  # messages for the user about the file
+    search_notes: tuple[str, ...] = ()  # the sentence that names the file if it was not given but found
+    alignment: PairAlignment | None = None  # disparity correction of a calibrated pair
+    # y_right - y_left of matching points of a pair without calibration, which is corrected; None = the rows do not
+    # match, so that the pair cannot be matched, or the recording is another one
     row_offset_px: float | None = None
-    guesses: tuple[FocalGuess, ...] = ()
-    focal: FocalGuess | None = None
+    guesses: tuple[FocalGuess, ...] = ()  # guesses of a focal length that is not known; empty = it is
+    focal: FocalGuess | None = None  # estimate of a focal length that is not known exactly; None = it is
+    # height and pitch of a camera that was calibrated from the road, and the uncertainty of its focal length; None =
+    # unknown
     mounting: Mounting | None = None
 
     @property

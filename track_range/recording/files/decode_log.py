@@ -16,16 +16,13 @@ class DecodeLog:
         n_used: frames passed on.
         n_damaged: frames skipped because they, or frames that they depend on, are damaged.
         n_backward: frames skipped because their timestamp equals or precedes the last one.
-        last_s: time of the last decoded frame; None = none yet.
-        end_s: time at which that frame ends.
-        stopped_by: reason why reading stopped early; empty = it did not.
     """
 
     def __init__(self) -> None:
         self.n_used = self.n_damaged = self.n_backward = 0
-        self.last_s: float | None = None
-        self.end_s = 0.0
-        self.stopped_by = ""
+        self.last_s: float | None = None  # time of the last decoded frame; None = none yet
+        self.end_s = 0.0  # time at which that frame ends
+        self.stopped_by = ""  # reason why reading stopped early; empty = it did not
         self._n_gaps, self._longest_gap = 0, (0.0, 0.0)  # length and place, s
         self._stamps: list[int] = []  # heap of packet timestamps not yet passed by a frame
         self._n_passed = 0

@@ -39,13 +39,10 @@ class StreamClock:
     arbitrary origin, and its frames arrive with varying delay; the frame with the shortest delay gives the offset:
 
         time_s = stamp_s + min(arrived_s - stamp_s)         over the most recent frames, to follow clock drift
-
-    Attributes:
-        is_shared: whether the timestamps use this machine's clock; None = no frame yet.
     """
 
     def __init__(self) -> None:
-        self.is_shared: bool | None = None
+        self.is_shared: bool | None = None  # whether the timestamps use this machine's clock; None = no frame yet
         self._offsets_s: deque[float] = deque(maxlen=_N_OFFSETS)
         self._last_s = float("-inf")
 
@@ -71,8 +68,6 @@ class LiveVideo:
 
     Attributes:
         path, width_px, height_px, is_grey, fps: see `RecordedVideo`.
-        first_time_s: time of `time.monotonic` at which the reading started.
-        busy_s: CPU time spent on converting frames.
         n_received, n_taken: frames decoded so far, and frames passed to the consumer.
         ended_by: FFmpeg's error message if the connection was lost; empty = it is open, or was ended normally.
         has_ended: whether the source ended the stream normally.
@@ -92,7 +87,7 @@ class LiveVideo:
         self.clock = StreamClock()
         self.n_received = self.n_taken = 0
         self.ended_by, self.has_ended, self.is_over, self.is_closed = "", False, False, False
-        self.busy_s = 0.0
+        self.busy_s = 0.0  # CPU time spent on converting frames
         # index, time and frame, which is converted only when it is used: a slow consumer drops most of them
         self._waiting: deque[tuple[int, float, av.VideoFrame]] = deque(maxlen=LIVE_FRAMES)
         self._lock = threading.Lock()
@@ -113,7 +108,7 @@ class LiveVideo:
         self.height_px, self.width_px = image.shape[:2]
         self.is_grey = is_neutral(image)
         self._utc_from_monotonic_s = time.time() - time.monotonic()
-        self.first_time_s = self.waiting_s()[0][1]
+        self.first_time_s = self.waiting_s()[0][1]  # time of `time.monotonic` at which the reading started
 
     @property
     def utc(self) -> UtcStart:

@@ -143,14 +143,11 @@ class StepwiseAlignment:
     """Estimates the alignment as soon as `MIN_FRAMES` frames in motion exist, again at `ESTIMATES_S`, then its drift.
 
     An `AlignmentSource`: before the first estimate, no correction with the sigma of a pair that was not aligned.
-
-    Attributes:
-        current: the alignment that is applied; None = not estimated yet.
     """
 
     def __init__(self, rig: StereoRig, given: PairAlignment | None = None) -> None:
         """Start with frames rectified to `rig`; an alignment that is given stays as it is."""
-        self.current = given
+        self.current = given  # the alignment that is applied; None = not estimated yet
         self._rig = rig
         self._drift: DriftMonitor | None = None
         self._start()

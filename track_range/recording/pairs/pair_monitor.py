@@ -25,16 +25,11 @@ _N_AGREEING_CHECKS = 3  # equal results after which the synchronisation is decid
 
 
 class PairMonitor:
-    """Checks the first pairs, up to `n_conclusive` conclusive ones, for swapped cameras, and measures their row offset.
-
-    Attributes:
-        row_offsets_px: mean of y_right - y_left of matching points, one per conclusive pair.
-        corrected_px: row offset that is corrected in the frames after the check.
-    """
+    """Checks the first pairs, up to `n_conclusive` conclusive ones, for swapped cameras, and measures row offsets."""
 
     def __init__(self, *, n_conclusive: int = 1) -> None:
-        self.row_offsets_px: list[float] = []
-        self.corrected_px = 0.0
+        self.row_offsets_px: list[float] = []  # mean of y_right - y_left of matching points, one per conclusive pair
+        self.corrected_px = 0.0  # row offset that is corrected in the frames after the check
         self._n_conclusive = n_conclusive
         self._n_checked, self._last_index = 0, -1
         self._is_unmatched = False

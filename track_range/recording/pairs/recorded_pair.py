@@ -33,20 +33,14 @@ _RATE_DIFFERENCE = 0.01  # relative difference up to which nominal rates count a
 
 @dataclass(slots=True)
 class _Side:
-    """One of the two videos while they are read.
-
-    Attributes:
-        current: the frame to be paired next; None = not started, or ended.
-        n_before, n_between, n_after: unpaired frames before the first pair, between pairs, after the last pair.
-        first_s, last_s: times of the first and the last frame read.
-    """
+    """One of the two videos while they are read."""
 
     name: str
     video: RecordedVideo
     frames: Generator[VideoFrame, None, None]
-    current: VideoFrame | None = None
+    current: VideoFrame | None = None  # the frame to be paired next; None = not started, or ended
     n_read: int = 0
-    n_before: int = 0
+    n_before: int = 0  # unpaired frames before the first pair; the next two: between pairs, after the last pair
     n_between: int = 0
     n_after: int = 0
     first_s: float = 0.0

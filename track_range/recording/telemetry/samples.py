@@ -35,20 +35,14 @@ _UNITS = (
 
 
 class Sample(NamedTuple):
-    """One record of a receiver; NaN = not stated, or no fix.
+    """One record of a receiver; NaN = not stated, or no fix."""
 
-    Attributes:
-        time_s: seconds from the first frame of the video, or since 1970 where the file has no other time.
-        utc_s: date and time of the receiver, seconds since 1970; local time where the format states local time.
-        speed_mps: horizontal speed.
-        course_deg: clockwise from north.
-        latitude_deg, longitude_deg: position.
-    """
-
+    # seconds from the first frame of the video, or since 1970 where the file has no other time
     time_s: float = math.nan
+    # date and time of the receiver, seconds since 1970; local time where the format states local time
     utc_s: float = math.nan
-    speed_mps: float = math.nan
-    course_deg: float = math.nan
+    speed_mps: float = math.nan  # horizontal speed
+    course_deg: float = math.nan  # clockwise from north
     latitude_deg: float = math.nan
     longitude_deg: float = math.nan
 

@@ -39,34 +39,24 @@ class TelemetryTrack:
     """Samples of a recording in the order of the file, as they are in it: nothing is checked or filtered.
 
     A sample without a fix stays in the track, with NaN as speed, course and position.
-
-    Attributes:
-        time_s: (N,) finite times in seconds, of the clock `clock`.
-        speed_mps: (N,) horizontal speed, >= 0; NaN = no fix.
-        course_rad: (N,) direction of motion, clockwise from north; NaN = unknown.
-        latitude_deg, longitude_deg: (N,) NaN = unknown.
-        utc_s: (N,) date and time of each sample in seconds since 1970, NaN = unknown. Equal to `time_s` if `clock` is
-            "utc" or "local"; with `clock` "video" it is the receiver's clock, which the checks use.
-        source: origin of the samples, for notes, such as "GoPro GPMF" or "drive.gpx".
-        speed_sigma_mps: standard deviation of the speed.
-        has_own_speed: whether the file states speeds; False if they are derived from positions.
-        states_unit: whether the format or the file states the unit of its speeds; otherwise it is checked against the
-            positions.
-        notes: messages for the user from the reader.
     """
 
-    time_s: FloatArray
-    speed_mps: FloatArray
-    source: str
+    time_s: FloatArray  # (N,) finite times in seconds, of the clock `clock`
+    speed_mps: FloatArray  # (N,) horizontal speed, >= 0; NaN = no fix
+    source: str  # origin of the samples, for notes, such as "GoPro GPMF" or "drive.gpx"
     clock: Clock
+    # (N,) direction of motion, clockwise from north; NaN = unknown
     course_rad: FloatArray = field(default_factory=lambda: np.empty(0))
-    latitude_deg: FloatArray = field(default_factory=lambda: np.empty(0))
-    longitude_deg: FloatArray = field(default_factory=lambda: np.empty(0))
+    latitude_deg: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) NaN = unknown
+    longitude_deg: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) NaN = unknown
+    # (N,) date and time of each sample in seconds since 1970, NaN = unknown. Equal to `time_s` if `clock` is "utc" or
+    # "local"; with `clock` "video" it is the receiver's clock, which the checks use
     utc_s: FloatArray = field(default_factory=lambda: np.empty(0))
-    speed_sigma_mps: float = GPS_SPEED_SIGMA_MPS
-    has_own_speed: bool = True
+    speed_sigma_mps: float = GPS_SPEED_SIGMA_MPS  # standard deviation of the speed
+    has_own_speed: bool = True  # whether the file states speeds; False if they are derived from positions
+    # whether the format or the file states the unit of its speeds; otherwise it is checked against the positions
     states_unit: bool = True
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # messages for the user from the reader
 
     def __post_init__(self) -> None:
         n = len(self.time_s)

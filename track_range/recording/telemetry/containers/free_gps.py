@@ -39,39 +39,25 @@ def parse_free_gps(block: bytes) -> FreeGps | None:
 
 
 class _Layout(NamedTuple):
-    """Offsets of the fields of a record.
+    """Offsets of the fields of a record."""
 
-    Attributes:
-        clock: hour, minute and second, integers of 4 bytes.
-        date: year, month and day.
-        status: A = valid, V = void, or 0 with hemispheres, a byte that some firmwares do not fill in.
-        north, east: N or S, and E or W.
-        latitude, longitude, speed: 0 = encrypted.
-        course: 0 = none.
-        number: type of the four numbers, "f" or "d".
-        marks: pattern of the characters from `status` on.
-        is_dated: whether the date must be valid; numbers are then little- or big-endian, of which one has a valid date.
-        unit, mps: of the speed.
-        reversal: characters at 0x10 of cameras that state the opposite course.
-        is_like: further condition.
-    """
-
-    clock: int
-    date: int
-    status: int
-    north: int
-    east: int
-    latitude: int
+    clock: int  # hour, minute and second, integers of 4 bytes
+    date: int  # year, month and day
+    status: int  # A = valid, V = void, or 0 with hemispheres, a byte that some firmwares do not fill in
+    north: int  # N or S
+    east: int  # E or W
+    latitude: int  # 0 = encrypted, as for longitude and speed
     longitude: int
     speed: int
-    course: int
-    number: str = "f"
-    marks: bytes = rb"[A\0][NS][EW]|V[^A-MO-RT-Z]."
+    course: int  # 0 = none
+    number: str = "f"  # type of the four numbers, "f" or "d"
+    marks: bytes = rb"[A\0][NS][EW]|V[^A-MO-RT-Z]."  # pattern of the characters from `status` on
+    # whether the date must be valid; numbers are then little- or big-endian, of which one has a valid date
     is_dated: bool = True
-    unit: Unit = "known"
+    unit: Unit = "known"  # of the speed
     mps: float = MPS_PER_UNIT["kn"]
-    reversal: bytes = b""
-    is_like: Callable[[bytes], object] = bool
+    reversal: bytes = b""  # characters at 0x10 of cameras that state the opposite course
+    is_like: Callable[[bytes], object] = bool  # further condition
 
 
 def _compact(start: int) -> _Layout:

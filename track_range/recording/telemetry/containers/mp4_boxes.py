@@ -46,30 +46,18 @@ class Box(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Samples of one track.
+    """Samples of one track."""
 
-    Attributes:
-        handler: type of the track, such as b"vide" or b"meta".
-        format: type of the first sample description, such as b"gpmd".
-        description: the first sample description.
-        offsets, sizes: (N,) where the samples are in the file, bytes.
-        time_s: (N,) when a sample is shown, on the time axis of the movie.
-        durations_s: (N,) how long.
-        number: the ID of the track in its file; 0 = not stated.
-        ticks_per_s: unit of its times.
-        shift_s: seconds from its time axis to that of the movie.
-    """
-
-    handler: bytes
-    format: bytes
-    description: bytes
-    offsets: IntArray
-    sizes: IntArray
-    time_s: FloatArray
-    durations_s: FloatArray
-    number: int = 0
-    ticks_per_s: int = 1000
-    shift_s: float = 0.0
+    handler: bytes  # type of the track, such as b"vide" or b"meta"
+    format: bytes  # type of the first sample description, such as b"gpmd"
+    description: bytes  # the first sample description
+    offsets: IntArray  # (N,) where the samples are in the file, bytes
+    sizes: IntArray  # (N,) bytes
+    time_s: FloatArray  # (N,) when a sample is shown, on the time axis of the movie
+    durations_s: FloatArray  # (N,) how long
+    number: int = 0  # the ID of the track in its file; 0 = not stated
+    ticks_per_s: int = 1000  # unit of its times
+    shift_s: float = 0.0  # seconds from its time axis to that of the movie
 
     def __len__(self) -> int:
         return len(self.offsets)

@@ -35,21 +35,15 @@ _EMPTY_HEADER = b"\0\0\0\0freeGPS \0\0\0\0"  # start of a box before the record,
 
 @dataclass(slots=True)
 class _Scan:
-    """State while packets are read; time stamps are in ticks.
+    """State while packets are read; time stamps are in ticks."""
 
-    Attributes:
-        first_pts, last_pts: smallest time stamp among the first frames, and that of the last frame.
-        open: content of the private packet that is not complete, by PID, and the time stamp at its start.
-        records: time stamp and content of the complete ones.
-        pids: PIDs of private streams.
-    """
-
-    first_pts: int | None = None
-    last_pts: int = 0
+    first_pts: int | None = None  # smallest time stamp among the first frames
+    last_pts: int = 0  # time stamp of the last frame
     n_frames: int = 0
+    # content of the private packet that is not complete, by PID, and the time stamp at its start
     open: dict[int, tuple[int, bytearray]] = field(default_factory=dict)
-    records: list[tuple[int, bytes]] = field(default_factory=list)
-    pids: set[int] = field(default_factory=set)
+    records: list[tuple[int, bytes]] = field(default_factory=list)  # time stamp and content of the complete ones
+    pids: set[int] = field(default_factory=set)  # PIDs of private streams
 
 
 def packet_bytes(start: bytes) -> int | None:
