@@ -86,13 +86,9 @@ Board = ChessBoard | CharucoBoard
 def board_of(text: str, square_mm: float | None) -> Board:
     """The board with a specification.
 
-    Args:
-        text: specification, see the docstring of this module.
-        square_mm: side of a chessboard's squares, mm; None for ChArUco boards, since their specification contains it.
-
-    Raises:
-        ValueError: the specification is wrong, or the size of a square is missing or not plausible; the message is a
-            message for the user.
+    The docstring of this module describes it; `square_mm` is the side of a chessboard's squares, None for ChArUco
+    boards, since their specification contains it. Raises ValueError, with a message for the user, if the specification
+    is wrong, or the size of a square is missing or not plausible.
     """
     board = _charuco_of(text, square_mm) if text.lower().startswith("charuco") else _chess_of(text, square_mm)
     low, high = SQUARE_M

@@ -90,11 +90,7 @@ class BoxMatcher(Protocol):
     ) -> PatchMatches:
         """Disparities of boxes in the left image, with the reasons of failures.
 
-        Args:
-            left: (H, W) grey or (H, W, 3) BGR uint8.
-            right: right image.
-            xyxy_px: (N, 4) boxes.
-            prior_px: (N,) last disparity of the box's track; NaN = none.
-            by_size: expected disparities from the sizes of the objects; None = unknown.
+        Images are (H, W) grey or (H, W, 3) BGR uint8, boxes (N, 4); `prior_px` (N,) is the last disparity of the box's
+        track, NaN = none; `by_size` are expected disparities from the sizes of the objects, None = unknown.
         """
         ...

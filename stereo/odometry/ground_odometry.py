@@ -256,11 +256,8 @@ class HorizonError(NamedTuple):
 def horizon_error(shift_m: float, distance_m: FloatArray, shifts_m: FloatArray, height_m: float) -> HorizonError | None:
     """Error of the horizon from the slope of the shifts over the distances; None = too few strips.
 
-    Args:
-        shift_m: common shift of the strips.
-        distance_m: (K,) distances of their centres, in the middle of the shift.
-        shifts_m: (K,) the shift of each of them; NaN = unknown.
-        height_m: height of the camera above the road.
+    `shift_m` is the common shift of the strips, `distance_m` (K,) the distances of their centres in the middle of the
+    shift, `shifts_m` (K,) the shift of each, NaN = unknown, and `height_m` the camera's height above the road.
     """
     is_known = np.isfinite(shifts_m)
     if is_known.sum() < _MIN_STRIPS or shift_m <= 0:

@@ -115,10 +115,8 @@ class ImageMotionEstimator:
     def update(self, image: Image, time_s: float, xyxy_px: FloatArray | None = None) -> ImageMotion:
         """Motion since the previous frame, which must be earlier; unknown for the first frame and after a gap.
 
-        Args:
-            image: (H, W, 3) BGR or (H, W) grey, of the size of the camera.
-            time_s: time of the frame.
-            xyxy_px: (N, 4) boxes of road users, which are not static; None = none known.
+        The image is (H, W, 3) BGR or (H, W) grey, of the size of the camera; `xyxy_px` (N, 4) are boxes of road users,
+        which are not static, None = none known.
         """
         image_hw = self._camera.height_px, self._camera.width_px
         check_shape("image", image[:, :, 0] if image.ndim == 3 else image, image_hw)

@@ -49,9 +49,8 @@ class Declaration:
 def option(description: str, **given: Any) -> Any:
     """Describe a field of `Options`, in its annotation `Annotated[TYPE, ...]`.
 
-    Args:
-        description: help text: a noun phrase with unit, allowed values and default where they are not obvious.
-        given: attributes of `Declaration`, and limits, which are arguments of `pydantic.Field`.
+    `description` is the help text: a noun phrase with unit, allowed values and default where they are not obvious;
+    `given` are attributes of `Declaration`, and limits, which are arguments of `pydantic.Field`.
     """
     limits = {name: given.pop(name) for name in {"ge", "le", "gt", "lt", "min_length"} & given.keys()}
     declaration: Any = Declaration(**given)

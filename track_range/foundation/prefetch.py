@@ -39,11 +39,8 @@ def prefetch(
     items end, when they raise (the error is raised in the caller), or when the returned generator is closed or
     garbage-collected; closing waits for the item in progress.
 
-    Args:
-        items: iterated only in the thread.
-        depth: number of items queued or in progress, besides the one that the caller holds; at least 1.
-        low_priority: see `lower_thread_priority`.
-        name: name of the thread, for profilers.
+    `depth`, at least 1, is the number of items queued or in progress, besides the one that the caller holds; for
+    `low_priority` see `lower_thread_priority`; `name` is that of the thread, for profilers.
     """
     queue: ClosableQueue[T] = ClosableQueue(depth)
     # A daemon thread, so that the program can end while a traceback still refers to the generator.

@@ -16,9 +16,7 @@ T = TypeVar("T")
 class Registry(Generic[T]):
     """Things of one kind by name; a text "package.module:attribute" stands for one that `imported` gives.
 
-    Args:
-        group: group of the entry points with which other packages register.
-        built_in: our own things, in their order.
+    `built_in` are our own things, in their order; other packages register with the `group` of entry points.
     """
 
     def __init__(self, group: str, built_in: Mapping[str, T | str]) -> None:

@@ -161,8 +161,7 @@ class BackgroundFlow:
     than another one uses the first of them; the first one that needs the flow of a frame computes it for all that any
     of them needed in an earlier frame, since each call of Lucas-Kanade computes the pyramids of both images.
 
-    Args:
-        long_side_px: the small image is halved until neither side is longer.
+    The small image is halved until neither side is longer than `long_side_px`.
     """
 
     def __init__(self, long_side_px: int = 640) -> None:

@@ -32,8 +32,7 @@ Version1 = Annotated[Literal[1], BeforeValidator(_not_boolean)]  # version 1 of 
 def validated(model: type[_Model], content: Any, source: object, error: type[Exception]) -> _Model:
     """Plain values, usually of `read_yaml` or `read_json`, as a pydantic model; `source` is the file, for messages.
 
-    Raises:
-        error: a key is missing, unknown, or has a wrong value; the message names file and key.
+    Raises `error` if a key is missing, unknown, or has a wrong value; the message names file and key.
     """
     try:
         return model.model_validate(content)

@@ -16,9 +16,8 @@ MAX_ARRAY_BYTES = 4_000_000_000  # size limit, bytes, of arrays: 2 million embed
 def read_array(path: Path, error: type[Exception], expected: str) -> npt.NDArray[Any]:
     """The array of numbers in a .npy file.
 
-    Raises:
-        error: the file cannot be read, is another format (a zip, a pickle), or does not have as many numbers as its
-            header announces; `expected` is the noun phrase for its content in the message.
+    Raises `error` if the file cannot be read, is another format (a zip, a pickle), or does not have as many numbers as
+    its header announces; `expected` is the noun phrase for its content in the message.
     """
     with open_regular(path, error, expected, max_bytes=MAX_ARRAY_BYTES) as file:
         try:

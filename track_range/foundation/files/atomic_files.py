@@ -38,8 +38,7 @@ def atomic_path(path: Path, *, is_flushed: bool = True) -> Iterator[Path]:
 def atomic_folder(path: Path) -> Iterator[Path]:
     """A temporary folder next to `path`, for intermediate files; the file named `path.name` in it replaces `path`.
 
-    Raises:
-        OSError: the folder cannot be created, or the file is missing or cannot be renamed.
+    Raises OSError if the folder cannot be created, or the file is missing or cannot be renamed.
     """
     with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
         yield Path(folder)

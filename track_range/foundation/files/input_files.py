@@ -37,9 +37,8 @@ _SPECIAL_FILES = (
 def open_regular(path: Path, error: type[Exception], expected: str, *, max_bytes: int | None = None) -> BufferedReader:
     """A regular file, opened for reading; symbolic links are followed.
 
-    Raises:
-        error: there is no such file, it is not a regular file, it is larger than `max_bytes`, or it cannot be read; the
-            message names the file and `expected`, a noun phrase such as "the rig.yaml of the cameras".
+    Raises `error` if there is no such file, it is not a regular file, is larger than `max_bytes`, or cannot be read;
+    the message names the file and `expected`, a noun phrase such as "the rig.yaml of the cameras".
     """
     try:
         # without O_NONBLOCK, the opening of a named pipe waits for a writer

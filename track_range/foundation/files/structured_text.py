@@ -65,9 +65,8 @@ class _Loader(_BaseLoader):  # type: ignore[misc]
 def read_yaml(path: Path, error: type[Exception], expected: str, *, max_bytes: int = MAX_TEXT_BYTES) -> Any:
     """Content of a YAML file as plain values: None, bool, int, float, str, list, dict.
 
-    Raises:
-        error: the file cannot be read, or is not YAML within the limits; the message names file, line and `expected`, a
-            noun phrase such as "the settings.yaml of a run".
+    Raises `error` if the file cannot be read, or is not YAML within the limits; the message names file, line and
+    `expected`, a noun phrase such as "the settings.yaml of a run".
     """
     return parse_yaml(read_text(path, error, expected, max_bytes=max_bytes), path, error, expected)
 

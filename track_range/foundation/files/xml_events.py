@@ -31,9 +31,8 @@ class XmlHandler(Protocol):
 def parse_xml(file: BinaryIO, path: Path, handler: XmlHandler | None, error: type[Exception], expected: str) -> None:
     """Pass the elements of a file to a handler, block by block; without a handler, the file is only checked.
 
-    Raises:
-        error: the file cannot be read, is not XML, has a document type, or is nested too deeply; the message names
-        `path` and `expected`. Exceptions of the handler are passed on.
+    Raises `error` if the file cannot be read, is not XML, has a document type, or is nested too deeply; the message
+    names `path` and `expected`. Exceptions of the handler are passed on.
     """
     elements: list[str] = []
     text = ""

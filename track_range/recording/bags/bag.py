@@ -45,9 +45,7 @@ def is_bag(path: Path) -> bool:
 def open_bag(path: Path) -> Bag:
     """The opened bag.
 
-    Raises:
-        VideoError: it cannot be read, is compressed as a whole, the folder contains several bags, or a package is
-            missing.
+    Raises VideoError if it cannot be read or is compressed as a whole, the folder has several, or a package is missing.
     """
     if not path.is_dir():
         return _open_file(path)

@@ -78,9 +78,7 @@ def ros2_type(name: str) -> str:
 def decompressed(data: bytes, compression: str, n_bytes: int) -> bytes:
     """Content of a chunk compressed with bz2, lz4, zstd or not ("", none), of which `n_bytes` are announced.
 
-    Raises:
-        DamagedError: unknown compression, or the size differs.
-        VideoError: a library is missing.
+    Raises DamagedError if the compression is unknown or the size differs, and VideoError if a library is missing.
     """
     if n_bytes > MAX_RECORD_BYTES:
         raise DamagedError("chunk too large")

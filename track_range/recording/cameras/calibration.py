@@ -215,9 +215,8 @@ def find_calibration(
     first of these is used. Without any of these, the focal length is estimated, and the distances are uncalibrated.
     Images of wide lenses are undistorted to `view`.
 
-    Raises:
-        RigError: the file cannot be used or does not fit the images; or there is a field of view, but no wide lens.
-        VideoError: the videos of an uncalibrated pair differ in size.
+    Raises RigError if the file cannot be used or does not fit the images, or there is a field of view but no wide lens,
+    and VideoError if the videos of an uncalibrated pair differ in size.
     """
     # cropped to a common size if only rows or columns of a codec differ
     sizes_px: Sizes = tuple((video.width_px, video.height_px) for video in videos)
@@ -244,8 +243,7 @@ def calibration_of(
 ) -> RecordingCalibration:
     """The calibration of one camera or a pair, for images of one or two sizes, from a file or from camera models.
 
-    Raises:
-        RigError: the file cannot be used, the cameras do not fit the images, or as `find_calibration`.
+    Raises RigError if the file cannot be used, the cameras do not fit the images, or as `find_calibration`.
     """
     if isinstance(cameras, Path):
         return _loaded(cameras, sizes_px, view, is_grey=is_grey)

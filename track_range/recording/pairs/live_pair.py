@@ -26,8 +26,7 @@ partner."""
 class LivePair(VideoPair[LiveVideo]):
     """Pairs of frames of two live streams; the iteration starts with the newest frames.
 
-    Raises:
-        VideoError: while iterating: a connection is lost, or no frames are close enough in time.
+    While iterating, raises VideoError if a connection is lost, or no frames are close enough in time.
     """
 
     def __init__(self, left: LiveVideo, right: LiveVideo) -> None:

@@ -40,11 +40,11 @@ class _Side:
     frames: Generator[VideoFrame, None, None]
     current: VideoFrame | None = None  # the frame to be paired next; None = not started, or ended
     n_read: int = 0
-    n_before: int = 0  # unpaired frames before the first pair; the next two: between pairs, after the last pair
-    n_between: int = 0
-    n_after: int = 0
-    first_s: float = 0.0
-    last_s: float = 0.0
+    n_before: int = 0  # unpaired frames before the first pair
+    n_between: int = 0  # the same between pairs
+    n_after: int = 0  # the same after the last pair
+    first_s: float = 0.0  # time of the first frame read
+    last_s: float = 0.0  # time of the last frame read
     error: VideoError | None = None
 
     @property

@@ -48,9 +48,8 @@ class SegmentedVideo(RecordedVideo):
 
     If this is the right video of a pair, the files of the `left` one give the times.
 
-    Raises:
-        VideoError: a named file does not exist, no file can be read, the files are those of several cameras, or their
-            images differ in size. While iterating: a file was deleted or changed in the meantime.
+    Raises VideoError if a named file does not exist, no file can be read, the files are those of several cameras, or
+    their images differ in size; while iterating, if a file was deleted or changed in the meantime.
     """
 
     def __init__(self, name: Path | Segments, paths: Sequence[Path], *, left: SegmentedVideo | None = None) -> None:
@@ -236,8 +235,7 @@ class SegmentedVideo(RecordedVideo):
 def segment_files(name: Path | Segments) -> list[Path] | None:
     """The video files of a folder or pattern, or of several names; None = a single file or a folder of images.
 
-    Raises:
-        VideoError: no file matches a pattern, a folder contains both images and videos, or it cannot be read.
+    Raises VideoError if no file matches a pattern, a folder contains both images and videos, or it cannot be read.
     """
     if isinstance(name, Segments):
         bag = next((part for part in name.paths if is_bag(part)), None)
