@@ -63,16 +63,10 @@ def fit_reference(
 ) -> Alignment:
     """The alignment from known disparities; NaN rows and mismatches are ignored.
 
+    Arrays are (N,): disparities of a matcher, true ones, columns in the image of the rectified left camera, and groups
+    (frame, pair or object) within which errors may be correlated. `sigma_px` (N,) are standard deviations of the
+    matcher, excluded from the residual, None = zeros; `seed` is that of the resampling.
     Raises RigError if fewer than five objects are usable.
-
-    Args:
-        measured_px: (N,) disparities of a matcher.
-        true_px: (N,) true disparities.
-        x_px: (N,) columns in the left image.
-        camera: the rectified left camera.
-        groups: (N,) frame, pair or object; errors within a group may be correlated.
-        sigma_px: (N,) standard deviations of the matcher, excluded from the residual; None = zeros.
-        seed: random seed of the resampling.
     """
     with np.errstate(invalid="ignore"):  # NaN compares as False: not usable
         is_match = np.abs(true_px - measured_px) <= np.maximum(_MAX_OFFSET_PX, _MAX_MISMATCH * true_px)

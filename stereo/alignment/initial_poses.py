@@ -250,6 +250,5 @@ def _refined(
 
 
 def _pose(rvec: npt.ArrayLike, tvec: npt.ArrayLike) -> _Motion:
-    """The motion of OpenCV's rotation vector and translation."""
     rotation = cv2.Rodrigues(np.asarray(rvec, np.float64))[0]
     return _Motion(np.asarray(rotation, np.float64), np.asarray(tvec, np.float64).reshape(3))

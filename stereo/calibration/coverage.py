@@ -142,7 +142,6 @@ def _sizes_missing(sizes: FloatArray) -> list[str]:
 
 
 def _tilts_missing(tilts_deg: FloatArray, normals: FloatArray) -> list[str]:
-    """Warnings about views without tilt, or with tilt about only one axis."""
     is_tilted = tilts_deg > _TILTED_DEG
     if is_tilted.mean() < _MIN_TILTED_FRACTION:
         return [

@@ -161,7 +161,6 @@ def fit_camera(views: Sequence[BoardView], model: CameraModel) -> tuple[PinholeC
 
 
 def _problem(views: Sequence[BoardView], model: CameraModel) -> dict[str, Any]:
-    """Arguments of OpenCV's calibrations of a pinhole."""
     return {
         "objectPoints": [view.xyz_m.astype(np.float32) for view in views],
         "imagePoints": [view.xy_px.astype(np.float32) for view in views],

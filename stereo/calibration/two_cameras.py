@@ -154,7 +154,6 @@ def row_error_px(rig: StereoRig, pair: ViewPair) -> float:
 
 
 def _single_fits(pairs: Sequence[ViewPair], models: Models) -> list[tuple[PinholeCamera, tuple[ViewFit, ...]]]:
-    """The left and the right camera fitted alone."""
     return [fit_camera([pair[side] for pair in pairs], models[side]) for side in (0, 1)]
 
 

@@ -169,15 +169,9 @@ class RemappedView:
 class Undistorter(_UndistortedImages):
     """Removes the lens distortion from the images of one camera.
 
-    Args:
-        camera: the camera.
-        fov_deg: horizontal field of view to which the images of a wide lens are undistorted; None = that of the lens,
-            up to 120 degrees.
-        yaw_deg: direction of the axis of the undistorted images of a wide lens, to the right of the camera's.
-
-    Attributes:
-        camera: the ideal camera of the undistorted images; its matrix is that of the distorted camera, or for a wide
-            lens that of its virtual pinhole.
+    The images of a wide lens are undistorted to the horizontal field of view `fov_deg`, None = that of the lens, up to
+    120 degrees, about an axis `yaw_deg` to the right of the camera's. The attribute `camera` is the ideal camera of the
+    undistorted images; its matrix is that of the distorted camera, or for a wide lens that of its virtual pinhole.
     """
 
     def __init__(self, camera: PinholeCamera, *, fov_deg: float | None = None, yaw_deg: float = 0.0) -> None:

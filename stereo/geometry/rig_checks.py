@@ -221,5 +221,4 @@ def _is_size_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
 
 
 def _has_aspect_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
-    """Whether images of this size have the aspect ratio of the camera's."""
     return abs((size_px[0] / camera.width_px) / (size_px[1] / camera.height_px) - 1) <= _ASPECT_TOLERANCE

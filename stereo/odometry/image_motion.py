@@ -204,13 +204,9 @@ def fit_epipolar(
 ) -> EpipolarFit:
     """Rotation and direction of the translation from rays (N, 3) with z = 1 of the same points in both frames.
 
-    Args:
-        before: rays in the previous frame.
-        now: rays in this frame.
-        direction: (3,) expected unit translation, from which the iteration starts.
-        direction_variance: (2,) variances of its x and y.
-        noise: standard deviation of the ray of a distant point, rad.
-        max_residual: largest Sampson distance of a static point, rad.
+    The iteration starts from `direction` (3,), the expected unit translation; `direction_variance` (2,) is of its x and
+    y. `noise` is the standard deviation of the ray of a distant point, `max_residual` the largest Sampson distance of a
+    static point, both in rad.
     """
     x, y = median_of((now[:, :2] - before[:, :2]).T).tolist()
     rotation, t = np.asarray(cv2.Rodrigues(np.array([-y, x, 0.0]))[0], np.float64), direction

@@ -120,12 +120,8 @@ class RoadHorizon:
     ) -> bool:
         """Add a measurement of the horizon, as a tangent, and its variance; False = not added, an outlier.
 
-        Args:
-            horizon: the measurement.
-            variance: its variance.
-            ahead_m: distance to which the road was seen: the measurement is y - k ahead / 2.
-            frames: error of the measurement per constant error of the rotation between two frames.
-            max_sigma: largest innovation, in standard deviations.
+        The road was seen to `ahead_m`: the measurement is y - k ahead / 2. `frames` is its error per constant error of
+        the rotation between two frames, `max_sigma` the largest innovation, in standard deviations.
         """
         h = np.array([1.0, 0.0, -ahead_m / 2, frames])
         S = float(h @ self._P @ h) + variance

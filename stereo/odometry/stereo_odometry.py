@@ -254,13 +254,8 @@ def fit_motion(
 ) -> MotionFit:
     """Motion of the camera from N points with inverse depths.
 
-    Args:
-        rays: (N, 3) rays m with z = 1 in the previous frame.
-        inverse_depth: (N,) rho in 1/m.
-        now: (N, 3) rays p' with z = 1 in this frame.
-        noise: standard deviation of p', rad.
-        inverse_depth_noise: standard deviation of rho, 1/m.
-        rng: for the triples.
+    `rays` (N, 3) m in the previous frame and `now` (N, 3) p' in this frame have z = 1; `inverse_depth` (N,) is rho in
+    1/m. The standard deviations are `noise` of p', rad, and `inverse_depth_noise` of rho, 1/m; `rng` draws triples.
     """
     motion = _of_triples(rays, inverse_depth, now, noise=noise, inverse_depth_noise=inverse_depth_noise, rng=rng)
     for _ in range(_N_ROUNDS):

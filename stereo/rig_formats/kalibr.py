@@ -112,7 +112,6 @@ def _second_from_first(first: _CameraBlock, second: _CameraBlock) -> FloatArray 
 
 
 def _camera(content: object, name: str) -> tuple[PinholeCamera, _CameraBlock]:
-    """The camera of a block, and the block."""
     block = validated(_CameraBlock, content, name, RigError)
     names = (block.camera_model, block.distortion_model or "none")
     model = next((model for model in _MODELS if (model.camera, model.distortion) == names), None)

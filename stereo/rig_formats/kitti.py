@@ -163,7 +163,6 @@ def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[
 
 
 def _missing(text: str, _path: object, is_grey: bool) -> str:
-    """The matrix that a file with one camera lacks."""
     if _nameless(text):
         return "a second line of 12 numbers with the projection matrix of the right camera"
     numbers = set(_lines(text, "P"))

@@ -101,7 +101,6 @@ def _is_camera_info(text: str) -> bool:
 
 
 def _read(text: str, path: Path, _is_grey: bool) -> RigCalibration:
-    """The camera, or the two cameras, of one file."""
     cameras = _cameras(text, path)
     if len(cameras) == 2:
         return _pair(cameras[0], cameras[1], path)
@@ -152,7 +151,6 @@ def _cameras(text: str, path: Path) -> list[_Camera]:
 
 
 def _camera(content: object, path: Path) -> _Camera:
-    """The camera of a document."""
     if isinstance(content, dict):
         content = {_NAMES.get(str(key), key): value for key, value in content.items()}
     file = validated(_CameraFile, content, path, RigError)
@@ -216,7 +214,6 @@ def _other_side(name: str) -> str:
 
 
 def _missing(_text: str, path: Path, _is_grey: bool) -> str:
-    """The file of the other camera, for messages."""
     partner = _other_side(path.name)
     place = "in a second file beside it (left.yaml, right.yaml)" if partner == path.name else f"in {partner} beside it"
     return f"{_TITLE} of the other camera {place} or after a line --- in this file"

@@ -116,7 +116,6 @@ def check_rig_health(settings: RigCheckSettings, progress: StepProgress = no_pro
 
 
 def _inputs(settings: AlignmentSettings | RigCheckSettings) -> list[Path]:
-    """The files that are read, including rig files next to the images."""
     reference = settings.reference if isinstance(settings, AlignmentSettings) else None
     folders = [folder for folder in (*settings.drives, reference) if folder is not None]
     videos = [*(settings.stereo or ()), *(folder / name for folder in folders for name in (LEFT, RIGHT))]

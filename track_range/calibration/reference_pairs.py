@@ -137,7 +137,6 @@ def reference_pairs(reference: Path, *, stereo: tuple[Path, Path] | None, rig: P
 
 
 def _video_pairs(reference: Path, recording: Recording, rectified: StereoRig) -> Iterator[StereoPair]:
-    """The pairs with known objects, up to the last object."""
     with closing(recording):
         if reference.suffix.lower() == ".csv" and not has_label_columns(reference):
             known = _of_table(reference, rectified)

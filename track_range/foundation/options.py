@@ -110,7 +110,6 @@ class Options(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _current_names(cls, given: Any) -> Any:
-        """Values by the current names of the fields."""
         if not isinstance(given, Mapping):
             return given
         values = dict(given)

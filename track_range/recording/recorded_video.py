@@ -33,19 +33,12 @@ class RecordedVideo(ABC):
 
     A file is opened once for its properties and the first iteration, and again for each later iteration.
 
-    Attributes:
-        width_px, height_px: size of the upright images.
-        is_upright_file: whether this is one video file that stores its images as they are shown, without a rotation.
-        busy_s: time spent reading and decoding so far: CPU time of this thread, or wall time where FFmpeg decodes in
-            several threads.
-
-    Raises:
-        VideoError: while iterating: no frame in the part to read, an image of a folder cannot be decoded, an image has
-            another size, or the file or folder was replaced, shortened or overwritten in the meantime.
+    While iterating, raises VideoError if no frame is in the part to read, an image of a folder cannot be decoded or has
+    another size, or the file or folder was replaced, shortened or overwritten in the meantime.
     """
 
     path: RecordedName  # name of the recording
-    width_px: int
+    width_px: int  # of the upright images, as the height
     height_px: int
     is_grey: bool  # whether the first frame has no colour
     fps: float  # nominal frame rate
@@ -53,7 +46,8 @@ class RecordedVideo(ABC):
     n_total: int | None  # estimated number of frames of the whole recording; None = unknown
     # tags in the header of a single video file, and of its video stream; empty for other recordings
     metadata: Mapping[str, str] = {}
-    is_upright_file = False
+    is_upright_file = False  # whether this is one video file that stores its images as shown, without a rotation
+    # time spent reading and decoding so far: CPU time of this thread, or wall time where FFmpeg decodes in several
     busy_s = 0.0
     _part_s: tuple[float, float] | None = None  # file times
 

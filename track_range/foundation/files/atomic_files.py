@@ -68,7 +68,6 @@ def describe(error: OSError) -> str:
 
 
 def _replace(partial: Path, path: Path, *, is_flushed: bool = True) -> None:
-    """Rename a finished file."""
     if is_flushed:
         with partial.open("r+b") as file:
             os.fsync(file.fileno())

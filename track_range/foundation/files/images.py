@@ -86,7 +86,6 @@ def decode_image(
 
 
 def _decoded(stored: bytes, path: object, error: type[Exception], expected: str, flags: int) -> npt.NDArray[Any]:
-    """The image of a file's content, the size of which has been checked."""
     if stored.startswith(_JPEG_START) and _n_scans(stored) > _MAX_SCANS:
         raise error(f"{path}: expected a JPEG file of at most {_MAX_SCANS} scans, found more; save it again.")
     try:

@@ -124,7 +124,6 @@ class BagVideo(RecordedVideo):
             state.check_unchanged(file)
 
     def _chosen_topic(self) -> Topic:
-        """The topic of the name, or the only one with images."""
         topics, listed = self._bag.topics, topic_list(self._bag, IMAGE_TYPES)
         name = self.path.topic
         if name is None:
@@ -146,7 +145,6 @@ class BagVideo(RecordedVideo):
         return topic
 
     def _first_image(self) -> tuple[Image, list[float]]:
-        """The first image that can be decoded, and the times of the first messages."""
         decoder, first = ImageDecoder(self._topic), None
         times_s: list[tuple[float, float]] = []
         problem = "no messages"

@@ -108,7 +108,6 @@ class RecordingCalibration:
         return (*self.search_notes, *self.file_notes, *alignment, *focal)
 
     def _focal_notes(self, focal: FocalGuess) -> tuple[str, ...]:
-        """Messages about a focal length that is not known exactly."""
         length = (
             f"the focal length is estimated as {focal.focal_px:.0f} px within {100 * focal.sigma:.0f} %, from "
             f"{focal.source} (give --focal-px if it is known)"
@@ -251,7 +250,6 @@ def calibration_of(
 
 
 def _check_view(camera: PinholeCamera | None, view: LensView) -> None:
-    """Check that a view is only given for a wide lens."""
     if view != WHOLE_VIEW and not (camera is not None and camera.is_wide):
         raise RigError(
             "--fov-deg, --yaw-deg: expected a calibration with a wide lens (kannala-brandt, double-sphere or omni), "
@@ -287,7 +285,6 @@ def _without_file(
 
 
 def _loaded(path: Path, sizes_px: Sizes, view: LensView, *, is_grey: bool) -> RecordingCalibration:
-    """The calibration of one camera or a pair from a file."""
     if len(sizes_px) > 1:
         rig, notes = load_rig(path, size_px=sizes_px[0], right_size_px=sizes_px[1], is_grey=is_grey)
         loaded = _of_cameras(rig, path, notes, sizes_px, view)

@@ -74,9 +74,8 @@ class LiveVideo:
         is_over: whether no more frames will arrive.
         is_closed: whether the connection has been closed.
 
-    Raises:
-        VideoError: the source cannot be opened, contains no video, or sends no frame. While iterating: the connection
-            is lost, or the image size changes.
+    Raises VideoError if the source cannot be opened, contains no video, or sends no frame; while iterating, if the
+    connection is lost, or the image size changes.
     """
 
     n_frames: int | None = None
@@ -206,7 +205,6 @@ class LiveVideo:
             self.close()
 
     def _read(self, container: InputContainer, stream: VideoStream) -> None:
-        """Receive and decode frames, in the thread."""
         lower_thread_priority()
         try:
             with container:

@@ -159,7 +159,6 @@ def _dated_starts_s(
 
 
 def _cut_notes(files: Sequence[SegmentFacts], gaps_s: Sequence[float]) -> list[str]:
-    """Messages about gaps and overlaps between consecutive files."""
     named = [(gap_s, file.path.name) for gap_s, file in zip(gaps_s, files, strict=False)]
     gaps = [(gap_s, name) for gap_s, name in named if gap_s >= _NOTED_GAP_S]
     overlaps = [(-gap_s, name) for gap_s, name in named if gap_s <= -_NOTED_GAP_S]

@@ -67,7 +67,6 @@ def usable(track: TelemetryTrack) -> TelemetryTrack:
 
 
 def _check_clock(track: TelemetryTrack) -> None:
-    """Raise an error if the clock of the receiver jumps."""
     dated = np.isfinite(track.utc_s) & (track.utc_s > 0)
     if track.clock == "video":
         jump_s = float(np.abs(np.diff((track.utc_s - track.time_s)[dated])).max(initial=0.0))

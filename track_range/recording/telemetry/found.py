@@ -163,7 +163,6 @@ def _checked(track: TelemetryTrack, path: Path, part: VideoPart) -> tuple[Teleme
 
 
 def _of_parts(parts: Sequence[VideoPart], read: Read) -> FoundTelemetry:
-    """Telemetry of all video files from one source."""
     tracks: list[TelemetryTrack] = []
     notes: list[str] = []
     files: list[Path] = []

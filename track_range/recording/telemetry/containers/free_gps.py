@@ -105,7 +105,6 @@ _ENCRYPTED = _compact(0x30)._replace(
 
 
 def _fixed(layout: _Layout, block: bytes) -> FreeGps | None:
-    """The record of a layout with fixed offsets."""
     order = _byte_order(layout, block)
     marks = re.compile(layout.marks, re.DOTALL).match(block, layout.status)
     if order is None or not marks or not layout.is_like(block):

@@ -57,7 +57,6 @@ def read_ligogps(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | 
 
 
 def _contents(file: BinaryIO, movie: Movie) -> Iterator[bytes]:
-    """Contents that may hold records."""
     end = read_at(file, movie.n_bytes - 8, 8)
     n_bytes = int.from_bytes(end[4:], "big")
     if end[:4] in _TERMINATORS and 16 <= n_bytes <= min(movie.n_bytes, MAX_TELEMETRY_BYTES):

@@ -306,7 +306,6 @@ def _with_fragments(file: BinaryIO, top: Sequence[Box], tracks: Sequence[Track],
 def _add_fragment(
     content: bytes, start: int, defaults: dict[int, tuple[int, int]], samples: dict[int, _Samples]
 ) -> None:
-    """Add the samples of a box `moof` that starts at `start` in the file."""
     end_of_data = start
     for box_type, fragment in boxes(content):
         if box_type != b"traf":

@@ -138,7 +138,6 @@ def _frame(payload: bytes, scan: _Scan) -> None:
 
 
 def _private(pid: int, payload: bytes, is_header: bool, scan: _Scan) -> None:
-    """Add the payload of a packet of a private stream."""
     if is_header:
         if pid in scan.open and len(scan.records) <= MAX_BLOCKS:
             pts, content = scan.open.pop(pid)
@@ -150,7 +149,6 @@ def _private(pid: int, payload: bytes, is_header: bool, scan: _Scan) -> None:
 
 
 def _block(content: bytes) -> bytes:
-    """A record as in a box of an MP4 file."""
     start = content[:16].find(b"freeGPS ")
     return bytes(4) + content[start:] if start >= 0 else _EMPTY_HEADER + content
 
