@@ -96,7 +96,7 @@ def test_known_cameras():
     (guess,) = focal_guesses(reader({"firmware": "HD9.01.01.60.00"}))
     assert "HERO9" in guess.source
     for camera in KNOWN_CAMERAS:
-        assert 20 < math.degrees(2 * math.atan(0.5 / camera.focal_px(1))) < 130, camera
+        assert 20 < math.degrees(2 * math.atan(0.5 / camera.focal_per_width)) < 130, camera
         assert camera.source
 
 
