@@ -90,8 +90,7 @@ def road_class_id(name: str) -> int:
         >>> tr.class_id("car"), tr.class_id("Pedestrian"), tr.ROAD_CLASSES[2]
         (2, 0, 'car')
 
-    Raises:
-        ClassNameError: the name is unknown.
+    Raises ClassNameError: the name is unknown.
     """
     key = str(name).strip().lower()
     if key not in ROAD_CLASS_OF:

@@ -34,20 +34,16 @@ class Detections:
         (Detections(1 person, 1 car), [[100.0, 50.0, 180.0, 110.0]])
 
     Attributes:
-        xyxy_px: (N, 4) float64, left, top, right, bottom edge; finite, left <= right and top <= bottom.
-        score: (N,) float64 confidence in [0, 1].
         class_id: (N,) int64, index into `ROAD_CLASSES`. COCO's ids are others, and no check can find that of a truck,
             7, which is that of traffic signs here; `from_coco` maps them.
-        descriptor: (N, D) float32 appearance embeddings; D = 0 if there are none.
 
-    Raises:
-        ValueError: lengths differ, or a box, score or class id is not as described.
+    Raises ValueError: lengths differ, or a box, score or class id is not as described.
     """
 
-    xyxy_px: FloatArray
-    score: FloatArray
+    xyxy_px: FloatArray  # (N, 4) float64, left, top, right, bottom edge; finite, left <= right and top <= bottom
+    score: FloatArray  # (N,) float64 confidence in [0, 1]
     class_id: IntArray
-    descriptor: Descriptors
+    descriptor: Descriptors  # (N, D) float32 appearance embeddings; D = 0 if there are none
 
     def __post_init__(self) -> None:
         n = len(self.score)
@@ -122,8 +118,7 @@ class Detections:
                 9 traffic light, 11 stop sign; boxes of other classes are left out.
             n_ids: 91 = category ids as in COCO's annotations, which torchvision's and DETR's networks use: 1 person.
 
-        Raises:
-            ValueError: a class number does not exist, or see `Detections`.
+        Raises ValueError: a class number does not exist, or see `Detections`.
         """
         if n_ids not in ROAD_OF_COCO:
             raise ValueError(f"n_ids: expected {' or '.join(map(str, ROAD_OF_COCO))}, got {n_ids}")
@@ -148,8 +143,7 @@ class Detections:
     def select(self, index: Rows) -> Detections:
         """The detections that a mask (N,), an array or list of indices or a slice selects, in the order of the indices.
 
-        Raises:
-            IndexError: the mask has another length, or an index does not exist.
+        Raises IndexError: the mask has another length, or an index does not exist.
         """
         rows = row_numbers(index, len(self.score))
         return Detections(

@@ -101,8 +101,7 @@ def evaluate_detections(
         min_boxes: classes with fewer labels are excluded from the mean.
         min_height_px: labels below this height are ignored, and so are unmatched detections below it (KITTI's rule).
 
-    Raises:
-        ValueError: `detections` and `truth` differ in length.
+    Raises ValueError: `detections` and `truth` differ in length.
     """
     by_class = {}
     for class_id in range(len(ROAD_CLASSES)):

@@ -120,8 +120,7 @@ def evaluate_by_size(
         min_bin_boxes: classes with fewer labels in a bin are excluded from its means.
         min_height_px: smaller labels are ignored, and so are smaller unmatched detections.
 
-    Raises:
-        ValueError: `detections` and `truth` differ in length, or there is no such measure.
+    Raises ValueError: `detections` and `truth` differ in length, or there is no such measure.
     """
     if measure not in SIZE_BINS:
         raise ValueError(f"measure: expected {' or '.join(map(repr, SIZE_BINS))}, got {measure!r}")

@@ -173,8 +173,7 @@ def evaluate_calibration(
         n_bins: number of bins of the score between 0 and 1.
         min_height_px: smaller labels are ignored, and so are smaller unmatched detections.
 
-    Raises:
-        ValueError: `detections` and `truth` differ in length, or `n_bins` is less than 1.
+    Raises ValueError: `detections` and `truth` differ in length, or `n_bins` is less than 1.
     """
     matches = {
         class_id: match_class(detections, truth, class_id, min_height_px=min_height_px)[0]

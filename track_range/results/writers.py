@@ -53,27 +53,20 @@ class RunInfo:
     """Properties of a run that are known before its first frame.
 
     Attributes:
-        camera: left camera, rectified (one camera: undistorted).
-        rig: rectified stereo rig; None = one camera, or an uncalibrated pair.
-        fps: nominal frame rate.
-        settings: section `run` of settings.yaml.
-        start_utc_s: UTC of time_s = 0, in seconds since 1970; None = unknown.
         provenance: software, model, calibration and settings of the results.
-        notes: messages for the user before the first frame.
-        overlay: annotated video of the run, finished before `close`; None = not written.
         shown_image: returns the (H, W, 3) uint8 BGR image of a frame that files may show, None if there is none, as for
             frames reconstructed from rows. Writers take images from nowhere else.
         recorded_boxes: function from boxes (N, 4) in pixels of the left images to boxes in pixels of the left video.
     """
 
-    camera: PinholeCamera
-    rig: StereoRig | None
-    fps: float
-    settings: Mapping[str, Any]
-    start_utc_s: float | None = None
+    camera: PinholeCamera  # left camera, rectified (one camera: undistorted)
+    rig: StereoRig | None  # rectified stereo rig; None = one camera, or an uncalibrated pair
+    fps: float  # nominal frame rate
+    settings: Mapping[str, Any]  # section `run` of settings.yaml
+    start_utc_s: float | None = None  # UTC of time_s = 0, in seconds since 1970; None = unknown
     provenance: Provenance = field(default_factory=Provenance)
-    notes: tuple[str, ...] = ()
-    overlay: Path | None = None
+    notes: tuple[str, ...] = ()  # messages for the user before the first frame
+    overlay: Path | None = None  # annotated video of the run, finished before `close`; None = not written
     shown_image: Callable[[FrameResult], Image | None] = lambda frame: (
         frame.frame.left if frame.frame.left.size else None
     )

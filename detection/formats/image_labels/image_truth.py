@@ -28,20 +28,16 @@ class ImageTruth:
     """The M labels of one image.
 
     Attributes:
-        xyxy_px: (M, 4) float64, pixel centres at integers.
-        class_id: (M,) int64 road class, or ANY_CLASS for labels that are ignored for every class.
-        is_ignored: (M,) a detection matched with the label counts neither as true nor as false positive.
         is_region: (M,) ignored region of many objects: any number of detections match it, by the fraction inside it
             instead of IoU.
-        is_complete: (8,) by road class: all objects of the class are labelled; other classes are not evaluated.
         confidence: (M,) float64 probability that there is such an object: 1 for labels, less for pseudo-labels.
     """
 
-    xyxy_px: FloatArray
-    class_id: IntArray
-    is_ignored: BoolArray
+    xyxy_px: FloatArray  # (M, 4) float64, pixel centres at integers
+    class_id: IntArray  # (M,) int64 road class, or ANY_CLASS for labels that are ignored for every class
+    is_ignored: BoolArray  # (M,) a detection matched with the label counts neither as true nor as false positive
     is_region: BoolArray
-    is_complete: BoolArray
+    is_complete: BoolArray  # (8,) by road class: all objects of the class are labelled; other classes are not evaluated
     confidence: FloatArray
 
     def __post_init__(self) -> None:

@@ -147,8 +147,7 @@ def evaluate_source(
 ) -> dict[str, Any]:
     """Detailed `evaluate` on the images of `source`; the results also name images, labels, format and split.
 
-    Raises:
-        LabelFileError, ImageFileError, VideoError, UsageError: images or labels cannot be used.
+    Raises LabelFileError, ImageFileError, VideoError, UsageError: images or labels cannot be used.
     """
     frames = source.open()
     figures = evaluate(
@@ -211,8 +210,7 @@ def _input(detector: YoloDetector) -> str:
 def open_candidates(models: Sequence[str], options: DetectorOptions, resolve: Callable[[str], Path]) -> list[Candidate]:
     """Load the detectors to be evaluated; `resolve` gives the file of a model's name.
 
-    Raises:
-        ModelError, DownloadError, ClassNameError, ConfigError: a model or an option cannot be used.
+    Raises ModelError, DownloadError, ClassNameError, ConfigError: a model or an option cannot be used.
     """
     names = [Path(model).stem for model in models]
     unique = [name if names.count(name) == 1 else model for name, model in zip(names, models, strict=True)]

@@ -23,43 +23,24 @@ _CLIP_NAME = re.compile(rf"\d{{2,}}-(?:{'|'.join(EVENT_KINDS)})-\d+\.mp4", re.AS
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """Something that happened on a drive; times are seconds from the first frame, NaN = unknown or none.
+    """Something that happened on a drive; times are seconds from the first frame, NaN = unknown or none."""
 
-    Attributes:
-        kind: one of `EVENT_KINDS`.
-        start_s: time at which it started.
-        peak_s: time of its most critical frame.
-        end_s: time at which it ended.
-        warning_s: time of the collision warning; NaN = no warning.
-        frame: number of the most critical frame.
-        track_id: identity of the object at the peak.
-        class_name: road class of the object.
-        min_distance_m: smallest distance of the object.
-        min_distance_sigma_m: standard deviation of that distance.
-        min_ttc_s: smallest time to collision.
-        closing_mps: largest closing speed.
-        ego_mps: speed of the ego vehicle at the peak.
-        probability: largest probability of contact, 0..1.
-        reason: what happened in one sentence.
-        headway_s: smallest headway, distance / ego speed.
-    """
-
-    kind: EventKind
-    start_s: float
-    peak_s: float
-    end_s: float
-    warning_s: float
-    frame: int
-    track_id: int
-    class_name: str
-    min_distance_m: float
-    min_distance_sigma_m: float
-    min_ttc_s: float
-    closing_mps: float
-    ego_mps: float
-    probability: float
-    reason: str
-    headway_s: float
+    kind: EventKind  # one of `EVENT_KINDS`
+    start_s: float  # time at which it started
+    peak_s: float  # time of its most critical frame
+    end_s: float  # time at which it ended
+    warning_s: float  # time of the collision warning; NaN = no warning
+    frame: int  # number of the most critical frame
+    track_id: int  # identity of the object at the peak
+    class_name: str  # road class of the object
+    min_distance_m: float  # smallest distance of the object
+    min_distance_sigma_m: float  # standard deviation of that distance
+    min_ttc_s: float  # smallest time to collision
+    closing_mps: float  # largest closing speed
+    ego_mps: float  # speed of the ego vehicle at the peak
+    probability: float  # largest probability of contact, 0..1
+    reason: str  # what happened in one sentence
+    headway_s: float  # smallest headway, distance / ego speed
 
 
 EVENT_COLUMNS = (
@@ -75,32 +56,21 @@ class EventSettings:
     """Thresholds of the events; definitions, not fitted.
 
     Attributes:
-        front_m: distance from the camera to the front of the ego vehicle.
-        max_gap_s: longest interruption of an event; tracks of one object with a shorter gap are merged.
-        close_headway_s: headway below which following is close.
-        min_following_s: shortest duration of close following.
-        min_ego_mps: smallest ego speed of close following and cut-ins; below, traffic is dense.
-        cut_in_headway_s: headway below which a vehicle that enters the ego path cuts in.
-        cut_in_s: time after which a vehicle that has entered the path no longer cuts in.
-        hard_approach_mps2: deceleration needed to avoid a contact above which an approach is hard.
         min_critical_s: shortest duration of a hard approach or near miss; shorter ones are errors of single frames.
-        near_miss_ttc_s: time to collision below which an avoided contact is a near miss.
-        near_miss_probability: smallest probability of contact of a near miss.
-        near_miss_gap_m: smallest gap that is left after a near miss; a smaller one may be a contact.
     """
 
-    front_m: float = 1.5
-    max_gap_s: float = 1.0
-    close_headway_s: float = 1.0
-    min_following_s: float = 1.0
-    min_ego_mps: float = 5.0
-    cut_in_headway_s: float = 1.0
-    cut_in_s: float = 4.0
-    hard_approach_mps2: float = 4.0
+    front_m: float = 1.5  # distance from the camera to the front of the ego vehicle
+    max_gap_s: float = 1.0  # longest interruption of an event; tracks of one object with a shorter gap are merged
+    close_headway_s: float = 1.0  # headway below which following is close
+    min_following_s: float = 1.0  # shortest duration of close following
+    min_ego_mps: float = 5.0  # smallest ego speed of close following and cut-ins; below, traffic is dense
+    cut_in_headway_s: float = 1.0  # headway below which a vehicle that enters the ego path cuts in
+    cut_in_s: float = 4.0  # time after which a vehicle that has entered the path no longer cuts in
+    hard_approach_mps2: float = 4.0  # deceleration needed to avoid a contact above which an approach is hard
     min_critical_s: float = 0.2
-    near_miss_ttc_s: float = 1.0
-    near_miss_probability: float = 0.5
-    near_miss_gap_m: float = 0.5
+    near_miss_ttc_s: float = 1.0  # time to collision below which an avoided contact is a near miss
+    near_miss_probability: float = 0.5  # smallest probability of contact of a near miss
+    near_miss_gap_m: float = 0.5  # smallest gap that is left after a near miss; a smaller one may be a contact
 
 
 def severity_key(event: Event) -> tuple[bool, float, float, float, float]:

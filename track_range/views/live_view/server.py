@@ -94,8 +94,7 @@ class LivePage(ThreadingHTTPServer):
         url: address of the page on this machine.
         url_elsewhere: probable address on other machines if all interfaces are served; else None.
 
-    Raises:
-        PageError: the port is in use, or the address does not belong to this machine.
+    Raises PageError: the port is in use, or the address does not belong to this machine.
     """
 
     daemon_threads = True
