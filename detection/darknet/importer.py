@@ -138,9 +138,8 @@ class ImportedModel:
 def import_darknet(cfg: Path, weights: Path, out: Path, *, names: Sequence[str]) -> ImportedModel:
     """Write the network of `cfg` and `weights` to the ONNX file `out`; `names` are in the network's order.
 
-    Raises:
-        ModelError: `cfg` or `weights` cannot be read or do not match, the network has unsupported layers or options, or
-            the number of names differs from the number of classes.
+    Raises ModelError: `cfg` or `weights` cannot be read or do not match, the network has unsupported layers or options,
+    or the number of names differs from the number of classes.
     """
     network = read_network(cfg)
     n_classes = network.heads[0][1].n_classes

@@ -34,10 +34,9 @@ MIN_BOXES = 50
 class ClassScores:
     """Scores of one class, as fractions 0..1; NaN without labels, precision also NaN without detections.
 
-    Attributes:
-        ap50, ap50_95: average precision.
-        precision, recall: of the detections at or above the confidence threshold, at IoU >= 0.5.
-        recall_at: (6,) for each of `PRECISIONS`, the largest recall at which the precision is at least that.
+    `ap50`, `ap50_95`: average precision. `precision`, `recall`: of the detections at or above the confidence threshold,
+    at IoU >= 0.5. `recall_at`: (6,) for each of `PRECISIONS`, the largest recall at which the precision is at least
+    that.
     """
 
     n_images: int  # number of images in which all objects of the class are labelled; other images are not evaluated

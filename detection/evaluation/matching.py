@@ -51,8 +51,7 @@ ANY_SIZE = SizeBin("all", "area", 0.0, np.inf)  # bin of all sizes
 class ClassMatches:
     """The K detections of one class in order of decreasing score, and how they were matched at each IoU threshold.
 
-    Attributes:
-        is_void: (10, K) not counted: matched with a label to ignore, or unmatched and outside of the bin of sizes.
+    `is_void`: (10, K) not counted: matched with a label to ignore, or unmatched and outside of the bin of sizes.
     """
 
     score: FloatArray  # (K,) confidence

@@ -43,8 +43,7 @@ MIN_IOU = 0.5
 class Reliability:
     """Scores and precision of detections by bins of the score; the bins divide [0, 1] into equal parts.
 
-    Attributes:
-        variance: (M,) variance of the number of matches if the scores are their probabilities, sum of s (1 - s).
+    `variance`: (M,) variance of the number of matches if the scores are their probabilities, sum of s (1 - s).
     """
 
     n: IntArray  # (M,) number of detections
@@ -126,8 +125,7 @@ class Reliability:
 class ScoreCalibration:
     """Reliability of one detector's scores.
 
-    Attributes:
-        by_class: reliability by road class id, of the classes that the detector knows and that are labelled.
+    `by_class`: reliability by road class id, of the classes that the detector knows and that are labelled.
     """
 
     min_score: float  # lowest score of the detections

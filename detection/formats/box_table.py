@@ -25,9 +25,8 @@ HALF_PIXEL_PX = 0.5  # coordinate in the corner convention minus the coordinate 
 class VideoFacts:
     """Properties of the video that a label file belongs to; None = unknown.
 
-    Attributes:
-        is_rectified: whether boxes are in rectified pixels, as in the results of a run, not in those of the video.
-        provenance: program version, model and so on of the boxes, by name, for the metadata of written files.
+    `is_rectified`: whether boxes are in rectified pixels, as in the results of a run, not in those of the video.
+    `provenance`: program version, model and so on of the boxes, by name, for the metadata of written files.
     """
 
     name: str = ""  # name of the video or sequence; "" = unknown

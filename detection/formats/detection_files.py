@@ -88,9 +88,8 @@ def read_detections(
         form: the expected format; None = any.
         size_px: (width, height) of the images, which YOLO labels need; None = unknown.
 
-    Raises:
-        LabelFileError: the file cannot be read, or its format is unknown or not `form`. An empty file is no error: it
-            has no boxes.
+    Raises LabelFileError: the file cannot be read, or its format is unknown or not `form`. An empty file is no error:
+    it has no boxes.
     """
     if is_blank(path, "detections") and not _text(path).strip():
         notes = [f"Read {path.name} as an empty file: 0 boxes.", f"{path.name} is empty: there are no boxes."]

@@ -44,8 +44,7 @@ _MIN_SPAN = 0.06  # extent in y of a visible line, in image heights
 class LaneFit:
     """Result of a fit.
 
-    Attributes:
-        seen_px: top and bottom row of the pixels of the left and of the right line; None = line not visible.
+    `seen_px`: top and bottom row of the pixels of the left and of the right line; None = line not visible.
     """
 
     state: LaneState  # the fitted lane
@@ -130,8 +129,7 @@ _MAX_DEPARTURE = 1.5
 class EgoLane:
     """Tracker of the ego lane in one video.
 
-    Attributes:
-        state: the lane after the latest image; None = no lane.
+    `state`: the lane after the latest image; None = no lane.
     """
 
     def __init__(self) -> None:

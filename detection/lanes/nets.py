@@ -127,10 +127,8 @@ _MAX_VIEWS = 5  # of one image while the row of the horizon is unknown
 class _Family:
     """A family of lane networks.
 
-    Attributes:
-        scale: mean and standard deviation of the channels in this order, of pixels / 255.
-        horizon: row of the horizon in the training images, in image heights; None = varied, so that the input is the
-            whole image.
+    `scale`: mean and standard deviation of the channels in this order, of pixels / 255. `horizon`: row of the horizon
+    in the training images, in image heights; None = varied, so that the input is the whole image.
     """
 
     is_rgb: bool  # the channel order is RGB, otherwise BGR
@@ -153,8 +151,7 @@ CLASSICAL = "classical"  # name of the lane finder without a network, `EdgeLaneF
 class NetLaneFinder:
     """Detector of lane lines with a network; ModelError if it cannot be read, or is not a known lane network.
 
-    Attributes:
-        notes: notes for the user.
+    `notes`: notes for the user.
     """
 
     def __init__(self, model: Path, runtime: Runtime | None = None) -> None:

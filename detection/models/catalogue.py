@@ -34,10 +34,8 @@ class ModelFile:
 class CatalogueEntry:
     """One model that can be downloaded.
 
-    Attributes:
-        project, release: project and release that publish the model.
-        size_px: side of the input in pixels for a network of variable input size that was trained at one size; None =
-            the input's own size, or the default.
+    `project`, `release`: project and release that publish the model. `size_px`: side of the input in pixels for a
+    network of variable input size that was trained at one size; None = the input's own size, or the default.
     """
 
     name: str  # the model's name; `NAME.onnx` in the cache folder is the model ready to run

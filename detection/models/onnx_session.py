@@ -51,8 +51,7 @@ class ModelError(UserError):
 class Runtime:
     """Device and threads that a network runs on.
 
-    Attributes:
-        engine_folder: folder in which TensorRT caches its engines, which take minutes to build; None = no cache.
+    `engine_folder`: folder in which TensorRT caches its engines, which take minutes to build; None = no cache.
     """
 
     device: Device = "auto"  # "auto" = CUDA if available, else the CPU
@@ -188,12 +187,9 @@ def _library_errors(path: Path, problem: str) -> Iterator[None]:
 class BoundNetwork:
     """A network with bound buffers (onnxruntime's IOBinding), so that a run neither copies nor allocates arrays.
 
-    On a GPU, binding an input copies it there, so that each run binds it.
-
-    Attributes:
-        blob: (1, 3, height, width) input of the next `run`, float32 or float16 as the network requires.
-        output_shapes: shapes of the outputs by name, in the file's order.
-        integer_outputs: names of the outputs of integers, such as labels.
+    On a GPU, binding an input copies it there, so that each run binds it. `blob`: (1, 3, height, width) input of the
+    next `run`, float32 or float16 as the network requires. `output_shapes`: shapes of the outputs by name, in the
+    file's order. `integer_outputs`: names of the outputs of integers, such as labels.
     """
 
     def __init__(self, session: OnnxSession, input_hw: tuple[int, int]) -> None:

@@ -96,8 +96,7 @@ def optimiser_of(network: nn.Module, settings: ScheduleSettings) -> torch.optim.
 class WeightAverage:
     """Exponential moving average of a network's weights and batch-norm statistics.
 
-    Attributes:
-        network: a copy of the network with the averaged weights.
+    `network`: a copy of the network with the averaged weights.
     """
 
     def __init__(self, network: DetectionNetwork) -> None:

@@ -24,9 +24,8 @@ Precision = Literal["float32", "bfloat16", "float16"]
 class TrainingSettings:
     """Settings of a training run.
 
-    Attributes:
-        n_last_epochs: number of epochs at the end in which no training image is a mosaic, so that the network learns
-            from whole images at last (Ge et al., "YOLOX", 2021).
+    `n_last_epochs`: number of epochs at the end in which no training image is a mosaic, so that the network learns from
+    whole images at last (Ge et al., "YOLOX", 2021).
     """
 
     size_px: int = 416  # side of the square training images, and longer side of the validation images

@@ -102,10 +102,8 @@ class TeacherOutputs:
 class Teacher:
     """A YOLOv5n or YOLOv5s network, loaded from its official export.
 
-    ModelError if the file cannot be read, is not a YOLOv5n or YOLOv5s, or has none of the classes.
-
-    Attributes:
-        name: file name of the export.
+    ModelError if the file cannot be read, is not a YOLOv5n or YOLOv5s, or has none of the classes. `name`: file name of
+    the export.
     """
 
     def __init__(

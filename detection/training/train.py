@@ -65,10 +65,8 @@ class Listener(Protocol):
 class Training:
     """A training run.
 
-    Attributes:
-        network: the network with the optimiser's latest weights.
-        average: moving average of the weights, which is validated and exported.
-        history: one row of results.csv for each completed epoch.
+    `network`: the network with the optimiser's latest weights. `average`: moving average of the weights, which is
+    validated and exported. `history`: one row of results.csv for each completed epoch.
     """
 
     def __init__(

@@ -50,13 +50,10 @@ _UNREACHABLE_SCORE = 2.0  # threshold of classes that are left out; scores are a
 class YoloSettings:
     """Settings of a YOLO detector.
 
-    Attributes:
-        max_iou: IoU threshold of non-maximum suppression among classes that are easily confused; end-to-end networks
-            need none, only equal boxes are removed.
-        size_px: longer side of the network's input if its size is variable; None = the size or area in the model's
-            metadata, else `DEFAULT_SIZE_PX`.
-        is_square: an input of variable size is square; otherwise it has the image's aspect ratio, padded to strides,
-            except for DETR-like networks.
+    `max_iou`: IoU threshold of non-maximum suppression among classes that are easily confused; end-to-end networks need
+    none, only equal boxes are removed. `size_px`: longer side of the network's input if its size is variable; None =
+    the size or area in the model's metadata, else `DEFAULT_SIZE_PX`. `is_square`: an input of variable size is square;
+    otherwise it has the image's aspect ratio, padded to strides, except for DETR-like networks.
     """
 
     min_score: float = 0.1  # confidence threshold; low, since the tracker uses low-confidence boxes to continue tracks
@@ -103,16 +100,11 @@ class _Input:
 class YoloDetector:
     """Detector of road users with a YOLO network; buffers are reused, so use one instance per video, in one thread.
 
-    Only `prepared` may be called in another thread, one at a time.
-
-    Attributes:
-        size: longer side in pixels of an input of variable size, and the source of this value.
-        area: number of pixels of an input of variable size, which `size` does not determine then; None = it does.
-        n_invalid: number of boxes dropped so far because of NaN, infinite numbers or labels without a class name.
-
-    Raises:
-        ModelError: the model cannot be read, its outputs have no known layout, the number of class names differs from
-            the number of classes, or none of its classes is to be detected.
+    Only `prepared` may be called in another thread, one at a time. `size`: longer side in pixels of an input of
+    variable size, and the source of this value. `area`: number of pixels of an input of variable size, which `size`
+    does not determine then; None = it does. `n_invalid`: number of boxes dropped so far because of NaN, infinite
+    numbers or labels without a class name. Raises ModelError: the model cannot be read, its outputs have no known
+    layout, the number of class names differs from the number of classes, or none of its classes is to be detected.
     """
 
     def __init__(

@@ -38,9 +38,8 @@ _PICODET_INPUT = InputFormat(placement="stretch", mean=IMAGENET_MEAN, std=IMAGEN
 class Level:
     """Outputs of the cells of one stride.
 
-    Attributes:
-        scores_output, bins_output: indices of the outputs, the same one if it has both.
-        score_columns, bin_columns: columns of the C scores and of the 4 (R + 1) bins.
+    `scores_output`, `bins_output`: indices of the outputs, the same one if it has both. `score_columns`, `bin_columns`:
+    columns of the C scores and of the 4 (R + 1) bins.
     """
 
     scores_output: int

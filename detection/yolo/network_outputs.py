@@ -16,10 +16,8 @@ class YoloModel:
     """Everything needed to run a detection network on images and decode its outputs.
 
     The function of a layout returns the family's defaults; `identify_layout` adds the explicit attributes of the model.
-
-    Attributes:
-        attributes: explicit and default attributes by key, for `models info`.
-        is_end_to_end: whether the network itself returns one box per object, without non-maximum suppression.
+    `attributes`: explicit and default attributes by key, for `models info`. `is_end_to_end`: whether the network itself
+    returns one box per object, without non-maximum suppression.
     """
 
     family: str  # name of the family, for display

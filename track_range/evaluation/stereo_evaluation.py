@@ -36,9 +36,8 @@ from track_range.tracking.tracks import Tracks
 def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress = no_progress) -> dict[str, Any]:
     """Errors, calibration of sigma and times per matcher, with confidence intervals, as plain values for JSON.
 
-    Raises:
-        UsageError: an unknown matcher, or leave-two-out for a drive or too few pairs.
-        PairFileError, RigError, VideoError, LabelFileError: the pairs, their rig or the alignment cannot be used.
+    Raises UsageError: an unknown matcher, or leave-two-out for a drive or too few pairs. Raises PairFileError,
+    RigError, VideoError, LabelFileError: the pairs, their rig or the alignment cannot be used.
     """
     for name in settings.matchers:
         if name not in MATCHER_NAMES:

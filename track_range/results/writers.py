@@ -52,11 +52,10 @@ class WriterError(UserError):
 class RunInfo:
     """Properties of a run that are known before its first frame.
 
-    Attributes:
-        provenance: software, model, calibration and settings of the results.
-        shown_image: returns the (H, W, 3) uint8 BGR image of a frame that files may show, None if there is none, as for
-            frames reconstructed from rows. Writers take images from nowhere else.
-        recorded_boxes: function from boxes (N, 4) in pixels of the left images to boxes in pixels of the left video.
+    `provenance`: software, model, calibration and settings of the results. `shown_image`: returns the (H, W, 3) uint8
+    BGR image of a frame that files may show, None if there is none, as for frames reconstructed from rows. Writers take
+    images from nowhere else. `recorded_boxes`: function from boxes (N, 4) in pixels of the left images to boxes in
+    pixels of the left video.
     """
 
     camera: PinholeCamera  # left camera, rectified (one camera: undistorted)
@@ -121,9 +120,8 @@ WRITERS: Registry[WriterFactory | str] = Registry(
 def register_writer(name: str, factory: WriterFactory | str) -> None:
     """Register a writer for this process; WriterError if the name is in use.
 
-    Args:
-        name: name for `--write`.
-        factory: class of the writer, or "package.module:Class", which is imported on first use.
+    `name`: name for `--write`. `factory`: class of the writer, or "package.module:Class", which is imported on first
+    use.
     """
     if name in WRITERS.names:
         raise WriterError(f"the name '{name}' is already used by another writer; choose another name.")

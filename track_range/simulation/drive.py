@@ -98,12 +98,9 @@ def write_drive(
     `scenario` is a name of `settings.SCENARIO_NAMES`, `seed` that of the scene, textures, sensor noise and simulated
     detections. `rig` is a rectified pair, or equal, parallel cameras with wide lenses; None = KITTI's angle of view,
     1240 x 376 px and 0.54 m. Odd image sizes grow by one, also in the rig file. `progress` is called after each frame
-    with the number of finished frames and the total.
-
-    Raises:
-        ValueError: less than one frame, an unknown scenario, a rig that is not rectified, or disparities or masks of a
-            wide lens.
-        OutputError, VideoError: the folder or a file in it cannot be written.
+    with the number of finished frames and the total. Raises ValueError: less than one frame, an unknown scenario, a rig
+    that is not rectified, or disparities or masks of a wide lens. Raises OutputError, VideoError: the folder or a file
+    in it cannot be written.
     """
     options = options or DriveOptions()
     rig = with_even_size(rig or kitti_like_rig())

@@ -60,9 +60,8 @@ class VideoWriter:
             and 73 kB at 32.4 dB, superfast 9 ms and 49 kB at 31.0 dB, veryfast 12 ms and 37 kB at 30.1 dB.
         n_threads: number of encoder threads.
 
-    Raises:
-        VideoError: the file cannot be written (also raised by `write` and `close`; it is then cut back to its last
-            complete frame), or FFmpeg lacks x264.
+    Raises VideoError: the file cannot be written (also raised by `write` and `close`; it is then cut back to its last
+    complete frame), or FFmpeg lacks x264.
     """
 
     def __init__(
@@ -116,13 +115,9 @@ class VideoWriter:
     def write(self, image: Image, time_s: float) -> None:
         """Append an image; times in the file count from the first one.
 
-        Args:
-            image: (height_px, width_px, 3) uint8 BGR.
-            time_s: time of the image, later than that of the previous one.
-
-        Raises:
-            ValueError: another shape, a time that does not increase, or a closed writer.
-            VideoError: the file cannot be written.
+        `image`: (height_px, width_px, 3) uint8 BGR. `time_s`: time of the image, later than that of the previous one.
+        Raises ValueError: another shape, a time that does not increase, or a closed writer. Raises VideoError: the file
+        cannot be written.
         """
         check_shape("image", image, self._shape)
         if not self._is_open:
@@ -189,10 +184,8 @@ class FragmentFile:
     """File object for `av.open`: not seekable, and without further writing after the first error.
 
     After a failed write FFmpeg continues with the next packets, which would make the file unplayable from there on or,
-    if the failure was in a header, altogether.
-
-    Attributes:
-        failure: the first error; None = all data was written. The file then ends with its last complete fragment.
+    if the failure was in a header, altogether. `failure`: the first error; None = all data was written. The file then
+    ends with its last complete fragment.
     """
 
     def __init__(self, path: Path) -> None:

@@ -96,8 +96,7 @@ def read_coco(path: Path, video: VideoFacts) -> BoxTable:
 class CocoFile:
     """The objects of one file, which are checked when they are read; all methods raise LabelFileError.
 
-    Attributes:
-        images: images by id, in the order of the file.
+    `images`: images by id, in the order of the file.
     """
 
     def __init__(self, path: Path) -> None:

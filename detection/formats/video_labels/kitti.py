@@ -56,8 +56,7 @@ _INTEGERS = [0, 1, 3]  # columns: frame, track id, occlusion
 class KittiLabels:
     """The N rows of a KITTI file, in the file's order.
 
-    Attributes:
-        truncated: (N,) fraction outside the image (object files) or level 0, 1, 2 (tracking files); -1 = unknown.
+    `truncated`: (N,) fraction outside the image (object files) or level 0, 1, 2 (tracking files); -1 = unknown.
     """
 
     frame: IntArray  # (N,) int64 frame number from 0

@@ -25,10 +25,9 @@ _CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)
 class AugmentationSettings:
     """Strength of the augmentation.
 
-    Attributes:
-        min_gain, max_gain: range of the scale, relative to an image whose longer side fills the training image.
-        rotation_deg, shear_deg: largest angle of rotation and shear; uniform in -x..x.
-        hue, saturation, value: largest relative change; uniform in -x..x (values of YOLOv5).
+    `min_gain`, `max_gain`: range of the scale, relative to an image whose longer side fills the training image.
+    `rotation_deg`, `shear_deg`: largest angle of rotation and shear; uniform in -x..x. `hue`, `saturation`, `value`:
+    largest relative change; uniform in -x..x (values of YOLOv5).
     """
 
     mosaic: float = 0.9  # probability that a training image is a mosaic of four images
@@ -51,10 +50,8 @@ MIN_FRACTION = 0.1  # smallest visible fraction of the area of a box that is not
 class LabelledPixels:
     """An image and its labels.
 
-    Attributes:
-        is_complete: (2, 2, C) whether each class is completely labelled above and below, left and right of
-            `meeting_xy`.
-        meeting_xy: (2,) point where the parts of a mosaic meet; any point for a single image.
+    `is_complete`: (2, 2, C) whether each class is completely labelled above and below, left and right of `meeting_xy`.
+    `meeting_xy`: (2,) point where the parts of a mosaic meet; any point for a single image.
     """
 
     image: Image  # (H, W, 3) uint8, BGR before and RGB after the augmentation
@@ -90,8 +87,7 @@ def mosaic(
 class _Part:
     """The part of a training image that shows one image.
 
-    Attributes:
-        columns, rows: columns and rows of the training image.
+    `columns`, `rows`: columns and rows of the training image.
     """
 
     columns: slice

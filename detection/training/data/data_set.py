@@ -54,8 +54,7 @@ class TrainingSets:
 class CachedImages:
     """Labelled images, cached in memory while there is room; the others are read from disk each time.
 
-    Attributes:
-        unreadable: one message for each image that could not be read and was left out.
+    `unreadable`: one message for each image that could not be read and was left out.
     """
 
     def __init__(

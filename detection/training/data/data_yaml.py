@@ -106,8 +106,7 @@ _BACKGROUND_NOTE = "no label file: background"
 class TrainingData:
     """The data set of a data.yaml.
 
-    Attributes:
-        train, val: the images; their truth lists which classes are completely labelled.
+    `train`, `val`: the images; their truth lists which classes are completely labelled.
     """
 
     road_class_id: IntArray  # (C,) road class of each of the network's classes
@@ -140,10 +139,9 @@ class TrainingData:
 class OwnLabels:
     """The images that the entries of a data.yaml list, with their labels alone.
 
-    Attributes:
-        train, val: the images, each once, without pseudo-labels and without those of another data.yaml; the boxes are
-            fractions of the image size. `val` may be empty.
-        labels_pseudo: detections of each training image by its path; None = the file names no folder of detections.
+    `train`, `val`: the images, each once, without pseudo-labels and without those of another data.yaml; the boxes are
+    fractions of the image size. `val` may be empty. `labels_pseudo`: detections of each training image by its path;
+    None = the file names no folder of detections.
     """
 
     path: Path

@@ -56,8 +56,7 @@ class Samples:
 class EnsembleCalibration:
     """Coefficients of the logistic regression by class.
 
-    Attributes:
-        n_positives: (8,) number of matches from which the coefficients of a class were fitted; 0 = mean of the others.
+    `n_positives`: (8,) number of matches from which the coefficients of a class were fitted; 0 = mean of the others.
     """
 
     intercept: FloatArray  # (8,) a_c

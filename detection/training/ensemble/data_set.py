@@ -144,9 +144,8 @@ COUNTED_PROBABILITIES = (0.1, 0.3, 0.6)
 class PseudoLabelFigures:
     """Pseudo-labels of a data set in figures.
 
-    Attributes:
-        n_labels: (8, 3) number of pseudo-labels by class of at least each of `COUNTED_PROBABILITIES`, in images in
-            which the class is not completely labelled.
+    `n_labels`: (8, 3) number of pseudo-labels by class of at least each of `COUNTED_PROBABILITIES`, in images in which
+    the class is not completely labelled.
     """
 
     known_class_id: IntArray  # named road classes that at least one detector knows, in increasing order
@@ -187,11 +186,9 @@ def label_training_images(
     """Write the pseudo-labels of every training image to `out`, NAME.txt with lines `class cx cy w h probability`.
 
     The boxes of all images but the `unreadable` ones must be stored (`views.store_missing`). `min_probability` is that
-    of pseudo-labels of classes that are not completely labelled; `progress` is called after each image.
-
-    Raises:
-        LabelFileError: too few fused boxes match labels to fit probabilities, or the detectors know no class.
-        TrainingError: the boxes of an image are not stored, or a file cannot be written.
+    of pseudo-labels of classes that are not completely labelled; `progress` is called after each image. Raises
+    LabelFileError: too few fused boxes match labels to fit probabilities, or the detectors know no class. Raises
+    TrainingError: the boxes of an image are not stored, or a file cannot be written.
     """
     usable = usable_classes(data, members)
     is_known: BoolArray = np.asarray(usable.any(axis=0))

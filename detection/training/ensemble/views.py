@@ -56,8 +56,7 @@ def detect_views(detector: ObjectDetector, image: Image) -> ViewBoxes:
 class EnsembleMember:
     """One detector of an ensemble, and the folder of its boxes.
 
-    Attributes:
-        is_known: (8,) road classes that the detector knows completely, not only a kind of them such as stop signs.
+    `is_known`: (8,) road classes that the detector knows completely, not only a kind of them such as stop signs.
     """
 
     def __init__(self, path: Path, stored: Path, *, size_px: int | None = None, runtime: Runtime | None = None) -> None:

@@ -51,9 +51,8 @@ _EPSILON = 1e-9  # added to the largest a of an object, which is 0 if no predict
 class AlignedCells(Rows):
     """P positive cells.
 
-    Attributes:
-        image, cell: (P,) int64 index of the image and of the cell among the N cells of all levels.
-        has_box: (P,) the target of the cell's box is this object's; false for all but one of the objects of a cell.
+    `image`, `cell`: (P,) int64 index of the image and of the cell among the N cells of all levels. `has_box`: (P,) the
+    target of the cell's box is this object's; false for all but one of the objects of a cell.
     """
 
     image: Tensor

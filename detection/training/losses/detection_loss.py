@@ -68,8 +68,7 @@ Losses = Mapping[str, Tensor]
 class _Positives(Rows):
     """P positive cells of one head, from labels and teacher, and their targets.
 
-    Attributes:
-        image, anchor, row, column: (P,) int64 indices of the cells.
+    `image`, `anchor`, `row`, `column`: (P,) int64 indices of the cells.
     """
 
     image: Tensor

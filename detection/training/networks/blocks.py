@@ -47,8 +47,7 @@ def rounded_weights(weights: Tensor) -> Tensor:
 class ConvolutionBlock(nn.Module):
     """Convolution without bias, batch norm and activation (default SiLU), with "same" padding by default.
 
-    Attributes:
-        is_rounded: whether INT8 rounding is simulated in training.
+    `is_rounded`: whether INT8 rounding is simulated in training.
     """
 
     def __init__(

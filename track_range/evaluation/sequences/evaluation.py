@@ -45,9 +45,8 @@ COUNTS = ("idsw", "fp", "fn", "frag", "mt", "pt", "ml", "n")  # metrics that are
 def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
     """Metrics per sequence and of all sequences combined, as plain values for JSON; MOT metrics in per cent.
 
-    Raises:
-        LabelFileError, MotFormatError: a file cannot be read, or the results of a sequence are missing.
-        UsageError, ClassNameError: the class cannot be evaluated.
+    Raises LabelFileError, MotFormatError: a file cannot be read, or the results of a sequence are missing. Raises
+    UsageError, ClassNameError: the class cannot be evaluated.
     """
     truth, results = settings.truth, settings.results
     labelled = find_sequences(truth, "gt")

@@ -45,9 +45,8 @@ class LabelledFrames(Protocol):
 class LabelledSource:
     """The images and labels of an evaluation.
 
-    Attributes:
-        label_format: a name in `IMAGE_LABELS`; None = KITTI for a video, COCO for a .json file, else YOLO.
-        label_names: class names of YOLO's numbers; None = those of a file next to the labels, or the road classes.
+    `label_format`: a name in `IMAGE_LABELS`; None = KITTI for a video, COCO for a .json file, else YOLO. `label_names`:
+    class names of YOLO's numbers; None = those of a file next to the labels, or the road classes.
     """
 
     images: Path  # folder of images, or a video

@@ -55,8 +55,7 @@ EVENT_COLUMNS = (
 class EventSettings:
     """Thresholds of the events; definitions, not fitted.
 
-    Attributes:
-        min_critical_s: shortest duration of a hard approach or near miss; shorter ones are errors of single frames.
+    `min_critical_s`: shortest duration of a hard approach or near miss; shorter ones are errors of single frames.
     """
 
     front_m: float = 1.5  # distance from the camera to the front of the ego vehicle

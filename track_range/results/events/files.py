@@ -178,15 +178,9 @@ def read_events(path: str | Path, *, needed: Sequence[str] = NEEDED_COLUMNS) -> 
     """Events of an events.csv or events.parquet, in the order of the file.
 
     Columns that the file lacks are unknown: NaN, 0 for `frame` and `track_id`, "" for texts, `start_s` for `peak_s`.
-    Unknown columns are ignored.
-
-    Args:
-        path: the file; Parquet if its name ends in .parquet.
-        needed: columns that the file must have.
-
-    Raises:
-        EventFileError: the file cannot be read, lacks a column, has an unknown kind, a time or number that is not
-            finite or not plausible, or an event that ends before its start.
+    Unknown columns are ignored. `path`: the file; Parquet if its name ends in .parquet. `needed`: columns that the file
+    must have. Raises EventFileError: the file cannot be read, lacks a column, has an unknown kind, a time or number
+    that is not finite or not plausible, or an event that ends before its start.
     """
     path = Path(path)
     if path.suffix.lower() == ".parquet":

@@ -22,9 +22,8 @@ WOBBLE_HZ = (0.7, 1.3, 2.1)  # frequencies of a car's pitch and roll on its spri
 class RoadShape:
     """A winding, hilly road.
 
-    Attributes:
-        swing_m, swing_length_m, swing_phase_rad: amplitude, period and phase of its lateral sine.
-        hill_m, hill_length_m, hill_phase_rad: amplitude, period and phase of its vertical sine.
+    `swing_m`, `swing_length_m`, `swing_phase_rad`: amplitude, period and phase of its lateral sine. `hill_m`,
+    `hill_length_m`, `hill_phase_rad`: amplitude, period and phase of its vertical sine.
     """
 
     swing_m: float = 0.0
@@ -68,8 +67,7 @@ STRAIGHT = RoadShape()
 class Wobble:
     """Pitch and roll of the ego car on its springs: a sum of sines with random phases.
 
-    Attributes:
-        pitch_rad, roll_rad: root mean squares of pitch and roll.
+    `pitch_rad`, `roll_rad`: root mean squares of pitch and roll.
     """
 
     pitch_rad: float = 0.0

@@ -32,9 +32,8 @@ class Row:
 class Surroundings:
     """One kind of road.
 
-    Attributes:
-        lanes: (number, from, to): 0 = the ego lane, 1 = the next one to its right, -1 = the next one to its left.
-        solid_m, dashed_m: centres of solid and dashed lines.
+    `lanes`: (number, from, to): 0 = the ego lane, 1 = the next one to its right, -1 = the next one to its left.
+    `solid_m`, `dashed_m`: centres of solid and dashed lines.
     """
 
     half_width_m: float  # half of the width of the ground

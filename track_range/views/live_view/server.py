@@ -88,11 +88,8 @@ class LivePage(ThreadingHTTPServer):
 
     Each connection has a thread; connections beyond the limit are closed with status 503. `next_picture` is called from
     one thread per connection; port 0 = any free port; `n_viewers` is the largest number of streams at a time, the next
-    one is refused with status 503; `boxes` returns the content of /boxes, empty = none.
-
-    Attributes:
-        url: address of the page on this machine.
-        url_elsewhere: probable address on other machines if all interfaces are served; else None.
+    one is refused with status 503; `boxes` returns the content of /boxes, empty = none. `url`: address of the page on
+    this machine. `url_elsewhere`: probable address on other machines if all interfaces are served; else None.
 
     Raises PageError: the port is in use, or the address does not belong to this machine.
     """

@@ -27,13 +27,9 @@ class ResultVideo:
     """Draws and encodes results in a thread; an error is raised by a later call of `wait` or `write`.
 
     `draw` draws a result in the size `size_px` (width, height); the stage "write" of `clock` counts the time.
-
-    Attributes:
-        precedes_rows: whether frames must be written before their rows, since the video would otherwise lag too much;
-            `write` then returns after the frame is encoded.
-
-    Raises:
-        VideoError: the file cannot be written; also raised by `wait`, `write` and `raise_error` for an earlier frame.
+    `precedes_rows`: whether frames must be written before their rows, since the video would otherwise lag too much;
+    `write` then returns after the frame is encoded. Raises VideoError: the file cannot be written; also raised by
+    `wait`, `write` and `raise_error` for an earlier frame.
     """
 
     def __init__(self, path: Path, draw: Draw, *, size_px: tuple[int, int], fps: float, clock: StageClock) -> None:
