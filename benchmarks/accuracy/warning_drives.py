@@ -23,8 +23,7 @@ from benchmarks.harness import Figures, median_or_none, quantile_or_none
 from benchmarks.inputs.drives import COLLISIONS, FPS, ConflictDrive, StoredDetector, conflict_drive
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.evaluation.events.contacts import read_contacts
-from track_range.evaluation.events.scores import contact_scores, is_warning
+from track_range.evaluation.events.scores import contact_scores, is_warning, read_contacts
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.warning.collision_warning import CollisionWarning

@@ -204,7 +204,6 @@ class _Trunk:
         self.layers: list[Layer] = []
 
     def before(self, section: CfgSection) -> int:
-        """Index of the previous layer."""
         return self.source(section, len(self.layers) - 1)
 
     def source(self, section: CfgSection, index: int) -> int:

@@ -45,10 +45,7 @@ _GREY_AND_YELLOW = np.array([[1 / 3, 1 / 3, 1 / 3], [-1.0, 0.5, 0.5]], np.float3
 
 
 class EdgeLaneFinder:
-    """Detector of lane lines by their painted bars; see the module's description.
-
-    `notes`: notes for the user; empty.
-    """
+    """Detector of lane lines by their painted bars; see the module's description."""
 
     def __init__(self) -> None:
         self.notes: tuple[str, ...] = ()

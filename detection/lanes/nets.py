@@ -149,10 +149,7 @@ CLASSICAL = "classical"  # name of the lane finder without a network, `EdgeLaneF
 
 
 class NetLaneFinder:
-    """Detector of lane lines with a network; ModelError if it cannot be read, or is not a known lane network.
-
-    `notes`: notes for the user.
-    """
+    """Detector of lane lines with a network; ModelError if it cannot be read, or is not a known lane network."""
 
     def __init__(self, model: Path, runtime: Runtime | None = None) -> None:
         session = OnnxSession(model, runtime)

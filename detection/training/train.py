@@ -7,7 +7,9 @@ resumed run takes the same steps as an uninterrupted one (bit by bit on a CPU, w
 
 from __future__ import annotations
 
+import copy
 import datetime
+import json
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
@@ -15,11 +17,13 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+import onnx
 import torch
 from torch import Tensor, nn
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.evaluation import DetectionScores
+from track_range.detection.models.writing import atomic_output, silent_conversion
 from track_range.detection.training.data.batches import BatchMaker, scaled
 from track_range.detection.training.data.data_set import TrainingSets
 from track_range.detection.training.errors import CheckpointError, TrainingError
@@ -27,7 +31,6 @@ from track_range.detection.training.losses.aligned_loss import AlignedLoss
 from track_range.detection.training.losses.detection_loss import Batch, DetectionLoss, Losses
 from track_range.detection.training.losses.feature_loss import FeatureLoss
 from track_range.detection.training.networks.blocks import ConvolutionBlock
-from track_range.detection.training.networks.export import export_onnx
 from track_range.detection.training.networks.network import AnchorNetwork, DetectionNetwork, placed
 from track_range.detection.training.networks.road_net import RoadNet
 from track_range.detection.training.networks.yolov5 import BODY_PREFIX
@@ -328,3 +331,46 @@ def _flat(settings: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield from _flat(value)
         else:
             yield key, value
+
+
+_OPSET = 17
+
+
+class _Exported(nn.Module):
+    def __init__(self, network: DetectionNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
+        return tuple(self.network.exported(self.network(images)).values())
+
+
+def export_onnx(network: DetectionNetwork, out: Path, metadata: Mapping[str, object]) -> None:
+    """Write a network as an ONNX file that `YoloDetector` loads without options; ModelError if impossible.
+
+    The graph ends with `DetectionNetwork.exported`, the input size is variable. The values of `metadata`, which
+    `detection.models.metadata` reads, are converted to JSON.
+    """
+    exported = _Exported(copy.deepcopy(network)).cpu().float().eval()  # the network itself stays on its device
+    image = torch.zeros(1, 3, 128, 160)
+    with torch.no_grad():
+        names = list(exported.network.exported(exported.network(image)))
+    variable = {"images": {0: "batch", 2: "height", 3: "width"}}
+    with atomic_output(out) as folder:
+        path = folder / out.name
+        with silent_conversion(out, "exported"):
+            torch.onnx.export(
+                exported,
+                (image,),
+                str(path),
+                input_names=["images"],
+                output_names=names,
+                dynamic_axes=variable | {name: {0: "batch", 1: f"rows_of_{name}"} for name in names},
+                opset_version=_OPSET,
+                dynamo=False,
+            )
+            model = onnx.load(str(path))
+        model.producer_name = "track-range"
+        texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in metadata.items()}
+        onnx.helper.set_model_props(model, texts)
+        onnx.save(model, str(path))

@@ -19,7 +19,7 @@ from benchmarks.accuracy.warning_drives import (
 )
 from benchmarks.accuracy.warnings import draw_curve, draw_reliability, write_curve
 from benchmarks.harness import StoredResults
-from track_range.views.report.content.warning_curve import curve_figure
+from track_range.views.report.page import curve_figure
 
 NAN = float("nan")
 

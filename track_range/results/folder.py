@@ -144,7 +144,6 @@ class _Reader:
         return None
 
     def run(self, *, is_rounded: bool, has_events: bool) -> RunFolder:
-        """The run; see `read_run_folder`."""
         columns = self._columns(is_rounded=is_rounded)
         if self.summary is None and columns is None:
             progress = describe_progress(self.folder)

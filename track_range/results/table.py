@@ -172,7 +172,6 @@ class RunRows:
     last_s: float = 0.0
 
     def __len__(self) -> int:
-        """Number of frames."""
         return len(self.frame_index)
 
     def add(self, result: FrameResult) -> tuple[Event, ...]:

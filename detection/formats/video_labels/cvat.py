@@ -140,7 +140,6 @@ class _Content:
         self._attribute = ""
 
     def start(self, path: list[str], attributes: Mapping[str, str], line: int) -> None:
-        """An element begins."""
         name, depth = path[-1], len(path)
         if path[0] != "annotations":
             raise self._fault(line, "CVAT's annotations", f"the element {quoted(name)}")
@@ -159,7 +158,6 @@ class _Content:
             self._attribute = attributes.get("name", "")
 
     def end(self, path: list[str], text: str, line: int) -> None:
-        """An element ends."""
         if path[1:3] == ["track", "box"] and path[-1] == "attribute":
             name, text = self._attribute, text.strip()
             if name == "predicted":

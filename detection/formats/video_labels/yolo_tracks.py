@@ -204,8 +204,6 @@ def _frames(path: Path, files: Sequence[Path]) -> dict[Path, int]:
 
 
 class _VideoSection(BaseModel):
-    """Section `video` of data.yaml."""
-
     model_config = ConfigDict(extra="ignore", frozen=True)
     name: str = ""
     width: int | None = Field(None, ge=1, le=MAX_SIDE_PX)

@@ -225,7 +225,6 @@ class _Reader:
         self._notes: list[str] = []
 
     def split(self, key: str, *, may_be_empty: bool = False) -> list[LabelledImage]:
-        """The images of one split with their labels."""
         entries = self.document.train if key == "train" else self.document.val
         items = [item for part in entries for item in self._entry(part, key)]
         if not items and not may_be_empty:

@@ -14,8 +14,7 @@ from track_range.detection.models.metadata import Anchors
 class DetectionNetwork(nn.Module):
     """A network with several heads, each a grid of cells.
 
-    `name`: name of the network, such as "yolov5n". `n_classes`: number of classes. `has_cbam`: the backbone has CBAM
-    attention.
+    `name` is such as "yolov5n"; `has_cbam`: the backbone has CBAM attention.
     """
 
     strides_px: tuple[int, ...]  # side of a cell in pixels for each head, in the order of `forward`'s outputs

@@ -12,10 +12,9 @@ from track_range.detection.training.data.data_set import CachedImages, TrainingS
 from track_range.detection.training.data.data_yaml import read_data_yaml
 from track_range.detection.training.errors import CheckpointError
 from track_range.detection.training.losses.feature_loss import FeatureLoss, correlation
-from track_range.detection.training.networks.export import export_onnx
 from track_range.detection.training.networks.registry import make_network
 from track_range.detection.training.teacher import Teacher
-from track_range.detection.training.train import Training, prepare_torch
+from track_range.detection.training.train import Training, export_onnx, prepare_torch
 
 
 def test_correlation_is_that_of_numpy():

@@ -5,11 +5,11 @@ import torch
 from tests.detection.onnx_models import write_model
 from track_range.detection.detections import Detections
 from track_range.detection.models.onnx_session import ModelError, OnnxSession
-from track_range.detection.training.networks.export import export_onnx
 from track_range.detection.training.networks.network import AnchorNetwork
 from track_range.detection.training.networks.registry import NETWORKS, make_network
 from track_range.detection.training.networks.road_net import RoadNetHead
 from track_range.detection.training.teacher import yolov5_of_export
+from track_range.detection.training.train import export_onnx
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 
 ROAD = ["person", "bicycle", "car", "motorcycle", "bus", "truck", "traffic light", "traffic sign"]

@@ -16,7 +16,6 @@ from track_range.detection.training.data.data_set import CachedImages, TrainingS
 from track_range.detection.training.data.data_yaml import read_data_yaml
 from track_range.detection.training.errors import CheckpointError, TrainingError
 from track_range.detection.training.networks.blocks import ConvolutionBlock
-from track_range.detection.training.networks.export import export_onnx
 from track_range.detection.training.networks.registry import make_network
 from track_range.detection.training.run_folder import (
     BEST,
@@ -30,7 +29,7 @@ from track_range.detection.training.run_folder import (
 from track_range.detection.training.schedule import SGD, Schedule, ScheduleSettings, WeightAverage, optimiser_of
 from track_range.detection.training.settings import TrainingSettings
 from track_range.detection.training.teacher import Teacher
-from track_range.detection.training.train import Training, prepare_torch
+from track_range.detection.training.train import Training, export_onnx, prepare_torch
 
 PLAIN = AugmentationSettings(
     mosaic=0.0, min_gain=1.0, max_gain=1.0, shift=0.0, mirror=0.0, hue=0, saturation=0, value=0

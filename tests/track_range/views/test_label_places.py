@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from tests.track_range.views.overlay_results import BOX, HEIGHT, WIDTH
 from track_range.foundation.arrays import FloatArray
-from track_range.views.overlay.label_layout import (
+from track_range.views.overlay.labels import (
     PLACES,
     LabelPlacer,
     free_place,

@@ -7,8 +7,7 @@ import numpy as np
 from tests.track_range.views.overlay_results import BOX, HEIGHT, WIDTH, result
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.views.overlay.annotator import Overlay
-from track_range.views.overlay.disparity_view import SCALE_M, DisparityPicture, StackedPicture
+from track_range.views.overlay.annotator import SCALE_M, DisparityPicture, Overlay, StackedPicture
 
 RIG = StereoRig.rectified(PinholeCamera(700.0, 700.0, 620.5, 186.5, WIDTH, HEIGHT), 0.5)
 

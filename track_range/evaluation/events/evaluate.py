@@ -16,9 +16,15 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASS_OF
 from track_range.detection.formats.label_formats import is_blank
-from track_range.evaluation.events.contacts import COLUMNS, Contact, read_contacts
 from track_range.evaluation.events.objects import LabelledBoxes, objects_by_boxes, objects_by_time, read_boxes
-from track_range.evaluation.events.scores import contact_scores, event_scores, is_warning
+from track_range.evaluation.events.scores import (
+    CONTACT_COLUMNS,
+    Contact,
+    contact_scores,
+    event_scores,
+    is_warning,
+    read_contacts,
+)
 from track_range.evaluation.events.settings import EventEvaluationSettings
 from track_range.foundation.files.input_files import counted, first_line
 from track_range.foundation.files.output_files import OutputError
@@ -89,7 +95,8 @@ def _is_file_of_events(path: Path) -> bool:
     """Whether a file of ground truth contains labelled events instead of contacts."""
     if path.suffix.lower() == ".parquet":
         return True
-    expected = f"contacts with the columns {','.join(COLUMNS)}, or events with the columns {','.join(NEEDED_COLUMNS)}"
+    contacts, events = ",".join(CONTACT_COLUMNS), ",".join(NEEDED_COLUMNS)
+    expected = f"contacts with the columns {contacts}, or events with the columns {events}"
     names = [name.strip().lower() for name in first_line(path, EventFileError, expected).split(",")]
     if "contact_s" in names or "object_id" in names:
         return False

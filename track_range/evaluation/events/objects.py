@@ -19,8 +19,7 @@ import numpy.typing as npt
 from track_range.detection.boxes import iou
 from track_range.detection.formats.label_formats import read_labels
 from track_range.detection.formats.video_labels.csv_labels import has_label_columns, read_csv_labels
-from track_range.evaluation.events.contacts import Contact
-from track_range.evaluation.events.scores import are_same_class, is_warning
+from track_range.evaluation.events.scores import Contact, are_same_class, is_warning
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.event import Event

@@ -20,15 +20,54 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from track_range.detection.classes import ROAD_CLASS_OF
-from track_range.evaluation.events.contacts import Contact
+from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
 from track_range.evaluation.events.settings import MIN_LEAD_S
+from track_range.foundation.files.csv_tables import read_csv_table
+from track_range.foundation.files.input_files import quoted
 from track_range.results.events.event import EVENT_KINDS, WARNING_KINDS, Event
+from track_range.results.events.files import EventFileError
+
+CONTACT_COLUMNS = ("object_id", "class", "contact_s")
+
+_LIMITS = {"object_id": (0.0, 2.0**53, "an integer from 0"), "contact_s": (0.0, 1e9, "a time in seconds from 0")}
+"""Smallest and largest value of each column of numbers, and the expected value for messages."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """A contact that happens, or would happen without braking, with an object of a road class."""
+
+    object_id: int
+    class_name: str
+    contact_s: float  # from the first frame
+
+
+def read_contacts(path: Path) -> tuple[Contact, ...]:
+    """Contacts of a contacts.csv, in its order; EventFileError if it cannot be read or lacks a valid value."""
+    table = read_csv_table(path, EventFileError, f"contacts with the columns {','.join(CONTACT_COLUMNS)}", exact=True)
+    table.require(CONTACT_COLUMNS)
+    numbers = {}
+    for name, (low, high, expected) in _LIMITS.items():
+        values = table.numbers(name)
+        is_valid = (values >= low) & (values <= high)
+        if name == "object_id":
+            is_valid &= values.round() == values
+        table.check(name, values, is_valid, expected)
+        numbers[name] = values.tolist()
+    names = [name.lower() for name in table.texts("class")]
+    for row, name in enumerate(names):
+        if name not in ROAD_CLASS_OF:
+            raise table.fault(row, f"expected one of the classes {', '.join(ROAD_CLASSES)}, got {quoted(name)}.")
+    rows = zip(numbers["object_id"], names, numbers["contact_s"], strict=True)
+    return tuple(Contact(int(object_id), ROAD_CLASS_OF[name], contact_s) for object_id, name, contact_s in rows)
+
 
 Scores = dict[str, Any]  # sections `overall` and `by_kind`, and lists of single results, as in the JSON file
 TOLERANCE_S = 1.0  # largest time between a labelled event and one that matches it, s: labels are set by hand

@@ -130,8 +130,6 @@ class Conditions:
 
 @dataclass(slots=True)
 class _Open:
-    """An event in progress."""
-
     kind: EventKind
     group: int  # of objects of its class
     start_s: float

@@ -116,7 +116,6 @@ def _write_batches(path: Path, schema: pa.Schema, batches: Iterable[pa.RecordBat
 
 @contextmanager
 def _stream(path: Path) -> Iterator[pa.RecordBatchStreamReader]:
-    """Reader of a tracks.arrows."""
     import pyarrow as pa
 
     with pa.OSFile(str(path)) as file, pa.ipc.open_stream(file) as reader:

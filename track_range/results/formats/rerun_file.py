@@ -97,7 +97,6 @@ class RerunWriter:
             self._recording.disconnect()
 
     def _release(self) -> None:
-        """Log the held frame."""
         if self._held is None:
             return
         result, self._held = self._held, None

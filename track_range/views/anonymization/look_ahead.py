@@ -98,8 +98,6 @@ class _Box(NamedTuple):
 
 @dataclass(slots=True)
 class _History:
-    """Boxes of the frames around the one to cover."""
-
     tracks: dict[int, deque[_Box]] = field(default_factory=dict)  # by track id, in order of time
     candidates: deque[tuple[float, Detections]] = field(default_factory=deque)  # time, detections without identity
 

@@ -17,7 +17,7 @@ from track_range.detection.formats.image_labels.yolo_labels import YoloLabelRead
 from track_range.detection.formats.video_labels.csv_labels import read_csv_labels
 from track_range.detection.formats.video_labels.kitti import read_kitti, read_kitti_image
 from track_range.detection.formats.video_labels.mot import read_mot
-from track_range.evaluation.events.contacts import read_contacts
+from track_range.evaluation.events.scores import read_contacts
 from track_range.evaluation.sequences.find import find_sequences
 from track_range.ranging.ego_speed import open_ego_speed
 from track_range.ranging.evaluation.truth import read_truth

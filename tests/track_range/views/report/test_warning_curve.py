@@ -9,8 +9,7 @@ import pytest
 
 from tests.track_range.views.report.test_report import columns, summary
 from track_range.views.report import page
-from track_range.views.report.content.warning_curve import curve_figure, packaged_curve
-from track_range.views.report.page import report_page
+from track_range.views.report.page import curve_figure, packaged_curve, report_page
 
 CURVE: dict[str, Any] = {
     "protocol": "Three hours of <simulated> driving.",

@@ -146,7 +146,6 @@ def _transforms(time: Timestamp) -> bytes:
 
 
 def _annotations(objects: Sequence[TrackObject], time: Timestamp) -> bytes:
-    """Boxes and labels in the image."""
     points, texts = [], []
     for shown in objects:
         x1, y1, x2, y2 = (value + _CORNER_PX for value in shown.xyxy_px)

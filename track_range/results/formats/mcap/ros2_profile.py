@@ -115,7 +115,6 @@ class Ros2Profile:
         return self._new("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
     def _pose(self, x: float, y: float, z: float) -> Any:
-        """Pose without rotation."""
         return self._new(
             "geometry_msgs/msg/Pose", position=self._vector("Point", x, y, z), orientation=self._rotation()
         )

@@ -159,7 +159,6 @@ class _Sink:
         return content
 
     def write(self, content: bytes) -> int:
-        """Add content."""
         self._parts.append(bytes(content))
         self._position += len(content)
         return len(content)
