@@ -21,8 +21,13 @@ from track_range.detection.training.data.data_set import CachedImages, TrainingS
 from track_range.detection.training.data.data_yaml import read_data_yaml
 from track_range.detection.training.losses.box_losses import BoxLoss
 from track_range.detection.training.losses.detection_loss import Losses
-from track_range.detection.training.networks.anchors import by_head, kmeans_anchors, mean_best_iou
-from track_range.detection.training.networks.registry import NETWORKS, make_network
+from track_range.detection.training.networks.registry import (
+    NETWORKS,
+    by_head,
+    kmeans_anchors,
+    make_network,
+    mean_best_iou,
+)
 from track_range.detection.training.run_folder import LAST
 from track_range.detection.training.settings import TrainingSettings, best_precision
 from track_range.detection.training.train import Training, export_onnx, prepare_torch

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.detection.training.networks.anchors import as_text, by_head, kmeans_anchors, mean_best_iou, shape_iou
+from track_range.detection.training.networks.registry import as_text, by_head, kmeans_anchors, mean_best_iou, shape_iou
 
 
 def test_iou_of_shapes_by_hand():

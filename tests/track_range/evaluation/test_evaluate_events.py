@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 import track_range as tr
 from tests.command_line import run_command
 from tests.track_range.results.events.event_builder import event
-from track_range.evaluation.events.objects import objects_by_time
-from track_range.evaluation.events.scores import Contact, contact_scores, event_scores, read_contacts
+from track_range.evaluation.events.scores import Contact, contact_scores, event_scores, objects_by_time, read_contacts
 from track_range.foundation.errors import UsageError, UserError
 from track_range.results.columns import column_names
 from track_range.results.events.event import EVENT_KINDS, WARNING_KINDS

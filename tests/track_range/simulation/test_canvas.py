@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from track_range.simulation.render.canvas import Canvas
-from track_range.simulation.render.face_table import FaceTable, joined_tables
-from track_range.simulation.render.texture_store import TextureStore
+from track_range.simulation.render.face_table import FaceTable, TextureStore, joined_tables
 from track_range.simulation.world.bodies.faces import Face
 from track_range.stereo.geometry.camera import PinholeCamera
 

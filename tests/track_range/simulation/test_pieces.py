@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.simulation.render.face_table import FaceTable
+from track_range.simulation.render.face_table import FaceTable, TextureStore
 from track_range.simulation.render.pieces import CUTS, DEPTH_RATIO, NEAR_M, projected, visible_pieces
-from track_range.simulation.render.texture_store import TextureStore
 from track_range.simulation.world.bodies.faces import Face
 from track_range.stereo.geometry.camera import PinholeCamera
 

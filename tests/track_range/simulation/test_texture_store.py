@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.simulation.render.texture_store import TextureStore, quantized_up
+from track_range.simulation.render.face_table import TextureStore, quantized_up
 
 SIZES = st.integers(1, 4000)
 

@@ -1,6 +1,6 @@
 """Evaluation of the events of a run: warnings against contacts, or events against labelled events.
 
-Hits, misses, false alarms and leads are defined in `scores`, the objects of warnings in `objects`. Where the tracks of
+Hits, misses, false alarms, leads and the objects of warnings are defined in `scores`. Where the tracks of
 the run and labelled boxes with closing speeds are known, the errors of the closing speeds are added, by class.
 """
 
@@ -16,13 +16,16 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASS_OF
 from track_range.detection.formats.label_formats import is_blank
-from track_range.evaluation.events.objects import LabelledBoxes, objects_by_boxes, objects_by_time, read_boxes
 from track_range.evaluation.events.scores import (
     CONTACT_COLUMNS,
     Contact,
+    LabelledBoxes,
     contact_scores,
     event_scores,
     is_warning,
+    objects_by_boxes,
+    objects_by_time,
+    read_boxes,
     read_contacts,
 )
 from track_range.evaluation.events.settings import EventEvaluationSettings

@@ -13,9 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.simulation.render.face_table import FaceTable
+from track_range.simulation.render.face_table import FaceTable, TextureStore
 from track_range.simulation.render.pieces import NEAR_M, Projected, projected, visible_pieces
-from track_range.simulation.render.texture_store import TextureStore
 from track_range.stereo.geometry.camera import PinholeCamera
 
 OPAQUE_ALPHA = 112

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.simulation.render.face_table import FaceTable
-from track_range.simulation.render.texture_store import quantized_up
+from track_range.simulation.render.face_table import FaceTable, quantized_up
 from track_range.stereo.geometry.camera import PinholeCamera
 
 NEAR_M = 0.3  # depth of the near plane, m

@@ -14,8 +14,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image, IntArray
-from track_range.simulation.render.face_table import FaceTable, joined_tables, unlabelled_faces
-from track_range.simulation.render.texture_store import TextureStore
+from track_range.simulation.render.face_table import FaceTable, TextureStore, joined_tables, unlabelled_faces
 from track_range.simulation.world.road_shape import STRAIGHT, RoadShape
 from track_range.simulation.world.surroundings import PERIOD_M, SURROUNDINGS, Row, Surroundings
 from track_range.simulation.world.textures.scenery import (

@@ -246,8 +246,8 @@ def packaged_curve() -> Mapping[str, Any] | None:
 
     {"protocol": text, "methods": {name: [[false alarms per hour, median lead in s, fraction of contacts], ...]}}
 
-    The fraction is that of the contacts with a warning at least 2.1 s before. All reports show the same values, what one
-    camera, a stereo rig and both methods together achieve.
+    The fraction is that of the contacts with a warning at least 2.1 s before. All reports show the same values: what
+    one camera, a stereo rig and both methods together achieve.
     """
     source = files("track_range.views.report") / "assets" / CURVE_FILE
     if not source.is_file():

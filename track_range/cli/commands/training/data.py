@@ -14,8 +14,7 @@ from track_range.detection.models.metadata import Anchors
 from track_range.detection.training.data.data_set import CachedImages
 from track_range.detection.training.data.data_yaml import TrainingData, read_data_yaml
 from track_range.detection.training.errors import TrainingError
-from track_range.detection.training.networks.anchors import as_text, by_head, kmeans_anchors, mean_best_iou
-from track_range.detection.training.networks.registry import NETWORKS
+from track_range.detection.training.networks.registry import NETWORKS, as_text, by_head, kmeans_anchors, mean_best_iou
 from track_range.foundation.arrays import FloatArray
 from track_range.run.progress import step_progress
 
