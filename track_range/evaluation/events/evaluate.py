@@ -1,7 +1,7 @@
 """Evaluation of the events of a run: warnings against contacts, or events against labelled events.
 
-Hits, misses, false alarms, leads and the objects of warnings are defined in `scores`. Where the tracks of
-the run and labelled boxes with closing speeds are known, the errors of the closing speeds are added, by class.
+Hits, misses, false alarms, leads and the objects of warnings are defined in `scores`. Where the tracks of the run and
+labelled boxes with closing speeds are known, the errors of the closing speeds are added, by class.
 """
 
 from __future__ import annotations

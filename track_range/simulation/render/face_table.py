@@ -99,7 +99,7 @@ def _with_margin(picture: Image) -> Image:
 
 @dataclass(frozen=True, slots=True)
 class FaceTable:
-    """Faces as arrays, see `faces.Face`, with vectors in metres; a few operations transform, cull and split all of them.
+    """Faces as arrays, see `faces.Face`, with vectors in metres; a few operations transform, cull and split them.
 
     `label` is what the masks show at the face: its `IdentifyingPart`, or a number of part and road user (`Crowd`).
     """
