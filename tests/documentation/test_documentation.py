@@ -24,7 +24,7 @@ from tests.documentation.documented_commands import (
 from track_range.cli.app import app
 from track_range.results.columns import result_columns
 from track_range.results.events.event import EVENT_COLUMNS, EVENT_KINDS
-from track_range.results.summary_shape import _Summary
+from track_range.results.summary_shape import _SUMMARY
 from track_range.results.writers import result_names
 
 OPTION = re.compile(r"--[a-z][a-z0-9-]*")
@@ -119,7 +119,7 @@ def test_result_files_are_documented():
 
 def test_summary_keys_are_documented():
     section = PAGES["docs/results.md"].partition("## summary.json")[2].partition("\n## ")[0]
-    missing = [key for key in _Summary.model_fields if key != "settings" and f"`{key}`" not in section]
+    missing = [key for key in _SUMMARY.model_fields if key != "settings" and f"`{key}`" not in section]
     assert missing == []
 
 

@@ -218,14 +218,19 @@ def main() -> None:
         raise SystemExit(error.exit_status) from None
     except Exception as error:
         _exit_if_full(error)
-        from track_range.recording.live.address import LiveAddress
-
-        shown = shlex.join(str(LiveAddress(argument)) for argument in arguments)  # without user names and passwords
-        error.add_note(
-            f"{PROGRAM}: unexpected error; please report it in the project's issue tracker with these lines, the "
-            f"output of `{PROGRAM} doctor` and the command: {PROGRAM} {shown}"
-        )
+        error.add_note(_report_note(arguments))
         raise
+
+
+def _report_note(arguments: list[str]) -> str:
+    """Last line of the traceback of an unexpected error; addresses are without user names and passwords."""
+    from track_range.recording.live.address import LiveAddress
+
+    shown = shlex.join(str(LiveAddress(argument)) for argument in arguments)
+    return (
+        f"{PROGRAM}: unexpected error; please report it in the project's issue tracker with these lines, the output of "
+        f"`{PROGRAM} doctor` and the command: {PROGRAM} {shown}"
+    )
 
 
 def _print_overview() -> None:

@@ -220,29 +220,30 @@ class Run:
     def _processed(self) -> Generator[FrameResult, None, None]:
         """Results of all frames; a run that fails or is stopped after the first frame is finished before the error."""
         session = self.session
-        with KeywordsInErrors(RunSettings), closing(session.recording), self._output_of_folder() as output:
-            output.start(session)
-            start_s = time.perf_counter()
-            try:
-                with session.results() as results, frame_progress(self._console, self.n_frames) as advance:
-                    for result in results:
-                        session.meter.add(result)
-                        with defer_interrupts():
-                            output.write(result, session.rows.add)
-                        advance()
-                        yield result
-                output.finish_videos()
-            except (GeneratorExit, KeyboardInterrupt, Exception) as error:
-                if not len(session.rows):
-                    raise
-                session.stopped_by = error
-                with suppress(Exception):  # the first error is the one to report
+        with KeywordsInErrors(RunSettings):
+            with closing(session.recording), self._output_of_folder() as output:
+                output.start(session)
+                start_s = time.perf_counter()
+                try:
+                    with session.results() as results, frame_progress(self._console, self.n_frames) as advance:
+                        for result in results:
+                            session.meter.add(result)
+                            with defer_interrupts():
+                                output.write(result, session.rows.add)
+                            advance()
+                            yield result
                     output.finish_videos()
-            session.wall_s += time.perf_counter() - start_s
-            with ignore_interrupts(), suppress(*(UserError,) if session.stopped_by else ()):
-                self._finish(output)
-        if session.stopped_by is not None:
-            raise session.stopped_by
+                except (GeneratorExit, KeyboardInterrupt, Exception) as error:
+                    if not len(session.rows):
+                        raise
+                    session.stopped_by = error
+                    with suppress(Exception):  # the first error is the one to report
+                        output.finish_videos()
+                session.wall_s += time.perf_counter() - start_s
+                with ignore_interrupts(), suppress(*(UserError,) if session.stopped_by else ()):
+                    self._finish(output)
+            if session.stopped_by is not None:
+                raise session.stopped_by
 
     def _finish(self, output: RunOutput) -> None:
         self._summary, columns = self.session.finish(output.videos)

@@ -61,11 +61,11 @@ def test_invalid_addresses_hide_credentials() -> None:
         assert LiveAddress(url).stem
 
 
-def test_ffmpeg_format_and_options() -> None:
-    assert (LiveAddress("/dev/video0").format, LiveAddress("/dev/video0").options) == ("v4l2", {})
+def test_cameras_and_options_of_ffmpeg() -> None:
+    assert (LiveAddress("/dev/video0").is_camera, LiveAddress("/dev/video0").options) == (True, {})
     assert LiveAddress("rtsps://h/s").options["rtsp_transport"] == "tcp"
     assert "rtsp_transport" not in LiveAddress("http://h/s").options
-    assert LiveAddress("http://h/s").format is None
+    assert not LiveAddress("http://h/s").is_camera
 
 
 @pytest.mark.parametrize(
