@@ -54,8 +54,8 @@ if TYPE_CHECKING:
     from track_range.ranging.registry import methods as ranging_methods
     from track_range.ranging.registry import register as register_method
     from track_range.ranging.warning.collision_warning import CollisionWarning as CollisionWarning
+    from track_range.ranging.warning.settings import WarningSettings as WarningSettings
     from track_range.ranging.warning.warnings import Warnings as Warnings
-    from track_range.ranging.warning.warnings import WarningSettings as WarningSettings
     from track_range.recording.frame import VideoError as VideoError
     from track_range.recording.recording import open_recording as open_recording
     from track_range.results.events.event import Event as Event
@@ -119,7 +119,7 @@ _MODULE_OF = {
     "DistanceFilters": "ranging.filtering.distance_filter",
     "LateralFilters": "ranging.filtering.lateral_motion",
     "CollisionWarning": "ranging.warning.collision_warning",
-    "WarningSettings": "ranging.warning.warnings",
+    "WarningSettings": "ranging.warning.settings",
     "Rectifier": "stereo.geometry.rectification",
     "load_rig": "api.parts",
     "load_alignment": "stereo.alignment.file",

@@ -27,7 +27,8 @@ from track_range.evaluation.events.scores import contact_scores, is_warning, rea
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.warning.collision_warning import CollisionWarning
-from track_range.ranging.warning.warnings import Warnings, WarningSettings
+from track_range.ranging.warning.settings import WarningSettings
+from track_range.ranging.warning.warnings import Warnings
 from track_range.results.events.event import Event
 from track_range.run.option_types import RunKeywords
 from track_range.run.run import Run

@@ -38,7 +38,8 @@ from track_range.ranging.warning.contact import (
     overlap_probability,
     stop_s,
 )
-from track_range.ranging.warning.warnings import Warnings, WarningSettings
+from track_range.ranging.warning.settings import WarningSettings
+from track_range.ranging.warning.warnings import Warnings
 from track_range.tracking.tracks import Tracks
 
 _MAX_GAP_S = 1.0  # longest time without a value in s; after it the filters restart

@@ -13,7 +13,8 @@ from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.filtering.lateral_motion import LateralFilters
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.warning.collision_warning import CollisionWarning
-from track_range.ranging.warning.warnings import Warnings, WarningSettings
+from track_range.ranging.warning.settings import WarningSettings
+from track_range.ranging.warning.warnings import Warnings
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 

@@ -1,9 +1,13 @@
 """run.mcap: the tracks of a run for Foxglove, or for ROS 2."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from track_range.stereo.geometry.camera import PinholeCamera
+if TYPE_CHECKING:  # for help pages, which name the profiles
+    from track_range.stereo.geometry.camera import PinholeCamera
 
 LAYOUT = Path(__file__).with_name("foxglove_layout.json")
 """Layout for Foxglove: image with boxes, 3-D scene, plots of distance and closing speed, notes."""
