@@ -62,14 +62,20 @@ WORDS = [
     r"own lane",
     r"in vain",
     r"sentences? for the user",
-    r"as (?:a )?shares? of",
+    r"shares? of",
 ]
 """Phrases of an earlier private idiom, as regular expressions of whole words; DESIGN's terms are used instead."""
 
-NAME_PARTS = {"told", "tells", "wanted", "looks", "eye", "eyes", "mine", "theirs", "strangers", "said", "says"}
-"""Words that no identifier contains."""
+NAME_PARTS = {
+    *("told", "tells", "wanted", "looks", "eye", "eyes", "mine", "theirs", "strangers", "said", "says"),
+    *("share", "shares", "nearness", "way", "ways"),
+}
+"""Words that no identifier contains; the last ones: a fraction, an inverse depth, a path or a distance travelled."""
 
-NAMES = {"this", "those", "these", "each", "found", "here", "there", "taken", "such", "ours", "keep"}
+NAMES = {
+    *("this", "those", "these", "each", "found", "here", "there", "taken", "such", "ours", "keep"),
+    *("of_class", "of_classes", "of_run", "of_image", "of_track"),
+}
 """Identifiers that name nothing; a noun takes their place. (Settings are called `settings`, a mask `is_...`.)"""
 
 _PATTERN = re.compile(r"\b(?:" + "|".join(WORDS) + r")\b", re.IGNORECASE)

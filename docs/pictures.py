@@ -101,8 +101,8 @@ def ground() -> None:
 
     distance_m = np.linspace(5, 100, 100)
     for error_px, label in ((1.0, "1 px"), (FOCAL_PX * np.radians(0.2), "0.2 degrees of pitch (2.5 px)")):
-        share = error_px * distance_m / (FOCAL_PX * CAMERA_HEIGHT_M)
-        plot.plot(distance_m, 100 * share, label=label, color=COLOUR["ground"], ls="-" if error_px == 1 else "--")
+        fraction = error_px * distance_m / (FOCAL_PX * CAMERA_HEIGHT_M)
+        plot.plot(distance_m, 100 * fraction, label=label, color=COLOUR["ground"], ls="-" if error_px == 1 else "--")
     plot.set(xlabel="distance, m", ylabel="error, %", ylim=(0, 25))
     plot.legend(title="error of the row, camera at 1.65 m")
     _save(figure, "ground.svg")
@@ -152,8 +152,8 @@ def stereo() -> None:
     scene.text(-2.1, 2.7, "d = x_left - x_right\nZ = f B / d", color=INK)
     distance_m = np.linspace(5, 80, 100)
     for sigma_px, style in ((0.05, ":"), (0.1, "-"), (0.5, "--")):
-        share = sigma_px * distance_m / (FOCAL_PX * BASELINE_M)
-        plot.plot(distance_m, 100 * share, style, color=COLOUR["stereo"], label=f"{sigma_px} px")
+        fraction = sigma_px * distance_m / (FOCAL_PX * BASELINE_M)
+        plot.plot(distance_m, 100 * fraction, style, color=COLOUR["stereo"], label=f"{sigma_px} px")
     plot.set(xlabel="distance, m", ylabel="error, %", ylim=(0, 8))
     plot.legend(title="disparity error\nf = 721 px, B = 0.54 m", loc="upper left")
     _save(figure, "stereo.svg")

@@ -178,11 +178,11 @@ def evaluate_calibration(
         for class_id in range(len(ROAD_CLASSES))
         if class_id in known_class_id
     }
-    matches = {class_id: of_class for class_id, of_class in matches.items() if of_class.n_boxes}
+    matches = {class_id: by_class for class_id, by_class in matches.items() if by_class.n_boxes}
     return ScoreCalibration(
         min_score,
         _reliability(ClassMatches.concatenate(list(matches.values())), min_score, n_bins),
-        {class_id: _reliability(of_class, min_score, n_bins) for class_id, of_class in matches.items()},
+        {class_id: _reliability(by_class, min_score, n_bins) for class_id, by_class in matches.items()},
     )
 
 

@@ -388,7 +388,7 @@ class GroundRanger(Ranger):
     ) -> Measured:
         """As `measure_with`; mono's distances share the uncertainty of the scale, which a known height measures."""
         if self._road is not None:
-            self.plane.update_road(self._road, bias_sigma=scale.of_class("car").sigma)
+            self.plane.update_road(self._road, bias_sigma=scale.bias_of("car").sigma)
         by_size = others["mono"] if "mono" in others else Ranges.unmeasured(tracks.track_id)
         is_independent = self._is_reference and self._road is not None
         evidence = None

@@ -106,7 +106,7 @@ class DriveScale:
         """Number of tracks with evidence."""
         return len(self._tracks.track_id)
 
-    def of_class(self, name: str) -> BiasOfClass:
+    def bias_of(self, name: str) -> BiasOfClass:
         """The bias of a size class."""
         k = SIZE_CLASSES.index(name)
         return BiasOfClass(float(self.log_factor[k]), float(np.sqrt(self.variance[k])))
@@ -205,8 +205,10 @@ class DriveScale:
             covariance = np.linalg.inv(prior + (A.T * weight) @ A)
             beta = covariance @ (A.T @ (weight * m))
             log_factor = beta[0] + beta[1:]
-        of_class = covariance[0, 0] + 2 * covariance[0, 1:] + np.diag(covariance)[1:]
-        return replace(self, log_factor=log_factor, variance=np.minimum(of_class + reference_sigma**2, _PRIOR_VARIANCE))
+        class_variance = covariance[0, 0] + 2 * covariance[0, 1:] + np.diag(covariance)[1:]
+        return replace(
+            self, log_factor=log_factor, variance=np.minimum(class_variance + reference_sigma**2, _PRIOR_VARIANCE)
+        )
 
     def summary(self) -> dict[str, Any]:
         """Bias and sigma in per cent and number of tracks, by class with evidence."""

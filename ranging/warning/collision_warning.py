@@ -53,7 +53,7 @@ _TYPICAL_SPEED_MPS = 12.0  # speed assumed for the curvature if the yaw rate is 
 _MIN_SPEED_MPS = 2.0  # smallest speed for the curvature, m/s
 
 _PERSON = ROAD_CLASSES.index("person")
-_IN_THE_WAY = np.array([name not in ("traffic light", "traffic sign") for name in ROAD_CLASSES])
+_CAN_COLLIDE = np.array([name not in ("traffic light", "traffic sign") for name in ROAD_CLASSES])
 """(road classes,) whether objects of the class can be in the way."""
 
 _RATE_FACTOR = 2.0  # factor on the variance of filtered rates, whose errors are correlated between frames
@@ -206,7 +206,7 @@ class CollisionWarning:
         measured = replace(measured, P_vv=measured.P_vv + (sigma_m / settings.drift_s) ** 2)
         own, starts = self._own_motion(measured, last, time_s, is_known)
         is_plausible = (np.abs(own.x) < _MAX_SPEED_MPS) & (np.abs(own.v) < _MAX_ACCELERATION_MPS2)
-        is_usable = is_known & is_certain & is_plausible & _IN_THE_WAY[tracks.class_id]
+        is_usable = is_known & is_certain & is_plausible & _CAN_COLLIDE[tracks.class_id]
 
         # Position relative to the ego path.
         gap = _without_lag(measured, own.v, own.P_vv)

@@ -39,8 +39,8 @@ def test_without_evidence_nothing_changes():
     bias, ids = DriveScale(), np.array([1, 2])
     by_size = sizes(np.array([10.0, np.nan]), ids)
     assert bias.corrected(by_size, np.array([CAR, CAR])) is by_size
-    assert bias.of_class("car").log_factor == 0.0
-    assert bias.of_class("car").sigma == pytest.approx(0.058, abs=0.001)
+    assert bias.bias_of("car").log_factor == 0.0
+    assert bias.bias_of("car").sigma == pytest.approx(0.058, abs=0.001)
 
 
 @pytest.mark.parametrize("factor", [0.92, 1.0, 1.1])
@@ -48,21 +48,21 @@ def test_bias_of_a_drive(factor):
     """Within 3 % after 15 tracks, and within its sigma, over several seeds."""
     errors = []
     for seed in range(8):
-        of_class = drive(15, factor, seed=seed).of_class("car")
-        errors.append((of_class.log_factor - np.log(factor)) / of_class.sigma)
-        assert of_class.log_factor == pytest.approx(np.log(factor), abs=0.04)
+        bias = drive(15, factor, seed=seed).bias_of("car")
+        errors.append((bias.log_factor - np.log(factor)) / bias.sigma)
+        assert bias.log_factor == pytest.approx(np.log(factor), abs=0.04)
     assert 0.2 < np.sqrt(np.mean(np.square(errors))) < 1.7
 
 
 def test_sigma_shrinks_with_tracks_but_not_below_the_references():
-    sigmas = [drive(n, 1.1).of_class("car").sigma for n in (1, 4, 16, 64)]
+    sigmas = [drive(n, 1.1).bias_of("car").sigma for n in (1, 4, 16, 64)]
     assert (np.diff(sigmas) < 0).all()
     assert sigmas[-1] > 0.015
 
 
 def test_other_classes_share_a_part():
     bias = drive(30, 1.1)
-    person, car = bias.of_class("person"), bias.of_class("car")
+    person, car = bias.bias_of("person"), bias.bias_of("car")
     assert 0 < person.log_factor < 0.5 * car.log_factor
     assert car.sigma < person.sigma
 
@@ -70,8 +70,8 @@ def test_other_classes_share_a_part():
 def test_classes_have_separate_biases():
     bias = drive(30, 1.1)
     bias = drive(30, 1.0, class_id=PERSON, bias=bias)
-    assert bias.of_class("car").log_factor == pytest.approx(np.log(1.1), abs=0.04)
-    assert bias.of_class("person").log_factor == pytest.approx(0.0, abs=0.03)
+    assert bias.bias_of("car").log_factor == pytest.approx(np.log(1.1), abs=0.04)
+    assert bias.bias_of("person").log_factor == pytest.approx(0.0, abs=0.03)
 
 
 def test_corrected_ranges_have_less_sigma():
@@ -94,12 +94,12 @@ def test_mistakes_are_no_evidence():
 
 def test_outlying_track_has_little_weight():
     bias = drive(12, 1.0)
-    before = bias.of_class("car").log_factor
+    before = bias.bias_of("car").log_factor
     ids = np.array([999])
     for k in range(10):  # a van that was detected as a car
         reference = Ranges(ids, np.array([28.0]), np.array([0.8]))
         bias = learnt(bias, sizes(np.array([20.0]), ids), np.array([CAR]), reference, 2.0 + 0.1 * k, sigma=0.015)
-    assert bias.of_class("car").log_factor - before < 0.01
+    assert bias.bias_of("car").log_factor - before < 0.01
 
 
 def test_many_tracks_are_forgotten():

@@ -256,7 +256,7 @@ def test_scale_of_the_drive_is_measured_by_image_motion():
         mono = {"mono": scale.corrected(by_size, tracks.class_id)}
         evidence = ranger.measure_at_scale(tracks, at(0.1 * k, k), mono, scale).evidence
         scale = scale.after([ScaleEvidence(tracks.class_id, by_size), evidence], 0.1 * k)
-    assert scale.of_class("car").log_factor == pytest.approx(-np.log(0.91), abs=0.02)
+    assert scale.bias_of("car").log_factor == pytest.approx(-np.log(0.91), abs=0.02)
     without_height = GroundRanger(CAMERA)
     without_height.update_road(road_view())
     assert without_height.measure_at_scale(tracks, at(0.0), {"mono": by_size}, DriveScale()).evidence is None

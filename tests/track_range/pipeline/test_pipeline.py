@@ -322,4 +322,4 @@ def test_a_ranger_alone_gives_what_it_gives_in_the_pipeline_at_the_same_scale():
             np.testing.assert_array_equal(others[name].sigma_m, result.ranges[name].sigma_m)
         scale = scale.after(evidence, frame.time_s)
     assert loop.scale.n_tracks == 6
-    assert abs(scale.of_class("car").log_factor) > 0.01
+    assert abs(scale.bias_of("car").log_factor) > 0.01

@@ -72,7 +72,7 @@ class LabelledSource:
             return "kitti"
         return "coco" if self.labels.suffix.lower() == ".json" else "yolo"
 
-    def of_classes(self, truth: ImageTruth) -> ImageTruth:
+    def class_truth(self, truth: ImageTruth) -> ImageTruth:
         """The labels, with only the chosen classes evaluated."""
         if not self.classes:
             return truth
@@ -113,7 +113,7 @@ class _FolderFrames:
         self._images = [item for item in source.labelled_files() if item.path not in source.leave_out]
         if not self._images:
             raise LabelFileError(f"{source.images}: expected labelled images for the evaluation, found none.")
-        self._of_classes, self.n_images = source.of_classes, len(self._images)
+        self._class_truth, self.n_images = source.class_truth, len(self._images)
         self.unreadable: list[str] = []
 
     def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]:
@@ -123,17 +123,17 @@ class _FolderFrames:
             except ImageFileError as error:
                 self.unreadable.append(str(error))
                 continue
-            yield image, self._of_classes(item.truth_in(image))
+            yield image, self._class_truth(item.truth_in(image))
 
 
 class _VideoFrames:
     unreadable: Sequence[str] = ()
 
     def __init__(self, source: LabelledSource) -> None:
-        self._of_classes, self._truth = source.of_classes, read_sequence(source.labels)
+        self._class_truth, self._truth = source.class_truth, read_sequence(source.labels)
         self._video = open_video(source.images)
         self.n_images = self._video.n_frames
 
     def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]:
         for frame in self._video:
-            yield frame.image, self._of_classes(self._truth(frame.index))
+            yield frame.image, self._class_truth(self._truth(frame.index))

@@ -110,7 +110,7 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
         ),
         "coverage": (
             "Distance coverage",
-            "Share of the observed boxes with a distance of the method. Bands of the filtered fused distance.",
+            "Fraction of the observed boxes with a distance of the method. Bands of the filtered fused distance.",
             [_coverage_grid(figures["coverage"])],
             "No box has a distance.",
         ),
