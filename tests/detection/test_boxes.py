@@ -1,6 +1,5 @@
 import numpy as np
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from track_range.detection.boxes import are_valid_boxes, area_px2, fraction_inside, iou, nms, xyxy_from_cxcywh
 

@@ -1,8 +1,7 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from track_range.detection.yolo.letterbox import Letterbox, input_hw_of_area, rectangular_input_hw
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes

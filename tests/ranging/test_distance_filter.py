@@ -3,8 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilterSettings
 from track_range.ranging.ranges import Ranges

@@ -2,8 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.ranging.methods.ground_plane import GroundPlane, GroundRanger, GroundSettings

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment, column_from_axis
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -7,8 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from tests.stereo.shifted_pairs import Image, pair, shifted, texture, tilted_pair, to_u8
 from tests.stereo.tile_cases import EXACT_BOX, box_of_scale, tiles_of

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from tests.stereo.shifted_pairs import pair, texture, to_u8
 from tests.stereo.tile_cases import EXACT_BOX, box_of_scale, tiles_of

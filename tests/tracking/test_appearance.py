@@ -5,8 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.tracking.appearance.embeddings import ColourLayout, ColourLayoutSettings, has_appearance

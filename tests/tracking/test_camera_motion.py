@@ -7,8 +7,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from track_range.foundation.arrays import Image
 from track_range.tracking.camera_motion import CameraMotion, CameraMotionSettings

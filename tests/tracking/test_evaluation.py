@@ -5,8 +5,7 @@ from pathlib import Path
 import motmetrics
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.tracking.evaluation.scores import TrackingCounts, evaluate_tracks

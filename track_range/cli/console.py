@@ -17,8 +17,7 @@ from rich.text import Text
 from track_range.foundation.files.input_files import printable
 from track_range.views.report.tables import Grid, grids
 
-console = Console()
-"""Console of all commands (standard output)."""
+console = Console()  # console of all commands (standard output)
 
 
 def print_line(console: Console, text: str) -> None:

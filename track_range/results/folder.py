@@ -64,8 +64,7 @@ _MAX_BEYOND_S = 1.0  # tolerance for events after the last row or the end of the
 DEFAULT_FPS, _MAX_FPS = 10.0, 10_000.0
 """Frame rate where settings.yaml has none, as for folders of images, and largest plausible one."""
 
-_INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
-"""Settings that are inputs of a run."""
+_INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")  # settings that are inputs of a run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

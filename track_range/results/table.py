@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
 ROWS_PER_BATCH = 8192  # rows per batch, a few MB: about a minute of video
 
-FRAMES_PER_BATCH = 512
-"""Largest number of frames per batch: the arrays of a frame take 5 kB, however few rows it has."""
+FRAMES_PER_BATCH = 512  # largest number of frames per batch: the arrays of a frame take 5 kB, however few rows it has
 
 
 class RunTable:

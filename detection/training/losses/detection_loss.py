@@ -24,8 +24,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.nn.functional import binary_cross_entropy_with_logits as cross_entropy
-from torch.nn.functional import one_hot
+from torch.nn.functional import binary_cross_entropy_with_logits as cross_entropy, one_hot
 
 from track_range.detection.training.losses.assignment import LabelledObjects, Rows, assign
 from track_range.detection.training.losses.box_losses import BOX_LOSSES, BoxLoss, pair_iou

@@ -10,8 +10,7 @@ import numpy as np
 from track_range.detection.models.metadata import Anchors
 from track_range.detection.training.networks.network import DetectionNetwork
 from track_range.detection.training.networks.road_net import RoadNet
-from track_range.detection.training.networks.yolov4_tiny import DEFAULT_ANCHORS_PX as YOLOV4_TINY_ANCHORS_PX
-from track_range.detection.training.networks.yolov4_tiny import YoloV4Tiny
+from track_range.detection.training.networks.yolov4_tiny import DEFAULT_ANCHORS_PX as YOLOV4_TINY_ANCHORS_PX, YoloV4Tiny
 from track_range.detection.training.networks.yolov5 import COCO_ANCHORS_PX, YoloV5
 from track_range.foundation.arrays import FloatArray
 

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from tests.detection.evaluation.labelled_scenes import coco_figures, random_scene
 from track_range.detection.classes import ROAD_CLASSES

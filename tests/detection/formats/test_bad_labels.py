@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from tests.damaged_text import MAX_MESSAGE, check_damaged, damaged
 from tests.detection.formats.test_reference_labels import COCO, CVAT, SIZE, YOLO

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import BoxTable, VideoFacts

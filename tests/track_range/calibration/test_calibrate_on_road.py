@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from track_range.calibration.road.measurement_text import known_lanes, known_metres
+from track_range.calibration.road.road_evidence import known_lanes, known_metres
 from track_range.foundation.errors import UsageError
 from track_range.recording.cameras.focal_sources import KNOWN_CAMERAS, focal_guesses
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -8,8 +8,7 @@ import pytest
 
 from tests.detection.onnx_models import write_model, write_rectangle_finder
 from track_range.detection.yolo.detector import YoloDetector
-from track_range.evaluation.sequences.detector_evaluation import Candidate
-from track_range.evaluation.sequences.detector_evaluation import evaluate as evaluate_frames
+from track_range.evaluation.sequences.detector_evaluation import Candidate, evaluate as evaluate_frames
 from track_range.evaluation.sequences.labelled_images import LabelledSource
 
 GREY = 114

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from track_range.simulation.render.face_table import FaceTable, TextureStore
 from track_range.simulation.render.pieces import CUTS, DEPTH_RATIO, NEAR_M, projected, visible_pieces

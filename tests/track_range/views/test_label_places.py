@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from tests.track_range.views.overlay_results import BOX, HEIGHT, WIDTH
 from track_range.foundation.arrays import FloatArray

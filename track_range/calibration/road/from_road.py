@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.calibration.road.measurement_text import KnownMetres, known_lanes, known_metres
-from track_range.calibration.road.road_evidence import RoadEvidence
+from track_range.calibration.road.road_evidence import KnownMetres, RoadEvidence, known_lanes, known_metres
 from track_range.calibration.settings import CalibrationSettings
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Detections

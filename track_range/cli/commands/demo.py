@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 
 _COLUMNS = ("time_s", "track_id", "class", "observed", "fused_kf_m", "closing_mps", "ttc_s")
 
-SCENARIO = "crossing"
-"""The camera's car stops for people and a cyclist, who stay visible for several seconds."""
+SCENARIO = "crossing"  # the camera's car stops for people and a cyclist, who stay visible for several seconds
 
 
 class DemoOptions(Options):

@@ -19,8 +19,7 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import check_regular, counted, open_regular, shortened
 from track_range.foundation.files.structured_text import read_yaml
 from track_range.recording.bags.container import DAMAGE, EXPECTED, ZSTD_MAGIC, Bag, Topic, missing_library, ros2_type
-from track_range.recording.bags.ros1_file import MAGIC as ROS1_MAGIC
-from track_range.recording.bags.ros1_file import Ros1File
+from track_range.recording.bags.ros1_file import MAGIC as ROS1_MAGIC, Ros1File
 from track_range.recording.frame import VideoError
 
 _MCAP_MAGIC, _SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\0"

@@ -23,8 +23,7 @@ import av
 import numpy as np
 from av.container import InputContainer
 from av.packet import Packet
-from av.sidedata.sidedata import SideDataContainer
-from av.sidedata.sidedata import Type as SideDataType
+from av.sidedata.sidedata import SideDataContainer, Type as SideDataType
 from av.stream import Disposition
 from av.video.stream import VideoStream
 

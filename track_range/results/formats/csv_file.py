@@ -45,8 +45,7 @@ def read_tracks_csv(path: Path) -> Columns:
     OutputError if the file cannot be read, is not a tracks.csv, or has no row of the header's length but others.
     """
     import pyarrow as pa
-    from pyarrow import ArrowException
-    from pyarrow import csv as arrow_csv
+    from pyarrow import ArrowException, csv as arrow_csv
 
     header: list[str] = []
     n_cells: list[int] = []  # of the rows that are skipped

@@ -30,8 +30,7 @@ _FAR_M = 50.0  # distance in metres at which the effect of the remaining dispari
 STATIC_CLASSES = ("traffic light", "traffic sign")  # classes that are not road users
 _MIN_PROBABILITY = 0.25  # smallest probability of contact of a headline, as of the amber marks in the overlay
 
-_MIN_SIGNIFICANCE = 2.0
-"""Smallest closing speed in its standard deviations of a time to collision that is a headline."""
+_MIN_SIGNIFICANCE = 2.0  # smallest closing speed in its standard deviations of a time to collision that is a headline
 
 
 def run_name(summary: Summary) -> str:

@@ -6,8 +6,7 @@ import io
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from track_range.fleet.inputs.clip import Clip, FleetInputError
 from track_range.fleet.inputs.listing import clips_of

@@ -12,8 +12,16 @@ import pytest
 from pyarrow import parquet
 
 from tests.command_line import run_command
-from tests.track_range.fleet.fleet_results import BROKEN, DAWN, NOON, rows_table, track_rows, write_clip, write_fleet
-from tests.track_range.fleet.fleet_results import done_record as record
+from tests.track_range.fleet.fleet_results import (
+    BROKEN,
+    DAWN,
+    NOON,
+    done_record as record,
+    rows_table,
+    track_rows,
+    write_clip,
+    write_fleet,
+)
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import ClipTable, tracks_location
 from track_range.fleet.report.clip_figures import MAX_GROUPS, ClipColumns, drift_figures

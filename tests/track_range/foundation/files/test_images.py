@@ -13,8 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.images import MAX_SIDE_PX, header_size_px, read_image

@@ -7,8 +7,7 @@ from contextlib import suppress
 
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from tests.track_range.results.events.event_builder import event
 from track_range.results.events import files

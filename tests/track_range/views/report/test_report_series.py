@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from track_range.results.columns import methods_measured
 from track_range.views.report.content.series import LINE_POINTS, MOST_CELLS, packed, thinned, track_records

@@ -21,11 +21,9 @@ RiskFigureField = Annotated[
 _OUTPUTS = {"json_file": "--json", "table": "--table", "figure": "--figure", "out": "--out"}
 """Options that name files to write, by field."""
 
-_INPUT_FLAGS = {"models": "--model"}
-"""Options that name inputs, by field, if the name of the field differs."""
+_INPUT_FLAGS = {"models": "--model"}  # options that name inputs, by field, if the name of the field differs
 
-CHART_SUFFIXES = (".svg", ".png")
-"""Accepted endings of a chart's file name."""
+CHART_SUFFIXES = (".svg", ".png")  # accepted endings of a chart's file name
 
 
 def write_json(figures: Mapping[str, Any], path: Path | None, *, allow_nan: bool = False) -> None:
@@ -93,8 +91,7 @@ def _is_replaced(file: Path) -> bool:
 ColumnSpec = tuple[str, str, str, float, tables.Cost | None]
 """Heading, key in a row of metrics, format, scale and cost of a column, as in `tables.METHOD_COLUMNS`."""
 
-ANSWERED_PCT = (100, 95, 90, 80, 50)
-"""Answered fractions of the boxes in the risk-coverage tables, per cent."""
+ANSWERED_PCT = (100, 95, 90, 80, 50)  # answered fractions of the boxes in the risk-coverage tables, per cent
 
 _Curves = Mapping[str, Mapping[str, Any]]
 
