@@ -30,13 +30,7 @@ from track_range.evaluation.sequences.settings import LabelFormatField, LabelNam
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import make_folder
 from track_range.foundation.options import Options, option
-from track_range.run.options.detection import (
-    AnchorsField,
-    LetterboxField,
-    NamesField,
-    SizeField,
-    ThreadsField,
-)
+from track_range.run.options.detection import AnchorsField, LetterboxField, NamesField, SizeField, ThreadsField
 from track_range.run.options.opened import DetectorOptions, class_names, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
