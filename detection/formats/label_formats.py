@@ -32,26 +32,22 @@ _PARQUET_MARK = "PAR1"  # first bytes of a Parquet file
 
 @dataclass(frozen=True, slots=True)
 class LabelFormat:
-    """One format of label files.
+    """One format of label files, with its name on the command line and its title in messages.
 
-    Attributes:
-        name, title: name on the command line, and for messages.
-        is_format: whether a file or folder has the format, from its path and its first line that is not blank ("" for a
-            folder, the first bytes of Parquet).
-        read: returns the boxes of a file or folder; facts about the video fill in what the file does not state.
-        precision_px: largest difference of an edge that is written and read again; None = depends on the image size.
+    `is_format` is whether a file or folder has the format, from its path and its first line that is not blank ("" for a
+    folder, the first bytes of Parquet).
     """
 
     name: str
     title: str
     is_format: Callable[[Path, str], bool]
-    read: Callable[[Path, VideoFacts], BoxTable]
+    read: Callable[[Path, VideoFacts], BoxTable]  # facts about the video fill in what the file does not state
     write: Callable[[BoxTable, Path], Written] | None = None  # writes a table to a path; None = not written
     has_classes: bool = True  # whether a box has a class
     is_general: bool = False  # whether detections and ground truth are read with `read`, without rules of a benchmark
     is_folder: bool = False  # whether it is written as a folder with one file per frame
     is_of_run: bool = False  # whether it has the rows of a run, and so no ground truth
-    precision_px: float | None = None
+    precision_px: float | None = None  # largest difference of an edge read again; None = depends on the image size
 
 
 def _starts(*starts: str) -> Callable[[Path, str], bool]:

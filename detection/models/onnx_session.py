@@ -68,15 +68,7 @@ class OnnxSession:
     """A network with one image input, ready to run; ModelError if the file is no such network.
 
     DETR-like networks may have the input `orig_target_sizes` as well; it is the size of the image input, so that boxes
-    are in pixels of that input.
-
-    Attributes:
-        input_shape: shape of the image input; None for dimensions of variable size.
-        input_dtype: number type of the image input.
-        has_target_sizes: whether the network has the input `orig_target_sizes`.
-        metadata: metadata that the exporter wrote into the file; often empty.
-        device: "cpu", "cuda" or "tensorrt", the device in use.
-        notes: notes for the user, such as that the requested device is not available.
+    are in pixels of that input. `input_shape` has None for dimensions of variable size; `device` is the one in use.
     """
 
     def __init__(self, path: Path, runtime: Runtime | None = None) -> None:

@@ -21,13 +21,8 @@ class ScheduleSettings:
     """Optimiser and learning rate.
 
     The defaults are for short runs on a CPU: in 5 epochs of 1,500 images, AdamW reached losses for which YOLOv5's
-    recipe for COCO (SGD, rate 0.01, decay 0.0005, hyp.scratch-low.yaml) needed two more epochs.
-
-    Attributes:
-        warmup_epochs: epochs in which the rate rises linearly from 0 (with SGD, that of the biases falls from ten
-            times `learning_rate`); at most n_epochs / 5.
-        average_fraction: time constant of the moving average of the weights, as a fraction of all steps; at most 10,000
-            steps (as in YOLOv5).
+    recipe for COCO (SGD, rate 0.01, decay 0.0005, hyp.scratch-low.yaml) needed two more epochs. During the warm-up, the
+    rate rises linearly from 0 (with SGD, that of the biases falls from ten times `learning_rate`).
     """
 
     optimiser: Optimiser = "adamw"  # SGD with Nesterov momentum, or AdamW
@@ -35,8 +30,8 @@ class ScheduleSettings:
     last_fraction: float = 0.01  # final learning rate of the cosine schedule, as a fraction of `learning_rate`
     momentum: float = 0.937  # momentum after the warm-up, during which it rises from 0.8
     weight_decay: float = 0.02  # weight decay of the convolutions' weights; biases and batch norms have none
-    warmup_epochs: float = 1.0
-    average_fraction: float = 0.04
+    warmup_epochs: float = 1.0  # at most n_epochs / 5
+    average_fraction: float = 0.04  # of all steps: time constant of the average of weights; at most 10,000 steps
 
 
 SGD = ScheduleSettings(optimiser="sgd", learning_rate=0.01, weight_decay=5e-4, warmup_epochs=3.0)

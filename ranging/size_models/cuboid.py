@@ -49,13 +49,9 @@ def box_of_cuboid(
 ) -> CuboidBox:
     """Image of cuboids with log sizes (height, width, length), for broadcast arrays of the other arguments.
 
-    Args:
-        log_hwl: (3,) or (3, ...) logarithms of the sizes in metres.
-        yaw_rad: angle between the long side and the camera's axis.
-        bearing: tangent of the angle of the box's middle column.
-        distance_m: depth at which the ray of the middle column meets the surface.
-        camera_height_m: height of the camera above the ground below the cuboid.
-        start: image of cuboids of similar size, from which fewer iterations are needed; None = no start.
+    `log_hwl`, (3,) or (3, ...), is of metres; `yaw_rad` is the angle between the long side and the camera's axis,
+    `bearing` the tangent of that of the box's middle column, whose ray meets the surface at the depth `distance_m`.
+    From a `start`, the image of cuboids of similar size, fewer iterations are needed.
     """
     height, width, length = np.exp(log_hwl)
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)

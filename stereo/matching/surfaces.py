@@ -77,13 +77,9 @@ def fit_surfaces(
 
     Each iteration solves (A^T W A + ridge) p = A^T W d with the rows (1, u, v, u^2, v^2) of A.
 
-    Args:
-        index: (N, G) or (..., N, G) disparities relative to any disparity of the box, for example index 0 of the costs.
-        weight: 1 / variance of the windows.
-        terms: (N, G, 5) A.
-        disparity: (..., N) disparity of the box, px of the tile, for the scale of residuals and curvature.
-        is_curved: whether the curvature is fitted; False = a plane.
-        n_iterations: of the reweighted least squares.
+    `index`, (N, G) or (..., N, G), is relative to any disparity of the box, such as index 0 of the costs; `weight` is
+    1 / variance of the windows, `terms` (N, G, 5) A, and `disparity` (..., N) that of the box, px of the tile, for the
+    scale of residuals and curvature. Without `is_curved`, a plane is fitted.
     """
     n_parameters = 5 if is_curved else 3
     a = np.ascontiguousarray(terms[..., :n_parameters])

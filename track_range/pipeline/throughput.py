@@ -63,14 +63,9 @@ class LiveOrigin(Protocol):
 
 
 class FrameMeter:
-    """Rate and latency of the results of one run.
+    """Rate of the results of a run and, if it is live, the latency from the camera's image to each result.
 
-    Args:
-        live: reader of the left camera; None = the run reads files.
-        now_s: clock in seconds; the same as that of the camera's timestamps.
-
-    Attributes:
-        latency_s: seconds from the camera's image to the result for each frame of a live run.
+    `live` is the reader of the left camera, `now_s` the clock of its timestamps.
     """
 
     def __init__(self, live: LiveOrigin | None = None, *, now_s: Callable[[], float] = time.monotonic) -> None:

@@ -95,13 +95,9 @@ def pseudo_labels(
 ) -> PseudoLabels:
     """The pseudo-labels of one image; none of them overlaps a label by an IoU of more than 0.5.
 
-    Args:
-        xyxy: (K, 4) fused boxes, as fractions of the image size.
-        probability: (K, 8) their probabilities by class.
-        truth: labels of the image, as fractions of its size, and which classes are completely labelled.
-        is_known: (8,) classes that a detector of the ensemble knows; its boxes of others are not used.
-        other: detections of a detector that is not at hand, on the same image.
-        min_probability: that of pseudo-labels of classes that are not completely labelled.
+    `xyxy` (K, 4) are fused boxes, as fractions of the image size, with probabilities by class (K, 8). `is_known` (8,)
+    are classes that a detector of the ensemble knows; its boxes of others are not used. `other` are detections of a
+    detector that is not at hand; `min_probability` is for classes that are not completely labelled.
     """
     is_open = is_known & ~truth.is_complete
     q = probability if other is None else np.where(is_open, _combined(xyxy, probability, other), probability)

@@ -74,15 +74,9 @@ def track(
 ) -> TrackedFiles:
     """Track every sequence and write `mot/NAME.txt`, with frames counted from 1 as MOTChallenge defines.
 
-    If one of several sequences cannot be read, the others are tracked.
-
-    Raises:
-        LabelFileError, VideoError: boxes or images of the only sequence cannot be read.
-        TrackerError: the tracker cannot be created.
-        ModelError: `reid` is not a re-identification network.
-        ClassNameError, UsageError: the class is unknown, or several are given.
-        OutputError: `out` cannot be written.
-        FolderLockError: another run is writing to `out`.
+    If one of several sequences cannot be read, the others are tracked; the only one raises LabelFileError or
+    VideoError, invalid settings TrackerError, ModelError, ClassNameError or UsageError, `out` OutputError or
+    FolderLockError.
     """
     check_tracker(settings.tracker, settings.reid)
     sequences = find_sequences(settings.detections, "det")

@@ -90,24 +90,16 @@ def time_limit_s(time_factor: float, video_s: float, fetch_bytes: float = 0.0, n
 
 @dataclass(slots=True)
 class Slot:
-    """A place for a worker.
-
-    Attributes:
-        states: generator of Ray with the states of the worker and the outcome.
-        state: last state; None = the worker has not started yet.
-        start_s, cancel_s: times of the first state, and of the cancellation, on the monotonic clock.
-        verdict: kind and reason of the failure for which the task was cancelled.
-        n_clips: number of clips that have been finished in it.
-    """
+    """A place for a worker."""
 
     number: int
     task: ClipTask | None = None
-    states: Any = None
-    state: WorkerState | None = None
-    start_s: float = 0.0
-    verdict: tuple[ErrorKind, str] | None = None
-    cancel_s: float = 0.0
-    n_clips: int = 0
+    states: Any = None  # generator of Ray with the states of the worker and the outcome
+    state: WorkerState | None = None  # None = the worker has not started yet
+    start_s: float = 0.0  # time of the first state, monotonic clock
+    verdict: tuple[ErrorKind, str] | None = None  # kind and reason for which the task was cancelled
+    cancel_s: float = 0.0  # time of the cancellation, monotonic clock
+    n_clips: int = 0  # clips that have been finished in it
 
 
 class Driver:

@@ -30,22 +30,14 @@ class FleetInputError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """One recording, with a name that is unique in the fleet.
-
-    Attributes:
-        left: the left or only video: absolute local path, or address (`s3://...`).
-        right: the right video; None = one camera.
-        settings: run settings that apply only to this clip, as text by name; see `CLIP_SETTINGS`. Files are absolute.
-        labels: other properties, such as the vehicle; columns of clips.parquet.
-        problem: reason why the clip cannot be processed, one sentence; "" = none is known.
-    """
+    """One recording, with a name that is unique in the fleet."""
 
     name: str
-    left: str
-    right: str | None = None
-    settings: Mapping[str, str] = field(default_factory=dict)
-    labels: Mapping[str, str] = field(default_factory=dict)
-    problem: str = ""
+    left: str  # the left or only video: absolute local path, or address (`s3://...`)
+    right: str | None = None  # None = one camera
+    settings: Mapping[str, str] = field(default_factory=dict)  # as text (`CLIP_SETTINGS`), files absolute
+    labels: Mapping[str, str] = field(default_factory=dict)  # such as the vehicle; columns of clips.parquet
+    problem: str = ""  # why the clip cannot be processed, one sentence; "" = none is known
 
     def named_files(self) -> dict[str, str]:
         """The files that the clip names, by role: left, right, and settings that are files."""

@@ -164,11 +164,8 @@ def check_clips(
     """The clips with the properties in their headers, in the given order.
 
     Videos on this machine are opened, but not decoded, except the first image of folders and bags. Of remote clips only
-    the existence and size of the files are known.
-
-    Args:
-        focal_px, folder_fps: as in a run, for clips without calibration, and folders of images without timestamps.txt.
-        threads: number of clips that are checked at the same time.
+    the existence and size of the files are known. `focal_px` and `folder_fps` are as in a run, for clips without
+    calibration and folders of images without timestamps.txt; `threads` clips are checked at a time.
     """
     listings = FolderListings()
 

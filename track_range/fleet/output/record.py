@@ -19,56 +19,37 @@ ERROR_FIGURES = ("median_relative_error_pct", "mean_relative_error_pct", "bias_p
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClipRecord:
-    """Result of a clip; the fields up to `finished_utc` are the first columns of clips.parquet, in this order.
-
-    Attributes:
-        status: "done" or "failed".
-        error, error_kind: reason of the failure, one sentence, and `ErrorKind`; "" = none.
-        left, right: path or address of the videos; "" = one camera.
-        inputs: files of the clip with size and time of change, and its settings, as JSON.
-        content_hash: hash of the content of the files and of the clip's settings; "" = not read.
-        events: number of events; None = a result of an earlier version, without a file of events.
-        seconds: duration of the processed video, s.
-        wall_s: time for the clip in the worker, s; `overhead_s` is the part that is not the run: fetching, hashing,
-            publishing.
-        start_utc, finished_utc: UTC of the first frame ("" = unknown), and of the end of the attempt, ISO 8601.
-        peak_memory_mb: largest resident memory of the worker's process until the end of the clip, MB.
-        stages_ms: time of each stage, ms per frame; columns `STAGE_ms`.
-        coverage: fraction of boxes with a distance by method; columns `METHOD_coverage`.
-        errors: figures by method where there is ground truth; columns `METHOD_FIGURE`.
-        alignment: of a pair, px; columns `alignment_FIGURE`.
-        labels: other placeholders of the pattern or columns of the manifest; columns of these names.
-    """
+    """Result of a clip; the fields up to `finished_utc` are the first columns of clips.parquet, in this order."""
 
     clip: str
-    status: str
-    error: str = ""
-    error_kind: str = ""
+    status: str  # "done" or "failed"
+    error: str = ""  # reason of the failure, one sentence; "" = none
+    error_kind: str = ""  # `ErrorKind`; "" = none
     attempts: int = 1
-    left: str = ""
-    right: str = ""
-    inputs: str = ""
-    content_hash: str = ""
+    left: str = ""  # path or address of the video
+    right: str = ""  # "" = one camera
+    inputs: str = ""  # files of the clip with size and time of change, and its settings, as JSON
+    content_hash: str = ""  # hash of the content of the files and of the clip's settings; "" = not read
     settings_hash: str = ""
     version: str = ""
     frames: int | None = None
     rows: int | None = None
     tracks: int | None = None
-    events: int | None = None
-    seconds: float | None = None
-    wall_s: float | None = None
-    overhead_s: float | None = None
+    events: int | None = None  # None = a result of an earlier version, without a file of events
+    seconds: float | None = None  # duration of the processed video
+    wall_s: float | None = None  # time for the clip in the worker
+    overhead_s: float | None = None  # part of `wall_s` that is not the run: fetching, hashing, publishing
     calibration: str = ""
-    start_utc: str = ""
+    start_utc: str = ""  # UTC of the first frame, ISO 8601; "" = unknown
     warnings: Sequence[str] = ()
     node: str = ""
-    peak_memory_mb: float | None = None
-    finished_utc: str = ""
-    stages_ms: Mapping[str, float] = field(default_factory=dict)
-    coverage: Mapping[str, float | None] = field(default_factory=dict)
-    errors: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
-    alignment: Mapping[str, float | None] = field(default_factory=dict)
-    labels: Mapping[str, str] = field(default_factory=dict)
+    peak_memory_mb: float | None = None  # largest resident memory of the worker's process until the end of the clip
+    finished_utc: str = ""  # UTC of the end of the attempt, ISO 8601
+    stages_ms: Mapping[str, float] = field(default_factory=dict)  # time per frame; columns `STAGE_ms`
+    coverage: Mapping[str, float | None] = field(default_factory=dict)  # of the boxes; columns `METHOD_coverage`
+    errors: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)  # with truth; `METHOD_FIGURE`
+    alignment: Mapping[str, float | None] = field(default_factory=dict)  # of a pair, px; `alignment_FIGURE`
+    labels: Mapping[str, str] = field(default_factory=dict)  # placeholders of the pattern, columns of the manifest
 
     def row(self) -> Row:
         """Values by column; labels with the name of another column have the prefix `label_`."""

@@ -33,29 +33,20 @@ State = Literal["running", "finished", "stopped", "failed"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetState:
-    """State of the run of a fleet, whose driver is the process `pid` on `host`.
+    """State of the run of a fleet, whose driver is the process `pid` on `host`."""
 
-    Attributes:
-        state: "stopped" by the user, or "failed" for a `reason` that is not a clip.
-        started_s, heartbeat_s: start, and time of this state, Unix time.
-        total, skipped, done, failed: clips: all; complete at the start; completed in this run; failed in this run, or
-            before and not repeated.
-        video_s: duration of the clips completed in this run, s.
-        settings_hash: hash of the settings that all clips have in common.
-    """
-
-    state: State
+    state: State  # "stopped" by the user, or "failed" for a `reason` that is not a clip
     reason: str = ""
     host: str = field(default_factory=socket.gethostname)
     pid: int = field(default_factory=os.getpid)
-    started_s: float = field(default_factory=time.time)
-    heartbeat_s: float = field(default_factory=time.time)
-    total: int = 0
-    skipped: int = 0
-    done: int = 0
-    failed: int = 0
-    video_s: float = 0.0
-    settings_hash: str = ""
+    started_s: float = field(default_factory=time.time)  # Unix time
+    heartbeat_s: float = field(default_factory=time.time)  # time of this state, Unix time
+    total: int = 0  # number of clips
+    skipped: int = 0  # complete at the start
+    done: int = 0  # completed in this run
+    failed: int = 0  # in this run, or before and not repeated
+    video_s: float = 0.0  # duration of the clips completed in this run
+    settings_hash: str = ""  # of the settings that all clips have in common
     options: Mapping[str, Any] = field(default_factory=dict)
     workers: Sequence[Mapping[str, Any]] = ()
 

@@ -46,24 +46,16 @@ Figures = dict[str, Any]  # figures by name, as in the JSON file; None = unknown
 
 @dataclass(slots=True)
 class TrackFigures:
-    """Figures of the rows of one or more clips.
-
-    Attributes:
-        n_tracks: by class, as `visible_s`, the time from the first to the last row of the tracks, s.
-        n_by_hour: number of tracks by hour of the day (UTC; None = unknown) of their first row, and class.
-        n_boxes: number of observed boxes with a reference distance, by index of the distance band.
-        n_measured: number of these with a distance of a method, by method and index of the band.
-        closest, collisions: moments of the tracks with the smallest distance, or time to collision; see `approaches`.
-    """
+    """Figures of the rows of one or more clips."""
 
     n_rows: int = 0
-    n_tracks: Counter[str] = field(default_factory=Counter)
-    visible_s: dict[str, float] = field(default_factory=dict)
-    n_by_hour: Counter[tuple[int | None, str]] = field(default_factory=Counter)
-    n_boxes: Counter[int] = field(default_factory=Counter)
-    n_measured: Counter[tuple[str, int]] = field(default_factory=Counter)
-    closest: list[Figures] = field(default_factory=list)
-    collisions: list[Figures] = field(default_factory=list)
+    n_tracks: Counter[str] = field(default_factory=Counter)  # by class
+    visible_s: dict[str, float] = field(default_factory=dict)  # first to last row, by class
+    n_by_hour: Counter[tuple[int | None, str]] = field(default_factory=Counter)  # UTC; None = unknown
+    n_boxes: Counter[int] = field(default_factory=Counter)  # with a reference distance, by index of the distance band
+    n_measured: Counter[tuple[str, int]] = field(default_factory=Counter)  # of these, by method and index of the band
+    closest: list[Figures] = field(default_factory=list)  # moments of smallest distance; see `approaches`
+    collisions: list[Figures] = field(default_factory=list)  # moments of smallest time to collision
 
     def add(self, other: TrackFigures) -> None:
         """Add the figures of other clips."""

@@ -66,13 +66,9 @@ class LiveVideo:
 
     The part to read begins after `start_s` and lasts `duration_s`; None = until the stream ends or the run is stopped.
 
-    Attributes:
-        path, width_px, height_px, is_grey, fps: see `RecordedVideo`.
-        n_received, n_taken: frames decoded so far, and frames passed to the consumer.
-        ended_by: FFmpeg's error message if the connection was lost; empty = it is open, or was ended normally.
-        has_ended: whether the source ended the stream normally.
-        is_over: whether no more frames will arrive.
-        is_closed: whether the connection has been closed.
+    `n_received` frames were decoded so far, `n_taken` passed to the consumer; `ended_by` is FFmpeg's message if the
+    connection was lost, `has_ended` whether the source ended the stream normally. Attributes that are not described
+    here: see `RecordedVideo`.
 
     Raises VideoError if the source cannot be opened, contains no video, or sends no frame; while iterating, if the
     connection is lost, or the image size changes.

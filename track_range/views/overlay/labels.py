@@ -231,15 +231,10 @@ class LabelPlacer:
         image_px: tuple[int, int],
         urgent: Sequence[bool],
     ) -> list[tuple[int, FloatArray] | None]:
-        """Size (0 = full, 1 = short) and rectangle (4,) of each label; None = no free position.
+        """Size (0 = full, 1 = short) and rectangle (4,) of the label of each track id; None = no free position.
 
-        Args:
-            ids: track IDs of the labels, in the order of placement.
-            boxes: (N, 4) boxes of the tracks, without NaN.
-            sizes_px: (2, N, 2) width and height of the full and the short labels.
-            occupied: (M, 4) rectangles that labels must not cover.
-            image_px: (W, H).
-            urgent: (N,) whether a label is shortened only if the full one has no free position.
+        `boxes` (N, 4) have no NaN; `sizes_px` (2, N, 2) are width and height of full and short labels, which must not
+        cover `occupied` (M, 4). An `urgent` (N,) label is shortened only if the full one has no free position.
         """
         previous, self._previous = self._previous, {}
         placements: list[tuple[int, FloatArray] | None] = []
