@@ -72,6 +72,12 @@ NAME_PARTS = {
 }
 """Words that no identifier contains; the last ones: a fraction, an inverse depth, a path or a distance travelled."""
 
+CONTRACT_NAMES = {
+    *("visible_share", "share", "rough_share", "noise_share", "noise_shares", "certain_share", "min_valid_share"),
+    *("shape_share", "last_share", "average_share"),
+}
+"""Names of columns, keys of files and of the Python API, which users' files and programs have."""
+
 NAMES = {
     *("this", "those", "these", "each", "found", "here", "there", "taken", "such", "ours", "keep"),
     *("of_class", "of_classes", "of_run", "of_image", "of_track"),
@@ -102,7 +108,7 @@ def uses_in_names(source: str) -> Iterator[tuple[int, str]]:
             names = [(node.lineno, node.name)]
         for line, name in names:
             bare = name.strip("_")
-            if bare in NAMES or NAME_PARTS & set(bare.lower().split("_")):
+            if bare not in CONTRACT_NAMES and (bare in NAMES or NAME_PARTS & set(bare.lower().split("_"))):
                 yield line, f"name {name}"
 
 

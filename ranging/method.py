@@ -246,7 +246,7 @@ class RangingMethod:
         return any(source.name == "size" for source in self.error_sources)
 
     @property
-    def noise_fraction(self) -> float:
+    def noise_share(self) -> float:
         """Fraction of sigma (not of the variance) that is independent from frame to frame, 0..1."""
         return math.sqrt(sum(source.independent for source in self.error_sources))
 

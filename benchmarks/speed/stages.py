@@ -24,7 +24,7 @@ from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.arrays import Image
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.stages import noise_fractions
+from track_range.pipeline.stages import noise_shares
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.method import MethodContext, Ranger
@@ -136,7 +136,7 @@ def box_only_ms(n_tracks: int, *, n_frames: int) -> dict[str, float]:
     """Median time in ms of each box-only method, of fusion and of the filters, for a number of tracks."""
     rangers = create_rangers(MethodContext(camera=CAMERA, has_lane_lines=True))
     reads = {method.name: method.reads for method in methods()}
-    fusion, filters = Fusion(), DistanceFilters(noise_fractions())
+    fusion, filters = Fusion(), DistanceFilters(noise_shares())
     tracks, lines = _tracks(n_tracks), _lines()
     times_s: dict[str, list[float]] = {}
 

@@ -27,11 +27,11 @@ class ScheduleSettings:
 
     optimiser: Optimiser = "adamw"  # SGD with Nesterov momentum, or AdamW
     learning_rate: float = 0.002  # learning rate after the warm-up
-    last_fraction: float = 0.01  # final learning rate of the cosine schedule, as a fraction of `learning_rate`
+    last_share: float = 0.01  # final learning rate of the cosine schedule, as a fraction of `learning_rate`
     momentum: float = 0.937  # momentum after the warm-up, during which it rises from 0.8
     weight_decay: float = 0.02  # weight decay of the convolutions' weights; biases and batch norms have none
     warmup_epochs: float = 1.0  # at most n_epochs / 5
-    average_fraction: float = 0.04  # of all steps: time constant of the average of weights; at most 10,000 steps
+    average_share: float = 0.04  # of all steps: time constant of the average of weights; at most 10,000 steps
 
 
 SGD = ScheduleSettings(optimiser="sgd", learning_rate=0.01, weight_decay=5e-4, warmup_epochs=3.0)
@@ -48,10 +48,10 @@ class Schedule:
     def rate(self, step: int) -> float:
         """Learning rate of a step without the warm-up.
 
-        rate = learning_rate * (last_fraction + (1 - last_fraction) * (1 + cos(pi step / n_steps)) / 2)
+        rate = learning_rate * (last_share + (1 - last_share) * (1 + cos(pi step / n_steps)) / 2)
         """
         cosine = (1 + math.cos(math.pi * min(step / self._n_steps, 1.0))) / 2
-        last = self._settings.last_fraction
+        last = self._settings.last_share
         return self._settings.learning_rate * (last + (1 - last) * cosine)
 
     def set(self, optimiser: torch.optim.Optimizer, step: int) -> None:
@@ -68,7 +68,7 @@ class Schedule:
 
     def average_decay(self, step: int) -> float:
         """Weight of the old average in the update after a step; smaller at the start of a run."""
-        horizon = min(max(self._settings.average_fraction * self._n_steps, 1.0), 10_000.0)
+        horizon = min(max(self._settings.average_share * self._n_steps, 1.0), 10_000.0)
         return (1 - 1 / horizon) * (1 - math.exp(-(step + 1) / (horizon / 5)))
 
 

@@ -137,22 +137,22 @@ class DistanceFilters:
         -5
     """
 
-    def __init__(self, noise_fractions: Mapping[str, float], settings: FilterSettings | None = None) -> None:
+    def __init__(self, noise_shares: Mapping[str, float], settings: FilterSettings | None = None) -> None:
         """Start without tracks.
 
         Args:
-            noise_fractions: initial independent fraction s of sigma by method; not used for `Ranges` with a systematic
+            noise_shares: initial independent fraction s of sigma by method; not used for `Ranges` with a systematic
                 part per box.
             settings: settings of all filters; None = the defaults.
         """
         self._settings = settings or FilterSettings()
-        self._methods = tuple(noise_fractions)
-        self._independent_fraction = np.array(list(noise_fractions.values()))[:, None] ** 2  # of the variance
+        self._methods = tuple(noise_shares)
+        self._independent_fraction = np.array(list(noise_shares.values()))[:, None] ** 2  # of the variance
         self._noise_scale = NoiseScale(len(self._methods))
         self._tracks = TrackState(np.repeat(np.array(_NEW_TRACK)[:, None], len(self._methods), axis=1))
 
     @property
-    def noise_fractions(self) -> dict[str, float]:
+    def noise_shares(self) -> dict[str, float]:
         """Current estimate of the independent fraction of sigma, by method."""
         fractions = np.sqrt(self._independent_fraction * self._noise_scale.factor)[:, 0]
         return dict(zip(self._methods, fractions.tolist(), strict=True))

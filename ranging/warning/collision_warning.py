@@ -235,7 +235,7 @@ class CollisionWarning:
         certain_s = np.where(is_usable, np.where(starts, time_s, np.fmin(last.certain_s, time_s)), np.nan)
         may_start &= time_s - certain_s >= np.where(is_person, settings.min_person_s, settings.min_track_s) - 1e-9
         may_end = ~(probability >= settings.off_probability)
-        is_uncertain = sigma_m > settings.certain_fraction * measured.x
+        is_uncertain = sigma_m > settings.certain_share * measured.x
         is_uncertain |= ~is_person & (np.abs(offset.x) > half_width_m)
         if ego.has_speed:
             is_uncertain |= gap.v + ego.speed_mps < -_STATIC_MPS

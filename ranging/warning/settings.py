@@ -25,9 +25,9 @@ class WarningSettings:
         person_probability: the same for people, whose lateral motion is less certain.
         off_probability: an alarm ends when the probability has been below this for `min_off_s`.
         min_on_s: shortest time above `on_probability` before an alarm.
-        uncertain_on_s: the same where the distance is less certain than `certain_fraction`, as with one camera, and for
+        uncertain_on_s: the same where the distance is less certain than `certain_share`, as with one camera, and for
             vehicles that are beside the ego path or come towards the ego vehicle.
-        certain_fraction: largest relative standard deviation of a certain distance.
+        certain_share: largest relative standard deviation of a certain distance.
         min_off_s: shortest time below `off_probability` before the end of an alarm.
         min_closing_mps: smallest closing speed of an alarm.
         min_track_s: shortest time for which the probability has been known, against tracks of false boxes, and tracks
@@ -67,7 +67,7 @@ class WarningSettings:
     off_probability: float = 0.1
     min_on_s: float = 0.2
     uncertain_on_s: float = 1.0
-    certain_fraction: float = 0.055
+    certain_share: float = 0.055
     min_off_s: float = 0.5
     min_closing_mps: float = 1.0
     min_track_s: float = 0.5

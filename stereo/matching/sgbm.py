@@ -60,8 +60,8 @@ class SgbmSettings:
     speckle_window_size: int = 100  # regions with fewer pixels are removed
     speckle_range: int = 2  # largest disparity difference within a region, px
     pre_filter_cap: int = 63  # limit at which the compared x-derivative is truncated
-    min_valid_fraction: float = 0.2  # minimum fraction of known pixels in the inner half of a box
-    shape_fraction: float = 0.3  # fraction of the scatter inside the inner half that contributes to sigma
+    min_valid_share: float = 0.2  # minimum fraction of known pixels in the inner half of a box
+    shape_share: float = 0.3  # fraction of the scatter inside the inner half that contributes to sigma
 
     def __post_init__(self) -> None:
         for name, is_valid, expected in _checks(self):
@@ -116,8 +116,8 @@ def _checks(settings: SgbmSettings) -> list[tuple[str, bool, str]]:
         ("speckle_window_size", whole("speckle_window_size", 0, 10**9), "an integer from 0 to 1e9"),
         ("speckle_range", whole("speckle_range", 0, 1024), "an integer from 0 to 1024"),
         ("pre_filter_cap", whole("pre_filter_cap", 1, 127), "an integer from 1 to 127"),
-        ("min_valid_fraction", fraction("min_valid_fraction", 0.0, 1.0), "a fraction from 0 to 1"),
-        ("shape_fraction", fraction("shape_fraction", 0.0, math.inf), "a number of 0 or more"),
+        ("min_valid_share", fraction("min_valid_share", 0.0, 1.0), "a fraction from 0 to 1"),
+        ("shape_share", fraction("shape_share", 0.0, math.inf), "a number of 0 or more"),
     ]
 
 
@@ -244,6 +244,6 @@ def _median_and_sigma(
 ) -> tuple[float, float]:
     inside = disparity[patch.window]
     known = inside[np.isfinite(inside)].astype(np.float64)
-    if len(known) < max(settings.min_valid_fraction * inside.size, 1):
+    if len(known) < max(settings.min_valid_share * inside.size, 1):
         return math.nan, math.nan
-    return float(np.median(known)), math.hypot(_MEDIAN_SIGMA_PX, settings.shape_fraction * mad_sigma(known))
+    return float(np.median(known)), math.hypot(_MEDIAN_SIGMA_PX, settings.shape_share * mad_sigma(known))

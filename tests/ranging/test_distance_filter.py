@@ -12,12 +12,12 @@ from track_range.ranging.ranges import Ranges
 class OneFilter:
     """Filter of a single method."""
 
-    def __init__(self, noise_fraction=0.6, **settings):
-        self.filters = DistanceFilters({"a": noise_fraction}, FilterSettings(**settings))
+    def __init__(self, noise_share=0.6, **settings):
+        self.filters = DistanceFilters({"a": noise_share}, FilterSettings(**settings))
 
     @property
-    def noise_fraction(self):
-        return self.filters.noise_fractions["a"]
+    def noise_share(self):
+        return self.filters.noise_shares["a"]
 
     def update(self, measured, time_s, *, condition=None, **options):
         conditions = None if condition is None else {"a": condition}
@@ -31,7 +31,7 @@ def measured(ids, distance_m, sigma_m=1.0):
 
 def test_equals_filterpy_with_uneven_steps():
     rng = np.random.default_rng(1)
-    actual = OneFilter(noise_fraction=1.0, outlier_sigma=np.inf, learns_noise=False)
+    actual = OneFilter(noise_share=1.0, outlier_sigma=np.inf, learns_noise=False)
     oracle = ExtendedKalmanFilter(dim_x=2, dim_z=1)
     time_s = np.cumsum(rng.uniform(0.03, 0.3, 40))
     for i, t in enumerate(time_s):
@@ -64,7 +64,7 @@ def simulated(rng, *, n, steps, dt=0.1):
 
 def test_errors_are_consistent_with_the_covariance():
     rng = np.random.default_rng(2)
-    tracker = OneFilter(noise_fraction=1.0, learns_noise=False, max_rate_sigma_mps=9.0)
+    tracker = OneFilter(noise_share=1.0, learns_noise=False, max_rate_sigma_mps=9.0)
     of_distance, of_rate = [], []
     for step, (distance, rate) in enumerate(simulated(rng, n=300, steps=40)):
         result = tracker.update(measured(np.arange(300), distance + rng.normal(0, 0.5, 300), 0.5), step * 0.1)
@@ -81,7 +81,7 @@ def test_noise_scale_is_learnt(true_sigma_m):
     tracker = OneFilter()
     for step, (distance, _) in enumerate(simulated(rng, n=40, steps=60)):
         tracker.update(measured(np.arange(40), distance + rng.normal(0, true_sigma_m, 40), 1.0), step * 0.1)
-    assert tracker.noise_fraction == pytest.approx(true_sigma_m, rel=0.25)
+    assert tracker.noise_share == pytest.approx(true_sigma_m, rel=0.25)
 
 
 def test_box_jitter_does_not_bias_the_distance():
@@ -117,7 +117,7 @@ def test_ego_sigma_widens_the_rate_sigma():
     for ego_sigma_mps in (np.nan, 2.0):
         rng, errors2 = np.random.default_rng(5), []
         for _ in range(12):
-            tracker, ego_error_mps = OneFilter(noise_fraction=1.0, learns_noise=False, max_rate_sigma_mps=9.0), 0.0
+            tracker, ego_error_mps = OneFilter(noise_share=1.0, learns_noise=False, max_rate_sigma_mps=9.0), 0.0
             for step, (distance, rate) in enumerate(simulated(rng, n=5, steps=30)):
                 ego_error_mps = np.exp(-0.1) * ego_error_mps + 2.0 * np.sqrt(-np.expm1(-0.2)) * rng.normal()
                 result = tracker.update(
@@ -156,7 +156,7 @@ def test_new_track_starts_as_a_static_target():
 def test_ttc_sigma_is_consistent_and_without_size_error():
     """A constant size error of 20 %: distance and speed have the same relative error, the time has none."""
     rng = np.random.default_rng(5)
-    tracker, ids, off = OneFilter(noise_fraction=0.1, max_rate_sigma_mps=9.0), np.arange(300), 1.2
+    tracker, ids, off = OneFilter(noise_share=0.1, max_rate_sigma_mps=9.0), np.arange(300), 1.2
     for step in range(20):
         true_m = 60 - 12 * step * 0.1
         noise = rng.normal(0, 0.02, 300)
@@ -222,7 +222,7 @@ def test_step_at_a_change_of_condition_is_not_speed():
 
 def test_systematic_sigma_does_not_average_out():
     rng, ids = np.random.default_rng(10), np.arange(50)
-    tracker = OneFilter(noise_fraction=0.6)
+    tracker = OneFilter(noise_share=0.6)
     for step in range(50):
         result = tracker.update(measured(ids, 30.0 + rng.normal(0, 1.2, 50), 2.0), step * 0.1)
     assert 0.8 * 2.0 < np.mean(result.ranges.sigma_m) < 0.9 * 2.0
@@ -231,8 +231,8 @@ def test_systematic_sigma_does_not_average_out():
 def test_systematic_sigma_per_box():
     """Sigma 2 with a systematic part of sqrt(3) has a noise share of one half; the other track has noise only."""
     rng, ids = np.random.default_rng(11), np.array([1, 2])
-    per_box = OneFilter(noise_fraction=0.9, learns_noise=False)
-    half, whole = (OneFilter(noise_fraction=fraction, learns_noise=False) for fraction in (0.5, 1.0))
+    per_box = OneFilter(noise_share=0.9, learns_noise=False)
+    half, whole = (OneFilter(noise_share=fraction, learns_noise=False) for fraction in (0.5, 1.0))
     for step in range(20):
         now = measured(ids, 30.0 + rng.normal(0, 1.0, 2), 2.0)
         result = per_box.update(replace(now, sigma_systematic_m=np.array([np.sqrt(3.0), 0.0])), step * 0.1).ranges
@@ -253,7 +253,7 @@ def test_zero_independent_sigma_is_still_filtered():
 
 
 def test_sigma_without_observed_noise_is_systematic():
-    tracker = OneFilter(noise_fraction=0.6)
+    tracker = OneFilter(noise_share=0.6)
     for step in range(200):
         result = tracker.update(measured([1], [30.0], 2.0), step * 0.1)
     assert result.ranges.sigma_m[0] == pytest.approx(2.0, rel=0.05)
@@ -270,7 +270,7 @@ def test_methods_are_filtered_independently():
     rng, fractions = np.random.default_rng(12), {"a": 0.6, "b": 0.3, "c": 0.35}
     together, alone = (
         DistanceFilters(fractions),
-        {n: OneFilter(noise_fraction=s) for n, s in fractions.items()},
+        {n: OneFilter(noise_share=s) for n, s in fractions.items()},
     )
     ids, last = np.arange(6), {}
     for step in range(40):
@@ -298,8 +298,8 @@ def test_methods_are_filtered_independently():
                 (result[name].ttc_sigma_s, last[name].ttc_sigma_s),
             ):
                 assert actual == pytest.approx(separate, nan_ok=True)
-    assert together.noise_fractions == pytest.approx({name: tracker.noise_fraction for name, tracker in alone.items()})
-    assert len(set(together.noise_fractions.values())) == 3
+    assert together.noise_shares == pytest.approx({name: tracker.noise_share for name, tracker in alone.items()})
+    assert len(set(together.noise_shares.values())) == 3
 
 
 def test_missing_method_has_measured_nothing():

@@ -29,8 +29,7 @@ def names(listed):
 def correlation(method, other):
     """Correlation of the independent errors of two methods."""
     parts = [
-        {s.name: s.independent / m.noise_fraction**2 for s in m.error_sources if s.name != "own"}
-        for m in (method, other)
+        {s.name: s.independent / m.noise_share**2 for s in m.error_sources if s.name != "own"} for m in (method, other)
     ]
     return sum((parts[0][name] * parts[1].get(name, 0.0)) ** 0.5 for name in parts[0])
 
@@ -38,7 +37,7 @@ def correlation(method, other):
 def test_built_in_methods_in_order_with_their_noise():
     listed = registry.methods()[:5]
     assert names(listed) == ["mono", "ground", "lane", "stereo", "sgbm"]
-    assert [method.noise_fraction for method in listed] == pytest.approx([0.6, 0.742, 0.6, 0.3, 0.3], abs=1e-3)
+    assert [method.noise_share for method in listed] == pytest.approx([0.6, 0.742, 0.6, 0.3, 0.3], abs=1e-3)
     mono, ground, lane, stereo, _ = listed
     pairs = ((mono, ground), (mono, lane), (ground, lane), (mono, stereo))
     assert [correlation(*pair) for pair in pairs] == pytest.approx([0.456, 0.4, 0.638, 0.0], abs=1e-3)

@@ -76,7 +76,7 @@ def test_the_median_of_the_inner_half_by_hand() -> None:
     disparity[10:30, 10:30] = 50.0  # the box's inner half
     disparity[10:30, 10:18] = 48.0
     disparity[:10] = disparity[30:] = 5.0  # the outer part does not count
-    settings = SgbmSettings(shape_fraction=0.5)
+    settings = SgbmSettings(shape_share=0.5)
     median, sigma = inner_half_median(disparity, np.array([[-0.5, -0.5, 39.5, 39.5]]), settings=settings)
     assert median[0] == 50.0
     assert sigma[0] == pytest.approx(0.15)  # most pixels agree, so the median deviation is 0
@@ -133,7 +133,7 @@ def test_the_centre_is_one_pixel() -> None:
             [1e12, 0.0, 1e13, 40.0],
         ]
     )
-    centre, sigma = centre_disparity(disparity, boxes, settings=SgbmSettings(shape_fraction=0.5))
+    centre, sigma = centre_disparity(disparity, boxes, settings=SgbmSettings(shape_share=0.5))
     assert centre[:2].tolist() == [47.0, 9.0]
     assert sigma[:2] == pytest.approx([0.15, 0.15])
     assert np.isnan(centre[2:]).all()
@@ -189,9 +189,9 @@ def test_other_names_of_settings() -> None:
         ("speckle_px2", "many", "speckle_window_size"),
         ("speckle_range", -1, "speckle_range"),
         ("pre_filter_cap", 0, "pre_filter_cap"),
-        ("min_valid_fraction", 1.5, "min_valid_fraction"),
-        ("min_valid_fraction", float("nan"), "min_valid_fraction"),
-        ("shape_fraction", -0.1, "shape_fraction"),
+        ("min_valid_share", 1.5, "min_valid_share"),
+        ("min_valid_share", float("nan"), "min_valid_share"),
+        ("shape_share", -0.1, "shape_share"),
     ],
 )
 def test_wrong_settings(name: str, value: object, key_word: str) -> None:

@@ -40,12 +40,12 @@ _LANE_INTERVAL_S = 0.09  # between two detections of lane lines, which change sl
 FUSED_NOISE_FRACTION = 0.35  # initial fraction of the fused sigma that is independent between frames
 
 
-def noise_fractions() -> dict[str, float]:
+def noise_shares() -> dict[str, float]:
     """Initial fraction of sigma that is independent between frames, for each distance that is filtered over time.
 
     The filters adapt it to their innovations. Fusion uses the declared error sources of the methods instead.
     """
-    filtered = {method.name: method.noise_fraction for method in methods() if method.is_filtered}
+    filtered = {method.name: method.noise_share for method in methods() if method.is_filtered}
     return {**filtered, "fused": FUSED_NOISE_FRACTION}
 
 
@@ -224,7 +224,7 @@ class FusionStage:
 
     def __init__(self, camera: PinholeCamera) -> None:
         self._fusion, self._lateral = Fusion(), LateralFilters(camera)
-        self._filters = DistanceFilters(noise_fractions())
+        self._filters = DistanceFilters(noise_shares())
 
     def update(
         self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges], ego: EgoMotion

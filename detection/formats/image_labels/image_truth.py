@@ -51,7 +51,7 @@ class ImageTruth:
         """Labels of an image in which all classes are labelled, from arrays or lists; see the attributes."""
         ids = np.asarray(class_id, np.int64).reshape(-1)
         regions, ignored = (
-            np.full(len(ids), flags) if np.ndim(flags) == 0 else np.asarray(flags, np.bool_).reshape(-1)
+            np.full(len(ids), bool(flags)) if np.ndim(flags) == 0 else np.asarray(flags, np.bool_).reshape(-1)
             for flags in (is_region, is_ignored)
         )
         boxes = np.asarray(xyxy_px, np.float64).reshape(-1, 4)

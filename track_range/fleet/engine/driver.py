@@ -187,7 +187,11 @@ class Driver:
             reason = "the machine ran out of memory; start fewer --workers, or give them more --worker-memory."
             self._repeat_or_fail(self._freed(slot), "memory", reason)
         except ray.exceptions.NodeDiedError:
-            self._todo.append(self._freed(slot))
+            task = self._freed(slot)
+            if slot.verdict is None:
+                self._todo.append(task)
+            else:
+                self._repeat_or_fail(task, *slot.verdict)
         except (ray.exceptions.RayError, StopIteration) as error:
             self._worker_died(self._freed(slot), slot.verdict, error)
         else:

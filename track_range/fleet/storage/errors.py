@@ -39,9 +39,10 @@ _STATUS_FAULTS: dict[int, StorageFault] = {  # by HTTP status; from 500 on "netw
 _TEXT_FAULTS: dict[StorageFault, str] = {
     "permission": r"ACCESS_?DENIED|INVALID_\w*(?:KEY|SIGNATURE|TOKEN)|SIGNATURE_DOES_NOT|EXPIRED_?TOKEN|UNAUTHENTICATED"
     r"|MISSING_AUTH|UNRECOGNIZED_CLIENT|NOT_INITIALIZED|PERMISSION_DENIED|status 40[13]|AccountProblem|OAuth2 access",
-    "missing": r"NO_SUCH_|NOT_FOUND|status 404|Bucket '.*' not found",
+    "missing": r"\bNO_SUCH_(?:KEY|BUCKET|UPLOAD)|\b(?:RESOURCE_)?NOT_FOUND\b|status 404|Bucket '.*' not found",
     "full": r"QuotaExceeded|InsufficientStorage|StorageFull|status 507|No space left",
-    "network": r"NETWORK_|SLOW_DOWN|UNAVAILABLE|INTERNAL|THROTTLING|REQUEST_TIME|DEADLINE|EXHAUSTED|ABORTED|curl"
+    "network": r"\bNETWORK_|\bSLOW_DOWN|\b(?:SERVICE_)?UNAVAILABLE\b|\bINTERNAL(?:_FAILURE|_ERROR)?\b|\bTHROTTLING"
+    r"|\bREQUEST_TIME|\bDEADLINE_EXCEEDED|\bRESOURCE_EXHAUSTED|\bABORTED\b|\bcurlCode\b|\bCURL error"
     r"|status (?:408|429|5\d\d)|timed? ?out|onnection (?:reset|closed|refused)|resolve host",
 }
 """Texts of the errors of pyarrow's object stores (AWS, Google Cloud) by kind; the first that matches counts."""

@@ -78,7 +78,7 @@ def _server(endpoint: str, scheme: str) -> dict[str, Any]:
 
 def web_files() -> HTTPFileSystem:
     """File system of fsspec for web servers; raises StorageError if a package is missing."""
-    return _web_files(CONNECT_TIMEOUT_S, REQUEST_TIMEOUT_S)
+    return _web_files(2 * CONNECT_TIMEOUT_S, 1.5 * REQUEST_TIMEOUT_S)  # web servers may be slower
 
 
 @lru_cache(maxsize=4)

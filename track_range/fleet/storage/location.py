@@ -303,7 +303,8 @@ class Location:
                 shutil.copyfileobj(source, stream, _BLOCK_BYTES)
             except BaseException:
                 stream.close()  # pyarrow's streams cannot be aborted: closing publishes what has been sent
-                self.remove()
+                with suppress(StorageError):  # the first error is the one to report
+                    self.remove()
                 raise
             stream.close()
 

@@ -170,6 +170,10 @@ class LivePage(ThreadingHTTPServer):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
 
+# Start of a request that is answered with an error before its end: a first line too long, or not METHOD PATH [VERSION].
+_REFUSED = re.compile(rb"[^\n]{65537}|(?!\S+ \S+(?: HTTP/\d+\.\d+)?\r?\n)[^\n]*\n")
+
+
 class _Handler(BaseHTTPRequestHandler):
     server: LivePage
     server_version, sys_version = "track-range", ""
@@ -189,7 +193,8 @@ class _Handler(BaseHTTPRequestHandler):
             self.connection.settimeout(left_s)
             received = self.connection.recv(8192)
             request += received
-            if not received or b"\r\n\r\n" in request[-len(received) - 3 :]:
+            is_complete = re.search(rb"\n\r?\n", request[-len(received) - 3 :]) is not None
+            if not received or is_complete or _REFUSED.match(request):
                 break
         self.connection.settimeout(_TIMEOUT_S)
         if len(request) > _MAX_REQUEST_BYTES:
