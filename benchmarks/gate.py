@@ -19,7 +19,7 @@ FAST = {
     "writers": "--frames 600 --rounds 3",
     "formats": "--frames 500",
     "stereo": "--scenes 1 --rounds 3 --seeds 1 --pairs none --drives",
-    "tracking": "--sets scene --rounds 2",
+    "tracking": "--sets --rounds 2",
     "fusion": "--scenarios town",
     "alignment": "--seeds 240 241 242",
     "focal_length": "--seeds 2",

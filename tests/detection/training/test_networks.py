@@ -105,7 +105,7 @@ def test_detector_decodes_the_export_of_the_road_network(tmp_path, hw):
     detector = YoloDetector(path, YoloSettings(min_score=0.3))
     image = np.random.default_rng(0).integers(0, 255, (*hw, 3), dtype=np.uint8)
     detector.fill(image)
-    candidates = detector.model.decoder.decode(detector.infer(), np.full(8, 0.3))
+    candidates = detector.model.decoder(detector.infer(), np.full(8, 0.3))
     with torch.no_grad():
         images = torch.from_numpy(detector.input_blob(image))
         rows = network.decode(network(images))[0].numpy()
