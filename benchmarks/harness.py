@@ -80,7 +80,8 @@ class Workload:
         figures = self.measure(options)
         print_figures(name, figures)
         if options.json:
-            about = {"options": list(arguments), **machine()}
+            given = zip(["", *arguments], arguments, strict=False)  # without the file, whose path is of this machine
+            about = {"options": [now for last, now in given if "--json" not in (last, now)], **machine()}
             text = json.dumps({name: figures, "about": about}, indent=1, default=json_value)
             options.json.write_text(text + "\n", encoding="utf-8")
 
