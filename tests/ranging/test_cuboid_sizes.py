@@ -99,8 +99,22 @@ def test_order_of_boxes_does_not_matter(seed, order):
     np.testing.assert_allclose(turned.sigma_m, result.sigma_m[order], rtol=1e-9)
 
 
+# Classes whose most probable view changes with the size at a constant aspect ratio: sides of buses, body types of vans.
+SEVERAL_VIEWS = ("bus", "van")
+
+
+def with_aspect_of_class(name, height, side, bearing, noise):
+    """Boxes (N,) of heights / f whose aspect ratios are those of the class, from its front (side 0) to its side (1)."""
+    high, wide, long = PACKAGED.priors[name].hwl_m
+    aspect = np.exp((1 - side) * np.log(min(wide, long) / high) + side * np.log(max(wide, long) / high))
+    edge_sigma = (noise * np.minimum(1.0, aspect) * height)[:, None] * np.ones(2)
+    sizes, class_id = np.stack([aspect * height, height], axis=1), np.full(len(height), SIZE_CLASSES.index(name))
+    no, yes = np.zeros(len(height), np.bool_), np.ones(len(height), np.bool_)
+    return BoxExtents(sizes, bearing, np.zeros(len(height)), class_id, yes, no, edge_sigma)
+
+
 @given(
-    st.sampled_from(SIZE_CLASSES),
+    st.sampled_from([name for name in SIZE_CLASSES if name not in SEVERAL_VIEWS]),
     st.floats(1e-4, 0.4),
     st.floats(0.0, 1.0),
     st.floats(1.1, 3.0),
@@ -109,18 +123,25 @@ def test_order_of_boxes_does_not_matter(seed, order):
 )
 @settings(deadline=None)
 def test_distance_decreases_with_box_size(name, height, side, ratio, bearing, noise):
-    """For boxes with aspect ratios of the class, within 35 degrees of the axis; nodes differ by up to 0.1 %."""
-    high, wide, long = PACKAGED.priors[name].hwl_m
-    aspect = np.exp((1 - side) * np.log(min(wide, long) / high) + side * np.log(max(wide, long) / high))
-    sizes = np.array([[aspect * height, height], [aspect * height * ratio, height * ratio]])
-    ones = np.ones(2)
-    edge_sigma = np.full((2, 2), noise * min(1.0, aspect) * height)
-    boxes = BoxExtents(
-        sizes, bearing * ones, 0 * ones, np.full(2, SIZE_CLASSES.index(name)), ones > 0, ones < 0, edge_sigma
-    )
-    result = PACKAGED.measure(boxes)
+    """For boxes with aspect ratios of the class, within 35 degrees of the axis; farther off, nodes differ by 0.2 %."""
+    heights, ones = np.array([height, height * ratio]), np.ones(2)
+    noise = noise / np.array([1.0, ratio])  # the same edges' noise for both boxes
+    result = PACKAGED.measure(with_aspect_of_class(name, heights, side * ones, bearing * ones, noise))
     assert np.isfinite(result.sigma_m).all()
-    assert 0 < result.distance_m[1] < 1.001 * result.distance_m[0]
+    assert 0 < result.distance_m[1] < result.distance_m[0]
+
+
+@pytest.mark.parametrize(("name", "most", "most_increase"), [("bus", 1, 0.005), ("van", 75, 0.2)])
+def test_distance_increases_rarely_where_the_view_changes(name, most, most_increase):
+    """Of 10,000 pairs of exact boxes that differ by 10 to 30 %: noise makes the change of the view smoother."""
+    rng, n = np.random.default_rng(5), 10_000
+    height, side, bearing = rng.uniform(1e-4, 0.4, n), rng.uniform(0, 1, n), rng.uniform(-0.7, 0.7, n)
+    ratio, noise = rng.uniform(1.1, 1.3, n), np.zeros(n)
+    small = PACKAGED.measure(with_aspect_of_class(name, height, side, bearing, noise)).distance_m
+    large = PACKAGED.measure(with_aspect_of_class(name, height * ratio, side, bearing, noise)).distance_m
+    is_larger = large >= small
+    assert np.count_nonzero(is_larger) <= most
+    assert (large / small).max() < 1 + most_increase
 
 
 @given(
