@@ -39,9 +39,15 @@ def prefetch(
     items end, when they raise (the error is raised in the caller), or when the returned generator is closed or
     garbage-collected; closing waits for the item in progress.
 
-    `depth`, at least 1, is the number of items queued or in progress, besides the one that the caller holds; for
-    `low_priority` see `lower_thread_priority`; `name` is that of the thread, for profilers.
+    `depth` is the number of items queued or in progress, besides the one that the caller holds; below 1 it raises a
+    ValueError. For `low_priority` see `lower_thread_priority`; `name` is that of the thread, for profilers.
     """
+    if depth < 1:
+        raise ValueError(f"depth: expected at least 1, got {depth}")
+    return _consume(items, depth, low_priority, name)
+
+
+def _consume(items: Iterable[T], depth: int, low_priority: bool, name: str) -> Generator[T, None, None]:
     queue: ClosableQueue[T] = ClosableQueue(depth)
     # A daemon thread, so that the program can end while a traceback still refers to the generator.
     thread = threading.Thread(target=_produce, args=(items, queue, low_priority), name=name, daemon=True)

@@ -191,6 +191,12 @@ def test_thread_does_not_block_the_end_of_the_program() -> None:
     ahead.close()
 
 
+@pytest.mark.parametrize("depth", [0, -1])
+def test_depth_below_one(depth: int) -> None:
+    with pytest.raises(ValueError, match="depth"):
+        prefetch([], depth=depth)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a niceness of each thread")
 def test_only_the_thread_gets_a_lower_priority() -> None:
     code = """if True:

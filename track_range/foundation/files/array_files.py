@@ -1,7 +1,9 @@
-"""Reader of NumPy's .npy files; pickles are never loaded."""
+"""Reader of NumPy's .npy files; sizes are checked before memory is allocated, and pickles are never loaded."""
 
 from __future__ import annotations
 
+import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import numpy.typing as npt
 from track_range.foundation.files.input_files import open_regular, quoted, shortened
 
 MAX_ARRAY_BYTES = 4_000_000_000  # size limit, bytes, of arrays: 2 million embeddings of 512 numbers
+_HEADER_READERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
 def read_array(path: Path, error: type[Exception], expected: str) -> npt.NDArray[Any]:
@@ -21,12 +24,17 @@ def read_array(path: Path, error: type[Exception], expected: str) -> npt.NDArray
     """
     with open_regular(path, error, expected, max_bytes=MAX_ARRAY_BYTES) as file:
         try:
-            array = np.lib.format.read_array(file, allow_pickle=False)
-            if array.dtype.kind not in "iuf":
-                raise ValueError(f"values of the type {quoted(str(array.dtype), 40)}")
-            if file.read(1):
-                raise ValueError(f"more than the {array.nbytes} bytes that the header announces")
-            return array
+            version = np.lib.format.read_magic(file)
+            if version not in _HEADER_READERS:  # version 3 is for structured arrays only
+                raise ValueError(f"format version {version[0]}.{version[1]}")
+            shape, _, dtype = _HEADER_READERS[version](file)
+            if dtype.kind not in "iuf":
+                raise ValueError(f"values of the type {quoted(str(dtype), 40)}")
+            n_announced, n_bytes = math.prod(shape) * dtype.itemsize, os.fstat(file.fileno()).st_size - file.seek(0, 1)
+            if n_announced != n_bytes:
+                raise ValueError(f"the header announces {n_announced} bytes, found {n_bytes}")
+            file.seek(0)
+            return np.lib.format.read_array(file, allow_pickle=False)
         except Exception as reason:  # the parser of the header raises a dozen unrelated types
             problem = shortened(str(reason).partition("\n")[0], 120)
             raise error(
