@@ -37,10 +37,8 @@ _UNITS = (
 class Sample(NamedTuple):
     """One record of a receiver; NaN = not stated, or no fix."""
 
-    # seconds from the first frame of the video, or since 1970 where the file has no other time
-    time_s: float = math.nan
-    # date and time of the receiver, seconds since 1970; local time where the format states local time
-    utc_s: float = math.nan
+    time_s: float = math.nan  # seconds from the first frame, or since 1970 where the file has no other time
+    utc_s: float = math.nan  # receiver's date and time, seconds since 1970; local where the format states local time
     speed_mps: float = math.nan  # horizontal speed
     course_deg: float = math.nan  # clockwise from north
     latitude_deg: float = math.nan
@@ -105,7 +103,7 @@ def on_receiver_clock(samples: Sequence[Sample]) -> list[Sample]:
 
 
 def has_plausible_positions(samples: Sequence[Sample]) -> bool:
-    """Whether positions are on the Earth and the median of the speeds between them is possible for a vehicle."""
+    """Whether positions are on the Earth and nine tenths of the speeds between them are possible for a vehicle."""
     rows = np.array(samples, np.float64).reshape(-1, 6)[:, [0, 4, 5]]
     time_s, latitude_deg, longitude_deg = rows[np.isfinite(rows).all(axis=1)].T
     if ((np.abs(latitude_deg) > 90) | (np.abs(longitude_deg) > 180)).any():
@@ -148,9 +146,9 @@ def _course_from_positions(
 
 
 def date_s(year: float, month: float, day: float, hour: float, minute: float, second: float) -> float:
-    """Seconds since 1970 of a date and time; NaN = it is none. Years below 1980 count from 2000."""
+    """Seconds since 1970 of a date and time; NaN = it is none. Years below 100 count from 2000."""
     try:
-        date = int(year) + 2000 if year < 1980 else int(year), int(month), int(day)
+        date = int(year) + 2000 if year < 100 else int(year), int(month), int(day)
         whole = datetime(*date, int(hour), int(minute), tzinfo=UTC)
     except (ValueError, OverflowError):
         return math.nan

@@ -45,8 +45,7 @@ class TelemetryTrack:
     speed_mps: FloatArray  # (N,) horizontal speed, >= 0; NaN = no fix
     source: str  # origin of the samples, for notes, such as "GoPro GPMF" or "drive.gpx"
     clock: Clock
-    # (N,) direction of motion, clockwise from north; NaN = unknown
-    course_rad: FloatArray = field(default_factory=lambda: np.empty(0))
+    course_rad: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) clockwise from north; NaN = unknown
     latitude_deg: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) NaN = unknown
     longitude_deg: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) NaN = unknown
     # (N,) date and time of each sample in seconds since 1970, NaN = unknown. Equal to `time_s` if `clock` is "utc" or
@@ -61,7 +60,7 @@ class TelemetryTrack:
     def __post_init__(self) -> None:
         n = len(self.time_s)
         for name in COLUMNS:
-            if n and not len(getattr(self, name)):
+            if n and name != "speed_mps" and not len(getattr(self, name)):
                 is_clock = name == "utc_s" and self.clock != "video"
                 object.__setattr__(self, name, self.time_s.copy() if is_clock else np.full(n, np.nan))
             check_shape(name, getattr(self, name), (n,))
@@ -92,7 +91,7 @@ def write_positions(path: Path, track: TelemetryTrack, *, first_s: float, last_s
 
 
 def optional_package(package: str, source: str) -> Any:
-    """A package of the extra [telemetry]; a TelemetryError that names the file `source` = it is not installed."""
+    """A package of the extra [telemetry]; raises TelemetryError, which names the file `source`, without it."""
     try:
         return import_module(package)
     except ImportError as error:

@@ -20,6 +20,11 @@ def test_good_track_is_unchanged():
     assert usable(given).speed_mps.tolist() == given.speed_mps.tolist()
 
 
+def test_missing_speeds_are_refused():
+    with pytest.raises(ValueError, match="speed_mps"):
+        TelemetryTrack(time_s=np.arange(3.0), speed_mps=np.empty(0), source="test", clock="video")
+
+
 def test_samples_in_the_order_of_time_once():
     result = usable(track([1, np.nan, 2, 3], time_s=[2, 1, 1, 0]))
     assert result.time_s.tolist() == [0, 1, 2]

@@ -113,6 +113,11 @@ def test_times_of_the_receiver():
     assert track_of_records(given | {"Doc1:GPSDateTime": "2026:05:03 10:00:00"}).clock == "local"
 
 
+def test_clock_that_was_never_set():
+    given = {"Doc1:SampleTime": 0, "Doc1:GPSSpeed": 1, "Doc1:GPSDateTime": "1970:01:02 00:00:00Z"}
+    assert track_of_records(given).utc_s.tolist() == [86_400.0]
+
+
 @pytest.mark.parametrize("void", [{"GPSLatitude": 0, "GPSLongitude": 0}, {"GPSMeasureMode": 0}, {"GPSStatus": "V"}])
 def test_record_without_a_fix(void):
     tags = {"SampleTime": 0, "GPSSpeed": 10, "GPSLatitude": 50, "GPSLongitude": 8} | void

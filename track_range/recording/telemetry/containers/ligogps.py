@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
 from track_range.foundation.files.numeric_text import number
-from track_range.recording.telemetry.containers.mp4_boxes import MAX_TELEMETRY_BYTES, Movie, read_at
+from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at
 from track_range.recording.telemetry.positions import MPS_PER_UNIT
 from track_range.recording.telemetry.samples import (
     MAX_SAMPLES,
@@ -30,6 +31,7 @@ from track_range.recording.telemetry.samples import (
 )
 from track_range.recording.telemetry.track import TelemetryTrack
 
+_MAX_BYTES = 16_000_000  # size limit of the trailer; 33 hours at 1 Hz
 _SLOT_BYTES = 132  # size of a slot or record: 4 bytes of number, then text or encrypted text
 _TERMINATORS = (b"####", b"&&&&")  # marks before the length at the end of a trailer
 
@@ -48,8 +50,9 @@ def read_ligogps(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | 
     for content in _contents(file, movie):
         if lines := [_sample(match) for match in _LINE.finditer(content)]:
             return _track(lines, "assumed")
-        records = [content[match.start() :][:_SLOT_BYTES] for match in re.finditer(rb"####", content)]
-        encrypted = [sample for sample in map(parse_ligo_record, records[:MAX_SAMPLES]) if sample]
+        starts = (match.start() for match in islice(re.finditer(rb"####", content), MAX_SAMPLES))
+        records = (parse_ligo_record(content[start : start + _SLOT_BYTES]) for start in starts)
+        encrypted = [sample for sample in records if sample]
         texts = [_from_json(match[1]) for match in _JSON.finditer(content)]
         if encrypted or texts:
             return _track(encrypted or texts, "known")
@@ -59,14 +62,14 @@ def read_ligogps(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | 
 def _contents(file: BinaryIO, movie: Movie) -> Iterator[bytes]:
     end = read_at(file, movie.n_bytes - 8, 8)
     n_bytes = int.from_bytes(end[4:], "big")
-    if end[:4] in _TERMINATORS and 16 <= n_bytes <= min(movie.n_bytes, MAX_TELEMETRY_BYTES):
+    if end[:4] in _TERMINATORS and 16 <= n_bytes <= min(movie.n_bytes, _MAX_BYTES):
         yield read_at(file, movie.n_bytes - n_bytes, n_bytes)
     for box in movie.top:
         if box.type in (b"skip", b"SKIP", b"free") and b"GPSINFO" in read_at(file, box.start, 24):
-            yield read_at(file, box.start, min(box.end - box.start, MAX_TELEMETRY_BYTES))
+            yield read_at(file, box.start, min(box.end - box.start, _MAX_BYTES))
     for content in movie.inner.values():
         if b"LIGOGPSINFO" in content[:65_536]:
-            yield content[:MAX_TELEMETRY_BYTES]
+            yield content[:_MAX_BYTES]
 
 
 def _track(samples: Sequence[Sample], unit: Unit) -> TelemetryTrack | None:

@@ -15,8 +15,9 @@ from track_range.foundation.files.numeric_text import number, plain_number
 from track_range.foundation.files.xml_events import parse_xml
 from track_range.recording.telemetry.positions import speed_from_positions
 from track_range.recording.telemetry.samples import Sample, plain_track
-from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryError, TelemetryTrack, optional_package
+from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack, optional_package
 
+_MAX_BYTES = 50_000_000  # size limit; a day at 1 Hz with extensions has 35 MB
 _MAX_NAMESPACES = 100  # number of declarations; gpxpy searches for them in the text, which is slow with many
 
 _EXPECTED = "a GPX file"
@@ -26,9 +27,9 @@ def read_gpx(path: Path) -> TelemetryTrack:
     """Telemetry of the track points of a GPX file, or of its route or way points if it has no track.
 
     Speeds are those of the file (GPX 1.0 `speed`, Garmin's TrackPointExtension and others, in m/s), or from positions.
-    A TelemetryError = it cannot be read, is unsafe XML, has no points with times, or gpxpy is not installed.
+    Raises TelemetryError if it cannot be read, is unsafe XML or has no points with times, or gpxpy is not installed.
     """
-    text = read_text(path, TelemetryError, _EXPECTED, max_bytes=MAX_SIDECAR_BYTES)
+    text = read_text(path, TelemetryError, _EXPECTED, max_bytes=_MAX_BYTES)
     if text.count("xmlns") > _MAX_NAMESPACES:
         raise TelemetryError(f"{path}: expected {_EXPECTED} with at most {_MAX_NAMESPACES} namespaces, found more.")
     parse_xml(io.BytesIO(text.encode()), path, None, TelemetryError, _EXPECTED)
