@@ -198,7 +198,7 @@ class BackgroundFlow:
         return (max(image_hw) // (self._long_side_px + 1)).bit_length()
 
     def tracked(self, n_corners: int, min_quality: float) -> tuple[FloatArray32, FloatArray32]:
-        """(N, 2) corners of both frames, of `n_corners` with a fraction `min_quality` of the best quality."""
+        """(N, 2) places in both frames of at most `n_corners` corners, of `min_quality` relative to the best."""
         if self.now is None or self.before is None:
             return np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32)
         corners = self.before.corners

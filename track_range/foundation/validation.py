@@ -46,7 +46,7 @@ _Settings = TypeVar("_Settings")
 
 
 def chosen_numbers(settings: type[_Settings], chosen: Mapping[str, Any]) -> _Settings:
-    """Settings of a dataclass with `chosen` numbers >= 0 by name; a ValueError = another name or value."""
+    """Settings of a dataclass with `chosen` numbers >= 0 by name; raises ValueError for another name or value."""
     known = [field.name for field in fields(settings)]  # type: ignore[arg-type]  # every dataclass has fields
     for name, value in chosen.items():
         if name not in known:

@@ -39,7 +39,7 @@ VideoName = Path | LiveAddress | Segments | BagTopic  # any source of one camera
 
 
 def video_name(name: str | VideoName | Sequence[str | Path]) -> VideoName:
-    """The source or pattern with this name, or several files; a ValueError = none, or a live source among them."""
+    """The source or pattern with this name, or several files; raises ValueError for none, or live ones in them."""
     if isinstance(name, str):
         return live_address(name) or Path(name)
     if isinstance(name, Path | LiveAddress | Segments | BagTopic):

@@ -20,12 +20,12 @@ _now_s = time.thread_time if DECODER_THREADS == 1 else time.perf_counter
 
 @dataclass(frozen=True, slots=True)
 class VideoPart:
-    """A file or folder: start, s, in the recording, duration, s (0 = unknown), and UTC of its first frame."""
+    """One file of a recording, or its folder of images."""
 
     path: Path
-    start_s: float
-    duration_s: float
-    utc: UtcStart | None
+    start_s: float  # time of its first frame, in seconds from the first frame of the recording
+    duration_s: float  # length as the header states it; 0 = unknown
+    utc: UtcStart | None  # UTC of its first frame; None = unknown
 
 
 class RecordedVideo(ABC):
@@ -47,7 +47,7 @@ class RecordedVideo(ABC):
     # tags in the header of a single video file, and of its video stream; empty for other recordings
     metadata: Mapping[str, str] = {}
     is_upright_file = False  # whether this is one video file that stores its images as shown, without a rotation
-    # time spent reading and decoding so far: CPU time of this thread, or wall time where FFmpeg decodes in several
+    # time spent reading and decoding so far: CPU time of this thread, or wall time with several threads of FFmpeg
     busy_s = 0.0
     _part_s: tuple[float, float] | None = None  # file times
 

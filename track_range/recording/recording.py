@@ -223,7 +223,7 @@ def _paired(left: Video, right: Video) -> RecordedPair | LivePair:
 
 
 def _with_topics(left: VideoName, right: VideoName | None, topics: Sequence[str]) -> tuple[VideoName, VideoName | None]:
-    """The names, bags with their topics; a VideoError = a video is no bag, or the number of topics does not fit."""
+    """The names, bags with topics; raises VideoError if a video is no bag, or the number of topics does not fit."""
     if not topics:
         return left, right
     names = [left] if right is None else [left, right]

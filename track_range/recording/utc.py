@@ -48,8 +48,7 @@ class UtcStart:
 
     start_s: float  # seconds since 1970-01-01 00:00 UTC
     source: str  # source of the time, for summary.json
-    # largest error that the source allows, apart from that of the recorder's clock; None = unknown
-    uncertainty_s: float | None
+    uncertainty_s: float | None  # largest error besides that of the recorder's clock; None = unknown
     is_local: bool = False  # whether the time zone is unknown: `start_s` may be the recorder's local time
 
     @property
@@ -87,7 +86,7 @@ class Stamp:
 
 
 def parsed_utc(text: str) -> UtcStart:
-    """The time of `--start-utc`, ISO 8601 and UTC if it states no zone; a ValueError = it is no date and time."""
+    """The time of `--start-utc`, ISO 8601 and UTC if it states no zone; raises ValueError if it is no date and time."""
     moment = _parsed(text)
     if moment is None:
         raise ValueError(f"expected a date and time such as 2026-01-31T14:25:30.000Z, got {quoted(text)}")

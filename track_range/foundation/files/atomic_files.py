@@ -19,8 +19,8 @@ def atomic_path(path: Path, *, is_flushed: bool = True) -> Iterator[Path]:
 
     The temporary file is hidden, has the same suffix, and is removed if the block raises. Devices, pipes and symbolic
     links are not replaced but written in place: the result is then `path` itself. `is_flushed`: the content is on the
-    disk before the file is renamed, which matters after a power failure. An OSError = `path` is a folder, or the file
-    cannot be written or renamed.
+    disk before the file is renamed, which matters after a power failure. Raises OSError if `path` is a folder, or the
+    file cannot be written or renamed.
     """
     if path.is_symlink() or (path.exists() and not path.is_file() and not path.is_dir()):
         yield path

@@ -66,7 +66,7 @@ class CsvTable:
         return np.array([number(cell) for cell in self.texts(name)], np.float64)
 
     def finite(self, name: str) -> FloatArray:
-        """(N,) numbers of a column; an `error` = a cell is not a finite number."""
+        """(N,) numbers of a column; raises `error` for a cell that is not a finite number."""
         values = self.numbers(name)
         self.check(name, values, np.isfinite(values), "a finite number")
         return values
@@ -85,8 +85,8 @@ def read_csv_table(
     """Read a CSV file in UTF-8 with a header line; `expected` is what it should hold, such as "columns time_s".
 
     `default_header` names the columns of a file of which the first line has none of them. Rows with missing cells, or
-    one comma at the end, are allowed unless `exact`. An `error` = the file is unreadable, empty or no CSV with commas,
-    a row has too many cells, or a column no name.
+    one comma at the end, are allowed unless `exact`. Raises `error` if the file is unreadable, empty or not CSV with
+    commas, a row has too many cells, or a column has no name.
     """
     text = read_text(path, error, "CSV", max_bytes=MAX_TABLE_BYTES)
     reader = csv.reader(text.split("\n"), strict=True)

@@ -26,7 +26,7 @@ from track_range.foundation.files.atomic_files import describe
 LOCK_FILE = ".running"
 
 _UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of file systems without locks
-_MAX_OWNER_BYTES = 1000  # of the content of a lock file that are read
+_MAX_OWNER_BYTES = 1000  # largest number of bytes that are read from a lock file
 _LOCKED_BYTE = 1 << 30  # offset of the byte that is locked on Windows, where a locked byte cannot be read
 
 
@@ -35,7 +35,7 @@ class FolderLockError(UserError):
 
 
 class FolderLock:
-    """Lock of a folder until `release`, the end of the process, or its deletion; a FolderLockError = not possible."""
+    """Lock of a folder until `release`, the end of the process, or its deletion; may raise FolderLockError."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / LOCK_FILE
@@ -63,7 +63,7 @@ class FolderLock:
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Context in which no other run can write to an existing folder; a FolderLockError = another run does."""
+    """Context in which no other run can write to an existing folder; raises FolderLockError if one does."""
     lock = FolderLock(folder)
     try:
         yield

@@ -50,8 +50,8 @@ def read_image(
 ) -> npt.NDArray[Any]:
     """The image of a PNG, JPEG, BMP, TIFF, WebP or PNM file, decoded by OpenCV with its `flags`.
 
-    The flags determine the number of channels and the type; `expected` is the noun phrase for the file in messages. An
-    `error` = the file cannot be read, is not a regular file, is damaged or of an unknown format, or is too large.
+    The flags determine the number of channels and the type; `expected` is the noun phrase for the file in messages.
+    Raises `error` if it cannot be read, is not a regular file, is damaged or of an unknown format, or is too large.
     """
     with open_regular(path, error, expected) as file:
         try:
@@ -77,7 +77,7 @@ def read_image(
 def decode_image(
     stored: bytes, source: object, error: type[Exception], expected: str = "an image", *, flags: int = cv2.IMREAD_COLOR
 ) -> npt.NDArray[Any]:
-    """The image of a file in memory, see `read_image`; an `error`, which names `source` = it cannot be used."""
+    """The image of a file in memory, see `read_image`; raises `error`, which names `source`, if it is unusable."""
     size_px = header_size_px(io.BytesIO(stored))
     if size_px is None or 0 in size_px:
         raise error(f"{source}: expected {expected} (PNG or JPEG), found another format or damaged data.")
@@ -111,7 +111,7 @@ def check_size(path: object, size_px: tuple[int, int], error: type[Exception]) -
 def header_size_px(file: BinaryIO) -> tuple[int, int] | None:
     """Width and height from the header of an image file, without decoding; None = no image of a known format.
 
-    For tiled TIFF files, at least the size of a tile, since a decoder allocates whole tiles. An OSError = unreadable.
+    For tiled TIFF files, at least the size of a tile, since a decoder allocates whole tiles. May raise OSError.
     """
     file.seek(0)
     start = file.read(1024)

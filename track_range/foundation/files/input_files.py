@@ -91,7 +91,7 @@ def read_bytes(path: Path, error: type[Exception], expected: str, *, max_bytes: 
 def read_text(path: Path, error: type[Exception], expected: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:
     """Text of a regular file in UTF-8, with or without a byte order mark; lines end with a line feed.
 
-    An `error` = as in `open_regular`, or the file is not UTF-8, or has null characters.
+    Raises `error` as `open_regular` does, and if the file is not UTF-8 or has null characters.
     """
     first_line(path, error, expected)  # rejects a large binary file before all of it is read
     content = read_bytes(path, error, expected, max_bytes=max_bytes)
@@ -110,7 +110,7 @@ def first_line(path: Path, error: type[Exception], expected: str) -> str:
 
 
 def _read(file: BinaryIO, n_bytes: int) -> bytes:
-    """At most `n_bytes` of a file; an OSError = they cannot be read, or only after waiting, as from some of /proc."""
+    """At most `n_bytes` of a file; raises OSError if they cannot be read without waiting, as from some of /proc."""
     content: bytes | None = file.read(n_bytes)
     if content is None:
         raise BlockingIOError(errno.EAGAIN, "no data at present")

@@ -18,12 +18,12 @@ class OutputError(UserError):
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically, in UTF-8; an OutputError = it cannot be written."""
+    """Write a text file atomically, in UTF-8; raises OutputError if it cannot be written."""
     write_bytes(path, text.encode("utf-8"))
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a binary file atomically; an OutputError = it cannot be written."""
+    """Write a binary file atomically; raises OutputError if it cannot be written."""
     try:
         atomic_files.write_bytes(path, content)
     except OSError as error:
@@ -31,7 +31,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Create a folder with its parents, and check it; an OutputError = files cannot be written to it."""
+    """Create a folder with its parents, and check it; raises OutputError if files cannot be written to it."""
     probe = folder / ".writable"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -52,7 +52,7 @@ def locked_output(folder: Path) -> Iterator[None]:
 
 
 def check_outputs(outputs: Sequence[Path], inputs: Iterable[Path]) -> None:
-    """Create the folders of outputs; an OutputError = one is a folder, not writable, given twice, or an input."""
+    """Create the folders of outputs; raises OutputError if one is a folder, unwritable, given twice, or an input."""
     read, written = {os.path.realpath(path) for path in inputs}, set[str]()
     for file in outputs:
         place = os.path.realpath(file)
@@ -67,7 +67,7 @@ def check_outputs(outputs: Sequence[Path], inputs: Iterable[Path]) -> None:
 
 
 def clear_results(folder: Path, names: Sequence[str], *, except_for: Iterable[Path]) -> None:
-    """Remove the files of an earlier run; an OutputError = one is an input (`except_for`), or cannot be removed."""
+    """Remove the files of an earlier run; raises OutputError if one is an input (`except_for`) or cannot be removed."""
     inputs, files = {os.path.realpath(path) for path in except_for}, [folder / name for name in names]
     for file in files:
         if os.path.realpath(file) in inputs:

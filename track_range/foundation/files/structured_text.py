@@ -77,7 +77,7 @@ def read_json(path: Path, error: type[Exception], expected: str, *, max_bytes: i
 
 
 def parse_yaml(text: str, source: object, error: type[Exception], expected: str) -> Any:
-    """Plain values of a YAML text of `source`, a file; an `error` = it is not YAML within the limits."""
+    """Plain values of a YAML text of `source`, a file; raises `error` if it is not YAML within the limits."""
     try:
         _check_events(text)
         return yaml.load(text, _Loader)  # noqa: S506 - derived from the safe loader
@@ -91,16 +91,14 @@ def parse_yaml(text: str, source: object, error: type[Exception], expected: str)
 
 
 def parse_json(text: str, source: object, error: type[Exception], expected: str) -> Any:
-    """Plain values of a JSON text of `source`, a file; an `error` = no JSON within the limits, or a key is repeated."""
+    """Plain values of a JSON text of `source`, a file; raises `error` if it is invalid, too large, or repeats a key."""
     if text.count("[") + text.count("{") > MAX_CONTAINERS:
         raise error(f"{source}: expected {expected} in JSON, found more than {MAX_CONTAINERS} lists and objects.")
     try:
         value = json.loads(
             text, object_pairs_hook=_unique, parse_constant=_finite, parse_float=_finite, parse_int=_integer
         )
-        if re.search(
-            r"\\u[dD][89a-fA-F]", text
-        ):  # escape of half a character, which may be in text that is not Unicode
+        if re.search(r"\\u[dD][89a-fA-F]", text):  # half a character, with which a text may not be encodable
             json.dumps(value, ensure_ascii=False).encode()
         is_deep = _is_deeper(value, MAX_DEPTH)
     except json.JSONDecodeError as reason:
@@ -190,7 +188,7 @@ def _first_duplicate(names: Iterable[str]) -> str:
 
 
 def _finite(text: str) -> float:
-    """The number of a JSON text; a ValueError = it is NaN or infinite."""
+    """The number of a JSON text; raises ValueError if it is NaN or infinite."""
     if not math.isfinite(value := float(text)):
         raise ValueError(f"the number {shortened(text, 20)}, which is not finite")
     return value
@@ -203,7 +201,7 @@ def _integer(digits: str) -> int:
 
 
 def _checked(value: Any) -> Any:
-    """A value; a ValueError = it is an integer of more than 64 bits, or a text that cannot be encoded."""
+    """The value; raises ValueError for an integer of more than 64 bits and a text that cannot be encoded."""
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
         raise ValueError("an integer of more than 64 bits")
     if isinstance(value, str) and not value.isascii():

@@ -59,7 +59,7 @@ def open_bag(path: Path) -> Bag:
 
 
 class SqliteFile:
-    """Messages of a .db3 file; see `Bag` for the attributes. A VideoError = the file cannot be read."""
+    """Messages of a .db3 file; see `Bag` for the attributes. Raises VideoError if it cannot be read."""
 
     def __init__(self, path: Path) -> None:
         check_regular(path, VideoError, EXPECTED)

@@ -38,8 +38,8 @@ _CALIBRATION_NAMES = ("camera_info", "calibration")  # last parts of the names o
 class BagVideo(RecordedVideo):
     """Images of one topic, in the order of their time stamps, which are seconds since 1970.
 
-    `camera` is the calibration in a topic beside it, None = none; `is_rectified` follows from the topic's name. A
-    VideoError = the bag has no such topic, no image can be read, or, while iterating, an image differs in size.
+    `camera` is the calibration in a topic beside it, None = none; `is_rectified` follows from the topic's name. Raises
+    VideoError if the bag has no such topic or no image can be read, and, while iterating, if an image differs in size.
     """
 
     path: BagTopic

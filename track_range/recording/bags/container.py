@@ -101,7 +101,7 @@ def decompressed(data: bytes, compression: str, n_bytes: int) -> bytes:
 
 
 def library(name: str) -> Any:
-    """A module of the extra [mcap]; a VideoError = it is not installed."""
+    """A module of the extra [mcap]; raises VideoError if it is not installed."""
     try:
         return import_module(name)
     except ImportError as error:

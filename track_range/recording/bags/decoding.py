@@ -66,7 +66,7 @@ class ImageDecoder:
         self._codec: VideoCodecContext | None = None
 
     def message(self, data: bytes) -> tuple[float, Any]:
-        """Seconds since 1970, 0 = none, and content of a message; a DamagedError = it cannot be read."""
+        """Seconds since 1970, 0 = none, and content of a message; raises DamagedError if it cannot be read."""
         try:
             message = self._parsed(data)
             return _stamp_s(message), message
@@ -74,7 +74,7 @@ class ImageDecoder:
             raise DamagedError(f"no {self._topic.type}") from error
 
     def image(self, message: Any) -> Image | None:
-        """(H, W, 3) uint8 BGR; None = a video frame without image. A DamagedError = it cannot be read."""
+        """(H, W, 3) uint8 BGR; None = a video frame without image. Raises DamagedError if unreadable."""
         try:
             name = str(message.encoding if self._topic.type in RAW_TYPES else message.format)
             if any(part in name for part in _DEPTH):
@@ -99,7 +99,7 @@ class ImageDecoder:
 
 @cache
 def _message_reader(topic: Topic) -> Callable[[bytes], Any]:
-    """Function that parses the messages of a topic; a VideoError = a library is missing."""
+    """Function that parses the messages of a topic; raises VideoError if a library is missing."""
     name, encoding = topic.type, topic.encoding
     if encoding == "protobuf":
         descriptor_pb2, descriptor_pool, message_factory = (
@@ -171,7 +171,7 @@ def _raw_image(message: Any) -> Image:
 
 
 def camera_message(topic: Topic, data: bytes) -> CameraInfo:
-    """The calibration in a message of one of `CALIBRATION_TYPES`; a DamagedError = it cannot be read."""
+    """The calibration in a message of one of `CALIBRATION_TYPES`; raises DamagedError if it cannot be read."""
     try:
         message = _message_reader(topic)(data)
         d, k, r, p = (np.array(getattr(message, name, getattr(message, name.upper(), ())), float) for name in "dkrp")

@@ -32,7 +32,7 @@ _DAMAGE = (*DAMAGE, McapError)
 
 
 class McapFile:
-    """Messages of an MCAP file; see `Bag` for the attributes. A VideoError = the file cannot be read."""
+    """Messages of an MCAP file; see `Bag` for the attributes. Raises VideoError if it cannot be read."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.end_problem, self.n_damaged = path, "", 0

@@ -33,7 +33,7 @@ _MESSAGE, _CHUNK, _CONNECTION = b"\x02", b"\x05", b"\x07"  # operation codes of 
 
 
 class Ros1File:
-    """Messages of a ROS 1 bag; see `Bag` for the attributes. A VideoError = the file cannot be read."""
+    """Messages of a ROS 1 bag; see `Bag` for the attributes. Raises VideoError if it cannot be read."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.end_problem, self.n_damaged = path, "", 0

@@ -67,8 +67,8 @@ class RecordingCalibration:
     sizes_px: Sizes
     # the rectified pair with its alignment; None = one camera, or a pair without calibration
     rig: StereoRig | None = None
-    raw_rig: StereoRig | None = None  # the pair as loaded; None = as recorded images are
-    raw_camera: PinholeCamera | None = None  # the same of the left or only camera
+    raw_rig: StereoRig | None = None  # the pair as loaded
+    raw_camera: PinholeCamera | None = None  # the left or only camera as loaded; None = as recorded images are
     view: LensView = WHOLE_VIEW
     path: Path | None = None  # the calibration file; None = a focal length
     # (3,) translation of labels from the rig's reference camera to the left camera's frame
@@ -81,8 +81,7 @@ class RecordingCalibration:
     row_offset_px: float | None = None
     guesses: tuple[FocalGuess, ...] = ()  # guesses of a focal length that is not known; empty = it is
     focal: FocalGuess | None = None  # estimate of a focal length that is not known exactly; None = it is
-    # height and pitch of a camera that was calibrated from the road, and the uncertainty of its focal length; None =
-    # unknown
+    # height, pitch and uncertainty of the focal length of a camera that was calibrated from the road; None = unknown
     mounting: Mounting | None = None
 
     @property

@@ -33,8 +33,8 @@ _TIMESTAMP = re.compile(r"((?:19|20|21)\d\d-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d
 class ImageFolder(RecordedVideo):
     """Numbered images in one folder, in the order of their numbers.
 
-    `fps` is the argument, or the median rate of timestamps.txt, with which times are seconds since 1970. A VideoError =
-    no numbered images, two with the same number, one that is not a regular file, or the first cannot be decoded.
+    `fps` is the argument, or the median rate of timestamps.txt, with which times are seconds since 1970. Raises
+    VideoError for no numbered images, two of one number, one that is no regular file, or a first one that is damaged.
     """
 
     path: Path
@@ -150,7 +150,7 @@ def _decoded(path: Path) -> Image:
 
 
 def _state(path: Path) -> tuple[int, int]:
-    """Size in bytes and time of the last change in ns of an image; a VideoError = it is not a regular file."""
+    """Size in bytes and time of the last change in ns of an image; raises VideoError if it is no regular file."""
     try:
         status = path.stat()
     except OSError:

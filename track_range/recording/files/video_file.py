@@ -69,7 +69,7 @@ _OPTIONS = {
 
 
 class VideoFile(RecordedVideo):
-    """A video file; a VideoError = it cannot be read, contains no video, or nothing can be decoded."""
+    """A video file; raises VideoError if it cannot be read, contains no video, or nothing can be decoded."""
 
     path: Path
 
@@ -167,7 +167,7 @@ class VideoHeader:
 
     @classmethod
     def read(cls, path: Path) -> VideoHeader:
-        """The header of a file, which is closed again; a VideoError = it cannot be read, or contains no video."""
+        """The header of a file, which is closed again; raises VideoError if it is unreadable or has no video."""
         state = FileState.of(path)
         with closing(_Reading(path, state)) as reading:
             container, stream = reading.container, reading.stream
@@ -186,7 +186,7 @@ class VideoHeader:
 
 
 def count_packets(path: Path) -> tuple[int, float]:
-    """Number of frames and duration, s, of a file by its packets; a VideoError = the file cannot be read."""
+    """Number of frames and duration, s, of a file by its packets; raises VideoError if it cannot be read."""
     with closing(_Reading(path, FileState.of(path))) as reading:
         n_frames, first, last = 0, math.inf, -math.inf
         for packet in reading.with_frames():

@@ -19,7 +19,7 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 
 ESTIMATION_SPAN_S = 8.0  # length, in s, of the part of a drive from which the alignment is estimated
-_MAX_STATIC_FRAMES = 50  # after which the search starts again, so that they do not use up the frames of a drive
+_MAX_STATIC_FRAMES = 50  # frames without motion after which the search restarts; they would use up a drive's frames
 ESTIMATES_S = (2.0, 4.0, 8.0)  # times of estimates after the first frame in motion; the last one stays
 
 
@@ -103,7 +103,7 @@ class PairAlignment:
 
 
 def given_alignment(align: str | Path | Alignment | PairAlignment, rig: StereoRig) -> PairAlignment | None:
-    """The given alignment, or none ("off"); None = to be estimated ("auto"). A RigError = an unusable file."""
+    """The given alignment, or none ("off"); None = to be estimated ("auto"). Raises RigError for an unusable file."""
     if isinstance(align, PairAlignment):
         return align
     if isinstance(align, Alignment):

@@ -40,7 +40,7 @@ class PairMonitor:
         return len(self.row_offsets_px) >= self._n_conclusive or self._n_checked >= MAX_CHECKED_PAIRS
 
     def add(self, frame: Frame) -> None:
-        """Check a frame if it is new and the check has not ended; a RigError = left and right are swapped."""
+        """Check a frame if it is new and the check has not ended; raises RigError if left and right are swapped."""
         if frame.right is None or frame.index <= self._last_index:
             return
         if self.is_done:

@@ -72,8 +72,8 @@ class _Side:
 class RecordedPair(VideoPair[RecordedVideo]):
     """Pairs of frames of two videos with times that differ by at most a quarter of the shorter nominal frame interval.
 
-    Each video is decoded ahead in a thread. Each iteration starts from the beginning. A VideoError = while iterating:
-    no pair at all, or an error of the videos.
+    Each video is decoded ahead in a thread. Each iteration starts from the beginning. Iterating
+    raises VideoError if there is no pair at all, and the errors of the videos.
     """
 
     def __init__(self, left: RecordedVideo, right: RecordedVideo) -> None:

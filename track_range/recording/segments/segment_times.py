@@ -28,13 +28,13 @@ _PARTNER_S = 2.0  # largest difference, s, between the start times of the left a
 
 @dataclass(frozen=True, slots=True)
 class SegmentFacts:
-    """Properties of one file: first time stamp, duration by the header, and dates in header and name, None = none."""
+    """Properties of one file that determine its place in the recording."""
 
     path: Path
-    first_s: float
-    duration_s: float
-    in_header: Stamp | None
-    in_name: Stamp | None
+    first_s: float  # time stamp of the first frame
+    duration_s: float  # as the header states it, or by the packets
+    in_header: Stamp | None  # date and time in the header; None = none
+    in_name: Stamp | None  # the same in the name
 
 
 Repeated = Callable[[SegmentFacts, SegmentFacts], float]
@@ -55,7 +55,7 @@ class SegmentPlan:
 def arranged(
     files: Sequence[SegmentFacts], *, is_given_order: bool, repeated_s: Repeated = lambda _before, _after: 0.0
 ) -> SegmentPlan:
-    """The files, at least one, in the order of time; a VideoError = they are those of several cameras.
+    """The files, at least one, in the order of time; raises VideoError if they are those of several cameras.
 
     An order that the user chose (`is_given_order`) is used if no times are known. `repeated_s` is the overlap from the
     content, used where times with a resolution of 1 s leave it open.
@@ -100,8 +100,8 @@ def arranged(
 def paired_starts_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
     """Start times of the right files of a pair on the time axis of the left ones.
 
-    Files of a pair that start within 2 s are assumed to start together, since their dates have a resolution of 1 s. A
-    VideoError = the files have no dates, and one side lacks files of the other.
+    Files of a pair that start within 2 s are assumed to start together, since their dates have a resolution of 1 s.
+    Raises VideoError if the files have no dates, and one side lacks files of the other.
     """
     has_equal_clocks = plan.utc is not None and left.utc is not None and plan.utc.is_local == left.utc.is_local
     if plan.clock_s and left.clock_s and has_equal_clocks:

@@ -45,8 +45,8 @@ _MIN_COMPARED, _UNIT_TOLERANCE = 10, 0.08  # steps, and relative difference, for
 def usable(track: TelemetryTrack) -> TelemetryTrack:
     """The track in the order of time, without wild samples, which become NaN.
 
-    A clock that is set when the receiver gets its first fix does not matter if the fix then lasts (`MIN_STABLE_S`). A
-    TelemetryError = no fix, wild positions or speeds, or a clock that jumps.
+    A clock that is set when the receiver gets its first fix does not matter if the fix then lasts (`MIN_STABLE_S`).
+    Raises TelemetryError for no fix, wild positions or speeds, or a clock that jumps.
     """
     if not len(track) or not np.isfinite(track.speed_mps).any():
         raise TelemetryError("the receiver had no fix.")
@@ -160,7 +160,7 @@ def _with_unit(track: TelemetryTrack) -> TelemetryTrack:
 
 
 def _without_wild_speeds(track: TelemetryTrack) -> TelemetryTrack:
-    """The track with NaN for speeds that are too large; a TelemetryError = many are, or change too fast."""
+    """The track with NaN for speeds that are too large; raises TelemetryError if many are, or change too fast."""
     speed_mps = track.speed_mps
     known = np.isfinite(speed_mps)
     is_wild = known & ((speed_mps > MAX_SPEED_MPS) | (speed_mps < 0))

@@ -42,7 +42,7 @@ _MIN_MODE = 2  # smallest GPSMeasureMode with a fix
 
 
 def read_with_exiftool(path: Path) -> TelemetryTrack | None:
-    """Telemetry that ExifTool finds; None = it is not installed, or finds none. A TelemetryError = a timeout."""
+    """Telemetry that ExifTool finds; None = it is not installed, or finds none. Raises TelemetryError at a timeout."""
     program = shutil.which("exiftool")
     if program is None:
         return None

@@ -48,15 +48,12 @@ READERS: tuple[Callable[[BinaryIO, Movie, Path], TelemetryTrack | None], ...] = 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundTelemetry:
-    """Telemetry in seconds from the first frame, None = not usable, and the sigma of its offset, s.
+    """Telemetry of a recording."""
 
-    `files` are those that were read, besides the videos.
-    """
-
-    track: TelemetryTrack | None = None
-    sigma_s: float = 0.0
-    notes: tuple[str, ...] = ()
-    files: tuple[Path, ...] = ()
+    track: TelemetryTrack | None = None  # samples in seconds from the first frame; None = none can be used
+    sigma_s: float = 0.0  # standard deviation of their time offset
+    notes: tuple[str, ...] = ()  # messages for the user
+    files: tuple[Path, ...] = ()  # the files that were read, besides the videos
 
 
 Read = Callable[[VideoPart], tuple[TelemetryTrack, Path] | None]
@@ -72,7 +69,7 @@ def candidates(parts: Sequence[VideoPart]) -> Iterator[FoundTelemetry]:
 
 
 def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
-    """Telemetry of a file that the user names, for the whole recording; a TelemetryError = it cannot be used."""
+    """Telemetry of a file that the user names, for the whole recording; raises TelemetryError if it is unusable."""
     first = parts[0]
     whole_s = max(part.start_s + part.duration_s for part in parts) if first.duration_s else 0.0
     recording = replace(first, duration_s=whole_s)

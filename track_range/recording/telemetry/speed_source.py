@@ -35,16 +35,13 @@ _TABLE_COLUMNS = ({"time_s", "speed_mps"}, {"time_s", "speed_kmh"})  # of a CSV 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedSource:
-    """Ego speed of a run and its origin; None = unknown, or not estimated.
+    """Ego speed of a run and its origin."""
 
-    `files` were read besides the videos; `offset` is estimated from the images; `track` is on the recording's clock.
-    """
-
-    ego: EgoSpeed | None = None
-    notes: tuple[str, ...] = ()
-    files: tuple[Path, ...] = ()
-    offset: TimeOffset | None = None
-    track: TelemetryTrack | None = None
+    ego: EgoSpeed | None = None  # None = unknown
+    notes: tuple[str, ...] = ()  # messages for the user
+    files: tuple[Path, ...] = ()  # the files that were read, besides the videos
+    offset: TimeOffset | None = None  # that of the telemetry, estimated from the images; None = not estimated
+    track: TelemetryTrack | None = None  # telemetry on the clock of the recording; None = the speed has another source
 
     def summary(self, ego_mps: FloatArray, odometry: str | None = None) -> dict[str, Any] | None:
         """Section `ego_speed` of summary.json from (N,) speeds and the odometry, None = none; None = unknown."""
@@ -71,8 +68,8 @@ def open_speed(
 ) -> SpeedSource:
     """Ego speed of a run from a setting: "auto", "off", a number in km/h, or the path of a file or folder.
 
-    The motion of the images is measured in the part of the run from `start_s` after the first frame on. An
-    EgoSpeedError or a TelemetryError = the number or the named file cannot be used.
+    The motion of the images is measured in the part of the run from `start_s` after the first frame on. Raises
+    EgoSpeedError or TelemetryError if the number or the named file cannot be used.
     """
     if setting == OFF:
         return SpeedSource()

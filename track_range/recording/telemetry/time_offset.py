@@ -49,15 +49,12 @@ class TimeOffset:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionSeries:
-    """Motion of the images at (N,) increasing times; NaN = unknown.
+    """Motion of the images over time, (N,) each; NaN = unknown."""
 
-    Yaw rate, positive = to the right; expansion: forward speed over a typical depth.
-    """
-
-    time_s: FloatArray
-    yaw_rad_s: FloatArray
-    expansion_hz: FloatArray
-    is_still: BoolArray
+    time_s: FloatArray  # increasing times
+    yaw_rad_s: FloatArray  # yaw rate, positive = to the right
+    expansion_hz: FloatArray  # forward speed over a typical depth
+    is_still: BoolArray  # whether the camera is at rest
 
 
 def estimated_offset(

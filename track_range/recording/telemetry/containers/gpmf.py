@@ -183,10 +183,8 @@ def _track(payloads: list[_Payload], clock: Clock) -> TelemetryTrack | None:
         # without a fix, the camera's clock may be years off, which is no jump of the receiver's clock
         dated_s = np.where(rows.has_fix, utc_s, np.nan) if clock == "video" else utc_s
         values = np.where(rows.has_fix[:, None], rows.values, np.nan)[:, [3, 0, 1]]
-        for time, utc, (speed_mps, *position_deg) in zip(
-            time_s.tolist(), dated_s.tolist(), values.tolist(), strict=True
-        ):
-            samples.append(Sample(time, utc, speed_mps, math.nan, *position_deg))
+        columns = zip(time_s.tolist(), dated_s.tolist(), values.tolist(), strict=True)
+        samples += [Sample(time, utc, mps, math.nan, *position_deg) for time, utc, (mps, *position_deg) in columns]
     notes: tuple[str, ...] = ()
     if n_poor:
         notes = (f"{n_poor} of {len(samples)} GPS samples have a dilution of precision over {_MAX_DOP:g}.",)

@@ -105,7 +105,7 @@ def _block_times_s(offsets: np.ndarray, movie: Movie) -> FloatArray:
 def track_of_blocks(blocks: Sequence[bytes], times_s: FloatArray, path: Path) -> TelemetryTrack | None:
     """Telemetry of boxes from their 4 bytes of size on, at (N,) times in the video; None = the boxes are empty.
 
-    Samples of one box are spread over a second. A TelemetryError = the layout is unknown, or pynmea2 is missing.
+    Samples of one box are spread over a second. Raises TelemetryError for an unknown layout, or without pynmea2.
     """
     is_cipher = [block[0x3C : 0x3C + len(_CIPHER_MARK)] == _CIPHER_MARK for block in blocks]
     plain = [

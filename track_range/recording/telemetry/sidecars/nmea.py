@@ -30,8 +30,8 @@ files without correcting any checksum."""
 def read_nmea(path: Path) -> TelemetryTrack | None:
     """Telemetry of a file of NMEA sentences with their own date and time; None = it has none.
 
-    BlackVue's files .gps have the camera's clock, in local time, before each sentence, which is not used. A
-    TelemetryError = it cannot be read, or pynmea2 is not installed.
+    BlackVue's files .gps have the camera's clock, in local time, before each sentence, which is not used. Raises
+    TelemetryError if it cannot be read, or pynmea2 is not installed.
     """
     text = read_text(path, TelemetryError, "NMEA sentences", max_bytes=MAX_SIDECAR_BYTES)
     fixes = [fix for fix in fixes_in(text.splitlines(), str(path)) if fix is not None]
@@ -51,7 +51,7 @@ def rmc_samples(contents: Iterable[bytes], source: str) -> list[Sample | None]:
 
 
 def fixes_in(texts: Iterable[str], source: str) -> list[Sample | None]:
-    """The first RMC sentence in each text, without time in the video; None = none. TelemetryError: no pynmea2."""
+    """The first RMC sentence in each text, without time in the video; None = none. Needs pynmea2 (TelemetryError)."""
     matches = [_RMC.search(text) for text in texts]
     if not any(matches):
         return [None] * len(matches)

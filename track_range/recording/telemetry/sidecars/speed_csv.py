@@ -43,7 +43,7 @@ def is_telemetry_csv(table: CsvTable) -> bool:
 
 
 def read_csv(path: Path) -> TelemetryTrack | None:
-    """Telemetry of a CSV file; None = no such columns. A TelemetryError = it, its times or its unit are unreadable."""
+    """Telemetry of a CSV file; None = no such columns. Raises TelemetryError without readable times or unit."""
     table = read_csv_table(path, TelemetryError, "columns of times and speeds")
     if not is_telemetry_csv(table) or not len(table):
         return None

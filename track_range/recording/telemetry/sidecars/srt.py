@@ -42,7 +42,7 @@ _MIN_FRACTION = 0.5  # of subtitles with a speed or position: a film's dialogue 
 
 
 def read_srt(path: Path) -> TelemetryTrack | None:
-    """Telemetry of subtitles, in the time of the video; None = none. A TelemetryError = unreadable, or without unit."""
+    """Telemetry of subtitles, in the time of the video; None = none. Raises TelemetryError without a unit."""
     text = read_text(path, TelemetryError, "subtitles in SRT", max_bytes=MAX_SIDECAR_BYTES)
     cues = list(_cues(text))
     return _track([content for _, content in cues], [time_s for time_s, _ in cues], path)
