@@ -13,7 +13,6 @@ suppress moving objects and bad tracks.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -134,12 +133,11 @@ def fit_bundle(observed: Observations, start: Bundle, rig: StereoRig) -> BundleF
         while damping < _MAX_DAMPING:
             points = _point_blocks(observed, linear, weight, n_frames, damping)
             damped = poses._replace(s=poses.s + damping * np.diag(np.diag(poses.s)))
-            with suppress(np.linalg.LinAlgError):  # equations that are singular at this damping
-                trial = _updated(bundle, damped.without(points.whitened, points.right_side), points)
-                trial_linear = linearize(observed, trial, rig)
-                trial_cost = _cost(trial_linear.residual, noise_px)
-                if trial_cost <= cost:  # False for NaN too
-                    break
+            trial = _updated(bundle, damped.without(points.whitened, points.right_side), points)
+            trial_linear = linearize(observed, trial, rig)
+            trial_cost = _cost(trial_linear.residual, noise_px)
+            if trial_cost <= cost:  # False for NaN too
+                break
             damping *= 6.0
         else:
             break
@@ -240,7 +238,7 @@ def _pose_equations(frame: IntArray, linear: Linear, weight: FloatArray, n_frame
 def _updated(bundle: Bundle, equations: Equations, points: _PointBlocks) -> Bundle:
     """The bundle after a Gauss-Newton step: (S + prior) x = b for poses and errors, then the points y."""
     n = equations.n_pose_unknowns
-    prior = np.zeros(len(equations.b))
+    prior = np.where(np.diag(equations.s) == 0.0, _POSE_RIDGE, 0.0)  # poses of frames without points stay
     prior[n:] = _ERROR_PRIOR_PX**-2
     b = equations.b.copy()
     b[n:] -= bundle.error_px * prior[n:]
