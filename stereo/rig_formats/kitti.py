@@ -43,9 +43,9 @@ def _has_projections(text: str) -> bool:
     return bool(_lines(text, "P") or _RAW_LINE.search(text) or _nameless(text))
 
 
-def _lines(text: str, kind: str) -> dict[int, str]:
-    """The values of the lines P or S of rectified images by number of the camera."""
-    return {int(number): values for name, number, values in _LINE.findall(text) if name == kind}
+def _lines(text: str, kind: str) -> list[tuple[int, str]]:
+    """Number of the camera and values of each line P or S of rectified images; the last one of a camera counts."""
+    return [(int(number), values) for name, number, values in _LINE.findall(text) if name == kind]
 
 
 def _nameless(text: str) -> list[str]:
@@ -62,8 +62,8 @@ def _read(text: str, source: object, is_grey: bool) -> RigCalibration:
     """The cameras of a calib.txt: the colour pair, or the grey one if `is_grey` or if it is the only one."""
     if lines := _nameless(text):
         return _read_nameless(lines, source)
-    matrix = {number: _matrix(values, f"{source}: P{number}") for number, values in _lines(text, "P").items()}
-    size = {number: _size(values, f"{source}: S_rect_0{number}") for number, values in _lines(text, "S").items()}
+    matrix = {number: _matrix(values, f"{source}: P{number}") for number, values in _lines(text, "P")}
+    size = {number: _size(values, f"{source}: S_rect_0{number}") for number, values in _lines(text, "S")}
     if not matrix:
         raise RigError(
             f"{source}: expected the projection matrices P_rect_02 and P_rect_03, found none; give the complete "
@@ -165,7 +165,7 @@ def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[
 def _missing(text: str, _path: object, is_grey: bool) -> str:
     if _nameless(text):
         return "a second line of 12 numbers with the projection matrix of the right camera"
-    numbers = set(_lines(text, "P"))
+    numbers = {number for number, _ in _lines(text, "P")}
     left, right = _GREY if 0 in numbers and (is_grey or 2 not in numbers) else _COLOUR
     if {left, right} <= numbers:
         return f"S_0{right}, K_0{right}, D_0{right}, R_0{right} and T_0{right} of the right camera before rectification"

@@ -121,6 +121,8 @@ def test_principal_point_check_without_image_size(tmp_path: Path) -> None:
         (KITTI.replace("-450", "50"), "found 0 m"),
         (KITTI.replace("-450", "50").replace("350 3", "350 -500"), "above"),
         (KITTI.replace("-450", "550"), "swap"),
+        ("P2: 1000 0 640\n" + KITTI, "P2: expected 12 numbers, found 3"),  # also lines that a later one overrides
+        ("S_rect_02: 0 0\nS_rect_02: 1280 720\n" + KITTI, "S_rect_02: expected a width"),
     ],
 )
 def test_wrong_kitti_files(tmp_path: Path, text: str, key_word: str) -> None:
