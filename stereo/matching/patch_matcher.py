@@ -71,7 +71,7 @@ class PatchMatcherSettings:
     uniqueness_ratio: float = 0.12
     floor_px: float = 0.1  # sigma of a flat, textured, noiseless box, px of its tile
     floor_fraction: float = 0.008  # the same as a fraction of the disparity: objects are not smooth surfaces
-    noise_share: float = 0.5  # fraction of the propagated variances of the windows that contributes to sigma
+    noise_fraction: float = 0.5  # fraction of the propagated variances of the windows that contributes to sigma
     scatter_fraction: float = 0.6  # fraction of the windows' scatter about the surface that contributes to sigma
     tilt_fraction: float = 0.12  # fraction of the surface's tilt across the box that contributes to sigma
 
@@ -308,7 +308,7 @@ class PatchMatcher:
     def _sigma(self, search: SurfaceSearch, surface: RefinedSurface) -> FloatArray:
         """(N,) standard deviation of p0, px of the tile.
 
-        sigma^2 = floor^2 + (floor_fraction d)^2 + (noise_share noise)^2 + (scatter_fraction scatter)^2
+        sigma^2 = floor^2 + (floor_fraction d)^2 + (noise_fraction noise)^2 + (scatter_fraction scatter)^2
                   + (tilt_fraction tilt)^2 + choice^2
 
             noise^2 = G / (G_independent sum of weight)
@@ -329,5 +329,5 @@ class PatchMatcher:
         is_other = np.arange(len(difference))[:, None] != choice.chosen
         other = np.where(is_other, choice.probability * difference**2, 0.0).sum(axis=0)
         variance = other + (settings.floor_fraction * np.maximum(tiles.first + surface.fit.p[:, 0], 0.0)) ** 2
-        variance = variance + (settings.noise_share * noise) ** 2 + (settings.scatter_fraction * scatter) ** 2
+        variance = variance + (settings.noise_fraction * noise) ** 2 + (settings.scatter_fraction * scatter) ** 2
         return np.asarray(np.sqrt(settings.floor_px**2 + (variance + (settings.tilt_fraction * tilt) ** 2)))
