@@ -24,7 +24,7 @@ REFERENCE_M, MATTERS = 30.0, 0.01  # distance, and relative error of distances t
 COLUMNS_U = np.array([-0.5, 0.0, 0.5])  # columns of the reported errors: the middle, and half-way to the edges
 _MIN_SIGMAS = 3.0  # smallest noticed error in standard deviations; one of 46 windows of true rigs exceeded 2.5
 _MIN_FRACTION = 0.5  # smallest noticed error as a fraction of the one that matters
-_MIN_MOVE_SIGMAS = 3.5  # the same of a movement during a drive, which is that of the best of several times
+_MIN_MOVE_SIGMAS = 3.5  # smallest noticed movement in standard deviations: the most significant of several times
 
 # Errors of a rig that no estimate from images contains.
 UNSEEN = (

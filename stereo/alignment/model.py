@@ -74,7 +74,7 @@ class Alignment:
     def corrected(
         self, disparity_px: FloatArray, sigma_px: FloatArray, *, x_px: FloatArray, camera: PinholeCamera
     ) -> tuple[FloatArray, FloatArray]:
-        """(N,) corrected disparities at the columns x_px (N,) of the rectified left image, and (N,) their sigmas."""
+        """(N,) corrected disparities at columns x_px (N,) of the rectified left image, and sigmas; NaN stays NaN."""
         u = column_from_axis(x_px, camera)
         return disparity_px + self.error_px(u), np.hypot(sigma_px, self.residual_px)
 

@@ -30,7 +30,6 @@ from track_range.stereo.alignment.initial_poses import MIN_POINTS, InitialBundle
 from track_range.stereo.geometry.rig import StereoRig
 
 N_STRIPS = 8  # number of vertical strips of the image
-_N_ALL = N_ERRORS + N_STRIPS  # errors in the equations: offset, curvature, slope and an additional offset per strip
 _N_PARTS = 12  # number of parts of a segment by time; with fewer, leaving one out would leave frames without points
 _MIN_PATH_M = 2.0  # shortest path of a segment; on shorter ones the noise of poses is not small compared to parallax
 _STATIC_WEIGHT = 0.25  # minimum mean Cauchy weight of a static point (static: about 0.6, moving: 0.02)

@@ -27,6 +27,7 @@ from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS, check_rig
 from track_range.stereo.geometry.virtual_pinhole import axial_focal_px, view_from_camera, virtual_pinhole
 
 Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]  # OpenCV's fixed-point maps: whole pixels and fractions
+_Matrix = cv2.typing.MatLike
 # Largest rotation between the cameras, and by rectification; beyond it, hardly any of the scene is in both views.
 _MAX_ROTATION_RAD = math.radians(45.0)
 _MAX_ZOOM = 4.0  # largest factor between the focal lengths before and after rectification in a plausible calibration
@@ -195,8 +196,8 @@ class _View:
     """Target of a remapping: the camera rotated by `rotation` (3, 3), with the ideal camera matrix (3, 3 or 4)."""
 
     camera: PinholeCamera
-    rotation: cv2.typing.MatLike
-    matrix: cv2.typing.MatLike
+    rotation: _Matrix
+    matrix: _Matrix
 
     def moved(self, correction: FloatArray | None, left_px: float, up_px: float) -> _View:
         """The view with its directions multiplied by a matrix (3, 3), and its content moved to the left and up."""
@@ -242,9 +243,6 @@ def _moved_boxes(xyxy_px: FloatArray, moved: Callable[[FloatArray], FloatArray])
     x, y = (x1 + x2) / 2, (y1 + y2) / 2
     edges = moved(np.stack([x1, y, x, y1, x2, y, x, y2], axis=1).reshape(-1, 2)).reshape(-1, 4, 2)
     return np.stack([edges[:, 0, 0], edges[:, 1, 1], edges[:, 2, 0], edges[:, 3, 1]], axis=1)
-
-
-_Matrix = cv2.typing.MatLike
 
 
 def stereo_rectification(
@@ -297,9 +295,7 @@ def _wide_rectification(rig: StereoRig, fov_deg: float | None) -> tuple[_Matrix,
     return r1, r2, p1, p2, q
 
 
-def rectified_points(
-    camera: PinholeCamera, rotation: cv2.typing.MatLike, projection: cv2.typing.MatLike, xy_px: FloatArray
-) -> FloatArray:
+def rectified_points(camera: PinholeCamera, rotation: _Matrix, projection: _Matrix, xy_px: FloatArray) -> FloatArray:
     """(N, 2) points of a recorded image after the rectification of its camera by `rotation` and `projection`."""
     return _View(camera, rotation, projection).points(xy_px)
 
@@ -339,7 +335,7 @@ def _rectified(rig: StereoRig, fov_deg: float | None, source: object) -> tuple[S
     return StereoRig.rectified(camera, baseline_m), _View(rig.left, r1, p1), _View(rig.right, r2, p2)
 
 
-def rotation_angle_rad(rotation: cv2.typing.MatLike) -> float:
+def rotation_angle_rad(rotation: _Matrix) -> float:
     """Angle of a rotation (3, 3)."""
     return math.acos(float(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0)))
 

@@ -32,7 +32,7 @@ _MIN_MARGIN = 0.01  # smallest distance of a principal point from the border / s
 _N_DISTORTION_COEFFICIENTS = (0, 4, 5, 8, 12, 14)  # possible numbers of distortion coefficients in OpenCV's model
 _COEFFICIENTS = "0, 4, 5, 8, 12 or 14 finite distortion coefficients"  # description of them for messages
 _MIN_IMAGED = 0.5  # fraction of the image width around the principal point that a plausible wide lens images at least
-NO_VERTICAL_PAIRS = "mount them side by side, or run on one video with --mono"  # advice for one above the other
+NO_VERTICAL_PAIRS = "mount them side by side, or run on one video with --mono"  # advice for vertical pairs
 _N_VIEW_POINTS = 25  # number of points along each side of the image at which the shared view is sampled
 # Fractions of the left image in the right camera's view below which a rig is refused, and below which there is a note.
 # Pairs for driving share more than 90 %.
@@ -100,7 +100,7 @@ def check_rig(rig: StereoRig, source: object) -> None:
 
 
 def shared_view(rig: StereoRig) -> float:
-    """Fraction of the left image, 0 to 1, that the right camera sees far away; only wide lenses have distortion."""
+    """Fraction of the left image, 0 to 1, that the right camera sees far away; distortion of wide lenses only."""
     x, y = np.meshgrid(*(np.linspace(0, side_px - 1, _N_VIEW_POINTS) for side_px in rig.left.size_px))
     xy_px = np.stack([x.ravel(), y.ravel()], axis=1)
     rays = rig.left.recorded_rays(xy_px) if rig.left.is_wide else rig.left.rays(xy_px)

@@ -32,8 +32,6 @@ _MAX_ASPECT = 4.0  # largest ratio of the scales in x and y: of longer boxes, th
 _OVERHANG = 0.25  # smallest distance of a used window's centre from the box's edges, in window sizes
 # Possible scales of tiles, px of the image per px of the tile.
 _SCALES = np.concatenate([np.arange(1.0, 2.0, 0.25), np.arange(2.0, 4.0, 0.5), np.arange(4, 8), 2.0 ** np.arange(3, 8)])
-
-
 _STEPS_MULTIPLE = 4  # D - 1 is a multiple of this, so that strips end at whole pixels at each scale
 
 

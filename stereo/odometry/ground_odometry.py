@@ -54,8 +54,8 @@ _SCALE_SIGMA = 0.03
 
 # The horizon from the shifts of the strips:
 _MIN_STRIPS = 4  # minimum number of strips for a measurement
-_MAX_STRIP_CELLS = 6  # largest difference of a strip's shift from the common one: far, 0.012 rad too low, at 30 m/s
-_MIN_STRIP_CORRELATION = 0.4  # of the strip there
+_MAX_STRIP_CELLS = 6  # largest difference of a strip's shift from the common one: the farthest's, 0.012 rad off, 30 m/s
+_MIN_STRIP_CORRELATION = 0.4  # of the strip at its own shift
 _STRIP_SIGMA_M = 0.015  # standard deviation of the shift of one strip
 _STRIPS_SIGMA_RAD = 0.0015  # of the horizon by errors that the strips share: 0.0015 to 0.002 on simulated drives
 _OUTLIER_SIGMA = 4.0  # innovation of the horizon in standard deviations above which the shifts are wrong

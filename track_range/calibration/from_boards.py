@@ -238,7 +238,7 @@ def calibration_picture(cameras: Mapping[str, CameraCalibration]) -> bytes:
         is_worst = np.argsort(np.argsort(-rms_px)) < 3
         drawn = bars.barh(np.arange(len(fits)), rms_px, color=np.where(is_worst, "#dc3c3c", "#3c82be"))
         bars.bar_label(drawn, fmt="%.2f", fontsize=7)
-        names = [fit.view.name[-28:].encode("ascii", "replace").decode() for fit in fits]  # as the font has them
+        names = [fit.view.name[-28:].encode("ascii", "replace").decode() for fit in fits]  # the font lacks some scripts
         bars.set_yticks(np.arange(len(fits)), names, fontsize=7, parse_math=False)
         bars.set(xlabel="residual, px", ylim=(len(fits) - 0.5, -0.5))
     buffer = io.BytesIO()

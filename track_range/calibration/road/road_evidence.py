@@ -27,6 +27,13 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.tracking.registry import create_tracker
 
+STEP_S = 0.1  # time between the frames that are read
+_TIME_EPSILON_S = 0.004  # tolerance of that time, for frame rates that divide it
+_MIN_ROWS = 5  # smallest number of rows from which the horizon is taken
+# Standard deviations of the horizon from lanes and from the direction of travel that do not average out: slopes and
+# curves of the road, and the vehicle's attitude.
+_LANE_SIGMA_RAD, _TRAVEL_SIGMA_RAD = 0.006, 0.006
+_IDS_PER_PART = 1_000_000  # difference between the track ids of two parts of a video
 # Plausible known distances, heights and widths of objects, and lane widths, m.
 DISTANCE_M, SIZE_M, LANE_M = (1.0, 200.0), (0.2, 6.0), (1.5, 30.0)
 
@@ -112,15 +119,6 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         return math.nan
-
-
-STEP_S = 0.1  # time between the frames that are read
-_TIME_EPSILON_S = 0.004  # tolerance of that time, for frame rates that divide it
-_MIN_ROWS = 5  # smallest number of rows from which the horizon is taken
-# Standard deviations of the horizon from lanes and from the direction of travel that do not average out: slopes and
-# curves of the road, and the vehicle's attitude.
-_LANE_SIGMA_RAD, _TRAVEL_SIGMA_RAD = 0.006, 0.006
-_IDS_PER_PART = 1_000_000  # difference between the track ids of two parts of a video
 
 
 @dataclass(slots=True)
