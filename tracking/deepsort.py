@@ -69,7 +69,7 @@ class DeepSortSettings:
     tentative_margin: float = 0.3  # widening / box size, because the speed of a new track is unknown
     n_init: int = 2  # detections, one per frame, that confirm a tentative track
     init_score_sum: float = 1.5  # minimum sum of their scores; not used with `n_init` = 1
-    max_skipped_s: float = 1.0  # longest time without any detection that is skipped frames, not misses
+    max_skipped_s: float = 1.0  # longest time without any detection that counts as skipped frames, not misses
     max_age_s: float = 4.0  # longest time without a detection before a track is deleted
     max_position_sigma: float = 2.0  # largest standard deviation of a position, in heights of the box
     score_half_life_s: float = 0.2  # time in which the score of a predicted box halves
@@ -165,7 +165,7 @@ class DeepSortTracker:
         """
         settings, model = self._settings.appearance, self._appearance_model
         is_given, visible, max_cosine_distance = detections.descriptor.shape[1] > 0, None, 0.0
-        if settings.max_cosine_distance != 0 and is_high.any() and (is_given or image is not None):
+        if settings.max_cosine_distance != 0 and is_high.any() and (is_given or not (image is None or model is None)):
             occlusion = history.occluded_fraction(detections.xyxy_px, detections.xyxy_px)
             is_visible = is_high & (occlusion <= settings.max_occlusion)
             if is_given:
