@@ -89,8 +89,8 @@ def test_forbidden_imports_and_cycles_are_seen():
         "track_range.detection.boxes": frozenset({"track_range.ranging.ranges"}),
         "track_range.ranging.ranges": frozenset({"track_range.ranging.fusion.fusion", "track_range.tracking.tracks"}),
         "track_range.ranging.fusion.fusion": frozenset({"track_range.ranging.ranges"}),
-        "track_range.tracking.tracks": frozenset({"track_range.tracking.tracker"}),
-        "track_range.tracking.tracker": frozenset({"track_range.tracking.tracks"}),
+        "track_range.tracking.tracks": frozenset({"track_range.tracking.registry"}),
+        "track_range.tracking.registry": frozenset({"track_range.tracking.tracks"}),
     }
     assert list(rooms.forbidden(graph)) == ["track_range.detection.boxes imports track_range.ranging.ranges"]
     assert rooms.cycles(graph) == [["track_range.ranging.fusion.fusion", "track_range.ranging.ranges"]]
