@@ -57,6 +57,7 @@ class AppearanceModel(Protocol):
 
     Attributes:
         max_cosine_distance: largest cosine distance between two embeddings of one object.
+        notes: messages for the user.
     """
 
     max_cosine_distance: float

@@ -10,10 +10,10 @@ Body types are the components of a mixture of Gaussians over the sizes of a clas
 so that they are fitted by maximum a posteriori expectation maximisation (Dempster, Laird and Rubin 1977). The sizes of
 production models are the prior: they count as n_0 objects of each type. With the weights w_i of the labelled objects:
 
-    r_ib     ~  fraction_b N(x_i; mean_b, covariance_b)                              sum_b r_ib = 1
+    r_ib        ~  fraction_b N(x_i; mean_b, cov_b)                                  sum_b r_ib = 1
     fraction_b  =  (n_0 fraction_b0 + sum_i w_i r_ib) / (n_0 + sum_i w_i)
-    mean_b   =  (n_0 mean_b0 + sum_i w_i r_ib x_i) / (n_0 + sum_i w_i r_ib)
-    cov_b    =  weighted scatter about mean_b, of the objects and of the standard objects
+    mean_b      =  (n_0 mean_b0 + sum_i w_i r_ib x_i) / (n_0 + sum_i w_i r_ib)
+    cov_b       =  weighted scatter about mean_b, of the objects and of the standard objects
 
 x = log (height, width, length).
 """

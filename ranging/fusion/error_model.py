@@ -50,7 +50,7 @@ class ErrorModel:
         independent, independent_correlation = _correlation(methods, "independent", min_own=_MIN_OWN_NOISE)
         independent_covariance = independent * independent.T * independent_correlation
         correlation = systematic * systematic.T * systematic_correlation + independent_covariance
-        # Scale references, and methods with only systematic errors of one.
+        # Scale references, and methods whose systematic errors are all those of scale references.
         parts = {method.name: set(_parts(method, "systematic")) for method in methods}
         known = set[str]().union(*(parts[method.name] for method in methods if method.is_scale_reference)) - {"own"}
         is_reference = np.array(

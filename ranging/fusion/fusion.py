@@ -78,7 +78,7 @@ _VAGUE_SIGMA = 0.4
 is learnt while sigma is several times its usual value would be too large in the frames that follow."""
 
 _REFERENCE_S = 0.5  # s after a scale reference during which the scale counts as that of the reference
-_KNOWN_BIAS_VARIANCE = 0.3  # variance of a size method's u below which its scale is the reference's; 1 = unknown
+_KNOWN_BIAS_VARIANCE = 0.3  # variance of a size method's u below which its scale is the reference's; 1 = not learnt
 
 
 class ScaleSource(IntEnum):

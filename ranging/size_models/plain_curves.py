@@ -6,8 +6,7 @@
 
 Sizes s, w, h are divided by the focal length. Polynomials are fitted by least squares in d, as by Zhang et al., the
 inverse in (a + b s) d - 1 (the relative error), the log-linear curve in log d. A polynomial may increase or become
-negative outside the fitted sizes; `SAFE_CURVES` make it monotonically
-decreasing and positive.
+negative outside the fitted sizes; `SAFE_CURVES` make it monotonically decreasing and positive.
 
 TableSizes: size model with monotonic tables of plain curves, such as Zhang's polynomial of the box diagonal.
 """
@@ -121,7 +120,7 @@ _OF_ONE_MEASURE: Mapping[str, _RawFitter] = {
     "inverse-height": _RawFitter(height, _fit_inverse),
 }
 
-PLAIN_CURVES: Mapping[str, CurveFitter] = {**_OF_ONE_MEASURE, "log-linear": _fit_log_linear}  # raw
+PLAIN_CURVES: Mapping[str, CurveFitter] = {**_OF_ONE_MEASURE, "log-linear": _fit_log_linear}  # raw curves
 
 SAFE_CURVES: Mapping[str, Callable[[FloatArray, FloatArray, FloatArray], FittedTable]] = {
     name: fitter.safe for name, fitter in _OF_ONE_MEASURE.items()

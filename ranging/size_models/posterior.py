@@ -41,7 +41,7 @@ _TRAPEZOIDS[0] -= 0.5
 """(G, G) trapezoidal rule: `density @ _TRAPEZOIDS` is the integral from the first grid point to each one."""
 
 _NOT_ON_THE_ROAD = 0.003  # likelihood per unit of tangent of a bottom edge on a bridge or balcony
-_T_COMPONENTS = ((0.5, 0.8), (0.35, 2.0), (0.15, 5.0))  # (weight, scale) that approximate Student's t
+_T_COMPONENTS = ((0.5, 0.8), (0.35, 2.0), (0.15, 5.0))  # (weight, scale) of Gaussians: Student's t with 2 d.o.f.
 
 _Float32 = npt.NDArray[np.float32]
 
@@ -56,7 +56,7 @@ class SizeMixture:
     frame_variance: FloatArray  # (N,) part of the variance of log d that comes from the noise of the box
     log_contact_ratio: FloatArray  # (N,) log of the distance divided by that of the nearest point on the ground
     body: IntArray  # (N, K) index of each Gaussian's body type among the M possible ones
-    chi2: FloatArray  # (N,) smallest squared deviation from a body type, in sigmas, with the prior weight
+    chi2: FloatArray  # (N,) smallest squared deviation from a body type, plus 2 log (best weight / its weight)
 
 
 def mixture_by_size(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray) -> SizeMixture:

@@ -1,6 +1,6 @@
 """SizePrior: prior of the size, yaw and distance of objects of a class; ShapeTables: the boxes that follow from it.
 
-    log (height, width, length) ~ sum_b fraction_b N(mean_b, covariance_b)     over the objects of all drives
+    log (height, width, length) ~ sum_b fraction_b N(mean_b, covariance_b)  over the objects of all drives
     yaw                         ~ weights of a few angles to the camera's axis, the same to the left and right
     log distance                ~ N(mean, sigma)                            wide: it only makes 500 m unlikely
 

@@ -56,7 +56,7 @@ def contact_probability(
 ) -> FloatArray:
     """(N,) probability P of a contact within the horizon H, 0..1; NaN where gap or offset is unknown.
 
-    `manoeuvre_s` is tau, the time constant with which accelerations end; the ego vehicle needs to pass by its length.
+    `manoeuvre_s` is tau, the time constant with which accelerations end; `ego_length_m` sets the time of passing.
     """
     gap, offset = encounter.gap, encounter.offset
     t: FloatArray = horizon_s / _N_STEPS * np.arange(_N_STEPS + 1, dtype=np.float64)[:, None]

@@ -65,13 +65,13 @@ class LiveOrigin(Protocol):
 class FrameMeter:
     """Rate of the results of a run and, if it is live, the latency from the camera's image to each result.
 
-    `live` is the reader of the left camera, `now_s` the clock of its timestamps.
+    `live` is the reader of the left camera, None = the run reads files; `now_s` is the clock of its timestamps.
     """
 
     def __init__(self, live: LiveOrigin | None = None, *, now_s: Callable[[], float] = time.monotonic) -> None:
         self._live, self._now_s = live, now_s
         self._stamps_s: deque[float] = deque()
-        self.latency_s: list[float] = []
+        self.latency_s: list[float] = []  # of each frame of a live run
         self._n_frames, self._first_index, self._last_index = 0, 0, 0
 
     def add(self, result: FrameResult) -> None:

@@ -10,7 +10,7 @@ from track_range.foundation.arrays import FloatArray, IntArray
 _MAX_FRAMES = 200  # largest number of frames that are compared
 _MIN_BOXES = 20  # smallest number of truth boxes in the compared frames from which a shift is detected
 _MIN_IOU = 0.8  # smallest mean IoU of the shifted boxes; detectors reach about 0.8, copies of the same boxes 1
-_MAX_LOSS = 0.5  # of 1 - mean IoU with and without the shift: one frame costs more than noise of the boxes
+_MAX_LOSS = 0.5  # largest ratio of 1 - mean IoU with the shift to that without: a shift costs more than noise
 _MIN_GAIN = 0.005  # smallest gain of the mean IoU by the shift; boxes of static objects match at every shift
 
 

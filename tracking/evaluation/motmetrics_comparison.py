@@ -31,7 +31,7 @@ _METRICS: Mapping[str, str] = {
 }
 """motmetrics' names of the fields of `TrackingScores`, where it has them."""
 
-_RATIOS = ("mota", "motp", "idf1", "idp", "idr")  # in per cent here
+_RATIOS = ("mota", "motp", "idf1", "idp", "idr")  # in per cent in `TrackingScores`, fractions in motmetrics
 
 _MATCHING = (
     "different pairs are matched: motmetrics prefers the last match of each truth track, however old; "
