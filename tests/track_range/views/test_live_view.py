@@ -278,6 +278,29 @@ def test_hostile_requests(
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize(
+    ("request_bytes", "status"),
+    [
+        (b"GET / x y HTTP/1.1\r\n", b"400"),
+        (b"GET / HTTP/9.9\r\n", b"505"),
+        (b"GET /".ljust(65_537, b"a"), b"414"),
+        (b"GET / HTTP/1.1\r\n" + b"X: ".ljust(65_537, b"a"), b"431"),
+        (b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 101, b"431"),
+        (b"GET / HTTP/1.1\r\n" + (b"X: ".ljust(60_000, b"a") + b"\r\n") * 2 + b"X: ".ljust(11_052, b"a"), b"431"),
+        (b"GET /state HTTP/1.1\nHost: localhost\n\n", b"200"),
+    ],
+)
+def test_answer_comes_without_waiting_for_more(
+    monkeypatch: pytest.MonkeyPatch, request_bytes: bytes, status: bytes
+) -> None:
+    """A request that cannot become valid is refused before its end, and a blank line ends the others."""
+    monkeypatch.setattr(server, "_TIMEOUT_S", 60.0)
+    with LiveView("127.0.0.1", 0) as view, socket.create_connection(("127.0.0.1", port_of(view))) as connection:
+        connection.settimeout(20.0)
+        connection.sendall(request_bytes)
+        assert connection.recv(65536).split()[1] == status
+
+
 def test_unfinished_request_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     """A client that sends a byte at a time has no more time than one that sends nothing."""
     monkeypatch.setattr(server, "_TIMEOUT_S", 0.3)

@@ -27,10 +27,12 @@ from contextlib import suppress
 from functools import cache
 from hashlib import sha256
 from http import HTTPStatus
+from http.client import HTTPException
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from ipaddress import ip_address
 from socketserver import TCPServer
+from typing import Any
 
 from track_range.foundation.errors import ConfigError
 from track_range.foundation.prefetch import lower_thread_priority
@@ -170,38 +172,38 @@ class LivePage(ThreadingHTTPServer):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
 
-# Start of a request that is answered with an error before its end: a first line too long, or not METHOD PATH [VERSION].
-_REFUSED = re.compile(rb"[^\n]{65537}|(?!\S+ \S+(?: HTTP/\d+\.\d+)?\r?\n)[^\n]*\n")
+class _RequestReader(io.RawIOBase):
+    """Reads a request of limited size that has to be complete in time: a client could send a byte every few seconds."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection, self._n_bytes_left = connection, _MAX_REQUEST_BYTES
+        self._end_s = time.monotonic() + _TIMEOUT_S
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        left_s = self._end_s - time.monotonic()
+        if left_s <= 0:
+            raise TimeoutError
+        if self._n_bytes_left <= 0:
+            raise HTTPException  # `http.server` answers with status 431
+        self._connection.settimeout(left_s)
+        n_bytes = self._connection.recv_into(buffer)
+        self._connection.settimeout(_TIMEOUT_S)
+        self._n_bytes_left -= n_bytes
+        return n_bytes
 
 
 class _Handler(BaseHTTPRequestHandler):
     server: LivePage
     server_version, sys_version = "track-range", ""
     default_request_version = "HTTP/1.0"  # an answer to HTTP/0.9 would have no headers
-    requestline = command = ""
 
-    def handle(self) -> None:
-        """Answer the request, which has to be complete in time: a client could send a byte every few seconds."""
-        self.request_version, self.close_connection = self.default_request_version, True
+    def setup(self) -> None:
+        super().setup()
         self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-        end_s = time.monotonic() + _TIMEOUT_S
-        request = bytearray()
-        while len(request) <= _MAX_REQUEST_BYTES:
-            left_s = end_s - time.monotonic()
-            if left_s <= 0:
-                return
-            self.connection.settimeout(left_s)
-            received = self.connection.recv(8192)
-            request += received
-            is_complete = re.search(rb"\n\r?\n", request[-len(received) - 3 :]) is not None
-            if not received or is_complete or _REFUSED.match(request):
-                break
-        self.connection.settimeout(_TIMEOUT_S)
-        if len(request) > _MAX_REQUEST_BYTES:
-            self.send_error(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE)
-            return
-        self.rfile = io.BufferedReader(io.BytesIO(request))
-        self.handle_one_request()
+        self.rfile = io.BufferedReader(_RequestReader(self.connection))
 
     def do_GET(self) -> None:
         page, hosts = self.server, self.headers.get_all("Host", [])
