@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from inspect import signature
-from typing import Any
 
 from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
@@ -37,14 +35,24 @@ _SIDE_VIEW = (
 )
 
 
-_RECORDING_OPTIONS = signature(open_recording).parameters.keys() & RunSettings.model_fields.keys() - {"rig"}
-
-
 def open_input(settings: RunSettings, progress: StepProgress = no_progress, rig: StereoRig | None = None) -> Recording:
     """The recording of the settings; `rig` replaces their calibration. Raises the errors of `open_recording`."""
     left, right = settings.stereo or (settings.left, None)
-    options: dict[str, Any] = {name: getattr(settings, name) for name in _RECORDING_OPTIONS}
-    return open_recording(left, right, rig=rig or settings.rig, **options, progress=progress)
+    return open_recording(
+        left,
+        right,
+        rig=rig or settings.rig,
+        focal_px=settings.focal_px,
+        fov_deg=settings.fov_deg,
+        yaw_deg=settings.yaw_deg,
+        align=settings.align,
+        start_s=settings.start_s,
+        duration_s=settings.duration_s,
+        folder_fps=settings.folder_fps,
+        start_utc=settings.start_utc,
+        topics=settings.topics,
+        progress=progress,
+    )
 
 
 def open_pipeline(
