@@ -6,7 +6,6 @@ Values of wrong types are omitted, and the rest is used; keys that are not liste
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import GenericAlias
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
@@ -27,26 +26,42 @@ class _Figures(_Section):
     __pydantic_extra__: dict[str, Figure]
 
 
-def _section(base: type[BaseModel] = _Section, *, required: str = "", **kinds: Any) -> Any:
-    """Section with optional keys of the given types, and the names of the required numbers."""
-    fields = {name: (kind, None) for name, kind in kinds.items()} | dict.fromkeys(required.split(), (Number, ...))
-    return create_model("_Part", __base__=base, **fields)  # type: ignore[call-overload]
+class _Band(_Figures):
+    from_m: Number
+    to_m: Number
+
+
+class _Method(_Figures):
+    bands: list[_Band] | None = None
+    by_class: dict[str, dict[str, Figure]] | None = None
+
+
+class _RigDistance(_Figures):
+    distance_m: Number
+
+
+class _LearntScale(_Figures):
+    n_tracks: Number
+    baseline_m: Number
+    focal_px: Number
+    relative_sigma: Number
+
+
+def _section(base: type[BaseModel] = _Section, **kinds: Any) -> Any:
+    """Section with optional keys of the given types."""
+    return create_model("_Part", __base__=base, **{name: (kind, None) for name, kind in kinds.items()})  # type: ignore[call-overload]
 
 
 def _all(kind: Any, names: str) -> dict[str, Any]:
     return dict.fromkeys(names.split(), kind)
 
 
-_BANDS = GenericAlias(list, (_section(_Figures, required="from_m to_m"),))
-_METHOD = _section(_Figures, bands=_BANDS | None, by_class=dict[str, dict[str, Figure]] | None)
-_METHODS = GenericAlias(dict, (str, _METHOD))
-_DISTANCES = GenericAlias(list, (_section(_Figures, required="distance_m"),))
-_HEALTH = _section(**_all(Text, "state sentence move_sentence unseen"), distances=_DISTANCES)
+_HEALTH = _section(**_all(Text, "state sentence move_sentence unseen"), distances=list[_RigDistance])
 _SUMMARY = _section(
     **_all(Figure, "schema_version frames starts_s wall_s frames_per_s focal_px focal_sigma baseline_m"),
     **_all(Text, "settings_hash truth calibration"),
     **_all(dict[str, Figure], "stages_ms closing stereo_unmatched stereo_surfaces"),
-    **_all(_METHODS, "methods common"),
+    **_all(dict[str, _Method], "methods common"),
     **_all(dict[str, Any], "inputs settings versions"),
     files=dict[str, Text],
     notes=list[Text],
@@ -55,7 +70,7 @@ _SUMMARY = _section(
     tracks=_section(_Figures, classes=list[Text] | None) | None,
     events=_section(**_all(Figure, "n hours"), by_kind=dict[str, Figure], worst=dict[str, Any] | None) | None,
     alignment=_section(_Figures, source=Text, is_applied=Any, health=_HEALTH | None) | None,
-    learnt_scale=_section(_Figures, required="n_tracks baseline_m focal_px relative_sigma") | None,
+    learnt_scale=_LearntScale | None,
 )
 
 
