@@ -59,10 +59,6 @@ def _doctor(options: DoctorOptions) -> None:
 
 def installation() -> dict[str, dict[str, str]]:
     """Groups of names and values that describe this installation."""
-    models, sessions = "track_range.detection.models.lookup", "track_range.detection.models.onnx_session"
-    providers = _text(lambda: ", ".join(import_module(sessions).available_providers()))  # sets ORT_DISABLE_TELEMETRY
-    detector = _text(lambda: str(import_module(models).find_model(import_module(models).DEFAULT_MODEL).path))
-    free = _text(lambda: f"{Path.cwd()}, {shutil.disk_usage(Path.cwd()).free / 1e9:.1f} GB free")
     return {
         "system": {
             "platform": platform.platform(),
@@ -72,9 +68,9 @@ def installation() -> dict[str, dict[str, str]]:
         "versions": {name: _version(name) for name in PACKAGES}
         | {"FFmpeg": _text(lambda: str(import_module("av").ffmpeg_version_info))},
         "inference": {
-            "providers": providers,
+            "providers": _text(_providers),  # the import sets ORT_DISABLE_TELEMETRY
             "telemetry": "disabled" if os.environ.get("ORT_DISABLE_TELEMETRY") == "1" else "enabled",
-            "default detector": detector,
+            "default detector": _text(_default_detector),
         },
         "codecs": {
             "encoders": _text(lambda: _codecs(ENCODERS, "w")),
@@ -86,7 +82,7 @@ def installation() -> dict[str, dict[str, str]]:
             "model cache": _text(_model_cache),
             "temporary files": _text(tempfile.gettempdir),
             "TRACK_RANGE_CACHE": os.environ.get("TRACK_RANGE_CACHE", "not set"),
-            "current folder": free,
+            "current folder": _text(lambda: f"{Path.cwd()}, {shutil.disk_usage(Path.cwd()).free / 1e9:.1f} GB free"),
         },
     }
 
@@ -106,6 +102,18 @@ def _version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return _NOT_INSTALLED
+
+
+def _providers() -> str:
+    from track_range.detection.models.onnx_session import available_providers
+
+    return ", ".join(available_providers())
+
+
+def _default_detector() -> str:
+    from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
+
+    return str(find_model(DEFAULT_MODEL).path)
 
 
 def _codecs(names: tuple[str, ...], mode: Literal["r", "w"]) -> str:
