@@ -53,9 +53,9 @@ class RunInfo:
     """Properties of a run that are known before its first frame.
 
     `provenance`: software, model, calibration and settings of the results. `shown_image`: returns the (H, W, 3) uint8
-    BGR image of a frame that files may show, None if there is none, as for frames reconstructed from rows. Writers take
-    images from nowhere else. `recorded_boxes`: function from boxes (N, 4) in pixels of the left images to boxes in
-    pixels of the left video.
+    BGR image of a frame that files may show, None if there is none, as for frames reconstructed from rows; writers take
+    images from nowhere else. `recorded_boxes`: returns boxes (N, 4) in pixels of the left video for boxes in pixels of
+    the left images.
     """
 
     camera: PinholeCamera  # left camera, rectified (one camera: undistorted)
@@ -66,8 +66,8 @@ class RunInfo:
     provenance: Provenance = field(default_factory=Provenance)
     notes: tuple[str, ...] = ()  # messages for the user before the first frame
     overlay: Path | None = None  # annotated video of the run, finished before `close`; None = not written
-    shown_image: Callable[[FrameResult], Image | None] = lambda frame: (
-        frame.frame.left if frame.frame.left.size else None
+    shown_image: Callable[[FrameResult], Image | None] = lambda result: (
+        result.frame.left if result.frame.left.size else None
     )
     recorded_boxes: Callable[[FloatArray], FloatArray] = lambda boxes: boxes
 

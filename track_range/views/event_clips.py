@@ -45,7 +45,7 @@ def write_clips(
     starts_s: float,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> tuple[Path, ...]:
-    """Paths of the clips that are written, one per event of which the overlay shows a frame.
+    """Write a clip of each event of which the overlay shows a frame, and return their paths.
 
     Clips of an earlier run in the folder are removed. VideoError if the overlay cannot be read, OutputError if a clip
     cannot be written. `events` are all events of the run, in the order of events.csv; `starts_s` is the time of the

@@ -130,8 +130,10 @@ class Conditions:
 
 @dataclass(slots=True)
 class _Open:
+    """An event in progress."""
+
     kind: EventKind
-    group: int  # of objects of its class
+    group: int  # of the class of its object, see `SAME_OBJECT_GROUP`
     start_s: float
     last_s: float = math.nan
     track_id: int = 0  # last one of the tracks of its object

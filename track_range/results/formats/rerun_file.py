@@ -119,7 +119,8 @@ class RerunWriter:
         import rerun as rr
 
         boxes = rr.Boxes2D(
-            array=np.array([shown.xyxy_px for shown in objects]).reshape(-1, 4) + 0.5,  # pixel centres of rerun
+            array=np.array([shown.xyxy_px for shown in objects]).reshape(-1, 4)
+            + 0.5,  # rerun's centre of the first pixel
             array_format=rr.Box2DFormat.XYXY,
             colors=[_rgba(shown) for shown in objects],
             labels=[shown.label for shown in objects],

@@ -40,7 +40,7 @@ class TrackObject:
     score: float
     is_observed: bool
     xyxy_px: tuple[float, float, float, float]  # pixel centres at integers
-    distance_m: float  # fused (z)
+    distance_m: float  # fused, along z
     sigma_m: float
     closing_mps: float
     closing_sigma_mps: float

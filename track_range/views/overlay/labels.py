@@ -298,7 +298,7 @@ def place_costs(places: FloatArray, boxes: FloatArray, previous: list[int | None
 
 def free_place(places: FloatArray, costs: FloatArray, occupied: FloatArray) -> int | None:
     """Index of the cheapest of (K, 4) candidates that is free and has a finite cost; None if there is none."""
-    fractions = (places[:, None, :2] < occupied[:, 2:]) & (places[:, None, 2:] > occupied[:, :2])
-    costs = np.where((fractions[..., 0] & fractions[..., 1]).any(axis=1), np.inf, costs)
+    overlaps = (places[:, None, :2] < occupied[:, 2:]) & (places[:, None, 2:] > occupied[:, :2])
+    costs = np.where((overlaps[..., 0] & overlaps[..., 1]).any(axis=1), np.inf, costs)
     number = int(np.argmin(costs))
     return number if np.isfinite(costs[number]) else None

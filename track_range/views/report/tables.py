@@ -39,7 +39,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """A table, independent of its rendering: headings of the columns, and rows of cells, the first names the row.
+    """A table, independent of its rendering: headings of columns, and rows of cells, the first of which names the row.
 
     `has_sentences`: whether cells are sentences, which are wrapped.
     """

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:  # for help pages, which name the profiles
+if TYPE_CHECKING:  # not imported for help pages, which name the profiles
     from track_range.stereo.geometry.camera import PinholeCamera
 
 LAYOUT = Path(__file__).with_name("foxglove_layout.json")
