@@ -112,10 +112,7 @@ COMMANDS = {
         "track_range.cli.commands.training.train",
         "Train a detector on labelled images and export it as an ONNX file.",
         "The file can be used with --detector. Requires PyTorch.",
-        (
-            "track-range train --data data.yaml --epochs 100",
-            "track-range train --data data.yaml --epochs 100 --resume",
-        ),
+        ("track-range train --data data.yaml --epochs 100", "track-range train --data data.yaml --epochs 100 --resume"),
     ),
     "anchors": Lazy(
         "track_range.cli.commands.training.anchors",
@@ -181,9 +178,7 @@ app = lazy_app(
 
 
 @app.callback(invoke_without_command=True)
-def _root(
-    is_version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
-) -> None:
+def _root(is_version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
     if is_version:
         from importlib.metadata import version
 

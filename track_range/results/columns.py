@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 Columns = Mapping[str, npt.NDArray[Any]]  # rows by column: `class` as str, all others float64 with NaN = not measured
-
 FrameValues = list[npt.NDArray[Any]]  # values of the rows of one frame, not rounded: one (N,) array per column
 
 MAX_COLUMNS = 1000

@@ -56,7 +56,6 @@ _MAX_VALUE = 1e10  # absolute value of a distance, speed or score
 _LATEST = {"time_s": 1e9, "utc": 4e9}  # seconds: 30 years of video, and the year 2096
 _MAX_EDGE_PX = 1e6
 _MAX_TRACK_ID = 2.0**53  # up to which all integers are exact in float64
-
 _MAX_SUMMARY_BYTES = 50_000_000  # that of a long run has less than 1 MB
 _MAX_NAMED = 5  # values of wrong types that a note names
 _MAX_BEYOND_S = 1.0  # tolerance for events after the last row or the end of the video

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 ROWS_PER_BATCH = 8192  # rows per batch, a few MB: about a minute of video
-
 FRAMES_PER_BATCH = 512  # largest number of frames per batch: the arrays of a frame take 5 kB, however few rows it has
 
 

@@ -144,8 +144,7 @@ class OutputOptions(Options):
         ),
     ] = False
     mcap_profile: Annotated[
-        str,
-        _file_option("Message types of run.mcap: those of Foxglove, or of ROS 2 (CDR).", choices=PROFILES.keys),
+        str, _file_option("Message types of run.mcap: those of Foxglove, or of ROS 2 (CDR).", choices=PROFILES.keys)
     ] = "foxglove"
     mcap_images: Annotated[
         bool, _file_option("Images in run.mcap, as JPEG.", flag="--mcap-images/--no-mcap-images")

@@ -25,18 +25,14 @@ from track_range.recording.frame import VideoError
 
 _ENCODER = "libx264"
 _TICKS_HZ = 90_000  # MPEG's clock rate; the frame interval of every common rate is a whole number of its ticks
-
 _KEYFRAME_INTERVAL_S = 1.0
-
 _BUFFER_BYTES = 1 << 18  # size of the muxer's buffer: a fragment of one frame fits, and is written with one system call
 
 _MUXER_OPTIONS = {"movflags": "empty_moov+default_base_moof+frag_every_frame", "flush_packets": "1"}
 """One frame per fragment: 0.1 % larger than 0.2 s per fragment (KITTI 0003 at 10 frames/s), and as fast."""
 
 MAX_HELD_FRAMES = 1  # number of frames that the muxer holds, and that a kill therefore loses
-
 _BT601 = 5  # FFmpeg's AVCOL_SPC_BT470BG, the colour space of OpenCV's I420 conversion; players need it in the header
-
 _LIMITED_RANGE = 1  # FFmpeg's AVCOL_RANGE_MPEG: luma from 16 to 235
 
 _LAST_BOXES = (b"moov", b"mdat")

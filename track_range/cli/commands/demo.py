@@ -52,11 +52,7 @@ def _demo(options: DemoOptions) -> None:
         print_line(console, f"Simulated stereo drive of {options.seconds:g} s; detections from {boxes}.")
         with step_progress(console, "rendering") as progress, one_opencv_thread():
             drive = write_drive(
-                options.out / "drive",
-                seed=options.seed,
-                seconds=options.seconds,
-                scenario=SCENARIO,
-                progress=progress,
+                options.out / "drive", seed=options.seed, seconds=options.seconds, scenario=SCENARIO, progress=progress
             )
         settings = RunSettings(
             stereo=(drive.left, drive.right),

@@ -27,8 +27,7 @@ class ReportOptions(Options):
         ),
     ] = None
     clips: Annotated[
-        bool,
-        option("Short video of each event, cut from overlay.mp4 into the folder clips of each run."),
+        bool, option("Short video of each event, cut from overlay.mp4 into the folder clips of each run.")
     ] = False
 
 

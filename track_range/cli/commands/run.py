@@ -26,8 +26,7 @@ class RunView(Options):
     """Options of a run that do not affect its results."""
 
     settings: Annotated[
-        Path | None,
-        option("Settings of an earlier run (settings.yaml); other options override them.", panel="Input"),
+        Path | None, option("Settings of an earlier run (settings.yaml); other options override them.", panel="Input")
     ] = None
     views: Annotated[
         str | None,

@@ -25,16 +25,13 @@ _NEAR_M, _NEAR_FRACTION = 2.0, 0.15
 """Largest difference in distance between two tracks of one object: metres, plus a fraction of the distance."""
 
 _NEAR_ACROSS_M = 1.5  # largest lateral difference between two tracks of one object, m
-
 _SITUATION = ("distance_m", "sigma_m", "gap_m", "closing_mps", "ttc_s", "headway_s", "probability")
 
 _HALF_WIDTH_M = np.array([0.3, 0.3, 0.9, 0.4, 1.25, 1.25, 0.0, 0.0])
 """(road classes,) half of the typical width of each class, m."""
 
 _EGO_HALF_WIDTH_M = 0.9
-
 _MARGIN_M = 0.3  # distance from the edge of the ego path at which an object is clearly in it or beside it, m
-
 _PERSON = ROAD_CLASSES.index("person")
 _IS_VEHICLE = np.array([name in ("bicycle", "car", "motorcycle", "bus", "truck") for name in ROAD_CLASSES])
 

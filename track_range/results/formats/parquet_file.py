@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 PARQUET_FILE, STREAM_FILE = "tracks.parquet", "tracks.arrows"
-
 _ROWS_PER_GROUP = 32_768  # rows per row group, about 9 MB in memory: minutes of video
 
 

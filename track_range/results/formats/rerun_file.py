@@ -28,14 +28,10 @@ from track_range.results.formats.scene import TrackObject, check_extra, track_ob
 from track_range.results.writers import RunInfo
 
 RERUN_FILE = "run.rrd"
-
 APPLICATION = "track-range"  # application id: the viewer stores changes of the blueprint by it
-
 _VIDEO, _BOXES, _TRACKS, _TOP_VIEW = "camera/image/video", "camera/image/boxes", "world/tracks", "birds_eye/tracks"
 _DISTANCE, _CLOSING, _LOG = "distance", "closing_speed", "log"
-
 _MAX_VIDEO_BYTES = 1_000_000_000  # largest video that is embedded; the viewer holds it in memory
-
 _PREDICTED_ALPHA, _OBSERVED_ALPHA = 110, 255
 
 

@@ -24,7 +24,6 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.views.live_view.server import DEFAULT_VIEWERS, LOOPBACK, LivePage
 
 _QUALITY = 80  # JPEG quality in per cent; at 100 a picture is three times as large
-
 _ADDRESS = re.compile(r"(?:(?P<host>[^\s/]+):)?(?P<port>\d{1,5})")
 
 

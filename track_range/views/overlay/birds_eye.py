@@ -23,11 +23,9 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
 
 Point = Sequence[int]
-
 RANGES_M = (30.0, 60.0, 90.0, 120.0)  # possible ranges of the inset in metres
 _SHRINK_DELAY_S = 3.0  # seconds for which all tracks must be nearer before the range shrinks
 _HEIGHT_FRACTION, _WIDTH_FRACTION = 0.42, 0.3  # largest height and width of the inset as fractions of the image's
-
 _ASPECT = 0.8  # width / height of the inset
 _EGO_MARGIN = 0.06  # fraction of the inset's height that is below the camera
 _N_LINES = 3  # marked distances

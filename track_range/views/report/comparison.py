@@ -35,7 +35,6 @@ _CHANGED_S, _CHANGED_SIGMA = 0.2, 1.0
 """Differences that are listed: times in s, and distances in their joint standard deviation."""
 
 _CHANGED_FRACTION = 0.1  # relative difference of distances without a standard deviation that is listed
-
 _ARROW = "\N{RIGHTWARDS ARROW}"
 
 _RUN_COLUMNS: tuple[ColumnSpec, ...] = (

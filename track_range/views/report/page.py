@@ -234,7 +234,6 @@ def _packaged(name: str) -> str:
 
 
 CURVE_FILE = "warning_curve.json"
-
 _WIDTH_PX, _HEIGHT_PX = 640, 300
 _LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 44, 22, 12, 40  # size of the figure and its margins, px
 _MIN_PER_HOUR = 0.1  # smallest rate of the logarithmic axis, 1/h; curves without a false alarm start there

@@ -23,13 +23,11 @@ from track_range.views.report import tables
 from track_range.views.report.content.events import kind_counts, object_words, sigma_words, time_words
 from track_range.views.report.content.road import is_on_course
 from track_range.views.report.content.series import column
-
-Summary = Mapping[str, Any]
+from track_range.views.report.tables import Summary
 
 _FAR_M = 50.0  # distance in metres at which the effect of the remaining disparity error is given
 STATIC_CLASSES = ("traffic light", "traffic sign")  # classes that are not road users
 _MIN_PROBABILITY = 0.25  # smallest probability of contact of a headline, as of the amber marks in the overlay
-
 _MIN_SIGNIFICANCE = 2.0  # smallest closing speed in its standard deviations of a time to collision that is a headline
 
 

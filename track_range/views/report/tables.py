@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 NOTHING = "-"  # text of a value that was not measured
-
 SIGMA = "\N{GREEK SMALL LETTER SIGMA}"
 
 WITHIN_1_SIGMA, WITHIN_2_SIGMA = 0.6827, 0.9545
@@ -24,7 +23,6 @@ WITHIN_1_HEADING, WITHIN_2_HEADING = (f"\N{LESS-THAN OR EQUAL TO}{k}{SIGMA} %" f
 """Headings of the percentage of errors within one and two sigma."""
 
 Cost = Callable[[float], float]  # function of a value that is smallest for the best value of a column
-
 Summary = Mapping[str, Any]
 
 

@@ -32,7 +32,6 @@ from track_range.results.formats.scene import (
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CALIBRATION, IMAGE, LOG = "/camera/calibration", "/camera/image", "/log"
-
 _CORNER_PX = 0.5  # Foxglove's coordinates of the centre of the first pixel
 _PREDICTED_ALPHA = 0.4  # opacity of predicted boxes
 

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from track_range.results.formats.mcap.ros2_profile import Ros2Profile
 
 MCAP_FILE = "run.mcap"
-
 _JPEG_QUALITY = 85  # quality of images, 0 to 100: about a tenth of a byte per pixel
 _MAX_TIME_NS = (2**31 - 1) * NANOSECONDS  # latest time of ROS, in 2038; times are from 1970 to this one
 _CHUNK_S = 1.0  # duration of a chunk in the recording, and maximum time between two chunks while writing, s
