@@ -166,7 +166,7 @@ class RunSession:
         return Provenance.of_inputs(self.detected(), settings_hash(absolute_settings(self.settings)))
 
     def info(self, overlay: Path | None) -> RunInfo:
-        """What result writers get to know about the run."""
+        """Properties of the run for result writers."""
         recording = self.recording
         return RunInfo(
             camera=recording.camera,
