@@ -1,1 +1,1 @@
-"""Workloads that measure accuracy."""
+"""Workloads that measure accuracy, by what they measure."""

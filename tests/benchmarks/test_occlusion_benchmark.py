@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.accuracy.occlusion import occlusion
+from benchmarks.accuracy.ranging.occlusion import occlusion
 from benchmarks.harness import print_figures
 
 pytestmark = pytest.mark.slow

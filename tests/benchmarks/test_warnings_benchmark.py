@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from benchmarks import harness
-from benchmarks.accuracy import warnings
-from benchmarks.accuracy.box_errors import TrackErrors, simulated_errors
-from benchmarks.accuracy.warning_drives import (
+from benchmarks.accuracy.warnings import warnings
+from benchmarks.accuracy.warnings.box_errors import TrackErrors, simulated_errors
+from benchmarks.accuracy.warnings.warning_drives import (
     SceneFigures,
     alarm_figures,
     closing_figures,
@@ -17,7 +17,7 @@ from benchmarks.accuracy.warning_drives import (
     reliability,
     scene_drives,
 )
-from benchmarks.accuracy.warnings import draw_curve, draw_reliability, write_curve
+from benchmarks.accuracy.warnings.warnings import draw_curve, draw_reliability, write_curve
 from benchmarks.harness import StoredResults
 from track_range.views.report.page import curve_figure
 

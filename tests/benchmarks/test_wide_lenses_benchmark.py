@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.accuracy.simulated_runs import wide_lenses
+from benchmarks.accuracy.ranging.simulated_runs import wide_lenses
 
 pytestmark = pytest.mark.slow
 

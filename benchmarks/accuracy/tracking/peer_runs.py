@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.accuracy.tracking.peer_trackers import PEERS, Array
 from benchmarks.inputs.tracking_sets import Sequence
-from benchmarks.peers.peer_trackers import PEERS, Array
 
 REQUIREMENTS: Mapping[str, tuple[str, ...]] = {
     "trackers": ("trackers>=2.6,<2.7", "deep-sort-realtime>=1.3.2,<2", "motpy>=0.0.10,<0.1"),

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.warning_drives import (
+from benchmarks.accuracy.warnings.warning_drives import (
     HARMLESS_HOURS,
     HARMLESS_S,
     METHODS,

@@ -19,12 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.accuracy.tracking.peer_runs import ONE_THREAD, PeerResult, create_environments, names_in, run_peers
+from benchmarks.accuracy.tracking.peer_trackers import PEERS, Array
 from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs import tracking_sets
 from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.tracking_sets import N_WARM_UP, SETS, scene, sequences_of
-from benchmarks.peers.peer_runs import ONE_THREAD, PeerResult, create_environments, names_in, run_peers
-from benchmarks.peers.peer_trackers import PEERS, Array
 from track_range.detection.detections import Detections
 from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker
 from track_range.tracking.evaluation.scores import TrackingCounts

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.simulated_runs import joined
+from benchmarks.accuracy.ranging.simulated_runs import joined
 from benchmarks.harness import Figures, median_or_none, option, workload
 from benchmarks.inputs.drives import FPS, REAL_DATA
 from track_range.foundation.arrays import BoolArray, FloatArray

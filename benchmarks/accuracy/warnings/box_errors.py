@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from benchmarks.accuracy.warning_drives import matched_users, run_of
+from benchmarks.accuracy.warnings.warning_drives import matched_users, run_of
 from benchmarks.boxes.box_drive import BoxDrive
 from benchmarks.boxes.box_run import run_boxes, tracked
 from benchmarks.boxes.true_boxes import TrueBoxes, true_boxes

@@ -1,0 +1,1 @@
+"""Workloads on detections, lanes, label formats and covered regions of images."""

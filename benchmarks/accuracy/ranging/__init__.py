@@ -1,0 +1,1 @@
+"""Workloads that measure distances, and what they depend on: stereo, alignment, camera height and motion."""

@@ -1,0 +1,1 @@
+"""Workloads that compare trackers and their parts, and trackers of other packages."""

@@ -1,0 +1,1 @@
+"""Workloads that measure collision warnings, with and without images."""

@@ -1,1 +1,0 @@
-"""Trackers of other packages, run on the same detections."""
