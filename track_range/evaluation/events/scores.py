@@ -85,7 +85,7 @@ Scores = dict[str, Any]  # sections `overall` and `by_kind`, and lists of single
 TOLERANCE_S = 1.0  # largest time between a labelled event and one that matches it, s: labels are set by hand
 
 _COUNTS = ("hits", "misses", "false_alarms")
-_NO_MATCH = 1e9  # cost of a pair
+_NO_MATCH = 1e9  # cost of a pair that does not match
 
 _GROUPS = {
     **dict.fromkeys(("bicycle", "motorcycle"), "two-wheeler"),
