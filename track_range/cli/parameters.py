@@ -42,8 +42,8 @@ def command_of(
 def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Parameter]:
     """Parameters of the options of a model, with hidden ones for old names.
 
-    With `is_only_given` all defaults are None, so that options that are not given can come from a settings file. Values
-    are then checked only by the model, whose errors are one sentence for any source of a value.
+    Options that are not given are None, so that the model knows which are. With `is_only_given` none is required, since
+    a settings file may have it, and values are checked only by the model, whose errors are one sentence for any source.
     """
     listed = []
     for name, field in model.model_fields.items():
@@ -53,8 +53,7 @@ def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Par
         kind = _typer_type(field)
         if is_only_given and get_origin(kind) is Literal:
             kind = str
-        is_optional = is_only_given or (bool(shown.old_names) and not field.is_required())
-        default = None if is_optional else _default(field)
+        default = Parameter.empty if field.is_required() and not is_only_given else None
         declaration = _declaration(model, name, is_checked=not is_only_given)
         listed.append(_parameter(name, kind, declaration, default))
         for old_name in shown.old_names:
@@ -117,15 +116,6 @@ def _typer_type(field: FieldInfo) -> Any:
 
 def _plain(kind: Any) -> Any:
     return kind if kind in (str, int, float, bool, Path) else str
-
-
-def _default(field: FieldInfo) -> Any:
-    """Default of a field for Typer; `Parameter.empty` if the field is required."""
-    if field.is_required():
-        return Parameter.empty
-    if is_list(field):
-        return ",".join(map(str, field.default)) or None
-    return field.default
 
 
 def _help(field: FieldInfo) -> str:

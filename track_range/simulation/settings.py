@@ -150,6 +150,5 @@ class SimulationSettings(DriveOptions, _Input):
 
     @property
     def has_drive_options(self) -> bool:
-        """Whether an option is given that applies only to drives."""
-        names = (*DriveOptions.model_fields, "seconds", "fps", "rig")
-        return any(getattr(self, name) != type(self).model_fields[name].default for name in names)
+        """Whether an option is given that applies only to drives, even if its value is the default."""
+        return not self.model_fields_set.isdisjoint((*DriveOptions.model_fields, "seconds", "fps", "rig"))

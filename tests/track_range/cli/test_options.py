@@ -107,7 +107,7 @@ def test_parameters_show_panel_metavar_and_bounds():
     (info,) = guests.annotation.__metadata__
     assert (info.help, info.metavar, info.rich_help_panel) == ("Number of guests (default: 4).", "N", "Table")
     assert (info.min, info.max) == (1, 9)
-    assert guests.default == 4
+    assert (guests.default, Recipe.of({"dish": "soup"}).guests) == (None, 4)  # the model has the default
 
 
 def test_only_given_parameters_name_their_defaults():

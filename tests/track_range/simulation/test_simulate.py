@@ -144,6 +144,7 @@ def test_training_images(cli, tmp_path):
         (["--wrong-rig", "wheels"], "--wrong-rig"),
         (["--images", 2, "--scenario", "suburb"], "--scenario"),
         (["--images", 2, "--rain", 0.5], "--images"),
+        (["--images", 2, "--noise", 2], "--images"),
     ],
 )
 def test_wrong_usage(cli, tmp_path, arguments, word):
