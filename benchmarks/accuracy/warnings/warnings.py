@@ -180,7 +180,7 @@ def write_curve(path: Path, figures: Figures, protocol: str) -> None:
     curve = {
         "protocol": protocol,
         "date": datetime.now(UTC).date().isoformat(),
-        "columns": ["false_alarms_per_hour", "median_lead_s", "fraction_warned_2_1_s"],
+        "columns": ["false_alarms_per_hour", "median_lead_s", "share_warned_2_1_s"],
         "methods": curve_points(figures),
         "default": {methods: [part["default"][name] for name in COLUMNS] for methods, part in figures.items()},
     }
