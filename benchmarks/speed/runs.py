@@ -109,7 +109,7 @@ def _inference_alone_ms(detector: Path, *, n_frames: int, image_hw: tuple[int, i
 @workload(*DRIVE_OPTIONS, option("--frames", default=2000, help="number of frames of the looped drive"))
 def memory(options: Namespace) -> Figures:
     """Resident memory of a run, MiB: medians by quarter, equal but the first if it does not grow, and the peak."""
-    import psutil  # a local import, since only this workload requires the extra `bench`
+    import psutil  # a local import, since only this workload and `writers` require the extra `bench`
 
     samples: list[tuple[int, float]] = []
     with tempfile.TemporaryDirectory() as name:

@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 
 import cv2
 import numpy as np
-import psutil
 
 from benchmarks.harness import Figures, in_new_process, median_ms, option, workload
 from benchmarks.inputs.drives import REAL_DATA, decoded
@@ -236,6 +235,8 @@ def writers(options: Namespace) -> Figures:
 
 def _writing_cost(formats: Sequence[str], settings: Figures, n_frames: int) -> dict[str, float]:
     """Process time per frame and of closing the files, size of these, and growth of memory from frame 500 on."""
+    import psutil  # a local import, since only this workload and `memory` require the extra `bench`
+
     process = psutil.Process()
     info = RunInfo(camera=WRITTEN_CAMERA, rig=None, fps=FPS, settings=settings)
     with tempfile.TemporaryDirectory() as temporary:
