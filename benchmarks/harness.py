@@ -81,7 +81,7 @@ class Workload:
         print_figures(name, figures)
         if options.json:
             given = zip(["", *arguments], arguments, strict=False)  # without the file, whose path is of this machine
-            about = {"options": [now for last, now in given if "--json" not in (last, now)], **machine()}
+            about = {"options": [now for last, now in given if not {"--json", "--out"} & {last, now}], **machine()}
             text = json.dumps({name: figures, "about": about}, indent=1, default=json_value)
             options.json.write_text(text + "\n", encoding="utf-8")
 

@@ -42,7 +42,7 @@ YAW_SIGMA_RAD_S = 0.004  # standard deviation of the yaw rate, rad/s: that of im
 IDS_PER_DRIVE = 100_000  # difference between the track ids of two drives that run as one
 SIZE_MODEL = load_curves()
 
-Step = tuple[BoxFrame, Tracks]  # A frame of a drive with its tracks
+Step = tuple[BoxFrame, Tracks]  # a frame of a drive with its tracks
 
 
 @dataclass(frozen=True, slots=True)

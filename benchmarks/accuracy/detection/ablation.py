@@ -84,10 +84,10 @@ class _Log:
         self._name = name
 
     def step(self, epoch: int, i: int, n: int, losses: Losses) -> None:
-        """Ignore it."""
+        """Do nothing."""
 
     def validated(self, epoch: int, i: int, n: int) -> None:
-        """Ignore it."""
+        """Do nothing."""
 
     def epoch(self, row: dict[str, float]) -> None:
         """Print the figures of an epoch."""

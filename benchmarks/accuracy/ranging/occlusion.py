@@ -113,7 +113,7 @@ def _joined_objects(parts: Sequence[Objects]) -> Objects:
     return Objects(true_px, focal_baseline_m, x_px, pair, group, cameras=())
 
 
-WAYS = ("size", "track and size", "track", "full range")
+WAYS = ("size", "track and size", "track", "full range")  # in which the surfaces are searched
 
 TRACK_LOG_SIGMA, OCCLUDER_FRACTION = 0.03, 0.07
 """Standard deviation of the log disparity of tracks, and the fraction of occluded objects with that of the occluder."""

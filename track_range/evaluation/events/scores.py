@@ -139,9 +139,10 @@ def contact_scores(
 def _contact_of(event: Event, object_id: int | None, contacts: Sequence[Contact]) -> int | None:
     """Index of the contact that a warning belongs to; None = its object has no contact."""
     by_time = sorted((row.contact_s, i) for i, row in enumerate(contacts) if row.object_id == object_id)
+    if not by_time:
+        return None
     after = [i for contact_s, i in by_time if contact_s >= event.warning_s]
-    last = max(by_time, key=lambda row: row[0], default=None)
-    return after[0] if after else None if last is None else last[1]
+    return after[0] if after else max(by_time, key=lambda row: row[0])[1]
 
 
 def _contact_row(contact: Contact, warnings: Sequence[Event], min_lead_s: float) -> dict[str, Any]:

@@ -90,7 +90,7 @@ class Obstacle:
     """A static object beside the road that is no road user and has no labels."""
 
     number: int  # number from 0, unique among the obstacles of the scene; it also determines the appearance
-    kind: ObstacleKind  # pole, fence or bush
+    kind: ObstacleKind
     size_hwl_m: tuple[float, float, float]  # height, width, length of its 3-D box
     at_xz_m: tuple[float, float]  # centre of the box on the road: distance to the right of the ego lane's centre, and z
     rotation_y_rad: float = 0.0  # direction of its length as KITTI's rotation_y, relative to the road's direction

@@ -22,7 +22,7 @@ GRAVEL: Colour = (108, 120, 128)
 class Row:
     """A row of identical objects along the road."""
 
-    kind: Literal["tree", "lamp", "post"]  # "tree", "lamp" or "post"
+    kind: Literal["tree", "lamp", "post"]
     x_m: float  # lateral position
     every_m: float  # distance between objects
     first_m: float  # position of the first object along the road
