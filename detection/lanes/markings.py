@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 _CANVAS_WIDTH_PX = 480
 """Width of the Hough transform's image; smaller than the input to save time, larger than needed to separate lines."""
@@ -31,6 +31,10 @@ class Markings:
     xy_px: FloatArray  # (N, 2) pixels, at most one per line and row
     line: IntArray  # (N,) line number of each pixel, -1 = unknown
     sigma_px: float  # standard deviation of a pixel's x
+
+    def __post_init__(self) -> None:
+        check_shape("xy_px", self.xy_px, (None, 2))
+        check_shape("line", self.line, (len(self.xy_px),))
 
     @classmethod
     def unnumbered(cls, xy_px: FloatArray, sigma_px: float) -> Markings:

@@ -222,3 +222,10 @@ def test_runs():
     assert row.tolist() == [0, 2, 2]
     assert x.tolist() == [2.0, 0.0, 6.5]
     assert run_middles(marked, widest_px=2)[0].tolist() == [2, 2]
+
+
+def test_invalid_shapes():
+    with pytest.raises(ValueError, match="xy_px"):
+        Markings(np.zeros((3, 3)), np.zeros(3, np.int64), 1.0)
+    with pytest.raises(ValueError, match="line"):
+        Markings(np.zeros((3, 2)), np.zeros(2, np.int64), 1.0)

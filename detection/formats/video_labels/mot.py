@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID
-from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray, IntArray, check_shape
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
 from track_range.foundation.files.numeric_text import numbers
@@ -41,6 +41,11 @@ class MotRows:
     score: FloatArray  # (N,) float64; in ground truth 1 = evaluated, 0 = not evaluated
     mot_class: IntArray  # (N,) int64, MOTChallenge's class number (1 = pedestrian), 0 where the file has none
     visibility: FloatArray  # (N,) float64 in [0, 1], NaN where the file has none
+
+    def __post_init__(self) -> None:
+        check_shape("xyxy_px", self.xyxy_px, (len(self), 4))
+        for name in ("frame", "track_id", "score", "mot_class", "visibility"):
+            check_shape(name, getattr(self, name), (len(self),))
 
     def __len__(self) -> int:
         return len(self.frame)

@@ -46,7 +46,7 @@ from track_range.detection.training.ensemble.calibration import (
 from track_range.detection.training.ensemble.fusion import FusedBoxes, fuse
 from track_range.detection.training.ensemble.views import EnsembleMember
 from track_range.detection.training.errors import TrainingError
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 from track_range.foundation.files.atomic_files import describe, write_text
 from track_range.foundation.files.input_files import shortened
 
@@ -71,6 +71,11 @@ class PseudoLabels:
     class_id: IntArray  # (K,) road class
     probability: FloatArray  # (K,) probability that there is such an object
     is_ignored: BoolArray  # (K,) the class is completely labelled, so that training ignores the box
+
+    def __post_init__(self) -> None:
+        check_shape("xyxy", self.xyxy, (len(self.class_id), 4))
+        for name in ("class_id", "probability", "is_ignored"):
+            check_shape(name, getattr(self, name), (len(self.class_id),))
 
     def as_text(self, names: Sequence[str]) -> str:
         """Lines `class cx cy w h probability` with the class numbers of `names`, without classes that have no name."""

@@ -22,7 +22,7 @@ import numpy as np
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
 from track_range.detection.training.ensemble.views import N_VIEWS, ViewBoxes
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 SAME_OBJECT_IOU = 0.55  # IoU above which boxes of easily confused classes are boxes of one object
 MIN_CLUSTER_SCORE = 0.04  # minimum score of the best box of a cluster
@@ -34,6 +34,10 @@ class FusedBoxes:
 
     xyxy: FloatArray  # (K, 4) left, top, right, bottom as fractions of the image size
     score: FloatArray  # (K, D, 8) score s_dc by detector and road class; 0 = not detected
+
+    def __post_init__(self) -> None:
+        check_shape("xyxy", self.xyxy, (len(self.score), 4))
+        check_shape("score", self.score, (None, None, len(ROAD_CLASSES)))
 
 
 def fuse(boxes: Sequence[ViewBoxes]) -> FusedBoxes:

@@ -16,7 +16,7 @@ from track_range.detection.formats.image_labels.labelled_images import ImageFile
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.training.errors import TrainingError
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
-from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray, check_shape
 from track_range.foundation.files.array_files import read_array
 from track_range.foundation.files.atomic_files import atomic_path, describe
 from track_range.foundation.files.input_files import real_path
@@ -38,6 +38,11 @@ class ViewBoxes:
     xyxy: FloatArray  # (N, 4) left, top, right, bottom as fractions of the size of the image that is not mirrored
     score: FloatArray  # (N,) confidence in [0, 1]
     class_id: IntArray  # (N,) road class
+
+    def __post_init__(self) -> None:
+        check_shape("xyxy", self.xyxy, (len(self.score), 4))
+        check_shape("score", self.score, (None,))
+        check_shape("class_id", self.class_id, (len(self.score),))
 
 
 def detect_views(detector: ObjectDetector, image: Image) -> ViewBoxes:

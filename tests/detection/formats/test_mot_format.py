@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from track_range.detection.formats.video_labels.mot import MotFormatError, mot_lines, read_mot
+from track_range.detection.formats.video_labels.mot import MotFormatError, MotRows, mot_lines, read_mot
 
 
 def lines_of(boxes: list[list[float]], frame: int) -> list[str]:
@@ -97,3 +97,9 @@ def test_files_that_are_not_text(tmp_path: Path) -> None:
     (tmp_path / "video.mp4").write_bytes(b"\xff\xfe\x00\x81")
     with pytest.raises(MotFormatError, match=r"video\.mp4.*text"):
         read_mot(tmp_path / "video.mp4")
+
+
+def test_columns_of_different_lengths() -> None:
+    ids = np.zeros(2, np.int64)
+    with pytest.raises(ValueError, match=r"score.*shape"):
+        MotRows(ids, ids, np.zeros((2, 4)), np.zeros(1), ids, np.zeros(2))
