@@ -18,7 +18,6 @@ class ObjectDetector(Protocol):
 
     def detect(self, image: Image) -> Detections:
         """The road users in `image`, (H, W, 3) uint8 BGR, with boxes in pixels of that image."""
-        ...
 
 
 def checked_detections(detector: ObjectDetector, image: Image, frame_index: int) -> Detections:

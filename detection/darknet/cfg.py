@@ -19,12 +19,9 @@ from track_range.foundation.files.input_files import MAX_TEXT_BYTES, read_bytes
 from track_range.foundation.files.numeric_text import number, numbers
 
 _ALIASES = {"network": "net", "conv": "convolutional", "max": "maxpool"}
-
 _MAX_INTEGER = 65535  # numbers of pixels, channels and layers are smaller
 _MAX_NUMBER = 1e10  # Darknet's default of share_index is -1,000,000,000
-
 _INTEGER = re.compile(r"[+-]?[0-9]+")
-
 _MAX_SHOWN = 40  # characters of a line in messages
 
 

@@ -51,10 +51,8 @@ from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.files.input_files import open_regular, readable
 
 _EPSILON = 0.00001
-
 _VERSION_BYTES = 12  # three version numbers at the start of the file
 _MAX_VERSION = 999  # Darknet transposes the weights of files with larger ones
-
 _BYTES_PER_VALUE = 4
 
 

@@ -23,7 +23,6 @@ from track_range.detection.darknet.cfg import CfgSection, read_sections
 from track_range.foundation.files.input_files import quoted, shortened
 
 Shape = tuple[int, int, int]  # number of channels, rows and columns of an output
-
 IMAGE = -1  # index of the input image as a source of layers
 
 
@@ -192,7 +191,6 @@ _NET_SIZES: Mapping[str, int | None] = {"channels": 3, "height": None, "width": 
 
 _MAX_SIDE_PX = 8192  # of the input, as for ONNX models
 _MAX_VALUES = 2**28  # of a layer's output: 1 GB
-
 _MAX_ANCHOR_PX = 65535
 
 

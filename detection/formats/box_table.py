@@ -61,7 +61,6 @@ class VideoFacts:
 
 
 NO_FACTS = VideoFacts()
-
 _MAX_NAME_BYTES = 100  # of a video's name in file names, which have at most 255
 
 
@@ -133,18 +132,18 @@ class BoxTable:
         frames = np.asarray(frame, np.int64).reshape(-1)
         n = len(frames)
         names = [name.strip().lower() for name in class_name]
-        region = np.broadcast_to(np.asarray(is_region, np.bool_), n)
+        region = _column(is_region, np.bool_, n)
         table = cls(
             frame=frames,
             track_id=np.where(region, -1, np.asarray(track_id, np.int64).reshape(-1)),
             class_name=np.array(names, np.str_) if names else np.zeros(0, np.str_),
             class_id=np.where(region, -1, map_to_road_classes(names)),
             xyxy_px=np.asarray(xyxy_px, np.float64).reshape(-1, 4),
-            score=np.broadcast_to(np.asarray(score, np.float64), n),
-            observed=np.broadcast_to(np.asarray(observed, np.bool_), n),
-            distance_m=np.broadcast_to(np.asarray(distance_m, np.float64), n),
-            sigma_m=np.broadcast_to(np.asarray(sigma_m, np.float64), n),
-            location_m=np.broadcast_to(np.asarray(location_m, np.float64), (n, 3)),
+            score=_column(score, np.float64, n),
+            observed=_column(observed, np.bool_, n),
+            distance_m=_column(distance_m, np.float64, n),
+            sigma_m=_column(sigma_m, np.float64, n),
+            location_m=_column(location_m, np.float64, n, 3),
             video=video,
             notes=tuple(notes),
         )
@@ -179,6 +178,11 @@ class BoxTable:
 
 
 _COLUMNS = tuple(column.name for column in fields(BoxTable) if column.name not in ("video", "notes"))
+
+
+def _column(values: npt.ArrayLike, dtype: type, *shape: int) -> npt.NDArray[Any]:
+    array = np.asarray(values, dtype)
+    return array.reshape(shape) if array.ndim else np.full(shape, array)
 
 
 def frames_listed(table: BoxTable) -> range:

@@ -86,7 +86,6 @@ class LaneFinder(Protocol):
 
     def find(self, image: Image, time_s: float) -> LaneLines:
         """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`, which increases from call to call."""
-        ...
 
 
 def _variance_px2(covariance: FloatArray, y_px: _Real) -> _Real:

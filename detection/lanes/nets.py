@@ -1,7 +1,7 @@
 """NetLaneFinder: detection of the ego lane's lines with an ONNX network.
 
 Supported are segmentation (TwinLiteNet), curves (LSTR) and row anchors (Ultra Fast Lane Detection, CULane and TuSimple
-heads), which are recognised by the shapes of their outputs (`detection.lanes.nets`). The network's input is the
+heads), which are recognised by the shapes of their outputs (see below). The network's input is the
 part of the image that is most similar to its training images. Otherwise LSTR, which was trained with one camera, draws
 lines towards the horizon of that camera, with errors of 10 % of the lane width, and TwinLiteNet misses thin lines in
 images wider than 16:9.
@@ -46,7 +46,6 @@ ROW_ANCHORS: Mapping[int, FloatArray] = {
 `tusimple_row_anchor` of the official implementation."""
 
 ROW_ANCHOR_LINES = 4
-
 _ANCHOR_IMAGE_ROWS = 288.0  # height of the input that `ROW_ANCHORS` refers to
 _N_CURVE_SAMPLES = 40  # pixels per curve
 _MIN_CURVE_SCORE = 0.5  # probability of a curve
@@ -62,7 +61,7 @@ def mask_points(scores: FloatArray32, input_hw: tuple[int, int] | None = None) -
 
     `input_hw` is the size of the network's input, by default that of the mask.
     """
-    is_probability = scores[0].min() >= 0.0 and scores[0].max() <= 1.0  # else logits
+    is_probability = len(scores) == 1 and scores.min() >= 0.0 and scores.max() <= 1.0  # else logits
     on_line = scores[1] > scores[0] if len(scores) == 2 else scores[0] > (0.5 if is_probability else 0.0)
     rows = np.arange(0, on_line.shape[0], _ROW_STEP)
     row, x = run_middles(on_line[rows], widest_px=_MAX_RUN * on_line.shape[1])
@@ -119,7 +118,6 @@ _LSTR = ((0.40789654, 0.44719302, 0.47026115), (0.28863828, 0.27408164, 0.278098
 """Mean and standard deviation of blue, green and red in LSTR's training, of pixels / 255."""
 
 _UNSCALED = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-
 _MAX_VIEWS = 5  # of one image while the row of the horizon is unknown
 
 

@@ -26,11 +26,8 @@ Progress = Callable[[int, int | None], None]
 """Called with the number of bytes downloaded so far, and the total if the server reports it."""
 
 _CHUNK_BYTES = 1 << 18
-
 _MAX_UNPUBLISHED_BYTES = 1_000_000  # files of unpublished size are text of a few kB
-
 _TIMEOUT_S = 30.0
-
 _RANGE_NOT_SATISFIABLE = 416  # HTTP status: the requested range starts at or after the end of the file
 _PARTIAL_CONTENT = 206  # HTTP status: the answer contains only the requested range
 

@@ -37,7 +37,6 @@ TARGET_SIZES = "orig_target_sizes"
 """Name of the input [batch, 2] of RT-DETR, D-FINE and DEIM: width and height to which the network scales its boxes."""
 
 _SIZE_TYPES = {"tensor(int64)": np.int64, "tensor(int32)": np.int32, "tensor(float)": np.float32}
-
 _LOCATION_KEY = b"location"  # of the path of external data in ONNX files
 _MAX_REASON = 160  # characters of a library's message
 _FAILED = "running the network failed"

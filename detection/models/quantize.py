@@ -196,7 +196,7 @@ def _after(graph: onnx.GraphProto, names: set[str]) -> set[str]:
 
 
 def _prepared(model: onnx.ModelProto, folder: Path) -> onnx.ModelProto:
-    """The network with folded batch norms, inferred shapes, scales per channel, and a bias of each convolution."""
+    """A copy with folded batch norms, shapes, an operator set for scales per channel, and a bias per convolution."""
     if max(entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx")) < _PER_CHANNEL_OPSET:
         model = onnx.version_converter.convert_version(model, _PER_CHANNEL_OPSET)
     source, target = folder / "source.onnx", folder / "prepared.onnx"

@@ -18,7 +18,6 @@ from track_range.foundation.files.atomic_files import atomic_path, describe, wri
 from track_range.foundation.files.output_files import OutputError
 
 LAST, BEST, RESULTS = "last.pt", "best.pt", "results.csv"
-
 _FORMAT = 1
 
 # fmt: off
@@ -39,8 +38,8 @@ _DEFAULT = {"n_last_epochs": 0, "n_int8_epochs": 0}
 def save_checkpoint(path: Path, content: Mapping[str, Any]) -> None:
     """Write a checkpoint of tensors and plain values atomically; CheckpointError if it cannot be written."""
     try:
-        with atomic_path(path) as partial:
-            torch.save({"format": _FORMAT, **content}, partial)
+        with atomic_path(path) as file:
+            torch.save({"format": _FORMAT, **content}, file)
     except RuntimeError as error:  # raised by torch if the disk is full
         raise CheckpointError(f"{path}: cannot be written (no space left, or the file is too large).") from error
     except OSError as error:

@@ -31,7 +31,7 @@ class ScheduleSettings:
     momentum: float = 0.937  # momentum after the warm-up, during which it rises from 0.8
     weight_decay: float = 0.02  # weight decay of the convolutions' weights; biases and batch norms have none
     warmup_epochs: float = 1.0  # at most n_epochs / 5
-    average_share: float = 0.04  # of all steps: time constant of the average of weights; at most 10,000 steps
+    average_share: float = 0.04  # time constant of the average of weights, of all steps; at most 10,000 as in YOLOv5
 
 
 SGD = ScheduleSettings(optimiser="sgd", learning_rate=0.01, weight_decay=5e-4, warmup_epochs=3.0)

@@ -207,13 +207,12 @@ class YoloDetector:
 
     def input_blob(self, image: Image) -> FloatArray32:
         """(1, 3, height, width) the network's input for `image`, as a copy."""
-        return np.array(self._written(image)[1][0], np.float32)
+        return self._written(image)[1][0].astype(np.float32, copy=False)  # a buffer that is not used again
 
     def fill(self, image: Image) -> None:
         """Write `image` into the network's input; ValueError if it is not (H, W, 3) uint8, or empty."""
-        before, buffers = self._filled
+        (before, buffers), self._filled = self._filled, self._written(image)
         before.free.append(buffers)
-        self._filled = self._written(image)
 
     def infer(self) -> list[FloatArray32]:
         """The network's outputs for the latest image passed to `fill`; the next run overwrites them."""

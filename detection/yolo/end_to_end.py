@@ -19,6 +19,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from scipy.special import softmax
 
 from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.detection.models.metadata import RT_DETR_DESCRIPTION
@@ -79,7 +80,7 @@ def _decode_queries(
     box with lower scores. Logits after the first `n_classes` mean "no object".
     """
     logits = outputs[logits_output][0].astype(np.float64)
-    scores = (_softmax(logits) if is_softmax else sigmoid(logits))[:, :n_classes]
+    scores = (softmax(logits, axis=-1) if is_softmax else sigmoid(logits))[:, :n_classes]
     kept = np.flatnonzero(~(scores.max(axis=1) < min_score.min()))
     boxes = _boxes_of_fractions(outputs[boxes_output][0][kept], input_hw)
     return Candidates.of(boxes, scores[kept].astype(np.float32), min_score)
@@ -98,11 +99,6 @@ def _boxes_of_fractions(cxcywh: FloatArray | FloatArray32, input_hw: tuple[int, 
     """(N, 4) corners in input pixels of boxes (N, 4) given as centre and size in fractions of the input size."""
     height, width = input_hw
     return xyxy_from_cxcywh(cxcywh.astype(np.float64)) * np.array([width, height, width, height], np.float64)
-
-
-def _softmax(logits: FloatArray) -> FloatArray:
-    powers = np.exp(logits - logits.max(axis=-1, keepdims=True))
-    return np.asarray(powers / powers.sum(axis=-1, keepdims=True))
 
 
 def labelled_rows(network: NetworkOutputs) -> YoloModel | None:

@@ -130,6 +130,19 @@ def test_images_prepared_between_fill_and_infer(other_hw, tmp_path):
     assert detector.prepared(image)().score.tolist() == detector.candidates(np.zeros(8)).score.tolist() == [1.0]
 
 
+def test_an_invalid_image_does_not_release_the_input_twice(tmp_path):
+    image, other = rectangle(8, 16, 40, 60), rectangle(16, 8, 56, 40)
+    detector = YoloDetector(finder(tmp_path))
+    expected = detector.detect(image).xyxy_px
+    detector.fill(image)
+    with pytest.raises(ValueError, match="image"):
+        detector.fill(image[..., 0])
+    np.testing.assert_array_equal(detector.decode(detector.infer()).xyxy_px, expected)
+    detector.fill(image)
+    detector.prepared(other)
+    np.testing.assert_array_equal(detector.decode(detector.infer()).xyxy_px, expected)
+
+
 def test_images_prepared_in_another_thread(tmp_path):
     """As in runs: one thread prepares, the other one detects, and may fill the input with other images meanwhile."""
     path = finder(tmp_path)

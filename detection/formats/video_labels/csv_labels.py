@@ -34,9 +34,7 @@ from track_range.foundation.files.input_files import first_line, quoted
 
 REQUIRED = ("frame", "id", "class", "x1", "y1", "x2", "y2", "distance_m")
 OPTIONAL = ("visible_share", "closing_mps")
-
 DONT_CARE = "dontcare"  # class of regions that are not evaluated
-
 _BOX = ("x1", "y1", "x2", "y2")
 _MAX_SPEED_MPS = 1e3
 _PLAUSIBLE = {

@@ -65,7 +65,6 @@ _LIMITS = {"distance_m": (0.0, MAX_DISTANCE_M), "sigma_m": (0.0, MAX_DISTANCE_M)
 """Smallest and largest value of each attribute that is a number."""
 
 _DECIMALS = {"distance_m": 3, "sigma_m": 3, "score": 4}
-
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # characters that XML cannot contain
 
 

@@ -31,7 +31,6 @@ _MOT_CLASSES: Mapping[int, str] = {
 """Names of MOT16's and MOT20's class numbers (Milan et al., "MOT16", 2016, table 3); 0 = the file has no classes."""
 
 _UNKNOWN_M = -999.0  # KITTI's coordinates up to this value (-1000) are unknown
-
 _COLUMNS = ("frame", "track_id", "score", "observed", "x1_px", "y1_px", "x2_px", "y2_px")
 _DISTANCES = ("fused_m", "fused_sigma_m")
 

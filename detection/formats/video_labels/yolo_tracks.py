@@ -59,7 +59,6 @@ from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.validation import PositiveNumber, validated
 
 DATA_YAML = "data.yaml"
-
 WRITTEN_MARK = "# Written by track-range export."  # first line of a data.yaml that may be replaced with its folder
 
 _INTEGER = re.compile(r"\d+")
@@ -253,7 +252,7 @@ def write_yolo(table: BoxTable, path: Path) -> Written:
     fractions = np.concatenate([(edges[:, :2] + edges[:, 2:]) / 2, edges[:, 2:] - edges[:, :2]], axis=1).tolist()
     names = written.all_labels
     lines = [
-        f"{names.index(label)} {' '.join(f'{fraction:.8f}' for fraction in row)}\n"  # 1e-5 px in 1000 px
+        f"{names.index(label)} {' '.join(f'{fraction:.8f}' for fraction in row)}\n"  # 1e-5 px in 1000
         for label, row in zip(written.label, fractions, strict=True)
     ]
     (path / "labels").mkdir(parents=True)

@@ -17,7 +17,6 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, IntArray
 
 PAD_GREY = 114  # grey level of the background, as in YOLOv5
-
 _CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)
 
 

@@ -30,7 +30,6 @@ class LabelledSet(Protocol):
 
     def load(self, index: int) -> LabelledPixels:
         """Image and labels with this index."""
-        ...
 
 
 class ValidationSet(Protocol):

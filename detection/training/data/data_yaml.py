@@ -97,7 +97,6 @@ _MIN_SCORE, _MIN_CAR_SCORE = 0.5, 0.4
 """Minimum score of a pseudo-label that is used as an object: for most classes, and for cars."""
 
 _SAME_OBJECT_IOU = 0.5  # minimum IoU between a pseudo-label and a label of the same object
-
 _PERSON, _CAR = ROAD_CLASSES.index("person"), ROAD_CLASSES.index("car")
 _BACKGROUND_NOTE = "no label file: background"
 
@@ -223,6 +222,7 @@ class _Reader:
         self.root = path.parent / self.document.path
         self._path, self._within, self._is_alone = path, within | {real_path(path)}, is_alone
         self._notes: list[str] = []
+        self._labels = YoloLabelReader(self.names)
 
     def split(self, key: str, *, may_be_empty: bool = False) -> list[LabelledImage]:
         entries = self.document.train if key == "train" else self.document.val
@@ -333,7 +333,7 @@ class _Reader:
         file = self._folder(self.document.labels_pseudo or "") / f"{item.path.stem}.txt"
         if not file.is_file():
             return file, YoloLabels(np.zeros((0, 4)), np.zeros(0, np.int64), np.zeros(0), ())
-        return file, YoloLabelReader(self.names).read(file)
+        return file, self._labels.read(file)
 
     def _with_pseudo_labels(self, item: LabelledImage, known: BoolArray | None) -> LabelledImage:
         """The image with its pseudo-labels added to its labels.

@@ -137,7 +137,6 @@ def _combined(xyxy: FloatArray, probability: FloatArray, other: YoloLabels) -> F
 
 
 DETECTIONS = "detections"  # folder of the detectors' boxes in the folder of pseudo-labels, while a run is not finished
-
 COUNTED_PROBABILITIES = (0.1, 0.3, 0.6)
 
 

@@ -7,7 +7,7 @@
     bins    sum over positive cells of w (-(k + 1 - d) log P(k) - (d - k) log P(k + 1)), mean over the four sides,
             d = distance in cells, k = floor(d)
 
-w is the target of `aligned_assignment` times the confidence of the object: 1 for labels, the probability of being right
+w is the target of `assign_aligned` times the confidence of the object: 1 for labels, the probability of being right
 for pseudo-labels. Each sum is divided by the sum of w over the cells with a box, at least 1. A class that is not
 completely labelled contributes only a fraction to cells that are not its positives, since an unlabelled object may be
 there; cells inside an ignored box contribute nothing.

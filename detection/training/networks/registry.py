@@ -53,7 +53,6 @@ def make_network(
 
 
 _MAX_ROUNDS = 300
-
 _N_STARTS = 5  # k-means runs, of which the best is used
 
 

@@ -196,3 +196,9 @@ def test_tracks_of_several_classes_in_cvat(tmp_path: Path) -> None:
     assert back.class_name.tolist() == ["car", "truck", "car"]
     assert back.track_id.tolist() == [5, 6, 5]
     assert "several classes" in notes[0]
+
+
+def test_columns_have_one_value_for_each_box() -> None:
+    with pytest.raises(ValueError, match="reshape"):
+        BoxTable.of([0, 1], [0, 1], ["car", "bus"], np.ones((2, 4)), score=[0.5])
+    assert BoxTable.of([0, 1], [0, 1], ["car", "bus"], np.ones((2, 4)), score=0.5).score.tolist() == [0.5, 0.5]

@@ -117,7 +117,9 @@ class _Display:
         self._minutes.append(row["minutes"])
         left = (self._n_epochs - row["epoch"]) * float(np.median(self._minutes))
         figures = f"AP50 {100 * row['ap50']:.1f} %, AP50-95 {100 * row['ap50_95']:.1f} %, " if "ap50" in row else ""
-        losses = ", ".join(f"{key[5:]} {loss:.4f}" for key, loss in row.items() if key.startswith("loss_"))
+        losses = ", ".join(
+            f"{key.removeprefix('loss_')} {loss:.4f}" for key, loss in row.items() if key.startswith("loss_")
+        )
         text = f"epoch {row['epoch']:.0f}/{self._n_epochs}: {figures}losses: {losses}; {_duration(row['minutes'])}"
         print_line(console, f"{text}, {_duration(left)} left")
         self._draw()
