@@ -230,7 +230,7 @@ def _run_fleet(
 def worker_pids(out: Path) -> tuple[int, ...]:
     """Processes of the workers of a fleet, from fleet.json, which is up to 5 s old."""
     state = read_state(Location.of(str(out)))
-    return () if state is None else state.worker_pids
+    return () if state is None else tuple(worker["pid"] for worker in state.workers if worker.get("pid"))
 
 
 def _run_command(drive: LoopedDrive, out: Path, arguments: Sequence[str]) -> list[str]:

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from track_range.fleet.engine.cluster import connected
 from track_range.fleet.engine.plan import FleetPlan, Process, fleet_plan
-from track_range.fleet.engine.progress import Counts, shown_progress, worker_state
+from track_range.fleet.engine.progress import shown_progress, worker_state
 from track_range.fleet.engine.remaining import remaining
 from track_range.fleet.errors import FleetError
 from track_range.fleet.inputs.clip import Clip
@@ -32,7 +32,7 @@ _WITH_FOLDERS = ("recordings", "out", "pattern", "rig", "settings", "cache_dir")
 class FleetResult(NamedTuple):
     """Clips by result, names and errors of the failed ones, and duration of the run in s."""
 
-    counts: Counts
+    counts: FleetState
     failed: list[tuple[str, str]]
     wall_s: float
 
@@ -76,14 +76,14 @@ def run_fleet(
 class _FleetRun:
     def __init__(self, plan: FleetPlan, clips: Sequence[Clip], console: Console) -> None:
         self._plan, self._clips, self._console = plan, clips, console
-        self._counts = Counts(total=len(clips))
-        self._started_s = time.time()
+        options = _options(plan)
+        self._state = FleetState(state="running", total=len(clips), settings_hash=plan.settings_hash, options=options)
         self._next_heartbeat_s = 0.0
         self._table = ClipTable(plan.out)
 
     def run(self, process: Process) -> FleetResult:
         """Process the clips."""
-        counts = self._counts
+        state = self._state
         self._write_state("running")
         try:
             self._table.compile()
@@ -92,7 +92,7 @@ class _FleetRun:
         except KeyboardInterrupt:
             self._finish("stopped", "stopped by the user")
             raise RunStoppedError(
-                f"stopped by the user; {counts.skipped + counts.done} of {counts.total} clips are complete, the same "
+                f"stopped by the user; {state.skipped + state.done} of {state.total} clips are complete, the same "
                 "command continues."
             ) from None
         except UserError as error:
@@ -100,11 +100,11 @@ class _FleetRun:
             raise
         self._write_state("finished")
         failed = self._table.failed({clip.name for clip in self._clips})
-        return FleetResult(counts, failed, time.time() - self._started_s)
+        return FleetResult(state, failed, state.heartbeat_s - state.started_s)
 
     def _process_remaining(self, process: Process) -> None:
-        counts, plan, table = self._counts, self._plan, self._table
-        todo, counts.skipped, counts.failed = remaining(
+        state, plan, table = self._state, self._plan, self._table
+        todo, state.skipped, state.failed = remaining(
             self._clips, table, plan.settings_hash, is_failed_repeated=plan.settings.retry_failed
         )
         if not todo:
@@ -114,18 +114,19 @@ class _FleetRun:
 
             n_workers = min(n_available, len(todo))
             if not self._console.quiet:
-                text = f"{counted(len(todo), 'clip')} to process, {counts.skipped} complete; "
+                text = f"{counted(len(todo), 'clip')} to process, {state.skipped} complete; "
                 self._console.print(text + counted(n_workers, "worker"), highlight=False)
-            with shown_progress(self._console, counts) as progress:
+            with shown_progress(self._console, state) as progress:
 
                 def report(slots: Sequence[Any]) -> None:
+                    state.heartbeat_s = time.time()
                     progress(slots)
                     now_s = time.monotonic()
                     if now_s >= self._next_heartbeat_s:
                         self._next_heartbeat_s = now_s + HEARTBEAT_S
                         self._write_state("running", workers=[worker_state(slot) for slot in slots[:_MAX_STATES]])
 
-                driver = Driver(plan, process, n_workers, table, todo, counts, report)
+                driver = Driver(plan, process, n_workers, table, todo, state, report)
                 try:
                     driver.run()
                 finally:
@@ -135,30 +136,24 @@ class _FleetRun:
     def _finish(self, state: State, reason: str) -> None:
         with ignore_interrupts():
             with suppress(StorageError):
-                self._counts.done += self._table.collect_journal()
+                self._state.done += self._table.collect_journal()
                 self._table.compile(is_sorted=True)
             with suppress(StorageError):
                 self._write_state(state, reason)
 
-    def _write_state(self, state: State, reason: str = "", workers: Sequence[Mapping[str, Any]] = ()) -> None:
-        counts = self._counts
-        own = self._plan.settings.model_dump(mode="json", exclude_none=True)
-        own["recordings"] = own["recordings"][:10]
-        plain = (str, int, float, bool, list, dict, type(None))
-        run = {key: value if isinstance(value, plain) else str(value) for key, value in self._plan.options.items()}
-        if self._plan.is_anonymized:
-            own = {key: value for key, value in own.items() if key not in _WITH_FOLDERS}
-            run = without_folders(run)
-        FleetState(
-            state=state,
-            reason=reason,
-            started_s=self._started_s,
-            total=counts.total,
-            skipped=counts.skipped,
-            done=counts.done,
-            failed=counts.failed,
-            video_s=round(counts.video_s, 3),
-            settings_hash=self._plan.settings_hash,
-            options={**own, "run": run},
-            workers=workers,
-        ).write(self._plan.out)
+    def _write_state(self, name: State, reason: str = "", workers: Sequence[Mapping[str, Any]] = ()) -> None:
+        state = self._state
+        state.state, state.reason, state.workers, state.heartbeat_s = name, reason, workers, time.time()
+        state.write(self._plan.out)
+
+
+def _options(plan: FleetPlan) -> dict[str, Any]:
+    """Options of the fleet and of its runs, as plain values."""
+    own = plan.settings.model_dump(mode="json", exclude_none=True)
+    own["recordings"] = own["recordings"][:10]
+    plain = (str, int, float, bool, list, dict, type(None))
+    run = {key: value if isinstance(value, plain) else str(value) for key, value in plan.options.items()}
+    if plan.is_anonymized:
+        own = {key: value for key, value in own.items() if key not in _WITH_FOLDERS}
+        run = without_folders(run)
+    return {**own, "run": run}

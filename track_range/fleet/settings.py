@@ -113,8 +113,3 @@ class FleetSettings(Options):
     def _size(cls, text: str) -> str:
         size_bytes(text)
         return text
-
-    @property
-    def worker_memory_bytes(self) -> int:
-        """See `worker_memory`."""
-        return size_bytes(self.worker_memory)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, FileNames, FleetPlan
 from track_range.fleet.engine.remaining import content_hash, fingerprint
-from track_range.fleet.engine.worker import peak_memory_bytes
+from track_range.fleet.engine.worker import peak_memory_bytes, reset_peak_memory
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.inputs.dry_run import check_clips
 from track_range.fleet.output.data_set import (
@@ -84,13 +84,14 @@ class _ClipRun:
         self._record = replace(plan.record(self._clip, task.attempt), node=platform.node())
 
     def outcome(self) -> ClipOutcome:
+        reset_peak_memory()
         try:
             self._progress.phase = "fetching"
-            for address in self._clip.named_files().values():
-                state = FolderListings().state(Location.of(address))
-                # files on this machine only have to be read
-                weight = 0.05 if Location.of(address).is_local else 1.0
-                self._progress.fetch_bytes += 0.0 if state is None else max(state.size, 0) * weight
+            listings = FolderListings()
+            for location in map(Location.of, self._clip.named_files().values()):
+                weight = 0.05 if location.is_local else 1.0  # files on this machine only have to be read
+                if (state := listings.state(location)) is not None:
+                    self._progress.fetch_bytes += max(state.size, 0) * weight
             with (
                 tempfile.TemporaryDirectory(prefix="clip-", ignore_cleanup_errors=True) as name,
                 fetched(self._clip, Path(name, "inputs"), size_bytes(self._plan.settings.cache_size)) as (local, files),

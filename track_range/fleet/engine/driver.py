@@ -29,13 +29,15 @@ import ray
 
 from track_range.fleet.engine import worker
 from track_range.fleet.engine.plan import ClipOutcome, ClipTask, FileNames, FleetPlan, Process
-from track_range.fleet.engine.progress import Counts
 from track_range.fleet.engine.remaining import present_fingerprint
 from track_range.fleet.engine.worker import FOLDER_PREFIX, WorkerState, process_clip, remove_dead_folders, shared_files
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import ClipTable, journal_rows, publish_record
 from track_range.fleet.output.record import Row, utc_now
+from track_range.fleet.output.state import FleetState
+from track_range.fleet.settings import size_bytes
 from track_range.foundation.files.input_files import shortened
+from track_range.foundation.processes import is_running
 
 ErrorKind = Literal["", "input", "crash", "memory", "timeout", "fetch", "internal"]  # kind of a failure; "" = none
 
@@ -50,8 +52,10 @@ _FRAMES_PER_S = 10.0
 
 _POLL_S = 0.5  # longest wait for the workers at a time, s
 _MAX_STARTS = 3  # workers that may die before any of them has started
+_END_S = 5.0  # longest wait for the end of cancelled workers of this machine, whose folders are then removed
 _START_S = 900.0  # time in which the first worker has to start, s: a cluster may have to start machines
 _CANCEL_S = 30.0  # time in which Ray ends a cancelled task; its node is taken for lost afterwards
+_NODE_S = 30.0  # time in which Ray notices that a node is lost: five health checks at intervals of 3 s, and reserve
 
 
 class Attempts:
@@ -99,11 +103,12 @@ class Slot:
     start_s: float = 0.0  # time of the first state, monotonic clock
     verdict: tuple[ErrorKind, str] | None = None  # kind and reason for which the task was cancelled
     cancel_s: float = 0.0  # time of the cancellation, monotonic clock
+    death_s: float | None = None  # time at which its worker died on another node, monotonic clock; None = it lives
     n_clips: int = 0  # clips that have been finished in it
 
 
 class Driver:
-    """Scheduling of the clips `todo`, with `table` and `counts` updated, and `report` called about twice a second."""
+    """Scheduling of the clips `todo`, with `table` and `state` updated, and `report` called about twice a second."""
 
     def __init__(
         self,
@@ -112,24 +117,25 @@ class Driver:
         n_workers: int,
         table: ClipTable,
         todo: Iterable[ClipTask],
-        counts: Counts,
+        state: FleetState,
         report: Callable[[list[Slot]], None],
     ) -> None:
         self._plan, self._settings, self._out = plan, plan.settings, plan.out
-        self._table, self._todo, self._counts, self._report = table, deque(todo), counts, report
-        settings = plan.settings
+        self._table, self._todo, self._state, self._report = table, deque(todo), state, report
+        self._memory_bytes = size_bytes(plan.settings.worker_memory)
         remote: Any = ray.remote
         self._process_clip = remote(
-            num_cpus=settings.threads,
-            num_gpus=settings.gpus_per_worker,
-            memory=settings.worker_memory_bytes,
+            num_cpus=plan.settings.threads,
+            num_gpus=plan.settings.gpus_per_worker,
+            memory=self._memory_bytes,
             num_returns="streaming",
             max_calls=worker.CLIPS_PER_PROCESS,
             max_retries=0,
         )(process_clip)
-        files = {} if settings.address is None else shared_files(plan)
+        files = {} if plan.settings.address is None else shared_files(plan)
         self._arguments = (ray.put(plan), process, ray.put(files))
         self._slots = [Slot(number) for number in range(n_workers)]
+        self._node = ray.get_runtime_context().get_node_id()  # not lost as long as the driver is at work
         self._attempts = Attempts()
         self._has_started, self._n_starts_lost = False, 0
         self._start_s = time.monotonic()
@@ -148,10 +154,14 @@ class Driver:
 
     def stop(self) -> None:
         """End all workers."""
+        pids = [slot.state.pid for slot in self._slots if slot.state is not None and slot.state.node == self._node]
         for slot in self._slots:
             if slot.states is not None:
                 with suppress(ray.exceptions.RayError, ValueError):
                     ray.cancel(slot.states, force=True)
+        end_s = time.monotonic() + _END_S
+        while any(map(is_running, pids)) and time.monotonic() < end_s:
+            time.sleep(0.05)
         remove_dead_folders(self._settings.cache_dir or Path(tempfile.gettempdir()), FOLDER_PREFIX)
 
     def _submit(self, slot: Slot, task: ClipTask) -> None:
@@ -169,6 +179,8 @@ class Driver:
             if ready and len(slots) > 1:
                 ready, _ = ray.wait(list(slots), num_returns=len(slots), timeout=0)
             yield from (slots[states] for states in ready)
+        elif any(slot.task for slot in self._slots):
+            time.sleep(_POLL_S)
 
     def _take(self, slot: Slot) -> None:
         """Take the next state of a worker, its outcome, or the error with which it ended.
@@ -187,13 +199,15 @@ class Driver:
             reason = "the machine ran out of memory; start fewer --workers, or give them more --worker-memory."
             self._repeat_or_fail(self._freed(slot), "memory", reason)
         except ray.exceptions.NodeDiedError:
-            task = self._freed(slot)
-            if slot.verdict is None:
-                self._todo.append(task)
-            else:
-                self._repeat_or_fail(task, *slot.verdict)
+            self._lost(slot, is_node_lost=True)
         except (ray.exceptions.RayError, StopIteration) as error:
-            self._worker_died(self._freed(slot), slot.verdict, error)
+            self._n_starts_lost += not self._has_started
+            if self._n_starts_lost >= _MAX_STARTS:
+                raise FleetError(f"the workers cannot start: {shortened(' '.join(str(error).split()), 300)}") from error
+            if slot.verdict is None and slot.state is not None and slot.state.node != self._node:
+                slot.states, slot.death_s = None, time.monotonic()  # its node may be lost, which Ray notices later
+            else:
+                self._lost(slot)
         else:
             if isinstance(value, ClipOutcome):
                 slot.n_clips += 1
@@ -206,27 +220,25 @@ class Driver:
     @staticmethod
     def _freed(slot: Slot) -> ClipTask:
         """The clip of a slot, which is empty afterwards."""
-        task, slot.task, slot.states, slot.state = slot.task, None, None, None
+        task, slot.task, slot.states, slot.state, slot.death_s = slot.task, None, None, None, None
         if task is None:
             raise RuntimeError("a worker without a clip has answered")
         return task
 
-    def _worker_died(self, task: ClipTask, verdict: tuple[ErrorKind, str] | None, error: Exception) -> None:
-        """Decide on a clip whose worker has died by itself, or was cancelled for the reason of the verdict."""
-        if verdict is not None:
-            self._repeat_or_fail(task, *verdict)
-            return
-        self._n_starts_lost += not self._has_started
-        if self._n_starts_lost >= _MAX_STARTS:
-            raise FleetError(f"the workers cannot start: {shortened(' '.join(str(error).split()), 300)}")
+    def _lost(self, slot: Slot, *, is_node_lost: bool = False) -> None:
+        """Decide on a clip whose worker was cancelled for the reason of the verdict, or died by itself."""
+        task = self._freed(slot)
         # the last act for the clip may have been complete
         row = journal_rows(self._out, [task.clip.name]).get(task.clip.name, {})
         present = row.get("status"), row.get("settings_hash"), row.get("attempts")
         if present == ("done", self._plan.settings_hash, task.attempt):
             self._done(row)
+        elif slot.verdict is not None:
+            self._repeat_or_fail(task, *slot.verdict)
+        elif is_node_lost:
+            self._todo.append(task)
         else:
-            reason = "the process of the worker died (killed, or a crash in a library)."
-            self._repeat_or_fail(task, "crash", reason)
+            self._repeat_or_fail(task, "crash", "the process of the worker died (killed, or a crash in a library).")
 
     def _finished(self, task: ClipTask, outcome: ClipOutcome) -> None:
         if outcome.fatal:
@@ -236,7 +248,7 @@ class Driver:
             self._repeat_or_fail(task, "internal", outcome.defect)
         elif outcome.is_unchanged:
             self._table.touch(task.clip.name, row["inputs"])
-            self._counts.skipped += 1
+            self._state.skipped += 1
         elif row["status"] == "done":
             self._done(row)
         elif outcome.is_transient:
@@ -254,16 +266,23 @@ class Driver:
             self._fail(task, kind, reason)
 
     def _check_limits(self) -> None:
-        """Cancel the tasks that are over a limit; raise FleetError if no worker starts."""
+        """Cancel the tasks over a limit, and decide on workers that died; raise FleetError if no worker starts."""
         now_s = time.monotonic()
         if not self._has_started and now_s - self._start_s > _START_S:
             raise FleetError(
                 f"no worker started within {_START_S / 60:.0f} minutes: no node of the cluster has --threads CPUs, "
                 "--worker-memory and --gpus-per-worker free."
             )
+        is_waiting = any(slot.death_s is not None for slot in self._slots)
+        nodes: list[dict[str, Any]] = ray.nodes() if is_waiting else []  # type: ignore[no-untyped-call]
+        alive = {node["NodeID"] for node in nodes if node["Alive"]}
         for slot in self._slots:
-            if slot.verdict is not None and slot.task is not None and now_s - slot.cancel_s > _CANCEL_S:
-                self._repeat_or_fail(self._freed(slot), *slot.verdict)
+            if slot.death_s is not None and slot.state is not None:
+                is_node_lost = slot.state.node not in alive
+                if is_node_lost or now_s - slot.death_s > _NODE_S:
+                    self._lost(slot, is_node_lost=is_node_lost)
+            elif slot.verdict is not None and slot.task is not None and now_s - slot.cancel_s > _CANCEL_S:
+                self._lost(slot)
             elif slot.state is not None and slot.verdict is None:
                 slot.verdict = self._verdict(slot.state, now_s - slot.start_s)
                 if slot.verdict is not None:
@@ -272,7 +291,7 @@ class Driver:
 
     def _verdict(self, state: WorkerState, elapsed_s: float) -> tuple[ErrorKind, str] | None:
         """Kind and sentence of the limit that a worker exceeds; None = none."""
-        if state.memory_bytes > self._settings.worker_memory_bytes:
+        if state.memory_bytes > self._memory_bytes:
             return "memory", (
                 f"the worker took {state.memory_bytes / 1e9:.1f} GB, more than --worker-memory "
                 f"{self._settings.worker_memory}; give more memory."
@@ -288,8 +307,8 @@ class Driver:
 
     def _done(self, row: Row) -> None:
         self._table.add(row, is_in_journal=True)
-        self._counts.done += 1
-        self._counts.video_s += row.get("seconds") or 0.0
+        self._state.done += 1
+        self._state.video_s += row.get("seconds") or 0.0
 
     def _fail(self, task: ClipTask, kind: ErrorKind, reason: str) -> None:
         names = FileNames(task.clip, is_anonymized=self._plan.is_anonymized)
@@ -302,4 +321,4 @@ class Driver:
             row["inputs"] = present_fingerprint(task.clip)
         publish_record(self._out, row)
         self._table.add(row, is_in_journal=True)
-        self._counts.failed += 1
+        self._state.failed += 1

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -13,7 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from track_range.fleet.output.state import duration_text
+from track_range.fleet.output.state import FleetState
 from track_range.foundation.files.input_files import printable, shortened
 
 if TYPE_CHECKING:
@@ -24,38 +23,12 @@ _MAX_WORKERS = 32  # largest number of workers in the table
 _MAX_NAME = 40  # longest name of a clip in the table
 
 
-@dataclass(slots=True)
-class Counts:
-    """Clips of a run by result, as in `FleetState`; `start_s` is on the monotonic clock.
-
-    Those that a worker found to be unchanged are skipped, too.
-    """
-
-    total: int = 0
-    skipped: int = 0
-    done: int = 0
-    failed: int = 0
-    video_s: float = 0.0
-    start_s: float = field(default_factory=time.monotonic)
-
-    def text(self) -> str:
-        """One line: clips done of all, rate, time left, failures."""
-        parts = [f"{self.skipped + self.done} of {self.total} clips done"]
-        if self.failed:
-            parts.append(f"{self.failed} failed")
-        if self.done:
-            per_clip_s = (time.monotonic() - self.start_s) / self.done
-            n_left = self.total - self.skipped - self.done - self.failed
-            parts += [f"{3600 / per_clip_s:.0f} clips/h", f"{duration_text(per_clip_s * n_left)} left"]
-        return ", ".join(parts)
-
-
 @contextmanager
-def shown_progress(console: Console, counts: Counts) -> Iterator[Callable[[Sequence[Slot]], None]]:
-    """Context with a function that shows the counts and the workers on the console."""
+def shown_progress(console: Console, fleet: FleetState) -> Iterator[Callable[[Sequence[Slot]], None]]:
+    """Context with a function that shows the state and the workers on the console."""
     if console.is_terminal:
         with Live(console=console, refresh_per_second=2, transient=True) as live:
-            yield lambda slots: live.update(_table(counts, slots))
+            yield lambda slots: live.update(_table(fleet, slots))
         return
     next_s = time.monotonic() + _LINE_S
 
@@ -63,13 +36,13 @@ def shown_progress(console: Console, counts: Counts) -> Iterator[Callable[[Seque
         nonlocal next_s
         if time.monotonic() >= next_s:
             next_s = time.monotonic() + _LINE_S
-            console.print(counts.text(), highlight=False, markup=False, soft_wrap=True)
+            console.print(fleet.text(), highlight=False, markup=False, soft_wrap=True)
 
     yield print_line
 
 
-def _table(counts: Counts, slots: Sequence[Slot]) -> Table:
-    table = Table(title=counts.text(), title_justify="left", box=None, padding=(0, 1))
+def _table(fleet: FleetState, slots: Sequence[Slot]) -> Table:
+    table = Table(title=fleet.text(), title_justify="left", box=None, padding=(0, 1))
     for heading in ("worker", "node", "clip", "phase", "frames", "MB"):
         table.add_column(heading, justify="right" if heading in ("frames", "MB") else "left")
     for slot in slots[:_MAX_WORKERS]:

@@ -15,7 +15,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -40,10 +40,11 @@ SharedFiles = Mapping[str, tuple[str, bytes]]  # name and content of the files t
 
 @dataclass(frozen=True, slots=True)
 class WorkerState:
-    """Process, machine, progress and resident memory of a worker that is at a clip."""
+    """Process, machine, id of the node in Ray, progress and resident memory of a worker that is at a clip."""
 
     pid: int
     host: str
+    node: str
     progress: ClipProgress
     memory_bytes: int
 
@@ -56,18 +57,20 @@ def process_clip(
     `files` are those that all clips share, if the driver is on another machine. Raises FleetError if the version of
     track-range is not that of the driver.
     """
+    import ray
+
     if (installed := version("track-range")) != plan.version:
         raise FleetError(
             f"node {platform.node()}: expected track-range {plan.version}, found {installed}; install the same version "
             "on all nodes."
         )
     _limit_threads(plan.settings.threads)
-    progress, start_s = ClipProgress(), time.monotonic()
+    progress, start_s, node = ClipProgress(), time.monotonic(), ray.get_runtime_context().get_node_id()
     with scratch_folder(plan.settings.cache_dir) as folder, owned_process(), ThreadPoolExecutor(1) as thread:
         future = thread.submit(process, task, with_shared_files(plan, files, folder / "shared"), progress)
         is_done = False
         while not is_done:
-            yield WorkerState(os.getpid(), platform.node(), replace(progress), _resident_bytes())
+            yield WorkerState(os.getpid(), platform.node(), node, replace(progress), _resident_bytes())
             is_done = bool(wait([future], _STATE_S).done)
         error = future.exception()  # raised here, it would look like a worker that cannot start
         defect = " ".join(str(error).split())[-300:] or repr(error)
@@ -97,8 +100,14 @@ def _resident_bytes() -> int:
         return peak_memory_bytes()
 
 
+def reset_peak_memory() -> None:
+    """Let the peak of this process begin now (Linux, proc_pid_clear_refs(5))."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
 def peak_memory_bytes() -> int:
-    """Largest resident memory of this process since its start."""
+    """Largest resident memory of this process since its start, or since `reset_peak_memory`."""
     largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return largest if sys.platform == "darwin" else largest * 1024
 

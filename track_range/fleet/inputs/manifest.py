@@ -173,8 +173,8 @@ def _cells(path: Path, name: str, column: pa.ChunkedArray) -> list[str]:
     cells: list[str] = []
     for chunk in column.chunks:
         if types.is_dictionary(chunk.type):
-            texts = [*map(_text, chunk.dictionary.to_pylist()), ""]
-            cells += [texts[index] for index in chunk.indices.fill_null(len(texts) - 1).to_pylist()]
+            texts = [*map(_text, chunk.dictionary.to_pylist())]
+            cells += ["" if index is None else texts[index] for index in chunk.indices.to_pylist()]
         else:
             cells += map(_text, chunk.to_pylist())
     return cells

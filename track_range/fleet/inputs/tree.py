@@ -37,14 +37,13 @@ class FileTree:
     @classmethod
     def of_entries(cls, folder: Location, entries: Iterable[Entry]) -> FileTree:
         """The tree of a listing of `folder`."""
-        names = {entry.name: entry.stat.is_folder for entry in entries if not is_hidden(entry.name)}
-        fleets = [
-            posixpath.dirname(name) for name in names if not names[name] and posixpath.basename(name) == _FLEET_STATE
-        ]
+        names: dict[bool, set[str]] = {False: set(), True: set()}  # of files, and of folders: a key may be both
+        for entry in entries:
+            if not is_hidden(entry.name):
+                names[entry.stat.is_folder].add(entry.name)
+        fleets = [posixpath.dirname(name) for name in names[False] if posixpath.basename(name) == _FLEET_STATE]
         results = tuple(f"{posixpath.join(fleet, name)}/" for fleet in fleets for name in _FLEET_FOLDERS)
-        known = {name: is_folder for name, is_folder in names.items() if not name.startswith(results)}
-        files = frozenset(name for name, is_folder in known.items() if not is_folder)
-        return cls(folder, files, frozenset(known.keys() - files))
+        return cls(folder, *(frozenset(n for n in names[kind] if not n.startswith(results)) for kind in (False, True)))
 
     def __contains__(self, name: str) -> bool:
         return name in self.files or name in self.folders

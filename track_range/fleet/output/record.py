@@ -43,7 +43,7 @@ class ClipRecord:
     start_utc: str = ""  # UTC of the first frame, ISO 8601; "" = unknown
     warnings: Sequence[str] = ()
     node: str = ""
-    peak_memory_mb: float | None = None  # largest resident memory of the worker's process until the end of the clip
+    peak_memory_mb: float | None = None  # largest resident memory of the worker's process during the clip
     finished_utc: str = ""  # UTC of the end of the attempt, ISO 8601
     stages_ms: Mapping[str, float] = field(default_factory=dict)  # time per frame; columns `STAGE_ms`
     coverage: Mapping[str, float | None] = field(default_factory=dict)  # of the boxes; columns `METHOD_coverage`

@@ -31,9 +31,9 @@ _MAX_FAILED = 10  # largest number of failed clips that are named
 State = Literal["running", "finished", "stopped", "failed"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class FleetState:
-    """State of the run of a fleet, whose driver is the process `pid` on `host`."""
+    """State of the run of a fleet, whose driver is the process `pid` on `host` and changes it as the run goes on."""
 
     state: State  # "stopped" by the user, or "failed" for a `reason` that is not a clip
     reason: str = ""
@@ -42,7 +42,7 @@ class FleetState:
     started_s: float = field(default_factory=time.time)  # Unix time
     heartbeat_s: float = field(default_factory=time.time)  # time of this state, Unix time
     total: int = 0  # number of clips
-    skipped: int = 0  # complete at the start
+    skipped: int = 0  # complete at the start, or found to be unchanged by a worker
     done: int = 0  # completed in this run
     failed: int = 0  # in this run, or before and not repeated
     video_s: float = 0.0  # duration of the clips completed in this run
@@ -52,13 +52,8 @@ class FleetState:
 
     def write(self, out: Location) -> None:
         """Write fleet.json; raises as `publish`."""
-        text = json.dumps({"track_range_fleet": 1, **asdict(self)}, indent=1, ensure_ascii=False, allow_nan=False)
-        publish(out, out.child(STATE_FILE), text.encode())
-
-    @property
-    def worker_pids(self) -> tuple[int, ...]:
-        """Processes of the workers that have started."""
-        return tuple(worker["pid"] for worker in self.workers if worker.get("pid"))
+        content = {"track_range_fleet": 1, **asdict(self), "video_s": round(self.video_s, 3)}
+        publish(out, out.child(STATE_FILE), json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False).encode())
 
     @property
     def is_alive(self) -> bool:
@@ -73,6 +68,16 @@ class FleetState:
         """Rate of the run; None if it completed no clip."""
         elapsed_s = self.heartbeat_s - self.started_s
         return 3600 * self.done / elapsed_s if self.done and elapsed_s > 0 else None
+
+    def text(self) -> str:
+        """One line: clips done of all, failures, rate, time left."""
+        parts = [f"{self.skipped + self.done} of {self.total} clips done"]
+        if self.failed:
+            parts.append(f"{self.failed} failed")
+        if (per_hour := self.clips_per_hour) is not None:
+            n_left = self.total - self.skipped - self.done - self.failed
+            parts += [f"{per_hour:.0f} clips/h", f"{duration_text(3600 * n_left / per_hour)} left"]
+        return ", ".join(parts)
 
 
 def read_state(out: Location) -> FleetState | None:

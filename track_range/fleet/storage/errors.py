@@ -39,7 +39,7 @@ _STATUS_FAULTS: dict[int, StorageFault] = {  # by HTTP status; from 500 on "netw
 _TEXT_FAULTS: dict[StorageFault, str] = {
     "permission": r"ACCESS_?DENIED|INVALID_\w*(?:KEY|SIGNATURE|TOKEN)|SIGNATURE_DOES_NOT|EXPIRED_?TOKEN|UNAUTHENTICATED"
     r"|MISSING_AUTH|UNRECOGNIZED_CLIENT|NOT_INITIALIZED|PERMISSION_DENIED|status 40[13]|AccountProblem|OAuth2 access",
-    "missing": r"\bNO_SUCH_(?:KEY|BUCKET|UPLOAD)|\b(?:RESOURCE_)?NOT_FOUND\b|status 404|Bucket '.*' not found",
+    "missing": r"\bNO_SUCH_(?:KEY|BUCKET|UPLOAD)|\b(?:RESOURCE_)?NOT_FOUND\b|status 404|Bucket  not found",
     "full": r"QuotaExceeded|InsufficientStorage|StorageFull|status 507|No space left",
     "network": r"\bNETWORK_|\bSLOW_DOWN|\b(?:SERVICE_)?UNAVAILABLE\b|\bINTERNAL(?:_FAILURE|_ERROR)?\b|\bTHROTTLING"
     r"|\bREQUEST_TIME|\bDEADLINE_EXCEEDED|\bRESOURCE_EXHAUSTED|\bABORTED\b|\bcurlCode\b|\bCURL error"
@@ -47,7 +47,13 @@ _TEXT_FAULTS: dict[StorageFault, str] = {
 }
 """Texts of the errors of pyarrow's object stores (AWS, Google Cloud) by kind; the first that matches counts."""
 
-_NAMES = re.compile(r"^When .*?: (?=AWS Error)", re.DOTALL)  # start of a text about S3, with names of objects
+_NAMES = re.compile(r"(?s)^When .*?: (?=AWS Error)|(?<!\w)'.*?'(?!\w)|(?<=No such object: ).*")  # names in such texts
+_NOISE = re.compile(
+    r"(?s)^When .*?: (?=AWS Error)|^google::cloud::Status\(|(?:Permanent error|Retry policy \w+), with a last message of "
+    r"|PerformWork\(\) - | error_info=.*|curlCode: \d+, (?:.*; Details: )?|\s*\(Request ID: .*?\)|: No response.*|\.? Detail: .*"
+)
+"""Parts of such texts that do not help a user: names, the chain of retries, details that repeat the reason."""
+
 _SECRETS = re.compile(
     r"(?i)((?:access.?key(?:.?id)?|secret\w*|token|signature|credential|authorization|password)\s*[=:]\s*)[\w%+/=.~-]+"
 )
@@ -122,7 +128,7 @@ def fault_of(error: Exception) -> StorageFault:
 def reason_of(error: Exception) -> str:
     """Text of an error without credentials and names of objects."""
     if (status := getattr(error, "status", None)) is not None:
-        return f"HTTP status {status}"
+        return f"HTTP status {status} {getattr(error, 'message', '')}".strip()
     text = describe(error) if isinstance(error, OSError) and error.errno is not None else str(error)
-    text = _SECRETS.sub(r"\1...", " ".join(_NAMES.sub("", text).split())).strip(" .:")
+    text = _SECRETS.sub(r"\1...", " ".join(_NOISE.sub("", text).split())).strip(" .:")
     return shortened(text or type(error).__name__, _MAX_REASON)

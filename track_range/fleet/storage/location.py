@@ -24,7 +24,7 @@ from urllib.parse import parse_qsl, quote, unquote
 
 from track_range.fleet.storage.errors import StorageError, storage_errors
 from track_range.fleet.storage.file_systems import object_store, web_files
-from track_range.foundation.files.atomic_files import write_bytes
+from track_range.foundation.files.atomic_files import atomic_path, write_bytes
 from track_range.foundation.files.input_files import open_regular, printable, quoted, shortened
 
 if TYPE_CHECKING:
@@ -285,28 +285,33 @@ class Location:
 
     def write_bytes(self, content: bytes) -> None:
         """Write a file atomically, or raise StorageError. Folders are created, buckets are not."""
-        self._write(io.BytesIO(content))
+        with storage_errors(self, "written"):
+            if self.is_local:
+                os.makedirs(os.path.dirname(self._key), exist_ok=True)
+                write_bytes(Path(self._key), content)
+            else:
+                self._send(io.BytesIO(content))
 
     def upload(self, file: Path) -> None:
         """Copy a local file here as `write_bytes` does."""
         with storage_errors(self, "written"), open(file, "rb") as source:
-            self._write(source)
-
-    def _write(self, source: IO[bytes]) -> None:
-        with storage_errors(self, "written"):
             if self.is_local:
                 os.makedirs(os.path.dirname(self._key), exist_ok=True)
-                write_bytes(Path(self._key), source.read())
-                return
-            stream = self.arrow()[0].open_output_stream(self._key, compression=None)
-            try:
-                shutil.copyfileobj(source, stream, _BLOCK_BYTES)
-            except BaseException:
-                stream.close()  # pyarrow's streams cannot be aborted: closing publishes what has been sent
-                with suppress(StorageError):  # the first error is the one to report
-                    self.remove()
-                raise
-            stream.close()
+                with atomic_path(Path(self._key)) as partial:
+                    shutil.copyfile(file, partial)
+            else:
+                self._send(source)
+
+    def _send(self, source: IO[bytes]) -> None:
+        stream = self.arrow()[0].open_output_stream(self._key, compression=None)
+        try:
+            shutil.copyfileobj(source, stream, _BLOCK_BYTES)
+        except BaseException:
+            stream.close()  # pyarrow's streams cannot be aborted: closing publishes what has been sent
+            with suppress(StorageError):  # the first error is the one to report
+                self.remove()
+            raise
+        stream.close()
 
     def remove(self) -> None:
         """Remove a file; a missing one is no error."""

@@ -191,6 +191,13 @@ def test_killed_workers_leave_no_files(run, tmp_path, monkeypatch):
     assert list(cache.iterdir()) == []
 
 
+def test_stopped_run_leaves_no_files(run, tmp_path):
+    cache = tmp_path / "cache"
+    with pytest.raises(FleetError, match="cannot be stored"):
+        run("hang", "full", cache_dir=cache)
+    assert list(cache.iterdir()) == []
+
+
 def test_shared_files_reach_other_machines(tmp_path):
     """The workers get the content, since the path of the driver may not exist where they are."""
     names = tmp_path / "names.txt"
