@@ -181,7 +181,7 @@ _COLUMNS = tuple(column.name for column in fields(BoxTable) if column.name not i
 
 
 def _column(values: npt.ArrayLike, dtype: type, *shape: int) -> npt.NDArray[Any]:
-    array = np.asarray(values, dtype)
+    array: npt.NDArray[Any] = np.asarray(values, dtype)
     return array.reshape(shape) if array.ndim else np.full(shape, array)
 
 

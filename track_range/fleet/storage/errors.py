@@ -49,8 +49,9 @@ _TEXT_FAULTS: dict[StorageFault, str] = {
 
 _NAMES = re.compile(r"(?s)^When .*?: (?=AWS Error)|(?<!\w)'.*?'(?!\w)|(?<=No such object: ).*")  # names in such texts
 _NOISE = re.compile(
-    r"(?s)^When .*?: (?=AWS Error)|^google::cloud::Status\(|(?:Permanent error|Retry policy \w+), with a last message of "
-    r"|PerformWork\(\) - | error_info=.*|curlCode: \d+, (?:.*; Details: )?|\s*\(Request ID: .*?\)|: No response.*|\.? Detail: .*"
+    r"(?s)^When .*?: (?=AWS Error)|^google::cloud::Status\(|PerformWork\(\) - | error_info=.*|: No response.*"
+    r"|(?:Permanent error|Retry policy \w+), with a last message of |curlCode: \d+, (?:.*; Details: )?"
+    r"|\s*\(Request ID: .*?\)|\.? Detail: .*"
 )
 """Parts of such texts that do not help a user: names, the chain of retries, details that repeat the reason."""
 
