@@ -18,7 +18,7 @@ FAST = {
     "ranging": "--frames 300 --lane-frames 30",
     "writers": "--frames 600 --rounds 3",
     "formats": "--frames 500",
-    "stereo": "--scenes 1 --rounds 3 --seeds 1 --pairs none --drives",
+    "stereo": "--scenes 1 --rounds 3 --seeds 1 --pairs none",
     "tracking": "--sets --rounds 2",
     "fusion": "--scenarios town",
     "alignment": "--seeds 240 241 242",

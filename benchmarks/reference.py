@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import re
 import subprocess
 from argparse import Namespace
@@ -22,8 +21,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from benchmarks.harness import PROGRAM, Figures, option, workload
-
-REAL_DATA = Path(os.environ.get("TRACK_RANGE_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+from benchmarks.inputs.drives import REAL_DATA
 
 _TIMES = {
     *("wall_s", "frames_per_s", "stages_ms", "latency_ms", "seconds", "ms", "look_s", "started_s", "heartbeat_s"),

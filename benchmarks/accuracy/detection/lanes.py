@@ -1,18 +1,16 @@
-"""Lane detection: time per image, accuracy on simulated drives, agreement of detectors on real videos.
+"""Lane detection: time per image and accuracy on simulated drives.
 
 The true line is the edge of the lane, which is the middle of a double line: a detector of one of its two lines has an
-error of 3 %. Real videos have no ground truth; detectors are compared with each other.
+error of 3 %.
 """
 
 from __future__ import annotations
 
 import time
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -23,22 +21,15 @@ from track_range.detection.lanes.lines import LaneLines
 from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.recording.open_video import open_video
 from track_range.simulation.world.scenarios import SCENARIOS as ALL_SCENARIOS
 
 SCENARIOS = ("town", "highway", "city", "cut-in", "queue")
 SEEDS = (201, 202)
 ROWS = np.linspace(0.62, 0.92, 6)  # (K,) rows in which lines are compared, as fractions of the image height
 OTHER_LANE = 0.2  # error of a line, in lane widths, above which it belongs to another lane
-STEP_S = 0.09  # smallest interval between images of a real video in s
 
 NETS = tuple(REAL_DATA / "models" / name for name in ("twinlitenet_360x640.onnx", "lstr_tusimple_360x640.onnx"))
 """Default lane networks."""
-
-VIDEOS = (
-    *(REAL_DATA / "kitti_stereo" / name / "left.mp4" for name in ("0003", "0005")),
-    *sorted((REAL_DATA / "dashcam").glob("*.mp4")),
-)
 
 
 @workload(
@@ -46,7 +37,6 @@ VIDEOS = (
     option("--scenarios", default=SCENARIOS, nargs="*", choices=tuple(ALL_SCENARIOS), metavar="NAME", help="scenarios"),
     option("--seeds", default=SEEDS, metavar="N", help="random seeds of the drives"),
     option("--seconds", default=5.0, help="length of a simulated drive"),
-    option("--videos", default=VIDEOS, nargs="*", metavar="FILE", help="real videos"),
 )
 def lanes(options: Namespace) -> Figures:
     cv2.setNumThreads(1)
@@ -57,11 +47,7 @@ def lanes(options: Namespace) -> Figures:
         samples = [sample for by_finder in by_scenario.values() for sample in by_finder[finder]]
         errors = {name: _errors(by_finder[finder]) for name, by_finder in by_scenario.items()}
         simulated[_name(finder)] = {"all": _errors(samples)} | errors
-    real = {
-        video.parent.name if video.stem == "left" else video.stem: _agreement(video, finders)
-        for video in _available(options.videos, "videos")
-    }
-    return {"simulated": simulated, "real": real}
+    return {"simulated": simulated}
 
 
 def _available(paths: Sequence[Path], what: str) -> list[Path]:
@@ -85,18 +71,15 @@ class _Sample:
     ms: float
 
 
-def _samples(
-    finder_name: str, images: Sequence[Image], times_s: Sequence[float], true_px: FloatArray | None
-) -> list[_Sample]:
-    """Lines detected in images; `true_px` (F, 2, K) are the true ones, None = unknown."""
+def _samples(finder_name: str, images: Sequence[Image], times_s: Sequence[float], true_px: FloatArray) -> list[_Sample]:
+    """Lines detected in images; `true_px` (F, 2, K) are the true ones."""
     finder = open_lane_finder(finder_name, Runtime(n_threads=1, device="cpu"))
-    unknown = np.full((2, len(ROWS)), np.nan)
     samples = []
     for number, (image, time_s) in enumerate(zip(images, times_s, strict=True)):
         start_s = time.process_time()
         lines = finder.find(image, time_s)
         ms = 1e3 * (time.process_time() - start_s)
-        samples.append(_Sample(_columns_px(lines, len(image)), unknown if true_px is None else true_px[number], ms))
+        samples.append(_Sample(_columns_px(lines, len(image)), true_px[number], ms))
     return samples
 
 
@@ -142,23 +125,3 @@ def _differences(detected_px: FloatArray, reference_px: FloatArray) -> Figures:
         "line_median_pct": median_or_none(line_error, 100),
         "other_lane": float((line_error > OTHER_LANE).mean()) if len(line_error) else None,
     }
-
-
-def _agreement(video: Path, finders: Sequence[str]) -> dict[str, Any]:
-    """Fraction of images with both lines by detector, and differences of each pair of detectors."""
-    images, times_s = zip(*_ten_per_second(video), strict=True)
-    lines_px = {
-        _name(finder): np.array([sample.detected_px for sample in _samples(finder, images, times_s, None)])
-        for finder in finders
-    }
-    both = {name: round(float(np.isfinite(px).all(axis=(1, 2)).mean()), 3) for name, px in lines_px.items()}
-    pairs = {f"{a} - {b}": _differences(lines_px[a], lines_px[b]) for a, b in combinations(lines_px, 2)}
-    return {"images": len(images), "both_lines": both, "pairs": pairs}
-
-
-def _ten_per_second(video: Path) -> Iterator[tuple[Image, float]]:
-    due_s = -np.inf
-    for frame in open_video(video):
-        if frame.time_s >= due_s:
-            yield frame.image, frame.time_s
-            due_s = frame.time_s + STEP_S

@@ -1,4 +1,4 @@
-"""Distances of one camera at a known height, on simulated drives with changed car sizes and on KITTI."""
+"""Distances of one camera at a known height or speed, on simulated drives with changed car sizes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.accuracy.ranging.simulated_runs import joined
 from benchmarks.harness import Figures, median_or_none, option, workload
-from benchmarks.inputs.drives import FPS, REAL_DATA
+from benchmarks.inputs.drives import FPS
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.evaluation.errors import MethodColumn, score_rows
 from track_range.ranging.evaluation.truth import read_truth
@@ -27,10 +27,10 @@ from track_range.simulation.settings import SCENARIO_NAMES, DriveOptions
 
 METHODS = ("mono", "ground", "fused")
 KNOWN = ("height", "speed", "both", "none")
-SPAN_M, KITTI_SPAN_M = (10.0, 50.0), (5.0, 100.0)  # true distances of the errors on simulated drives and on KITTI
+SPAN_M = (10.0, 50.0)  # true distances of the errors
 BANDS_M = (10.0, 20.0, 30.0, 50.0)
 BIAS_FROM_S = (0.0, 5.0, 10.0)  # times from which the bias of a drive is measured
-HEIGHT_M = 1.65  # height of KITTI's and of the simulated cameras above the road
+HEIGHT_M = 1.65  # height of the simulated cameras above the road
 
 
 @workload(
@@ -46,27 +46,18 @@ HEIGHT_M = 1.65  # height of KITTI's and of the simulated cameras above the road
     option("--pitch", default=-1.0, help="pitch of the camera in degrees, positive = up"),
     option("--known", default=("height", "none"), choices=KNOWN, help="what is known besides the calibration"),
     option("--cache", type=Path, help="folder in which simulated drives are kept"),
-    option("--kitti", default=False, help="only KITTI's drives"),
-    option("--data", default=REAL_DATA, help="folder with kitti_stereo and models"),
-    option("--detector", type=Path, help="detector of KITTI's drives (default: YOLOv5n)"),
 )
 def horizon(options: Namespace) -> Figures:
     figures: Figures = {}
-    detector = options.detector or options.data / "models" / "yolov5n_coco_640.onnx"
-    folders = [options.data / "kitti_stereo" / number for number in ("0003", "0005")]
     with TemporaryDirectory() as name:
         cache = options.cache or Path(name)
         for known in options.known:
-            if not options.kitti:
-                drives = {
-                    f"{scenario} {seed}": _simulated(options, cache, scenario, seed, known)
-                    for scenario in options.scenarios
-                    for seed in options.seeds
-                }
-                figures[known] = _figures(drives, SPAN_M)
-            drives = {f"KITTI {f.name}": _kitti(f, detector, known) for f in folders if f.is_dir()}
-            if drives:
-                figures[f"KITTI {known}"] = _figures(drives, KITTI_SPAN_M)
+            drives = {
+                f"{scenario} {seed}": _simulated(options, cache, scenario, seed, known)
+                for scenario in options.scenarios
+                for seed in options.seeds
+            }
+            figures[known] = _figures(drives)
     return figures
 
 
@@ -90,19 +81,6 @@ def _simulated(options: Namespace, cache: Path, scenario: str, seed: int, known:
     return _columns(settings, drive.table)
 
 
-def _kitti(folder: Path, detector: Path, known: str) -> Columns:
-    oxts = folder / "oxts"
-    settings = RunSettings(
-        mono=folder / "left.mp4",
-        rig=folder / "calib.txt",
-        detector=str(detector),
-        overlay=False,
-        camera_height_m=HEIGHT_M if known in ("height", "both") else None,
-        ego_speed=str(oxts) if known in ("speed", "both") and oxts.is_dir() else "auto",
-    )
-    return _columns(settings, folder / "label.txt")
-
-
 def _columns(settings: RunSettings, truth_file: Path) -> Columns:
     run = Run(settings)
     for _ in run:
@@ -113,31 +91,31 @@ def _columns(settings: RunSettings, truth_file: Path) -> Columns:
     return with_truth(rows, matched_truth(rows, truth))
 
 
-def _figures(drives: Mapping[str, Columns], span_m: tuple[float, float]) -> Figures:
+def _figures(drives: Mapping[str, Columns]) -> Figures:
     """Errors over all drives and by drive, and biases; the magnitude of a bias is its mean over the drives."""
-    bias = {name: _biases(columns, span_m) for name, columns in drives.items()}
+    bias = {name: _biases(columns) for name, columns in drives.items()}
     known = {
         key: [value for row in bias.values() if (value := row[key]) is not None] for key in next(iter(bias.values()))
     }
     magnitude = {key: float(np.mean(np.abs(values))) if values else None for key, values in known.items()}
     return {
-        "all": _scores(joined(list(drives.values())), span_m),
-        "drives": {name: _scores(columns, span_m) for name, columns in drives.items()},
+        "all": _scores(joined(list(drives.values()))),
+        "drives": {name: _scores(columns) for name, columns in drives.items()},
         "bias_pct": {**bias, "magnitude": magnitude},
     }
 
 
-def _scores(columns: Columns, span_m: tuple[float, float]) -> dict[str, dict[str, Any]]:
+def _scores(columns: Columns) -> dict[str, dict[str, Any]]:
     true_m = columns["truth_m"]
     methods = {name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"]) for name in METHODS}
     common = np.all([np.isfinite(method.distance_m) for method in methods.values()], axis=0)
     scores = {}
     for name, method in methods.items():
-        score = score_rows(method, true_m, _is_between(true_m, span_m) & common)
+        score = score_rows(method, true_m, _is_between(true_m, SPAN_M) & common)
         for band in pairwise(BANDS_M):
             in_band = score_rows(method, true_m, _is_between(true_m, band) & common)
             score["median_pct_{:g}_{:g}_m".format(*band)] = in_band["median_relative_error_pct"]
-        score["coverage"] = score_rows(method, true_m, _is_between(true_m, span_m))["coverage"]
+        score["coverage"] = score_rows(method, true_m, _is_between(true_m, SPAN_M))["coverage"]
         scores[name] = score
     return scores
 
@@ -146,12 +124,12 @@ def _is_between(true_m: FloatArray, span_m: tuple[float, float]) -> BoolArray:
     return np.asarray((true_m >= span_m[0]) & (true_m < span_m[1]))
 
 
-def _biases(columns: Columns, span_m: tuple[float, float]) -> dict[str, float | None]:
+def _biases(columns: Columns) -> dict[str, float | None]:
     """Median of the signed errors in per cent, by method and time from which on they count."""
     true_m, time_s = columns["truth_m"], columns["time_s"]
     biases: dict[str, float | None] = {}
     for name, start_s in product(METHODS, BIAS_FROM_S):
         error = columns[f"{name}_m"] / true_m - 1
-        use = _is_between(true_m, span_m) & np.isfinite(error) & (time_s >= start_s)
+        use = _is_between(true_m, SPAN_M) & np.isfinite(error) & (time_s >= start_s)
         biases[f"{name} {start_s:g} s"] = median_or_none(error[use], 100)
     return biases

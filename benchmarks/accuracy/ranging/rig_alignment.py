@@ -22,7 +22,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from benchmarks.harness import Figures, option, workload
-from benchmarks.inputs.drives import SimulatedDrive, decoded
+from benchmarks.inputs.drives import SimulatedDrive
 from track_range.foundation.arrays import FloatArray
 from track_range.recording.pairs.auto_alignment import find_alignment
 from track_range.simulation.render.renderer import kitti_like_rig
@@ -34,7 +34,6 @@ from track_range.stereo.alignment.model import Alignment, RightView
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.rig_formats.reading import load_rig
 
 SCENARIOS = ("town", "highway", "city", "cut-in")
 
@@ -44,9 +43,6 @@ FIRST_SEED, N_DRIVES, DRIVE_S = 600, 50, 9.7
 WINDOW = 32  # default number of frames of a window: two segments of the estimate; a run uses up to three
 ANGLES_DEG = (0.02, 0.05, 0.1, 0.2, 0.5)  # sizes of the errors of an angle; the signs alternate
 SCALE = 0.01  # relative error of focal lengths and of the baseline
-
-KITTI = {"0003": (0.45, 1.5, 0.0), "0005": (0.45, 1.5, 0.0)}
-"""Offset, curvature and slope in px by known distances, of the drives that have them."""
 
 ROW_M = 0.5  # height of the point at 30 m below the cameras, in m: the middle of a car
 AFTER_PCT = 2.0  # largest error at 30 m of a corrected case
@@ -146,28 +142,6 @@ def simulated_drive(scenario: str, *, seed: int, seconds: float, cache: Path | N
     return TrackedDrive(f"{scenario}/{seed}", kitti_like_rig(), frames)
 
 
-def recorded_drive(folder: Path, *, fps: float) -> TrackedDrive:
-    """A drive of KITTI: left.mp4, right.mp4 and calib.txt of rectified cameras."""
-    images = zip(decoded(folder / "left.mp4"), decoded(folder / "right.mp4"), strict=False)
-    frames = [Frame(index, index / fps, left, right) for index, (left, right) in enumerate(images)]
-    height, width = frames[0].left.shape[:2]
-    rig, _ = load_rig(folder / "calib.txt", size_px=(width, height), is_grey="odometry" in str(folder))
-    return TrackedDrive(folder.name, rig, tuple(tracked(frames)))
-
-
-def shifted(drive: TrackedDrive, error_px: FloatArray) -> TrackedDrive:
-    """The drive with the disparity errors offset, curvature and slope (3,) removed from its right points."""
-    camera = drive.rig.left
-    frames = []
-    for frame in drive.frames:
-        points = frame.points
-        u = (points.left_px[:, 0] - camera.cx_px) / (camera.width_px / 2)
-        moved = points.right_px.copy()
-        moved[:, 0] -= error_px[0] + error_px[1] * u**2 + error_px[2] * u
-        frames.append(frame._replace(points=points._replace(right_px=moved)))
-    return replace(drive, frames=tuple(frames))
-
-
 @workload(option("--seeds", default=SEEDS, metavar="N", help="random seeds, one per drive"))
 def alignment(options: Namespace) -> Figures:
     """Estimated disparity corrections of simulated pairs with a known disparity error, px."""
@@ -226,7 +200,6 @@ def _sigma_figures(rows: Sequence[Figures], error: str, sigma: str) -> Figures:
     option("--errors", default=3, metavar="N", help="rig files with errors per window"),
     option("--frames", default=WINDOW, metavar="N", help="frames per window: 16 = one segment of the estimate"),
     option("--step", type=int, metavar="N", help="frames between starts of windows (default: as many as in a window)"),
-    option("--kitti", type=Path, nargs="*", default=(), metavar="DIR", help="drives of KITTI"),
     option("--cache", type=Path, metavar="DIR", help="folder for the tracked points"),
     option("--jobs", default=1, metavar="N", help="number of processes"),
 )
@@ -244,10 +217,6 @@ def _windows(options: Namespace) -> Iterator[TrackedDrive]:
         scenario, seed = SCENARIOS[number // 2 % len(SCENARIOS)], options.first_seed + number
         drive = simulated_drive(scenario, seed=seed, seconds=DRIVE_S, cache=options.cache)
         yield from drive.windows(options.frames, options.step)
-    for folder in options.kitti:
-        drive = recorded_drive(folder, fps=10.0)
-        known = KITTI.get(folder.name)
-        yield from (drive if known is None else shifted(drive, np.array(known))).windows(options.frames, options.step)
 
 
 def _cases(window: TrackedDrive, number: int, n_errors: int) -> list[Figures]:
@@ -268,7 +237,6 @@ def _case(window: TrackedDrive, error: Error) -> Figures:
     before, after = (_errors_pct(window.rig, rectifier, alignment) for alignment in (Alignment(), health.applied))
     halves = (windows[0], windows[-1]) if len(windows) > 1 else None
     return {
-        "has_truth": not window.name.startswith("gray"),
         "fault": error.fault,
         "size": error.size,
         "is_measured": measured.is_measured,
@@ -302,9 +270,8 @@ def _errors_pct(rig: StereoRig, rectifier: Rectifier, alignment: Alignment) -> F
 
 
 def _case_figures(cases: Sequence[Figures]) -> Figures:
-    known = [case for case in cases if case["has_truth"]]
-    true = [case for case in known if case["fault"] == "true"]
-    wrong = [case for case in known if case["fault"] != "true"]
+    true = [case for case in cases if case["fault"] == "true"]
+    wrong = [case for case in cases if case["fault"] != "true"]
     matters = [case for case in wrong if case["before_pct"] >= 100 * MATTERS and case["fault"] not in UNSEEN]
     unseen = [case for case in wrong if case["fault"] in UNSEEN]
     measured = [case for case in matters if case["is_measured"]]
@@ -324,7 +291,7 @@ def _case_figures(cases: Sequence[Figures]) -> Figures:
     return {
         "estimate_s": float(np.median([case["estimate_s"] for case in cases])),
         "cases": {
-            "disparities measured": fraction(case["is_measured"] for case in known),
+            "disparities measured": fraction(case["is_measured"] for case in cases),
             "true rig files, false alarms": fraction(case["is_noticed"] for case in true),
             "true rig files, moved during the drive": fraction(case["has_moved"] for case in true),
             "errors of 1 % or more, noticed": fraction(case["is_noticed"] for case in matters),

@@ -15,11 +15,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.harness import Figures, median_or_none, option, workload
+from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.drives import REAL_DATA
 from track_range.calibration.reference_pairs import read_drive
 from track_range.evaluation.stereo_evaluation import expected_disparities
-from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.processes import one_opencv_thread
 from track_range.simulation.drive import write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
@@ -29,13 +29,11 @@ from track_range.stereo.evaluation.disparity_errors import MatcherColumn, figure
 from track_range.stereo.evaluation.kitti_2015 import TRUTH, StereoPair, pair_names, read_pair
 from track_range.stereo.geometry.rectification import Maps, RemappedView
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.matching.box_matchers import MatcherResults, measure_pairs
+from track_range.stereo.matching.box_matchers import measure_pairs
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.stereo.matching.sgbm import Mode, Sgbm, SgbmSettings, inner_halves
 
-DRIVES = tuple(REAL_DATA / "kitti_stereo" / name for name in ("0003", "0005"))
 FROM_M, TO_M = 15.0, 25.0  # distance range in m on simulated drives
-MIN_FRAMES = 8  # smallest number of measured frames of a track for its repeatability
 MATCHERS = ("patch", "sgbm")
 
 N_BOXES = 15  # per scene
@@ -66,7 +64,6 @@ class SpeedScene:
     option("--rounds", default=5, help="number of rounds"),
     option("--seeds", default=3, help="number of simulated drives"),
     option("--fps", default=2.5, help="frame rate of the simulated drives, of 6 s each"),
-    option("--drives", default=DRIVES, nargs="*", help="real drives with labels"),
 )
 def stereo(options: Namespace) -> Figures:
     small = _real(options.pairs, options.scenes) if options.pairs.is_dir() else []
@@ -78,8 +75,7 @@ def stereo(options: Namespace) -> Figures:
             for scenes in (small, large)
         }
     simulated = _simulated(options.seeds, options.fps) if options.seeds else {}
-    repeated = {drive.name: _repeatability(drive) for drive in options.drives if drive.is_dir()}
-    return {"speed": speed, "simulated": simulated, "repeatability": repeated}
+    return {"speed": speed, "simulated": simulated}
 
 
 def _real(folder: Path, n: int) -> list[SpeedScene]:
@@ -201,31 +197,3 @@ def _drives(folder: Path, n_drives: int, fps: float) -> Iterator[StereoPair]:
     for seed in range(n_drives):
         write_drive(folder / str(seed), seed=seed, fps=fps)
         yield from read_drive(folder / str(seed))
-
-
-def _repeatability(drive: Path) -> dict[str, Any]:
-    """Standard deviations per track, with their median and maximum, by matcher and for the labels."""
-    measured = measure_pairs(read_drive(drive), MATCHERS, expected=expected_disparities)
-    truth = MatcherColumn(measured.objects.true_px, np.zeros(len(measured.objects)))
-    return {name: _repeated(measured, column) for name, column in {**measured.columns, "labels": truth}.items()}
-
-
-def _repeated(measured: MatcherResults, column: MatcherColumn) -> dict[str, Any]:
-    objects = measured.objects
-    values = list(scatter_px(objects.group, objects.pair, column.disparity_px).values())
-    return {"tracks": len(values), "median_px": median_or_none(values), "worst_px": max(values, default=None)}
-
-
-def scatter_px(track_id: IntArray, frame: IntArray, disparity_px: FloatArray) -> dict[int, float]:
-    """Standard deviation of each track's disparities about a quadratic in the frame number.
-
-    Tracks of fewer than `MIN_FRAMES` measured frames are not included. All arrays are (N,); NaN = not measured.
-    """
-    scatter = {}
-    for track in np.unique(track_id).tolist():
-        rows = (track_id == track) & np.isfinite(disparity_px)
-        if rows.sum() >= MIN_FRAMES:
-            curve = np.polynomial.Polynomial.fit(frame[rows], disparity_px[rows], 2)
-            residual_px = disparity_px[rows] - curve(frame[rows])
-            scatter[track] = float(np.sqrt((residual_px**2).sum() / (len(residual_px) - 3)))
-    return scatter

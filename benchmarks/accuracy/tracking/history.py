@@ -1,4 +1,4 @@
-"""Median label prediction (`tracking/history.py`) by median length, form and gates, and the paper's figure 5.
+"""Median label prediction (`tracking/history.py`) by median length, form and gates.
 
 jitter = |second difference of a box's edges over three consecutive frames| in px: median of each track minus that
 of the matched ground truth (IoU >= 0.5), mean over tracks weighted by the number of such triples
@@ -10,19 +10,15 @@ from __future__ import annotations
 from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs import tracking_sets
 from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.tracking_sets import sequences_of
 from track_range.detection.boxes import iou
-from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.tracking.association import min_cost_matching
@@ -34,20 +30,16 @@ from track_range.tracking.history import BoxHistory, Form, PredictionGates, smoo
 
 FORMS: tuple[Form, ...] = ("median-of-steps", "step-of-medians")  # forms of the prediction
 
-TRUTH, DETECTED, PREDICTED = "#8c96a0", "#2f7ed8", "#e08214"
-"""Colours of the figure."""
-
 
 @dataclass(frozen=True, slots=True)
 class _Tracked:
     """N reported boxes of a sequence, ordered by track and frame, with the labels that they match in their frames.
 
-    `truth_row` (N,) is -1 and `truth_xyxy_px` (N, 4) NaN without a label.
+    `truth_xyxy_px` (N, 4) is NaN without a label.
     """
 
     boxes: TrackedBoxes
     observed: BoolArray
-    truth_row: IntArray
     truth_xyxy_px: FloatArray
 
 
@@ -55,13 +47,9 @@ class _Tracked:
     option("--data", default=REAL_DATA, help="folder with kitti_labels"),
     option("--classes", default=("car", "person"), choices=("car", "person"), help="classes"),
     option("--k", default=(2, 3, 5, 7, 9), help="lengths of the median in frames"),
-    option("--figure", type=Path, metavar="FILE", help="PNG file for the figure, instead of the tables"),
-    option("--track", metavar="NAME:ID", help="track in the figure (default: the one with most jitter)"),
 )
 def history(options: Namespace) -> Figures:
     sequences = {name: sequences_of(f"kitti-{name}", options.data) for name in options.classes}
-    if options.figure:
-        return _draw(sequences[options.classes[0]], options.k[len(options.k) // 2], options)
     return {
         road_class: {f"{name}, k {k}": _row(class_sequences, k, gates) for name, k, gates in _settings(options.k)}
         for road_class, class_sequences in sequences.items()
@@ -105,7 +93,7 @@ def _tracked(sequence: tracking_sets.Sequence, gates: PredictionGates) -> _Track
     order = np.lexsort((boxes.frame, boxes.track_id))
     boxes = boxes.select(order)
     row = _matching_rows(sequence, boxes)
-    return _Tracked(boxes, observed[order], row, np.where(row[:, None] >= 0, _truth(sequence).xyxy_px[row], np.nan))
+    return _Tracked(boxes, observed[order], np.where(row[:, None] >= 0, _truth(sequence).xyxy_px[row], np.nan))
 
 
 def _truth(sequence: tracking_sets.Sequence) -> KittiLabels:
@@ -162,71 +150,3 @@ def _triples(tracked: _Tracked) -> IntArray:
     is_one_track = boxes.track_id[rows[:, 0]] == boxes.track_id[rows[:, 2]]
     is_consecutive = boxes.frame[rows[:, 2]] - boxes.frame[rows[:, 0]] == 2
     return np.asarray(rows[is_one_track & is_consecutive & is_matched[rows].all(axis=1)])
-
-
-def _draw(sequences: Sequence[tracking_sets.Sequence], k: int, options: Namespace) -> dict[str, Any]:
-    gates = PredictionGates(form="step-of-medians", n_kept=k + 1)
-    tracked = {sequence.name: _tracked(sequence, gates) for sequence in sequences}
-    name, track = options.track.split(":") if options.track else _default_track(tracked)
-    sequence, result = next(item for item in sequences if item.name == name), tracked[name]
-    rows = np.flatnonzero(result.boxes.track_id == int(track))
-    if not (len(rows) and (result.truth_row[rows] >= 0).any()):
-        raise SystemExit(f"--track {name}:{track}: expected a track that matches a label.")
-    edge = int(np.argmax(_flicker(result, rows)))
-    frame, observed = result.boxes.frame[rows], result.observed[rows]
-    label_px = _labels(result, k)[rows, edge]
-    figure = Figure(figsize=(9.5, 6.2), layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True, sharey=True)
-    for axes in (upper, lower):
-        _line(axes, *_truth_of_track(sequence, result, rows, edge), color=TRUTH, linewidth=5, alpha=0.4, label="truth")
-        axes.set_ylabel(f"{('left', 'upper', 'right', 'lower')[edge]} edge of the box, px")
-        axes.grid(True, alpha=0.2, linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-    detected_px = np.where(observed, result.boxes.xyxy_px[rows, edge], np.nan)
-    _line(upper, frame, detected_px, color=DETECTED, marker=".", linewidth=1.2, label="detected box")
-    _line(lower, frame, label_px, color=DETECTED, linewidth=1.6, label=f"label: median of {k}")
-    lower.plot(frame[~observed], label_px[~observed], "o", mfc="white", mec=PREDICTED, mew=1.6, label="observed False")
-    title = f"KITTI {name}, {ROAD_CLASSES[result.boxes.class_id[0]]} {track}"
-    upper.set_title(f"(a) {title}: detected boxes", loc="left", fontsize=10)
-    lower.set_title("(b) after median smoothing and prediction of missing boxes", loc="left", fontsize=10)
-    lower.set_xlabel("frame, 10 per second")
-    for axes in (upper, lower):
-        axes.legend(frameon=False, loc="best")
-    figure.savefig(options.figure, dpi=110)
-    print(f"{options.figure}: sequence {name}, track {track}, median of {k}")
-    return {"sequence": name, "track_id": int(track), "k": k, "n_predicted": int(np.count_nonzero(~observed))}
-
-
-def _truth_of_track(
-    sequence: tracking_sets.Sequence, result: _Tracked, rows: IntArray, edge: int
-) -> tuple[IntArray, FloatArray]:
-    """Frames and edge of the labelled object that a track matches most, within the track's first and last frame."""
-    labels, label_rows = _truth(sequence), result.truth_row[rows]
-    true_id = np.bincount(labels.track_id[label_rows[label_rows >= 0]]).argmax()
-    first, last = result.boxes.frame[rows[[0, -1]]]
-    object_rows = np.flatnonzero((labels.track_id == true_id) & (labels.frame >= first) & (labels.frame <= last))
-    return labels.frame[object_rows], labels.xyxy_px[object_rows, edge]
-
-
-def _line(axes: Axes, frame: IntArray, y_px: FloatArray, **style: Any) -> None:
-    y = np.full(frame[-1] - frame[0] + 1, np.nan)
-    y[frame - frame[0]] = y_px
-    axes.plot(np.arange(frame[0], frame[-1] + 1), y, **style)
-
-
-def _default_track(tracked: dict[str, _Tracked]) -> tuple[str, int]:
-    """Sequence and id of the track, of at least 60 boxes, with the largest flicker times correct predictions."""
-    best, selected = -1.0, ("", 0)
-    for name, result in tracked.items():
-        is_correct = ~result.observed & (result.truth_row >= 0)
-        for track_id in np.unique(result.boxes.track_id):
-            rows = np.flatnonzero(result.boxes.track_id == track_id)
-            value = np.count_nonzero(is_correct[rows]) * _flicker(result, rows).max() if len(rows) >= 60 else -1.0
-            best, selected = max((best, selected), (float(value), (name, int(track_id))))
-    return selected
-
-
-def _flicker(tracked: _Tracked, rows: IntArray) -> FloatArray:
-    """(4,) mean second difference of a track's edges, relative to their range (at least 15 px)."""
-    xyxy_px = tracked.boxes.xyxy_px[rows]
-    return np.asarray(np.abs(np.diff(xyxy_px, n=2, axis=0)).mean(axis=0) / np.maximum(np.ptp(xyxy_px, axis=0), 15.0))
