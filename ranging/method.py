@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from track_range.detection.box_errors import BoxErrors
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.errors import UserError
@@ -136,6 +137,7 @@ class MethodContext:
     focal_sigma: float = 0.0  # relative sigma of the focal length, which all methods share; 0 = calibrated
     size_model: SizeModel | None = None  # sizes of road users; None = the packaged model
     box_sigma_px: float | None = None  # sigma of one box edge; None = the noise model of a detector (`BoxNoise`)
+    box_errors: BoxErrors | None = None  # of the detector's boxes; None = unknown, or none with `box_sigma_px`
     camera_height_m: float | None = None  # above the road; None = unknown
     lane_width_m: float = 3.5  # distance between the centre lines of the lane markings, given or assumed
     has_images: bool = True  # whether frames have pixels; False if only boxes are evaluated

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from track_range.detection.box_errors import NO_ERRORS, BoxErrors
 from track_range.detection.boxes import area_px2, intersection_px2
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.method import ErrorSource, Measured, MethodContext, Ranger, RangingMethod
@@ -14,7 +15,14 @@ from track_range.ranging.parallax import Parallax
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
-from track_range.ranging.size_models.size_model import BORDER_PX, BoxNoise, DriveState, SizeModel, measured_boxes
+from track_range.ranging.size_models.size_model import (
+    BORDER_PX,
+    BoxNoise,
+    DriveState,
+    SizeModel,
+    box_error_table,
+    measured_boxes,
+)
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import CameraStep
@@ -67,6 +75,7 @@ class SizeRanger(Ranger):
         *,
         box_sigma_px: float | None = None,
         noise: BoxNoise | None = None,
+        box_errors: BoxErrors | None = None,
         parallax: Parallax | None = None,
     ) -> None:
         """Create a ranger for `camera` (undistorted).
@@ -76,6 +85,8 @@ class SizeRanger(Ranger):
             curves: model of the sizes of road users; None = the packaged priors.
             box_sigma_px: standard deviation of a box edge, if it is the same for all boxes.
             noise: noise model of the box edges, overrides `box_sigma_px`; None = typical noise of a detector.
+            box_errors: systematic errors of the detector's boxes; None = an unknown detector, or with `box_sigma_px` no
+                such errors.
             parallax: triangulation of static objects, which corrects their tracks; None = off.
         """
         self._parallax = parallax
@@ -85,6 +96,7 @@ class SizeRanger(Ranger):
         self._curves = curves or load_curves()
         uniform = None if box_sigma_px is None else BoxNoise(box_sigma_px, 0.0, 0.0)
         self._noise = noise or uniform or BoxNoise()
+        self._errors = box_error_table(NO_ERRORS if box_errors is None and uniform is not None else box_errors)
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances by size; NaN for predicted boxes, boxes truncated at top or bottom, and classes without a model."""
@@ -121,6 +133,7 @@ class SizeRanger(Ranger):
             tracks.class_id[rows],
             camera=self._camera,
             noise=self._noise,
+            errors=self._errors,
             uses_width_bottom=(uses_width[rows], np.ones(len(rows), np.bool_)),
         )
         self._drive.start_frame(tracks.track_id[rows], frame.time_s)
@@ -142,6 +155,7 @@ def _create(context: MethodContext) -> Ranger:
         context.camera,
         context.size_model,
         box_sigma_px=context.box_sigma_px,
+        box_errors=context.box_errors,
         parallax=Parallax(context.camera) if context.has_images and context.rig is None else None,
     )
 

@@ -128,9 +128,10 @@ class CuboidSizes:
         lowest, low, high, highest = grid.quantiles(_QUANTILES)
         (best,) = grid.quantiles(_MEDIAN, is_relative=True)
         sigma = np.maximum(np.maximum((high - low) / 2, np.maximum(highest - best, best - lowest) / 2), _MIN_SIGMA)
-        # The ground plane comes from sizes that share the deviation of the drive, so that it cannot reduce that part.
+        # The ground plane comes from sizes that share the errors of drive and detector, so that it cannot reduce them.
         sigma *= self._calibration[boxes.size_class]
-        drive_sigma = np.minimum(self._drive_sigma[boxes.size_class], size_sigma)
+        drive_sigma = np.hypot(self._drive_sigma[boxes.size_class], boxes.systematic_sigma[:, 1])
+        drive_sigma = np.minimum(drive_sigma, size_sigma)
         reduction = np.minimum((sigma / size_sigma) ** 2, 1.0)
         sigma = np.sqrt(sigma**2 + (1.0 - reduction) * drive_sigma**2)
         sigma = sigma * np.sqrt(1.0 + np.maximum(by_size.chi2 - _USUAL_CHI2, 0.0) / _USUAL_CHI2)

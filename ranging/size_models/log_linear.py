@@ -79,8 +79,10 @@ class SizeCurves:
         slopes = table[:, 1:4]
         terms = np.stack([log_size[:, 1], log_size[:, 0], np.abs(boxes.bearing)], axis=1)
         distance_m = np.exp(table[:, 0] + (slopes * terms).sum(axis=1))
-        noise = (slopes[:, 1::-1] ** 2 * boxes.log_variance).sum(axis=1)
-        systematic_m = distance_m * table[:, 4]
+        of_width_height = slopes[:, 1::-1] ** 2
+        noise = (of_width_height * boxes.noise_variance).sum(axis=1)
+        systematic = table[:, 4] ** 2 + (of_width_height * boxes.systematic_sigma**2).sum(axis=1)
+        systematic_m = distance_m * np.sqrt(systematic)
         return SizeRanges(distance_m, np.hypot(systematic_m, distance_m * np.sqrt(noise)), systematic_m)
 
     def document(self) -> dict[str, Any]:

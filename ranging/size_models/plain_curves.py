@@ -182,7 +182,6 @@ class TableSizes:
             rows = np.flatnonzero((boxes.size_class == SIZE_CLASSES.index(name)) & usable)
             class_boxes = boxes.select(rows)
             distance_m[rows] = curve.table(class_boxes.wh_over_f, class_boxes.bearing)
-            systematic_m[rows] = distance_m[rows] * curve.sigma_relative
             # (N, 2) slopes of log distance in log width and log height.
             wh, bearing = class_boxes.wh_over_f, class_boxes.bearing
             differences = [
@@ -190,7 +189,9 @@ class TableSizes:
                 for step in _STEP * np.identity(2)
             ]
             slopes = np.stack(differences, axis=1) / (2 * _STEP)
-            noise = (slopes**2 * class_boxes.log_variance).sum(axis=1)
+            noise = (slopes**2 * class_boxes.noise_variance).sum(axis=1)
+            systematic = curve.sigma_relative**2 + (slopes**2 * class_boxes.systematic_sigma**2).sum(axis=1)
+            systematic_m[rows] = distance_m[rows] * np.sqrt(systematic)
             sigma_m[rows] = np.hypot(systematic_m[rows], distance_m[rows] * np.sqrt(noise))
         return SizeRanges(distance_m, sigma_m, systematic_m)
 

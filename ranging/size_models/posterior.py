@@ -3,9 +3,9 @@
     p(log d | box)  ~  p(log d)  sum_k w_k N(log h, log w; m_k(log d), S_k + R)  p(bottom | log d)
 
 The sum is over yaw bins and body types k with prior weight w_k; m_k and S_k are mean and covariance of the log box
-size, R the noise of the box. m_k is linear in log d about a node of the `ShapeTables`, so that without the bottom edge
-log d is a mixture of Gaussians. The likelihood of the bottom edge is not linear, so the product of both is evaluated on
-a grid of log d.
+size, R the noise and systematic errors of the box. m_k is linear in log d about a node of the `ShapeTables`, so that
+without the bottom edge log d is a mixture of Gaussians. The likelihood of the bottom edge is not linear, so the product
+of both is evaluated on a grid of log d.
 
 The reported distance has the smallest expected relative error: it is the median under p(log d) / d. Sigma is half the
 width of the central 68 %, or half the distance to the farther end of the central 95 % if it is larger: a second body
@@ -27,9 +27,6 @@ from track_range.ranging.size_models.size_model import BoxExtents
 
 IMPOSSIBLE = -1e9  # log probability of a body type that a box cannot have
 _UNSEEN_VARIANCE = 1e4  # variance of the log width of a box truncated at a side: the width carries no information
-
-_MAX_NOISE = np.array([np.inf, 1.0], np.float32).reshape(2, 1, 1, 1)
-"""Largest variance of log height and log width that counts as noise of the box, without `_UNSEEN_VARIANCE`."""
 
 N_TERMS = 24  # number of Gaussians per box: the most likely yaw bins and body types
 _N_GRID = 37  # number of points of the grid of log distance
@@ -121,12 +118,13 @@ def _packed_terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fr
     inside = np.minimum(np.maximum(guess, NODE_RANGE[0]), NODE_RANGE[1])
     bearing_step, log_step, nodes = tables.at(body, np.abs(boxes.bearing), inside)
     scaled = log_hw[:, None] + (guess - inside)  # outside the nodes, size is inversely proportional to distance
-    noise = boxes.log_variance.T[::-1]
-    noise[1] += np.where(boxes.uses_width, 0.0, _UNSEEN_VARIANCE)
+    noise = boxes.noise_variance.T[::-1]
+    errors = noise + boxes.systematic_sigma.T[::-1] ** 2
+    errors[1] += np.where(boxes.uses_width, 0.0, _UNSEEN_VARIANCE)
     log_m = guess - log_step
 
     x0, p0 = (mean_log_m - log_m).astype(np.float32), precision.astype(np.float32)
-    R = noise.astype(np.float32)[:, None, None]
+    R = errors.astype(np.float32)[:, None, None]
     e = scaled.astype(np.float32)[:, None] - nodes.log_hw - bearing_step.astype(np.float32) * nodes.per_bearing
     s, b, (e_h, e_w) = nodes.per_log_m, nodes.covariance, e
     V = nodes.variance + R
@@ -144,7 +142,7 @@ def _packed_terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fr
     chi2 = (c * e_h - 2 * b * e_w) * e_h + a * e_w * e_w + x0 * x0 * p0 - h * x
     log_weight = nodes.log_weight + log_fraction.astype(np.float32)
     g *= g
-    g *= np.minimum(R, _MAX_NOISE)  # box noise
+    g *= noise.astype(np.float32)[:, None, None]
     packed = np.empty((len(_Terms._fields), *b.shape), np.float32)
     terms = _Terms._make(packed)
     np.subtract(log_weight, 0.5 * (chi2 + np.log(p * det / p0)), out=terms.log_weight)

@@ -24,6 +24,7 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 from pydantic import AfterValidator, Field
 
+from track_range.detection.box_errors import NO_ERRORS, UNKNOWN_DETECTOR, BoxErrors
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.files.input_files import quoted
@@ -160,6 +161,7 @@ class BoxExtents:
     uses_width: BoolArray  # (N,) False = a side is cut, the width is not used
     uses_bottom: BoolArray  # (N,) False = the bottom edge is not the contact point
     edge_sigma: FloatArray  # (N, 2) standard deviation of one edge, in x and in y
+    systematic_sigma: FloatArray  # (N, 2) of log width and log height, the same in all frames of an object
 
     def __len__(self) -> int:
         return len(self.bearing)
@@ -169,9 +171,22 @@ class BoxExtents:
         return BoxExtents(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     @property
-    def log_variance(self) -> FloatArray:
-        """(N, 2) variance of log width and log height, each the difference of two independent edges."""
+    def noise_variance(self) -> FloatArray:
+        """(N, 2) variance of log width and log height by noise, each the difference of two independent edges."""
         return np.asarray(2.0 * (self.edge_sigma / self.wh_over_f) ** 2)
+
+
+def box_error_table(errors: BoxErrors | None) -> FloatArray:
+    """(size classes, 2, 2) means and standard deviations of the errors of log width and log height; None = unknown.
+
+    A van has the errors of a car, which is what detectors report.
+    """
+    known = {**UNKNOWN_DETECTOR, **(errors or {})}
+    table = np.array([known["car" if name == "van" else name] for name in SIZE_CLASSES])
+    return table.reshape(-1, 2, 2).transpose(0, 2, 1)[:, :, ::-1]
+
+
+_NO_ERRORS = box_error_table(NO_ERRORS)
 
 
 def measured_boxes(
@@ -180,23 +195,28 @@ def measured_boxes(
     *,
     camera: PinholeCamera,
     noise: BoxNoise,
+    errors: FloatArray = _NO_ERRORS,
     uses_width_bottom: tuple[BoolArray, BoolArray] | None = None,
 ) -> BoxExtents:
     """Boxes (N, 4) of positive size, in px of `camera` (undistorted), in camera-independent units.
 
+    `errors` is a `box_error_table`. Its means are corrected: the height at the bottom edge, since a detector's box of a
+    car ends at the tyres, which are behind the bumper, and at the foot of people; the width at both sides.
     `uses_width_bottom` are `BoxExtents.uses_width` and `uses_bottom`, (N,) each; None = True for all boxes.
     """
     focal_px = np.array([camera.fx_px, camera.fy_px])
-    size_px = xyxy_px[:, 2:] - xyxy_px[:, :2]
+    error = errors[size_class]
+    size_px = (xyxy_px[:, 2:] - xyxy_px[:, :2]) * np.exp(-error[:, 0])
     uses_width, uses_bottom = uses_width_bottom or (np.ones(len(xyxy_px), np.bool_), np.ones(len(xyxy_px), np.bool_))
     return BoxExtents(
         wh_over_f=size_px / focal_px,
         bearing=((xyxy_px[:, 0] + xyxy_px[:, 2]) / 2 - camera.cx_px) / camera.fx_px,
-        bottom=(xyxy_px[:, 3] - camera.cy_px) / camera.fy_px,
+        bottom=(xyxy_px[:, 1] + size_px[:, 1] - camera.cy_px) / camera.fy_px,
         size_class=size_class,
         uses_width=uses_width,
         uses_bottom=uses_bottom,
         edge_sigma=noise.sigma_px(size_px, size_class) / focal_px,
+        systematic_sigma=error[:, 1],
     )
 
 

@@ -1,5 +1,7 @@
 """Distances by size priors: calibration of sigma on samples of the priors, and the effect of the ground plane."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -38,6 +40,7 @@ def world(name, n, *, seed, noise=NOISE, on_ground=True):
         uses_width=np.ones(n, np.bool_),
         uses_bottom=np.full(n, on_ground),
         edge_sigma=np.full((n, 2), noise),
+        systematic_sigma=np.zeros((n, 2)),
     )
     return boxes, distance_m
 
@@ -68,7 +71,7 @@ def test_width_adds_information():
     """Two boxes of the same height and different widths have different distances."""
     ones = np.ones(2)
     sizes = np.stack([np.array([1.60, 1.80]) / 30, 1.5 / 30 * ones], axis=1)
-    boxes = BoxExtents(sizes, 0 * ones, 0 * ones, np.full(2, 2), ones > 0, ones < 0, np.full((2, 2), 1e-4))
+    boxes = BoxExtents(sizes, 0 * ones, 0 * ones, np.full(2, 2), ones > 0, ones < 0, np.full((2, 2), 1e-4), 0 * sizes)
     narrow, wide = CuboidSizes({"car": PACKAGED.priors["car"]}).measure(boxes).distance_m
     assert wide < narrow - 0.5 or wide > narrow + 0.5
     assert 27 < min(narrow, wide) < max(narrow, wide) < 34
@@ -80,13 +83,22 @@ def test_ground_distinguishes_car_and_van():
     van_m = 30.0
     size, bottom = boxes.wh_over_f.copy(), boxes.bottom.copy()
     size[0], bottom[0] = np.array([2.5, 2.3]) / van_m, 0.01 + 1.65 / van_m
-    van = BoxExtents(
-        size, boxes.bearing, bottom, boxes.size_class, boxes.uses_width, boxes.uses_bottom, boxes.edge_sigma
-    )
+    van = replace(boxes, wh_over_f=size, bottom=bottom)
     on_ground = PACKAGED.measure(van).distance_m[0]
     by_size = PACKAGED.measure(van.select(np.array([0]))).distance_m[0]
     assert by_size < 0.75 * van_m
     assert on_ground > 1.01 * by_size
+
+
+def test_errors_of_a_detector_are_systematic():
+    boxes, _ = world("car", 200, seed=3)
+    exact, unknown = (
+        PACKAGED.measure(replace(boxes, systematic_sigma=np.full((200, 2), sigma))) for sigma in (0.0, 0.06)
+    )
+    variance = [np.median((r.sigma_m / r.distance_m) ** 2) for r in (exact, unknown)]
+    systematic = [np.median((r.sigma_systematic_m / r.distance_m) ** 2) for r in (exact, unknown)]
+    assert 0.03**2 < variance[1] - variance[0] < 0.06**2  # limited by the ground plane and the width of the box
+    assert variance[1] - systematic[1] == pytest.approx(variance[0] - systematic[0], rel=0.1)
 
 
 @given(st.integers(0, 200), st.permutations(range(6)))
@@ -110,7 +122,7 @@ def with_aspect_of_class(name, height, side, bearing, noise):
     edge_sigma = (noise * np.minimum(1.0, aspect) * height)[:, None] * np.ones(2)
     sizes, class_id = np.stack([aspect * height, height], axis=1), np.full(len(height), SIZE_CLASSES.index(name))
     no, yes = np.zeros(len(height), np.bool_), np.ones(len(height), np.bool_)
-    return BoxExtents(sizes, bearing, np.zeros(len(height)), class_id, yes, no, edge_sigma)
+    return BoxExtents(sizes, bearing, np.zeros(len(height)), class_id, yes, no, edge_sigma, 0 * sizes)
 
 
 @given(
@@ -163,6 +175,7 @@ def test_any_box_has_a_positive_distance_and_sigma(name, height, aspect, bearing
         ones > 0,
         ones > 0,
         np.full((1, 2), noise * height),
+        np.zeros((1, 2)),
     )
     result = PACKAGED.measure(boxes)
     assert 0 < result.distance_m[0] < np.inf

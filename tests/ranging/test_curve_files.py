@@ -141,7 +141,14 @@ def test_table_measures_and_its_noise():
 
     one = np.ones(1)
     boxes = BoxExtents(
-        np.array([[1.7, 1.5]]) / 30, 0 * one, 0.05 * one, np.array([2]), one > 0, one > 0, np.full((1, 2), 0.001)
+        wh_over_f=np.array([[1.7, 1.5]]) / 30,
+        bearing=0 * one,
+        bottom=0.05 * one,
+        size_class=np.array([2]),
+        uses_width=one > 0,
+        uses_bottom=one > 0,
+        edge_sigma=np.full((1, 2), 0.001),
+        systematic_sigma=np.zeros((1, 2)),
     )
     result = table().measure(boxes)
     assert result.distance_m == pytest.approx([30.0], rel=0.1)

@@ -99,7 +99,7 @@ def test_views_decide_between_body_types():
             size = np.array([[body.hwl_m[1], body.hwl_m[0]]]) / 40.0 + rng.normal(0, 0.004, (1, 2))
             one = np.ones(1)
             van = np.array([SIZE_CLASSES.index("van")])
-            boxes = BoxExtents(size, 0 * one, 0 * one, van, one > 0, one < 0, np.full((1, 2), 0.0028))
+            boxes = BoxExtents(size, 0 * one, 0 * one, van, one > 0, one < 0, np.full((1, 2), 0.0028), 0 * size)
             drive.start_frame(np.array([1]), 0.1 * k)
             with_state.append(abs(PACKAGED.measure(boxes, drive).distance_m[0] / 40.0 - 1))
             without.append(abs(PACKAGED.measure(boxes).distance_m[0] / 40.0 - 1))
@@ -117,6 +117,6 @@ def test_unusual_shapes_have_a_larger_sigma():
     """A box of a car that is three times as high as wide: a pole, or the part of a car beside it."""
     ones = np.ones(2)
     size = np.array([[1.7 / 30, 1.5 / 30], [0.5 / 30, 1.5 / 30]])
-    boxes = BoxExtents(size, 0 * ones, 0 * ones, np.full(2, 2), ones > 0, ones < 0, np.full((2, 2), 1e-3))
+    boxes = BoxExtents(size, 0 * ones, 0 * ones, np.full(2, 2), ones > 0, ones < 0, np.full((2, 2), 1e-3), 0 * size)
     usual, unusual = PACKAGED.measure(boxes).sigma_m / PACKAGED.measure(boxes).distance_m
     assert unusual > 1.5 * usual

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from track_range.detection.box_errors import NO_ERRORS, BoxError
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.ranging.methods.size_regression import SizeRanger
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, box_error_table, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
@@ -47,6 +48,33 @@ def test_box_noise_widens_sigma_and_is_independent():
     assert sized.sigma_systematic_m == pytest.approx([3.0])
 
 
+def test_errors_of_a_detector_are_corrected_at_the_bottom_edge_and_systematic():
+    """Boxes that are a tenth too low: 45 px high for 50 px, with the bottom edge 5 px too high."""
+    low = {"car": BoxError(float(np.log(0.9)), 0.06, 0.0, 0.0)}
+    sizes = SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)})
+    known = SizeRanger(CAMERA, sizes, noise=BoxNoise(0.0, 0.0, 0.0), box_errors=low)
+    ranges = known.measure(tracks_of([300, 200, 360, 245]), FRAME)
+    assert ranges.distance_m == pytest.approx([30.0])
+    assert ranges.sigma_m == ranges.sigma_systematic_m == pytest.approx([30 * np.hypot(0.1, 0.06)])
+    box = np.array([[300.0, 200, 360, 245]])
+    for name in ("car", "van"):
+        size_class = np.array([SIZE_CLASSES.index(name)])
+        table = box_error_table(low)
+        boxes = measured_boxes(box, size_class, camera=CAMERA, noise=BoxNoise(), errors=table)
+        assert boxes.bottom == pytest.approx([(250 - 240) / 1000])
+        assert boxes.bearing == pytest.approx([10 / 1000])
+
+
+def test_boxes_of_an_unknown_detector_are_less_certain_than_exact_ones():
+    boxes = tracks_of([300, 200, 360, 250])
+    unknown, exact, known = (
+        SizeRanger(CAMERA, **arguments).measure(boxes, FRAME)
+        for arguments in ({}, {"box_sigma_px": 0.5}, {"box_errors": NO_ERRORS})
+    )
+    assert unknown.sigma_m > 1.05 * exact.sigma_m
+    assert unknown.sigma_m > 1.05 * known.sigma_m
+
+
 def test_detector_noise_grows_with_box_size():
     noise = BoxNoise(px=0.6, relative=0.01, relative_person=0.04)
     size_px = np.array([[80.0, 60.0], [80.0, 60.0]])
@@ -55,7 +83,7 @@ def test_detector_noise_grows_with_box_size():
     far, near = (
         measured_boxes(np.array([[0, 0, s, s]], float), np.array([CAR]), camera=CAMERA, noise=noise) for s in (10, 200)
     )
-    assert far.log_variance[0, 0] > 10 * near.log_variance[0, 0]
+    assert far.noise_variance[0, 0] > 10 * near.noise_variance[0, 0]
 
 
 @pytest.mark.parametrize("curves", [None, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)})])
