@@ -19,6 +19,7 @@ from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.errors import UserError
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.region import Region
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.stereo.alignment.model import Alignment, AlignmentSource
@@ -139,6 +140,7 @@ class MethodContext:
     box_sigma_px: float | None = None  # sigma of one box edge; None = the noise model of a detector (`BoxNoise`)
     box_errors: BoxErrors | None = None  # of the detector's boxes; None = unknown, or none with `box_sigma_px`
     camera_height_m: float | None = None  # above the road; None = unknown
+    region: Region = "unknown"  # of the recording
     lane_width_m: float = 3.5  # distance between the centre lines of the lane markings, given or assumed
     has_images: bool = True  # whether frames have pixels; False if only boxes are evaluated
     has_visible_boxes: bool = False  # of a detector, and not of files, which may be projected 3-D boxes

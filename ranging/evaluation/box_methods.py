@@ -24,10 +24,12 @@ from track_range.ranging.fitting.prior_fit import fit_size_priors
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.method import MethodContext, Ranger, RangingMethod, checked_ranges
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.region import Region
 from track_range.ranging.registry import create_rangers, methods
 from track_range.ranging.size_models.curve import CurveError, load_curves
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, CurveFitter
+from track_range.ranging.size_models.regions import in_region
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
@@ -56,6 +58,7 @@ class MethodOptions:
     is_held_out: bool = False  # mono and plain curves are fitted to training boxes of other drives or images
     box_sigma_px: float | None = None  # standard deviation of one box edge; None = the noise model of a detector
     camera_height_m: float | None = None  # camera height for the ground plane; None = unknown
+    region: Region = "unknown"  # of the packaged or fitted sizes
 
     @property
     def scheme(self) -> Scheme | None:
@@ -89,7 +92,7 @@ def measured_by(
         if method.uses_size_model and options.scheme is not None:
             measured[method.name] = options.scheme(boxes, train, size_fitter(method, options))
         elif method.uses_size_model:
-            measured |= ranger_columns(boxes, [method], options, size_model=load_curves(options.curves))
+            measured |= ranger_columns(boxes, [method], options, size_model=load_curves(options.curves, options.region))
     others = [method for method in box_methods() if not method.uses_size_model]
     measured |= ranger_columns(boxes, others, options, measured=measured)
     measured = {method.name: measured[method.name] for method in box_methods()}
@@ -125,6 +128,7 @@ def ranger_columns(
                 size_model=size_model,
                 box_sigma_px=options.box_sigma_px,
                 camera_height_m=options.camera_height_m,
+                region=options.region,
                 has_images=False,
             )
             rangers, scale = create_rangers(context, listed), DriveScale()
@@ -189,7 +193,7 @@ def size_fitter(method: RangingMethod, options: MethodOptions) -> Fitter:
 
     def fit(train: BoxSet) -> Predictor:
         try:
-            model = fit_size_priors(train, source="cross-validation")
+            model = in_region(fit_size_priors(train, source="cross-validation"), options.region)
         except CurveError:
             if options.is_held_out:
                 raise

@@ -70,6 +70,7 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
         is_held_out=settings.fit_frames is not None,
         box_sigma_px=settings.noise_px if settings.boxes == "labels" else None,
         camera_height_m=settings.camera_height_m,
+        region=settings.region,
     )
     columns = measured_by(names or method_names(), boxes, train, options)
     if settings.truth == "centre":
@@ -100,6 +101,7 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
         "objects": settings.objects,
         "truth": settings.truth,
         "camera_height_m": settings.camera_height_m,
+        "region": settings.region,
         "n_boxes": len(boxes),
         "n_sequences": len(boxes.sequence_names),
         "methods": methods,

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from track_range.foundation.options import Options, option
 from track_range.ranging.evaluation.reference_distance import ReferenceName
+from track_range.ranging.region import Region
 
 
 class RangeEvaluationSettings(Options):
@@ -70,6 +71,9 @@ class RangeEvaluationSettings(Options):
     curves: Annotated[
         Path | None, option("Size curves of the mono method (default: the packaged curves).", metavar="FILE")
     ] = None
+    region: Annotated[
+        Region, option("Region of the recordings, whose road users differ in size; KITTI is from europe.")
+    ] = "unknown"
     camera_height_m: Annotated[
         float | None,
         option(

@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from pydantic import BaseModel
 
@@ -18,7 +18,10 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.atomic_files import describe, write_text
 from track_range.foundation.files.structured_text import read_json
 from track_range.foundation.validation import Integer, validated
+from track_range.ranging.region import Region
 from track_range.ranging.size_models import cuboid_sizes, log_linear, plain_curves
+from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.regions import in_region
 from track_range.ranging.size_models.size_model import StoredSizeModel
 
 CURVE_VERSION = 2  # version of the file format that is written and read
@@ -42,14 +45,14 @@ class _CurveFile(BaseModel):
     kind: Literal["cuboids", "log-linear", "table"]
 
 
-def load_curves(path: Path | None = None) -> StoredSizeModel:
-    """The size model in a curve file; None = the packaged file.
+def load_curves(path: Path | None = None, region: Region = "unknown") -> StoredSizeModel:
+    """The size model in a curve file, which has its own sizes; None = the packaged sizes of a region.
 
     Raises CurveError: no such file, another format or version, an unknown kind or class, or an invalid value.
     """
     if path is None:
         with resources.as_file(resources.files("track_range.ranging").joinpath("curves/cuboids.json")) as packaged:
-            return load_curves(packaged)
+            return in_region(cast(CuboidSizes, load_curves(packaged)), region)
     document = read_json(path, CurveError, "a curve file written by `track-range fit`")
     head = validated(_CurveFile, document, path, CurveError)
     if head.track_range_size_curves != CURVE_VERSION:

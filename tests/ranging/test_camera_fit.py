@@ -25,7 +25,7 @@ SIZE_PX = (1280, 720)
 CENTRE_PX = (639.5, 359.5)
 CAR = SIZE_CLASSES.index("car")
 VAGUE = FocalGuess(900.0, 0.3, "a guess")
-SIZES = load_curves()
+SIZES = load_curves(region="europe")
 
 
 def flat_box(distance_m, *, focal_px, height_m, horizon_px, x_px=0.0, hw_m=(1.5, 1.7)):

@@ -111,7 +111,7 @@ def test_order_of_boxes_does_not_matter(seed, order):
     np.testing.assert_allclose(turned.sigma_m, result.sigma_m[order], rtol=1e-9)
 
 
-# Classes whose most probable view changes with the size at a constant aspect ratio: sides of buses, body types of vans.
+# Classes whose most probable view changes with the size at a constant aspect ratio: body types of buses and vans.
 SEVERAL_VIEWS = ("bus", "van")
 
 
@@ -143,7 +143,7 @@ def test_distance_decreases_with_box_size(name, height, side, ratio, bearing, no
     assert 0 < result.distance_m[1] < result.distance_m[0]
 
 
-@pytest.mark.parametrize(("name", "most", "most_increase"), [("bus", 1, 0.005), ("van", 75, 0.2)])
+@pytest.mark.parametrize(("name", "most", "most_increase"), [("bus", 4, 0.11), ("van", 75, 0.2)])
 def test_distance_increases_rarely_where_the_view_changes(name, most, most_increase):
     """Of 10,000 pairs of exact boxes that differ by 10 to 30 %: noise makes the change of the view smoother."""
     rng, n = np.random.default_rng(5), 10_000

@@ -13,6 +13,7 @@ from track_range.pipeline.stages import DetectionStage, EgoStage, RangingStage
 from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.method import MethodContext
 from track_range.ranging.methods.ground_plane import GroundSettings
+from track_range.ranging.region import Region
 from track_range.ranging.registry import create_rangers, method_notes
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.ranging.warning.collision_warning import CollisionWarning
@@ -61,6 +62,7 @@ def open_pipeline(
     boxes: BoxSource,
     size_model: SizeModel,
     *,
+    region: Region = "unknown",
     tracker: ObjectTracker | None = None,
     alignment: AlignmentSource | None = None,
     ego_speed: EgoSpeed | None = None,
@@ -86,6 +88,7 @@ def open_pipeline(
         focal_sigma=calibration.focal_sigma,
         size_model=size_model,
         camera_height_m=settings.camera_height_m or calibration.camera_height_m,
+        region=region,
         lane_width_m=settings.lane_width_m,
         has_visible_boxes=settings.detections is None,
         has_lane_lines=settings.lanes != "off" and is_ahead,

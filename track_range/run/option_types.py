@@ -30,6 +30,7 @@ class PipelineKeywords(TypedDict, total=False):
     tracker: str | ObjectTracker | None
     reid: str | Path | None
     curves: str | Path | None
+    region: Literal["unknown", "europe", "north-america", "east-asia"] | None
     sgbm: bool | None
     sgbm_options: Mapping[str, Any] | None
     warning_options: Mapping[str, Any] | None

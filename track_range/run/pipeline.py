@@ -110,7 +110,7 @@ class Pipeline:
         self._align, self._view = "auto" if align is None else align, view
         self._is_closed = False
         self._tracker = tracker
-        self._size_model = load_curves(options.curves)
+        self._size_model = load_curves(options.curves, options.region or "unknown")
         if detector is not None:
             self._boxes = boxes_of(detector)
         else:
@@ -264,6 +264,7 @@ class Pipeline:
             aligned,
             self._boxes,
             self._size_model,
+            region=self.options.region or "unknown",
             tracker=self._tracker,
             alignment=stepwise if given is None else None,
         )

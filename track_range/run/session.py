@@ -24,10 +24,13 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
 from track_range.pipeline.throughput import FrameMeter
 from track_range.ranging.evaluation.truth import read_truth
+from track_range.ranging.region import Region, region_at
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.recording.names import BagTopic
+from track_range.recording.telemetry.positions import has_position
 from track_range.recording.telemetry.speed_source import AUTO, open_speed
+from track_range.recording.telemetry.track import TelemetryTrack
 from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.finder import EventFinder
 from track_range.results.progress_note import LOADING
@@ -89,7 +92,7 @@ class RunSession:
         self.settings = settings
         self.stopped_by: BaseException | None = None  # error that ended the run early
         self.frame_notes: tuple[str, ...] = ()  # on the frame numbers of labels, known at the end of the run
-        curves = load_curves(settings.curves)
+        curves = load_curves(settings.curves, settings.region or "unknown")
         start_s = time.perf_counter()
         self.recording = open_input(settings, progress, rig)
         alignment = self.recording.calibration.alignment
@@ -113,11 +116,13 @@ class RunSession:
                 duration_s=settings.duration_s,
                 folder_fps=settings.folder_fps,
             )
+            self.region = settings.region or _region_of(self.speed.track)
             self.pipeline = open_pipeline(
                 settings,
                 calibration,
                 self.box_source,
-                curves,
+                load_curves(settings.curves, self.region),
+                region=self.region,
                 tracker=tracker,
                 ego_speed=self.speed.ego,
                 measures_speed=settings.ego_speed == AUTO,
@@ -296,6 +301,7 @@ class RunSession:
             "calibration": calibration.kind,
             "focal_px": recording.camera.fx_px,
             "focal_sigma": round(calibration.focal_sigma, 4),
+            "region": self.region,
             "baseline_m": recording.rig.baseline_m if recording.rig else None,
             **({"alignment": calibration.alignment.summary()} if calibration.alignment else {}),
             **({"drive_bias": pipeline.scale.summary()} if pipeline.scale.n_tracks else {}),
@@ -313,3 +319,14 @@ class RunSession:
 @cache
 def _versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}}
+
+
+def _region_of(track: TelemetryTrack | None) -> Region:
+    """The region of the positions of a recording; "unknown" without any."""
+    if track is None:
+        return "unknown"
+    is_known = has_position(track.latitude_deg, track.longitude_deg)
+    latitude_deg, longitude_deg = track.latitude_deg[is_known], track.longitude_deg[is_known]
+    return (
+        region_at(float(np.median(latitude_deg)), float(np.median(longitude_deg))) if len(latitude_deg) else "unknown"
+    )

@@ -15,6 +15,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.options import Options, option
 from track_range.foundation.validation import chosen_numbers
+from track_range.ranging.region import Region
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.recording.names import stem_of
 from track_range.results.events.event import EventSettings
@@ -35,6 +36,13 @@ class RangingOptions(Options):
     curves: Annotated[
         Path | None,
         _clip_option("Size curves of the mono method, written by `track-range fit` (default: the packaged curves)."),
+    ] = None
+    region: Annotated[
+        Region | None,
+        _clip_option(
+            "Region of the recording, whose vehicles, people and lanes differ in size from others (default: that of "
+            "its GPS positions, else unknown: larger sigmas of one-camera distances). Curves of a file have their own."
+        ),
     ] = None
     sgbm: Annotated[
         bool,

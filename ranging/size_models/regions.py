@@ -1,0 +1,176 @@
+"""Sizes of road users by region: the middle level of class -> region -> drive -> object.
+
+    log size of an object = class and region  +  drive         +  body type  +  object
+                            mean_r               N(0, drive^2)     fractions_r   N(0, sigma^2)
+
+The packaged priors are those of KITTI's labels, from Germany. Other populations have other fractions of the same body
+types. A drive deviates from its region by `_DRIVE_SIGMA`, as data sets of one region do: streets differ, and so do
+the people who draw boxes. In an unknown region the deviation of the regions from their mean is added to it.
+
+Cars and people have one Gaussian with the moments of the mixture, in whose covariance the aspect ratio of a box depends
+on its type; the others keep the types as components (`SizePrior.bodies`), whose heights differ by more.
+
+Sizes are those of frequent models. Fractions in North America: EPA, Automotive Trends Report (production by type, model
+years 2008 to 2018); in East Asia: our estimate from sales of Japan, China and Singapore. Heights of people: NCD-RisC,
+A century of trends in adult human height, eLife 2016, with shoes and some children.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.ranging.region import Region
+from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.prior import BodyType, SizePrior
+
+
+class _Type(NamedTuple):
+    """Sizes of the models of a body type: height, width, length in m, and their relative standard deviations."""
+
+    hwl_m: tuple[float, float, float]
+    log_sigma: tuple[float, float, float]
+
+
+_TYPES: Mapping[str, Mapping[str, _Type]] = {
+    "car": {
+        "saloon": _Type((1.46, 1.79, 4.50), (0.035, 0.04, 0.08)),  # Corolla, Golf, Camry; also estates
+        "SUV": _Type((1.70, 1.86, 4.60), (0.05, 0.05, 0.07)),  # RAV4, CR-V, Explorer
+        "pickup": _Type((1.88, 2.00, 5.70), (0.04, 0.04, 0.06)),  # F-150, Silverado, Tacoma
+        "minivan": _Type((1.82, 1.92, 5.00), (0.06, 0.06, 0.06)),  # Sienna, Odyssey, Alphard
+        "kei car": _Type((1.68, 1.475, 3.395), (0.07, 0.01, 0.01)),  # N-Box, Wagon R
+    },
+    "person": {
+        "European": _Type((1.71, 0.58, 0.72), (0.07, 0.19, 0.33)),
+        "American": _Type((1.72, 0.58, 0.72), (0.07, 0.19, 0.33)),
+        "Asian": _Type((1.66, 0.56, 0.70), (0.07, 0.19, 0.33)),
+    },
+    "bicycle": {
+        "with rider": _Type((1.735, 0.646, 1.748), (0.0516, 0.2214, 0.0839)),
+        "without rider": _Type((1.08, 0.58, 1.70), (0.10, 0.20, 0.08)),
+    },
+    "motorcycle": {
+        "with rider": _Type((1.60, 0.80, 2.10), (0.09, 0.20, 0.12)),
+        "without rider": _Type((1.18, 0.78, 2.05), (0.09, 0.15, 0.12)),
+    },
+    "truck": {
+        "pickup": _Type((1.88, 2.00, 5.70), (0.05, 0.05, 0.07)),
+        "light": _Type((2.60, 2.10, 6.00), (0.12, 0.08, 0.15)),  # up to 3.5 t, with a box or platform
+        "heavy": _Type((3.45, 2.52, 9.50), (0.10, 0.07, 0.26)),  # 7.5 to 40 t
+        "semi-trailer": _Type((4.05, 2.60, 16.5), (0.04, 0.03, 0.15)),  # 13 ft 6 in
+    },
+    "bus": {
+        "single deck": _Type((3.10, 2.52, 11.5), (0.07, 0.05, 0.15)),  # also trams
+        "minibus": _Type((2.65, 2.10, 6.80), (0.07, 0.06, 0.12)),
+        "coach": _Type((3.65, 2.55, 12.5), (0.05, 0.03, 0.10)),
+        "double deck": _Type((4.35, 2.53, 11.5), (0.03, 0.03, 0.08)),
+    },
+}
+"""Body types of the classes."""
+
+_TWO_WHEELERS = {
+    "bicycle": {"with rider": 0.65, "without rider": 0.35},
+    "motorcycle": {"with rider": 0.6, "without rider": 0.4},
+}
+
+_FRACTIONS: Mapping[Region, Mapping[str, Mapping[str, float]]] = {
+    "europe": {
+        **_TWO_WHEELERS,
+        "bus": {"single deck": 0.7, "minibus": 0.1, "coach": 0.2},
+    },
+    "north-america": {
+        **_TWO_WHEELERS,
+        "car": {"saloon": 0.48, "SUV": 0.34, "pickup": 0.13, "minivan": 0.05},
+        "person": {"American": 1.0},
+        "truck": {"pickup": 0.35, "light": 0.2, "heavy": 0.2, "semi-trailer": 0.25},
+        "bus": {"single deck": 0.75, "minibus": 0.1, "coach": 0.15},
+    },
+    "east-asia": {
+        **_TWO_WHEELERS,
+        "car": {"saloon": 0.55, "SUV": 0.25, "minivan": 0.12, "kei car": 0.08},
+        "person": {"Asian": 1.0},
+        "truck": {"pickup": 0.05, "light": 0.5, "heavy": 0.45},
+        "bus": {"single deck": 0.6, "minibus": 0.2, "double deck": 0.2},
+    },
+}
+"""Fractions of the body types by region and class; a class that is missing has the packaged prior."""
+
+_DRIVE_SIGMA: Mapping[str, float] = {"car": 0.05, "person": 0.04}
+"""Standard deviation of the log size of all objects of a class in a drive about their region. Mean heights of cars in
+data sets of North America are 1.60 (TuSimple), 1.71 (Lyft L5), 1.77 (Waymo) and 1.79 m (nuScenes, Boston)."""
+
+_GAUSSIAN = ("car", "person")  # classes whose types differ too little for components
+_CORRELATION = 0.3  # between any two log sizes of the objects of one type
+
+
+def in_region(model: CuboidSizes, region: Region) -> CuboidSizes:
+    """The packaged `model`, which is that of Europe, for the road users of a region."""
+    priors = dict(model.priors)
+    for name, prior in model.priors.items():
+        known = {one: _populated(name, prior, one) for one in _FRACTIONS}
+        priors[name] = _mean(list(known.values())) if region == "unknown" else known[region]
+    return CuboidSizes(priors, model.ground)
+
+
+def _populated(name: str, prior: SizePrior, region: Region) -> SizePrior:
+    """The prior of a class in a known region."""
+    fractions = _FRACTIONS[region].get(name)
+    if fractions is None:
+        return prior
+    types = [_TYPES[name][body] for body in fractions]
+    weight = np.array(list(fractions.values()))
+    mean, covariance = _moments(weight, np.log([one.hwl_m for one in types]), np.array([_within(one) for one in types]))
+    drive_sigma = max(prior.drive_sigma, _DRIVE_SIGMA.get(name, 0.0))
+    if name in _GAUSSIAN:
+        return _sized(prior, mean, covariance + drive_sigma**2, drive_sigma)
+    bodies = [
+        BodyType(name=body, share=fraction, hwl_m=one.hwl_m, log_sigma=one.log_sigma, correlation=(_CORRELATION,) * 3)
+        for (body, fraction), one in zip(fractions.items(), types, strict=True)
+    ]
+    return replace(_sized(prior, mean, covariance, drive_sigma), bodies=tuple(bodies))
+
+
+def _mean(priors: Sequence[SizePrior]) -> SizePrior:
+    """The prior of a class in any one of the regions, which are equally likely."""
+    mean = np.log([prior.hwl_m for prior in priors])
+    weight = np.full(len(priors), 1 / len(priors))
+    total, covariance = _moments(weight, mean, np.array([prior.covariance for prior in priors]))
+    drive_sigma = float(np.sqrt(np.mean([prior.drive_sigma**2 for prior in priors]) + mean[:, 0].var()))
+    fractions: dict[str, float] = {}
+    for prior in priors:
+        for body in prior.bodies:
+            fractions[body.name] = fractions.get(body.name, 0.0) + body.share / len(priors)
+    kinds = {body.name: body for prior in priors for body in prior.bodies}
+    bodies = tuple(replace(kinds[name], share=fraction) for name, fraction in fractions.items())
+    return replace(_sized(priors[0], total, covariance, drive_sigma), bodies=bodies)
+
+
+def _sized(prior: SizePrior, mean: FloatArray, covariance: FloatArray, drive_sigma: float) -> SizePrior:
+    sigma = np.sqrt(np.diag(covariance))
+    hw, hl, wl = (covariance / np.outer(sigma, sigma))[[0, 0, 1], [1, 2, 2]].tolist()
+    height, width, length = np.exp(mean).tolist()
+    of_height, of_width, of_length = sigma.tolist()
+    return replace(
+        prior,
+        hwl_m=(height, width, length),
+        log_sigma=(of_height, of_width, of_length),
+        correlation=(hw, hl, wl),
+        drive_sigma=drive_sigma,
+    )
+
+
+def _within(one: _Type) -> FloatArray:
+    """(3, 3) covariance of the log sizes of one type."""
+    correlation = np.full((3, 3), _CORRELATION) + (1 - _CORRELATION) * np.identity(3)
+    return np.asarray(correlation * np.outer(one.log_sigma, one.log_sigma))
+
+
+def _moments(weight: FloatArray, mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean (3,) and covariance (3, 3) of a mixture of Gaussians: (K,) weights, (K, 3) means, (K, 3, 3) covariances."""
+    total = weight @ mean
+    shift = mean - total
+    return total, np.einsum("k,kij->ij", weight, covariance) + (shift.T * weight) @ shift
