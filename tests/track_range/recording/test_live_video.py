@@ -212,12 +212,12 @@ def test_pair_is_read_twice() -> None:
 
 def test_part_of_a_pair() -> None:
     with cameras(2) as (one, other):
-        readers = (LiveVideo(LiveAddress(camera.url), start_s=0.1, duration_s=0.8) for camera in (one, other))
+        readers = (LiveVideo(LiveAddress(camera.url), start_s=0.1, duration_s=3.0) for camera in (one, other))
         pair = LivePair(*readers)
         times_s = np.array([left.time_s for left, _ in pair]) - pair.left.first_time_s
         pair.close()
     assert times_s.min() >= 0.1 - 1e-6
-    assert times_s.max() < 0.9
+    assert times_s.max() < 3.1
 
 
 @pytest.mark.slow
