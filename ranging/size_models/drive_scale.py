@@ -27,11 +27,11 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
-_COMMON_SIGMA, _CLASS_SIGMA = 0.03, 0.05  # of a and c_k: together 0.06; biases of mono on KITTI drives are -12 to +9 %
+_COMMON_SIGMA, _CLASS_SIGMA = 0.03, 0.065  # of a and c_k: together 0.07, as drives of unknown region and detector have
 
 _PRIOR_VARIANCE = _COMMON_SIGMA**2 + _CLASS_SIGMA**2
 
-_MAX_SHARED = 0.3  # largest fraction of the systematic variance of a distance by size that the drive is taken to cause
+_MAX_SHARED = 0.4  # largest fraction of the systematic variance of a distance by size that the drive is taken to cause
 _CORRELATED_S = 0.5  # time over which the errors of a track's frames are correlated: pitch, and boxes of a detector
 _MEMORY_S = 180.0  # time constant with which tracks are forgotten: streets change
 _OWN_S = 5.0  # time for which a track without references stays corrected by its own ones

@@ -99,7 +99,7 @@ _FRACTIONS: Mapping[Region, Mapping[str, Mapping[str, float]]] = {
 }
 """Fractions of the body types by region and class; a class that is missing has the packaged prior."""
 
-_DRIVE_SIGMA: Mapping[str, float] = {"car": 0.05, "person": 0.04}
+_DRIVE_SIGMA: Mapping[str, float] = {"car": 0.06, "person": 0.045}
 """Standard deviation of the log size of all objects of a class in a drive about their region. Mean heights of cars in
 data sets of North America are 1.60 (TuSimple), 1.71 (Lyft L5), 1.77 (Waymo) and 1.79 m (nuScenes, Boston)."""
 
