@@ -307,7 +307,7 @@ def test_a_ranger_alone_gives_what_it_gives_in_the_pipeline_at_the_same_scale():
     boxes = [[20.0 + 9 * k, 30.0, 28.0 + 9 * k, 52.0] for k in range(6)]
     loop = pipeline(lambda frame: Detections.of(boxes, [0.9] * 6, [2] * 6))
     rig = StereoRig.rectified(CAMERA, 0.5)
-    matcher = FixedDisparity(2.0)
+    matcher = FixedDisparity(3.0)
     loop.ranging.rangers = {"mono": SizeRanger(CAMERA), "stereo": StereoRanger(rig, matcher)}
     alone = {"mono": SizeRanger(CAMERA), "stereo": StereoRanger(rig, matcher)}
     scale = DriveScale()
