@@ -15,7 +15,7 @@ BASELINES = Path(__file__).with_name("baselines")
 
 FAST = {
     "startup": "--runs 5",
-    "ranging": "--frames 300 --lane-frames 30",
+    "ranging": "--frames 300",
     "writers": "--frames 600 --rounds 3",
     "formats": "--frames 500",
     "stereo": "--scenes 1 --rounds 3 --seeds 1 --pairs none",

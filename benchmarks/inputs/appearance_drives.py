@@ -1,4 +1,4 @@
-"""Drives with images, identities and occlusions: a simulated street with a shaking camera, and drives of KITTI.
+"""Drives with images, identities and occlusions: a simulated street with a shaking camera.
 
 The simulated camera does not rotate. A rotation R about its centre moves its image by a homography,
 
@@ -10,19 +10,17 @@ rotated 3-D boxes. Objects that are occluded on purpose are not detected; the im
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 
 import cv2
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
 from track_range.detection.detections import Detections
-from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti
+from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import FloatArray, Image, IntArray
-from track_range.recording.open_video import open_video
 from track_range.simulation.camera.playback import HIDDEN, play_back
 from track_range.simulation.render.renderer import Renderer
 from track_range.simulation.world.road_shape import yaw_rotation
@@ -51,17 +49,11 @@ YAW_RATE_RAD, YAW_PERIOD_S = np.radians((9.0, 15.0)), (4.0, 5.0)
 MIN_FRACTION_INSIDE = 0.25  # smallest fraction of a box inside the image for objects that are scored
 STROLL_MPS = 3.0  # speed of the camera in drives with walkers
 
+VISIBLE_S, OCCLUDED_S, VISIBLE_AFTER_S = (0.8, 2.5), (0.5, 2.0), 0.5
+"""Ranges, in s, for which a road user is alternately visible and occluded, and the time after the last occlusion."""
+
 PAVEMENT_M, LANE_M, N_LANES = 7.9, 0.55, 5
 """Lateral position of the first walker lane, width of the lanes, and number of lanes per pavement."""
-
-
-@dataclass(frozen=True, slots=True)
-class OcclusionTimes:
-    """Ranges, in s, of the durations for which a road user is alternately visible and occluded."""
-
-    visible_s: tuple[float, float] = (0.8, 2.5)  # time before an occlusion
-    occluded_s: tuple[float, float] = (0.5, 2.0)  # length of an occlusion
-    visible_after_s: float = 0.5  # time after the last occlusion
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,18 +80,7 @@ def simulated(seed: int, *, seconds: float, is_shaken: bool = True) -> Appearanc
     images = [_warped(renderer.render(t), wide, R) for t, R in zip(time_s.tolist(), rotations, strict=True)]
     truth = _rotated(label_scene(scene, time_s.tolist(), camera=wide), rotations)
     name = f"{'stroll' if seed % 2 else 'traffic'} {seed}"
-    return _played_back(name, images, truth, seed=seed, times=OcclusionTimes())
-
-
-def real(folder: Path, seeds: Sequence[int]) -> Iterator[AppearanceDrive]:
-    """A drive of kitti_stereo with detections of the playback detector, for each seed."""
-    images = [read.image for read in open_video(folder / "left.mp4")]
-    truth = read_kitti(folder / "label.txt")
-    truth = truth.select((truth.track_id >= 0) & (truth.frame < len(images)))
-    has_class = [str(kitti_type).lower() in ROAD_CLASS_OF for kitti_type in truth.kitti_type]
-    times = OcclusionTimes(visible_s=(0.3, 0.7), occluded_s=(0.5, 0.8), visible_after_s=0.2)
-    for seed in seeds:
-        yield _played_back(f"{folder.name} {seed}", images, truth.select(np.array(has_class)), seed=seed, times=times)
+    return _played_back(name, images, truth, seed=seed)
 
 
 def class_ids(labels: KittiLabels) -> IntArray:
@@ -108,10 +89,8 @@ def class_ids(labels: KittiLabels) -> IntArray:
     return np.array([ROAD_CLASSES.index(name) for name in names], np.int64)
 
 
-def _played_back(
-    name: str, images: Sequence[Image], truth: KittiLabels, *, seed: int, times: OcclusionTimes
-) -> AppearanceDrive:
-    occlusions = _occlusions(truth, np.random.default_rng([seed, 12]), times)
+def _played_back(name: str, images: Sequence[Image], truth: KittiLabels, *, seed: int) -> AppearanceDrive:
+    occlusions = _occlusions(truth, np.random.default_rng([seed, 12]))
     hidden = np.zeros(len(truth), np.bool_)
     for track_id, first, last in occlusions:
         hidden |= (truth.track_id == track_id) & (truth.frame >= first) & (truth.frame <= last)
@@ -124,20 +103,20 @@ def _played_back(
     return AppearanceDrive(name, images, detected, truth, occlusions)
 
 
-def _occlusions(truth: KittiLabels, rng: np.random.Generator, times: OcclusionTimes) -> IntArray:
+def _occlusions(truth: KittiLabels, rng: np.random.Generator) -> IntArray:
     """(N, 3) track id, first and last frame of random occlusions, of objects visible before, during and after."""
     occlusions: list[tuple[int, int, int]] = []
-    after = round(times.visible_after_s * FPS)
+    after = round(VISIBLE_AFTER_S * FPS)
     for track_id in np.unique(truth.track_id):
         frames = np.sort(truth.frame[(truth.track_id == track_id) & (truth.occluded < HIDDEN)])
         ends = [0, *(np.flatnonzero(np.diff(frames) > 1) + 1), len(frames)]
         for begin, end in pairwise(ends):
-            first = begin + round(rng.uniform(*times.visible_s) * FPS)
-            last = first + round(rng.uniform(*times.occluded_s) * FPS) - 1
+            first = begin + round(rng.uniform(*VISIBLE_S) * FPS)
+            last = first + round(rng.uniform(*OCCLUDED_S) * FPS) - 1
             while last + after < end:
                 occlusions.append((int(track_id), int(frames[first]), int(frames[last])))
-                first = last + 1 + round(rng.uniform(*times.visible_s) * FPS)
-                last = first + round(rng.uniform(*times.occluded_s) * FPS) - 1
+                first = last + 1 + round(rng.uniform(*VISIBLE_S) * FPS)
+                last = first + round(rng.uniform(*OCCLUDED_S) * FPS) - 1
     return np.array(occlusions, np.int64).reshape(-1, 3)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import socket
 import statistics
 import subprocess
 import sys
@@ -12,9 +11,7 @@ import tempfile
 import time
 from argparse import Namespace
 from collections.abc import Sequence
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -142,71 +139,3 @@ def _last_frame(rows: Path) -> int | None:
     except (OSError, IndexError):
         return None
     return int(last) if last.isdigit() else None
-
-
-@workload(
-    *DRIVE_OPTIONS,
-    option("--frames", default=150, help="number of frames of the looped drive"),
-    option("--readers", default=200, help="number of slow readers"),
-    option("--rounds", default=3, help="runs of each kind, in turn"),
-)
-def server(options: Namespace) -> Figures:
-    """Wall-clock and CPU time in s of a run without viewers, and of the same run with slow readers of its live page."""
-    rounds: dict[str, list[tuple[float, float]]] = {"no viewer": [], "slow readers": []}
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        drive = looped(options.drive, folder, n_frames=options.frames)
-        command = (*pair_command(drive, options, folder / "out"), "--threads", "1")
-        for _ in range(options.rounds):
-            rounds["no viewer"].append(times_s(command))
-            with socket.create_server(("127.0.0.1", 0)) as free:
-                port = free.getsockname()[1]
-            readers = get_context("spawn").Process(target=_read_slowly, args=(port, options.readers), daemon=True)
-            readers.start()
-            rounds["slow readers"].append(times_s((*command, "--serve", str(port))))
-            readers.kill()
-            readers.join()
-    figures: dict[str, Any] = {}
-    for kind, pairs in rounds.items():
-        wall_s, cpu_s = np.median(pairs, axis=0).tolist()
-        figures[kind] = {"wall_s": wall_s, "cpu_s": cpu_s}
-    ratios = np.median(np.array(rounds["slow readers"]) / np.array(rounds["no viewer"]), axis=0)
-    return {**figures, "ratio": dict(zip(("wall_s", "cpu_s"), ratios.tolist(), strict=True)), "rounds": rounds}
-
-
-def _read_slowly(port: int, n_readers: int) -> None:
-    """Read 1 kB per second from each of N streams of the page at this port, forever.
-
-    A refused or closed connection is opened again a second later.
-    """
-    readers: list[socket.socket | None] = [None] * n_readers
-    while True:
-        for k in range(n_readers):
-            readers[k] = _opened(port) if (reader := readers[k]) is None else _read(reader)
-            time.sleep(1.0 / n_readers)
-
-
-def _read(reader: socket.socket) -> socket.socket | None:
-    """Read from a connection; None = closed, to be opened the next time."""
-    try:
-        if reader.recv(1000):
-            return reader
-    except BlockingIOError:
-        return reader
-    except OSError:
-        pass
-    reader.close()
-    return None
-
-
-def _opened(port: int) -> socket.socket | None:
-    reader = socket.socket()
-    reader.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    try:
-        reader.connect(("127.0.0.1", port))
-        reader.setblocking(False)
-        reader.sendall(b"GET /stream.mjpg HTTP/1.1\r\nHost: localhost\r\n\r\n")
-    except OSError:
-        reader.close()
-        return None
-    return reader

@@ -18,7 +18,6 @@ from benchmarks.harness import Figures, in_new_process, median_ms, option, workl
 from benchmarks.inputs.drives import REAL_DATA, decoded
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLine, LaneLines
-from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.arrays import Image
@@ -50,8 +49,6 @@ SIZES_HW_M = {"car": (1.5, 1.8), "person": (1.7, 0.6), "truck": (3.3, 2.5), "bic
 FRACTIONS = (0.6, 0.2, 0.1, 0.1)  # fraction of each class of `SIZES_HW_M` among the objects
 STEP_S = 0.1
 STEREO_SIGMA_PER_M, STEREO_FRACTION = 0.002, 0.8  # relative sigma of stereo per metre of distance, and its coverage
-
-NETS = tuple(REAL_DATA / "models" / name for name in ("twinlitenet_360x640.onnx", "lstr_tusimple_360x640.onnx"))
 
 N_TRACKS, FPS = 8, 30.0
 
@@ -118,17 +115,10 @@ def _timed_ms(detector: YoloDetector, frame: Image) -> list[float]:
 @workload(
     option("--tracks", default=(1, 6, 50), help="numbers of tracks"),
     option("--frames", default=600, help="number of frames for the methods"),
-    option("--lane-frames", default=60, help="number of frames for lane detection"),
-    option("--video", default=REAL_DATA / "dashcam" / "solid_white_right.mp4", help="video for lane detection"),
-    option("--lane-nets", default=NETS, nargs="*", help="ONNX files of lane networks"),
 )
 def ranging(options: Namespace) -> Figures:
-    """Time per frame of the box-only ranging methods, of fusion and filters, and of lane detection."""
-    by_tracks = {f"{n} tracks": box_only_ms(n, n_frames=options.frames) for n in options.tracks}
-    images = decoded(options.video, options.lane_frames) if options.video.is_file() else []
-    nets = [str(path) for path in options.lane_nets if path.is_file()]
-    finders = {Path(name).name: _lanes_ms(name, images) for name in (CLASSICAL, *nets) if images}
-    return {"ms_by_tracks": by_tracks, "lane_finders_ms": finders}
+    """Time per frame of the box-only ranging methods, and of fusion and filters."""
+    return {"ms_by_tracks": {f"{n} tracks": box_only_ms(n, n_frames=options.frames) for n in options.tracks}}
 
 
 def box_only_ms(n_tracks: int, *, n_frames: int) -> dict[str, float]:
@@ -205,16 +195,6 @@ def _lines() -> LaneLines:
         for side in (-1.0, 1.0)
     )
     return LaneLines(left, right)
-
-
-def _lanes_ms(name: str, images: Sequence[Image]) -> float:
-    finder = open_lane_finder(name, Runtime(n_threads=1, device="cpu"))
-    times_s = []
-    for index, image in enumerate(images):
-        start_s = time.process_time()
-        finder.find(image, index * STEP_S)
-        times_s.append(time.process_time() - start_s)
-    return median_ms(times_s)
 
 
 @workload(

@@ -6,18 +6,18 @@ import math
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.boxes.box_drive import BoxDrive
 from benchmarks.harness import Figures, option, workload
+from benchmarks.inputs.drives import REAL_DATA
+from benchmarks.inputs.road_sets import SETS, RoadSet, road_set
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.fitting.camera.camera_fit import fit_camera
 from track_range.ranging.fitting.camera.focal_evidence import default_guess, focal_of_field, focal_posterior
 from track_range.ranging.fitting.camera.measurements import FocalGuess, KnownObject, SceneBoxes, unhidden
-from track_range.ranging.fitting.labelled_boxes import box_set
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
@@ -26,11 +26,11 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
 SCENARIOS = ("city", "town", "highway", "queue")
-SIZE_PX, KITTI_SIZE_PX = (1280, 720), (1242, 375)
+SIZE_PX = (1280, 720)
 SECONDS, STEP_S = 20.0, 0.4  # length of a simulated drive and time between its frames, s
 TAPE_SIGMA, EDGE_PX = 0.01, 1.5  # relative error of a known distance, and error of the edges of its box in px
 NEAREST_M, FARTHEST_M, KNOWN_M = 5.0, 60.0, 30.0  # distances that are compared, and the largest known distance, m
-CHOICES = 5  # number of choices of known objects per sequence of KITTI
+CHOICES = 5  # number of choices of known objects per real drive
 NAMES = ("no measurement", "one distance", "three distances", "75 degrees assumed")  # rows of the tables
 
 
@@ -52,7 +52,8 @@ class RoadDrive:
 @workload(
     option("--first-seed", "--seed", default=100, help="first seed; 0-9 were used for the design"),
     option("--seeds", default=20, help="number of seeds"),
-    option("--labels", type=Path, help="folder with label_02, calib and rrc of KITTI"),
+    option("--sets", default=(), nargs="*", choices=SETS, help="data sets of real drives"),
+    option("--data", default=REAL_DATA, help="folder of the data sets"),
 )
 def focal_length(options: Namespace) -> Figures:
     sizes = load_curves()
@@ -61,13 +62,7 @@ def focal_length(options: Namespace) -> Figures:
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     groups = {name: [simulated_drive(name, seed) for seed in seeds] for name in SCENARIOS}
     groups["all simulated"] = [drive for name in SCENARIOS for drive in groups[name]]
-    if options.labels:
-        for name, boxes, noise_px in (
-            ("KITTI labels", "labels", 0.0),
-            ("KITTI 2 px", "labels", 2.0),
-            ("KITTI RRC", f"rrc:{options.labels / 'rrc'}", 0.0),
-        ):
-            groups[name] = list(kitti_drives(options.labels, name, boxes, noise_px))
+    groups |= {name: list(labelled_drives(name, road_set(name, options.data))) for name in options.sets}
     return {name: _figures(drives, sizes) for name, drives in groups.items()}
 
 
@@ -93,25 +88,27 @@ def simulated_drive(scenario: str, seed: int) -> RoadDrive:
     return RoadDrive(scenario, SIZE_PX, focal_px, SceneBoxes.joined(parts), np.concatenate(distances), (known,))
 
 
-def kitti_drives(folder: Path, name: str, boxes: str, noise_px: float) -> Iterator[RoadDrive]:
-    """KITTI's sequences, with boxes of the labels (with noise) or of a detector."""
-    labelled = box_set(folder / "label_02", folder / "calib", boxes=boxes, noise_px=noise_px, seed=1)
-    for k in range(len(labelled.sequence_names)):
-        rows = labelled.select(labelled.sequence == k)
+def labelled_drives(name: str, road: RoadSet) -> Iterator[RoadDrive]:
+    """The drives of a data set, one for each sequence and camera; of KITTI's drives, every fifth frame."""
+    step = 1 if road.train is None else 5
+    _, drive = np.unique(np.column_stack([road.boxes.sequence, road.boxes.fxycxy_px]), axis=0, return_inverse=True)
+    for k in range(int(drive.max()) + 1):
+        chosen = np.flatnonzero(drive.reshape(-1) == k)
+        rows, identity = road.boxes.select(chosen), road.object_id[chosen]
         if len(rows) < 5:
             continue
         shown = np.zeros(len(rows), np.bool_)
-        for frame in np.unique(rows.frame[rows.frame % 5 == 0]):
+        for frame in np.unique(rows.frame[rows.frame % step == 0]):
             frame_rows = np.flatnonzero(rows.frame == frame)
             shown[frame_rows] = unhidden(rows.xyxy_px[frame_rows])
-        scene = SceneBoxes(rows.xyxy_px[shown], rows.class_id[shown], rows.track_id[shown])
-        cars = rows.select((rows.class_name == "car") & (rows.occluded == 0))
+        scene = SceneBoxes(rows.xyxy_px[shown], rows.class_id[shown], identity[shown])
+        is_car = (rows.class_name == "car") & (rows.occluded == 0)
+        cars, size_px = rows.select(is_car), (int(rows.size_px[0, 0]), int(rows.size_px[0, 1]))
         choices = tuple(
-            _chosen(cars.xyxy_px, cars.distance_m, cars.track_id, KITTI_SIZE_PX, np.random.default_rng([k, n]))
+            _chosen(cars.xyxy_px, cars.distance_m, identity[is_car], size_px, np.random.default_rng([k, n]))
             for n in range(CHOICES)
         )
-        focal_px = float(rows.fxycxy_px[0, 0])
-        yield RoadDrive(name, KITTI_SIZE_PX, focal_px, scene, rows.distance_m[shown], choices)
+        yield RoadDrive(name, size_px, float(rows.fxycxy_px[0, 0]), scene, rows.distance_m[shown], choices)
 
 
 def _chosen(

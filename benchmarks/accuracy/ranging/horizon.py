@@ -5,19 +5,17 @@ from __future__ import annotations
 import os
 from argparse import Namespace
 from collections.abc import Mapping
-from itertools import pairwise, product
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 
 from benchmarks.accuracy.ranging.simulated_runs import joined
 from benchmarks.harness import Figures, median_or_none, option, workload
 from benchmarks.inputs.drives import FPS
-from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.evaluation.errors import MethodColumn, score_rows
-from track_range.ranging.evaluation.truth import read_truth
+from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import Columns
 from track_range.results.summary import matched_truth, with_truth
 from track_range.run.run import Run
@@ -28,7 +26,6 @@ from track_range.simulation.settings import SCENARIO_NAMES, DriveOptions
 METHODS = ("mono", "ground", "fused")
 KNOWN = ("height", "speed", "both", "none")
 SPAN_M = (10.0, 50.0)  # true distances of the errors
-BANDS_M = (10.0, 20.0, 30.0, 50.0)
 BIAS_FROM_S = (0.0, 5.0, 10.0)  # times from which the bias of a drive is measured
 HEIGHT_M = 1.65  # height of the simulated cameras above the road
 
@@ -74,21 +71,22 @@ def _simulated(options: Namespace, cache: Path, scenario: str, seed: int, known:
         mono=drive.left,
         rig=drive.rig,
         detections=drive.detections,
+        truth=drive.table,
         overlay=False,
         camera_height_m=HEIGHT_M if known in ("height", "both") else None,
         ego_speed=str(speed) if known in ("speed", "both") else "auto",
     )
-    return _columns(settings, drive.table)
+    return finished(settings)[1]
 
 
-def _columns(settings: RunSettings, truth_file: Path) -> Columns:
+def finished(settings: RunSettings, truth: Truth | None = None) -> tuple[Run, Columns]:
+    """A finished run, which writes nothing, and its columns with the truth: `truth`, or that of the settings."""
     run = Run(settings)
     for _ in run:
         pass
-    camera = run.camera
     rows = run.session.rows.table.to_columns(is_rounded=False)
-    truth = read_truth(truth_file, camera, np.zeros(3))
-    return with_truth(rows, matched_truth(rows, truth))
+    truth = truth or run.session.truth
+    return run, rows if truth is None else with_truth(rows, matched_truth(rows, truth))
 
 
 def _figures(drives: Mapping[str, Columns]) -> Figures:
@@ -105,31 +103,24 @@ def _figures(drives: Mapping[str, Columns]) -> Figures:
     }
 
 
-def _scores(columns: Columns) -> dict[str, dict[str, Any]]:
-    true_m = columns["truth_m"]
-    methods = {name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"]) for name in METHODS}
-    common = np.all([np.isfinite(method.distance_m) for method in methods.values()], axis=0)
-    scores = {}
-    for name, method in methods.items():
-        score = score_rows(method, true_m, _is_between(true_m, SPAN_M) & common)
-        for band in pairwise(BANDS_M):
-            in_band = score_rows(method, true_m, _is_between(true_m, band) & common)
-            score["median_pct_{:g}_{:g}_m".format(*band)] = in_band["median_relative_error_pct"]
-        score["coverage"] = score_rows(method, true_m, _is_between(true_m, SPAN_M))["coverage"]
-        scores[name] = score
-    return scores
-
-
-def _is_between(true_m: FloatArray, span_m: tuple[float, float]) -> BoolArray:
-    return np.asarray((true_m >= span_m[0]) & (true_m < span_m[1]))
+def _scores(columns: Columns) -> Figures:
+    """Scores over the rows that all methods measured, with the coverage of each method."""
+    columns_of = {name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"]) for name in METHODS}
+    true_m, common = columns["truth_m"], np.all([np.isfinite(each.distance_m) for each in columns_of.values()], axis=0)
+    in_span = (true_m >= SPAN_M[0]) & (true_m < SPAN_M[1])
+    coverage = {name: score_rows(each, true_m, in_span)["coverage"] for name, each in columns_of.items()}
+    return {
+        name: {**score_rows(each, true_m, in_span & common), "coverage": coverage[name]}
+        for name, each in columns_of.items()
+    }
 
 
 def _biases(columns: Columns) -> dict[str, float | None]:
     """Median of the signed errors in per cent, by method and time from which on they count."""
     true_m, time_s = columns["truth_m"], columns["time_s"]
+    in_span = (true_m >= SPAN_M[0]) & (true_m < SPAN_M[1])
     biases: dict[str, float | None] = {}
     for name, start_s in product(METHODS, BIAS_FROM_S):
-        error = columns[f"{name}_m"] / true_m - 1
-        use = _is_between(true_m, SPAN_M) & np.isfinite(error) & (time_s >= start_s)
-        biases[f"{name} {start_s:g} s"] = median_or_none(error[use], 100)
+        error = (columns[f"{name}_m"] / true_m - 1)[in_span & (time_s >= start_s)]
+        biases[f"{name} {start_s:g} s"] = median_or_none(error[np.isfinite(error)], 100)
     return biases

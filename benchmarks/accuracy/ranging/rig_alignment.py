@@ -242,7 +242,6 @@ def _case(window: TrackedDrive, error: Error) -> Figures:
         "is_measured": measured.is_measured,
         "before_pct": float(np.abs(before).max()),
         "after_pct": float(np.abs(after).max()),
-        "after_middle_pct": float(after[1]),
         "is_noticed": health.is_noticed,
         "has_moved": health.move is not None,
         "halves_sigmas": None if halves is None else _sigmas(*halves),
@@ -274,7 +273,6 @@ def _case_figures(cases: Sequence[Figures]) -> Figures:
     wrong = [case for case in cases if case["fault"] != "true"]
     matters = [case for case in wrong if case["before_pct"] >= 100 * MATTERS and case["fault"] not in UNSEEN]
     unseen = [case for case in wrong if case["fault"] in UNSEEN]
-    measured = [case for case in matters if case["is_measured"]]
     sigmas = [case["halves_sigmas"] for case in cases if case["halves_sigmas"] is not None]
     by_fault = {}
     for fault in dict.fromkeys(case["fault"] for case in wrong):
@@ -295,12 +293,7 @@ def _case_figures(cases: Sequence[Figures]) -> Figures:
             "true rig files, false alarms": fraction(case["is_noticed"] for case in true),
             "true rig files, moved during the drive": fraction(case["has_moved"] for case in true),
             "errors of 1 % or more, noticed": fraction(case["is_noticed"] for case in matters),
-            "errors of 1 % or more, measured and noticed": fraction(case["is_noticed"] for case in measured),
             "errors of 1 % or more, corrected": fraction(case["after_pct"] <= AFTER_PCT for case in matters),
-            "errors of 1 % or more, measured and corrected": fraction(
-                case["after_pct"] <= AFTER_PCT for case in measured
-            ),
-            "the same in the middle": fraction(abs(case["after_middle_pct"]) <= AFTER_PCT for case in measured),
             "both focal lengths or baseline, noticed": fraction(case["is_noticed"] for case in unseen),
             "halves within 1 sigma": fraction(sigma <= 1 for sigma in sigmas),
             "halves within 2 sigma": fraction(sigma <= 2 for sigma in sigmas),

@@ -1,4 +1,4 @@
-"""Effect of appearance and camera motion on online tracking: simulated drives, MOT17-05 and KITTI's stereo drives."""
+"""Effect of appearance and camera motion on online tracking of simulated drives."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ import cv2
 import numpy as np
 
 from benchmarks.harness import Figures, option, workload
-from benchmarks.inputs.appearance_drives import FPS, AppearanceDrive, class_ids, real, simulated
+from benchmarks.inputs.appearance_drives import FPS, AppearanceDrive, class_ids, simulated
 from benchmarks.inputs.drives import REAL_DATA
-from benchmarks.inputs.tracking_sets import sequences_of
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Descriptors
 from track_range.detection.models.onnx_session import Runtime
@@ -25,13 +24,12 @@ from track_range.tracking.appearance.embeddings import ColourLayout
 from track_range.tracking.appearance.reid import ReidModel
 from track_range.tracking.camera_motion import CameraMotion
 from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker
-from track_range.tracking.evaluation.scores import TrackingCounts, evaluate_tracks
+from track_range.tracking.evaluation.scores import evaluate_tracks
 from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, TrackedBoxes
 from track_range.tracking.registry import AppearanceModel
 from track_range.tracking.tracks import Tracks
 
 NO_APPEARANCE = AppearanceSettings(max_cosine_distance=0.0)  # settings for tracking by motion only
-REAL_SEEDS = range(5)  # random seeds of the playback detector on real drives
 _MIN_IOU = 0.5  # smallest IoU of a track with the true box for the `kept` figure
 _METRICS = ("hota", "idf1", "assa", "deta", "idsw")
 _DRIVE_OFFSET = 100_000  # difference of frame numbers and identities between one drive and the next
@@ -72,7 +70,7 @@ class Row:
 
 
 @workload(
-    option("--data", default=REAL_DATA, help="folder with mot, kitti_stereo and models"),
+    option("--data", default=REAL_DATA, help="folder with models"),
     option("--drives", default=6, help="number of simulated drives"),
     option("--seconds", default=12.0, help="length of a simulated drive"),
     option("--steady", default=False, help="simulated camera without pitch and yaw"),
@@ -81,17 +79,9 @@ class Row:
 def appearance(options: Namespace) -> Figures:
     cv2.setNumThreads(1)
     reid = options.reid or options.data / "models" / "osnet_x0_25_msmt17.onnx"
-    figures: Figures = {}
-    if options.drives:
-        seeds = range(1, options.drives + 1)
-        drives = (simulated(seed, seconds=options.seconds, is_shaken=not options.steady) for seed in seeds)
-        figures["drives"] = _measured(drives, _rows(reid))
-    if mot17 := _stored_embeddings(options.data):
-        figures["mot17"] = mot17
-    if folders := sorted((options.data / "kitti_stereo").glob("0*")):
-        real_drives = (drive for folder in folders for drive in real(folder, REAL_SEEDS))
-        figures["kitti_stereo"] = _measured(real_drives, _rows(reid))
-    return figures
+    seeds = range(1, options.drives + 1)
+    drives = (simulated(seed, seconds=options.seconds, is_shaken=not options.steady) for seed in seeds)
+    return {"drives": _measured(drives, _rows(reid))}
 
 
 def _rows(reid: Path) -> dict[str, Row]:
@@ -191,17 +181,3 @@ def _is_kept(truth: TrackedBoxes, results: TrackedBoxes, occlusions: IntArray) -
         before = first_match(track_id, range(first - 1, first - 1 - second, -1))
         is_kept.append(before is not None and before == first_match(track_id, range(last + 1, last + 1 + second)))
     return is_kept
-
-
-def _stored_embeddings(data: Path) -> dict[str, Figures]:
-    sequences = [sequence for sequence in sequences_of("mot17", data) if sequence.has_embeddings]
-    figures: dict[str, Figures] = {}
-    for name, settings in (("motion", NO_APPEARANCE), ("motion, stored embeddings", AppearanceSettings())):
-        counts = []
-        for sequence in sequences:
-            boxes, _ = sequence.tracked(DeepSortTracker(DeepSortSettings(appearance=settings)))
-            counts.append(sequence.counts(boxes))
-        if counts:
-            scores = asdict(TrackingCounts.sum_of(counts).scores())
-            figures[name] = {key: scores[key] for key in _METRICS}
-    return figures
