@@ -41,6 +41,7 @@ RUN_METHODS = ("mono", "ground", "lane", "fused", "mono_kf", "fused_kf")
 BANDS_M = (5.0, 20.0, 45.0, 100.0)  # edges of TuSimple's official bands, within those of `errors.BANDS_M`
 HEIGHTS_PX = (0.0, 25.0, 50.0, np.inf)
 ANSWERED_PCT = (100, 95, 80, 50)  # points of risk-coverage curves
+DRAWN = (("nothing", "mono"), ("region", "mono"), ("both", "ground"))  # what is known and method, of the picture
 N_BINS = 8  # of the stated sigma, with equal numbers of boxes
 
 CLIP_NAME = "TuSimple clip"
@@ -206,23 +207,24 @@ def reliability(column: MethodColumn, true_m: FloatArray) -> Figures:
 
 
 def draw(figures: Figures, path: Path) -> None:
-    """Draw the error against the stated sigma of each data set, by what is known."""
+    """Draw the error against the stated sigma of each data set, by method and what is known."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FixedLocator, NullLocator
 
-    figure = Figure(figsize=(2.9 * len(figures) + 0.6, 3.4), layout="constrained")
+    figure = Figure(figsize=(2.5 * len(figures) + 0.5, 3.1), layout="constrained")
     every = figure.subplots(1, len(figures), sharex=True, sharey=True, squeeze=False)[0]
     for axes, (name, by_known) in zip(every, figures.items(), strict=True):
-        axes.plot([2, 50], [2, 50], ":", color="#7a7f87", lw=1)
-        for known, method in product(by_known, ("mono", METHODS[-1])):
-            bins = by_known[known]["sigma"][method]
-            style = "o-" if method == "mono" else "s--"
-            if "height" in known or known == "both" or method == "mono":
-                axes.plot(bins["sigma_pct"], bins["error_pct"], style, ms=3.5, lw=1.4, label=f"{method}, {known}")
-        axes.set(title=name, xscale="log", yscale="log", xlabel="stated sigma, %")
+        axes.plot([3, 50], [3, 50], ":", color="#7a7f87", lw=1)
+        for known, method in DRAWN:
+            if known in by_known:
+                bins = by_known[known]["sigma"][method]
+                axes.plot(bins["sigma_pct"], bins["error_pct"], "o-", ms=3.5, lw=1.4, label=f"{method}, {known}")
+        axes.set(title=name, xscale="log", yscale="log", xlabel="stated sigma, %", aspect="equal")
         for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(FixedLocator((5, 10, 20, 50)))
+            axis.set_minor_locator(NullLocator())
             axis.set_major_formatter("{x:g}")
-            axis.set_minor_formatter("")
         axes.grid(alpha=0.3, lw=0.6)
     every[0].set_ylabel("RMS error, %")
-    every[-1].legend(frameon=False, fontsize=8)
+    every[-1].legend(frameon=False, fontsize=8, loc="lower right")
     figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
