@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -67,15 +68,20 @@ class CuboidSizes:
         """Create a model from priors by size class; boxes of other classes are not ranged (NaN)."""
         self.priors = dict(priors)
         self.ground = ground or GroundPrior()
-        self._tables = ShapeTables(priors)
         self._is_on_ground = np.array([name in priors and priors[name].stands for name in SIZE_CLASSES])
         self._has_prior = np.array([name in priors for name in SIZE_CLASSES])
         self._drive_sigma = np.array([priors[name].drive_sigma if name in priors else np.nan for name in SIZE_CLASSES])
         self._calibration = np.array(
             [_CALIBRATION if name in priors and priors[name].bodies else _ONE_BODY_CALIBRATION for name in SIZE_CLASSES]
         )
-        self._body, self._log_fraction = _body_mixture(self._tables)
-        self._n_possible = (self._log_fraction > IMPOSSIBLE).sum(axis=0)
+
+    @cached_property
+    def _tables(self) -> ShapeTables:
+        return ShapeTables(self.priors)  # when they are needed: priors of another region are often made from these
+
+    @cached_property
+    def _mixture(self) -> tuple[IntArray, FloatArray]:
+        return _body_mixture(self._tables)
 
     def measure(self, boxes: BoxExtents, drive: DriveState | None = None) -> SizeRanges:
         """Distances of the boxes of one frame, which share a ground plane.
@@ -92,9 +98,9 @@ class CuboidSizes:
 
     def _measured(self, boxes: BoxExtents, drive: DriveState | None, rows: IntArray) -> tuple[FloatArray, ...]:
         n_bodies = len(self._tables.class_name)
-        n_possible = int(self._n_possible[boxes.size_class].max())
-        body = self._body[:n_possible].take(boxes.size_class, axis=1)
-        log_fraction = self._log_fraction[:n_possible].take(boxes.size_class, axis=1)
+        body, log_fraction = self._bodies_of(boxes)
+        n_possible = int((log_fraction > IMPOSSIBLE).sum(axis=0).max())
+        body, log_fraction = body[:n_possible], log_fraction[:n_possible]
         if drive is not None:
             log_fraction += drive.body_evidence(n_bodies)[body, rows]
         by_size = mixture_by_size(self._tables, boxes, body, log_fraction)
@@ -141,6 +147,11 @@ class CuboidSizes:
         distance_m = np.exp(best)
         return distance_m, distance_m * sigma, distance_m * systematic
 
+    def _bodies_of(self, boxes: BoxExtents) -> tuple[IntArray, FloatArray]:
+        """(M, N) body types that each box may show, and their log probabilities."""
+        body, log_fraction = self._mixture
+        return body.take(boxes.size_class, axis=1), log_fraction.take(boxes.size_class, axis=1)
+
     def _body_likelihood(
         self, body: IntArray, log_fraction: FloatArray, by_size: SizeMixture, grid: LogGrid, likelihood: FloatArray
     ) -> FloatArray:
@@ -162,8 +173,7 @@ class CuboidSizes:
 
         It depends on the focal length through the bearings. All boxes need a class with a prior.
         """
-        body = self._body.take(boxes.size_class, axis=1)
-        return log_evidence(self._tables, boxes, body, self._log_fraction.take(boxes.size_class, axis=1))
+        return log_evidence(self._tables, boxes, *self._bodies_of(boxes))
 
     def with_flat_distance(self, log_sigma: float) -> CuboidSizes:
         """The same sizes with the standard deviation `log_sigma` of the log distance of every class."""
