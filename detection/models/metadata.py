@@ -12,6 +12,7 @@ family's default is used. All sources use the same keys:
     area       number of pixels of an input of variable size, instead of `size`
     end2end    whether Ultralytics' exporter included the suppression
     head       class of the head in Ultralytics' metadata, such as RTDETRDecoder
+    box_errors systematic errors of the box sizes, by class (`detection.box_errors`)
 
 RF-DETR's exporter writes one JSON document, `rfdetr_inference`, whose class names, mean and std are used.
 """
@@ -27,6 +28,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from track_range.detection.box_errors import box_errors_of
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.input_format import placement_and_grey
 from track_range.foundation.files.input_files import MAX_TEXT_BYTES, quoted, shortened
@@ -254,4 +256,5 @@ _PARSERS: Mapping[str, Callable[[Any], Any]] = {
     "area": _between(32**2, 4096**2, f"{32**2} to {4096**2} pixels"),
     "end2end": lambda value: str(value).lower() == "true",
     "head": _family,
+    "box_errors": box_errors_of,
 }

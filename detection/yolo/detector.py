@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from track_range.detection.box_errors import BoxErrors
 from track_range.detection.boxes import are_valid_boxes, nms
 from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, map_to_road_classes
 from track_range.detection.detections import Detections
@@ -157,6 +158,12 @@ class YoloDetector:
     def model(self) -> YoloModel:
         """Family, input format and class names for the latest image, filled or prepared."""
         return self._input.model
+
+    @property
+    def box_errors(self) -> BoxErrors | None:
+        """Systematic errors of the boxes; None = unknown."""
+        errors: BoxErrors | None = self.model.attributes["box_errors"].value
+        return errors
 
     @property
     def known_class_id(self) -> IntArray:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from track_range.detection.box_errors import BoxErrors
 from track_range.detection.boxes import are_valid_boxes, area_px2
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
@@ -43,6 +44,7 @@ class BoxSource:
     description: dict[str, Any]  # for the section `found` of settings.yaml
     notes: Callable[[], tuple[str, ...]]  # messages for the user so far
     prepare: Callable[[Frame], Callable[[], Detections]] | None = None
+    box_errors: BoxErrors | None = None  # systematic errors of the boxes; None = unknown
     frames: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))  # (M,) numbers of those with recorded boxes
 
 
@@ -77,18 +79,20 @@ def network_source(
         "family": network.model.family,
         "names": list(network.model.names),
         "device": network.session.device,
+        "box_errors": network.model.attributes["box_errors"].source,
     }
     return BoxSource(
         detect=lambda frame: network.detect(frame.left),
         candidates=lambda frame: network.candidates(CANDIDATE_SCORE),
         description={"detector": description},
         notes=lambda: network.notes,
+        box_errors=network.box_errors,
         prepare=lambda frame: network.prepared(frame.left),
     )
 
 
 def boxes_of(detector: ObjectDetector) -> BoxSource:
-    """Source of the boxes of a detector object with `detect(image)`.
+    """Source of the boxes of a detector object with `detect(image)`, and optionally `notes` and `box_errors`.
 
     Its `detect` raises DetectorError if the object does not return valid `Detections`.
     """
@@ -104,6 +108,7 @@ def boxes_of(detector: ObjectDetector) -> BoxSource:
         candidates=lambda frame: last,
         description={"detector": {"class": class_name(detector)}},
         notes=lambda: tuple(getattr(detector, "notes", ())),
+        box_errors=getattr(detector, "box_errors", None),
     )
 
 

@@ -87,6 +87,7 @@ def open_pipeline(
         drifting_alignment=alignment or (aligned.drifting if aligned else None),
         focal_sigma=calibration.focal_sigma,
         size_model=size_model,
+        box_errors=boxes.box_errors,
         camera_height_m=settings.camera_height_m or calibration.camera_height_m,
         region=region,
         lane_width_m=settings.lane_width_m,

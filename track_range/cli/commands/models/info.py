@@ -12,6 +12,7 @@ from rich.text import Text
 
 from track_range.cli.console import console
 from track_range.cli.parameters import command
+from track_range.detection.box_errors import UNKNOWN_DETECTOR
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.models.lookup import ModelLocation, find_model
 from track_range.detection.yolo.detector import YoloDetector
@@ -81,6 +82,11 @@ def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
     for key in ("letterbox", "colours", "divisor", "mean", "std", "anchors", "scale_x_y", "scores"):
         if key in model.attributes and model.attributes[key].value != _IDENTITY.get(key):
             yield key, _text(model.attributes[key].value), model.attributes[key].source
+    errors = ", ".join(
+        f"{name} {100 * e.log_height:+.1f} ± {100 * e.log_height_sigma:.1f}"
+        for name, e in (detector.box_errors or UNKNOWN_DETECTOR).items()
+    )
+    yield "errors of box heights %", errors, model.attributes["box_errors"].source
     yield f"{len(model.names)} classes", ", ".join(model.names), model.attributes["names"].source
     yield "road classes", ", ".join(ROAD_CLASSES[i] for i in detector.known_class_id), ""
     missing = [name for i, name in enumerate(ROAD_CLASSES) if i not in detector.known_class_id]
