@@ -9,6 +9,9 @@ with the deviations of lane width / camera height, horizon, vanishing point and 
 the prediction as the prior. The fit updates the state; if several images in a row contradict the state, it is reset.
 Lines that have not been seen for a while are not reported.
 
+The height of the camera is constant, and lanes differ in width by some 10 %, so the ratio of both is learnt. Where a
+line of the lane is hidden, that of the neighbouring lane is then not taken for it: the lane would be twice as wide.
+
 Robust least-squares fit of a lane to the pixels of its two lines, with a prior and Tukey's biweight.
 
     minimise over s  sum_i rho((x_i - x(y_i; s)) / sigma_i) + (s - s0)' P^-1 (s - s0)
@@ -20,6 +23,7 @@ weight of only a few independent ones. If only one line is visible, the other fo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,6 +114,8 @@ _MAX_UNSEEN_S = 0.5  # after which a line without observations is no longer repo
 _MAX_CONTRADICTED_S = 0.25  # of observations that contradict the state, after which the observed lane replaces it
 _MAX_JUMP = 0.25  # of the lane between images, in lane widths in a near row
 _WIDTH_SLOPE_LIMITS = (0.8, 6.0)  # plausible lane width / camera height
+_LEARNT_SIGMA = 0.13  # of the logarithm of that ratio in a drive: lanes are 3.0 to 3.75 m wide
+_OBSERVED_SIGMA = 1.0  # of it as one image shows it: a wrong lane stays wrong in many images
 
 _MAX_CLUTTER = 1.2
 """Largest `LaneFit.clutter` of a lane: it is 0 to 0.7 on roads, and 2 to 3 in tree shade, which has edges all over."""
@@ -134,6 +140,7 @@ class EgoLane:
 
     def __init__(self) -> None:
         self.state: LaneState | None = None
+        self._width_slope = math.log(WIDTH_SLOPE), WIDTH_SLOPE_LOG_SIGMA  # mean and sigma in this drive
         self._time_s = -np.inf
         self._agreed_s = -np.inf
         self._seen_s = [-np.inf, -np.inf]
@@ -160,13 +167,20 @@ class EgoLane:
             if self.state is not None and self._seen_s[side] >= time_s - _MAX_UNSEEN_S:
                 y_top_px, y_bottom_px = self._rows_px[side]
                 lines[side] = self.state.line(sign, y_top_px=y_top_px, y_bottom_px=y_bottom_px)
+        if self.state is not None and None not in lines:
+            self._learn_width(math.log(self.state.mean[3] / image_hw[0]))
         if lines == [None, None]:
             self.reset()
         return LaneLines(*lines)
 
+    def _learn_width(self, log_slope: float) -> None:
+        mean, sigma = self._width_slope
+        gain = sigma**2 / (sigma**2 + _OBSERVED_SIGMA**2)
+        self._width_slope = mean + gain * (log_slope - mean), max(sigma * math.sqrt(1.0 - gain), _LEARNT_SIGMA)
+
     def _fit(self, markings: Markings, expected: LaneState | None, image_hw: tuple[int, int]) -> LaneFit | None:
         proposed = proposals(markings, image_hw)
-        pair = own_pair(proposed, image_hw, expected)
+        pair = own_pair(proposed, image_hw, expected, self._width_slope)
         observed, numbers = None, (-1, -1)
         if pair is not None:
             numbers = int(proposed.line[pair[0]]), int(proposed.line[pair[1]])
@@ -203,11 +217,19 @@ def _jump(state: LaneState, expected: LaneState) -> float:
     return max(abs(float((state.x_px(y_px, side) - expected.x_px(y_px, side))[0])) for side in SIDES) / width_px
 
 
-def own_pair(proposed: Proposals, image_hw: tuple[int, int], tracked: LaneState | None) -> tuple[int, int] | None:
-    """Numbers of the proposals that are the lane's left and right line, given a `tracked` lane; None = no such pair."""
+def own_pair(
+    proposed: Proposals,
+    image_hw: tuple[int, int],
+    tracked: LaneState | None,
+    log_width_slope: tuple[float, float] = (math.log(WIDTH_SLOPE), WIDTH_SLOPE_LOG_SIGMA),
+) -> tuple[int, int] | None:
+    """Numbers of the proposals that are the lane's left and right line, given a `tracked` lane; None = no such pair.
+
+    `log_width_slope` is the logarithm of lane width / camera height and its standard deviation.
+    """
     if len(proposed) < 2:
         return None
-    sigmas = _deviations(proposed, image_hw)
+    sigmas = _deviations(proposed, image_hw, log_width_slope)
     is_strong = proposed.support >= _MIN_SUPPORT
     is_possible = (sigmas < _MAX_SIGMAS).all(axis=0) & is_strong[:, None] & is_strong
     score = proposed.support[:, None] + proposed.support[None, :] - _COST * (sigmas**2).sum(axis=0)
@@ -219,7 +241,7 @@ def own_pair(proposed: Proposals, image_hw: tuple[int, int], tracked: LaneState 
     return (int(left), int(right)) if np.isfinite(score[left, right]) else None
 
 
-def _deviations(proposed: Proposals, image_hw: tuple[int, int]) -> FloatArray:
+def _deviations(proposed: Proposals, image_hw: tuple[int, int], log_width_slope: tuple[float, float]) -> FloatArray:
     """(4, K, K) deviations of each pair (left, right) from a typical lane, in sigmas; inf if it cannot be a lane."""
     height, width = image_hw
     slope_left, slope_right = proposed.slope[:, None], proposed.slope[None, :]
@@ -231,7 +253,7 @@ def _deviations(proposed: Proposals, image_hw: tuple[int, int]) -> FloatArray:
     offset = (slope_left + slope_right) / 2 / opening
     sigmas = np.stack(
         [
-            np.log(opening / WIDTH_SLOPE) / WIDTH_SLOPE_LOG_SIGMA,
+            (np.log(opening) - log_width_slope[0]) / log_width_slope[1],
             (horizon_px / height - HORIZON) / HORIZON_SIGMA,
             (vanishing_x_px / width - 0.5) / _CENTRE_SIGMA,
             offset / _OFFSET_SIGMA,

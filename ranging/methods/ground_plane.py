@@ -110,8 +110,8 @@ _MIN_SLOPE = 0.3  # smallest change of the row with distance, relative to that o
 _MIN_OWN = 0.4  # smallest fraction of the variance of a distance by size that belongs to the object and the box
 _MOVING_PITCH_RAD = 0.001  # error of the horizon from image motion that is new in every frame
 # Distance to the side over which the slope to the side doubles: beyond the road are pavements, verges and side streets.
-# Heights of contact points on KITTI and nuScenes, in m: 0.12 and 0.21 at 3 to 6 m, 0.29 and 0.39 at 6 to 10 m, 0.4 to 0.9
-# at 10 to 16 m, 0.6 and 1.2 beyond.
+# Heights of contact points on KITTI and nuScenes, in m: 0.12 and 0.21 at 3 to 6 m, 0.29 and 0.39 at 6 to 10 m, 0.4 to
+# 0.9 at 10 to 16 m, 0.6 and 1.2 beyond.
 _VERGE_M, _MAX_VERGE = 10.0, 1.5
 _MIN_INFORMATION = 1e-3  # about the horizon, relative to a new measurement; tracks with less are dropped
 

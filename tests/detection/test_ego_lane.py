@@ -164,6 +164,17 @@ def test_wrong_lane_is_corrected_soon():
     assert tracked(lane, times_s + 0.5, complete).left.x_px(ROWS) == pytest.approx(road_x_px(-1.75, ROWS), abs=2)
 
 
+def test_line_of_the_neighbour_does_not_replace_a_hidden_one():
+    """The dashes at the right are hidden for 2 s; the lane is not taken for one of twice its width."""
+    lane = EgoLane()
+    tracked(lane, np.arange(0, 3, 0.1), markings(-1.75, 1.75, 5.25))
+    hidden = [lane.update(markings(-1.75, 5.25), time_s, HW) for time_s in np.arange(3, 5, 0.1)]
+    assert all(lines.right is None or lines.right.x_px(ROWS)[1] < road_x_px(2.5, ROWS[1]) for lines in hidden)
+    assert hidden[-1].right is None
+    lines = lane.update(markings(-1.75, 1.75, 5.25), 5.0, HW)
+    assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.75, ROWS), abs=2.0)
+
+
 def test_dashes_preferred_to_distant_kerb():
     dashes = line_pixels(1.75)
     dashes = dashes[(dashes[:, 1] // 30) % 3 == 0]
