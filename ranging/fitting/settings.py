@@ -45,7 +45,10 @@ class FitSettings(Options):
         ),
     ] = None
     out: Annotated[
-        Path | None, option("File of the fitted curves, for --curves of `track-range run`.", metavar="FILE")
+        Path | None,
+        option(
+            "File of the fitted curves, for --curves of `track-range run`, or of a detector's values.", metavar="FILE"
+        ),
     ] = None
     compare: Annotated[
         bool, option("Comparison of all curves of one measure: errors on the fitted and on other sequences.")

@@ -1,23 +1,129 @@
-"""`track-range fit`: fits size curves to labels, and compares the curves of one measure of the box."""
+"""`track-range fit`: fits size curves to labels and compares them; measures the errors of a detector's boxes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from track_range.cli.console import console, print_grid, print_line, print_notes
 from track_range.cli.parameters import command
+from track_range.detection.box_errors import BoxError
+from track_range.detection.evaluation.box_error_fit import MIN_HEIGHT_PX, MIN_MATCHES, MIN_SCORE, BoxErrorSamples
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.models.lookup import PACKAGED_FOLDER
+from track_range.detection.models.onnx_session import ModelError
+from track_range.evaluation.sequences.labelled_images import LabelledSource
+from track_range.evaluation.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
+from track_range.foundation.errors import UsageError
+from track_range.foundation.files.input_files import counted
+from track_range.foundation.files.output_files import write_text
+from track_range.foundation.files.structured_text import read_yaml, yaml_text
+from track_range.foundation.options import option
 from track_range.ranging.fitting.fit import TABLE_DISTANCES_M, CurveFit, fit_sizes
 from track_range.ranging.fitting.settings import FitSettings
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.log_linear import SizeCurves
 from track_range.ranging.size_models.plain_curves import TableSizes
 from track_range.ranging.size_models.size_model import StoredSizeModel
+from track_range.run.options.detection import SizeField, ThreadsField
+from track_range.run.options.opened import DetectorOptions, class_names, open_detector
+from track_range.run.progress import frame_progress
+from track_range.run.ready_model import ready_model
 from track_range.views.report import tables
 
 
-def _fit(settings: FitSettings) -> None:
+class FitOptions(FitSettings):
+    """Options of `track-range fit`: of size curves, and of the measurement of a detector's boxes."""
+
+    detector_boxes: Annotated[
+        str | None,
+        option(
+            "Detector, an ONNX file or a name from `track-range models list`, whose box sizes are compared with the "
+            "labels of --images: how much too low or wide its boxes are, by class. The result is written to MODEL.yaml "
+            "beside the model, or to --out, and used by every run with the model.",
+            metavar="FILE|NAME",
+        ),
+    ] = None
+    images: Annotated[
+        Path | None,
+        option(
+            "Labelled images for --detector-boxes, best of the own camera and not used for training: a folder, or the "
+            "video of KITTI tracking labels. --labels are then KITTI, YOLO or COCO labels.",
+            metavar="DIR|FILE",
+        ),
+    ] = None
+    label_format: LabelFormatField = None
+    label_names: LabelNamesField = None
+    manifest: ManifestField = None
+    split: SplitField = "val"
+    size_px: SizeField = None
+    threads: ThreadsField = 0
+
+
+def _fit_detector_boxes(options: FitOptions) -> None:
+    if options.images is None or options.labels is None:
+        raise UsageError("--detector-boxes requires --images and --labels, the labelled images to measure it on.")
+    path = ready_model(options.detector_boxes or "", console)
+    out = options.out or path.with_suffix(".yaml")
+    if options.out is None and path.parent == PACKAGED_FOLDER:
+        raise UsageError(f"--detector-boxes {options.detector_boxes}: a packaged model; measure a copy, or give --out.")
+    content = read_yaml(out, ModelError, "the attributes of a model") if out.is_file() else {}
+    if not isinstance(content, dict):
+        raise ModelError(f"{out}: expected the attributes of a model, found other YAML; choose another --out.")
+    detector = open_detector(path, replace(DetectorOptions.of(options), min_score=str(MIN_SCORE)))
+    source = LabelledSource(
+        images=options.images,
+        labels=options.labels,
+        label_format=options.label_format,
+        label_names=class_names(options.label_names),
+        manifest=options.manifest,
+        split=options.split,
+    )
+    frames = source.open()
+    samples = BoxErrorSamples()
+    with frame_progress(console, frames.n_images) as advance:
+        for image, truth in frames:
+            samples.add((image.shape[0], image.shape[1]), detector.detect(image), truth)
+            advance()
+    fits = samples.fit(is_drawn=source.format != "kitti")
+    if not fits:
+        raise LabelFileError(
+            f"{options.labels}: expected at least {MIN_MATCHES} labels of one class that match a box, are at least "
+            f"{MIN_HEIGHT_PX:g} px high, inside the image and not covered, in {counted(samples.n_images, 'image')}; "
+            "give more images of classes that the detector knows, and check --format and --label-names."
+        )
+    known = content.get("box_errors")
+    measured = {name: list(error) for name, (error, _) in fits.items()}
+    content["box_errors"] = {**(known if isinstance(known, dict) else {}), **measured}
+    write_text(out, yaml_text(content, default_flow_style=None))
+    print_grid(console, _box_error_grid(fits))
+    notes = [
+        "Logarithms of box / label: negative = boxes are too small. ± is the deviation to expect in another drive.",
+        *(f"{counted(len(frames.unreadable), 'image')} skipped, the first: {one}" for one in frames.unreadable[:1]),
+    ]
+    if source.format != "kitti":
+        notes.append("Labels that are not KITTI's count as drawn around what is visible, which ± takes into account.")
+    print_notes(console, notes)
+    print_line(console, f"Written: {out}")
+
+
+def _box_error_grid(fits: Mapping[str, tuple[BoxError, int]]) -> tables.Grid:
+    columns = [
+        tables.Column(head, [error[k] for error, _ in fits.values()], scale=100)
+        for k, head in enumerate(("height %", "± %", "width %", "± %"))
+    ]
+    columns.append(tables.Column("boxes", [float(n) for _, n in fits.values()], "{:.0f}"))
+    return tables.grid_of("Systematic errors of the boxes", "class", list(fits), columns)
+
+
+def _fit(settings: FitOptions) -> None:
+    if settings.detector_boxes is not None:
+        _fit_detector_boxes(settings)
+        return
     fitted = fit_sizes(settings)
     for curves in fitted.comparison.values():
         print_grid(console, _comparison_grid(curves))
@@ -83,4 +189,4 @@ def _model_grid(name: str, model: StoredSizeModel) -> tables.Grid:
     return tables.grid_of(f"Size curves: {name}", "class", list(curves), columns)
 
 
-app = command(FitSettings, _fit)
+app = command(FitOptions, _fit)

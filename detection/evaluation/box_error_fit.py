@@ -1,0 +1,85 @@
+"""Measurement of the systematic errors of a detector's boxes on labelled images (`detection.box_errors`).
+
+    e = log(size of the box / size of the label)    of width and height, for the matches of a class
+    m = median of e over all matches, s = its standard error from the medians of blocks of successive images
+    mean  = g m,   g = u^2 / (u^2 + s^2)            u: sigma of an unknown detector, the prior of the mean
+    sigma = sqrt(g s^2 + d^2)                       d: deviation of a drive from the mean over drives
+
+Blocks, since an object is in many images of a video. The mean is known to a few images' worth of noise, but the boxes
+of the same detector differ by d between drives, which no set of images alone can show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from track_range.detection.box_errors import UNKNOWN_DETECTOR, BoxError
+from track_range.detection.boxes import area_px2, intersection_px2, iou
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detections import Detections
+from track_range.detection.formats.image_labels.image_truth import ImageTruth
+from track_range.foundation.arrays import FloatArray
+
+MIN_MATCHES = 20  # smallest number of matches of a class
+MIN_HEIGHT_PX = 25.0  # of labels, as in KITTI's evaluation; errors of smaller ones are noise of a pixel
+MIN_SCORE = 0.3  # of detections: those that start tracks
+_MIN_IOU, _BORDER_PX = 0.5, 2.0  # of matches; distance from the image border within which a label counts as cut
+_MAX_COVERED = 0.1  # largest fraction of a label inside one that ends lower in the image, which is nearer
+_N_BLOCKS = 10  # of successive images
+_DRIVE_SIGMA = 0.04  # d: standard deviation between KITTI 0003, 0005 and 2015 for 7 detectors
+_DRAWN_SIGMA = 0.05  # d for drawn labels, which are not projections of 3-D boxes: they end at the tyres, not the bumper
+
+
+@dataclass(slots=True)
+class BoxErrorSamples:
+    """Matches of detections with labels, collected image by image."""
+
+    n_images: int = 0
+    _rows: list[FloatArray] = field(default_factory=list)  # (K, 4) image, class, errors of log height and log width
+
+    def add(self, image_hw: tuple[int, int], detections: Detections, truth: ImageTruth) -> None:
+        """Add the matches of one image: labels that are whole, uncovered and high enough, with boxes of their class."""
+        (height_px, width_px), labels, boxes = image_hw, truth.xyxy_px, detections.xyxy_px
+        covered_px2 = intersection_px2(labels, labels) * (labels[:, 3] > labels[:, 3:])
+        is_used = ~truth.is_ignored & (labels[:, 3] - labels[:, 1] >= MIN_HEIGHT_PX)
+        is_used &= covered_px2.max(axis=1, initial=0.0) <= _MAX_COVERED * area_px2(labels)
+        is_used &= (labels[:, :2] >= _BORDER_PX).all(axis=1)
+        is_used &= (labels[:, 2] <= width_px - 1 - _BORDER_PX) & (labels[:, 3] <= height_px - 1 - _BORDER_PX)
+        overlap = iou(boxes, labels)
+        overlap *= (detections.score >= MIN_SCORE)[:, None] & (detections.class_id[:, None] == truth.class_id)
+        if overlap.size:
+            best = overlap.argmax(axis=0)  # detections of one class hardly overlap, by non-maximum suppression
+            label = np.flatnonzero(is_used & (overlap.max(axis=0) >= _MIN_IOU))
+            box, true = boxes[best[label]], labels[label]
+            error = np.log((box[:, 2:] - box[:, :2]) / (true[:, 2:] - true[:, :2]))[:, ::-1]
+            index = np.full(len(label), self.n_images)
+            self._rows.append(np.column_stack([index, truth.class_id[label], error]))
+        self.n_images += 1
+
+    def fit(self, *, is_drawn: bool) -> Mapping[str, tuple[BoxError, int]]:
+        """Errors and number of matches of the classes with at least `MIN_MATCHES` matches.
+
+        `is_drawn`: the labels are drawn around what is visible, and not projections of 3-D boxes.
+        """
+        rows = np.concatenate([np.zeros((0, 4)), *self._rows])
+        drive_sigma = _DRAWN_SIGMA if is_drawn else _DRIVE_SIGMA
+        fits = {}
+        for class_id, name in enumerate(ROAD_CLASSES):
+            index, _, *errors = rows[rows[:, 1] == class_id].T
+            if len(index) < MIN_MATCHES:
+                continue
+            block = (index * _N_BLOCKS // self.n_images).astype(np.int64)
+            numbers = []
+            for error, prior_sigma in zip(errors, UNKNOWN_DETECTOR[name][1::2], strict=True):
+                medians = [np.median(error[block == k]) for k in np.unique(block)]
+                standard_error = np.std(medians) / np.sqrt(max(len(medians) - 1, 1))
+                if len(medians) < 2:
+                    standard_error = prior_sigma
+                gain = prior_sigma**2 / (prior_sigma**2 + standard_error**2)
+                sigma = np.hypot(np.sqrt(gain) * standard_error, drive_sigma)
+                numbers += [round(float(value), 3) for value in (gain * np.median(error), sigma)]
+            fits[name] = BoxError(*numbers), len(index)
+        return fits
