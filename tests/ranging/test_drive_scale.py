@@ -1,9 +1,14 @@
 import numpy as np
 import pytest
 
+from track_range.detection.box_errors import UNKNOWN_DETECTOR
+from track_range.ranging.methods.size_regression import SizeRanger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.tracking.tracks import Tracks
 
 CAR, PERSON, TRUCK = (SIZE_CLASSES.index(name) for name in ("car", "person", "truck"))
 
@@ -33,6 +38,36 @@ def drive(n_tracks, factor, *, seed=0, n_frames=20, class_id=CAR, own_sigma=0.05
         reference = Ranges(ids, measured_m, 0.04 * measured_m)
         bias = learnt(bias, by_size, np.full(n_tracks, class_id), reference, 0.1 * k, sigma=0.015)
     return bias
+
+
+@pytest.mark.parametrize("log_error", [-0.07, 0.0, 0.07])
+def test_errors_of_an_unknown_detector_are_removed_by_evidence(log_error):
+    """Boxes that are too low or too high by more than a sigma: covered at first, learnt after twelve cars."""
+    camera = PinholeCamera(1000.0, 1000.0, 640.0, 360.0, 1280, 720)
+    ranger, scale = SizeRanger(camera), DriveScale()
+    rng = np.random.default_rng(1)
+    n, image = 12, np.zeros((720, 1280, 3), np.uint8)
+    height_m = 1.53 * np.exp(0.04 * rng.normal(size=n))
+    lateral_m, factor = rng.uniform(-6, 6, n), np.exp(log_error)
+    for k in range(30):
+        true_m = np.linspace(12, 45, n) + 0.2 * k
+        centre_px, bottom_px = 640 + 1000 * lateral_m / true_m, 360 + 1500 / true_m
+        half_px, height_px = 500 * factor * 1.63 / true_m, 1000 * factor * height_m / true_m
+        boxes = np.stack([centre_px - half_px, bottom_px - height_px, centre_px + half_px, bottom_px], axis=1)
+        ids = np.arange(1, n + 1)
+        tracks = Tracks(ids, boxes, np.full(n, CAR), np.ones(n), np.ones(n, np.bool_))
+        reference = ScaleEvidence(tracks.class_id, None, Ranges(ids, true_m, 0.02 * true_m), 0.01)
+        measured = ranger.measure_at_scale(tracks, Frame(k, 0.1 * k, image, None), {}, scale)
+        error, sigma = (np.log(measured.ranges.distance_m / true_m), measured.ranges.sigma_m / true_m)
+        if k == 0:
+            first_error, first_sigma = np.median(error), np.median(sigma)
+        scale = scale.after([measured.evidence, reference], 0.1 * k)
+    assert abs(first_error) < 2 * first_sigma
+    assert abs(np.median(error)) < 0.025
+    assert np.median(sigma) < 0.9 * first_sigma
+    assert np.mean(np.abs(error) < 2 * sigma) > 0.9
+    # The prior of the bias covers the errors of an unknown detector.
+    assert DriveScale().bias_of("car").sigma > UNKNOWN_DETECTOR["car"].log_height_sigma
 
 
 def test_without_evidence_nothing_changes():
