@@ -73,7 +73,7 @@ _TYPES: Mapping[str, Mapping[str, _Type]] = {
 """Body types of the classes."""
 
 _TWO_WHEELERS = {
-    "bicycle": {"with rider": 0.65, "without rider": 0.35},
+    "bicycle": {"with rider": 0.75, "without rider": 0.25},
     "motorcycle": {"with rider": 0.6, "without rider": 0.4},
 }
 

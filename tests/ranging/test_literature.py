@@ -75,6 +75,7 @@ def test_list_of_frames(tmp_path, images):
         frames=listed(tmp_path / "val.txt", evaluated),
         fit_frames=listed(tmp_path / "train.txt", fitted),
         methods=("inverse-height", "mono"),
+        region="europe",
     )
     figures = evaluate_ranges(settings)
     rows = figures["literature"]
@@ -241,6 +242,7 @@ def test_tracking_labels_as_an_object_set(tmp_path, shared_data):
         objects="all",
         truth="centre",
         methods=("inverse-height", "mono"),
+        region="europe",
     )
     rows = evaluate_ranges(settings)["literature"]
     assert 0.02 < rows["mono"]["car"]["abs_rel"] < 0.08
