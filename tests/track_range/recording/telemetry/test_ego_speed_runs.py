@@ -69,6 +69,14 @@ def test_gpx_beside_the_video(cli, drive):
     assert summary["ego_speed"]["offset_s"] is None
 
 
+def test_region_of_the_positions(cli, drive):
+    assert run(cli, drive, out="without")[0]["region"] == "unknown"
+    (drive.parent / "drive.gpx").write_text(gpx_text([8.0] * 10, start_s=START_S - 2, field="speed"))
+    assert run(cli, drive, out="europe")[0]["region"] == "europe"
+    assert run(cli, drive, "--region", "east-asia", out="given")[0]["region"] == "east-asia"
+    assert run(cli, drive, "--region", "unknown", out="unknown")[0]["region"] == "unknown"
+
+
 def test_order_of_preference(drive):
     def source():
         with closing(open_recording(drive, focal_px=60, start_utc=DATE)) as recording:
