@@ -2,11 +2,11 @@
 
     e = log(size of the box / size of the label)    of width and height, for the matches of a class
     m = median of e over all matches, s = its standard error from the medians of blocks of successive images
-    mean  = g m,   g = u^2 / (u^2 + s^2)            u: sigma of an unknown detector, the prior of the mean
-    sigma = sqrt(g s^2 + d^2)                       d: deviation of a drive from the mean over drives
+    mean  = g m,   g = c^2 / (c^2 + s^2)            d: deviation of a drive from the mean over drives
+    sigma = sqrt(g s^2 + d^2)                       c^2 + d^2: variance of an unknown detector
 
-Blocks, since an object is in many images of a video. The mean is known to a few images' worth of noise, but the boxes
-of the same detector differ by d between drives, which no set of images alone can show.
+Blocks, since an object is in many images of a video. No set of images shows d: it is that of the detectors with which
+`UNKNOWN_DETECTOR` was measured.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _MIN_IOU, _BORDER_PX = 0.5, 2.0  # of matches; distance from the image border wi
 _MAX_COVERED = 0.1  # largest fraction of a label inside one that ends lower in the image, which is nearer
 _N_BLOCKS = 10  # of successive images
 _DRIVE_SIGMA = 0.04  # d: standard deviation between KITTI 0003, 0005 and 2015 for 7 detectors
-_DRAWN_SIGMA = 0.05  # d for drawn labels, which are not projections of 3-D boxes: they end at the tyres, not the bumper
+_DRAWN_SIGMA = 0.045  # d for drawn labels, which end at the tyres, not at the bumper as projections of 3-D boxes do
 
 
 @dataclass(slots=True)
@@ -73,13 +73,12 @@ class BoxErrorSamples:
                 continue
             block = (index * _N_BLOCKS // self.n_images).astype(np.int64)
             numbers = []
-            for error, prior_sigma in zip(errors, UNKNOWN_DETECTOR[name][1::2], strict=True):
+            for error, unknown_sigma in zip(errors, UNKNOWN_DETECTOR[name][1::2], strict=True):
                 medians = [np.median(error[block == k]) for k in np.unique(block)]
-                standard_error = np.std(medians) / np.sqrt(max(len(medians) - 1, 1))
-                if len(medians) < 2:
-                    standard_error = prior_sigma
-                gain = prior_sigma**2 / (prior_sigma**2 + standard_error**2)
-                sigma = np.hypot(np.sqrt(gain) * standard_error, drive_sigma)
+                prior_variance = unknown_sigma**2 - drive_sigma**2
+                variance = np.var(medians, ddof=1) / len(medians) if len(medians) > 1 else prior_variance
+                gain = prior_variance / (prior_variance + variance)
+                sigma = np.sqrt(gain * variance + drive_sigma**2)
                 numbers += [round(float(value), 3) for value in (gain * np.median(error), sigma)]
             fits[name] = BoxError(*numbers), len(index)
         return fits

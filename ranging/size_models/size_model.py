@@ -206,8 +206,8 @@ def measured_boxes(
 ) -> BoxExtents:
     """Boxes (N, 4) of positive size, in px of `camera` (undistorted), in camera-independent units.
 
-    `errors` is a `box_error_table`. Its means are corrected: the height at the bottom edge, since a detector's box of a
-    car ends at the tyres, which are behind the bumper, and at the foot of people; the width at both sides.
+    `errors` is a `box_error_table`. Its means are corrected about the centre of the box, since both edges of the
+    measured detectors are wrong: the contact point moves by half of the error of the height.
     `uses_width_bottom` are `BoxExtents.uses_width` and `uses_bottom`, (N,) each; None = True for all boxes.
     """
     focal_px = np.array([camera.fx_px, camera.fy_px])
@@ -217,7 +217,7 @@ def measured_boxes(
     return BoxExtents(
         wh_over_f=size_px / focal_px,
         bearing=((xyxy_px[:, 0] + xyxy_px[:, 2]) / 2 - camera.cx_px) / camera.fx_px,
-        bottom=(xyxy_px[:, 1] + size_px[:, 1] - camera.cy_px) / camera.fy_px,
+        bottom=((xyxy_px[:, 1] + xyxy_px[:, 3] + size_px[:, 1]) / 2 - camera.cy_px) / camera.fy_px,
         size_class=size_class,
         uses_width=uses_width,
         uses_bottom=uses_bottom,

@@ -48,15 +48,15 @@ def test_box_noise_widens_sigma_and_is_independent():
     assert sized.sigma_systematic_m == pytest.approx([3.0])
 
 
-def test_errors_of_a_detector_are_corrected_at_the_bottom_edge_and_systematic():
-    """Boxes that are a tenth too low: 45 px high for 50 px, with the bottom edge 5 px too high."""
+def test_errors_of_a_detector_are_corrected_about_the_centre_and_systematic():
+    """Boxes that are a tenth too low: 45 px high for 50 px, with both edges 2.5 px inside."""
     low = {"car": BoxError(float(np.log(0.9)), 0.06, 0.0, 0.0)}
     sizes = SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)})
     known = SizeRanger(CAMERA, sizes, noise=BoxNoise(0.0, 0.0, 0.0), box_errors=low)
-    ranges = known.measure(tracks_of([300, 200, 360, 245]), FRAME)
+    ranges = known.measure(tracks_of([300, 202.5, 360, 247.5]), FRAME)
     assert ranges.distance_m == pytest.approx([30.0])
     assert ranges.sigma_m == ranges.sigma_systematic_m == pytest.approx([30 * np.hypot(0.1, 0.06)])
-    box = np.array([[300.0, 200, 360, 245]])
+    box = np.array([[300.0, 202.5, 360, 247.5]])
     for name in ("car", "van"):
         size_class = np.array([SIZE_CLASSES.index(name)])
         table = box_error_table(low)
