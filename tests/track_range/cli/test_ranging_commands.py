@@ -26,7 +26,7 @@ def folders(tmp_path):
 def test_output_as_table_json_and_markdown(cli, folders, tmp_path):
     given = folders(a=drive(0), b=drive(1), c=drive(2))
     files = ("--json", tmp_path / "f.json", "--table", tmp_path / "f.md")
-    status, out, err = cli("evaluate", "ranges", *given, "--cross-validate", *files)
+    status, out, err = cli("evaluate", "ranges", *given, "--cross-validate", "--region", "europe", *files)
     assert (status, err) == (0, "")
     figures = json.loads((tmp_path / "f.json").read_text())
     assert set(figures["methods"]) >= {"diagonal-3", "diagonal-4", "diagonal-5", "inverse-height", "log-linear", "mono"}
