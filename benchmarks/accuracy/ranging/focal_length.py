@@ -63,6 +63,7 @@ def focal_length(options: Namespace) -> Figures:
     groups = {name: [simulated_drive(name, seed) for seed in seeds] for name in SCENARIOS}
     groups["all simulated"] = [drive for name in SCENARIOS for drive in groups[name]]
     groups |= {name: list(labelled_drives(name, road_set(name, options.data))) for name in options.sets}
+    groups["all real"] = [drive for name in options.sets for drive in groups[name]]
     return {name: _figures(drives, sizes) for name, drives in groups.items()}
 
 
