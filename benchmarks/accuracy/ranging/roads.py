@@ -120,8 +120,7 @@ def _figures(road: RoadSet, columns: Mapping[str, MethodColumn]) -> Figures:
 
 def _groups(road: RoadSet) -> Iterator[tuple[str, BoolArray]]:
     """Names and masks: classes, and within them distances and heights."""
-    boxes = road.boxes
-    height_px = boxes.xyxy_px[:, 3] - boxes.xyxy_px[:, 1]
+    boxes, height_px = road.boxes, road.boxes.xyxy_px[:, 3] - road.boxes.xyxy_px[:, 1]
     in_span = (boxes.distance_m >= BANDS_M[0]) & (boxes.distance_m <= BANDS_M[-1])
     for name in np.unique(boxes.class_name).tolist():
         rows = in_span & (boxes.class_name == name)
@@ -157,6 +156,8 @@ def _runs(options: Namespace, folder: Path) -> Figures:
         video = folder / f"{case}{source.suffix}"
         video.symlink_to(source)  # a run without a calibration would find one beside the video
         for known in (*options.known, NO_CALIBRATION):
+            if truth is None and known in options.known[1:]:
+                continue
             settings = {**given, "mono": video, "detector": str(detector), "overlay": False}
             settings |= {key: facts[key] for key in KNOWN.get(known, ())}
             if known == NO_CALIBRATION:  # truth: that of KITTI is a depth in the calibrated camera's frame
