@@ -17,11 +17,11 @@ from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.size_model import (
     BORDER_PX,
-    DETECTOR_NOISE,
     BoxNoise,
     DriveState,
     SizeModel,
     box_error_table,
+    detector_noise,
     measured_boxes,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -96,7 +96,7 @@ class SizeRanger(Ranger):
         self._drive = DriveState()
         self._curves = curves or load_curves()
         uniform = None if box_sigma_px is None else BoxNoise(box_sigma_px, 0.0, 0.0)
-        self._noise = noise or uniform or DETECTOR_NOISE
+        self._noise = noise or uniform or detector_noise(camera.width_px)
         self._errors = box_error_table(NO_ERRORS if box_errors is None and uniform is not None else box_errors)
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:

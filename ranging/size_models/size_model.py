@@ -151,9 +151,16 @@ class BoxNoise:
         return np.asarray(np.sqrt(self.px**2 + relative_px * relative_px))
 
 
-DETECTOR_NOISE = BoxNoise(px=0.7, systematic_px=1.5)
-"""Of small detectors, with half of KITTI's resolution as their input: YOLOv5n, YOLOX-nano, NanoDet, PicoDet and the
-packaged ones on KITTI 0003, 0005 and 2015."""
+_NETWORK_PX = 640.0  # width of the input of small networks
+
+
+def detector_noise(width_px: int) -> BoxNoise:
+    """Noise of the boxes of a small detector in images of this width, in proportion to the pixels of its input.
+
+    Measured for YOLOv5n, YOLOX-nano, NanoDet, PicoDet and the packaged detectors on KITTI 0003, 0005 and 2015.
+    """
+    scale = max(width_px / _NETWORK_PX, 1.0)
+    return BoxNoise(px=0.36 * scale, systematic_px=0.77 * scale)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,13 @@ from track_range.detection.box_errors import NO_ERRORS, BoxError
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.ranging.methods.size_regression import SizeRanger
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, box_error_table, measured_boxes
+from track_range.ranging.size_models.size_model import (
+    SIZE_CLASSES,
+    BoxNoise,
+    box_error_table,
+    detector_noise,
+    measured_boxes,
+)
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
@@ -63,6 +69,15 @@ def test_errors_of_a_detector_are_corrected_about_the_centre_and_systematic():
         boxes = measured_boxes(box, size_class, camera=CAMERA, noise=BoxNoise(), errors=table)
         assert boxes.bottom == pytest.approx([(250 - 240) / 1000])
         assert boxes.bearing == pytest.approx([10 / 1000])
+
+
+def test_noise_of_a_detector_is_in_pixels_of_its_input():
+    small, hd, full_hd = (detector_noise(width_px) for width_px in (320, 1280, 1920))
+    assert small.px == pytest.approx(hd.px / 2)  # images below its input are not reduced
+    assert full_hd.systematic_px == pytest.approx(1.5 * hd.systematic_px)
+    box, car = np.array([[300.0, 200, 360, 250]]), np.array([CAR])
+    sigma = measured_boxes(box, car, camera=CAMERA, noise=BoxNoise(0.0, systematic_px=2.0)).systematic_sigma
+    assert sigma == pytest.approx(np.array([[2 / 60, 2 / 50]]))
 
 
 def test_boxes_of_an_unknown_detector_are_less_certain_than_exact_ones():
