@@ -33,12 +33,13 @@ from track_range.tracking.tracks import Tracks
 if TYPE_CHECKING:  # onnxruntime takes long to import, and reports do without it
     from track_range.detection.models.onnx_session import Runtime
 
-SourceName = Literal["size", "box_height", "contact_point", "horizon", "baseline", "lane_width", "own"]
+SourceName = Literal["size", "box_height", "contact_point", "horizon", "baseline", "lane_width", "drive_scale", "own"]
 """Sources of distance errors.
 
 size: deviation of the object's size from the mean of its class; box_height: height of the box in the image;
 contact_point: row where the object touches the ground; horizon: pitch of the camera and slope of the road; baseline:
-geometry of the stereo rig; lane_width: width of the lane; own: errors that no other method shares.
+geometry of the stereo rig; lane_width: width of the lane; drive_scale: error of all distances by size of a drive; own:
+errors that no other method shares.
 """
 
 Requirement = Literal["image", "rig", "right_image", "dense_disparity", "lane_lines", "camera_height"]
@@ -141,7 +142,7 @@ class MethodContext:
     box_errors: BoxErrors | None = None  # of the detector's boxes; None = unknown, or none with `box_sigma_px`
     camera_height_m: float | None = None  # above the road; None = unknown
     region: Region = "unknown"  # of the recording
-    lane_width_m: float = 3.5  # distance between the centre lines of the lane markings, given or assumed
+    lane_width_m: float | None = None  # distance between the centre lines of the lane markings; None = not given
     has_images: bool = True  # whether frames have pixels; False if only boxes are evaluated
     has_visible_boxes: bool = False  # of a detector, and not of files, which may be projected 3-D boxes
     has_lane_lines: bool = False

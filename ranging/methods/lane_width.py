@@ -10,33 +10,61 @@ r"""LaneWidthRanger: distance from the image width of the lane at an object's co
 Pitch cancels if lines and box come from the same image; a run detects lines ten times per second and uses the latest
 ones in between. The contact point is that of the nearest surface, so d is the distance of an upright surface such as
 the rear of a car.
+
+W has a prior by region and road, and is learnt from the distances d_i of the tracks by another method:
+
+    log (w_i d_i / fx) = log W + b + e_i        b: error that all d_i share, e_i: that of the track (its size)
+
+A track counts once, and the width that ranges a track is learnt from the others: its own would repeat d_i. Where d_i
+are distances by size, b is the error of the drive (`DriveScale`): the prior of W keeps a part of its weight, and the
+error source `drive_scale` is what both methods have in common. A width far from the prior is not that of a lane.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import BoolArray, FloatArray
-from track_range.ranging.method import ErrorSource, MethodContext, Ranger, RangingMethod
+from track_range.foundation.track_state import TrackState
+from track_range.ranging.method import ErrorSource, Measured, MethodContext, Ranger, RangingMethod
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.region import Region
+from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.ranging.size_models.size_model import BORDER_PX
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.ego_motion import CameraStep
 from track_range.tracking.tracks import Tracks
 
-LANE_WIDTH_M = 3.5  # default distance W in m between the centre lines of the lane markings, of main roads in Europe
 
-LANE_WIDTH_SIGMA = 0.15
-"""Relative standard deviation of the default width.
+@dataclass(frozen=True, slots=True)
+class LaneWidth:
+    """Estimate of the width of the lane."""
 
-Lanes are 2.75 to 3.75 m wide depending on country and road type; wider on roads without shoulders (4.2 m on KITTI
-0005).
+    width_m: float  # distance W in m between the centre lines of the lane markings
+    sigma: float  # relative standard deviation of W
+
+
+_GIVEN_SIGMA, _ANY_SIGMA, _FAST_SIGMA = 0.05, 0.12, 0.08  # relative, of widths given by the user and of those below
+_FAST_MPS = 22.0  # 80 km/h; slower vehicles may be on any road
+_WIDTHS_M: Mapping[Region, tuple[float, float]] = {
+    "unknown": (3.4, 3.6),
+    "europe": (3.4, 3.6),
+    "north-america": (3.45, 3.66),
+    "east-asia": (3.4, 3.65),
+}
+"""Width of a lane on any road, and where traffic is fast.
+
+Germany: 2.75 to 3.25 m in towns, 3.5 m, 3.5 and 3.75 m on motorways (RASt 06, RAL 2012, RAA 2008); USA: 10 to 12 ft,
+12 ft on freeways (AASHTO, A Policy on Geometric Design of Highways and Streets, 2018); Japan: 2.75 to 3.5 m (Road
+Structure Ordinance); China: 3.5 m, 3.75 m from 80 km/h (JTG B01-2014). Roads without shoulders have wider ones: 4.2 m
+on KITTI 0005.
 """
 
 _ON_THE_ROAD = np.array([name not in ("traffic light", "traffic sign") for name in ROAD_CLASSES])
@@ -47,48 +75,19 @@ _MAX_EXTRAPOLATION, _MIN_EXTRAPOLATION = 2.0, 0.5  # factors of the distances of
 _MIN_WIDTH_PX = 8.0  # smallest usable width of the lane in the image
 _MAX_SIGMA = 0.3  # largest relative standard deviation of a reported distance
 
-_MIN_WIDTH_SIGMA, _MAX_WIDTH_SIGMA = 0.015, 0.25
-"""Limits of the relative standard deviation of a learnt width.
+_MIN_WIDTH_SIGMA = 0.015
+"""Smallest relative standard deviation of a learnt width, and of what the distances of a calibrated pair share: bias of
+the bottom edges of boxes, alignment of the pair."""
 
-The lower limit covers errors common to all measurements of a drive: bias of box bottom edges, alignment of the pair.
-"""
-
-_CONFLICT_FACTOR = 1.4  # factor on the sigma of the width after an image with outliers only
-_GATE = 3.0  # deviation of a measured width in standard deviations beyond which it is an outlier
-_FORGETTING_S = 60.0  # time in s over which the variance of a learnt width grows by that of the default
+_MEMORY_S = 30.0  # time constant with which tracks are forgotten: the lane widens, or is another one
+_FRAMES = 5.0  # frames over which the width at a track is averaged; the errors of more are the same
+_MIN_OWN = 0.4  # smallest fraction of the variance of a distance that belongs to the track
+_CAUCHY_SIGMA, _N_ROUNDS = 2.0, 2  # scale of the weights 1 / (1 + (residual / scale)^2) in sigmas, and rounds
+_MAX_DEVIATION = 3.0  # of a width by sizes from the prior, in sigmas; more is not the width of a lane
 _ROAD_SIGMA = 0.01  # relative standard deviation of w from uneven roads and varying lane widths
 
 _Widths = tuple[FloatArray, FloatArray, BoolArray]
 """(N,) lane width w in px in the rows of the bottom edges, its relative sigma, and whether the track can be ranged."""
-
-
-@dataclass(frozen=True, slots=True)
-class LaneWidth:
-    """Estimate of the width of the lane: a Kalman filter of its logarithm."""
-
-    width_m: float = LANE_WIDTH_M  # distance W between the lines
-    sigma: float = LANE_WIDTH_SIGMA  # relative standard deviation of W
-
-    def after(self, step_s: float) -> LaneWidth:
-        """The estimate after `step_s` seconds without a measurement: the same width with a larger sigma."""
-        variance = self.sigma**2 + LANE_WIDTH_SIGMA**2 * step_s / _FORGETTING_S
-        return replace(self, sigma=min(variance**0.5, max(LANE_WIDTH_SIGMA, self.sigma)))
-
-    def updated_with(self, width_m: FloatArray, sigma: FloatArray) -> LaneWidth:
-        """The estimate after N >= 1 widths (N,) measured in one image, with their relative standard deviations.
-
-        The widths share most of their errors and count as one measurement: their weighted mean, with their harmonic
-        mean variance. Outliers are ignored; if all are outliers the sigma of the estimate grows, so that it can
-        follow a change of lane.
-        """
-        log_ratio = np.log(width_m / self.width_m)
-        is_inlier = np.abs(log_ratio) < _GATE * np.hypot(sigma, self.sigma)
-        if not is_inlier.any():
-            return replace(self, sigma=min(_CONFLICT_FACTOR * self.sigma, _MAX_WIDTH_SIGMA))
-        weight = 1.0 / sigma[is_inlier] ** 2
-        nu, R = float((weight * log_ratio[is_inlier]).sum() / weight.sum()), float(1.0 / weight.mean())
-        K = self.sigma**2 / (self.sigma**2 + R)
-        return LaneWidth(self.width_m * float(np.exp(K * nu)), max(self.sigma * (1 - K) ** 0.5, _MIN_WIDTH_SIGMA))
 
 
 class LaneWidthRanger(Ranger):
@@ -98,26 +97,31 @@ class LaneWidthRanger(Ranger):
         self,
         camera: PinholeCamera,
         *,
-        width_m: float = LANE_WIDTH_M,
-        width_sigma: float = LANE_WIDTH_SIGMA,
+        region: Region = "unknown",
+        width_m: float | None = None,
+        width_sigma: float = _GIVEN_SIGMA,
         box_sigma_px: float = 1.5,
         width_from: str | None = None,
     ) -> None:
         """Create a ranger for `camera` (undistorted).
 
         Args:
-            width_m: lane width W between the centre lines of the lane markings.
+            region: region of the recording, for the usual width of lanes.
+            width_m: lane width W between the centre lines of the lane markings; None = that of region and road.
             width_sigma: relative standard deviation of `width_m`.
             box_sigma_px: standard deviation of the bottom edge of a detected box.
-            width_from: method with distances that `measure_with` learns the width from; None = the width is fixed.
+            width_from: method with distances that the width is learnt from; None = the width is fixed.
         """
         self._camera = camera
         self._box_sigma_px = box_sigma_px
-        self.lane = LaneWidth(width_m, width_sigma)  # the current estimate
+        self._fast_m = None if width_m else _WIDTHS_M[region][1]
+        self._prior = LaneWidth(width_m, width_sigma) if width_m else LaneWidth(_WIDTHS_M[region][0], _ANY_SIGMA)
+        self.lane = self._prior  # the current estimate
         self._width_from = width_from
         self._lines = LaneLines()
-        self._last: tuple[Tracks, _Widths] | None = None  # cache: `update_width` needs the widths of `measure`
-        self._learnt_s = np.nan
+        self._last: tuple[Tracks, _Widths] | None = None  # cache: learning needs the widths of `measure`
+        # of each track: number of frames, log width, its variance without the shared part, time of the last frame
+        self._tracks = TrackState(np.zeros(4))
 
     def update_lanes(self, lines: LaneLines) -> None:
         """Use `lines` for the following measurements."""
@@ -129,44 +133,89 @@ class LaneWidthRanger(Ranger):
         NaN also for predicted boxes, boxes truncated at the bottom, traffic lights and signs, objects beyond the
         neighbouring lanes, and contact points far outside the rows in which the lines were detected.
         """
+        return self._ranges(tracks, frame, np.array(math.log(self.lane.width_m)), np.array(self.lane.sigma))
+
+    def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
+        """As `measure_at_scale`, without a measured scale of the drive."""
+        return self.measure_at_scale(tracks, frame, others, DriveScale()).ranges
+
+    def measure_at_scale(
+        self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
+    ) -> Measured:
+        """As `measure`, with the width learnt from the method `width_from` in this frame and those before.
+
+        Sigmas are inflated if the other methods disagree with the distances of the whole frame.
+        """
+        log_width, sigma = np.array(math.log(self.lane.width_m)), np.array(self.lane.sigma)
+        widths = self._widths_of(tracks, frame)
+        if widths is not None and self._width_from is not None and self._width_from in others:
+            is_by_size = self._width_from == "mono"
+            shared_sigma = scale.bias_of("car").sigma if is_by_size else _MIN_WIDTH_SIGMA
+            own = self._learn(tracks, widths, others[self._width_from], shared_sigma, frame.time_s)
+            log_width, sigma = self._learnt(own, shared_sigma, frame.time_s, may_contradict=not is_by_size)
+        ranges = self._ranges(tracks, frame, log_width, sigma)
+        return Measured(inflated_by_disagreement(ranges, list(others.values())))
+
+    def update_motion(self, step: CameraStep) -> None:
+        """Expect the lanes of fast roads once the vehicle is fast."""
+        if self._fast_m is not None and step.travelled_m > _FAST_MPS * step.dt_s:
+            self._prior, self._fast_m = LaneWidth(self._fast_m, _FAST_SIGMA), None
+            self.lane = self._prior
+
+    def _learn(
+        self, tracks: Tracks, widths: _Widths, measured: Ranges, shared_sigma: float, time_s: float
+    ) -> BoolArray:
+        """Add the widths at the tracks by another method's distances; returns which of the tracks (N,) have one."""
+        w, sigma_w, is_valid = widths
+        usable = np.asarray(is_valid & np.isfinite(measured.distance_m) & np.isfinite(measured.sigma_m))
+        distance_m, ids = measured.distance_m[usable], tracks.track_id[usable]
+        variance = sigma_w[usable] ** 2 + (measured.sigma_m[usable] / distance_m) ** 2
+        variance = np.maximum(variance - shared_sigma**2, _MIN_OWN * variance)
+        n_frames, log_width, _, _ = self._tracks.get(ids)
+        n_frames = np.minimum(n_frames + 1.0, _FRAMES)
+        log_width += (np.log(w[usable] * distance_m / self._camera.fx_px) - log_width) / n_frames
+        is_recent = time_s - self._tracks.known[3] < 3 * _MEMORY_S
+        state = np.stack([n_frames, log_width, variance, np.full(len(ids), time_s)])
+        self._tracks.put(ids, state, keep_known=is_recent)
+        return usable
+
+    def _learnt(
+        self, own: BoolArray, shared_sigma: float, time_s: float, *, may_contradict: bool
+    ) -> tuple[FloatArray, FloatArray]:
+        """(N,) log width and its sigma for each of the tracks of the frame, from the others; inf = not a lane.
+
+        The tracks in the mask `own` (N,) are the first of those known. Sets `lane` to the estimate from all tracks.
+        """
+        _, z, variance, seen_s = self._tracks.known
+        unweighted = weight = np.exp((seen_s - time_s) / _MEMORY_S) / variance
+        for _ in range(_N_ROUNDS if len(z) else 0):
+            mean = float(weight @ z / weight.sum())
+            weight = unweighted / (1.0 + (z - mean) ** 2 / (_CAUCHY_SIGMA**2 * variance))
+        n_own = int(own.sum())
+        without = np.zeros((2, len(own) + 1))  # the last column leaves out none
+        without[:, :-1][:, own] = weight[:n_own], weight[:n_own] * z[:n_own]
+        information, weighted = np.array([weight.sum(), weight @ z])[:, None] - without
+        information = np.maximum(information, 1e-9)
+        prior_log, prior_variance = math.log(self._prior.width_m), self._prior.sigma**2
+        total = prior_variance + shared_sigma**2 + 1.0 / information
+        deviation, K = weighted / information - prior_log, prior_variance / total
+        log_width = prior_log + K * deviation
+        sigma = np.maximum(np.sqrt((1.0 - K) * prior_variance), _MIN_WIDTH_SIGMA)
+        if not may_contradict:
+            sigma = np.where(deviation**2 > _MAX_DEVIATION**2 * total, np.inf, sigma)
+        self.lane = LaneWidth(float(np.exp(log_width[-1])), float(sigma[-1]))
+        return log_width[:-1], sigma[:-1]
+
+    def _ranges(self, tracks: Tracks, frame: Frame, log_width: FloatArray, width_sigma: FloatArray) -> Ranges:
+        """Distances with the log width of the lane and its sigma, (N,) or () each."""
         widths = self._widths_of(tracks, frame)
         if widths is None:
             return Ranges.unmeasured(tracks.track_id)
         w, sigma_w, is_valid = widths
-        distance_m = self._camera.fx_px * self.lane.width_m / np.where(is_valid, w, np.nan)
-        sigma = np.hypot(sigma_w, self.lane.sigma)
-        is_certain = sigma < _MAX_SIGMA
-        distance_m = np.where(is_certain, distance_m, np.nan)
+        sigma = np.hypot(sigma_w, width_sigma)
+        is_certain = is_valid & (sigma < _MAX_SIGMA)
+        distance_m = self._camera.fx_px * np.exp(log_width) / np.where(is_certain, w, np.nan)
         return Ranges(tracks.track_id, distance_m, distance_m * sigma)
-
-    def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
-        """Distances as by `measure`, with sigmas inflated if the other methods disagree with those of the whole frame.
-
-        The lane width is then updated from the method `width_from`.
-        """
-        ranges = inflated_by_disagreement(self.measure(tracks, frame), list(others.values()))
-        if self._width_from is not None and self._width_from in others:
-            self.update_width(tracks, frame, others[self._width_from])
-        return ranges
-
-    def update_width(self, tracks: Tracks, frame: Frame, measured: Ranges) -> None:
-        """Update the lane width from another method's distances of the same tracks.
-
-        The distances of `measure` are not independent of that method afterwards.
-        """
-        widths = self._widths_of(tracks, frame)
-        if widths is None:
-            return
-        w, sigma_w, is_valid = widths
-        usable = is_valid & np.isfinite(measured.distance_m) & np.isfinite(measured.sigma_m)
-        if not usable.any():
-            return
-        distance_m, sigma_m = measured.distance_m[usable], measured.sigma_m[usable]
-        step_s = 0.0 if np.isnan(self._learnt_s) else max(frame.time_s - self._learnt_s, 0.0)
-        self._learnt_s = frame.time_s
-        self.lane = self.lane.after(step_s).updated_with(
-            w[usable] * distance_m / self._camera.fx_px, np.hypot(sigma_w[usable], sigma_m / distance_m)
-        )
 
     def _widths_of(self, tracks: Tracks, frame: Frame) -> _Widths | None:
         """Lane widths at the tracks, computed once per frame; None = the lines are unknown."""
@@ -231,9 +280,12 @@ def inflated_by_disagreement(ranges: Ranges, others: Sequence[Ranges]) -> Ranges
 
 
 def _create(context: MethodContext) -> Ranger:
-    # The scale of an uncalibrated pair comes from object sizes, so it adds nothing to the assumed width.
-    width_from = None if context.assumed_rig is not None else "stereo"
-    return LaneWidthRanger(context.camera, width_m=context.lane_width_m, width_from=width_from)
+    return LaneWidthRanger(
+        context.camera,
+        region=context.region,
+        width_m=context.lane_width_m,
+        width_from="mono" if context.rig is None else "stereo",
+    )
 
 
 LANE = RangingMethod(
@@ -245,11 +297,12 @@ LANE = RangingMethod(
     needs=frozenset({"lane_lines"}),
     reads=("mono", "stereo"),
     error_sources=(
-        ErrorSource("lane_width", systematic=0.64),
+        ErrorSource("lane_width", systematic=0.4),
+        ErrorSource("drive_scale", systematic=0.24),
         ErrorSource("contact_point", independent=0.2016),
         ErrorSource("own", independent=0.1584),
     ),
     fallback_for="stereo",
 )
-"""Lane width as a ranging method. It is a fallback for stereo: the width is learnt from stereo, so it adds no
-information for a track that stereo has measured."""
+"""Lane width as a ranging method. It is a fallback for stereo: with a calibrated pair the width is learnt from stereo,
+so it adds no information for a track that stereo has measured."""

@@ -168,7 +168,8 @@ MONO = RangingMethod(
     colour="#cf7410",
     create=_create,
     error_sources=(
-        ErrorSource("size", systematic=0.64),
+        ErrorSource("size", systematic=0.4),
+        ErrorSource("drive_scale", systematic=0.24),
         ErrorSource("box_height", independent=0.36 * 5 / 7),
         ErrorSource("contact_point", independent=0.36 * 2 / 7),
     ),

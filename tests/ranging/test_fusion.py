@@ -42,8 +42,8 @@ def test_correlated_methods_narrow_sigma_less():
     together = single_frame({"mono": ranges(30.0, 3.0), "lane": ranges(30.0, 3.0)}).ranges.sigma_m[0]
     apart = single_frame({"mono": ranges(30.0, 3.0), "stereo": ranges(30.0, 3.0)}).ranges.sigma_m[0]
     assert apart == pytest.approx(3.0 / np.sqrt(2))
-    # The noise, 0.36 of the variance, has a correlation of 0.4: the variance is (1 + 0.144) / 2.
-    assert together == pytest.approx(3.0 * np.sqrt(0.572))
+    # The noise, 0.36 of the variance, has a correlation of 0.4, and the scale of the drive, 0.24, is the same.
+    assert together == pytest.approx(3.0 * np.sqrt((1 + 0.36 * 0.4 + 0.24) / 2))
 
 
 def test_conflict_widens_sigma():
@@ -186,16 +186,18 @@ def test_tracks_are_independent_and_in_order():
 
 
 @pytest.mark.parametrize(
-    ("names", "fractions", "shared"), [(("mono", "lane"), (0.6, 0.6), 0.4), (("mono", "stereo"), (0.6, 0.3), 0.0)]
+    ("names", "fractions", "shared", "drive"),
+    [(("mono", "lane"), (0.6, 0.6), 0.4, 0.375), (("mono", "stereo"), (0.6, 0.3), 0.0, 0.0)],
 )
-def test_fused_is_the_least_squares_solution(names, fractions, shared):
+def test_fused_is_the_least_squares_solution(names, fractions, shared, drive):
     """Against the joint normal equations of a frame for log d and the biases of the methods."""
-    sigma, log_m = np.array([0.1, 0.07]), np.log([31.0, 28.0])
+    sigma, log_m = np.array([0.1, 0.07]), np.log([30.0, 28.0])
     by_method = {n: ranges(np.exp(z), s * np.exp(z)) for n, z, s in zip(names, log_m, sigma, strict=True)}
     fraction = np.array(fractions)
     noise = np.outer(fraction * sigma, fraction * sigma) * np.array([[1.0, shared], [shared, 1.0]])
     design = np.hstack([np.ones((2, 1)), np.diag(np.sqrt(1 - fraction**2) * sigma)])
-    information = design.T @ np.linalg.inv(noise) @ design + np.diag([0, 1, 1])
+    information = design.T @ np.linalg.inv(noise) @ design
+    information[1:, 1:] += np.linalg.inv(np.array([[1.0, drive], [drive, 1.0]]))
     solution = np.linalg.solve(information, design.T @ np.linalg.inv(noise) @ log_m)
     result = single_frame(by_method).ranges
     assert np.log(result.distance_m[0]) == pytest.approx(solution[0])

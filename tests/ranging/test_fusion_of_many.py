@@ -95,7 +95,7 @@ def test_independent_method_narrows_sigma_as_predicted():
         radar=(30.0, 0.08),
         lidar=(30.0, 0.06),
     )
-    shared = 0.4 * 0.36 * 0.1**2  # covariance of the noise of mono and lane
+    shared = (0.4 * 0.36 + 0.24) * 0.1**2  # covariance of mono and lane: noise, scale of the drive
     of_both = np.array([[0.1**2, shared], [shared, 0.1**2]])
     information = np.linalg.inv(of_both).sum() + 0.05**-2 + 0.08**-2 + 0.06**-2
     assert relative_sigma(five) == pytest.approx(information**-0.5)
@@ -245,6 +245,6 @@ def test_correlations_of_the_built_in_methods():
     assert [noise[mono, ground], noise[mono, lane], noise[ground, lane]] == pytest.approx([0.456, 0.4, 0.638], abs=1e-3)
     assert noise[[mono, ground, lane], stereo] == pytest.approx([0, 0, 0])
     assert model.systematic_correlation[stereo, sgbm] == pytest.approx(1.0)
-    assert model.systematic_correlation[mono, [ground, lane, stereo]] == pytest.approx([0, 0, 0])
+    assert model.systematic_correlation[mono, [ground, lane, stereo]] == pytest.approx([0, 0.375, 0])
     assert model.reference.tolist() == [stereo, sgbm]
     assert np.argwhere(model.superseded_by).tolist() == [[ground, mono], [lane, stereo], [lane, sgbm], [sgbm, stereo]]

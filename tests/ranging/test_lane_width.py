@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -5,20 +7,17 @@ from tests.detection.lane_roads import CENTRE_PX, FOCAL_PX, HORIZON_PX, HW, pict
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.edges import EdgeLaneFinder
 from track_range.detection.lanes.lines import LaneLine, LaneLines
-from track_range.ranging.methods.lane_width import (
-    LANE_WIDTH_SIGMA,
-    LaneWidth,
-    LaneWidthRanger,
-    inflated_by_disagreement,
-)
+from track_range.foundation.sparse_flow import BackgroundFlow
+from track_range.ranging.methods.lane_width import LaneWidthRanger, inflated_by_disagreement
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.ego_motion import CameraStep
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(FOCAL_PX, FOCAL_PX, CENTRE_PX, HORIZON_PX, HW[1], HW[0])
 CAR = ROAD_CLASSES.index("car")
-SCALES = (("mono", 0.7), ("stereo", 1.1))
 FRAME = Frame(7, 0.0, np.zeros((*HW, 3), np.uint8), None)
 
 
@@ -45,8 +44,8 @@ def boxes_at(*distance_m, lanes_to_the_right=0.0, class_id=CAR, observed=True):
     )
 
 
-def measured(tracks, lane_lines=None, **more):
-    ranger = LaneWidthRanger(CAMERA, **more)
+def measured(tracks, lane_lines=None, *, width_m=3.5, **more):
+    ranger = LaneWidthRanger(CAMERA, width_m=width_m, **more)
     ranger.update_lanes(lane_lines or lines())
     return ranger.measure(tracks, FRAME)
 
@@ -109,7 +108,7 @@ def test_nothing_is_measured_without_lines():
 
 
 def test_cache_depends_on_lines_and_tracks():
-    ranger, tracks = LaneWidthRanger(CAMERA), boxes_at(15.0)
+    ranger, tracks = LaneWidthRanger(CAMERA, width_m=3.5), boxes_at(15.0)
     for lane_lines in (lines(), LaneLines(), lines()):
         ranger.update_lanes(lane_lines)
         expected = measured(tracks, lane_lines).distance_m
@@ -117,60 +116,104 @@ def test_cache_depends_on_lines_and_tracks():
     assert ranger.measure(boxes_at(12.0, 20.0), FRAME).distance_m == pytest.approx([12.0, 20.0], rel=0.01)
 
 
-def learn(ranger, lane_m, n_frames, *, noise=0.02, first=0):
+def learn(ranger, lane_m, n_frames, source="mono", *, noise=0.02, first=0, scale=None, bias=1.0, sigma=0.02):
+    """Ranges of the last frame; each frame has two cars whose distances by another method have the factor `bias`."""
     rng = np.random.default_rng(2)
     for i in range(first, first + n_frames):
         frame = Frame(i, i * 0.1, FRAME.left, None)
-        tracks = boxes_at(12.0, 20.0)
+        y = row_px(np.array([12.0, 20.0]))
+        tracks = Tracks(
+            np.array([2 * i, 2 * i + 1]),  # new ones in each frame
+            np.stack([CENTRE_PX - 10 + 0 * y, y - 20, CENTRE_PX + 10 + 0 * y, y], axis=1),
+            np.full(2, CAR),
+            np.ones(2),
+            np.ones(2, bool),
+        )
         ranger.update_lanes(lines(lane_m))
-        stereo_m = np.array([12.0, 20.0]) * (1 + noise * rng.standard_normal(2))
-        ranger.update_width(tracks, frame, Ranges(tracks.track_id, stereo_m, 0.02 * stereo_m))
-    return ranger
+        other_m = bias * np.array([12.0, 20.0]) * (1 + noise * rng.standard_normal(2))
+        others = {source: Ranges(tracks.track_id, other_m, sigma * other_m)}
+        ranges = ranger.measure_at_scale(tracks, frame, others, scale or DriveScale()).ranges
+    return ranges
 
 
 def test_width_is_learnt_from_stereo():
-    ranger = learn(LaneWidthRanger(CAMERA), 4.0, 20)
+    ranger = LaneWidthRanger(CAMERA, width_from="stereo")
+    assert learn(ranger, 4.0, 20, "stereo").distance_m == pytest.approx([12.0, 20.0], rel=0.02)
     assert ranger.lane.width_m == pytest.approx(4.0, rel=0.02)
     assert 0.014 < ranger.lane.sigma < 0.03
-
-
-def test_width_is_learnt_after_measuring():
-    tracks = boxes_at(12.0, 20.0)
-    others = {name: Ranges(tracks.track_id, scale * np.array([12.0, 20.0]), np.ones(2)) for name, scale in SCALES}
-    for width_from, width_m in (("stereo", 3.85), (None, 3.5)):
-        ranger = LaneWidthRanger(CAMERA, width_sigma=0.2, width_from=width_from)
-        ranger.update_lanes(lines())
-        assert ranger.measure_with(tracks, FRAME, others).distance_m == pytest.approx([12.0, 20.0])
-        assert ranger.lane.width_m == pytest.approx(width_m, rel=0.03)
-
-
-def test_width_adapts_to_another_lane():
-    ranger = learn(learn(LaneWidthRanger(CAMERA), 3.5, 20), 6.5, 30, first=20)
+    learn(ranger, 6.5, 1200, "stereo", first=20)  # another lane, for two minutes
     assert ranger.lane.width_m == pytest.approx(6.5, rel=0.02)
 
 
+def test_scale_of_sizes_is_not_taken_for_the_width():
+    """All sizes are 8 % too large, which the width follows by the ratio of the variances; sigma contains the rest."""
+    ranger = LaneWidthRanger(CAMERA, width_m=3.5, width_sigma=0.12, width_from="mono")
+    ranges = learn(ranger, 3.5, 60, bias=1.08, sigma=0.1)
+    bias_sigma = DriveScale().bias_of("car").sigma
+    gain = 0.12**2 / (0.12**2 + bias_sigma**2)
+    assert ranger.lane.width_m == pytest.approx(3.5 * 1.08**gain, rel=0.01)
+    assert ranger.lane.sigma == pytest.approx(0.12 * np.sqrt(1 - gain), rel=0.1)
+    assert np.abs(ranges.distance_m - [12.0, 20.0]) == pytest.approx(ranges.sigma_m, rel=0.3)
+
+
+def test_own_size_does_not_affect_the_distance():
+    """The first of three cars is 40 % larger than its class; its distance by lane has the width of the others."""
+    others = {"mono": Ranges(np.array([1, 2, 3]), np.array([8.0, 20.0, 15.0]), np.array([0.8, 2.0, 1.5]))}
+    distances_m = []
+    for first_m in (8.0, 11.0):
+        others["mono"].distance_m[0] = first_m
+        ranger = LaneWidthRanger(CAMERA, width_m=3.5, width_from="mono")
+        ranger.update_lanes(lines())
+        distances_m.append(ranger.measure_with(boxes_at(12.0, 20.0, 15.0), FRAME, others).distance_m)
+    assert distances_m[0][0] == pytest.approx(distances_m[1][0], rel=0.01)
+    assert distances_m[0][0] == pytest.approx(12.0, rel=0.02)
+
+
+def test_lines_of_two_lanes_measure_nothing():
+    ranger = LaneWidthRanger(CAMERA, width_from="mono")
+    assert np.isnan(learn(ranger, 7.0, 10, sigma=0.06).distance_m).all()
+    assert np.isfinite(learn(LaneWidthRanger(CAMERA, width_from="mono"), 4.1, 10, sigma=0.06).distance_m).all()
+
+
+def test_prior_by_region_and_speed():
+    still = BackgroundFlow()
+    still.add(np.zeros((*HW, 3), np.uint8), np.zeros((0, 4)))
+    step = CameraStep(
+        time_s=0.1,
+        dt_s=0.1,
+        rotation=np.eye(3),
+        rotation_sigma_rad=0.001,
+        travel=np.zeros(2),
+        travelled_m=3.0,
+        travelled_sigma=0.03,
+        now=still.now,
+    )
+    for region, slow_m, fast_m in (("europe", 3.4, 3.6), ("north-america", 3.45, 3.66)):
+        ranger = LaneWidthRanger(CAMERA, region=region)
+        ranger.update_motion(replace(step, travelled_m=1.0))
+        assert ranger.lane.width_m == slow_m
+        ranger.update_motion(step)
+        assert ranger.lane.width_m == fast_m
+    given = LaneWidthRanger(CAMERA, width_m=3.1)
+    given.update_motion(step)
+    assert given.lane.width_m == 3.1
+
+
 def test_nothing_is_learnt_from_nothing():
-    ranger = LaneWidthRanger(CAMERA)
+    ranger = LaneWidthRanger(CAMERA, width_from="mono")
+    before = ranger.lane
     tracks = boxes_at(15.0)
-    ranger.update_width(tracks, FRAME, Ranges(tracks.track_id, np.array([15.0]), np.array([0.1])))  # no lines
+    mono = Ranges(tracks.track_id, np.array([15.0]), np.array([0.1]))
+    assert np.isnan(ranger.measure_with(tracks, FRAME, {"mono": mono}).distance_m).all()  # no lines
     ranger.update_lanes(lines(4.0))
-    ranger.update_width(tracks, FRAME, Ranges.unmeasured(tracks.track_id))
-    assert ranger.lane == LaneWidth()
-
-
-def test_update_by_inverse_variances():
-    updated = LaneWidth(3.5, 0.1).updated_with(np.array([3.85]), np.array([0.1]))
-    assert updated.width_m == pytest.approx(3.5 * np.sqrt(1.1))  # midway in logarithms
-    assert updated.sigma == pytest.approx(0.1 / np.sqrt(2))
-    many = LaneWidth(3.5, 0.1).updated_with(np.full(50, 3.85), np.full(50, 0.1))
-    assert many == updated  # their errors are common
-    assert LaneWidth(3.5, 0.02).after(60.0).sigma == pytest.approx(LANE_WIDTH_SIGMA)  # limited to the default
-    assert LaneWidth(3.5, 0.02).after(0.6).sigma == pytest.approx(np.hypot(0.02, 0.1 * LANE_WIDTH_SIGMA))
+    ranger.measure_with(tracks, FRAME, {"mono": Ranges.unmeasured(tracks.track_id)})
+    assert ranger.lane.width_m == pytest.approx(before.width_m)
+    assert ranger.lane.sigma == pytest.approx(before.sigma)
 
 
 def test_from_image_to_metres():
     """A rendered road with lane detection by edges, against the exact distances."""
-    ranger = LaneWidthRanger(CAMERA)
+    ranger = LaneWidthRanger(CAMERA, width_m=3.5)
     ranger.update_lanes(EdgeLaneFinder().find(picture(-1.75, 1.75), 0.0))
     true_m = np.array([6.0, 10.0, 20.0, 30.0])
     ranges = ranger.measure(boxes_at(*true_m), FRAME)

@@ -90,9 +90,14 @@ class RangingOptions(Options):
         ),
     ] = "classical"
     lane_width_m: Annotated[
-        float,
-        _clip_option("Width of the ego lane in metres; refined with stereo distances.", metavar="M", ge=1.5, le=6.0),
-    ] = 3.5
+        float | None,
+        _clip_option(
+            "Width of the ego lane in metres (default: estimated from the drive, region and speed).",
+            metavar="M",
+            ge=1.5,
+            le=6.0,
+        ),
+    ] = None
     camera_height_m: Annotated[
         float | None,
         _clip_option(
