@@ -112,7 +112,7 @@ _MOVING_PITCH_RAD = 0.001  # error of the horizon from image motion that is new 
 # Distance to the side over which the slope to the side doubles: beyond the road are pavements, verges and side streets.
 # Heights of contact points on KITTI and nuScenes, in m: 0.12 and 0.21 at 3 to 6 m, 0.29 and 0.39 at 6 to 10 m, 0.4 to
 # 0.9 at 10 to 16 m, 0.6 and 1.2 beyond.
-_VERGE_M, _MAX_VERGE = 10.0, 1.5
+_VERGE_M, _MAX_VERGE = 10.0, 1.0
 _MIN_INFORMATION = 1e-3  # about the horizon, relative to a new measurement; tracks with less are dropped
 
 

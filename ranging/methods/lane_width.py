@@ -8,8 +8,7 @@ r"""LaneWidthRanger: distance from the image width of the lane at an object's co
                    bottom edge, grows with the distance as for all methods that use the contact point.
 
 Pitch cancels if lines and box come from the same image; a run detects lines ten times per second and uses the latest
-ones in between. The contact point is that of the nearest surface, so d is the distance of an upright surface such as
-the rear of a car.
+ones in between. The contact point is that of the nearest surface, or of tyres behind it (`surface_offset_m`).
 
 W has a prior by region and road, and is learnt from the distances d_i of the tracks by another method:
 
@@ -18,6 +17,7 @@ W has a prior by region and road, and is learnt from the distances d_i of the tr
 A track counts once, and the width that ranges a track is learnt from the others: its own would repeat d_i. Where d_i
 are distances by size, b is the error of the drive (`DriveScale`): the prior of W keeps a part of its weight, and the
 error source `drive_scale` is what both methods have in common. A width far from the prior is not that of a lane.
+Where the height H of the camera is known, the lines show their distance: W = H w' fy / fx.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from track_range.ranging.method import ErrorSource, Measured, MethodContext, Ran
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.region import Region
 from track_range.ranging.size_models.drive_scale import DriveScale
-from track_range.ranging.size_models.size_model import BORDER_PX
+from track_range.ranging.size_models.size_model import BORDER_PX, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import CameraStep
@@ -51,12 +51,13 @@ class LaneWidth:
     sigma: float  # relative standard deviation of W
 
 
-_GIVEN_SIGMA, _ANY_SIGMA, _FAST_SIGMA = 0.05, 0.12, 0.08  # relative, of widths given by the user and of those below
+_GIVEN_SIGMA, _ANY_SIGMA, _FAST_SIGMA = 0.05, 0.13, 0.08  # relative, of widths given by the user and of those below
+_HEIGHT_SIGMA = 0.06  # relative, of a width from the height of the camera: the opening of the lines, height, hills
 _FAST_MPS = 22.0  # 80 km/h; slower vehicles may be on any road
 _WIDTHS_M: Mapping[Region, tuple[float, float]] = {
-    "unknown": (3.4, 3.6),
-    "europe": (3.4, 3.6),
-    "north-america": (3.45, 3.66),
+    "unknown": (3.5, 3.6),
+    "europe": (3.5, 3.6),
+    "north-america": (3.5, 3.66),
     "east-asia": (3.4, 3.65),
 }
 """Width of a lane on any road, and where traffic is fast.
@@ -83,7 +84,9 @@ _MEMORY_S = 30.0  # time constant with which tracks are forgotten: the lane wide
 _FRAMES = 5.0  # frames over which the width at a track is averaged; the errors of more are the same
 _MIN_OWN = 0.4  # smallest fraction of the variance of a distance that belongs to the track
 _CAUCHY_SIGMA, _N_ROUNDS = 2.0, 2  # scale of the weights 1 / (1 + (residual / scale)^2) in sigmas, and rounds
+_MEASURABLE_SIGMA = 0.25  # of the prior where a calibrated pair measures the width, whatever the lines are
 _MAX_DEVIATION = 3.0  # of a width by sizes from the prior, in sigmas; more is not the width of a lane
+_HILL_RAD = 0.004  # error of the row in which the lines meet, by hills and the fit: 0.001 to 0.006 on real roads
 _ROAD_SIGMA = 0.01  # relative standard deviation of w from uneven roads and varying lane widths
 
 _Widths = tuple[FloatArray, FloatArray, BoolArray]
@@ -102,6 +105,8 @@ class LaneWidthRanger(Ranger):
         width_sigma: float = _GIVEN_SIGMA,
         box_sigma_px: float = 1.5,
         width_from: str | None = None,
+        camera_height_m: float | None = None,
+        has_visible_boxes: bool = False,
     ) -> None:
         """Create a ranger for `camera` (undistorted).
 
@@ -111,6 +116,8 @@ class LaneWidthRanger(Ranger):
             width_sigma: relative standard deviation of `width_m`.
             box_sigma_px: standard deviation of the bottom edge of a detected box.
             width_from: method with distances that the width is learnt from; None = the width is fixed.
+            camera_height_m: height above the road; None = unknown.
+            has_visible_boxes: whether boxes end at the tyres, as those of a detector.
         """
         self._camera = camera
         self._box_sigma_px = box_sigma_px
@@ -118,6 +125,7 @@ class LaneWidthRanger(Ranger):
         self._prior = LaneWidth(width_m, width_sigma) if width_m else LaneWidth(_WIDTHS_M[region][0], _ANY_SIGMA)
         self.lane = self._prior  # the current estimate
         self._width_from = width_from
+        self._height_m, self._has_visible_boxes = camera_height_m, has_visible_boxes
         self._lines = LaneLines()
         self._last: tuple[Tracks, _Widths] | None = None  # cache: learning needs the widths of `measure`
         # of each track: number of frames, log width, its variance without the shared part, time of the last frame
@@ -152,7 +160,7 @@ class LaneWidthRanger(Ranger):
             is_by_size = self._width_from == "mono"
             shared_sigma = scale.bias_of("car").sigma if is_by_size else _MIN_WIDTH_SIGMA
             own = self._learn(tracks, widths, others[self._width_from], shared_sigma, frame.time_s)
-            log_width, sigma = self._learnt(own, shared_sigma, frame.time_s, may_contradict=not is_by_size)
+            log_width, sigma = self._learnt(own & is_by_size, shared_sigma, frame.time_s, is_measured=not is_by_size)
         ranges = self._ranges(tracks, frame, log_width, sigma)
         return Measured(inflated_by_disagreement(ranges, list(others.values())))
 
@@ -168,7 +176,7 @@ class LaneWidthRanger(Ranger):
         """Add the widths at the tracks by another method's distances; returns which of the tracks (N,) have one."""
         w, sigma_w, is_valid = widths
         usable = np.asarray(is_valid & np.isfinite(measured.distance_m) & np.isfinite(measured.sigma_m))
-        distance_m, ids = measured.distance_m[usable], tracks.track_id[usable]
+        distance_m, ids = (measured.distance_m - self._offset_m(tracks))[usable], tracks.track_id[usable]
         variance = sigma_w[usable] ** 2 + (measured.sigma_m[usable] / distance_m) ** 2
         variance = np.maximum(variance - shared_sigma**2, _MIN_OWN * variance)
         n_frames, log_width, _, _ = self._tracks.get(ids)
@@ -180,11 +188,12 @@ class LaneWidthRanger(Ranger):
         return usable
 
     def _learnt(
-        self, own: BoolArray, shared_sigma: float, time_s: float, *, may_contradict: bool
+        self, own: BoolArray, shared_sigma: float, time_s: float, *, is_measured: bool
     ) -> tuple[FloatArray, FloatArray]:
         """(N,) log width and its sigma for each of the tracks of the frame, from the others; inf = not a lane.
 
-        The tracks in the mask `own` (N,) are the first of those known. Sets `lane` to the estimate from all tracks.
+        The tracks in the mask `own` (N,) are the first of those known, and left out for themselves. Sets `lane` to the
+        estimate from all tracks.
         """
         _, z, variance, seen_s = self._tracks.known
         unweighted = weight = np.exp((seen_s - time_s) / _MEMORY_S) / variance
@@ -196,12 +205,14 @@ class LaneWidthRanger(Ranger):
         without[:, :-1][:, own] = weight[:n_own], weight[:n_own] * z[:n_own]
         information, weighted = np.array([weight.sum(), weight @ z])[:, None] - without
         information = np.maximum(information, 1e-9)
-        prior_log, prior_variance = math.log(self._prior.width_m), self._prior.sigma**2
+        prior = self._prior_of_lines()
+        prior_log = math.log(prior.width_m)
+        prior_variance = max(prior.sigma, _MEASURABLE_SIGMA if is_measured else 0.0) ** 2
         total = prior_variance + shared_sigma**2 + 1.0 / information
         deviation, K = weighted / information - prior_log, prior_variance / total
         log_width = prior_log + K * deviation
         sigma = np.maximum(np.sqrt((1.0 - K) * prior_variance), _MIN_WIDTH_SIGMA)
-        if not may_contradict:
+        if not is_measured:
             sigma = np.where(deviation**2 > _MAX_DEVIATION**2 * total, np.inf, sigma)
         self.lane = LaneWidth(float(np.exp(log_width[-1])), float(sigma[-1]))
         return log_width[:-1], sigma[:-1]
@@ -215,7 +226,20 @@ class LaneWidthRanger(Ranger):
         sigma = np.hypot(sigma_w, width_sigma)
         is_certain = is_valid & (sigma < _MAX_SIGMA)
         distance_m = self._camera.fx_px * np.exp(log_width) / np.where(is_certain, w, np.nan)
-        return Ranges(tracks.track_id, distance_m, distance_m * sigma)
+        return Ranges(tracks.track_id, distance_m + self._offset_m(tracks), distance_m * sigma)
+
+    def _offset_m(self, tracks: Tracks) -> FloatArray:
+        return surface_offset_m(tracks.xyxy_px, tracks.class_id, has_visible_boxes=self._has_visible_boxes)
+
+    def _prior_of_lines(self) -> LaneWidth:
+        """The prior, and the width of the lines in view from the height of the camera, if it is known."""
+        left, right, prior = self._lines.left, self._lines.right, self._prior
+        if self._height_m is None or left is None or right is None:
+            return prior
+        opening = float((right.coefficients - left.coefficients)[1])
+        by_height_m = opening * self._height_m * self._camera.fy_px / self._camera.fx_px
+        K = prior.sigma**2 / (prior.sigma**2 + _HEIGHT_SIGMA**2)
+        return LaneWidth(prior.width_m ** (1 - K) * by_height_m**K, prior.sigma * math.sqrt(1 - K))
 
     def _widths_of(self, tracks: Tracks, frame: Frame) -> _Widths | None:
         """Lane widths at the tracks, computed once per frame; None = the lines are unknown."""
@@ -246,8 +270,9 @@ class LaneWidthRanger(Ranger):
             & (lateral < _LATERAL_RANGE[1])
         )
         w_slope = width[1] + 2.0 * width[2] * y_px  # w'
+        row_px = math.hypot(self._box_sigma_px, _HILL_RAD * self._camera.fy_px)
         line_variance = ((left.covariance + right.covariance) @ powers * powers).sum(axis=0)
-        sigma_px = np.sqrt(np.maximum(line_variance, 0.0) + (self._box_sigma_px * w_slope) ** 2)
+        sigma_px = np.sqrt(np.maximum(line_variance, 0.0) + (row_px * w_slope) ** 2)
         widths = w, np.hypot(sigma_px / divisor, _ROAD_SIGMA), is_valid
         self._last = tracks, widths
         return widths
@@ -285,6 +310,8 @@ def _create(context: MethodContext) -> Ranger:
         region=context.region,
         width_m=context.lane_width_m,
         width_from="mono" if context.rig is None else "stereo",
+        camera_height_m=context.camera_height_m,
+        has_visible_boxes=context.has_visible_boxes,
     )
 
 
@@ -297,10 +324,10 @@ LANE = RangingMethod(
     needs=frozenset({"lane_lines"}),
     reads=("mono", "stereo"),
     error_sources=(
-        ErrorSource("lane_width", systematic=0.4),
-        ErrorSource("drive_scale", systematic=0.24),
-        ErrorSource("contact_point", independent=0.2016),
-        ErrorSource("own", independent=0.1584),
+        ErrorSource("lane_width", systematic=0.25),
+        ErrorSource("drive_scale", systematic=0.15),
+        ErrorSource("contact_point", independent=0.25),
+        ErrorSource("own", independent=0.35),
     ),
     fallback_for="stereo",
 )

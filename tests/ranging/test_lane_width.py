@@ -51,22 +51,24 @@ def measured(tracks, lane_lines=None, *, width_m=3.5, **more):
 
 
 def test_by_hand():
-    """500 px x 3.5 m / (3.5 / 1.5 x (220 - 170) = 116.67 px) = 15 m."""
+    """500 px x 3.5 m / (3.5 / 1.5 x (220 - 170) = 116.67 px) = 15 m; the tail of a car is 3 cm behind the contact."""
     box = Tracks(np.array([1]), np.array([[310.0, 200, 330, 220]]), np.array([CAR]), np.ones(1), np.ones(1, bool))
-    assert measured(box).distance_m == pytest.approx([15.0])
+    assert measured(box).distance_m == pytest.approx([15.03])
+    assert measured(box, has_visible_boxes=True).distance_m == pytest.approx([14.43])  # the box ends at the tyres
 
 
 def test_distances_and_another_lane_width():
     true_m = np.array([5.0, 10.0, 20.0, 30.0])
-    assert measured(boxes_at(*true_m)).distance_m == pytest.approx(true_m)
-    assert measured(boxes_at(*true_m), lines(3.0), width_m=3.0).distance_m == pytest.approx(true_m)
-    assert measured(boxes_at(*true_m), lines(3.0)).distance_m == pytest.approx(true_m * 3.5 / 3.0)
+    assert measured(boxes_at(*true_m)).distance_m == pytest.approx(true_m + 0.03)
+    assert measured(boxes_at(*true_m), lines(3.0), width_m=3.0).distance_m == pytest.approx(true_m + 0.03)
+    assert measured(boxes_at(*true_m), lines(3.0)).distance_m == pytest.approx(true_m * 3.5 / 3.0 + 0.03)
 
 
 def test_sigma_by_error_propagation():
     ranges = measured(boxes_at(15.0), lines(sigma_px=2.0), width_sigma=0.06, box_sigma_px=1.5)
     width = 3.5 / 1.5 * 50
-    parts = (2 * np.sqrt(2) / width, 0.06, 3.5 / 1.5 * 1.5 / width, 0.01)
+    row_px = np.hypot(1.5, 0.004 * FOCAL_PX)  # of the bottom edge, and of the row in which the lines meet
+    parts = (2 * np.sqrt(2) / width, 0.06, 3.5 / 1.5 * row_px / width, 0.01)
     assert ranges.sigma_m == pytest.approx([15 * np.sqrt(np.sum(np.square(parts)))])
 
 
@@ -153,7 +155,7 @@ def test_scale_of_sizes_is_not_taken_for_the_width():
     gain = 0.12**2 / (0.12**2 + bias_sigma**2)
     assert ranger.lane.width_m == pytest.approx(3.5 * 1.08**gain, rel=0.01)
     assert ranger.lane.sigma == pytest.approx(0.12 * np.sqrt(1 - gain), rel=0.1)
-    assert np.abs(ranges.distance_m - [12.0, 20.0]) == pytest.approx(ranges.sigma_m, rel=0.3)
+    assert (np.abs(ranges.distance_m - [12.0, 20.0]) < ranges.sigma_m).all()
 
 
 def test_own_size_does_not_affect_the_distance():
@@ -188,7 +190,7 @@ def test_prior_by_region_and_speed():
         travelled_sigma=0.03,
         now=still.now,
     )
-    for region, slow_m, fast_m in (("europe", 3.4, 3.6), ("north-america", 3.45, 3.66)):
+    for region, slow_m, fast_m in (("europe", 3.5, 3.6), ("north-america", 3.5, 3.66)):
         ranger = LaneWidthRanger(CAMERA, region=region)
         ranger.update_motion(replace(step, travelled_m=1.0))
         assert ranger.lane.width_m == slow_m
@@ -197,6 +199,19 @@ def test_prior_by_region_and_speed():
     given = LaneWidthRanger(CAMERA, width_m=3.1)
     given.update_motion(step)
     assert given.lane.width_m == 3.1
+
+
+def test_width_from_the_height_of_the_camera():
+    """Lines with an opening of 4.2 / 1.5 from a camera 1.5 m high are 4.2 m apart, with a sigma of 6 %."""
+    tracks = boxes_at(12.0, 20.0)
+    others = {"mono": Ranges.unmeasured(tracks.track_id)}
+    ranger = LaneWidthRanger(CAMERA, width_from="mono", camera_height_m=1.5)
+    ranger.update_lanes(lines(4.2))
+    ranges = ranger.measure_with(tracks, FRAME, others)
+    gain = 0.13**2 / (0.13**2 + 0.06**2)
+    assert ranger.lane.width_m == pytest.approx(3.5 ** (1 - gain) * 4.2**gain)
+    assert ranger.lane.sigma == pytest.approx(0.13 * np.sqrt(1 - gain), rel=1e-3)
+    assert ranges.distance_m == pytest.approx([12.0, 20.0], rel=0.04)
 
 
 def test_nothing_is_learnt_from_nothing():
