@@ -42,8 +42,9 @@ def test_correlated_methods_narrow_sigma_less():
     together = single_frame({"mono": ranges(30.0, 3.0), "lane": ranges(30.0, 3.0)}).ranges.sigma_m[0]
     apart = single_frame({"mono": ranges(30.0, 3.0), "stereo": ranges(30.0, 3.0)}).ranges.sigma_m[0]
     assert apart == pytest.approx(3.0 / np.sqrt(2))
-    # The noise, 0.36 of the variance, has a correlation of 0.4, and the scale of the drive, 0.24, is the same.
-    assert together == pytest.approx(3.0 * np.sqrt((1 + 0.36 * 0.4 + 0.24) / 2))
+    # Common are the contact point, 0.36 * 2 / 7 and 0.25 of the variances, and the scale of the drive, 0.24 and 0.15.
+    common = np.sqrt(0.36 * 2 / 7 * 0.25) + np.sqrt(0.24 * 0.15)
+    assert together == pytest.approx(3.0 * np.sqrt((1 + common) / 2))
 
 
 def test_conflict_widens_sigma():
@@ -187,7 +188,7 @@ def test_tracks_are_independent_and_in_order():
 
 @pytest.mark.parametrize(
     ("names", "fractions", "shared", "drive"),
-    [(("mono", "lane"), (0.6, 0.6), 0.4, 0.375), (("mono", "stereo"), (0.6, 0.3), 0.0, 0.0)],
+    [(("mono", "lane"), (0.6, 0.6**0.5), (2 / 7 * 5 / 12) ** 0.5, 0.375), (("mono", "stereo"), (0.6, 0.3), 0.0, 0.0)],
 )
 def test_fused_is_the_least_squares_solution(names, fractions, shared, drive):
     """Against the joint normal equations of a frame for log d and the biases of the methods."""

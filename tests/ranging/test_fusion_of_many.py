@@ -95,7 +95,8 @@ def test_independent_method_narrows_sigma_as_predicted():
         radar=(30.0, 0.08),
         lidar=(30.0, 0.06),
     )
-    shared = (0.4 * 0.36 + 0.24) * 0.1**2  # covariance of mono and lane: noise, scale of the drive
+    # covariance of mono and lane: contact point, scale of the drive
+    shared = (np.sqrt(0.36 * 2 / 7 * 0.25) + np.sqrt(0.24 * 0.15)) * 0.1**2
     of_both = np.array([[0.1**2, shared], [shared, 0.1**2]])
     information = np.linalg.inv(of_both).sum() + 0.05**-2 + 0.08**-2 + 0.06**-2
     assert relative_sigma(five) == pytest.approx(information**-0.5)
@@ -242,7 +243,9 @@ def test_correlations_of_the_built_in_methods():
         model.names.index(name) for name in ("mono", "ground", "lane", "stereo", "sgbm")
     )
     noise = model.independent_covariance[..., 0] / (model.independent * model.independent.T)
-    assert [noise[mono, ground], noise[mono, lane], noise[ground, lane]] == pytest.approx([0.456, 0.4, 0.638], abs=1e-3)
+    assert [noise[mono, ground], noise[mono, lane], noise[ground, lane]] == pytest.approx(
+        [0.456, 0.345, 0.550], abs=1e-3
+    )
     assert noise[[mono, ground, lane], stereo] == pytest.approx([0, 0, 0])
     assert model.systematic_correlation[stereo, sgbm] == pytest.approx(1.0)
     assert model.systematic_correlation[mono, [ground, lane, stereo]] == pytest.approx([0, 0.375, 0])
