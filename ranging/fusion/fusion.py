@@ -3,11 +3,13 @@
     z_i = log d + k_i u_i + n_i         z_i: log distance of method i
 
 The relative sigma of a method has a systematic part k, constant over a track (the car is larger than average, the rig
-is misaligned), and an independent part n, new in every frame. u, with variance 1, is the bias of a method for the track
-in units of k. It shows in differences between methods: while stereo matches a track it calibrates the size that mono
-assumes, and mono continues with that size when stereo fails. The estimator is a Schmidt-Kalman filter: its state is
-log d, without prior in each frame, and u (M,) with covariance C, which decays slowly to its prior C0. With K = diag(k),
-N = cov(n), 1 = (1, ..., 1)' and y = z - K u, over the valid methods:
+is misaligned), and an independent part n, new in every frame. u, with variance 1, is the bias of a method for the
+track in units of k. It shows in differences between methods: while stereo matches a track it calibrates the size that
+mono assumes, and mono continues with that size when stereo fails. Without a scale reference no bias is learnt: the
+errors of ground and lane change with the distance (horizon, lines), and mono would be corrected by what is not its
+own error. The estimator is a Schmidt-Kalman filter: its state is log d, without prior in each frame, and u (M,) with
+covariance C, which decays slowly to its prior C0. With K = diag(k), N = cov(n), 1 = (1, ..., 1)' and y = z - K u,
+over the valid methods:
 
     A = K C K + N,    w = A^-1 1 / (1' A^-1 1)                  generalised least squares
     log d = w' y,     var = w' A w
@@ -194,7 +196,8 @@ def _with_biases_learnt(
     )
     is_implausible = (used.valid[size] & used.valid[matching] & is_apart).any(axis=(0, 1))
     damping = np.sqrt(_CONFLICT_T2 / np.maximum(estimate.t2, _CONFLICT_T2))
-    t = model.is_learnt * (damping * ~is_implausible)
+    has_reference = used.valid[model.reference].any(axis=0)
+    t = model.is_learnt * (damping * ~is_implausible * has_reference)
     CK = track.C * estimate.k
     B = np.einsum("ajn,bjn->abn", np.einsum("ain,ijn->ajn", CK, estimate.P), CK)
     B = (B + B.transpose(1, 0, 2)) / 2  # asymmetric rounding errors would grow from frame to frame

@@ -47,6 +47,17 @@ def test_correlated_methods_narrow_sigma_less():
     assert together == pytest.approx(3.0 * np.sqrt((1 + common) / 2))
 
 
+def test_errors_that_change_are_no_biases_without_a_reference():
+    """A car comes nearer; the lines are 15 % wrong at first. In the end all methods agree, and fusion with them."""
+    fusion = Fusion()
+    for k, true_m in enumerate(np.geomspace(80.0, 20.0, 60)):
+        lane_m = true_m * (1.15 - 0.15 * k / 59)
+        by_method = {"mono": ranges(0.97 * true_m, 0.08 * true_m), "lane": ranges(lane_m, 0.08 * lane_m)}
+        fused = fusion.fuse(by_method, np.array([1]), 0.1 * k).ranges
+        assert 0.97 * true_m - 1e-6 <= fused.distance_m[0] <= lane_m + 1e-6
+    assert fused.distance_m[0] == pytest.approx(20.0, rel=0.03)
+
+
 def test_conflict_widens_sigma():
     agreed = single_frame({"mono": ranges(20.0, 1.0), "stereo": ranges(20.0, 1.0)}).ranges
     result = single_frame({"mono": ranges(40.0, 2.0), "stereo": ranges(20.0, 1.0)}).ranges
