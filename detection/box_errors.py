@@ -8,13 +8,11 @@ error of an object hardly changes while it is in view, so that it does not avera
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from track_range.detection.classes import COCO_CLASSES, ROAD_CLASSES
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.files.input_files import quoted
-
-_MAX_MEAN, _MAX_SIGMA = 0.5, 1.0  # of valid values
 
 
 class BoxError(NamedTuple):
@@ -44,29 +42,21 @@ COCO_BOX_ERRORS: Mapping[str, BoxErrors] = {
 docs/detectors.md."""
 
 
-def usual_box_errors(family: str, names: Sequence[str]) -> BoxErrors | None:
-    """Errors of networks of a family with COCO's class names; None = not measured."""
-    return COCO_BOX_ERRORS.get(family) if tuple(names) == COCO_CLASSES else None
+_EXPECTED = (
+    "expected [log_height, log_height_sigma, log_width, log_width_sigma] by road class, means from -0.5 to 0.5 and "
+    "sigmas from 0 to 1"
+)
 
 
 def box_errors_of(value: Any) -> BoxErrors:
     """Errors from a mapping of road classes to the four numbers of `BoxError`, as in MODEL.yaml; else ValueError."""
-    expected = "expected [log_height, log_height_sigma, log_width, log_width_sigma] by road class"
-    if not isinstance(value, Mapping):
-        raise ValueError(f"{expected}, got {quoted(value)}")
-    errors = {}
-    for name, numbers in value.items():
-        if name not in ROAD_CLASSES:
-            raise ValueError(f"{expected}, got the class {quoted(name)}")
-        try:
-            error = BoxError(*map(float, numbers))
-        except (TypeError, ValueError) as problem:
-            raise ValueError(f"{expected}, got {quoted(numbers)} for {name}") from problem
-        is_mean_valid = max(abs(error.log_height), abs(error.log_width)) <= _MAX_MEAN  # False for NaN
-        if not (is_mean_valid and all(0 <= s <= _MAX_SIGMA for s in (error.log_height_sigma, error.log_width_sigma))):
-            raise ValueError(
-                f"{expected}, means from -{_MAX_MEAN:g} to {_MAX_MEAN:g} and sigmas from 0 to {_MAX_SIGMA:g}, "
-                f"got {quoted(list(error))} for {name}"
-            )
-        errors[name] = error
+    try:
+        # The index raises a ValueError for other names.
+        errors = {ROAD_CLASSES[ROAD_CLASSES.index(name)]: BoxError(*map(float, value[name])) for name in value}
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{_EXPECTED}, got {quoted(value)}") from error
+    for name, (height, height_sigma, width, width_sigma) in errors.items():
+        is_valid = -0.5 <= height <= 0.5 and -0.5 <= width <= 0.5
+        if not (is_valid and 0 <= height_sigma <= 1 and 0 <= width_sigma <= 1):
+            raise ValueError(f"{_EXPECTED}, got {quoted(list(errors[name]))} for {name}")
     return errors

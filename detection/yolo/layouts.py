@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from track_range.detection.box_errors import usual_box_errors
+from track_range.detection.box_errors import COCO_BOX_ERRORS
 from track_range.detection.classes import COCO_CATEGORIES, COCO_CLASSES, VOC_CLASSES
 from track_range.detection.models.metadata import Anchors, Attribute, ModelMetadata
 from track_range.detection.models.onnx_session import ModelError
@@ -94,7 +94,7 @@ def identify_layout(network: NetworkOutputs) -> YoloModel:
     used = {"family": family, "names": _names(path, matched.n_classes, metadata)}
     for key in ("letterbox", "colours", "divisor", "mean", "std"):
         used[key] = metadata.get(key, getattr(matched.input_format, key), f"default of {matched.family}")
-    usual = usual_box_errors(matched.family, used["names"].value)
+    usual = COCO_BOX_ERRORS.get(matched.family) if used["names"].value == COCO_CLASSES else None
     source = "those of an unknown detector" if usual is None else f"usual for {matched.family} trained with COCO"
     used["box_errors"] = metadata.get("box_errors", usual, source)
     placement, pad_grey = placement_and_grey(used["letterbox"].value)

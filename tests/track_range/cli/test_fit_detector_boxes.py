@@ -104,8 +104,10 @@ def test_errors_say_what_to_do(scene, cli):
         (("--detector-boxes", "road", *given), 2, ("packaged", "--out")),
         (("--detector-boxes", scene / "none.onnx", *given), 1, ("none.onnx", "no such model")),
         (("--detector-boxes", model, *given, "--out", scene / "list.yaml"), 1, ("list.yaml", "--out")),
+        (("--detector-boxes", model, *given, "--out", scene / "text.yaml"), 1, ("text.yaml", "--out")),
     ):
         (scene / "list.yaml").write_text("- car\n")
+        (scene / "text.yaml").write_text("box_errors: unknown\n")
         actual, _, errors = cli("fit", *options)
         assert actual == status, errors
         assert all(word in " ".join(errors.split()) for word in words), errors

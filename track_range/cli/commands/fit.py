@@ -30,7 +30,7 @@ from track_range.ranging.size_models.log_linear import SizeCurves
 from track_range.ranging.size_models.plain_curves import TableSizes
 from track_range.ranging.size_models.size_model import StoredSizeModel
 from track_range.run.options.detection import SizeField, ThreadsField
-from track_range.run.options.opened import DetectorOptions, class_names, open_detector
+from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
 from track_range.views.report import tables
@@ -42,17 +42,16 @@ class FitOptions(FitSettings):
     detector_boxes: Annotated[
         str | None,
         option(
-            "Detector, an ONNX file or a name from `track-range models list`, whose box sizes are compared with the "
-            "labels of --images: how much too low or wide its boxes are, by class. The result is written to MODEL.yaml "
-            "beside the model, or to --out, and used by every run with the model.",
+            "Detector whose boxes are compared with the labels of --images, a file or a name from `track-range models "
+            "list`: how much too low or wide they are, by class, written to MODEL.yaml beside it for every later run.",
             metavar="FILE|NAME",
         ),
     ] = None
     images: Annotated[
         Path | None,
         option(
-            "Labelled images for --detector-boxes, best of the own camera and not used for training: a folder, or the "
-            "video of KITTI tracking labels. --labels are then KITTI, YOLO or COCO labels.",
+            "Labelled images for --detector-boxes, not used for training, with YOLO, KITTI or COCO --labels: a folder, "
+            "or the video of KITTI tracking labels.",
             metavar="DIR|FILE",
         ),
     ] = None
@@ -72,17 +71,10 @@ def _fit_detector_boxes(options: FitOptions) -> None:
     if options.out is None and path.parent == PACKAGED_FOLDER:
         raise UsageError(f"--detector-boxes {options.detector_boxes}: a packaged model; measure a copy, or give --out.")
     content = read_yaml(out, ModelError, "the attributes of a model") if out.is_file() else {}
-    if not isinstance(content, dict):
+    if not isinstance(content, dict) or not isinstance(content.setdefault("box_errors", {}), dict):
         raise ModelError(f"{out}: expected the attributes of a model, found other YAML; choose another --out.")
     detector = open_detector(path, replace(DetectorOptions.of(options), min_score=str(MIN_SCORE)))
-    source = LabelledSource(
-        images=options.images,
-        labels=options.labels,
-        label_format=options.label_format,
-        label_names=class_names(options.label_names),
-        manifest=options.manifest,
-        split=options.split,
-    )
+    source = LabelledSource.of(options)
     frames = source.open()
     samples = BoxErrorSamples()
     with frame_progress(console, frames.n_images) as advance:
@@ -96,17 +88,14 @@ def _fit_detector_boxes(options: FitOptions) -> None:
             f"{MIN_HEIGHT_PX:g} px high, inside the image and not covered, in {counted(samples.n_images, 'image')}; "
             "give more images of classes that the detector knows, and check --format and --label-names."
         )
-    known = content.get("box_errors")
-    measured = {name: list(error) for name, (error, _) in fits.items()}
-    content["box_errors"] = {**(known if isinstance(known, dict) else {}), **measured}
+    content["box_errors"] |= {name: list(error) for name, (error, _) in fits.items()}
     write_text(out, yaml_text(content, default_flow_style=None))
     print_grid(console, _box_error_grid(fits))
     notes = [
-        "Logarithms of box / label: negative = boxes are too small. ± is the deviation to expect in another drive.",
+        "Logarithms of box / label: negative = boxes are too small. ± is the deviation to expect in another drive, "
+        "larger for labels drawn around what is visible (all but KITTI's).",
         *(f"{counted(len(frames.unreadable), 'image')} skipped, the first: {one}" for one in frames.unreadable[:1]),
     ]
-    if source.format != "kitti":
-        notes.append("Labels that are not KITTI's count as drawn around what is visible, which ± takes into account.")
     print_notes(console, notes)
     print_line(console, f"Written: {out}")
 

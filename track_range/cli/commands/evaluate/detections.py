@@ -17,7 +17,7 @@ from track_range.evaluation.sequences.detector_evaluation import evaluate_source
 from track_range.evaluation.sequences.labelled_images import LabelledSource
 from track_range.evaluation.sequences.settings import DetectionEvaluationSettings
 from track_range.foundation.options import option
-from track_range.run.options.opened import DetectorOptions, class_names
+from track_range.run.options.opened import DetectorOptions
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
 from track_range.views.report.detection_tables import (
@@ -41,15 +41,7 @@ class DetectionsOptions(DetectionEvaluationSettings):
 def _detections(options: DetectionsOptions) -> None:
     check_result_files(options)
     detector = replace(DetectorOptions.of(options), min_score=None, classes=())  # these two apply to the evaluation
-    source = LabelledSource(
-        images=options.images,
-        labels=options.labels,
-        label_format=options.label_format,
-        label_names=class_names(options.label_names),
-        manifest=options.manifest,
-        split=options.split,
-        classes=options.classes,
-    )
+    source = LabelledSource.of(options)
     candidates = open_candidates(options.models, detector, lambda name: ready_model(name, console))
     figures = evaluate_source(
         candidates,

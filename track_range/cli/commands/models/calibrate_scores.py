@@ -34,7 +34,7 @@ from track_range.foundation.files.input_files import counted
 from track_range.foundation.files.output_files import write_text
 from track_range.foundation.options import Options, option
 from track_range.run.options.detection import ThreadsField
-from track_range.run.options.opened import DetectorOptions, class_names, open_detector
+from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
 from track_range.views.report.tables import Column, Grid, grid_of
@@ -71,14 +71,7 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
     check_attributes(path, options.out)
     detector = open_detector(path, replace(DetectorOptions.of(options), device="cpu", min_score=str(LOWEST_SCORE)))
     score_outputs(detector)
-    source = LabelledSource(
-        images=options.images,
-        labels=options.labels,
-        label_format=options.label_format,
-        label_names=class_names(options.label_names),
-        manifest=options.manifest,
-        split=options.split,
-    )
+    source = LabelledSource.of(options)
     frames = source.open()
     detections: list[Detections] = []
     truth: list[ImageTruth] = []

@@ -31,7 +31,7 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import make_folder
 from track_range.foundation.options import Options, option
 from track_range.run.options.detection import AnchorsField, LetterboxField, NamesField, SizeField, ThreadsField
-from track_range.run.options.opened import DetectorOptions, class_names, open_detector
+from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
 
@@ -104,16 +104,7 @@ def _quantize(options: QuantizeOptions) -> None:
     """
     images, out = options.images, options.out
     detector = replace(DetectorOptions.of(options), device="cpu")
-    source = None
-    if options.labels is not None:
-        source = LabelledSource(
-            images=images,
-            labels=options.labels,
-            label_format=options.label_format,
-            label_names=class_names(options.label_names),
-            manifest=options.manifest,
-            split=options.split,
-        )
+    source = None if options.labels is None else LabelledSource.of(options)
     make_folder(out)
     path = ready_model(options.model, console)
     original = open_detector(path, replace(detector, min_score=str(WORKING_SCORE)))
