@@ -1,5 +1,7 @@
 """Systematic errors of the boxes of a detector: their values by model, and their way into a run."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,9 @@ from track_range.detection.models.lookup import find_model
 from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.detector import YoloDetector
-from track_range.run.box_source import boxes_of
+from track_range.run.box_source import boxes_of, network_source
+from track_range.run.options.detection import DetectionOptions
+from track_range.run.options.opened import open_detector
 
 CELLS = 8 * 8 + 4 * 4 + 2 * 2  # a 64 x 64 input with strides 8, 16, 32
 
@@ -78,3 +82,12 @@ def test_a_detector_object_may_know_its_errors():
     known = Detector()
     known.box_errors = box_errors_of({"car": (0.02, 0.03, 0.0, 0.03)})
     assert boxes_of(known).box_errors["car"].log_height == 0.02
+
+
+def test_a_run_knows_the_errors_of_its_network(tmp_path):
+    (tmp_path / "m.yaml").write_text("box_errors: {car: [-0.03, 0.04, 0.01, 0.05]}\n")
+    detector(tmp_path)
+    options = DetectionOptions(detector=str(tmp_path / "m.onnx"))
+    source = network_source(options, Path, open_detector)
+    assert source.box_errors == {"car": BoxError(-0.03, 0.04, 0.01, 0.05)}
+    assert source.description["detector"]["box_errors"] == "from m.yaml"
