@@ -48,7 +48,10 @@ def test_class_without_training_boxes_is_not_measured(tmp_path, row, drives):
 @pytest.mark.slow
 def test_mono_ground_and_their_fusion(many_drives):
     result = measured_by(
-        method_names()[-3:], many_drives, many_drives, MethodOptions(is_cross_validated=True, box_sigma_px=0.5)
+        method_names()[-3:],
+        many_drives,
+        many_drives,
+        MethodOptions(is_cross_validated=True, box_sigma_px=0.5, region="europe"),
     )
     assert list(result) == ["mono", "ground", "mono+ground"]
     for column in result.values():
