@@ -10,6 +10,7 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, FusionStage, RangingStage
 from track_range.pipeline.throughput import StageClock
 from track_range.ranging.filtering.lateral_motion import passing_offsets
+from track_range.ranging.scale_check import ScaleCheck
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -31,6 +32,7 @@ class FramePipeline:
     # collision warning; None = neither warnings nor times to collision, since the vehicle does not drive along the
     # camera's axis
     warning: CollisionWarning | None = field(default_factory=CollisionWarning)
+    scale_check: ScaleCheck | None = None  # of the rig; None = no calibrated pair
     shared_sigma: float = 0.0  # relative error shared by all methods, from an uncalibrated focal length
     notes: tuple[str, ...] = ()  # messages for the user about the parts of the pipeline
     clock: StageClock = field(default_factory=StageClock)  # time spent in each stage
@@ -56,6 +58,17 @@ class FramePipeline:
             tracks = checked_tracks(self.tracker, self.tracker.update(detections, frame.time_s, frame.left))
         ego = self.ego.update(frame, detections.xyxy_px, clock, known_ego)
         ranges, evidence = self.ranging.measure(tracks, frame, lanes, ego, self.scale, clock)
+        if self.scale_check is not None and "stereo" in ranges and evidence and evidence[0].by_size is not None:
+            with clock.stage("fuse"):
+                self.scale_check.update(
+                    tracks,
+                    evidence[0].by_size,
+                    ranges["stereo"],
+                    time_s=frame.time_s,
+                    road=ego.road,
+                    speed_mps=ego.motion.speed_mps,
+                    is_speed_by_stereo=self.ego.odometry is not None,
+                )
         with clock.stage("fuse"):
             self.scale = self.scale.after(evidence, frame.time_s)
             motion, lateral = self._fusion.update(frame, tracks, ranges, ego.motion)

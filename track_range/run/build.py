@@ -15,6 +15,7 @@ from track_range.ranging.method import MethodContext
 from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.region import Region
 from track_range.ranging.registry import create_rangers, method_notes
+from track_range.ranging.scale_check import ScaleCheck
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.recording.cameras.calibration import RecordingCalibration
@@ -107,7 +108,11 @@ def open_pipeline(
             odometry = road_motion
     tracker_options = replace(open_tracker_options(settings.reid, runtime), flow=flow)
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
+    check = None
+    if context.rig is not None:
+        check = ScaleCheck(context.camera, region=region, height_m=context.camera_height_m)
     return FramePipeline(
+        scale_check=check,
         camera=calibration.camera,
         detection=DetectionStage(
             detect=boxes.detect,
