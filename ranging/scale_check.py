@@ -44,11 +44,11 @@ _MIN_OBJECT_SIGMA = 0.08  # of r_k and q_k: frames of an object do not average o
 _MAX_MPS, _MPS_SIGMA = 45.0, 0.15  # speed that vehicles hardly exceed, and the sigma of its logarithm
 _MIN_MPS = 3.0  # smallest ego speed that is evidence
 _MIN_OBJECTS = 2
-_MAX_SIZE_SIGMA, _MAX_REACH_M = 0.25, 40.0  # of distances that are evidence
+_MAX_SIZE_SIGMA, _MAX_HEIGHT_SIGMA = 0.25, 0.2  # of distances by size and of heights that are evidence, relative
 _DOUBTFUL = 0.01  # posterior probability of a calibrated rig below which it is in doubt
 _INTERVAL_S = 0.5  # between two evaluations
 _MAX_OBJECTS = 300
-_VEHICLES = np.array([name in ("car", "van", "truck", "bus", "person", "bicycle", "motorcycle") for name in SIZE_CLASSES])
+_IS_EVIDENCE = np.array([not name.startswith("traffic") for name in SIZE_CLASSES])  # lights and signs vary too much
 
 
 class ScaleDoubt(NamedTuple):
@@ -56,7 +56,36 @@ class ScaleDoubt(NamedTuple):
 
     factor: float  # by which its distances are too long
     sigma: float  # relative standard deviation of the factor
-    n_objects: int
+    n_objects: int  # road users that show it
+
+    @property
+    def shared_sigma(self) -> float:
+        """Relative standard deviation of distances by the rig that covers both: its scale, and that of the drive."""
+        return abs(1.0 - 1.0 / self.factor)
+
+    def sentence(self, baseline_m: float) -> str:
+        """Note for the user, with the causes that fit."""
+        fits = [text for factor, text in _CAUSES if abs(math.log(factor / self.factor)) < 2.0 * self.sigma]
+        causes = "; ".join((*fits, f"squares given {self.factor:.2g} times as large as they were"))
+        return (
+            f"Scale in doubt: distances of the rig are {self.factor:.2f} times (± {100 * self.sigma:.0f} %) what the "
+            f"sizes of {self.n_objects} road users and the height of the camera show: a baseline of {baseline_m:.3g} m "
+            f"would be {baseline_m / self.factor:.3g} m. Causes that fit: {causes}; another focal length. Check the "
+            "rig; until then the sigmas of stereo, sgbm and fused cover both, and there are no warnings."
+        )
+
+
+_CAUSES = (
+    (2.54, "centimetres read as inches"),
+    (1 / 2.54, "inches read as centimetres"),
+    (3.281, "feet read as metres"),
+    (0.3048, "metres read as feet"),
+    (2.0, "images of half the calibrated size"),
+    (0.5, "images of twice the calibrated size"),
+    (10.0, "millimetres read as centimetres"),
+    (0.1, "centimetres read as millimetres"),
+)
+"""Mistakes by the factor that they multiply distances with."""
 
 
 _N_ROWS = 6  # of the state of an object: number of frames, mean r, its mean variance, and the same of q
@@ -65,9 +94,7 @@ _N_ROWS = 6  # of the state of an object: number of frames, mean r, its mean var
 class ScaleCheck:
     """Likelihood of the scale of a rig over the drive; the state belongs to the instance."""
 
-    def __init__(
-        self, camera: PinholeCamera, *, region: Region = "unknown", height_m: float | None = None
-    ) -> None:
+    def __init__(self, camera: PinholeCamera, *, region: Region = "unknown", height_m: float | None = None) -> None:
         """Start without evidence; `camera` is the left one, `height_m` its given height above the road."""
         self._camera = camera
         self._sizes_sigma = _SIZES_SIGMA[region != "unknown"]
@@ -91,8 +118,8 @@ class ScaleCheck:
     ) -> None:
         """Add a frame: distances by size (without the correction of the drive's scale) and by stereo of its tracks.
 
-        `road` is the road in the frame by image motion, with the height of the camera by the ego speed. If that speed is
-        measured by the pair itself, the height contains the error of the rig, and shows nothing about it.
+        `road` is the road in the frame by image motion, with the height of the camera by the ego speed. Of a speed that
+        the pair itself measures, the height has the error of the rig, and shows nothing about it.
         """
         self._add(tracks, by_size, stereo, road)
         if is_speed_by_stereo:
@@ -107,7 +134,7 @@ class ScaleCheck:
         with np.errstate(invalid="ignore", divide="ignore"):
             size_sigma, sigma = by_size.sigma_m / by_size.distance_m, stereo.sigma_m / stereo.distance_m
             r = np.log(stereo.distance_m / by_size.distance_m)
-            is_used = tracks.observed & _VEHICLES[tracks.class_id] & (size_sigma < _MAX_SIZE_SIGMA) & np.isfinite(r)
+            is_used = tracks.observed & _IS_EVIDENCE[tracks.class_id] & (size_sigma < _MAX_SIZE_SIGMA) & np.isfinite(r)
             q, variance = np.full((2, len(tracks)), np.nan)
             if road is not None:
                 x = (tracks.xyxy_px[:, 0] + tracks.xyxy_px[:, 2]) / 2
@@ -117,7 +144,9 @@ class ScaleCheck:
                 q = np.log(below * (stereo.distance_m - offset_m))
                 angle_variance = road.horizon_variance + 0.004**2 + (1.5 / self._camera.fy_px) ** 2
                 variance = angle_variance / below**2 + sigma**2
-        new = np.array([is_used, r, size_sigma**2 + sigma**2, is_used & np.isfinite(q) & (variance < 0.04), q, variance])
+        new = np.array(
+            [is_used, r, size_sigma**2 + sigma**2, is_used & np.isfinite(q) & (variance < 0.04), q, variance]
+        )
         state = self._objects.get(tracks.track_id)
         for rows in (slice(0, 3), slice(3, 6)):
             n, *values = new[rows]
@@ -125,9 +154,8 @@ class ScaleCheck:
             gain = n / np.maximum(state[rows][0], 1.0)
             for mean, value in zip(state[rows][1:], values, strict=True):
                 mean += gain * (np.where(n > 0, value, 0.0) - mean)
-        keep = np.ones(self._objects.known.shape[1], np.bool_)
-        keep[_MAX_OBJECTS:] = False
-        self._objects.put(tracks.track_id, state, keep_known=keep)
+        stays = np.arange(self._objects.known.shape[1]) < _MAX_OBJECTS
+        self._objects.put(tracks.track_id, state, keep_known=stays)
 
     def _evaluated(self) -> ScaleDoubt | None:
         n, r, r_variance, n_q, q, q_variance = self._objects.known

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,6 +18,8 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.registry import ObjectTracker, checked_tracks
+
+_BY_RIG = ("stereo", "sgbm", "fused")  # distances with the scale of the rig
 
 
 @dataclass(slots=True, kw_only=True)
@@ -69,15 +72,18 @@ class FramePipeline:
                     speed_mps=ego.motion.speed_mps,
                     is_speed_by_stereo=self.ego.odometry is not None,
                 )
+        doubt = None if self.scale_check is None else self.scale_check.doubt
         with clock.stage("fuse"):
-            self.scale = self.scale.after(evidence, frame.time_s)
+            self.scale = DriveScale() if doubt else self.scale.after(evidence, frame.time_s)
             motion, lateral = self._fusion.update(frame, tracks, ranges, ego.motion)
             ego_mps, yaw_rad_s = ego.motion.speed_mps, ego.motion.yaw_rad_s
             rate_sigma_mps = motion.rate_sigma_mps
-            if self.shared_sigma:  # neither fusion nor filtering reduces it; times to collision do not contain it
-                rate_sigma_mps = np.hypot(rate_sigma_mps, self.shared_sigma * motion.rate_mps)
+            shared_sigma = math.hypot(self.shared_sigma, 0.0 if doubt is None else doubt.shared_sigma)
+            if shared_sigma:  # neither fusion nor filtering reduces it; times to collision do not contain it
+                rate_sigma_mps = np.hypot(rate_sigma_mps, shared_sigma * motion.rate_mps)
                 for name, measured in ranges.items():
-                    sigma_m = np.hypot(measured.sigma_m, self.shared_sigma * measured.distance_m)
+                    own = shared_sigma if name.removesuffix("_kf") in _BY_RIG else self.shared_sigma
+                    sigma_m = np.hypot(measured.sigma_m, own * measured.distance_m)
                     ranges[name] = replace(measured, sigma_m=sigma_m)
             centre_px = (tracks.xyxy_px[:, :2] + tracks.xyxy_px[:, 2:]) / 2
             return FrameResult(
@@ -93,11 +99,12 @@ class FramePipeline:
                 lanes=lanes,
                 misses=passing_offsets(lateral, motion.ttc_s),
                 warnings=None
-                if self.warning is None
+                if self.warning is None or doubt is not None
                 else self.warning.update(tracks, motion, lateral, frame.time_s, ego_mps=ego_mps, yaw_rad_s=yaw_rad_s),
                 candidates=candidates,
                 ego_mps=ego_mps,
                 ego_sigma_mps=ego.motion.speed_sigma_mps,
+                scale_doubt=doubt,
             )
 
     def close(self) -> None:

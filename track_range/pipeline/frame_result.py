@@ -15,6 +15,7 @@ from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.ranging.filtering.lateral_motion import PassingOffsets
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.scale_check import ScaleDoubt
 from track_range.ranging.warning.warnings import Warnings
 from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.tracking.tracks import Tracks
@@ -78,6 +79,7 @@ class FrameResult:
         ego_mps: speed of the camera along its axis in m/s, negative = backwards; NaN = unknown.
         ego_sigma_mps: its standard deviation; NaN = unknown.
         warnings: probability of contact and alarm of each track; None if they were not estimated.
+        scale_doubt: contradiction between the scale of the rig and the drive; None = none was found.
     """
 
     frame: Frame
@@ -95,6 +97,7 @@ class FrameResult:
     ego_mps: float = math.nan
     ego_sigma_mps: float = math.nan
     warnings: Warnings | None = None
+    scale_doubt: ScaleDoubt | None = None
 
     def __repr__(self) -> str:
         objects = self.objects

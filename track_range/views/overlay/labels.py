@@ -135,6 +135,8 @@ def corner_lines(
     """Texts of the upper left corner (frame number, time, status, warning) and of the upper right one (legend)."""
     clock = [Span(f"frame {result.frame.index}", size_px, BOLD, WHITE)]
     clock += [Span(text, size_px, REGULAR, WHITE) for text in (f"{result.frame.time_s:.2f} s", *status)]
+    if result.scale_doubt is not None:
+        warning = "scale in doubt"
     if warning:
         clock.append(Span(warning, size_px, BOLD, AMBER))
     letters = [f"{method.letter} {method.title}" for method in methods() if method.name in result.ranges]
