@@ -53,7 +53,7 @@ def box_errors_of(value: Any) -> BoxErrors:
     try:
         # The index raises a ValueError for other names.
         errors = {ROAD_CLASSES[ROAD_CLASSES.index(name)]: BoxError(*map(float, value[name])) for name in value}
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{_EXPECTED}, got {quoted(value)}") from error
     for name, (height, height_sigma, width, width_sigma) in errors.items():
         is_valid = -0.5 <= height <= 0.5 and -0.5 <= width <= 0.5

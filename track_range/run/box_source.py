@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.box_errors import BoxErrors
+from track_range.detection.box_errors import BoxErrors, box_errors_of
 from track_range.detection.boxes import are_valid_boxes, area_px2
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
-from track_range.detection.detector import ObjectDetector, checked_detections
+from track_range.detection.detector import DetectorError, ObjectDetector, checked_detections
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.arrays import IntArray
@@ -94,9 +94,13 @@ def network_source(
 def boxes_of(detector: ObjectDetector) -> BoxSource:
     """Source of the boxes of a detector object with `detect(image)`, and optionally `notes` and `box_errors`.
 
-    Its `detect` raises DetectorError if the object does not return valid `Detections`.
+    DetectorError: invalid `box_errors`; raised by `detect`: the object returns no valid `Detections`.
     """
-    last = Detections.empty()
+    last, errors = Detections.empty(), getattr(detector, "box_errors", None)
+    try:
+        box_errors = None if errors is None else box_errors_of(errors)
+    except ValueError as error:
+        raise DetectorError(f"{class_name(detector)}, box_errors: {error}.") from error
 
     def detect(frame: Frame) -> Detections:
         nonlocal last
@@ -108,7 +112,7 @@ def boxes_of(detector: ObjectDetector) -> BoxSource:
         candidates=lambda frame: last,
         description={"detector": {"class": class_name(detector)}},
         notes=lambda: tuple(getattr(detector, "notes", ())),
-        box_errors=getattr(detector, "box_errors", None),
+        box_errors=box_errors,
     )
 
 

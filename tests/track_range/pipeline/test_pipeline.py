@@ -1,5 +1,7 @@
 """The pipeline on synthetic frames: order, errors in threads, and content of results."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -289,6 +291,12 @@ def test_detector_with_invalid_boxes():
     with pytest.raises(DetectorError, match=r"Coco, frame 2: class_id: .*5 truck.*got 9 in row 0\.$") as raised:
         list(run_in_threads(pipeline(boxes_of(Coco()).detect), frames(5)))
     assert isinstance(raised.value.__cause__, ValueError)
+
+
+@pytest.mark.parametrize("errors", [3, {"car": (0.1,)}, {"plane": (0, 0.1, 0, 0.1)}, {"car": (10**400, 0.1, 0, 0.1)}])
+def test_detector_with_invalid_box_errors(errors):
+    with pytest.raises(DetectorError, match=r"SimpleNamespace, box_errors: expected \[log_height"):
+        boxes_of(SimpleNamespace(detect=None, box_errors=errors))
 
 
 class FixedDisparity:
