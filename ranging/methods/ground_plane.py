@@ -59,9 +59,7 @@ _ON_GROUND = np.array([name in GROUND_CLASSES for name in SIZE_CLASSES])  # (siz
 _HUBER_SIGMA = 2.0  # residual in standard deviations beyond which measurements are down-weighted (Huber)
 _MAX_HEIGHT_SIGMA = 0.05  # largest relative standard deviation of a measured camera height that counts as known
 _REFERENCE_SIGMA = 0.04  # relative, of all distances from image motion: camera height, and the horizon's mean error
-_DRIVE_S = (
-    60.0  # time constant with which tracks that left are forgotten, as the angle of the mounting changes with load
-)
+_DRIVE_S = 60.0  # time constant with which tracks that left are forgotten: the angle of the mounting changes with load
 _PAST_WEIGHT = 0.25  # of a track that left: tracks that are in view together have the pitch in common
 _LINES_RAD = 0.006  # error of the row in which lane lines meet as a measurement of the horizon: hills, curves
 _MAX_LINES_SIGMA = 3.0  # deviation of that row from the horizon of image motion beyond which they are not lane lines

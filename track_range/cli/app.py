@@ -101,10 +101,11 @@ COMMANDS = {
     ),
     "fit": Lazy(
         "track_range.cli.commands.fit",
-        "Fit the size curves of the mono method to labelled images from your camera.",
+        "Fit the size curves of the mono method to labels from your camera, or the errors of a detector's boxes.",
         examples=(
             "track-range fit --labels label_02/ --calib calib/ --out curves.json",
             "track-range fit --csv boxes.csv --focal-px 1150 --out curves.json",
+            "track-range fit --detector-boxes yolov5n.onnx --images left.mp4 --labels label.txt",
         ),
     ),
     "models": Lazy("track_range.cli.commands.models", "List, download, inspect, import and convert detectors."),
