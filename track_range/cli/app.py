@@ -105,7 +105,7 @@ COMMANDS = {
         examples=(
             "track-range fit --labels label_02/ --calib calib/ --out curves.json",
             "track-range fit --csv boxes.csv --focal-px 1150 --out curves.json",
-            "track-range fit --detector-boxes yolov5n.onnx --images left.mp4 --labels label.txt",
+            "track-range fit --detector-boxes net.onnx --images left.mp4 --labels label.txt",
         ),
     ),
     "models": Lazy("track_range.cli.commands.models", "List, download, inspect, import and convert detectors."),
