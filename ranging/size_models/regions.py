@@ -150,7 +150,7 @@ def _mean(priors: Sequence[SizePrior]) -> SizePrior:
     for prior in priors:
         for body in prior.bodies:
             fractions[body.name] = fractions.get(body.name, 0.0) + body.share / len(priors)
-    kinds = {body.name: body for prior in priors for body in prior.bodies}
+    kinds = {body.name: body for prior in reversed(priors) for body in prior.bodies}  # fitted sizes before tables
     bodies = tuple(replace(kinds[name], share=fraction) for name, fraction in fractions.items())
     return replace(_sized(priors[0], total, covariance, drive_sigma), bodies=bodies)
 

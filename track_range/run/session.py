@@ -92,7 +92,7 @@ class RunSession:
         self.settings = settings
         self.stopped_by: BaseException | None = None  # error that ended the run early
         self.frame_notes: tuple[str, ...] = ()  # on the frame numbers of labels, known at the end of the run
-        curves = load_curves(settings.curves, settings.region or "unknown")
+        shapes = load_curves(settings.curves, "europe")  # cars of one region show the focal length better than of any
         start_s = time.perf_counter()
         self.recording = open_input(settings, progress, rig)
         alignment = self.recording.calibration.alignment
@@ -105,7 +105,7 @@ class RunSession:
             else:  # an object may depend on the order of the frames, so that it cannot look ahead
                 models = partial(ready_model, console=console)
                 self.box_source = open_box_source(settings, self.recording, models, open_detector)
-                self._estimate_focal_length(curves, progress)
+                self._estimate_focal_length(shapes, progress)
             calibration, path = self.recording.calibration, settings.truth
             shift_m = calibration.left_from_reference_m
             self.truth = None if path is None else read_truth(path, calibration.camera, shift_m)

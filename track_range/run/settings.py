@@ -41,7 +41,8 @@ class RangingOptions(Options):
         Region | None,
         _clip_option(
             "Region of the recording, whose vehicles, people and lanes differ in size from others (default: that of "
-            "its GPS positions, else unknown: larger sigmas of one-camera distances). Curves of a file have their own."
+            "its GPS positions, which --ego-speed auto reads, else unknown: larger sigmas of one camera). Curves of a "
+            "file have their own sizes."
         ),
     ] = None
     sgbm: Annotated[

@@ -56,7 +56,7 @@ class RoadDrive:
     option("--data", default=REAL_DATA, help="folder of the data sets"),
 )
 def focal_length(options: Namespace) -> Figures:
-    sizes = load_curves()
+    sizes = load_curves(region="europe")  # as runs and `calibrate` do
     if not isinstance(sizes, CuboidSizes):
         raise TypeError("the packaged curves have no priors")
     seeds = range(options.first_seed, options.first_seed + options.seeds)

@@ -149,7 +149,7 @@ def calibrate_on_road(
             with closing(recording):
                 view.add(recording.frames, detect, advance)
     measured = _known_objects(objects, video, camera, detect)
-    sizes = load_curves(settings.curves)
+    sizes = load_curves(settings.curves, "europe")
     cuboids = sizes if isinstance(sizes, CuboidSizes) else None
     by_shape = focal_posterior(guesses, view.scene, size_px, cuboids)
     focal_px, sigma = by_shape.guess
