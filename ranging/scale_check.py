@@ -61,7 +61,7 @@ class ScaleDoubt(NamedTuple):
     @property
     def shared_sigma(self) -> float:
         """Relative standard deviation of distances by the rig that covers both: its scale, and that of the drive."""
-        return abs(1.0 - 1.0 / self.factor)
+        return abs(1.0 - 1.0 / self.factor) + self.sigma / self.factor
 
     def sentence(self, baseline_m: float) -> str:
         """Note for the user, with the causes that fit."""

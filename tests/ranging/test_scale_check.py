@@ -89,4 +89,4 @@ def test_a_sentence_names_the_causes_that_fit():
 def test_sigma_covers_both_scales(factor):
     distance_m = 20.0
     sigma_m = ScaleDoubt(factor, 0.1, 3).shared_sigma * distance_m
-    assert abs(distance_m - distance_m / factor) == pytest.approx(sigma_m)
+    assert 1.0 < sigma_m / abs(distance_m - distance_m / factor) < 1.2
