@@ -45,6 +45,9 @@ def process_stub(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> Cli
         return published(task, plan)
     except (OSError, StorageError) as error:
         return ClipOutcome({}, fatal=str(error))
+    finally:  # a process takes other clips afterwards
+        hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+        resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
 
 
 def published(task: ClipTask, plan: FleetPlan) -> ClipOutcome:
@@ -97,7 +100,7 @@ def _raise() -> None:
 
 
 def _full() -> None:
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
 
 
 FAILURES: dict[str, Callable[[], None]] = {

@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeGuard
 
 import ray
 
@@ -136,6 +136,9 @@ class Driver:
         self._arguments = (ray.put(plan), process, ray.put(files))
         self._slots = [Slot(number) for number in range(n_workers)]
         self._node = ray.get_runtime_context().get_node_id()  # not lost as long as the driver is at work
+        self._cancelled: list[
+            int
+        ] = []  # processes of this machine that have been cancelled, and may not have ended yet
         self._attempts = Attempts()
         self._has_started, self._n_starts_lost = False, 0
         self._start_s = time.monotonic()
@@ -154,7 +157,7 @@ class Driver:
 
     def stop(self) -> None:
         """End all workers."""
-        pids = [slot.state.pid for slot in self._slots if slot.state is not None and slot.state.node == self._node]
+        pids = [*self._cancelled, *(slot.state.pid for slot in self._slots if self._is_here(slot.state))]
         for slot in self._slots:
             if slot.states is not None:
                 with suppress(ray.exceptions.RayError, ValueError):
@@ -287,7 +290,11 @@ class Driver:
                 slot.verdict = self._verdict(slot.state, now_s - slot.start_s)
                 if slot.verdict is not None:
                     slot.cancel_s = now_s
+                    self._cancelled += [slot.state.pid] if self._is_here(slot.state) else []
                     ray.cancel(slot.states, force=True)
+
+    def _is_here(self, state: WorkerState | None) -> TypeGuard[WorkerState]:
+        return state is not None and state.node == self._node
 
     def _verdict(self, state: WorkerState, elapsed_s: float) -> tuple[ErrorKind, str] | None:
         """Kind and sentence of the limit that a worker exceeds; None = none."""
