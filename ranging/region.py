@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Literal
 
 Region = Literal["unknown", "europe", "north-america", "east-asia"]
-REGIONS: tuple[Region, ...] = get_args(Region)
 
 _AREAS: tuple[tuple[Region, float, float, float, float], ...] = (
     ("europe", 35.0, 72.0, -25.0, 45.0),

@@ -10,8 +10,9 @@ r"""ScaleCheck: whether the scale of a calibrated pair agrees with everything el
 
 Each object counts once, with the average of its frames; some are matches on another object or have the wrong class, so
 that their errors have wide tails. a and h are integrated out, so that they cannot correct the rig in circles. The prior
-of g is mostly that of a calibrated rig, and for a small part that of any mistake: inches read as metres, squares of
-another size, another image size. The rig is in doubt if the posterior excludes the first.
+of g is mostly that of a calibrated rig, and for a small part that of any mistake of the baseline: inches read as
+centimetres, squares of another size. The rig is in doubt if the posterior excludes the first. A wrong focal length
+changes distances by size and by stereo alike, and is not found.
 """
 
 from __future__ import annotations
@@ -66,12 +67,13 @@ class ScaleDoubt(NamedTuple):
     def sentence(self, baseline_m: float) -> str:
         """Note for the user, with the causes that fit."""
         fits = [text for factor, text in _CAUSES if abs(math.log(factor / self.factor)) < 2.0 * self.sigma]
-        causes = "; ".join((*fits, f"squares given {self.factor:.2g} times as large as they were"))
+        causes = "; ".join((*fits, f"squares of the calibration given {self.factor:.2g} times as large as they were"))
         return (
             f"Scale in doubt: distances of the rig are {self.factor:.2f} times (± {100 * self.sigma:.0f} %) what the "
-            f"sizes of {self.n_objects} road users and the height of the camera show: a baseline of {baseline_m:.3g} m "
-            f"would be {baseline_m / self.factor:.3g} m. Causes that fit: {causes}; another focal length. Check the "
-            "rig; until then the sigmas of stereo, sgbm and fused cover both, and there are no warnings."
+            f"drive shows, by the sizes of {self.n_objects} road users, the height of the camera and the speed as far "
+            f"as they are known: the baseline of {baseline_m:.3g} m would be {baseline_m / self.factor:.3g} m. Causes "
+            f"that fit: {causes}. Check the rig; until then the sigmas of stereo, sgbm and fused cover both, and there "
+            "are no warnings."
         )
 
 
@@ -80,8 +82,6 @@ _CAUSES = (
     (1 / 2.54, "inches read as centimetres"),
     (3.281, "feet read as metres"),
     (0.3048, "metres read as feet"),
-    (2.0, "images of half the calibrated size"),
-    (0.5, "images of twice the calibrated size"),
     (10.0, "millimetres read as centimetres"),
     (0.1, "centimetres read as millimetres"),
 )
@@ -144,9 +144,8 @@ class ScaleCheck:
                 q = np.log(below * (stereo.distance_m - offset_m))
                 angle_variance = road.horizon_variance + 0.004**2 + (1.5 / self._camera.fy_px) ** 2
                 variance = angle_variance / below**2 + sigma**2
-        new = np.array(
-            [is_used, r, size_sigma**2 + sigma**2, is_used & np.isfinite(q) & (variance < 0.04), q, variance]
-        )
+        has_height = is_used & np.isfinite(q) & (variance < _MAX_HEIGHT_SIGMA**2)
+        new = np.array([is_used, r, size_sigma**2 + sigma**2, has_height, q, variance])
         state = self._objects.get(tracks.track_id)
         for rows in (slice(0, 3), slice(3, 6)):
             n, *values = new[rows]

@@ -45,7 +45,6 @@ _TYPES: Mapping[str, Mapping[str, _Type]] = {
         "kei car": _Type((1.68, 1.475, 3.395), (0.07, 0.01, 0.01)),  # N-Box, Wagon R
     },
     "person": {
-        "European": _Type((1.71, 0.58, 0.72), (0.07, 0.19, 0.33)),
         "American": _Type((1.72, 0.58, 0.72), (0.07, 0.19, 0.33)),
         "Asian": _Type((1.66, 0.56, 0.70), (0.07, 0.19, 0.33)),
     },

@@ -1,14 +1,17 @@
 """Sizes of road users by region, and the region of a position."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
-from track_range.ranging.region import REGIONS, region_at
+from track_range.ranging.region import Region, region_at
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA = PinholeCamera(1000.0, 1000.0, 640.0, 360.0, 1280, 720)
+REGIONS = get_args(Region)
 MODELS = {region: load_curves(region=region) for region in REGIONS}
 
 

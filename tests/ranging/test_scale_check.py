@@ -61,10 +61,12 @@ def test_right_scales_are_not_doubted(sizes):
         assert checked(1.0, sizes=sizes, true_height_m=height_m) is None
 
 
-def test_evidence_of_the_height_finds_smaller_errors():
-    found = [checked(1.25, seed=seed, region="europe") is not None for seed in range(20)]
-    given = [checked(1.25, seed=seed, region="europe", height_m=1.5) is not None for seed in range(20)]
-    assert sum(given) >= sum(found)
+def test_a_given_height_finds_smaller_errors():
+    known = {"region": "europe", "factor": 1.5}
+    without = [checked(seed=seed, **known) is not None for seed in range(10)]
+    given = [checked(seed=seed, height_m=1.5, **known) is not None for seed in range(10)]
+    assert sum(given) > 7
+    assert sum(without) < 5
 
 
 def test_speeds_of_no_car():
@@ -82,7 +84,7 @@ def test_a_sentence_names_the_causes_that_fit():
     for part in ("2.50 times", "± 6 %", "0.5 m would be 0.2 m", "read as inches", "2.5 times as large"):
         assert part in sentence
     assert "feet" not in sentence
-    assert "twice" in ScaleDoubt(0.5, 0.08, 4).sentence(0.2)
+    assert "read as" not in ScaleDoubt(0.5, 0.06, 4).sentence(0.2)
 
 
 @pytest.mark.parametrize("factor", [0.4, 2.5])

@@ -11,6 +11,7 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, FusionStage, RangingStage
 from track_range.pipeline.throughput import StageClock
 from track_range.ranging.filtering.lateral_motion import passing_offsets
+from track_range.ranging.registry import methods
 from track_range.ranging.scale_check import ScaleCheck
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.ranging.warning.collision_warning import CollisionWarning
@@ -18,8 +19,6 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.registry import ObjectTracker, checked_tracks
-
-_BY_RIG = ("stereo", "sgbm", "fused")  # distances with the scale of the rig
 
 
 @dataclass(slots=True, kw_only=True)
@@ -40,9 +39,12 @@ class FramePipeline:
     notes: tuple[str, ...] = ()  # messages for the user about the parts of the pipeline
     clock: StageClock = field(default_factory=StageClock)  # time spent in each stage
     _fusion: FusionStage = field(init=False)
+    _by_rig: frozenset[str] = field(init=False)  # names of the distances with the scale of the rig
 
     def __post_init__(self) -> None:
         self._fusion = FusionStage(self.camera)
+        has_baseline = [m.name for m in methods() if any(source.name == "baseline" for source in m.error_sources)]
+        self._by_rig = frozenset((*has_baseline, "fused"))
 
     def detected(self, frame: Frame) -> Detected:
         """The frame with its boxes and lane lines, in the calling thread."""
@@ -61,19 +63,19 @@ class FramePipeline:
             tracks = checked_tracks(self.tracker, self.tracker.update(detections, frame.time_s, frame.left))
         ego = self.ego.update(frame, detections.xyxy_px, clock, known_ego)
         ranges, evidence = self.ranging.measure(tracks, frame, lanes, ego, self.scale, clock)
-        if self.scale_check is not None and "stereo" in ranges and evidence and evidence[0].by_size is not None:
-            with clock.stage("fuse"):
+        with clock.stage("fuse"):
+            by_size = next((item.by_size for item in evidence if item.by_size is not None), None)
+            if self.scale_check is not None and by_size is not None and "stereo" in ranges:
                 self.scale_check.update(
                     tracks,
-                    evidence[0].by_size,
+                    by_size,
                     ranges["stereo"],
                     time_s=frame.time_s,
                     road=ego.road,
                     speed_mps=ego.motion.speed_mps,
-                    is_speed_by_stereo=self.ego.odometry is not None,
+                    is_speed_by_stereo=self.ego.odometry is not None and known_ego is None,
                 )
-        doubt = None if self.scale_check is None else self.scale_check.doubt
-        with clock.stage("fuse"):
+            doubt = None if self.scale_check is None else self.scale_check.doubt
             self.scale = DriveScale() if doubt else self.scale.after(evidence, frame.time_s)
             motion, lateral = self._fusion.update(frame, tracks, ranges, ego.motion)
             ego_mps, yaw_rad_s = ego.motion.speed_mps, ego.motion.yaw_rad_s
@@ -82,7 +84,7 @@ class FramePipeline:
             if shared_sigma:  # neither fusion nor filtering reduces it; times to collision do not contain it
                 rate_sigma_mps = np.hypot(rate_sigma_mps, shared_sigma * motion.rate_mps)
                 for name, measured in ranges.items():
-                    own = shared_sigma if name.removesuffix("_kf") in _BY_RIG else self.shared_sigma
+                    own = shared_sigma if name.removesuffix("_kf") in self._by_rig else self.shared_sigma
                     sigma_m = np.hypot(measured.sigma_m, own * measured.distance_m)
                     ranges[name] = replace(measured, sigma_m=sigma_m)
             centre_px = (tracks.xyxy_px[:, :2] + tracks.xyxy_px[:, 2:]) / 2
