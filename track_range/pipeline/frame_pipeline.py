@@ -12,7 +12,7 @@ from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, Fusi
 from track_range.pipeline.throughput import StageClock
 from track_range.ranging.filtering.lateral_motion import passing_offsets
 from track_range.ranging.registry import methods
-from track_range.ranging.scale_check import ScaleCheck
+from track_range.ranging.scale_check import ScaleCheck, ScaleDoubt
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -75,7 +75,7 @@ class FramePipeline:
                     speed_mps=ego.motion.speed_mps,
                     is_speed_by_stereo=self.ego.odometry is not None and known_ego is None,
                 )
-            doubt = None if self.scale_check is None else self.scale_check.doubt
+            doubt = self.scale_doubt
             self.scale = DriveScale() if doubt else self.scale.after(evidence, frame.time_s)
             motion, lateral = self._fusion.update(frame, tracks, ranges, ego.motion)
             ego_mps, yaw_rad_s = ego.motion.speed_mps, ego.motion.yaw_rad_s
@@ -108,6 +108,11 @@ class FramePipeline:
                 ego_sigma_mps=ego.motion.speed_sigma_mps,
                 scale_doubt=doubt,
             )
+
+    @property
+    def scale_doubt(self) -> ScaleDoubt | None:
+        """The contradiction between the scale of the rig and the drive so far; None = none was found."""
+        return None if self.scale_check is None else self.scale_check.doubt
 
     def close(self) -> None:
         """End the threads of the stages; no frame follows."""

@@ -216,7 +216,7 @@ class RunSession:
     def notes(self) -> list[str]:
         """Messages for the user so far; more may follow during the run."""
         settings, pipeline, n_frames = self.settings, self.pipeline, len(self.rows)
-        doubt, rig = None if pipeline.scale_check is None else pipeline.scale_check.doubt, self.recording.rig
+        doubt, rig = pipeline.scale_doubt, self.recording.rig
         finder, ego, odometry = pipeline.detection.lane_finder, pipeline.ego.speed, pipeline.ego.odometry
         lanes = () if finder is None else finder.notes
         speed = ego.note(self.rows.last_s) if ego is not None and n_frames else None
@@ -284,7 +284,6 @@ class RunSession:
         """Content of summary.json, and the rows with the ground truth; `videos`: file names by video ("overlay")."""
         rows, recording, pipeline = self.rows, self.recording, self.pipeline
         calibration, odometry = recording.calibration, pipeline.ego.odometry
-        doubt = None if pipeline.scale_check is None else pipeline.scale_check.doubt
         rows.finish()
         columns, n_frames = rows.table.to_columns(), len(rows)
         matched = None if self.truth is None else matched_truth(columns, self.truth)
@@ -306,7 +305,7 @@ class RunSession:
             "focal_sigma": round(calibration.focal_sigma, 4),
             "region": self.region,
             "baseline_m": recording.rig.baseline_m if recording.rig else None,
-            **({"scale_doubt": doubt._asdict()} if doubt is not None else {}),
+            **({"scale_doubt": pipeline.scale_doubt._asdict()} if pipeline.scale_doubt is not None else {}),
             **({"alignment": calibration.alignment.summary()} if calibration.alignment else {}),
             **({"drive_bias": pipeline.scale.summary()} if pipeline.scale.n_tracks else {}),
             **pipeline.ranging.summary(),
